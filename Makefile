@@ -1,0 +1,44 @@
+# `make run` and `make test` set up all they need: git, make and python3 (3.11 or newer, with venv) suffice.
+PYTHON ?= python3
+BIN := .venv/bin
+# An inherited virtual environment or uv setting must not decide what is built here.
+UV := env -u VIRTUAL_ENV -u UV_PYTHON -u UV_PROJECT_ENVIRONMENT -u UV_PROJECT -u PYTHONPATH \
+	UV_PYTHON_DOWNLOADS=never .tools/bin/uv
+
+.PHONY: help setup run test check perf clean
+.DEFAULT_GOAL := help
+
+help: ## List the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  make %-7s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+setup: .venv/.synced ## Build .venv, with .venv/bin/dream in it
+
+.tools/bin/uv:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+		echo "dream needs Python 3.11 or newer, got $$($(PYTHON) --version 2>&1). Try: make PYTHON=python3.12 ..." >&2; exit 1; }
+	@echo "setting up ..."
+	@rm -rf .tools
+	@env -u PYTHONPATH $(PYTHON) -m venv .tools
+	@.tools/bin/python -m pip install --quiet --disable-pip-version-check "uv>=0.8,<1"
+
+.venv/.synced: pyproject.toml uv.lock | .tools/bin/uv
+	@$(UV) sync --quiet --locked --compile-bytecode --python "$$(.tools/bin/python -c 'import sys; print(sys._base_executable)')"
+	@touch $@
+
+run: setup ## Explore an oyster reef and write its report
+	@$(BIN)/dream run --world reef/string
+
+test: setup ## Run all tests
+	@$(BIN)/pytest -n 2 --dist loadscope
+
+check: setup ## Lint, types and format
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+
+perf: setup ## Measure speed beside named peers
+	@$(UV) sync --quiet --locked --compile-bytecode --inexact --group perf
+	@$(BIN)/python perf/render.py
+
+clean: ## Remove what setup built
+	@rm -rf .venv .tools

@@ -1,0 +1,1 @@
+"""Runs → numbers that a reviewer believes."""

@@ -1,0 +1,202 @@
+"""What a mission achieved: coverage three ways, time in steps, contacts, distance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.protocol import SurveyProtocol
+from dream.sim.render import Renderer
+from dream.sim.visibility import Visibility
+from dream.sim.world import Mesh, World
+from dream.types import Step
+
+MILESTONES = {"t90": 0.90, "t95": 0.95, "t98": 0.9826, "t100": 1.0}
+"""Shares of the instances whose step is reported; 98.26 % is the paper's own coverage."""
+COMPLETE = MILESTONES["t98"]
+VISIBLE_PIXELS = 3
+"""An individual counts as visible in a rendered image from this many pixels on."""
+
+BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Coverage:
+    """Shares in [0, 1] of what can be seen at all."""
+
+    instances: float
+    """Individuals seen; the headline."""
+    clusters: float
+    """Groups of which half the individuals were seen."""
+    area: float
+    """Target cells seen; for a wreck, outer surface seen."""
+    visible: float
+    """Individuals that showed at least `VISIBLE_PIXELS` pixels within reach in some frame."""
+
+    def as_dict(self) -> dict[str, float]:
+        """For a file."""
+        return {name: round(getattr(self, name), 6) for name in self.__slots__}
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """What of a step a summary needs: neither its images nor its map."""
+
+    index: int
+    instances: float
+    collided: bool
+    distance: float
+    clearance: float
+    turned: bool
+    guarded: bool
+    claimed: bool
+    planner_s: float
+    ended: str
+
+
+class Scorer:
+    """Scores a mission while it runs: hand it every step, in order.
+
+    Seeing is geometry (`sim.visibility`), so that scoring, simulator and oracle agree exactly.
+    """
+
+    def __init__(self, world: World, protocol: SurveyProtocol) -> None:
+        self._protocol = protocol
+        self._visibility = Visibility(world, protocol)
+        self._renderer = Renderer(world)
+        self._countable = self._visibility.countable
+        self._group = np.asarray(world.targets.group)
+        self._piece, self._piece_area = _area_pieces(world, protocol)
+        self._seen = np.zeros(len(world.targets), dtype=bool)
+        self._shown = np.zeros(len(world.targets), dtype=bool)
+        self._log: list[_Entry] = []
+
+    def add(self, step: Step) -> Coverage:
+        """Score one more step and say how much has been covered since the start."""
+        pose = step.observation.pose
+        self._seen |= self._visibility.seen(np.array([[pose.x, pose.y, pose.yaw]]))[0]
+        self._shown |= self._shows(step)
+        coverage = self._coverage()
+        self._log.append(
+            _Entry(
+                index=step.index,
+                instances=coverage.instances,
+                collided=step.arrival.collided,
+                distance=step.arrival.distance,
+                clearance=step.arrival.clearance,
+                turned=step.guarded.decision.turn != 0.0,
+                guarded=bool(step.guarded.note),
+                claimed=step.decision.done,
+                planner_s=step.planner_s,
+                ended=step.ended,
+            )
+        )
+        return coverage
+
+    def _shows(self, step: Step) -> BoolArray:
+        frame = self._renderer.measure(step.observation.camera, step.observation.T_world_camera)
+        points = step.observation.camera.back_project(frame.depth, step.observation.T_world_camera)
+        origin = step.observation.T_world_camera.translation
+        near = np.hypot(points[..., 0] - origin[0], points[..., 1] - origin[1]) <= self._protocol.reach
+        pixels = np.bincount(frame.ids[near & (frame.ids >= 0)], minlength=len(self._shown))
+        return pixels >= VISIBLE_PIXELS
+
+    def _coverage(self) -> Coverage:
+        countable = self._countable
+        return Coverage(
+            instances=_share(self._seen[countable]),
+            clusters=self._cluster_share(),
+            area=self._area_share(),
+            visible=_share(self._shown[countable]),
+        )
+
+    def _cluster_share(self) -> float:
+        group = self._group[self._countable]
+        if len(group) == 0:
+            return 1.0
+        _, member = np.unique(group, return_inverse=True)
+        total = np.bincount(member)
+        seen = np.bincount(member, weights=self._seen[self._countable])
+        return _share(seen >= 0.5 * total)
+
+    def _area_share(self) -> float:
+        countable = self._countable
+        if not countable.any():
+            return 1.0
+        piece = self._piece[countable]
+        total = np.zeros(len(self._piece_area))
+        seen = np.zeros(len(self._piece_area))
+        total[piece] = self._piece_area[piece]
+        hit = piece[self._seen[countable]]
+        seen[hit] = self._piece_area[hit]
+        return float(seen.sum() / total.sum())
+
+    def summary(self) -> dict[str, Any]:
+        """The scores of the finished mission, as in `summary.json`."""
+        moves = self._log[1:]
+        steps, ended = (self._log[-1].index, self._log[-1].ended) if self._log else (0, "")
+        claims = [entry.index for entry in moves if entry.claimed]
+        collisions = sum(entry.collided for entry in moves)
+        clearance = min((entry.clearance for entry in moves), default=math.inf)
+        planner_ms = [1e3 * entry.planner_s for entry in moves] or [0.0]
+        coverage = self._coverage()
+        return {
+            "ended": ended or "aborted",
+            "steps": steps,
+            "t_stop": steps if ended == "done" else None,
+            "t_claimed": claims[0] if claims else None,
+            **{name: self._time_to(share) for name, share in MILESTONES.items()},
+            "coverage": coverage.as_dict(),
+            "countable": int(self._countable.sum()),
+            "collisions": collisions,
+            "distance_m": round(sum(entry.distance for entry in moves), 3),
+            "turns": sum(entry.turned for entry in moves),
+            "guarded": sum(entry.guarded for entry in moves),
+            "min_clearance_m": round(clearance, 3) if math.isfinite(clearance) else None,
+            "planner_ms": {
+                "p50": round(float(np.percentile(planner_ms, 50)), 2),
+                "p99": round(float(np.percentile(planner_ms, 99)), 2),
+            },
+            "vlm": None,
+            "success": ended == "done" and coverage.instances >= COMPLETE and collisions == 0,
+        }
+
+    def _time_to(self, share: float) -> int | None:
+        return next((entry.index for entry in self._log if entry.instances >= share - 1e-12), None)
+
+
+def _share(flags: BoolArray) -> float:
+    return float(flags.mean()) if flags.size else 1.0
+
+
+def _area_pieces(
+    world: World, protocol: SurveyProtocol
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
+    """The piece of area that each individual stands for, and the size of every piece.
+
+    On a reef a piece is a map cell, shared by the clumps in it; on a wreck, a patch's own surface.
+    """
+    targets = world.targets
+    if world.targets_are_hull:
+        each = zip(targets.mesh, targets.scale, strict=True)
+        surface = np.array([_surface(world.meshes[mesh], scale) for mesh, scale in each])
+        return np.arange(len(targets)), surface
+    cells = np.floor(np.asarray(targets.position[:, :2], np.float64) / protocol.cell).astype(np.int64)
+    _, piece = np.unique(cells, axis=0, return_inverse=True)
+    return piece.reshape(-1), np.full(piece.max(initial=-1) + 1, protocol.cell**2)
+
+
+def _surface(mesh: Mesh, scale: npt.NDArray[Any]) -> float:
+    corners = (mesh.vertices * scale)[mesh.faces].astype(np.float64)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return float(0.5 * np.linalg.norm(normals, axis=1).sum())
+
+
+def pooled(summaries: Sequence[Mapping[str, Any]], key: str, cap: int) -> float:
+    """Mean of a time over missions; one never reached counts as the cap (the paper's rule)."""
+    return float(np.mean([cap if s[key] is None else s[key] for s in summaries]))

@@ -1,0 +1,206 @@
+"""Rigid transforms, the camera and angles (Eq. 1).
+
+Frames follow REP-103 and REP-105: `world` is east-north-up with z = 0 at the surface, `base` is
+forward-left-up, `camera` is the optical frame, right-down-forward. `T_a_b` takes b-coordinates to
+a: `p_a = T_a_b @ p_b`. Everything is in metres and radians.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, overload
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.floating[Any]]
+
+
+def wrap_angle(angle: float) -> float:
+    """The same direction in (−π, π]."""
+    wrapped = math.remainder(angle, 2.0 * math.pi)
+    return math.pi if wrapped == -math.pi else wrapped
+
+
+@dataclass(frozen=True, slots=True)
+class SE2:
+    """A level pose in the world: position and heading.
+
+    `yaw` is 0 towards +x (east) and grows counter-clockwise.
+    """
+
+    x: float
+    y: float
+    yaw: float
+
+    def __post_init__(self) -> None:
+        if not all(map(math.isfinite, (self.x, self.y, self.yaw))):
+            raise ValueError(f"pose: expected finite x, y and yaw, got ({self.x}, {self.y}, {self.yaw})")
+
+    def distance(self, other: SE2) -> float:
+        """Metres between the two positions."""
+        return math.hypot(other.x - self.x, other.y - self.y)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SE3:
+    """A rigid transform `T_a_b`: a rotation (3, 3) and a translation (3,), both float64."""
+
+    rotation: FloatArray
+    translation: FloatArray
+
+    def __post_init__(self) -> None:
+        rotation = np.asarray(self.rotation, dtype=np.float64)
+        translation = np.asarray(self.translation, dtype=np.float64)
+        if rotation.shape != (3, 3) or translation.shape != (3,):
+            raise ValueError(
+                f"transform: expected rotation (3, 3) and translation (3,), "
+                f"got {rotation.shape} and {translation.shape}"
+            )
+        if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
+            raise ValueError(
+                "transform: expected finite numbers, got NaN or infinity. Is the pose estimate alive?"
+            )
+        object.__setattr__(self, "rotation", rotation)
+        object.__setattr__(self, "translation", translation)
+
+    @staticmethod
+    def level(x: float, y: float, z: float, yaw: float) -> SE3:
+        """`T_world_base` of a vehicle that neither rolls nor pitches."""
+        c, s = math.cos(yaw), math.sin(yaw)
+        return SE3(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.array([x, y, z]))
+
+    @property
+    def inverse(self) -> SE3:
+        """`T_b_a`."""
+        return SE3(self.rotation.T, -self.rotation.T @ self.translation)
+
+    @property
+    def yaw(self) -> float:
+        """Heading of the x axis of b, seen in a."""
+        return math.atan2(self.rotation[1, 0], self.rotation[0, 0])
+
+    @property
+    def se2(self) -> SE2:
+        """Position and heading on the ground plane."""
+        return SE2(float(self.translation[0]), float(self.translation[1]), self.yaw)
+
+    @overload
+    def __matmul__(self, other: SE3) -> SE3: ...
+    @overload
+    def __matmul__(self, other: FloatArray) -> FloatArray: ...
+    def __matmul__(self, other: SE3 | FloatArray) -> SE3 | FloatArray:
+        if isinstance(other, SE3):
+            return SE3(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
+        return np.asarray(other) @ self.rotation.T + self.translation
+
+
+def camera_mount(pitch: float) -> SE3:
+    """`T_base_camera` of a camera at the base's origin that looks forward and `pitch` radians down."""
+    c, s = math.cos(pitch), math.sin(pitch)
+    # Columns: the camera's right, down and forward axes in base coordinates.
+    return SE3(np.array([[0.0, -s, c], [-1.0, 0.0, 0.0], [0.0, -c, -s]]), np.zeros(3))
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A pinhole camera. Pixel centres lie at half-integers: pixel (u, v) is seen through (u + ½, v + ½)."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    @staticmethod
+    def from_fov(width: int, height: int, horizontal_fov: float) -> Camera:
+        """Square pixels, principal point in the middle."""
+        f = 0.5 * width / math.tan(0.5 * horizontal_fov)
+        return Camera(width, height, f, f, 0.5 * width, 0.5 * height)
+
+    @property
+    def horizontal_fov(self) -> float:
+        """Radians between the left and the right edge of the image."""
+        return math.atan(self.cx / self.fx) + math.atan((self.width - self.cx) / self.fx)
+
+    def scaled(self, factor: float) -> Camera:
+        """The same view with `factor` times as many pixels along each axis."""
+        return Camera(
+            round(self.width * factor),
+            round(self.height * factor),
+            self.fx * factor,
+            self.fy * factor,
+            self.cx * factor,
+            self.cy * factor,
+        )
+
+    def check(self, image: npt.NDArray[Any], name: str) -> None:
+        """Raise a ValueError unless `image` is (height, width, ...)."""
+        if image.shape[:2] != (self.height, self.width):
+            swapped = image.shape[:2] == (self.width, self.height)
+            raise ValueError(
+                f"{name}: expected {(self.height, self.width)} to match the camera, got {image.shape[:2]}."
+                + (" Are rows and columns swapped?" if swapped else "")
+            )
+
+    def back_project(self, depth: FloatArray, T_world_camera: SE3) -> FloatArray:
+        """World point of every pixel (Eq. 1).
+
+        Args:
+            depth: (H, W) metres along the optical axis.
+            T_world_camera: Where the optical frame was.
+
+        Returns:
+            (H, W, 3) float64, metres in the world; NaN where depth is NaN.
+        """
+        self.check(depth, "depth")
+        u = (np.arange(self.width) + 0.5 - self.cx) / self.fx
+        v = (np.arange(self.height) + 0.5 - self.cy) / self.fy
+        z = np.asarray(depth, dtype=np.float64)
+        return T_world_camera @ np.stack([u[None, :] * z, v[:, None] * z, z], axis=-1)
+
+    def project(self, points_camera: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Pixel coordinates (..., 2) and depths (...) of points given in the camera frame.
+
+        A coordinate floors to its pixel. Where the depth is not positive the pixel is NaN.
+        """
+        points = np.asarray(points_camera, dtype=np.float64)
+        z = points[..., 2]
+        safe = np.where(z > 0.0, z, np.nan)
+        u = self.fx * points[..., 0] / safe + self.cx
+        v = self.fy * points[..., 1] / safe + self.cy
+        return np.stack([u, v], axis=-1), z
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """An axis-aligned box on the ground: the operator's survey area."""
+
+    x_min: float
+    y_min: float
+    x_max: float
+    y_max: float
+
+    def __post_init__(self) -> None:
+        values = (self.x_min, self.y_min, self.x_max, self.y_max)
+        if not all(map(math.isfinite, values)) or self.x_min >= self.x_max or self.y_min >= self.y_max:
+            raise ValueError(f"bounds: expected finite x_min < x_max and y_min < y_max, got {values}")
+
+    @property
+    def width(self) -> float:
+        """Metres from west to east."""
+        return self.x_max - self.x_min
+
+    @property
+    def depth(self) -> float:
+        """Metres from south to north."""
+        return self.y_max - self.y_min
+
+    def contains(self, x: float, y: float, margin: float = 0.0) -> bool:
+        """Is the point inside, at least `margin` metres from every side?"""
+        return (
+            self.x_min + margin <= x <= self.x_max - margin
+            and self.y_min + margin <= y <= self.y_max - margin
+        )

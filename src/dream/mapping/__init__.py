@@ -1,0 +1,24 @@
+"""Observation → Map."""
+
+from dream.mapping.completion import Completion, Region, check_completion, hiding_places, reachable
+from dream.mapping.drawing import draw_map
+from dream.mapping.frontiers import Frontier, frontiers
+from dream.mapping.gain import gain, visible_weight
+from dream.mapping.occupancy import Evidence, OccupancyMap
+from dream.mapping.visibility import view
+
+__all__ = [
+    "Completion",
+    "Evidence",
+    "Frontier",
+    "OccupancyMap",
+    "Region",
+    "check_completion",
+    "draw_map",
+    "frontiers",
+    "gain",
+    "hiding_places",
+    "reachable",
+    "view",
+    "visible_weight",
+]

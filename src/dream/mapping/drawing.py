@@ -1,0 +1,259 @@
+"""Map → picture: what a person, or a model that sees, is shown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.geometry import SE2, Bounds
+from dream.protocol import SurveyProtocol
+
+if TYPE_CHECKING:
+    from PIL import Image, ImageDraw
+
+    from dream.mapping.occupancy import OccupancyMap
+
+Color = tuple[int, int, int]
+Point = tuple[float, float]
+Drawer = Callable[["ImageDraw.ImageDraw", Callable[[Point], Point]], None]
+"""Draws on a mask, whose pixel of a point on the map the second argument gives."""
+
+UNKNOWN: Color = (255, 255, 255)
+EXPLORED: Color = (127, 127, 127)
+TARGET: Color = (0, 200, 0)
+SOLID: Color = (0, 0, 0)
+SOLID_TARGET: Color = (0, 95, 0)
+"""A wreck's wall: target, and yet not to be run into."""
+VEHICLE: Color = (0, 70, 255)
+TRAIL: Color = (0, 150, 255)
+GRID_LINE: Color = (90, 90, 120)
+INK: Color = (40, 40, 40)
+PAPER: Color = (244, 244, 240)
+
+GRID = 5.0
+"""Metres between the lines of the grid, where the area is large enough for some."""
+FINER = 3
+"""Lines are drawn so many times larger and scaled down, which makes them smooth."""
+
+
+def draw_map(
+    occupancy: OccupancyMap, pose: SE2 | None = None, trail: npt.ArrayLike = (), *, scale: int = 4
+) -> Image.Image:
+    """A picture of the map, north up, with a grid in metres, a scale bar and a legend.
+
+    Cells keep their exact colours, save under the thin lines: unknown white, explored grey, target green,
+    solid black, solid target dark green; the vehicle, its field of view out to the reach, and where it came
+    from in blue.
+
+    Args:
+        occupancy: What is known; only read.
+        pose: The vehicle; nothing is drawn for it without one.
+        trail: (N, 2) positions in the world, oldest first; or (N, 3) with headings, which are not used.
+        scale: Pixels per cell.
+
+    Returns:
+        An RGB image. Its size depends on the map's shape and the scale alone.
+    """
+    from PIL import Image
+
+    if scale < 1:
+        raise ValueError(f"scale: expected at least 1 pixel per cell, got {scale}")
+    points = np.asarray(trail, np.float64)
+    points = points.reshape(0, 2) if points.size == 0 else points
+    if points.ndim != 2 or points.shape[1] not in (2, 3):
+        raise ValueError(f"trail: expected (N, 2) metres, got {points.shape}")
+    sheet = _Sheet(occupancy.bounds, occupancy.protocol, scale)
+    picture = _blank(sheet).copy()
+    cells = Image.fromarray(_paint(occupancy).repeat(scale, 0).repeat(scale, 1))
+    picture.paste(cells, (sheet.left, sheet.top))
+    _draw_grid(picture, sheet)
+    _draw_trail(picture, sheet, points[:, :2])
+    if pose is not None:
+        _draw_vehicle(picture, sheet, pose)
+    return picture
+
+
+@dataclass(frozen=True, slots=True)
+class _Sheet:
+    """Where things are on the picture, in pixels."""
+
+    bounds: Bounds
+    protocol: SurveyProtocol
+    scale: int
+
+    @property
+    def per_metre(self) -> float:
+        return self.scale / self.protocol.cell
+
+    @property
+    def width(self) -> int:
+        return round(self.bounds.width * self.per_metre)
+
+    @property
+    def height(self) -> int:
+        return round(self.bounds.depth * self.per_metre)
+
+    @property
+    def letter(self) -> int:
+        """Height of the writing; margins are multiples of it."""
+        return max(11, round(min(self.width, self.height) / 55))
+
+    @property
+    def left(self) -> int:
+        return 3 * self.letter
+
+    @property
+    def top(self) -> int:
+        return self.letter
+
+    @property
+    def bottom(self) -> int:
+        return self.top + self.height
+
+    @property
+    def size(self) -> tuple[int, int]:
+        legend = 46 * self.letter
+        return max(self.left + self.width, legend) + self.letter, self.bottom + 5 * self.letter
+
+    @property
+    def grid(self) -> float:
+        """Metres between the lines."""
+        side = min(self.bounds.width, self.bounds.depth)
+        return GRID if side >= 2.0 * GRID else 0.5 if side < 5.0 else 1.0
+
+    def at(self, x: float, y: float) -> tuple[float, float]:
+        """Pixels from the upper left corner of the map."""
+        return (x - self.bounds.x_min) * self.per_metre, (self.bounds.y_max - y) * self.per_metre
+
+    def ticks(self, low: float, high: float) -> list[float]:
+        """Multiples of the grid's spacing in an interval."""
+        first, last = math.ceil(low / self.grid - 1e-9), math.floor(high / self.grid + 1e-9)
+        return [k * self.grid for k in range(first, last + 1)]
+
+
+def _paint(occupancy: OccupancyMap) -> npt.NDArray[np.uint8]:
+    colors = np.full((*occupancy.shape, 3), UNKNOWN, np.uint8)
+    colors[occupancy.explored] = EXPLORED
+    colors[occupancy.target] = TARGET
+    colors[occupancy.solid] = SOLID
+    colors[occupancy.solid & occupancy.target] = SOLID_TARGET
+    return colors[::-1]
+
+
+def _draw_grid(picture: Image.Image, sheet: _Sheet) -> None:
+    from PIL import Image
+
+    mask = np.zeros((sheet.height, sheet.width), np.uint8)
+    across = [round(sheet.at(x, 0.0)[0]) for x in sheet.ticks(sheet.bounds.x_min, sheet.bounds.x_max)]
+    down = [round(sheet.at(0.0, y)[1]) for y in sheet.ticks(sheet.bounds.y_min, sheet.bounds.y_max)]
+    mask[:, [x for x in across if 0 < x < sheet.width]] = 70
+    mask[[y for y in down if 0 < y < sheet.height]] = 70
+    picture.paste(GRID_LINE, (sheet.left, sheet.top), Image.fromarray(mask))
+
+
+def _draw_trail(picture: Image.Image, sheet: _Sheet, points: npt.NDArray[np.float64]) -> None:
+    way = [sheet.at(x, y) for x, y in points]
+
+    def draw(pen: ImageDraw.ImageDraw, at: Callable[[Point], Point]) -> None:
+        places = [at(point) for point in way]
+        if len(places) > 1:
+            pen.line(places, fill=255, width=2 * FINER, joint="curve")
+        dot = 1.7 * FINER
+        for x, y in places:
+            pen.ellipse((x - dot, y - dot, x + dot, y + dot), fill=255)
+
+    if way:
+        _paste(picture, sheet, way, TRAIL, draw)
+
+
+def _draw_vehicle(picture: Image.Image, sheet: _Sheet, pose: SE2) -> None:
+    reach, half = sheet.protocol.reach, 0.5 * sheet.protocol.camera.horizontal_fov
+    arc = [pose.yaw + half * along for along in np.linspace(-1.0, 1.0, 33)]
+    cone = [sheet.at(pose.x, pose.y)]
+    cone += [sheet.at(pose.x + reach * math.cos(a), pose.y + reach * math.sin(a)) for a in arc]
+    shape = ((1.0, 0.0), (-0.75, 0.7), (-0.4, 0.0), (-0.75, -0.7))
+    c, s = 0.125 * reach * math.cos(pose.yaw), 0.125 * reach * math.sin(pose.yaw)
+    arrow = [sheet.at(pose.x + c * a - s * b, pose.y + s * a + c * b) for a, b in shape]
+
+    def outlined(corners: Sequence[Point], width: int) -> Drawer:
+        return lambda pen, at: pen.line(
+            [at(corner) for corner in (*corners, *corners[:2])], fill=255, width=width * FINER, joint="curve"
+        )
+
+    def filled(corners: Sequence[Point], opacity: int) -> Drawer:
+        return lambda pen, at: pen.polygon([at(corner) for corner in corners], fill=opacity)
+
+    _paste(picture, sheet, cone, VEHICLE, filled(cone, 34))
+    _paste(picture, sheet, cone, VEHICLE, outlined(cone, 2))
+    _paste(picture, sheet, arrow, UNKNOWN, outlined(arrow, 3))
+    _paste(picture, sheet, arrow, VEHICLE, filled(arrow, 255))
+
+
+def _paste(picture: Image.Image, sheet: _Sheet, points: Sequence[Point], color: Color, draw: Drawer) -> None:
+    """Smooth drawing in one colour inside the map, around some points only."""
+    from PIL import Image, ImageDraw
+
+    margin = 6
+    left, top = (max(math.floor(min(axis)) - margin, 0) for axis in zip(*points, strict=True))
+    right, bottom = (math.ceil(max(axis)) + margin for axis in zip(*points, strict=True))
+    width, height = min(right, sheet.width) - left, min(bottom, sheet.height) - top
+    if width <= 0 or height <= 0:
+        return
+    mask = Image.new("L", (width * FINER, height * FINER), 0)
+    draw(ImageDraw.Draw(mask), lambda point: ((point[0] - left) * FINER, (point[1] - top) * FINER))
+    picture.paste(color, (sheet.left + left, sheet.top + top), mask.reduce(FINER))
+
+
+@lru_cache(maxsize=4)
+def _blank(sheet: _Sheet) -> Image.Image:
+    """The paper, with all that does not change during a survey."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    picture = Image.new("RGB", sheet.size, PAPER)
+    draw = ImageDraw.Draw(picture)
+    letter, left, bottom = sheet.letter, sheet.left, sheet.bottom
+    font = ImageFont.load_default(letter)
+
+    def write(position: tuple[float, float], text: str, anchor: str) -> None:
+        draw.text(position, text, fill=INK, font=font, anchor=anchor)
+
+    draw.rectangle((left - 2, sheet.top - 2, left + sheet.width + 1, bottom + 1), outline=INK, width=2)
+    for x in sheet.ticks(sheet.bounds.x_min, sheet.bounds.x_max):
+        write((left + sheet.at(x, 0.0)[0], bottom + 0.35 * letter), f"{x:g}", "mt")
+    for y in sheet.ticks(sheet.bounds.y_min, sheet.bounds.y_max):
+        write((left - 0.5 * letter, sheet.top + sheet.at(0.0, y)[1]), f"{y:g}", "rm")
+
+    row = bottom + 3.2 * letter
+    bar = left + sheet.grid * sheet.per_metre
+    draw.line([(left, row), (bar, row)], fill=INK, width=2)
+    for end in (left, bar):
+        draw.line([(end, row - 0.35 * letter), (end, row + 0.35 * letter)], fill=INK, width=2)
+    write((bar + 0.5 * letter, row), f"{sheet.grid:g} m", "lm")
+
+    north = bar + 5.2 * letter
+    tip = [(north, row - 1.1 * letter), (north - 0.5 * letter, row + 0.8 * letter)]
+    tip += [(north, row + 0.35 * letter), (north + 0.5 * letter, row + 0.8 * letter)]
+    draw.polygon(tip, fill=INK)
+    write((north + 0.8 * letter, row), "N", "lm")
+
+    place = north + 3.2 * letter
+    legend: list[tuple[Color, str]] = [
+        (UNKNOWN, "unknown"),
+        (EXPLORED, "explored"),
+        (TARGET, "target"),
+        (SOLID, "solid"),
+        (SOLID_TARGET, "both"),
+        (VEHICLE, "vehicle"),
+    ]
+    for color, name in legend:
+        box: Any = (place, row - 0.45 * letter, place + 0.9 * letter, row + 0.45 * letter)
+        draw.rectangle(box, fill=color, outline=INK)
+        write((place + 1.3 * letter, row), name, "lm")
+        place += 1.3 * letter + draw.textlength(name, font=font) + 1.1 * letter
+    return picture

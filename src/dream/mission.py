@@ -1,0 +1,107 @@
+"""The loop: observe → map → decide → guard → move.
+
+Recording, showing and scoring wrap the iterator that `explore` returns; the loop knows none of them.
+Simulated, replayed and real are three robots.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from typing import Protocol
+
+from dream.control import guard, setpoint
+from dream.mapping import OccupancyMap, check_completion
+from dream.types import Arrival, Decision, Guarded, Mission, Observation, Reasoning, Setpoint, Step
+
+LOOK_AROUND = 3
+"""Quarter turns of the in-place rotation that every mission begins with; they count as steps."""
+
+
+class Robot(Protocol):
+    """What observes and goes. Poses are where it believes to be."""
+
+    def observe(self) -> Observation:
+        """Take one camera frame, here and now."""
+        ...
+
+    def go_to(self, setpoint: Setpoint) -> Arrival:
+        """Turn, then advance. Returns where it really ended; stops at contact."""
+        ...
+
+
+class Pilot(Protocol):
+    """One planner during one mission: what it remembers lives here."""
+
+    def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
+        """The next move. Neither argument is changed."""
+        ...
+
+
+class Planner(Protocol):
+    """A planner's parameters. One planner can fly many missions at once."""
+
+    def begin(self, mission: Mission) -> Pilot:
+        """A fresh pilot for one mission."""
+        ...
+
+
+def explore(
+    robot: Robot, planner: Planner, occupancy: OccupancyMap, *, max_steps: int | None = None
+) -> Iterator[Step]:
+    """Run one mission, yielding after every decision.
+
+    The first step yielded, with index 0, is the first look, before anything was decided. The last
+    one says how the mission ended: `done` when the planner said so and the map's completion check
+    agreed, `cap` when the steps were spent. A `done` that the check refuses costs a step.
+
+    Args:
+        robot: Carries out the moves.
+        planner: Decides after the look-around.
+        occupancy: An empty map of the survey area; changed as the mission goes.
+        max_steps: Decisions at most; the protocol's cap unless given.
+
+    Yields:
+        A `Step`; its map is the live one.
+    """
+    protocol = occupancy.protocol
+    cap = protocol.cap if max_steps is None else max_steps
+    pilot = planner.begin(Mission(protocol, occupancy.bounds, cap))
+
+    observation = robot.observe()
+    occupancy.clear_launch(observation.pose.x, observation.pose.y)
+    _integrate(occupancy, observation)
+    waiting = Decision()
+    here = Arrival(observation.pose, collided=False, distance=0.0, clearance=math.inf)
+    yield Step(0, waiting, Guarded(waiting), here, observation, occupancy, ended="" if cap > 0 else "cap")
+
+    for index in range(1, cap + 1):
+        began = time.perf_counter()
+        decision = _look_around() if index <= LOOK_AROUND else pilot.decide(observation, occupancy)
+        planner_s = time.perf_counter() - began
+
+        open_region, ended = "", ""
+        if decision.done:
+            open_region = check_completion(occupancy, observation.pose).open_region
+            ended = "" if open_region else "done"
+        guarded = guard(decision, observation.pose, occupancy, protocol)
+        arrival = robot.go_to(setpoint(observation.pose, guarded.decision, protocol))
+        observation = robot.observe()
+        _integrate(occupancy, observation)
+        if index == cap and not ended:
+            ended = "cap"
+        yield Step(index, decision, guarded, arrival, observation, occupancy, open_region, ended, planner_s)
+        if ended:
+            return
+
+
+def _look_around() -> Decision:
+    return Decision(
+        turn=math.pi / 2.0,
+        reasoning=Reasoning(action="Looking around: a quarter turn to the left, to build the first map."),
+    )
+
+
+def _integrate(occupancy: OccupancyMap, observation: Observation) -> None:
+    occupancy.integrate(observation.depth, observation.labels, observation.camera, observation.T_world_camera)

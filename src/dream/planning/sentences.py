@@ -1,0 +1,123 @@
+"""The six reasoning steps in words: plain sentences that are true of the map."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.planning.travel import Travel
+
+if TYPE_CHECKING:
+    from dream.mapping import OccupancyMap
+    from dream.mapping.completion import Completion, Region
+
+COMPASS = ("east", "northeast", "north", "northwest")
+
+
+def distribution(occupancy: OccupancyMap, completion: Completion) -> str:
+    """Step 1: where targets are."""
+    share = f"{float(occupancy.explored.mean()):.0%} of the area is explored"
+    if not completion.regions:
+        return f"No target has been seen yet; {share}."
+    area = float(occupancy.target.sum()) * occupancy.protocol.cell**2
+    largest = max(completion.regions, key=lambda region: len(region.cells))
+    length, direction = _extent(largest, occupancy)
+    shape = f"{length:.0f} m {direction} around {_place(largest.centroid)}"
+    if len(completion.regions) == 1:
+        return f"Targets cover {area:.1f} m² in one region, {shape}; {share}."
+    return f"Targets cover {area:.1f} m² in {len(completion.regions)} regions, the largest {shape}; {share}."
+
+
+def target_area(area: Region | None, completion: Completion) -> str:
+    """Step 2: what is worked on now."""
+    if area is None:
+        return "None: " + (
+            "every known region is enclosed." if completion.regions else "nothing to work on yet."
+        )
+    return (
+        f"The region around {_place(area.centroid)}, with {len(area.open_cells)} unknown cells at its edge."
+    )
+
+
+def completeness(completion: Completion, hidden: npt.NDArray[np.bool_], group_radius: float) -> str:
+    """Step 3: what is still open."""
+    closed = sum(region.enclosed for region in completion.regions)
+    regions = f"{closed} of {len(completion.regions)} regions are enclosed by explored ground"
+    if not hidden.any():
+        return f"{regions}, and nowhere could a group of {group_radius:g} m radius still hide."
+    return f"{regions}; a group of {group_radius:g} m radius could still hide in ground not explored."
+
+
+def next_target(
+    travel: Travel,
+    pose: tuple[int, int, int],
+    expected: npt.NDArray[np.floating[Any]],
+    occupancy: OccupancyMap,
+) -> str:
+    """Step 4: the frontier to go to next, and where to look at it from."""
+    from dream.mapping import frontiers, gain
+
+    position = travel.position(pose[0], pose[1])
+    heading = pose[2] * travel.protocol.heading_step
+    steps = int(travel.steps[pose])
+    cells = float(gain(occupancy, position[None], np.asarray(expected, np.float32))[0, pose[2]])
+    ahead = position + 0.5 * travel.protocol.reach * np.array([math.cos(heading), math.sin(heading)])
+    edges = frontiers(occupancy)
+    where = ""
+    if edges:
+        edge = min(edges, key=lambda f: math.hypot(f.centroid[0] - ahead[0], f.centroid[1] - ahead[1]))
+        where = f"The frontier around {_place(edge.centroid)}, one of {len(edges)}: "
+    count = "1 step" if steps == 1 else f"{steps} steps"
+    view = f"the view from {_place(position)} towards {math.degrees(heading):.0f}°, {count} away"
+    sentence = f"{where}{view}, is expected to show {cells:.1f} more target cells."
+    return sentence[0].upper() + sentence[1:]
+
+
+def safety(occupancy: OccupancyMap, travel: Travel, path: list[tuple[int, int, int]]) -> str:
+    """Step 5: what the body keeps clear of on its way."""
+    protocol = travel.protocol
+    rows, cols, _ = np.array(path).T
+    nodes = travel.position(rows, cols)
+    samples = max(2, math.ceil(4.0 * max(protocol.advances) / protocol.cell))
+    along = np.linspace(0.0, 1.0, samples)[:, None, None]
+    points = (nodes[:-1] + along * (nodes[1:] - nodes[:-1])).reshape(-1, 2)
+    distance = float(occupancy.distance_to_solid[occupancy.cell_of(*points.T)].min())
+    if not math.isfinite(distance):
+        return "The way crosses only ground known to be free; nothing solid has been seen."
+    # Between the middles of two cells; their corners may be half a diagonal nearer each.
+    clear = math.floor(10.0 * (distance - math.sqrt(2.0) * protocol.cell - protocol.body_radius)) / 10.0
+    if clear <= 0.0:
+        return "The way crosses only ground known to be free, close by something solid."
+    return (
+        f"The way crosses only ground known to be free and keeps the body {clear:.1f} m or more from solids."
+    )
+
+
+def action(turn: float, advance: float) -> str:
+    """Step 6: the move."""
+    parts = []
+    if turn:
+        side = "round" if abs(abs(turn) - math.pi) < 1e-6 else "left" if turn > 0 else "right"
+        parts.append("turn round" if side == "round" else f"turn {side} by {abs(math.degrees(turn)):.0f}°")
+    if advance:
+        parts.append(f"advance {advance:g} m")
+    return (", ".join(parts) or "hold and look again").capitalize() + "."
+
+
+def _place(point: npt.ArrayLike) -> str:
+    x, y = np.asarray(point, dtype=np.float64)
+    return f"({x:.1f}, {y:.1f})"
+
+
+def _extent(region: Region, occupancy: OccupancyMap) -> tuple[float, str]:
+    """Length along the region's main axis in metres, and that axis by compass."""
+    rows, cols = region.cells.T
+    points: npt.NDArray[Any] = np.stack(occupancy.center_of(rows, cols), axis=-1)
+    centred = points - points.mean(axis=0)
+    axis = np.linalg.svd(centred, full_matrices=False)[2][0]
+    along = centred @ axis
+    sector = round(math.atan2(axis[1], axis[0]) / (math.pi / 4.0)) % 4
+    return float(np.ptp(along)) + occupancy.protocol.cell, f"long towards {COMPASS[sector]}"

@@ -1,0 +1,274 @@
+"""The paper's six reasoning steps, carried out literally on the map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.geometry import SE2
+from dream.planning import sentences
+from dream.planning.parameters import check_range
+from dream.planning.travel import Travel, travel_from
+from dream.types import Decision, Mission, Observation, Reasoning
+
+if TYPE_CHECKING:
+    from dream.mapping import OccupancyMap
+    from dream.mapping.completion import Completion, Region
+
+FloatArray = npt.NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class SixSteps:
+    """Distribution, target area, completion, next target, safety, action: each a few lines of code.
+
+    What it does: spreads the evidence of what was seen over the ground beside it; works on the open
+    target region that is fewest steps away; goes where most is expected to be discovered per step, over
+    known free ground only; looks at a hull from afar too, since its top is above the image from near by;
+    is done when every region is enclosed and no place is left in which a whole group could hide.
+
+    Reference: the six reasoning steps of DREAM (arXiv 2509.13666), without the model.
+
+    Assumes: the protocol's prior on the size of a group. Fails when: targets are so scattered that
+    their neighbourhood says nothing about them, or one end of a hull is only seen from close by.
+    """
+
+    kernel: float = 4.0 / 3.0
+    """How far a seen target makes its surroundings likely: standard deviation of the blur, in radii of the
+    protocol's smallest group."""
+    prior: float = 0.02
+    """Probability of a target in a cell about which nothing is known."""
+    prior_weight: float = 0.15
+    """How much blurred evidence the prior is worth."""
+    focus: float = 2.0
+    """How many times more a cell counts that keeps the current region open."""
+    standoff_cells: float = 1.5
+    """Map cells that the body keeps from the middle of any solid one: the map is no finer than that."""
+    closing: float = 3.0
+    """How many times more ground counts that explored ground surrounds: a hole left behind must be come back
+    for."""
+    hull: float = 1.0
+    """What it is worth to look at a cell of hull, target and solid at once, from afar."""
+    afar: float = 0.6
+    """Distance from all that is solid, as a share of the reach, from which a hull is seen to its top."""
+    patience: float = 1.15
+    """How many times better another viewpoint must be before the chosen one is given up."""
+
+    def __post_init__(self) -> None:
+        check_range("kernel", self.kernel, 0.1, 10.0)
+        check_range("prior", self.prior, 1e-6, 1.0)
+        check_range("prior_weight", self.prior_weight, 1e-6, 100.0)
+        check_range("focus", self.focus, 1.0, 1000.0)
+        check_range("standoff_cells", self.standoff_cells, 0.0, 100.0)
+        check_range("closing", self.closing, 0.0, 1000.0)
+        check_range("hull", self.hull, 0.0, 1000.0)
+        check_range("afar", self.afar, 0.0, 1.0)
+        check_range("patience", self.patience, 1.0, 1000.0)
+
+    def begin(self, mission: Mission) -> _SixStepsPilot:
+        """A fresh pilot; it remembers the viewpoint it is heading for and the hull it looked at from afar."""
+        cell, bounds = mission.protocol.cell, mission.bounds
+        surveyed = np.zeros((round(bounds.depth / cell), round(bounds.width / cell)), dtype=np.bool_)
+        return _SixStepsPilot(self, mission, surveyed)
+
+    def expectation(self, occupancy: OccupancyMap) -> FloatArray:
+        """(rows, cols) probability of a target in every cell not explored, 0 elsewhere.
+
+        A kernel estimate: blurred targets over blurred explored ground, pulled to the prior where neither
+        says much.
+        """
+        radius = self.kernel * occupancy.protocol.group_radius
+        targets = _blurred(occupancy.target, radius, occupancy)
+        explored = _blurred(occupancy.explored, radius, occupancy)
+        p = (targets + self.prior * self.prior_weight) / (explored + self.prior_weight)
+        return np.where(occupancy.explored, 0.0, np.clip(p, 0.0, 1.0)).astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class _Viewpoint:
+    """A pose worth going to."""
+
+    pose: tuple[int, int, int]
+    """(row, col, heading) on the lattice."""
+    steps: int
+    gain: float
+    """What is discovered there is worth this much; see `_worth`."""
+
+    @property
+    def rate(self) -> float:
+        return self.gain / self.steps
+
+
+@dataclass(slots=True)
+class _SixStepsPilot:
+    planner: SixSteps
+    mission: Mission
+    surveyed: npt.NDArray[np.bool_]
+    """(rows, cols) cells that were looked at from afar."""
+    heading_for: tuple[int, int, int] | None = None
+
+    def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
+        from dream.mapping import check_completion, hiding_places
+
+        pose, protocol = observation.pose, self.mission.protocol
+        self._survey(pose, occupancy)
+        standoff = protocol.body_radius + self.planner.standoff_cells * protocol.cell
+        travel = travel_from(pose, occupancy, standoff=standoff)
+
+        # 1 Distribution: where targets are, and where more are to be expected.
+        expected = self.planner.expectation(occupancy)
+        # 2 Current target area and 3 completion: what is still open, and the nearest of it.
+        completion = check_completion(occupancy, pose)
+        hidden = hiding_places(occupancy, pose, protocol.group_radius)
+        area = _nearest_open(completion, travel, occupancy)
+        reasoning = Reasoning(
+            distribution=sentences.distribution(occupancy, completion),
+            target_area=sentences.target_area(area, completion),
+            completion=sentences.completeness(completion, hidden, protocol.group_radius),
+        )
+        # 4 Next target: the pose from which most is expected to be discovered per step.
+        worth = self._worth(expected, occupancy, completion, area, hidden)
+        if completion.complete and not hidden.any():
+            worth[:] = 0.0  # Only hull may be left to look at.
+        viewpoint = self._best_viewpoint(worth, travel, occupancy)
+        if viewpoint is None:
+            # Perhaps what is left can only be seen from nearer to something solid.
+            travel = travel_from(pose, occupancy)
+            viewpoint = self._best_viewpoint(worth, travel, occupancy)
+        if viewpoint is None:
+            return Decision(done=True, reasoning=replace(reasoning, action="The mission is complete."))
+        # 5 Safety is in the search: its moves are those that the guard lets pass.
+        # 6 Action: the first of them.
+        path = travel.path(viewpoint.pose)
+        turn, advance = travel.move(path[0], path[1])
+        return Decision(
+            turn,
+            advance,
+            reasoning=replace(
+                reasoning,
+                next_target=sentences.next_target(travel, viewpoint.pose, expected, occupancy),
+                safety=sentences.safety(occupancy, travel, path),
+                action=sentences.action(turn, advance),
+            ),
+        )
+
+    def _is_afar(self, x: npt.ArrayLike, y: npt.ArrayLike, occupancy: OccupancyMap) -> npt.NDArray[np.bool_]:
+        """Is nothing solid so near that its upper parts are above the image?"""
+        distance = occupancy.distance_to_solid[occupancy.cell_of(x, y)]
+        return np.asarray(distance >= self.planner.afar * self.mission.protocol.reach)
+
+    def _survey(self, pose: SE2, occupancy: OccupancyMap) -> None:
+        from dream.mapping import view
+
+        if self._is_afar(pose.x, pose.y, occupancy):
+            self.surveyed |= view(occupancy, pose.x, pose.y, pose.yaw)
+
+    def _hull_left(self, occupancy: OccupancyMap) -> npt.NDArray[np.bool_]:
+        """(rows, cols) cells that are both target and solid and were not yet looked at from afar."""
+        return occupancy.target & occupancy.solid & ~self.surveyed
+
+    def _worth(
+        self,
+        expected: FloatArray,
+        occupancy: OccupancyMap,
+        completion: Completion,
+        area: Region | None,
+        hidden: npt.NDArray[np.bool_],
+    ) -> FloatArray:
+        """(rows, cols) what discovering a cell is worth: its expectation, more where it closes a region."""
+        protocol = self.mission.protocol
+        could_hide = _within(hidden, protocol.group_radius / protocol.cell)
+        evidence = self.planner.kernel * protocol.group_radius
+        near_target = _within(occupancy.target, 2.0 * evidence / protocol.cell)
+        # Where no target has been seen, only ground explored to the last cell is complete.
+        search = could_hide if completion.regions else ~occupancy.explored
+        surrounded = _blurred(occupancy.explored, 2.0 * evidence, occupancy)
+        worth = np.where(search, self.planner.prior * (1.0 + self.planner.closing * surrounded), 0.0)
+        worth = np.where(near_target, np.maximum(expected, worth), worth).astype(np.float32)
+        for region in completion.regions:
+            rows, cols = region.open_cells.T
+            factor = self.planner.focus if region is area else 1.0
+            worth[rows, cols] = np.maximum(worth[rows, cols], self.planner.prior_weight) * factor
+        worth[occupancy.explored] = 0.0
+        return worth
+
+    def _best_viewpoint(
+        self, worth: FloatArray, travel: Travel, occupancy: OccupancyMap
+    ) -> _Viewpoint | None:
+        from dream.mapping import gain, visible_weight
+
+        rows, cols = np.nonzero(travel.reached)
+        nearest = travel.nearest[rows, cols]
+        # Far away, every third node of the lattice says enough; near by, every one.
+        sparse = (rows % 3 == 0) & (cols % 3 == 0)
+        keep = (
+            (nearest <= 4) & ((rows + cols) % 2 == 0)
+            | (nearest <= 8) & (rows % 2 == 0) & (cols % 2 == 0)
+            | sparse
+        )
+        if self.heading_for is not None:
+            keep |= (rows == self.heading_for[0]) & (cols == self.heading_for[1])
+        rows, cols = rows[keep], cols[keep]
+        positions = travel.position(rows, cols)
+        gains = gain(occupancy, positions, worth)
+        afar = self._is_afar(positions[:, 0], positions[:, 1], occupancy)
+        hull = self._hull_left(occupancy)
+        if hull.any() and afar.any():
+            gains[afar] += self.planner.hull * visible_weight(occupancy, positions[afar], hull)
+        steps = travel.steps[rows, cols]
+        # Rounded, so that a tie is a tie on every machine.
+        rates = np.where(steps > 0, gains / np.maximum(steps, 1), 0.0).round(6)
+        best = np.unravel_index(int(rates.argmax()), rates.shape)
+        if rates[best] <= 0.0:
+            self.heading_for = None
+            return None
+        chosen = _Viewpoint(
+            (int(rows[best[0]]), int(cols[best[0]]), int(best[1])), int(steps[best]), float(gains[best])
+        )
+        if self.heading_for is not None:
+            row, col, heading = self.heading_for
+            (k,) = np.nonzero((rows == row) & (cols == col))
+            if len(k) and rates[k[0], heading] * self.planner.patience >= chosen.rate:
+                chosen = _Viewpoint(self.heading_for, int(steps[k[0], heading]), float(gains[k[0], heading]))
+        self.heading_for = chosen.pose if chosen.steps > 1 else None
+        return chosen
+
+
+def _blurred(mask: npt.NDArray[np.bool_], radius: float, occupancy: OccupancyMap) -> FloatArray:
+    """(rows, cols) share of the cells around that are in the mask, weighted by a Gaussian of `radius` metres.
+
+    What lies outside the bounds is neither in the mask nor missing from it: it counts as the edge does.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    sigma = radius / occupancy.protocol.cell
+    blurred = gaussian_filter(mask.astype(np.float32), sigma, mode="nearest", truncate=3.0)
+    return np.asarray(blurred)
+
+
+def _within(mask: npt.NDArray[np.bool_], radius_cells: float) -> npt.NDArray[np.bool_]:
+    from scipy.ndimage import distance_transform_edt
+
+    if not mask.any():
+        return mask
+    return np.asarray(distance_transform_edt(~mask) <= radius_cells)
+
+
+def _nearest_open(completion: Completion, travel: Travel, occupancy: OccupancyMap) -> Region | None:
+    """The open region whose edge is fewest steps away; None where all are enclosed."""
+    from scipy.spatial import cKDTree
+
+    open_regions = [region for region in completion.regions if not region.enclosed]
+    rows, cols = np.nonzero(travel.reached)
+    if not open_regions or not len(rows):
+        return None
+    nodes, steps = cKDTree(travel.position(rows, cols)), travel.nearest[rows, cols]
+
+    def steps_to(region: Region) -> int:
+        cells = np.stack(occupancy.center_of(*region.open_cells.T), axis=-1)
+        return int(steps[nodes.query(cells)[1]].min())
+
+    return min(open_regions, key=steps_to)

@@ -1,0 +1,133 @@
+"""How many steps it takes to get anywhere, and the first of them: search over the protocol's own moves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.geometry import SE2, wrap_angle
+from dream.protocol import SurveyProtocol
+
+if TYPE_CHECKING:
+    from dream.mapping import OccupancyMap
+
+IntArray = npt.NDArray[np.signedinteger[Any]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Travel:
+    """Steps from one pose to every pose of the lattice, over ground that the guard would let pass."""
+
+    protocol: SurveyProtocol
+    west: int
+    """Lattice column 0 lies at x = west · lattice."""
+    south: int
+    """Lattice row 0 lies at y = south · lattice."""
+    steps: IntArray
+    """(rows, cols, headings); −1 where it cannot be reached."""
+    parent: IntArray
+    """(rows, cols, headings) flat index of the pose before; −1 at the start."""
+
+    @property
+    def reached(self) -> npt.NDArray[np.bool_]:
+        """(rows, cols) which positions can be reached, with whatever heading."""
+        return np.asarray(self.steps.max(axis=2) >= 0)
+
+    @property
+    def nearest(self) -> IntArray:
+        """(rows, cols) fewest steps to each position with any heading; a huge number where unreachable."""
+        return np.asarray(np.where(self.steps >= 0, self.steps, np.iinfo(np.int32).max).min(axis=2))
+
+    def position(self, rows: npt.ArrayLike, cols: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """(N, 2) metres in the world of lattice nodes."""
+        x = (np.asarray(cols) + self.west) * self.protocol.lattice
+        y = (np.asarray(rows) + self.south) * self.protocol.lattice
+        return np.stack([x, y], axis=-1).astype(np.float64)
+
+    def path(self, pose: tuple[int, int, int]) -> list[tuple[int, int, int]]:
+        """The poses (row, col, heading) on a shortest way to `pose`, the present one first."""
+        flat = int(np.ravel_multi_index(pose, self.steps.shape))
+        found = [flat]
+        while (flat := int(self.parent.flat[flat])) >= 0:
+            found.append(flat)
+        return [tuple(map(int, np.unravel_index(f, self.steps.shape))) for f in reversed(found)]  # type: ignore[misc]
+
+    def path_to_position(self, row: int, col: int) -> list[tuple[int, int, int]]:
+        """A shortest way to a reachable position, arriving with whatever heading."""
+        steps = np.where(self.steps[row, col] >= 0, self.steps[row, col], np.iinfo(np.int32).max)
+        return self.path((row, col, int(steps.argmin())))
+
+    def move(self, before: tuple[int, int, int], after: tuple[int, int, int]) -> tuple[float, float]:
+        """Turn (radians) and nominal advance (metres) that lead from one pose of a path to the next."""
+        headings = self.protocol.headings
+        turn = wrap_angle((after[2] - before[2]) % headings * self.protocol.heading_step)
+        offset = (after[1] - before[1], after[0] - before[0])
+        advance = next(
+            (a for a in self.protocol.advances if self.protocol.offset(after[2], a) == offset), 0.0
+        )
+        return turn, advance
+
+
+def travel_from(pose: SE2, occupancy: OccupancyMap, *, standoff: float = 0.0) -> Travel:
+    """Search from `pose` over all moves of the protocol that stay on standable ground.
+
+    Args:
+        pose: Where the vehicle is.
+        occupancy: What is known.
+        standoff: Least distance of a position from the middle of a solid cell, metres.
+    """
+    from dream.planning._kernels import search
+
+    protocol = occupancy.protocol
+    bounds, spacing = occupancy.bounds, protocol.lattice
+    west, south = math.ceil(bounds.x_min / spacing - 1e-9), math.ceil(bounds.y_min / spacing - 1e-9)
+    cols = math.floor(bounds.x_max / spacing + 1e-9) - west + 1
+    rows = math.floor(bounds.y_max / spacing + 1e-9) - south + 1
+    offsets = np.array(
+        [[protocol.offset(h, a) for a in protocol.advances] for h in range(protocol.headings)], dtype=np.int64
+    )
+    row, col = round(pose.y / spacing) - south, round(pose.x / spacing) - west
+    if not (0 <= row < rows and 0 <= col < cols):
+        raise ValueError(f"pose: expected a position inside {bounds}, got ({pose.x}, {pose.y})")
+    turns = np.array(protocol.turns, dtype=np.int64)
+    allowed = occupancy.standable & (occupancy.distance_to_solid >= standoff)
+    edges = _free_moves(occupancy, allowed, offsets, (rows, cols), (west, south), (row, col))
+    steps, parent = search(edges, offsets, turns, row, col, protocol.heading_index(pose.yaw))
+    return Travel(protocol, west, south, steps, parent)
+
+
+def _free_moves(
+    occupancy: OccupancyMap,
+    allowed: npt.NDArray[np.bool_],
+    offsets: IntArray,
+    shape: tuple[int, int],
+    corner: tuple[int, int],
+    start: tuple[int, int],
+) -> npt.NDArray[np.uint8]:
+    """(rows, cols, headings, advances): is the whole move free, and its end allowed?"""
+    rows, cols = shape
+    spacing = occupancy.protocol.lattice
+    r, c = np.mgrid[0:rows, 0:cols]
+    x, y = (c + corner[0]) * spacing, (r + corner[1]) * spacing
+    good = np.zeros(shape, dtype=np.bool_)
+    inside = occupancy.contains(x, y)
+    good[inside] = allowed[occupancy.cell_of(x[inside], y[inside])]
+    # The vehicle may leave where it is, even where it could not go to now.
+    leave = good.copy()
+    leave[start] = True
+
+    r, c = np.nonzero(leave)
+    end_r = r[:, None, None] + offsets[None, :, :, 1]
+    end_c = c[:, None, None] + offsets[None, :, :, 0]
+    ends_well = (end_r >= 0) & (end_r < rows) & (end_c >= 0) & (end_c < cols)
+    ends_well[ends_well] = good[end_r[ends_well], end_c[ends_well]]
+    node, heading, advance = np.nonzero(ends_well)
+    begin = x[r[node], c[node]], y[r[node], c[node]]
+    end = x[end_r[ends_well], end_c[ends_well]], y[end_r[ends_well], end_c[ends_well]]
+    free = np.zeros((rows, cols, *offsets.shape[:2]), dtype=np.uint8)
+    free[r[node], c[node], heading, advance] = occupancy.passable(np.stack(begin, -1), np.stack(end, -1))
+    return free

@@ -1,0 +1,146 @@
+"""Survey protocols: the sensor, the moves and the rules that a number is only meaningful with.
+
+`dream-v1` is fixed for ever; another sensor or another set of moves is another named protocol.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from dream.geometry import SE2, SE3, Camera, camera_mount, wrap_angle
+from dream.names import look_up
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyProtocol:
+    """Vehicle, camera, map and moves of a survey. Metres and radians."""
+
+    name: str
+    altitude: float
+    """Height of the vehicle's centre above the bare seabed; boulders and reef do not lift it."""
+    body_radius: float
+    """The vehicle is a level cylinder."""
+    body_height: float
+    camera: Camera
+    """For mapping. What a model is shown is `camera.scaled(2)`."""
+    camera_pitch: float
+    """Downwards."""
+    min_depth: float
+    max_depth: float
+    """Depths along the optical axis outside these are not valid."""
+    reach: float
+    """How far over ground a label is trusted and a cell counts as explored (the paper's d_max)."""
+    cell: float
+    """Side of a map cell."""
+    band: tuple[float, float]
+    """Heights above the local seabed between which anything is solid (the paper's h_min and h_max)."""
+    lattice: float
+    """Spacing of the positions."""
+    headings: int
+    """Number of headings in a full turn."""
+    turns: tuple[int, ...]
+    """Allowed turns in heading steps, positive to the left."""
+    advances: tuple[float, ...]
+    """Nominal lengths of an advance; 0 (turn only) is always allowed."""
+    launch_radius: float
+    """Ground this near the start is known to be free."""
+    group_radius: float
+    """No group of targets is smaller than this: the prior that makes a stop justifiable."""
+    cap: int
+    """Steps after which a mission ends; an unfinished one counts as this many."""
+    traversal: float | None = None
+    """Where set, an individual counts when it passed under or in front of the vehicle this near."""
+
+    @property
+    def T_base_camera(self) -> SE3:
+        """The camera sits at the vehicle's centre and looks ahead and down."""
+        return camera_mount(self.camera_pitch)
+
+    @property
+    def blind(self) -> float:
+        """Metres of ground ahead of a vehicle at its altitude that the camera never sees."""
+        steepest = self.camera_pitch + math.atan((self.camera.height - self.camera.cy) / self.camera.fy)
+        return self.altitude / math.tan(steepest)
+
+    @property
+    def heading_step(self) -> float:
+        """Radians between neighbouring headings."""
+        return 2.0 * math.pi / self.headings
+
+    @property
+    def turn_angles(self) -> tuple[float, ...]:
+        """Allowed turns in (−π, π]."""
+        return tuple(wrap_angle(turn * self.heading_step) for turn in self.turns)
+
+    def offset(self, heading: int, advance: float) -> tuple[int, int]:
+        """Lattice steps (east, north) of an advance along a heading: the published table.
+
+        A nominal length rarely fits the lattice, so 1 m may be 1.12 m and 2 m may be 1.80 m.
+        """
+        angle = (heading % self.headings) * self.heading_step
+        # Nudged, so that a half that is one only up to rounding goes the same way on every machine.
+        return tuple(math.floor(advance * f(angle) / self.lattice + 0.5 + 1e-9) for f in (math.cos, math.sin))  # type: ignore[return-value]
+
+    def heading_index(self, yaw: float) -> int:
+        """The heading of the lattice nearest to `yaw`."""
+        return round(yaw / self.heading_step) % self.headings
+
+    def snap(self, pose: SE2) -> SE2:
+        """The lattice pose nearest to `pose`."""
+        return SE2(
+            round(pose.x / self.lattice) * self.lattice,
+            round(pose.y / self.lattice) * self.lattice,
+            wrap_angle(self.heading_index(pose.yaw) * self.heading_step),
+        )
+
+
+DREAM_V1 = SurveyProtocol(
+    name="dream-v1",
+    altitude=2.0,
+    body_radius=0.35,
+    body_height=0.4,
+    camera=Camera.from_fov(320, 240, math.radians(90.0)),
+    camera_pitch=math.radians(20.0),
+    min_depth=0.1,
+    max_depth=20.0,
+    reach=8.0,
+    cell=0.25,
+    band=(0.5, 2.5),
+    lattice=0.5,
+    headings=12,
+    turns=(0, 1, -1, 2, -2, 3, -3, 6),
+    advances=(1.0, 2.0),
+    launch_radius=2.5,
+    group_radius=1.5,
+    cap=200,
+)
+
+POOL_V1 = SurveyProtocol(
+    name="pool-v1",
+    altitude=0.6,
+    body_radius=0.35,
+    body_height=0.4,
+    camera=Camera.from_fov(320, 240, math.radians(90.0)),
+    camera_pitch=math.radians(20.0),
+    min_depth=0.1,
+    max_depth=20.0,
+    reach=1.5,
+    cell=0.05,
+    band=(0.2, 1.0),
+    lattice=0.05,
+    headings=24,
+    turns=(0, 1, -1, 2, -2, 3, -3, 4, -4, 6, -6, 12),
+    advances=(0.1, 0.2),
+    launch_radius=0.6,
+    group_radius=0.3,
+    cap=200,
+    traversal=0.6,
+)
+
+PROTOCOLS = {protocol.name: protocol for protocol in (DREAM_V1, POOL_V1)}
+
+
+def protocol_named(name: str) -> SurveyProtocol:
+    """The protocol of that name; a ValueError with the nearest one where there is none."""
+    return look_up(PROTOCOLS, name, "protocol")

@@ -1,0 +1,446 @@
+"""`Iterator[Step]` → run folder, and back.
+
+A run is written as it goes: whatever interrupts it, the steps so far are on disk. Pictures lie beside
+`steps.jsonl` and are named by step; a line is written only once its pictures are complete. Ctrl-C waits
+until the step that is being written is whole.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import re
+import signal
+import threading
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from datetime import datetime
+from pathlib import Path
+from types import FrameType
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+from PIL import Image
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import from_json
+
+from dream.types import Float32Array, Label, Step, UInt8Array
+
+logger = logging.getLogger(__name__)
+
+M = TypeVar("M", bound=BaseModel)
+
+LABEL_COLORS: Mapping[Label, tuple[int, int, int]] = {
+    Label.WATER: (16, 54, 84),
+    Label.SEABED: (150, 146, 136),
+    Label.TARGET: (32, 190, 96),
+    Label.OBSTACLE: (20, 20, 24),
+}
+"""sRGB of the palette in `frames/NNNN_labels.png`."""
+
+MAX_LINE_BYTES = 1 << 20
+"""A longer line of `steps.jsonl` is refused: an honest one takes a few kilobytes."""
+
+# Pictures are written while the robot waits: little compression, done quickly.
+_PNG_LEVEL = 1
+
+
+class _Recorded(BaseModel):
+    """What a file of a run holds. Fields that we do not know are kept, numbers are finite."""
+
+    model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
+
+
+class RecordedPose(_Recorded):
+    """Where the step ended, in the world: metres and radians."""
+
+    x: float
+    y: float
+    yaw: float
+
+
+class RecordedDecision(_Recorded):
+    """What the planner said: radians and metres."""
+
+    turn: float
+    advance: float
+    done: bool
+
+
+class RecordedGuard(_Recorded):
+    """What was carried out, and why it differs where it does."""
+
+    turn: float
+    advance: float
+    note: str
+
+
+class RecordedReasoning(_Recorded):
+    """The six reasoning steps."""
+
+    distribution: str = ""
+    target_area: str = ""
+    completion: str = ""
+    next_target: str = ""
+    safety: str = ""
+    action: str = ""
+
+
+class Coverage(_Recorded):
+    """Shares in [0, 1] of target individuals, groups and area seen; None where it was not measured."""
+
+    instances: float | None = None
+    clusters: float | None = None
+    area: float | None = None
+
+
+class RecordedStep(_Recorded):
+    """One line of `steps.jsonl`. SI units and radians; annotations stand beside the fields."""
+
+    step: int = Field(ge=0)
+    time: float
+    pose: RecordedPose
+    decision: RecordedDecision
+    guarded: RecordedGuard
+    reasoning: RecordedReasoning
+    collided: bool
+    distance_m: float
+    clearance_m: float | None
+    """None where unknown."""
+    map: dict[str, float]
+    """Square metres of each layer."""
+    open_region: str
+    ended: str = Field(pattern="^(done|cap)?$")
+    planner_ms: float
+    coverage: Coverage | None = None
+
+
+class RunConfig(_Recorded):
+    """`config.json`: enough to run it again."""
+
+    version: str
+    commit: str | None = None
+    protocol: str
+    world: str
+    seed: int
+    planner: str
+    planner_parameters: dict[str, Any] = Field(default_factory=dict)
+    """By name."""
+    world_from: str | None = None
+    """What was given for the world where it is not a name: a folder."""
+    start: int = 0
+    """Which of the world's start poses."""
+    max_steps: int | None = None
+    """Decisions at most; the protocol's cap where None."""
+
+
+class PlannerTimes(_Recorded):
+    """Milliseconds that a decision took."""
+
+    p50: float | None
+    p99: float | None
+
+
+class RunSummary(_Recorded):
+    """`summary.json`, the object that `--json` prints. Steps to a mark are None where it was not reached."""
+
+    protocol: str
+    world: str
+    seed: int
+    world_hash: str
+    planner: str
+    ended: Literal["done", "cap", "aborted"]
+    steps: int
+    t_stop: int | None
+    t_claimed: int | None
+    t90: int | None
+    t95: int | None
+    t98: int | None
+    t100: int | None
+    coverage: Coverage
+    collisions: int
+    distance_m: float
+    turns: int
+    min_clearance_m: float | None
+    planner_ms: PlannerTimes
+    wall_s: float
+    vlm: dict[str, Any] | None
+    success: bool
+
+
+def new_run_folder(root: Path, world: str, seed: int, planner: str, now: datetime) -> Path:
+    """Make an empty folder for one run, and let `latest` in `root` point to it where links can be made.
+
+    Raises:
+        OSError: `root` cannot be written.
+    """
+    stem = f"{now:%Y-%m-%dT%H-%M}_{_file_word(world)}-{seed}_{_file_word(planner)}"
+    number = 1
+    while True:
+        folder = root / (stem if number == 1 else f"{stem}-{number}")
+        try:
+            root.mkdir(parents=True, exist_ok=True)
+            folder.mkdir()
+            break
+        except OSError as error:
+            if isinstance(error, FileExistsError) and root.is_dir():
+                number += 1
+                continue
+            raise OSError(
+                f"run folder: expected a place that can be written, got {root} ({error.strerror}). "
+                "Choose another with --out"
+            ) from error
+    _point_latest(root / "latest", folder)
+    return folder
+
+
+def record(
+    steps: Iterable[Step],
+    folder: Path,
+    *,
+    annotate: Callable[[Step], Mapping[str, Any]] | None = None,
+) -> Generator[Step, None, None]:
+    """Pass every step through, and write it to `folder` on the way.
+
+    The final map is saved when the steps end, fail or are no longer wanted. Wrap it in
+    `contextlib.closing` where the loop over it may be left early.
+
+    Args:
+        steps: A mission.
+        folder: Exists, and holds no other recording.
+        annotate: Further fields of a step's line, such as its coverage. A step that it was asked for is
+            written, also where Ctrl-C comes in between.
+
+    Raises:
+        ValueError: The folder holds a recording already, or an annotation has the name of a field.
+        OSError: The folder cannot be written.
+    """
+    lines = folder / "steps.jsonl"
+    if lines.exists():
+        raise ValueError(
+            f"recording: expected a folder without steps.jsonl, got {folder}. Record into a new one"
+        )
+    try:
+        for name in ("frames", "maps"):
+            (folder / name).mkdir(exist_ok=True)
+        lines.touch()
+    except OSError as error:
+        raise OSError(
+            f"recording: expected a folder that can be written, got {folder} ({error.strerror}). "
+            "Choose another with --out"
+        ) from error
+    return _recording(steps, folder, annotate)
+
+
+def _recording(
+    steps: Iterable[Step], folder: Path, annotate: Callable[[Step], Mapping[str, Any]] | None
+) -> Generator[Step, None, None]:
+    trail: list[tuple[float, float]] = []
+    step = None
+    try:
+        with (folder / "steps.jsonl").open("a", encoding="utf-8") as lines:
+            for step in steps:
+                trail.append((step.arrival.pose.x, step.arrival.pose.y))
+                with _interrupt_held():
+                    line = _line(step, annotate(step) if annotate else {})
+                    try:
+                        _write_pictures(step, trail, folder)
+                        lines.write(line + "\n")
+                        lines.flush()
+                    except OSError as error:
+                        raise OSError(
+                            f"recording: could not write step {step.index} ({error}). Is the disk full?"
+                        ) from error
+                yield step
+    finally:
+        if step is not None:
+            partial = folder / "map.partial.npz"
+            step.occupancy.save(partial)
+            partial.replace(folder / "map.npz")
+
+
+@contextlib.contextmanager
+def _interrupt_held() -> Iterator[None]:
+    """Let Ctrl-C wait until the block is done. Other threads than the main one never hear it."""
+    handler = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(handler):
+        yield
+        return
+    held: list[FrameType | None] = []
+    signal.signal(signal.SIGINT, lambda _, frame: held.append(frame))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    if held:
+        handler(signal.SIGINT, held[0])
+
+
+def _line(step: Step, annotations: Mapping[str, Any]) -> str:
+    taken = sorted(annotations.keys() & (RecordedStep.model_fields.keys() - {"coverage"}))
+    if taken:
+        raise ValueError(
+            f"annotations of step {step.index}: expected names of their own, got {', '.join(taken)}"
+        )
+    pose, carried_out, reasoning = step.arrival.pose, step.guarded.decision, step.decision.reasoning
+    recorded = RecordedStep(
+        step=step.index,
+        time=step.observation.time,
+        pose=RecordedPose(x=pose.x, y=pose.y, yaw=pose.yaw),
+        decision=RecordedDecision(
+            turn=step.decision.turn, advance=step.decision.advance, done=step.decision.done
+        ),
+        guarded=RecordedGuard(turn=carried_out.turn, advance=carried_out.advance, note=step.guarded.note),
+        reasoning=RecordedReasoning(
+            distribution=reasoning.distribution,
+            target_area=reasoning.target_area,
+            completion=reasoning.completion,
+            next_target=reasoning.next_target,
+            safety=reasoning.safety,
+            action=reasoning.action,
+        ),
+        collided=step.arrival.collided,
+        distance_m=step.arrival.distance,
+        clearance_m=step.arrival.clearance if np.isfinite(step.arrival.clearance) else None,
+        map=step.occupancy.areas(),
+        open_region=step.open_region,
+        ended=step.ended,
+        planner_ms=1000.0 * step.planner_s,
+        **annotations,
+    )
+    return recorded.model_dump_json(fallback=_plain)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    raise TypeError(f"annotation: expected JSON values or arrays, got {type(value).__name__}")
+
+
+def _write_pictures(step: Step, trail: list[tuple[float, float]], folder: Path) -> None:
+    from dream.mapping.drawing import draw_map
+
+    seen = step.observation
+    pictures = {
+        f"frames/{step.index:04d}_rgb.png": Image.fromarray(seen.rgb),
+        f"frames/{step.index:04d}_depth.png": _depth_image(seen.depth),
+        f"frames/{step.index:04d}_labels.png": _label_image(seen.labels),
+        f"maps/{step.index:04d}.png": draw_map(step.occupancy, step.arrival.pose, trail),
+    }
+    for name, picture in pictures.items():
+        picture.save(folder / name, compress_level=_PNG_LEVEL)
+
+
+def _depth_image(depth: Float32Array) -> Image.Image:
+    """16-bit millimetres; 0 where there is no return."""
+    millimetres = np.nan_to_num(1000.0 * depth.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0)
+    return Image.fromarray(np.clip(np.rint(millimetres), 0, 65535).astype(np.uint16))
+
+
+def _label_image(labels: UInt8Array) -> Image.Image:
+    picture = Image.frombytes("P", labels.shape[::-1], labels.tobytes())
+    picture.putpalette(bytes(channel for label in Label for channel in LABEL_COLORS[label]))
+    return picture
+
+
+def read_steps(folder: Path) -> list[RecordedStep]:
+    """The steps of a run. A torn last line, as an interruption leaves it, is dropped with a warning.
+
+    Raises:
+        FileNotFoundError: `folder` holds no recording.
+        ValueError: A line is damaged; the message names it.
+    """
+    path = _file_of_run(folder, "steps.jsonl")
+    steps: list[RecordedStep] = []
+    with path.open("rb") as lines:
+        number = 0
+        while raw := lines.readline(MAX_LINE_BYTES + 1):
+            number += 1
+            where = f"{path}, line {number}"
+            if len(raw) > MAX_LINE_BYTES:
+                raise ValueError(
+                    f"{where}: expected at most {MAX_LINE_BYTES} bytes, got more. Is it a recording?"
+                )
+            try:
+                fields = from_json(raw, allow_inf_nan=False)
+            except ValueError as error:
+                if lines.read(1):
+                    raise ValueError(
+                        f"{where}: expected one JSON object, got damaged text ({error})"
+                    ) from error
+                logger.warning("%s is torn and left out: the run was interrupted while writing it", where)
+                break
+            step = _checked(RecordedStep, fields, where)
+            if steps and step.step <= steps[-1].step:
+                raise ValueError(f"{where}: expected a step after {steps[-1].step}, got {step.step}")
+            steps.append(step)
+    return steps
+
+
+def read_config(folder: Path) -> RunConfig:
+    """How the run was made. Raises as `read_steps` does."""
+    path = _file_of_run(folder, "config.json")
+    return _checked(RunConfig, _json(path), str(path))
+
+
+def read_summary(folder: Path) -> RunSummary | None:
+    """How the run ended; None where it was interrupted before it could say."""
+    path = folder / "summary.json"
+    return _checked(RunSummary, _json(path), str(path)) if path.exists() else None
+
+
+def write_config(folder: Path, config: Mapping[str, Any]) -> None:
+    """Check and write `config.json`: whole or not at all."""
+    _replace(folder / "config.json", _checked(RunConfig, config, "config"))
+
+
+def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
+    """Check and write `summary.json`: whole or not at all."""
+    _replace(folder / "summary.json", _checked(RunSummary, summary, "summary"))
+
+
+def _replace(path: Path, content: BaseModel) -> None:
+    partial = path.with_name(f".{path.name}.partial")
+    partial.write_text(content.model_dump_json(indent=2, fallback=_plain) + "\n", encoding="utf-8")
+    partial.replace(path)
+
+
+def _json(path: Path) -> Any:
+    try:
+        return from_json(path.read_bytes(), allow_inf_nan=False)
+    except ValueError as error:
+        raise ValueError(f"{path}: expected one JSON object, got damaged text ({error})") from error
+
+
+def _checked(model: type[M], fields: Any, where: str) -> M:
+    try:
+        return model.model_validate(fields)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        field = ".".join(map(str, first["loc"])) or "the whole"
+        got = repr(first["input"])
+        raise ValueError(f"{where}: {field}: {first['msg']}, got {got[:80]}") from error
+
+
+def _file_of_run(folder: Path, name: str) -> Path:
+    path = folder / name
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{folder}: expected a run folder, got no {name} in it. Runs are made by dream run"
+        )
+    return path
+
+
+def _file_word(text: str) -> str:
+    """`text` with whatever does not belong into a file's name replaced."""
+    return re.sub(r"[^A-Za-z0-9]+", "-", text).strip("-") or "unnamed"
+
+
+def _point_latest(link: Path, folder: Path) -> None:
+    if link.exists() and not link.is_symlink():
+        return
+    partial = link.with_name(f".latest-{folder.name}")
+    # A convenience: some systems allow no links, and another run may be doing the same.
+    with contextlib.suppress(OSError):
+        partial.symlink_to(folder.name, target_is_directory=True)
+        os.replace(partial, link)

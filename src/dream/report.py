@@ -1,0 +1,198 @@
+"""Run folder → one self-contained HTML file: no network, no WebGL, opens anywhere.
+
+Whatever stands in the run folder is treated as text from a stranger: it enters the page as JSON that
+cannot close its element, is shown as text only, and the page's policy forbids it to load anything.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+import io
+import json
+import logging
+import math
+import re
+import shlex
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
+from importlib import resources
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from PIL import Image
+
+from dream.planning import PLANNERS
+from dream.recording import LABEL_COLORS, RunConfig, read_config, read_steps, read_summary
+from dream.types import Label, UInt8Array
+
+logger = logging.getLogger(__name__)
+
+DEPTH_LEVEL = 0.1
+"""Metres per grey level of the depth pictures in the page; level 0 is none."""
+
+T = TypeVar("T")
+
+_SCRIPTS = ("words.js", "pictures.js", "chart.js", "page.js")
+_JPEG_QUALITY = 80
+_MAX_SIDE = 4096
+# What Pillow says of a header that promises too much; the warning counts where warnings are errors.
+_BOMBS = (Image.DecompressionBombError, Image.DecompressionBombWarning)
+
+
+def write_report(folder: Path) -> Path:
+    """Make `report.html` in a run folder, from what lies in that folder alone.
+
+    An interrupted run, which has no summary, is shown as far as it went.
+
+    Raises:
+        FileNotFoundError: It is no run folder.
+        ValueError: One of its files is damaged; the message names it.
+    """
+    config, summary, steps = read_config(folder), read_summary(folder), read_steps(folder)
+    farthest = 0
+    blocks = []
+    with ThreadPoolExecutor() as pool:
+        for step, (pictures, level) in zip(
+            steps, pool.map(lambda step: _pictures(folder, step.step), steps), strict=True
+        ):
+            farthest = max(farthest, level)
+            blocks.append(
+                f'<script type="application/json" id="pictures-{step.step}">{_json(pictures)}</script>'
+            )
+    run = {
+        "config": config.model_dump(),
+        "summary": summary.model_dump() if summary else None,
+        "steps": [step.model_dump() for step in steps],
+        "labels": [{"name": label.name.lower(), "color": LABEL_COLORS[label]} for label in Label],
+        "depth_level": DEPTH_LEVEL,
+        "depth_max": max(5, 5 * math.ceil(farthest * DEPTH_LEVEL / 5)),
+        "command": repeating_command(config),
+    }
+    style = _part("page.css")
+    script = "".join(map(_part, _SCRIPTS))
+    policy = (
+        "default-src 'none'; img-src data:; base-uri 'none'; form-action 'none'; "
+        f"style-src {_digest(style)}; script-src {_digest(script)}"
+    )
+    page = _fill(
+        _part("page.html"),
+        {
+            "policy": policy,
+            "title": html.escape(f"{config.world} seed {config.seed}, {config.planner} · DREAM"),
+            "style": style,
+            "run": _json(run),
+            "pictures": "\n".join(blocks),
+            "script": script,
+        },
+    )
+    path = folder / "report.html"
+    partial = folder / ".report.html.partial"
+    partial.write_text(page, encoding="utf-8")
+    partial.replace(path)
+    return path
+
+
+def repeating_command(config: RunConfig) -> str:
+    """The command line that runs it again.
+
+    Parameters of the planner stand in it where they are not the default; the protocol always, since which
+    one the world is made for is not known here.
+    """
+    words = ["dream", "run", config.planner]
+    words += ["--world", config.world_from or config.world, "--seed", str(config.seed)]
+    words += ["--protocol", config.protocol]
+    if config.start:
+        words += ["--start", str(config.start)]
+    if config.max_steps is not None:
+        words += ["--max-steps", str(config.max_steps)]
+    defaults = asdict(PLANNERS[config.planner]) if config.planner in PLANNERS else {}
+    for name, value in config.planner_parameters.items():
+        if name not in defaults or value != defaults[name]:
+            words += ["--" + name.replace("_", "-"), str(value)]
+    return shlex.join(words)
+
+
+def _pictures(folder: Path, step: int) -> tuple[dict[str, str | None], int]:
+    """Data URLs of a step's pictures, None where one cannot be read, and the highest level of its depth."""
+    depth = _open(folder / f"frames/{step:04d}_depth.png", _depth_levels)
+    pictures = {
+        "map": _url("png", _open(folder / f"maps/{step:04d}.png", _few_colors)),
+        "rgb": _url("jpeg", _open(folder / f"frames/{step:04d}_rgb.png", lambda image: image.convert("RGB"))),
+        "depth": _url("png", Image.fromarray(depth) if depth is not None else None),
+        "labels": _url("png", _open(folder / f"frames/{step:04d}_labels.png", _label_levels)),
+    }
+    return pictures, 0 if depth is None else int(depth.max(initial=0))
+
+
+def _open(path: Path, convert: Callable[[Image.Image], T]) -> T | None:
+    try:
+        with Image.open(path, formats=["PNG"]) as image:
+            if max(image.size) > _MAX_SIDE:
+                raise ValueError(f"expected at most {_MAX_SIDE} pixels a side, got {image.size}")
+            return convert(image)
+    except (OSError, ValueError, SyntaxError, *_BOMBS) as error:
+        logger.warning("%s is left out of the report: %s", path, error)
+        return None
+
+
+def _few_colors(image: Image.Image) -> Image.Image:
+    """A drawing in its 256 commonest colours, which takes a third of the space.
+
+    These stay exact; the rarer ones, along smooth lines, take the nearest of them.
+    """
+    drawing = image.convert("RGB")
+    counted: Any = drawing.getcolors(drawing.width * drawing.height)
+    colors = np.array([color for _, color in sorted(counted, reverse=True)], np.int32)
+    palette = colors[:256]
+    nearest = [int(((palette - color) ** 2).sum(axis=1).argmin()) for color in colors]
+    # One entry for each possible colour: memory that is not touched costs nothing.
+    index_of = np.zeros(1 << 24, np.uint8)
+    index_of[colors @ np.array([1, 1 << 8, 1 << 16])] = nearest
+    # Four bytes a pixel, read as one little-endian number; the uppermost is opacity.
+    codes = np.asarray(drawing.convert("RGBA")).view("<u4")[..., 0] & 0xFFFFFF
+    few = Image.fromarray(index_of[codes]).convert("P")
+    few.putpalette(palette.astype(np.uint8).tobytes())
+    return few
+
+
+def _depth_levels(image: Image.Image) -> UInt8Array:
+    levels = np.rint(np.asarray(image, np.float64) / (1000.0 * DEPTH_LEVEL))
+    return np.clip(levels, 0, 255).astype(np.uint8)
+
+
+def _label_levels(image: Image.Image) -> Image.Image:
+    if image.mode != "P":
+        raise ValueError(f"expected a palette image, got mode {image.mode}")
+    return Image.fromarray(np.asarray(image, np.uint8))
+
+
+def _url(kind: str, image: Image.Image | None) -> str | None:
+    if image is None:
+        return None
+    buffer = io.BytesIO()
+    image.save(buffer, kind, quality=_JPEG_QUALITY)
+    return f"data:image/{kind};base64,{base64.b64encode(buffer.getvalue()).decode()}"
+
+
+def _json(value: Any) -> str:
+    """JSON that may stand inside a script element: it holds no character that HTML gives a meaning."""
+    text = json.dumps(value, allow_nan=False, separators=(",", ":"))
+    return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+
+
+def _digest(text: str) -> str:
+    """A source expression of a content security policy that allows exactly `text`."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+
+def _fill(template: str, parts: Mapping[str, str]) -> str:
+    """`template` with each {{name}} replaced, in one pass, so that no part can name another."""
+    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], template)
+
+
+def _part(name: str) -> str:
+    return resources.files("dream").joinpath("report_page", name).read_text(encoding="utf-8")

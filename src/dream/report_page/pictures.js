@@ -1,0 +1,117 @@
+// Pictures are decoded when they are shown, never all at once. Depth and labels arrive as one level per pixel.
+
+const SHOWN = ["map", "rgb", "depth", "labels"];
+
+// Near is bright and far is dark, as under water.
+const DEPTH_STOPS = [[253, 231, 170], [246, 176, 98], [222, 110, 92], [160, 62, 108], [92, 44, 112], [38, 32, 82], [10, 16, 38]];
+const NO_DEPTH = [120, 134, 142];
+
+function depthColor(share) {
+  const place = Math.min(Math.max(share, 0), 1) * (DEPTH_STOPS.length - 1);
+  const index = Math.min(Math.floor(place), DEPTH_STOPS.length - 2);
+  return DEPTH_STOPS[index].map((from, channel) => from + (place - index) * (DEPTH_STOPS[index + 1][channel] - from));
+}
+
+// 256 RGB triples: the colour of every level.
+function table(colorOf) {
+  return Uint8ClampedArray.from(Array.from({ length: 256 }, (_, level) => colorOf(level)).flat());
+}
+
+class Pictures {
+  constructor(run) {
+    this.run = run;
+    this.canvases = Object.fromEntries(SHOWN.map((name) => [name, document.getElementById(name)]));
+    this.tables = {
+      depth: table((level) => (level === 0 ? NO_DEPTH : depthColor((level * run.depth_level) / run.depth_max))),
+      labels: table((level) => run.labels[level]?.color ?? [255, 0, 255]),
+    };
+    this.levels = {};
+    this.wanted = null;
+    this.decoded = new Map();
+  }
+
+  // The images of a step, from its own block of the page.
+  load(step) {
+    if (!this.decoded.has(step)) {
+      const block = document.getElementById(`pictures-${step}`);
+      const sources = block ? JSON.parse(block.textContent) : {};
+      const images = SHOWN.map(async (name) => {
+        if (!sources[name]) return null;
+        const image = new Image();
+        image.src = sources[name];
+        await image.decode();
+        return image;
+      });
+      this.decoded.set(step, Promise.all(images));
+      if (this.decoded.size > 8) this.decoded.delete(this.decoded.keys().next().value);
+    }
+    return this.decoded.get(step);
+  }
+
+  async show(step, next) {
+    this.wanted = step;
+    const images = await this.load(step);
+    if (this.wanted !== step) return;
+    SHOWN.forEach((name, index) => this.draw(name, images[index]));
+    if (next !== undefined) this.load(next);
+  }
+
+  draw(name, image) {
+    const canvas = this.canvases[name];
+    canvas.parentElement.classList.toggle("missing", image === null);
+    delete this.levels[name];
+    if (image === null) return;
+    if (canvas.width !== image.naturalWidth || canvas.height !== image.naturalHeight) {
+      canvas.width = image.naturalWidth;
+      canvas.height = image.naturalHeight;
+      canvas.parentElement.style.aspectRatio = `${canvas.width} / ${canvas.height}`;
+    }
+    const context = canvas.getContext("2d", { willReadFrequently: name in this.tables });
+    context.drawImage(image, 0, 0);
+    if (!(name in this.tables)) return;
+    const pixels = context.getImageData(0, 0, canvas.width, canvas.height);
+    const colors = this.tables[name];
+    const levels = new Uint8Array(canvas.width * canvas.height);
+    for (let pixel = 0; pixel < levels.length; pixel++) {
+      const level = pixels.data[4 * pixel];
+      levels[pixel] = level;
+      pixels.data.set(colors.subarray(3 * level, 3 * level + 3), 4 * pixel);
+    }
+    context.putImageData(pixels, 0, 0);
+    this.levels[name] = { levels, width: canvas.width, height: canvas.height };
+  }
+
+  // What lies under a point of the image, given in shares of its width and height.
+  probe(across, down) {
+    const level = (name) => {
+      const image = this.levels[name];
+      if (!image) return null;
+      const column = Math.min(Math.floor(across * image.width), image.width - 1);
+      const row = Math.min(Math.floor(down * image.height), image.height - 1);
+      return image.levels[row * image.width + column];
+    };
+    const depth = level("depth");
+    const label = level("labels");
+    const words = [];
+    if (depth !== null) words.push(depth === 0 ? "no depth" : metres(depth * this.run.depth_level));
+    if (label !== null) words.push(this.run.labels[label]?.name ?? "unknown label");
+    return words.join(" · ");
+  }
+
+  // Share of the picture that each label takes; null where there is no picture.
+  shares() {
+    const image = this.levels.labels;
+    if (!image) return null;
+    const counts = new Array(256).fill(0);
+    for (const level of image.levels) counts[level]++;
+    return this.run.labels.map((_, label) => counts[label] / image.levels.length);
+  }
+
+  drawDepthScale(canvas) {
+    const context = canvas.getContext("2d");
+    for (let column = 0; column < canvas.width; column++) {
+      context.fillStyle = `rgb(${depthColor(column / (canvas.width - 1)).map(Math.round).join(" ")})`;
+      context.fillRect(column, 0, 1, 1);
+    }
+  }
+}

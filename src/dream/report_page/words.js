@@ -1,0 +1,45 @@
+// Numbers and outcomes in plain words. Angles are radians; a reader gets degrees.
+
+const degrees = (radians) => Math.round((radians * 180) / Math.PI);
+const metres = (value, digits = 1) => `${value.toFixed(digits)} m`;
+// Only what is whole is called 100.
+const hundredths = (share) => (share >= 1 ? "100" : Math.min(100 * share, 99.9).toFixed(1));
+const percent = (share) => `${hundredths(share)} %`;
+const known = (value) => value !== null && value !== undefined;
+const plural = (count, noun) => `${count} ${noun}${count === 1 ? "" : "s"}`;
+
+function place({ x, y, yaw }) {
+  const heading = ((degrees(yaw) % 360) + 360) % 360;
+  const names = ["east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east"];
+  return `(${x.toFixed(1)}, ${y.toFixed(1)}), heading ${heading}° (${names[Math.round(heading / 45) % 8]})`;
+}
+
+function move(decision) {
+  if (decision.done) return "Declare the mission complete";
+  const angle = degrees(decision.turn);
+  const parts = [];
+  if (angle !== 0) parts.push(Math.abs(angle) === 180 ? "turn around" : `turn ${Math.abs(angle)}° ${angle > 0 ? "left" : "right"}`);
+  if (decision.advance > 0) parts.push(`advance ${Number(decision.advance.toFixed(2))} m`);
+  const text = parts.join(", then ") || "hold and look again";
+  return text[0].toUpperCase() + text.slice(1);
+}
+
+const guardChanged = ({ decision, guarded }) =>
+  guarded.note !== "" || Math.abs(decision.turn - guarded.turn) > 1e-9 || Math.abs(decision.advance - guarded.advance) > 1e-9;
+
+function outcome(run) {
+  const { summary, steps } = run;
+  const last = steps.at(-1);
+  if (!summary) {
+    if (!last) return { badge: "Interrupted", tone: "warn", text: "It was interrupted before its first step; nothing was recorded." };
+    if (last.ended) return { badge: "Not scored", tone: "", text: `It ended after step ${last.step}, but left no summary.` };
+    return { badge: "Interrupted", tone: "warn", text: `It was interrupted after step ${last.step}. Everything recorded until then is shown.` };
+  }
+  const seen = known(summary.coverage.instances) ? `${percent(summary.coverage.instances)} of the targets seen` : "coverage not measured";
+  const hits = summary.collisions ? plural(summary.collisions, "collision") : "no collision";
+  if (summary.ended === "done")
+    return { badge: summary.success ? "Success" : "Done", tone: summary.success ? "good" : "warn", text: `It stopped by itself at step ${summary.t_stop ?? summary.steps}, with ${seen} and ${hits}.` };
+  if (summary.ended === "cap")
+    return { badge: "Out of steps", tone: "warn", text: `It used all ${summary.steps} steps without calling the mission complete, with ${seen} and ${hits}.` };
+  return { badge: "Aborted", tone: "bad", text: `It was stopped from outside after ${plural(summary.steps, "step")}, with ${seen} and ${hits}.` };
+}

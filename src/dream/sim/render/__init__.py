@@ -1,0 +1,5 @@
+"""The camera of the simulator."""
+
+from dream.sim.render.rasterizer import FAR, NEAR, Frame, Measurement, Renderer
+
+__all__ = ["FAR", "NEAR", "Frame", "Measurement", "Renderer"]

@@ -1,0 +1,109 @@
+"""The bare seabed: smooth noise in several octaves, and sand ripples."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.sim.sampling import MILLIMETRE, Float64Array, direction, quantised, uniform, uniforms
+from dream.sim.world import Terrain
+
+SPACING = 0.25
+"""Metres between the grid points of an arena's seabed."""
+APRON = 20.0
+"""Metres of seabed beyond the bounds: as far as the camera's depth is valid."""
+
+OCTAVES = ((9.0, 0.24), (4.0, 0.09), (1.8, 0.03), (0.8, 0.01))
+"""Knot distance and amplitude, metres. Features repeat after about two knots."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Noise:
+    """Smooth random numbers over the ground: a uniform cubic B-spline through random knots.
+
+    Values lie in about ±1 with a standard deviation near 0.5; first and second derivatives are
+    continuous, so neither slopes nor shading show the knots.
+    """
+
+    knots: Float64Array
+    """(rows, cols)."""
+    origin: float
+    """World x and y of the first knot."""
+    pitch: float
+    """Metres between knots."""
+
+    @staticmethod
+    def over(half: float, pitch: float, rng: np.random.Generator) -> Noise:
+        """Noise over the square from −half to +half metres."""
+        count = math.ceil(2.0 * half / pitch) + 4
+        return Noise(uniforms(rng, -1.0, 1.0, (count, count)), -half - 1.5 * pitch, pitch)
+
+    def at(self, x: Float64Array, y: Float64Array) -> Float64Array:
+        """The noise at points of equal shape, or of shapes that broadcast."""
+        rows, row_weights = self._taps(np.asarray(y, np.float64), self.knots.shape[0])
+        cols, col_weights = self._taps(np.asarray(x, np.float64), self.knots.shape[1])
+        total = np.zeros(np.broadcast_shapes(np.shape(x), np.shape(y)))
+        for i in range(4):
+            line = np.zeros_like(total)
+            for j in range(4):
+                line += col_weights[j] * self.knots[rows + i, cols + j]
+            total += row_weights[i] * line
+        return 1.8 * total
+
+    def _taps(
+        self, values: Float64Array, count: int
+    ) -> tuple[npt.NDArray[np.intp], tuple[Float64Array, ...]]:
+        position = (values - self.origin) / self.pitch - 1.0
+        first = np.clip(np.floor(position), 0, count - 4).astype(np.intp)
+        t = np.clip(position - first, 0.0, 1.0)
+        s = 1.0 - t
+        return first, (
+            s * s * s / 6.0,
+            (4.0 - 6.0 * t * t + 3.0 * t * t * t) / 6.0,
+            (4.0 - 6.0 * s * s + 3.0 * s * s * s) / 6.0,
+            t * t * t / 6.0,
+        )
+
+
+def smoothstep(low: float, high: float, values: Float64Array) -> Float64Array:
+    """0 below `low`, 1 above `high`, smooth between."""
+    t = np.clip((values - low) / (high - low), 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+def grid(half: float, spacing: float) -> tuple[Float64Array, Float64Array]:
+    """x (1, N) and y (N, 1) of the grid points from −half to +half."""
+    count = round(half / spacing)
+    line = np.arange(-count, count + 1).astype(np.float64) * spacing
+    return line[None, :], line[:, None]
+
+
+def undulation(half: float, rng: np.random.Generator) -> Float64Array:
+    """(N, N) metres about 0 on the arena's grid: gentle swells of ±0.35 m, and ripples where sand is loose.
+
+    Swells are 10 to 20 m long and slopes stay below about 0.2. Ripples are 1 to 2 cm high.
+    """
+    x, y = grid(half, SPACING)
+    heights = np.zeros((y.size, x.size))
+    for pitch, amplitude in OCTAVES:
+        heights += amplitude * Noise.over(half, pitch, rng).at(x, y)
+    across = direction(uniform(rng, 0.0, math.pi))
+    wavelength = uniform(rng, 1.2, 1.7)
+    height = uniform(rng, 0.005, 0.012)
+    wander, loose = Noise.over(half, 5.0, rng), Noise.over(half, 7.0, rng)
+    phase = (across[0] * x + across[1] * y) / wavelength + 0.6 * wander.at(x, y)
+    return heights + height * smoothstep(-0.2, 0.5, loose.at(x, y)) * _wave(phase)
+
+
+def terrain(heights: Float64Array, half: float, spacing: float = SPACING) -> Terrain:
+    """World heights on a grid from −half to +half, rounded to whole millimetres."""
+    return Terrain(quantised(heights, MILLIMETRE).astype(np.float32), -half, -half, spacing)
+
+
+def _wave(phase: Float64Array) -> Float64Array:
+    """A sine made of parabolas: period 1, from −1 to 1."""
+    t = 2.0 * (phase - np.floor(phase)) - 1.0
+    return 4.0 * t * (1.0 - np.abs(t))

@@ -1,0 +1,264 @@
+"""Every world by its name, and how an arena is put together.
+
+`make_world("reef/string", 3)` gives the same world for ever, on every machine.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Callable, Mapping
+from functools import partial
+
+import numpy as np
+
+from dream.geometry import SE2, Bounds
+from dream.names import look_up
+from dream.protocol import DREAM_V1
+from dream.sim import boulders, reef_shapes
+from dream.sim.pool import pool
+from dream.sim.reef_shapes import Stroke
+from dream.sim.reefs import Bed, individuals, renumbered
+from dream.sim.sampling import (
+    MILLIMETRE,
+    Float64Array,
+    between,
+    direction,
+    index,
+    quantised,
+    uniform,
+    uniforms,
+)
+from dream.sim.terrain import APRON, grid, smoothstep, terrain, undulation
+from dream.sim.terrain import SPACING as TERRAIN_SPACING
+from dream.sim.validity import check_seed
+from dream.sim.water import WATERS, Water
+from dream.sim.world import Instances, Mesh, World
+from dream.sim.wrecks import wreck
+
+Builder = Callable[[np.random.Generator], World]
+
+SIDES = (40.0, 45.0, 50.0)
+"""Metres: the sides that an arena may have."""
+FLOOR = -10.0
+"""World z of the nominal seabed."""
+START_MARGIN = 4.0
+"""Least metres between a start and the sides."""
+HULL_MARGIN = 4.0
+"""Least metres between a wreck and the sides, so that a vehicle can go all round it."""
+PATCH = 5.0
+"""Metres: strokes shorter than this are single patches."""
+HULL_CLEAR = 4.5
+"""Least metres over ground between a start and a wreck."""
+
+
+def reef(shape: Callable[[float, np.random.Generator], list[Stroke]], rng: np.random.Generator) -> World:
+    """An arena with a reef of that shape, and boulders in and around it.
+
+    Starts are drawn before the reef, so that they tell nothing about it.
+    """
+    half = 0.5 * SIDES[index(rng, 3)]
+    starts = _starts(half, np.empty((0, 2)), rng)
+    strokes = shape(half, rng)
+    bed = Bed.of(strokes, half + APRON, rng)
+    x, y = grid(half + APRON, TERRAIN_SPACING)
+    heights = undulation(half + APRON, rng) + bed.relief(x, y, uniform(rng, 0.08, 0.17))
+    seabed = terrain(FLOOR + heights, half + APRON)
+    near = np.concatenate([stroke.line for stroke in strokes])
+    # A rock may stand at the rim of a small patch or in a string, but not on top of a whole small patch.
+    small = [
+        (*stroke.line.mean(axis=0), stroke.half_width - 2.3) for stroke in strokes if stroke.length < PATCH
+    ]
+    taken = np.array(small).reshape(-1, 3)
+    rocks = boulders.formations(half, starts, near, taken, rng, ring=rng.random() < 0.25)
+    clumps, targets = individuals(bed, seabed, boulders.feet(rocks), half, rng)
+    targets = dataclasses.replace(targets, group=renumbered(targets.group))
+    stones = boulders.variants(rng)
+    return World(
+        name="reef",
+        seed=0,
+        protocol=DREAM_V1.name,
+        bounds=Bounds(-half, -half, half, half),
+        starts=starts,
+        terrain=seabed,
+        meshes=clumps + stones,
+        targets=targets,
+        targets_are_hull=False,
+        obstacles=boulders.placed(rocks, stones, len(clumps), seabed, rng),
+        water=_sea(rng),
+    )
+
+
+def sunken(number: int, rng: np.random.Generator) -> World:
+    """An arena with wreck `number`, off its centre at any heading, on ground that has settled around it."""
+    half = 0.5 * SIDES[index(rng, 3)]
+    found = wreck(number, rng)
+    c, s = direction(uniform(rng, 0.0, 2.0 * np.pi))
+    footprint = np.concatenate([mesh.vertices[:, :2] for mesh in found.meshes]).astype(np.float64)
+    footprint = np.stack(
+        [c * footprint[:, 0] - s * footprint[:, 1], s * footprint[:, 0] + c * footprint[:, 1]], 1
+    )
+    room = half - HULL_MARGIN
+    low, high = -room - footprint.min(axis=0), room - footprint.max(axis=0)
+    if (low > high).any():
+        raise ValueError(
+            f"wreck {number}: expected at most {2 * room:g} m across, got {np.ptp(footprint, axis=0)}"
+        )
+    x0, y0 = quantised(low + uniforms(rng, 0.0, 1.0, 2) * (high - low), MILLIMETRE)
+    footprint += (x0, y0)
+    starts = _starts(half, footprint, rng)
+    seabed = terrain(FLOOR + _settled(half + APRON, footprint, rng), half + APRON)
+    z0 = FLOOR
+    meshes, centres = zip(*(_patch(mesh, c, s, (x0, y0, z0)) for mesh in found.meshes), strict=True)
+    count = len(meshes)
+    taken = _circles(footprint)
+    rocks = boulders.formations(half, starts, np.empty((0, 2)), taken, rng, ring=rng.random() < 0.25)
+    stones = boulders.variants(rng)
+    return World(
+        name=f"wreck/{number}",
+        seed=0,
+        protocol=DREAM_V1.name,
+        bounds=Bounds(-half, -half, half, half),
+        starts=starts,
+        terrain=seabed,
+        meshes=meshes + stones,
+        targets=Instances(
+            mesh=np.arange(count, dtype=np.int32),
+            position=np.array(centres, np.float32),
+            wxyz=np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
+            scale=np.ones((count, 3), np.float32),
+            tint=np.ones((count, 3), np.float32),
+            group=renumbered(np.asarray(found.group, np.int32)),
+        ),
+        targets_are_hull=True,
+        obstacles=boulders.placed(rocks, stones, count, seabed, rng),
+        water=_sea(rng),
+    )
+
+
+def flat(rng: np.random.Generator) -> World:
+    """A level seabed with nothing on it, for tests."""
+    half = 20.0
+    nothing = Instances(
+        mesh=np.empty(0, np.int32),
+        position=np.empty((0, 3), np.float32),
+        wxyz=np.empty((0, 4), np.float32),
+        scale=np.empty((0, 3), np.float32),
+        tint=np.empty((0, 3), np.float32),
+        group=np.empty(0, np.int32),
+    )
+    count = 2 * round((half + APRON) / TERRAIN_SPACING) + 1
+    return World(
+        name="flat/empty",
+        seed=0,
+        protocol=DREAM_V1.name,
+        bounds=Bounds(-half, -half, half, half),
+        starts=_starts(half, np.empty((0, 2)), rng),
+        terrain=terrain(np.full((count, count), FLOOR), half + APRON),
+        meshes=(),
+        targets=nothing,
+        targets_are_hull=False,
+        obstacles=nothing,
+        water=WATERS["clear"],
+    )
+
+
+BUILDERS: Mapping[str, Builder] = {
+    "reef/fringing": partial(reef, reef_shapes.fringes),
+    "reef/string": partial(reef, reef_shapes.strings),
+    "reef/patch": partial(reef, reef_shapes.patches),
+    "reef/mixed": partial(reef, reef_shapes.mixed),
+    **{f"reef/{which}": partial(reef, partial(reef_shapes.letter, which)) for which in reef_shapes.LETTERS},
+    **{f"wreck/{number}": partial(sunken, number) for number in range(1, 6)},
+    "pool/arc": partial(pool, water=WATERS["pool"]),
+    "flat/empty": flat,
+}
+"""What makes each world from a random generator."""
+
+WORLDS: tuple[str, ...] = tuple(BUILDERS)
+"""The names of all worlds."""
+
+
+def make_world(name: str, seed: int) -> World:
+    """The world of that name and seed.
+
+    Raises:
+        ValueError: No world has that name, or the seed is not in [0, 2**63).
+    """
+    build = look_up(BUILDERS, name, "world", see="See dream worlds")
+    check_seed(seed)
+    words = np.frombuffer(hashlib.sha256(name.encode()).digest()[:16], "<u4")
+    sequence = np.random.SeedSequence([int(seed), *(int(word) for word in words)])
+    made = build(np.random.Generator(np.random.PCG64(sequence)))
+    return dataclasses.replace(made, name=name, seed=int(seed))
+
+
+def _sea(rng: np.random.Generator) -> Water:
+    return WATERS[("clear", "coastal", "coastal", "green")[index(rng, 4)]]
+
+
+def _starts(half: float, hull: Float64Array, rng: np.random.Generator) -> tuple[SE2, ...]:
+    """Four start poses on the lattice. The first lies near the middle, an edge or a corner, by seed."""
+    starts: list[SE2] = []
+    for _ in range(10000):
+        if not starts:
+            kind = index(rng, 4)
+            edge = half - START_MARGIN - uniforms(rng, 0.0, 3.0, 2)
+            sign = np.where(rng.random(2) < 0.5, -1.0, 1.0)
+            free = uniforms(rng, -1.0, 1.0, 2)
+            if kind < 2:
+                x, y = 4.0 * free
+            elif kind == 2:
+                x, y = sign * edge
+            else:
+                along = index(rng, 2)
+                x, y = np.where(np.arange(2) == along, free * (half - START_MARGIN), sign * edge)
+        else:
+            x, y = uniforms(rng, -1.0, 1.0, 2) * (half - START_MARGIN)
+        heading = between(rng, 0, DREAM_V1.headings - 1) * DREAM_V1.heading_step
+        # Towards the middle, so that rounding never leaves the margin.
+        x, y = (np.trunc(v / DREAM_V1.lattice) * DREAM_V1.lattice + 0.0 for v in (x, y))
+        pose = DREAM_V1.snap(SE2(float(x), float(y), heading))
+        if len(hull) and np.square(hull - (pose.x, pose.y)).sum(axis=1).min() < HULL_CLEAR * HULL_CLEAR:
+            continue
+        if all(pose.distance(other) >= 8.0 for other in starts):
+            starts.append(pose)
+        if len(starts) == 4:
+            return tuple(starts)
+    raise ValueError(f"starts: expected free water for 4 in an arena of {2 * half:g} m, got {len(starts)}")
+
+
+def _settled(half: float, footprint: Float64Array, rng: np.random.Generator) -> Float64Array:
+    """(N, N) metres about 0: level under the wreck, scoured around it, the open seabed further off."""
+    from scipy.spatial import cKDTree
+
+    x, y = grid(half, TERRAIN_SPACING)
+    points = np.stack(np.broadcast_arrays(x, y), axis=-1).reshape(-1, 2)
+    away = np.asarray(cKDTree(footprint).query(points, distance_upper_bound=9.0)[0], np.float64)
+    # Rounded well above the last digit, so that nothing below turns on how the tree sums squares.
+    near = quantised(np.minimum(away, 9.0), 1_000_000).reshape(y.size, x.size)
+    scour = smoothstep(0.2, 1.2, near) * (1.0 - smoothstep(1.2, 4.0, near))
+    open_bed = undulation(half, rng) * (0.15 + 0.85 * smoothstep(1.0, 8.0, near))
+    return open_bed - uniform(rng, 0.06, 0.14) * scour
+
+
+def _circles(footprint: Float64Array) -> Float64Array:
+    """(T, 3) circles x, y, radius that cover the wreck, for keeping boulders away."""
+    squares = np.unique(np.floor(footprint), axis=0)
+    return np.concatenate([squares + 0.5, np.full((len(squares), 1), 0.71)], axis=1)
+
+
+def _patch(
+    mesh: Mesh, c: float, s: float, origin: tuple[float, float, float]
+) -> tuple[Mesh, tuple[float, float, float]]:
+    """A wreck's mesh turned into the world about its own middle, and that middle.
+
+    Vertices are rounded in the world, so that neighbours that shared an edge still do.
+    """
+    x, y, z = mesh.vertices.astype(np.float64).T
+    turned = np.stack([c * x - s * y, s * x + c * y, z], axis=1) + origin
+    turned = np.rint(turned * MILLIMETRE)
+    middle = np.rint(0.5 * (turned.min(axis=0) + turned.max(axis=0)))
+    vertices = ((turned - middle) / MILLIMETRE + 0.0).astype(np.float32)
+    at = middle / MILLIMETRE
+    return dataclasses.replace(mesh, vertices=vertices), (float(at[0]), float(at[1]), float(at[2]))

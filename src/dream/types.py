@@ -1,0 +1,170 @@
+"""The words that all parts share: what is seen, what is decided, where to go, where it ended.
+
+Images are (H, W[, 3]): `uint8` for rgb and labels, `float32` metres for depth, along the optical
+axis, NaN where there is no return. See `dream.geometry` for frames.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.geometry import SE2, SE3, Bounds, Camera
+from dream.protocol import SurveyProtocol
+
+if TYPE_CHECKING:
+    from dream.mapping import OccupancyMap
+
+UInt8Array = npt.NDArray[np.uint8]
+Float32Array = npt.NDArray[np.float32]
+BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.signedinteger[Any]]
+
+
+class Label(enum.IntEnum):
+    """The class of one pixel."""
+
+    WATER = 0
+    SEABED = 1
+    TARGET = 2
+    OBSTACLE = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observation:
+    """One camera frame with the pose it was taken from."""
+
+    time: float
+    """Seconds since the mission started."""
+    rgb: UInt8Array
+    """(H, W, 3)."""
+    depth: Float32Array
+    """(H, W) metres along the optical axis; NaN where there is no return."""
+    labels: UInt8Array
+    """(H, W) values of `Label`."""
+    camera: Camera
+    T_world_base: SE3
+    T_base_camera: SE3
+
+    def __post_init__(self) -> None:
+        self.camera.check(self.rgb, "rgb")
+        self.camera.check(self.depth, "depth")
+        self.camera.check(self.labels, "labels")
+
+    @property
+    def T_world_camera(self) -> SE3:
+        """Where the optical frame was."""
+        return self.T_world_base @ self.T_base_camera
+
+    @property
+    def pose(self) -> SE2:
+        """The vehicle's position and heading on the ground plane."""
+        return self.T_world_base.se2
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """What a planner is told before it starts: the rules and the operator's box, nothing of the world."""
+
+    protocol: SurveyProtocol
+    bounds: Bounds
+    max_steps: int
+
+
+@dataclass(frozen=True, slots=True)
+class Reasoning:
+    """The paper's six reasoning steps, one plain sentence or two each."""
+
+    distribution: str = ""
+    target_area: str = ""
+    completion: str = ""
+    next_target: str = ""
+    safety: str = ""
+    action: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What a planner says: turn, then advance. Both zero means stop: hold and look again. Or done."""
+
+    turn: float = 0.0
+    """Radians, positive to the left."""
+    advance: float = 0.0
+    """Metres along the new heading, never negative."""
+    done: bool = False
+    """The planner holds the mission to be complete."""
+    reasoning: Reasoning = field(default_factory=Reasoning)
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.turn) and math.isfinite(self.advance)) or self.advance < 0.0:
+            raise ValueError(
+                f"decision: expected a finite turn and a finite advance of at least 0, "
+                f"got turn={self.turn}, advance={self.advance}"
+            )
+        if self.done and (self.turn != 0.0 or self.advance != 0.0):
+            raise ValueError("decision: done stays where it is; expected turn and advance 0")
+
+    @property
+    def stops(self) -> bool:
+        """Neither turns nor advances."""
+        return self.turn == 0.0 and self.advance == 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Guarded:
+    """What the guard made of a decision."""
+
+    decision: Decision
+    """What is carried out."""
+    note: str = ""
+    """Why it differs from what was asked; empty where it does not."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint:
+    """Where the controller is sent."""
+
+    x: float
+    y: float
+    yaw: float
+    altitude: float
+    """Metres above the bare seabed, held on the way."""
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """Where a move really ended, and how it went."""
+
+    pose: SE2
+    collided: bool
+    """The simulator, or the vehicle itself, felt a contact and stopped."""
+    distance: float
+    """Metres travelled over ground."""
+    clearance: float
+    """Least metres between body and terrain, boulders or hull on the way; inf where unknown."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """One decision carried out. The paper's unit of time."""
+
+    index: int
+    """0 is the first look, before anything was decided; it costs nothing."""
+    decision: Decision
+    guarded: Guarded
+    arrival: Arrival
+    observation: Observation
+    """Made where the step ended."""
+    occupancy: OccupancyMap
+    """The live map, this step's observation included. Whoever keeps it past the step copies it."""
+    open_region: str = ""
+    """Why a `done` was refused; empty where none was, or where it was accepted."""
+    ended: str = ""
+    """`done` or `cap` on the last step, else empty."""
+    planner_s: float = 0.0
+    """Wall seconds that the planner took to decide."""

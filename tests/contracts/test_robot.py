@@ -1,0 +1,80 @@
+"""What every robot must do."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from dream.control import setpoint
+from dream.geometry import SE2
+from dream.mission import Robot
+from dream.protocol import DREAM_V1
+from dream.robots import Teleport
+from dream.sim.world import World
+from dream.types import Decision, Label
+
+ROBOTS: dict[str, Callable[[World], Robot]] = {"teleport": lambda world: Teleport(world, DREAM_V1)}
+
+robots = pytest.mark.parametrize("make", ROBOTS.values(), ids=ROBOTS)
+
+
+@robots
+def test_an_observation_is_complete(make: Callable[[World], Robot], string_reef: World) -> None:
+    seen = make(string_reef).observe()
+    assert seen.rgb.dtype == np.uint8
+    assert seen.depth.dtype == np.float32
+    assert set(np.unique(seen.labels)) <= set(Label)
+    assert np.nanmin(seen.depth) > 0.0
+    assert (seen.labels[np.isnan(seen.depth)] == Label.WATER).all()
+    assert seen.rgb.std() > 1.0
+
+
+@robots
+def test_observations_share_no_memory(make: Callable[[World], Robot], string_reef: World) -> None:
+    robot = make(string_reef)
+    first, second = robot.observe(), robot.observe()
+    np.testing.assert_array_equal(first.rgb, second.rgb)
+    first.rgb[:] = 0
+    first.depth[:] = 0.0
+    third = robot.observe()
+    np.testing.assert_array_equal(second.rgb, third.rgb)
+    np.testing.assert_array_equal(second.depth, third.depth)
+
+
+@robots
+def test_it_goes_where_it_is_sent(make: Callable[[World], Robot], empty_world: World) -> None:
+    robot = make(empty_world)
+    goal = setpoint(robot.observe().pose, Decision(math.pi / 6, 2.0), DREAM_V1)
+    arrival = robot.go_to(goal)
+    assert (arrival.pose.x, arrival.pose.y) == (goal.x, goal.y)
+    assert not arrival.collided
+    assert robot.observe().pose.distance(arrival.pose) < 1e-9
+    assert math.isclose(robot.observe().pose.yaw, goal.yaw, abs_tol=1e-9)
+
+
+@robots
+def test_time_passes_only_when_it_moves(make: Callable[[World], Robot], empty_world: World) -> None:
+    robot = make(empty_world)
+    before = robot.observe().time
+    assert robot.observe().time == before
+    robot.go_to(setpoint(robot.observe().pose, Decision(0.0, 2.0), DREAM_V1))
+    assert robot.observe().time > before
+
+
+@robots
+def test_contact_stops_it_on_a_free_lattice_position(
+    make: Callable[[World], Robot], string_reef: World
+) -> None:
+    tall = np.argmax(string_reef.obstacles.scale[:, 2])
+    x, y = string_reef.obstacles.position[tall, :2]
+    robot = make(string_reef)
+    robot.go_to(setpoint(SE2(float(x) - 6.0, float(y), 0.0), Decision(), DREAM_V1))
+    before = robot.observe().pose
+    arrival = robot.go_to(setpoint(SE2(float(x), float(y), 0.0), Decision(), DREAM_V1))
+    assert arrival.collided
+    assert arrival.clearance <= 0.0
+    assert arrival.pose == DREAM_V1.snap(arrival.pose)
+    assert before.distance(arrival.pose) < before.distance(SE2(float(x), float(y), 0.0))

@@ -1,0 +1,86 @@
+"""The search over moves: its slow twin, and what its paths mean."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from dream.control import guard, setpoint
+from dream.geometry import SE2, Bounds
+from dream.mapping import OccupancyMap
+from dream.planning.travel import Travel, travel_from
+from dream.protocol import DREAM_V1
+from dream.types import Decision
+
+START = SE2(0.5, -0.5, math.pi / 2)
+
+
+@pytest.fixture(scope="module")
+def occupancy() -> OccupancyMap:
+    """Two launch discs that overlap: an hourglass of free ground, and nothing else known."""
+    known = OccupancyMap(Bounds(-10.0, -10.0, 10.0, 10.0), DREAM_V1)
+    known.clear_launch(0.0, 0.0)
+    known.clear_launch(3.5, 1.0)
+    return known
+
+
+@pytest.fixture(scope="module")
+def travel(occupancy: OccupancyMap) -> Travel:
+    return travel_from(START, occupancy)
+
+
+def _slow_steps(occupancy: OccupancyMap) -> dict[SE2, int]:
+    """Breadth-first search that asks the guard about every single move."""
+    steps = {START: 0}
+    queue = deque([START])
+    while queue:
+        here = queue.popleft()
+        for turn in DREAM_V1.turn_angles:
+            for advance in (0.0, *DREAM_V1.advances):
+                asked = Decision(turn, advance)
+                if guard(asked, here, occupancy, DREAM_V1).decision != asked:
+                    continue
+                goal = setpoint(here, asked, DREAM_V1)
+                pose = DREAM_V1.snap(SE2(goal.x, goal.y, goal.yaw))
+                if pose not in steps:
+                    steps[pose] = steps[here] + 1
+                    queue.append(pose)
+    return steps
+
+
+def test_steps_equal_a_slow_search_through_the_guard(occupancy: OccupancyMap, travel: Travel) -> None:
+    slow = _slow_steps(occupancy)
+    rows, cols, headings = np.nonzero(travel.steps >= 0)
+    fast = {}
+    for row, col, heading in zip(rows, cols, headings, strict=True):
+        x, y = travel.position(row, col)
+        pose = DREAM_V1.snap(SE2(float(x), float(y), heading * DREAM_V1.heading_step))
+        fast[pose] = int(travel.steps[row, col, heading])
+    assert fast == slow
+    assert max(slow.values()) >= 3
+
+
+def test_following_a_path_by_its_moves_ends_where_it_says(travel: Travel) -> None:
+    rows, cols, headings = np.nonzero(travel.steps == travel.steps.max())
+    goal = (int(rows[0]), int(cols[0]), int(headings[0]))
+    path = travel.path(goal)
+    assert len(path) == travel.steps[goal] + 1
+    pose = START
+    for before, after in pairwise(path):
+        turn, advance = travel.move(before, after)
+        end = setpoint(pose, Decision(turn, advance), DREAM_V1)
+        pose = SE2(end.x, end.y, end.yaw)
+    np.testing.assert_allclose((pose.x, pose.y), travel.position(goal[0], goal[1]))
+    assert DREAM_V1.heading_index(pose.yaw) == goal[2]
+
+
+def test_ground_never_seen_is_not_reached(travel: Travel) -> None:
+    rows, cols = np.nonzero(travel.reached)
+    x, y = travel.position(rows, cols).T
+    near = np.minimum(np.hypot(x, y), np.hypot(x - 3.5, y - 1.0))
+    assert near.max() <= DREAM_V1.launch_radius - DREAM_V1.body_radius
+    assert (x > 3.0).any(), "the second disc is reached through the first"

@@ -1,0 +1,156 @@
+"""The command line: what it prints, how it fails, with which status."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dream.cli import COMMANDS, run_command
+from dream.robots import Teleport
+from dream.types import Arrival, Setpoint
+
+SUMMARY_KEYS = {
+    *("protocol", "world", "seed", "world_hash", "planner", "ended", "steps", "t_stop", "t_claimed"),
+    *("t90", "t95", "t98", "t100", "coverage", "collisions", "distance_m", "turns", "min_clearance_m"),
+    *("planner_ms", "wall_s", "vlm", "success"),
+}
+
+
+def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["--help"]) == 0
+    printed = capsys.readouterr().out
+    for command in COMMANDS:
+        assert f"  {command} " in printed
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_its_options(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command([command, "--help"]) == 0
+    assert "--json" in capsys.readouterr().out
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = (
+        "import sys; from dream.cli import run_command; run_command(['--help']); "
+        "heavy = {'numpy', 'numba', 'scipy', 'tyro', 'pydantic', 'rich', 'PIL'} & set(sys.modules); "
+        "sys.exit(' '.join(heavy) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["rnu"], 'no command "rnu". Did you mean "run"?'),
+        (["run", "--world", "reef/fringe"], 'no world "reef/fringe". Did you mean "reef/fringing"?'),
+        (["run", "--protocol", "dream-v9"], 'no protocol "dream-v9". Did you mean "dream-v1"?'),
+        (["run", "--wrold", "reef/L"], "Did you mean --world?"),
+        (["run", "--seed", "many"], "--seed"),
+        (["run", "--max-steps", "0"], "--max-steps: expected at least 1, got 0"),
+        (["run", "--start", "99"], "start: expected 0 to"),
+        (["draw", "--world", "wreck/9"], 'no world "wreck/9". Did you mean "wreck/'),
+        (["bench", "paepr"], 'no suite "paepr". Did you mean "paper"?'),
+        (["bench", "paper", "--planners", "sixstep"], 'no planner "sixstep". Did you mean "sixsteps"?'),
+        (["report", "nowhere"], "nowhere"),
+        (["run", "lawnmowr"], 'no planner "lawnmowr". Did you mean "lawnmower"?'),
+        (["run", "lawnmower", "--swath", "nan"], "swath: expected 0.1 to 4, got nan"),
+        (["run", "random", "--walk-seed", "-1"], "walk_seed: expected 0 to"),
+        (["run", "--protocol", "pool-v1"], "reef/string is made for dream-v1"),
+        (["bench", "paper", "--workers", "0"], "--workers: expected at least 1, got 0"),
+        (["draw", "--out", "reef.xyz"], "--out: expected a name that ends in .png"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(
+    arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    out = ["--out", str(tmp_path)] if arguments[0] == "run" else []
+    assert run_command([*arguments, *out]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert complaint in printed.err
+    assert len(printed.err.strip().splitlines()) == 1
+
+
+def test_a_short_run_prints_one_json_object_and_leaves_a_complete_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--json", "--max-steps", "5", "lawnmower", "--out", str(tmp_path), "--world", "reef/string"]
+    assert run_command(["run", *options]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert set(summary) >= SUMMARY_KEYS
+    assert (summary["planner"], summary["steps"], summary["ended"]) == ("lawnmower", 5, "cap")
+    (folder,) = (path for path in tmp_path.iterdir() if path.is_dir() and not path.is_symlink())
+    assert json.loads((folder / "summary.json").read_text()) == summary
+    for name in ("config.json", "steps.jsonl", "map.npz", "report.html"):
+        assert (folder / name).stat().st_size > 0
+    assert len((folder / "steps.jsonl").read_text().splitlines()) == 6
+
+
+def test_an_unwritable_folder_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("in the way")
+    assert run_command(["run", "--max-steps", "1", "--out", str(blocked)]) == 2
+    assert str(blocked) in capsys.readouterr().err
+
+
+def test_a_world_can_be_saved_changed_and_flown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "mine"
+    assert run_command(["worlds", "--save", "flat/empty", "--out", str(folder)]) == 0
+    fly = ["run", "--json", "--world", str(folder), "--max-steps", "2", "--out", str(tmp_path)]
+    assert run_command(fly) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["world"] == "flat/empty"
+
+
+def test_draw_writes_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = tmp_path / "reef.png"
+    assert run_command(["draw", "--world", "reef/O", "--out", str(picture), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["picture"] == str(picture)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_mission_that_breaks_off_keeps_its_steps_and_says_why(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def burns(self: Teleport, setpoint: Setpoint) -> Arrival:
+        if setpoint.yaw > 3.0:
+            raise RuntimeError("the thruster burns")
+        return go_to(self, setpoint)
+
+    go_to = Teleport.go_to
+    monkeypatch.setattr(Teleport, "go_to", burns)
+    assert run_command(["run", "--json", "--world", "flat/empty", "--out", str(tmp_path)]) == 1
+    printed = capsys.readouterr()
+    assert "the thruster burns" in printed.err
+    assert len(printed.err.strip().splitlines()) == 1
+    summary = json.loads(printed.out)
+    assert summary["ended"] == "aborted"
+    (folder,) = (path for path in tmp_path.iterdir() if path.is_dir() and not path.is_symlink())
+    assert len((folder / "steps.jsonl").read_text().splitlines()) == summary["steps"] + 1
+    assert (folder / "report.html").stat().st_size > 0
+
+
+@pytest.mark.slow
+def test_an_interrupted_run_keeps_its_steps(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "dream.cli", "run", "--out", str(tmp_path), "--json"]
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=os.environ)
+    lines: list[str] = []
+    try:
+        while running.poll() is None and len(lines) < 6:
+            files = list(tmp_path.glob("*/steps.jsonl"))
+            lines = files[0].read_text().splitlines() if files else []
+    finally:
+        running.send_signal(2)
+        printed, _ = running.communicate(timeout=60)
+    assert running.returncode == 1
+    assert json.loads(printed)["ended"] == "aborted"
+    (folder,) = (path for path in tmp_path.iterdir() if path.is_dir() and not path.is_symlink())
+    kept = (folder / "steps.jsonl").read_text().splitlines()
+    assert len(kept) == json.loads(printed)["steps"] + 1
+    assert all(json.loads(line) for line in kept)
+    assert (folder / "report.html").stat().st_size > 10_000

@@ -1,0 +1,59 @@
+"""Imports only point down."""
+
+import ast
+from pathlib import Path
+
+import dream
+
+ROOT = Path(dream.__file__).parent
+LAYERS = [
+    {"errors", "geometry", "names"},
+    {"protocol"},
+    {"types"},
+    {"perception", "mapping"},
+    {"planning", "control", "estimation", "sim"},
+    {"robots"},
+    {"mission"},
+    {"recording", "evaluation", "report"},
+    {"commands"},
+    {"cli"},
+]
+RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
+APART = LAYERS[4]
+
+
+def _imports(path: Path) -> set[str]:
+    """Parts of `dream` that a file imports when it runs; what only a type checker reads does not count."""
+    tree = ast.parse(path.read_text())
+    for node in ast.walk(tree):
+        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+            node.body = [ast.Pass()]
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "dream":
+            parts = (node.module or "").split(".")
+            found |= {parts[1]} if len(parts) > 1 else {alias.name for alias in node.names} & set(RANK)
+        elif isinstance(node, ast.Import):
+            found |= {a.name.split(".")[1] for a in node.names if a.name.startswith("dream.")}
+    return found
+
+
+def test_imports_only_point_down() -> None:
+    checked = 0
+    for path in ROOT.rglob("*.py"):
+        part = path.relative_to(ROOT).parts[0].removesuffix(".py")
+        if part == "__init__":
+            continue
+        for other in _imports(path) - {part}:
+            checked += 1
+            assert RANK[other] <= RANK[part], f"{path.relative_to(ROOT)} imports {other}, which is above it"
+            both_apart = {part, other} <= APART and (part, other) != ("control", "estimation")
+            assert not both_apart, f"{path.relative_to(ROOT)} imports {other}, its neighbour"
+    assert checked > 20
+
+
+def test_only_kernels_import_numba() -> None:
+    for path in ROOT.rglob("*.py"):
+        if path.name != "_kernels.py":
+            assert "import numba" not in path.read_text(), path
+            assert "from numba" not in path.read_text(), path

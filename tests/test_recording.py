@@ -1,0 +1,333 @@
+from __future__ import annotations
+
+import itertools
+import json
+import logging
+import math
+import signal
+import threading
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dream import recording
+from dream.mapping import OccupancyMap
+from dream.recording import (
+    MAX_LINE_BYTES,
+    new_run_folder,
+    read_config,
+    read_steps,
+    read_summary,
+    record,
+    write_config,
+    write_summary,
+)
+from dream.types import Step
+from tests.recorded_runs import CONFIG, SUMMARY, painted_coverage, painted_mission
+
+NOW = datetime(2026, 11, 21, 6, 1, tzinfo=UTC)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Step]]:
+    folder = tmp_path_factory.mktemp("run")
+    return folder, list(record(painted_mission(7), folder, annotate=painted_coverage))
+
+
+def test_what_was_recorded_is_read_back(run: tuple[Path, list[Step]]) -> None:
+    folder, steps = run
+    recorded = read_steps(folder)
+    assert [step.index for step in steps] == [line.step for line in recorded] == list(range(7))
+    for step, line in zip(steps, recorded, strict=True):
+        assert (line.pose.x, line.pose.y, line.pose.yaw) == (
+            step.arrival.pose.x,
+            step.arrival.pose.y,
+            step.arrival.pose.yaw,
+        )
+        assert (line.decision.turn, line.decision.done) == (step.decision.turn, step.decision.done)
+        assert line.guarded.advance == step.guarded.decision.advance
+        assert line.guarded.note == step.guarded.note
+        assert line.reasoning.safety == step.decision.reasoning.safety
+        assert line.time == step.observation.time
+        assert line.coverage is not None
+        assert line.coverage.instances == painted_coverage(step)["coverage"]["instances"]
+    assert recorded[-1].ended == "done"
+    assert recorded[-1].map == steps[-1].occupancy.areas()
+
+
+def test_an_unknown_clearance_is_null_and_no_line_holds_a_number_that_json_lacks(
+    run: tuple[Path, list[Step]],
+) -> None:
+    folder, steps = run
+    assert math.isinf(steps[0].arrival.clearance)
+    lines = (folder / "steps.jsonl").read_text(encoding="utf-8").splitlines()
+    assert json.loads(lines[0])["clearance_m"] is None
+    assert not any(word in line for line in lines for word in ("NaN", "Infinity"))
+
+
+def pixels_of(path: Path, mode: str) -> np.ndarray[Any, Any]:
+    with Image.open(path) as picture:
+        assert picture.mode == mode
+        return np.array(picture)
+
+
+def test_pictures_hold_colours_millimetres_and_labels(run: tuple[Path, list[Step]]) -> None:
+    folder, steps = run
+    seen = steps[3].observation
+    assert (pixels_of(folder / "frames/0003_rgb.png", "RGB") == seen.rgb).all()
+    assert (pixels_of(folder / "frames/0003_labels.png", "P") == seen.labels).all()
+    depth = pixels_of(folder / "frames/0003_depth.png", "I;16") / 1000.0
+    assert ((depth == 0.0) == np.isnan(seen.depth)).all()
+    assert np.nanmax(np.abs(np.where(depth == 0.0, np.nan, depth) - seen.depth)) <= 0.0005 + 1e-6
+    assert (folder / "maps/0003.png").stat().st_size > 0
+
+
+def test_the_final_map_is_saved(run: tuple[Path, list[Step]]) -> None:
+    folder, steps = run
+    assert OccupancyMap.load(folder / "map.npz").areas() == steps[-1].occupancy.areas()
+
+
+def test_every_line_is_on_disk_with_its_pictures_before_the_next_step(tmp_path: Path) -> None:
+    for done, step in enumerate(record(painted_mission(3), tmp_path), start=1):
+        assert len(read_steps(tmp_path)) == done
+        assert len(list((tmp_path / "frames").iterdir())) == 3 * done
+        assert (tmp_path / f"maps/{step.index:04d}.png").stat().st_size > 0
+
+
+def test_a_run_that_is_left_early_keeps_its_steps_and_its_map(tmp_path: Path) -> None:
+    steps = record(painted_mission(9), tmp_path)
+    kept = list(itertools.islice(steps, 4))
+    steps.close()
+    assert len(read_steps(tmp_path)) == 4
+    assert OccupancyMap.load(tmp_path / "map.npz").areas() == kept[-1].occupancy.areas()
+
+
+@pytest.mark.parametrize("failure", [RuntimeError("thruster lost"), KeyboardInterrupt()])
+def test_a_failure_passes_through_and_nothing_before_it_is_lost(
+    tmp_path: Path, failure: BaseException
+) -> None:
+    def failing() -> Iterator[Step]:
+        yield from painted_mission(3)
+        raise failure
+
+    with pytest.raises(type(failure)):
+        list(record(failing(), tmp_path))
+    assert len(read_steps(tmp_path)) == 3
+    assert (tmp_path / "map.npz").exists()
+
+
+def interrupt_at(step: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C while the pictures of that step are about to be written."""
+    write = recording._write_pictures
+
+    def interrupted(now: Step, trail: list[tuple[float, float]], folder: Path) -> None:
+        if now.index == step:
+            signal.raise_signal(signal.SIGINT)
+        write(now, trail, folder)
+
+    monkeypatch.setattr(recording, "_write_pictures", interrupted)
+
+
+def test_a_step_that_was_annotated_is_written_whole_before_an_interrupt(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    interrupt_at(2, monkeypatch)
+    handler = signal.getsignal(signal.SIGINT)
+    annotated: list[int] = []
+
+    def annotate(step: Step) -> dict[str, Any]:
+        annotated.append(step.index)
+        return painted_coverage(step)
+
+    with pytest.raises(KeyboardInterrupt):
+        list(record(painted_mission(5), tmp_path, annotate=annotate))
+    assert annotated == [line.step for line in read_steps(tmp_path)] == [0, 1, 2]
+    for kind in ("rgb", "depth", "labels"):
+        with Image.open(tmp_path / f"frames/0002_{kind}.png") as picture:
+            picture.load()
+    assert (tmp_path / "maps/0002.png").stat().st_size > 0
+    assert (tmp_path / "map.npz").exists()
+    assert signal.getsignal(signal.SIGINT) is handler
+
+
+def test_an_interrupt_while_annotating_keeps_the_step_too(tmp_path: Path) -> None:
+    def annotate(step: Step) -> dict[str, Any]:
+        if step.index == 1:
+            signal.raise_signal(signal.SIGINT)
+        return painted_coverage(step)
+
+    with pytest.raises(KeyboardInterrupt):
+        list(record(painted_mission(5), tmp_path, annotate=annotate))
+    assert [line.step for line in read_steps(tmp_path)] == [0, 1]
+
+
+def test_a_handler_of_the_callers_own_hears_of_the_interrupt_when_the_step_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    interrupt_at(1, monkeypatch)
+    heard: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda *_: heard.append(len(read_steps(tmp_path))))
+    try:
+        steps = list(record(painted_mission(3), tmp_path))
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert heard == [2]
+    assert len(steps) == 3
+
+
+def test_a_thread_records_as_well(tmp_path: Path) -> None:
+    kept: list[Step] = []
+    thread = threading.Thread(target=lambda: kept.extend(record(painted_mission(2), tmp_path)))
+    thread.start()
+    thread.join()
+    assert len(kept) == len(read_steps(tmp_path)) == 2
+
+
+def test_a_picture_that_cannot_be_written_leaves_no_line(tmp_path: Path) -> None:
+    steps = record(painted_mission(3), tmp_path)
+    next(steps)
+    (tmp_path / "maps/0001.png").mkdir()
+    with pytest.raises(OSError, match="could not write step 1"):
+        next(steps)
+    assert len(read_steps(tmp_path)) == 1
+
+
+def test_annotations_may_hold_numpy_numbers_but_not_the_name_of_a_field(tmp_path: Path) -> None:
+    annotated: dict[str, Any] = {"found": np.int64(4), "share": np.float32(0.5), "ids": np.arange(3)}
+    list(record(painted_mission(1), tmp_path, annotate=lambda step: annotated))
+    line = read_steps(tmp_path)[0].model_dump()
+    assert (line["found"], line["share"], line["ids"]) == (4, 0.5, [0, 1, 2])
+    (tmp_path / "again").mkdir()
+    with pytest.raises(ValueError, match="names of their own, got pose"):
+        list(record(painted_mission(1), tmp_path / "again", annotate=lambda step: {"pose": 1}))
+
+
+def test_a_folder_with_a_recording_is_not_written_over(run: tuple[Path, list[Step]]) -> None:
+    with pytest.raises(ValueError, match=r"without steps\.jsonl"):
+        record(painted_mission(1), run[0])
+
+
+def lines_of(folder: Path, lines: list[str]) -> Path:
+    (folder / "steps.jsonl").write_text("".join(lines), encoding="utf-8")
+    return folder
+
+
+def recorded_lines(run: tuple[Path, list[Step]]) -> list[str]:
+    return (run[0] / "steps.jsonl").read_text(encoding="utf-8").splitlines(keepends=True)
+
+
+@pytest.mark.parametrize("kept", [1, 60, -2])
+def test_a_torn_last_line_is_dropped_with_a_warning(
+    run: tuple[Path, list[Step]], tmp_path: Path, caplog: pytest.LogCaptureFixture, kept: int
+) -> None:
+    lines = recorded_lines(run)[:4]
+    lines[-1] = lines[-1][:kept]
+    with caplog.at_level(logging.WARNING):
+        assert len(read_steps(lines_of(tmp_path, lines))) == 3
+    assert "line 4 is torn" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("damaged", "told"),
+    [
+        ('{"step": 1, "ti\n', "line 2: expected one JSON object"),
+        ("[]\n", "line 2: the whole"),
+        ('{"step": 1}\n', "line 2: time: Field required"),
+        ("x" * (MAX_LINE_BYTES + 1), "line 2: expected at most"),
+        ("[" * 5000 + "\n", "line 2: expected one JSON object"),
+    ],
+)
+def test_a_damaged_middle_line_is_an_error_that_names_it(
+    run: tuple[Path, list[Step]], tmp_path: Path, damaged: str, told: str
+) -> None:
+    lines = recorded_lines(run)[:4]
+    lines[1] = damaged
+    with pytest.raises(ValueError, match=told):
+        read_steps(lines_of(tmp_path, lines))
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "told"),
+    [
+        ("pose", {"x": "east", "y": 0, "yaw": 0}, "pose.x"),
+        ("step", 1, "expected a step after 1, got 1"),
+        ("ended", "exploded", "ended"),
+        ("time", math.nan, "expected one JSON object"),
+    ],
+)
+def test_a_line_with_a_wrong_field_is_an_error_that_names_both(
+    run: tuple[Path, list[Step]], tmp_path: Path, field: str, value: Any, told: str
+) -> None:
+    lines = recorded_lines(run)[:4]
+    lines[2] = json.dumps({**json.loads(lines[2]), field: value}) + "\n"
+    with pytest.raises(ValueError, match=f"line 3: .*{told}"):
+        read_steps(lines_of(tmp_path, lines))
+
+
+def test_a_folder_that_is_no_run_says_so(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"expected a run folder, got no steps\.jsonl"):
+        read_steps(tmp_path)
+    with pytest.raises(FileNotFoundError, match=r"config\.json"):
+        read_config(tmp_path)
+    assert read_summary(tmp_path) is None
+
+
+def test_run_folders_are_named_by_time_world_and_planner_and_never_shared(tmp_path: Path) -> None:
+    root = tmp_path / "runs"
+    names = [new_run_folder(root, "reef/string", 3, "sixsteps", NOW).name for _ in range(3)]
+    stem = "2026-11-21T06-01_reef-string-3_sixsteps"
+    assert names == [stem, f"{stem}-2", f"{stem}-3"]
+    assert (root / "latest").resolve().name == names[-1]
+
+
+def test_no_name_of_a_world_leads_out_of_the_root(tmp_path: Path) -> None:
+    folder = new_run_folder(tmp_path, "../../etc/passwd", 1, "a/../..", NOW)
+    assert folder.parent == tmp_path
+    assert folder.is_dir()
+
+
+def test_a_file_of_the_user_called_latest_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "latest").write_text("mine")
+    new_run_folder(tmp_path, "flat/empty", 1, "random", NOW)
+    assert (tmp_path / "latest").read_text() == "mine"
+
+
+def test_a_root_that_cannot_be_written_is_an_error_with_the_way_out(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(OSError, match=r"expected a place that can be written.*--out"):
+        new_run_folder(tmp_path / "file", "reef/string", 1, "random", NOW)
+    with pytest.raises(OSError, match=r"expected a folder that can be written.*--out"):
+        record(painted_mission(1), tmp_path / "nowhere")
+
+
+def test_config_and_summary_are_read_back_with_whatever_else_they_hold(tmp_path: Path) -> None:
+    write_config(tmp_path, {**CONFIG, "planner_parameters": {"standoff": 1.5}})
+    write_summary(tmp_path, {**SUMMARY, "note": "x"})
+    assert read_config(tmp_path).model_dump()["planner_parameters"] == {"standoff": 1.5}
+    summary = read_summary(tmp_path)
+    assert summary is not None
+    assert summary.coverage.instances == 1.0
+    assert json.loads((tmp_path / "summary.json").read_text())["note"] == "x"
+    assert {path.name for path in tmp_path.iterdir()} == {"config.json", "summary.json"}
+
+
+def test_a_wrong_summary_is_refused_and_the_old_one_stays(tmp_path: Path) -> None:
+    write_summary(tmp_path, SUMMARY)
+    with pytest.raises(ValueError, match=r"summary: ended: .*'sunk'"):
+        write_summary(tmp_path, {**SUMMARY, "ended": "sunk"})
+    with pytest.raises(ValueError, match="summary: distance_m"):
+        write_summary(tmp_path, {**SUMMARY, "distance_m": math.inf})
+    summary = read_summary(tmp_path)
+    assert summary is not None
+    assert summary.ended == "done"
+
+
+def test_a_damaged_config_is_named(tmp_path: Path) -> None:
+    (tmp_path / "config.json").write_text('{"version": ')
+    with pytest.raises(ValueError, match=r"config\.json: expected one JSON object"):
+        read_config(tmp_path)

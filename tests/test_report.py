@@ -1,0 +1,274 @@
+from __future__ import annotations
+
+import itertools
+import json
+import logging
+import re
+import shlex
+import shutil
+import struct
+import subprocess
+import zlib
+from dataclasses import asdict
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dream import commands
+from dream.cli import run_command
+from dream.planning import PLANNERS, AnyPlanner, Lawnmower, RandomWalk, SixSteps
+from dream.recording import RunConfig, read_config, record, write_config, write_summary
+from dream.report import repeating_command, write_report
+from tests.recorded_runs import CONFIG, SUMMARY, painted_coverage, painted_mission
+
+HOSTILE = (
+    "</script ></script><script>document.title='owned'</script><img src=x onerror=alert(1)> & <!-- {{run}}"
+)
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+class Page(HTMLParser):
+    """The elements of a page, and the text of each script."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.loads: list[str] = []
+        self.scripts: dict[str, str] = {}
+        self.policy = ""
+        self._script = ""
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        named = dict(attrs)
+        self.tags.append(tag)
+        self.loads += [value for name in ("src", "href", "action", "data") if (value := named.get(name))]
+        self._script = (named.get("id") or "module") if tag == "script" else ""
+        if named.get("http-equiv") == "Content-Security-Policy":
+            self.policy = named.get("content") or ""
+
+    def handle_data(self, data: str) -> None:
+        if self._script:
+            self.scripts[self._script] = self.scripts.get(self._script, "") + data
+
+    def handle_endtag(self, tag: str) -> None:
+        self._script = ""
+
+
+def recorded(folder: Path, count: int, *, kept: int | None = None, said: str = "") -> Path:
+    write_config(folder, CONFIG)
+    steps = record(painted_mission(count, said=said), folder, annotate=painted_coverage)
+    for _ in itertools.islice(steps, kept):
+        pass
+    steps.close()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = recorded(tmp_path_factory.mktemp("finished"), 12)
+    write_summary(folder, SUMMARY)
+    write_report(folder)
+    return folder
+
+
+def test_the_page_holds_every_step_with_its_pictures(finished: Path) -> None:
+    page = Page(finished / "report.html")
+    run = json.loads(page.scripts["run"])
+    assert [step["step"] for step in run["steps"]] == list(range(12))
+    assert run["summary"]["success"] is True
+    assert run["depth_max"] == 20  # metres: the scale ends at the next five beyond the farthest ground seen
+    for step in range(12):
+        pictures = json.loads(page.scripts[f"pictures-{step}"])
+        assert all(pictures[name].startswith("data:image/") for name in ("map", "rgb", "depth", "labels"))
+
+
+def test_the_page_loads_nothing_and_may_not(finished: Path) -> None:
+    page = Page(finished / "report.html")
+    assert all(load.startswith(("data:", "#")) for load in page.loads)
+    assert page.policy.startswith("default-src 'none'; img-src data:; base-uri 'none'; form-action 'none';")
+    assert "unsafe" not in page.policy
+    assert not re.search(
+        r"@import|url\(|fetch\(|XMLHttpRequest|WebSocket|import\(|innerHTML|webgl", page.scripts["module"]
+    )
+    assert not re.search(r"@import|url\(", (finished / "report.html").read_text(encoding="utf-8"))
+
+
+def test_two_hundred_steps_stay_below_twelve_megabytes(tmp_path: Path) -> None:
+    few, many = 4, 200
+    assert write_report(recorded(tmp_path, few)).stat().st_size * many / few < 12e6
+
+
+def test_what_a_run_says_cannot_leave_its_place_in_the_page(tmp_path: Path) -> None:
+    folder = recorded(tmp_path, 2, said=HOSTILE)
+    write_config(folder, {**CONFIG, "world": HOSTILE, "planner": HOSTILE})
+    page = Page(write_report(folder))
+    assert page.tags.count("script") == 2 + 2  # the run, the program, and the pictures of two steps
+    assert "img" not in page.tags
+    assert not set("<>&") & set(page.scripts["run"])
+    run = json.loads(page.scripts["run"])
+    assert run["config"]["world"] == HOSTILE
+    assert run["steps"][1]["reasoning"]["safety"].endswith(HOSTILE)
+
+
+def test_an_interrupted_run_is_shown_as_far_as_it_went(tmp_path: Path) -> None:
+    folder = recorded(tmp_path, 9, kept=3)
+    with (folder / "steps.jsonl").open("a") as lines:
+        lines.write('{"step": 3, "ti')
+    run = json.loads(Page(write_report(folder)).scripts["run"])
+    assert len(run["steps"]) == 3
+    assert run["summary"] is None
+
+
+def test_a_run_interrupted_before_its_first_step_has_a_page_too(tmp_path: Path) -> None:
+    run = json.loads(Page(write_report(recorded(tmp_path, 9, kept=0))).scripts["run"])
+    assert run["steps"] == []
+
+
+def test_a_missing_or_damaged_picture_is_left_out_with_a_warning(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = recorded(tmp_path, 2)
+    (folder / "frames/0001_rgb.png").unlink()
+    (folder / "frames/0001_depth.png").write_bytes((folder / "frames/0001_depth.png").read_bytes()[:400])
+    (folder / "frames/0001_labels.png").write_bytes(b"GIF89a no picture")
+    with caplog.at_level(logging.WARNING):
+        page = Page(write_report(folder))
+    pictures = json.loads(page.scripts["pictures-1"])
+    assert [name for name, url in pictures.items() if url is None] == ["rgb", "depth", "labels"]
+    assert "0001_depth.png is left out" in caplog.text
+
+
+def promised(width: int, height: int) -> bytes:
+    """A PNG whose header promises that many grey pixels, and that holds none."""
+    chunks = (
+        (b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)),
+        (b"IDAT", b""),
+        (b"IEND", b""),
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        for name, data in chunks
+    )
+
+
+@pytest.mark.parametrize("size", [(30000, 30000), (10000, 10000), (5000, 2), (2**31 - 1, 2**31 - 1)])
+def test_a_picture_that_promises_too_many_pixels_is_left_out_with_a_warning(
+    size: tuple[int, int], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = recorded(tmp_path, 1)
+    (folder / "frames/0000_rgb.png").write_bytes(promised(*size))
+    with caplog.at_level(logging.WARNING):
+        page = Page(write_report(folder))
+    pictures = json.loads(page.scripts["pictures-0"])
+    assert [name for name, url in pictures.items() if url is None] == ["rgb"]
+    assert "0000_rgb.png is left out" in caplog.text
+
+
+def test_a_folder_that_is_no_run_has_no_report(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="expected a run folder"):
+        write_report(tmp_path)
+
+
+def test_the_command_of_the_footer_holds_what_is_not_the_default() -> None:
+    plain = "dream run sixsteps --world reef/string --seed 3 --protocol dream-v1"
+    assert repeating_command(RunConfig(**CONFIG)) == plain
+    parameters = asdict(SixSteps())
+    assert repeating_command(RunConfig(**CONFIG, planner_parameters=parameters)) == plain
+    changed = RunConfig(**CONFIG, planner_parameters={**parameters, "prior_weight": 0.25})
+    assert repeating_command(changed) == plain + " --prior-weight 0.25"
+
+
+@pytest.mark.parametrize(
+    ("planner", "options"),
+    [
+        (SixSteps(), {}),
+        (SixSteps(kernel=5.0 / 3.0, standoff_cells=2.0), {"start": 2, "max_steps": 40}),
+        (Lawnmower(swath=0.8), {"world": "my reef; it's old", "protocol": "pool-v1"}),
+        (RandomWalk(walk_seed=7), {"seed": 2**63 - 1}),
+    ],
+)
+def test_the_command_of_the_footer_parses_to_the_run_that_was_recorded(
+    planner: AnyPlanner, options: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = commands.Run(**{"planner": planner, "protocol": "dream-v1", **options})
+    config = {
+        **CONFIG,
+        "planner": next(name for name, default in PLANNERS.items() if type(default) is type(planner)),
+        "planner_parameters": asdict(planner),
+        "world_from": made.world,
+        "seed": made.seed,
+        "start": made.start,
+        "max_steps": made.max_steps,
+        "protocol": made.protocol,
+    }
+    write_config(tmp_path, config)
+    parsed: list[commands.Run] = []
+
+    def kept(run: commands.Run) -> int:
+        parsed.append(run)
+        return 0
+
+    monkeypatch.setattr(commands.Run, "__call__", kept)
+    program, *arguments = shlex.split(repeating_command(read_config(tmp_path)))
+    assert program == "dream"
+    assert run_command(arguments) == 0
+    assert parsed == [made]
+
+
+def test_a_planner_that_is_not_known_here_is_named_with_all_its_parameters() -> None:
+    config = RunConfig(**{**CONFIG, "planner": "mine", "planner_parameters": {"far_off": 3, "how": "a b"}})
+    assert repeating_command(config).endswith(" --far-off 3 --how 'a b'")
+
+
+def browse(page: Path, step: int, profile: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    if CHROMIUM is None:
+        pytest.skip("no Chromium on this machine to open the page with")
+    quiet = (
+        "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
+        "--disable-component-update --disable-sync --hide-scrollbars --enable-logging=stderr "
+        "--virtual-time-budget=4000 --window-size=1400,900"
+    )
+    return subprocess.run(
+        [CHROMIUM, *quiet.split(), f"--user-data-dir={profile}", *options, f"{page.as_uri()}#step={step}"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+
+
+@pytest.mark.slow
+def test_a_browser_shows_the_page_without_a_complaint(finished: Path, tmp_path: Path) -> None:
+    picture = tmp_path / "page.png"
+    seen = browse(finished / "report.html", 5, tmp_path / "profile", f"--screenshot={picture}")
+    assert "CONSOLE" not in seen.stderr
+    with Image.open(picture) as shown:
+        pixels = np.array(shown.convert("RGB")).astype(int)
+    assert pixels.shape == (900, 1400, 3)
+    assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 1000
+    # The map is white, grey and green in the left half; the camera image blue-green right of it.
+    left, middle = pixels[180:780, 40:580].reshape(-1, 3), pixels[230:500, 620:980].reshape(-1, 3)
+    assert (np.ptp(left, axis=1) == 0).mean() > 0.2
+    assert (middle[:, 2] > middle[:, 0] + 20).mean() > 0.5
+
+
+@pytest.mark.slow
+def test_a_link_to_a_step_opens_it(finished: Path, tmp_path: Path) -> None:
+    shown = browse(finished / "report.html", 7, tmp_path / "profile", "--dump-dom").stdout
+    assert 'data-ready="12"' in shown
+    assert re.search(r'id="counter"[^>]*>Step 7 <small>of 11', shown)
+    assert "Success" in shown
+
+
+@pytest.mark.slow
+def test_a_browser_runs_nothing_that_a_run_says(tmp_path: Path) -> None:
+    folder = recorded(tmp_path, 2, said=HOSTILE)
+    seen = browse(write_report(folder), 1, tmp_path / "profile", "--dump-dom")
+    assert 'data-ready="2"' in seen.stdout
+    assert "<title>reef/string seed 3, sixsteps · DREAM</title>" in seen.stdout
+    assert "CONSOLE" not in seen.stderr
