@@ -68,10 +68,10 @@ def check_completion(occupancy: OccupancyMap, pose: SE2) -> Completion:
         occupancy: What is known.
         pose: Where the vehicle is; what is reachable is so from here.
     """
-    from dream.mapping import _kernels
+    from dream.mapping._kernels import completion, edges
 
     unexplored = ~occupancy.explored
-    labels, count = _kernels.label_within(
+    labels, count = edges.label_within(
         occupancy.target, (occupancy.protocol.group_radius / occupancy.protocol.cell) ** 2
     )
     nodes = reachable(occupancy, pose)
@@ -96,7 +96,7 @@ def check_completion(occupancy: OccupancyMap, pose: SE2) -> Completion:
         window = np.s_[low[0] : high[0], low[1] : high[1]]
         mask = np.zeros(tuple(high - low), np.bool_)
         mask[tuple((mine - low).T)] = True
-        outline = _kernels.filled(_kernels.within(mask, MARGIN_CELLS**2))
+        outline = completion.filled(completion.within(mask, MARGIN_CELLS**2))
         candidates = np.argwhere(outline & unexplored[window]) + low
         west, south = occupancy.center_of(*mine.min(axis=0))
         east, north = occupancy.center_of(*mine.max(axis=0))
@@ -163,7 +163,7 @@ def reachable(occupancy: OccupancyMap, pose: SE2) -> Float64Array:
     Returns:
         (P, 2) metres in the world, the snapped position among them; empty where that is out of bounds.
     """
-    from dream.mapping import _kernels
+    from dream.mapping._kernels import completion
 
     protocol, bounds = occupancy.protocol, occupancy.bounds
     first_col, last_col = (
@@ -183,7 +183,7 @@ def reachable(occupancy: OccupancyMap, pose: SE2) -> Float64Array:
         for heading in range(protocol.headings)
         for advance in protocol.advances
     }
-    reached = _kernels.reachable_nodes(
+    reached = completion.reachable_nodes(
         occupancy.room,
         occupancy.needed_room,
         (first_col * protocol.lattice - bounds.x_min) / protocol.cell,
@@ -203,7 +203,7 @@ def _seeable(occupancy: OccupancyMap, nodes: Float64Array, candidates: IntArray)
     """The candidates (n, 2) that an observation from one of the nodes would explore."""
     from scipy import ndimage
 
-    from dream.mapping import _kernels
+    from dream.mapping._kernels import completion
 
     if not len(nodes) or not len(candidates):
         return candidates[:0]
@@ -219,7 +219,7 @@ def _seeable(occupancy: OccupancyMap, nodes: Float64Array, candidates: IntArray)
     candidates = candidates[distance[tuple(candidates.T)] <= reach + 0.71]
     nearest = node_at[tuple(nearest[:, candidates[:, 0], candidates[:, 1]])]
     middle = ray_table(reach + 1.0, FRACTIONS // 2, FRACTIONS // 2)
-    found = _kernels.seeable(
+    found = completion.seeable(
         occupancy.solid,
         candidates,
         nearest,

@@ -34,10 +34,10 @@ def frontiers(occupancy: OccupancyMap) -> list[Frontier]:
     A frontier cell is explored or traversable, not solid, and has an unknown 4-neighbour inside the
     bounds; cells that touch, diagonally too, are one cluster.
     """
-    from dream.mapping import _kernels
+    from dream.mapping._kernels import edges
 
     known = occupancy.explored | occupancy.traversable | occupancy.solid
-    labels, count = _kernels.frontier_labels(known, known & ~occupancy.solid)
+    labels, count = edges.frontier_labels(known, known & ~occupancy.solid)
     cells = np.argwhere(labels)
     members = labels[cells[:, 0], cells[:, 1]]
     order = np.argsort(members, kind="stable")

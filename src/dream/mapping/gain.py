@@ -40,7 +40,7 @@ def visible_weight(
     Returns:
         (P, headings) float32; heading k is k times the protocol's heading step.
     """
-    from dream.mapping import _kernels
+    from dream.mapping._kernels import sight
 
     protocol = occupancy.protocol
     points = np.asarray(positions, np.float64)
@@ -59,7 +59,7 @@ def visible_weight(
     for kind, (fraction_x, fraction_y) in enumerate(kinds):
         mine = np.flatnonzero(kind_of.ravel() == kind)
         table = ray_table(protocol.reach / protocol.cell, int(fraction_x), int(fraction_y))
-        gains[mine] = _kernels.sweep_gain(
+        gains[mine] = sight.sweep_gain(
             occupancy.solid,
             np.asarray(weights, np.float32),
             place[mine, 1],

@@ -175,7 +175,7 @@ class OccupancyMap:
         Raises:
             ValueError: The images do not fit the camera, or labels are not labels.
         """
-        from dream.mapping import _kernels
+        from dream.mapping._kernels import frame
 
         depth, labels = np.asarray(depth), np.asarray(labels)
         _check_frame(depth, labels, camera)
@@ -186,7 +186,7 @@ class OccupancyMap:
         farthest = np.zeros(RAYS, np.float64)
         counts = np.zeros((self._explored.size, 4), np.int32)
         window = self._anchor_ground(t)
-        _kernels.project_pixels(
+        frame.project_pixels(
             depth,
             labels,
             (camera.fx, camera.fy, camera.cx, camera.cy),
@@ -206,10 +206,10 @@ class OccupancyMap:
         excess = self._ground_count > evidence.ground_memory
         self._ground_sum[excess] *= evidence.ground_memory / self._ground_count[excess]
         self._ground_count[excess] = evidence.ground_memory
-        _kernels.count_returns(
+        frame.count_returns(
             cells, heights, labels, self._smooth_ground(window), protocol.band, int(Label.TARGET), counts
         )
-        _kernels.update_evidence(
+        frame.update_evidence(
             counts,
             self._log_odds,
             self._hits,
@@ -253,7 +253,7 @@ class OccupancyMap:
         farthest: npt.NDArray[np.float64],
         counts: npt.NDArray[np.int32],
     ) -> None:
-        from dream.mapping import _kernels
+        from dream.mapping._kernels import frame
 
         forward = T_world_camera.rotation[:, 2]
         level_part = math.hypot(forward[0], forward[1])
@@ -264,7 +264,7 @@ class OccupancyMap:
         highest = math.atan(camera.cy / camera.fy) - math.atan2(-forward[2], level_part)
         row, col, table = locate(self, *(float(value) for value in T_world_camera.translation[:2]))
         cell = self.protocol.cell
-        _kernels.integrate_sector(
+        frame.integrate_sector(
             row,
             col,
             table.rows,
@@ -291,12 +291,12 @@ class OccupancyMap:
 
     def _smooth_ground(self, window: tuple[int, int, int, int]) -> npt.NDArray[np.float64]:
         """The ground inside a window of cells, from means on ever coarser grids; NaN elsewhere."""
-        from dream.mapping import _kernels
+        from dream.mapping._kernels import frame
 
         levels = [(self._ground_sum, self._ground_count)]
         windows = [window]
         while levels[-1][0].size > 1:
-            levels.append(_kernels.pull(*levels[-1], self.evidence.ground_share))
+            levels.append(frame.pull(*levels[-1], self.evidence.ground_share))
             rows, cols = levels[-1][0].shape
             low_row, past_row, low_col, past_col = windows[-1]
             windows.append(
@@ -310,7 +310,7 @@ class OccupancyMap:
         total, count = levels[-1]
         ground = np.where(count > 0.0, total / np.maximum(count, 1e-9), np.nan)
         for (total, count), part in zip(reversed(levels[:-1]), reversed(windows[:-1]), strict=True):
-            ground = _kernels.push(total, count, ground, self.evidence.ground_pixels, part)
+            ground = frame.push(total, count, ground, self.evidence.ground_pixels, part)
         return ground
 
     # ---------------------------------------------------------------------------------- what comes out
@@ -424,9 +424,9 @@ class OccupancyMap:
         return self._clearance(barrier)[1:-1, 1:-1].copy()
 
     def _clearance(self, barrier: BoolArray) -> npt.NDArray[np.int32]:
-        from dream.mapping import _kernels
+        from dream.mapping._kernels import room
 
-        squared: npt.NDArray[np.int32] = _kernels.clearance(barrier, (math.isqrt(self.needed_room) + 1) // 2)
+        squared: npt.NDArray[np.int32] = room.clearance(barrier, (math.isqrt(self.needed_room) + 1) // 2)
         return squared
 
     def passable(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> BoolArray:
@@ -443,7 +443,7 @@ class OccupancyMap:
         Returns:
             (N,) bool.
         """
-        from dream.mapping import _kernels
+        from dream.mapping._kernels import room
 
         origin = np.array([self.bounds.x_min, self.bounds.y_min])
         pairs = []
@@ -458,7 +458,7 @@ class OccupancyMap:
             pairs.append((points - origin) / self.protocol.cell)
         if len(pairs[0]) != len(pairs[1]):
             raise ValueError(f"ends: expected {len(pairs[0])}, one for every start, got {len(pairs[1])}")
-        free: BoolArray = _kernels.segments_are_free(self.room, self.needed_room, *pairs)
+        free: BoolArray = room.segments_are_free(self.room, self.needed_room, *pairs)
         return free
 
     def areas(self) -> dict[str, float]:

@@ -126,9 +126,9 @@ def visible_sector(
     Returns:
         (rows, cols), true for cells whose centre is in the sector and that are visible.
     """
-    from dream.mapping import _kernels
+    from dream.mapping._kernels import sight
 
-    visible: BoolArray = _kernels.cast_sector(
+    visible: BoolArray = sight.cast_sector(
         solid,
         row,
         col,

@@ -1,0 +1,1 @@
+"""Compiled loops of the map. Plain arrays and numbers in, arrays out; lengths in cells unless named."""
