@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from dream.geometry import SE3, Bounds
 from dream.mapping import OccupancyMap
+from dream.mapping._kernels import flags
 from dream.protocol import DREAM_V1
 from dream.types import Label
 
@@ -113,11 +114,9 @@ def map_with(
     """A map that holds just these layers."""
     occupancy = empty_map()
     if solid is not None:
-        occupancy._log_odds[solid] = 1.0
+        occupancy._write("log_odds", (0, 0), 20 * solid)
     if explored is not None:
-        occupancy._explored[explored] = True
-        occupancy._bare[explored] = True
+        occupancy._write("flags", (0, 0), (flags.EXPLORED | flags.BARE) * explored)
     if target is not None:
-        occupancy._hits[target] = 10.0
-        occupancy._returns[target] = 10.0
+        occupancy._write("votes", (0, 0), 0x30 * target)
     return occupancy

@@ -4,15 +4,18 @@ from dream.mapping.completion import Completion, Region, check_completion, hidin
 from dream.mapping.drawing import draw_map
 from dream.mapping.frontiers import Frontier, frontiers
 from dream.mapping.gain import gain, visible_weight
-from dream.mapping.occupancy import Evidence, OccupancyMap
+from dream.mapping.layers import Evidence, Layers, State
+from dream.mapping.occupancy import OccupancyMap
 from dream.mapping.visibility import view
 
 __all__ = [
     "Completion",
     "Evidence",
     "Frontier",
+    "Layers",
     "OccupancyMap",
     "Region",
+    "State",
     "check_completion",
     "draw_map",
     "frontiers",

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dream.mapping.edges import Cluster
 from dream.types import IntArray
 
 if TYPE_CHECKING:
@@ -17,15 +18,21 @@ if TYPE_CHECKING:
 class Frontier:
     """One cluster of frontier cells."""
 
-    cells: IntArray
-    """(n, 2) row and column, in raster order."""
+    size: int
+    """Number of cells."""
     centroid: tuple[float, float]
     """Mean of the cells' centres, world x and y."""
+    _cluster: Cluster = field(repr=False)
+    _low: tuple[int, int] = field(repr=False)
 
     @property
-    def size(self) -> int:
-        """Number of cells."""
-        return len(self.cells)
+    def cells(self) -> IntArray:
+        """(n, 2) row and column, in raster order; found anew each time.
+
+        Raises:
+            RuntimeError: The map's frontier has changed since; ask for the frontiers again.
+        """
+        return self._cluster.cells - np.array(self._low)
 
 
 def frontiers(occupancy: OccupancyMap) -> list[Frontier]:
@@ -34,16 +41,10 @@ def frontiers(occupancy: OccupancyMap) -> list[Frontier]:
     A frontier cell is explored or traversable, not solid, and has an unknown 4-neighbour inside the
     bounds; cells that touch, diagonally too, are one cluster.
     """
-    from dream.mapping._kernels import edges
-
-    known = occupancy.explored | occupancy.traversable | occupancy.solid
-    labels, count = edges.frontier_labels(known, known & ~occupancy.solid)
-    cells = np.argwhere(labels)
-    members = labels[cells[:, 0], cells[:, 1]]
-    order = np.argsort(members, kind="stable")
-    groups = np.split(cells[order], np.searchsorted(members[order], np.arange(2, count + 1)))
-    found = []
-    for group in groups[: count if count else 0]:
-        x, y = occupancy.center_of(group[:, 0].mean(), group[:, 1].mean())
-        found.append(Frontier(group, (float(x), float(y))))
-    return found
+    clusters, low = occupancy.edges.clusters(), occupancy.low
+    middles = np.array([cluster.centroid for cluster in clusters]).reshape(-1, 2) - low
+    x, y = occupancy.center_of(middles[:, 0], middles[:, 1])
+    return [
+        Frontier(cluster.size, place, cluster, low)
+        for cluster, place in zip(clusters, zip(x.tolist(), y.tolist(), strict=True), strict=True)
+    ]

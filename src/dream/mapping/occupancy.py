@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import math
 import zipfile
 import zlib
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,130 +15,81 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import SE3, Bounds, Camera
-from dream.mapping.visibility import RAYS, locate
-from dream.protocol import SurveyProtocol
-from dream.types import BoolArray, Float32Array, IntArray, Label
-
-FORMAT = "dream-map-1"
-STATE = (
-    "log_odds",
-    "hits",
-    "returns",
-    "ground_sum",
-    "ground_count",
-    "explored",
-    "bare",
-    "seabed_seen",
-    "crossed",
-    "launch",
+from dream.mapping._kernels import flags
+from dream.mapping.blocks import BlockStore
+from dream.mapping.layers import (
+    BLOCK,
+    CELLS,
+    LEVELS,
+    POSTS,
+    QUANTUM,
+    Evidence,
+    Layers,
+    post_bits,
 )
-"""What a map remembers; everything else follows from it."""
+from dream.mapping.visibility import FRACTIONS, RAYS, ray_table
+from dream.protocol import SurveyProtocol
+from dream.types import Label
+
+FORMAT = "dream-map-2"
+PIXELS_ACROSS = 8
+"""Pixels that are looked at along the side of a cell that faces the camera; what is nearer is thinned."""
+THINNINGS = 3
+"""How often rows and columns may be halved, at most."""
+NO_BOUNDS = 1 << 30
+"""Cells: farther than any survey goes."""
 
 
-@dataclass(frozen=True, slots=True)
-class Evidence:
-    """How much a frame changes the map's mind."""
-
-    hit: float = 0.6
-    """Log-odds that a cell gains in a frame with returns from the height band."""
-    miss: float = 0.15
-    """Log-odds that it loses where the ground below the band was seen, or a ray passed without a return. Much
-    less than a hit: the way to the ground also leads under what overhangs, such as the flare of a hull."""
-    clamp: tuple[float, float] = (-0.5, 1.5)
-    """Limits of the log-odds: one frame makes a wall whatever was believed before, and what moved away is
-    forgotten after ten."""
-    min_pixels: int = 3
-    """Pixels in the height band that make a hit; fewer are taken for errors."""
-    min_share: float = 0.05
-    """Share of a cell's pixels that must be in the band for a hit."""
-    min_ground: int = 2
-    """Pixels below the band that show a cell to be free."""
-    frame_pixels: float = 20.0
-    """A frame speaks with at most as many pixels per cell, so that one near look does not outvote many."""
-    target_pixels: float = 3.0
-    """Target pixels without which a cell is no target, however large their share."""
-    target_share: float = 0.5
-    """Share of a cell's pixels that must be target; lower finds more lone clumps and more errors."""
-    ground_pixels: float = 4.0
-    """The seabed around a cell weighs as much as so many of its own points in its height."""
-    ground_share: float = 20.0
-    """A cell weighs at most as much as so many points in the height of the seabed around it."""
-    ground_memory: float = 1000.0
-    """Seabed points that a cell remembers."""
-
-
-class OccupancyMap:
-    """A semantic occupancy grid over the survey area.
+class OccupancyMap(Layers):
+    """A semantic occupancy grid that grows where the robot looks.
 
     What it does: frames with poses go in by `integrate`, layers come out as read-only arrays of
-    (rows, cols). An array that was read keeps its values when the map goes on.
+    (rows, cols), over the survey area or, by `over`, over any window. An array that was read keeps its values
+    when the map goes on.
 
-    Reference: Eq. 1-8 of the paper. Solid and target are separate, since a wreck is both; heights
-    are above the local seabed, whose height is learnt from the points labelled seabed.
+    Reference: Eq. 1-8 of the paper; docs/map.md has the update rule. Solid and target are separate, since a
+    wreck is both; heights are above the local seabed, whose height is learnt from the points labelled seabed.
 
     Assumes: a camera that looks ahead, mounted at the vehicle's centre; the protocol's altitude.
 
     Fails when: labels call a boulder seabed in most of its pixels (the ground then rises to it).
     """
 
-    def __init__(self, bounds: Bounds, protocol: SurveyProtocol, evidence: Evidence | None = None) -> None:
+    def __init__(
+        self, bounds: Bounds | None, protocol: SurveyProtocol, evidence: Evidence | None = None
+    ) -> None:
         """An empty map.
 
         Args:
-            bounds: The survey area; its sides are whole numbers of cells.
+            bounds: The survey area, whose sides are whole numbers of cells: nothing outside is ever known. None
+                for a map without an end, whose `bounds` are the blocks that it has so far.
             protocol: Cell size, reach, height band, depth limits and body.
             evidence: How frames are weighed.
         """
-        shape = []
-        for side, length in (("depth", bounds.depth), ("width", bounds.width)):
-            cells = length / protocol.cell
-            if abs(cells - round(cells)) > 1e-6:
-                raise ValueError(
-                    f"bounds: expected a {side} of whole {protocol.cell} m cells, got {length} m"
-                )
-            shape.append(round(cells))
-        self.bounds = bounds
-        self.protocol = protocol
-        self.evidence = Evidence() if evidence is None else evidence
-        rows, cols = shape
-        self._log_odds = np.zeros((rows, cols), np.float32)
-        self._hits = np.zeros((rows, cols), np.float32)
-        self._returns = np.zeros((rows, cols), np.float32)
-        self._ground_sum = np.zeros((rows, cols), np.float64)
-        self._ground_count = np.zeros((rows, cols), np.float64)
-        self._explored = np.zeros((rows, cols), np.bool_)
-        self._bare = np.zeros((rows, cols), np.bool_)
-        self._seabed_seen = np.zeros((rows, cols), np.bool_)
-        self._crossed = np.zeros((rows, cols), np.bool_)
-        self._launch = np.zeros((rows, cols), np.bool_)
-        self._layers: dict[str, npt.NDArray[Any]] = {}
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(rows, cols)."""
-        return self._log_odds.shape[0], self._log_odds.shape[1]
-
-    # ------------------------------------------------------------------------------ where cells are
-
-    def cell_of(self, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[IntArray, IntArray]:
-        """Row and column of world positions; outside the grid where they are outside the bounds."""
-        row = np.floor((np.asarray(y, np.float64) - self.bounds.y_min) / self.protocol.cell).astype(np.intp)
-        col = np.floor((np.asarray(x, np.float64) - self.bounds.x_min) / self.protocol.cell).astype(np.intp)
-        return row, col
-
-    def center_of(
-        self, row: npt.ArrayLike, col: npt.ArrayLike
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """World x and y of cells' centres."""
-        x = self.bounds.x_min + (np.asarray(col) + 0.5) * self.protocol.cell
-        y = self.bounds.y_min + (np.asarray(row) + 0.5) * self.protocol.cell
-        return x, y
-
-    def contains(self, x: npt.ArrayLike, y: npt.ArrayLike) -> BoolArray:
-        """Whether world positions fall into a cell of the map."""
-        row, col = self.cell_of(x, y)
-        inside: BoolArray = (row >= 0) & (row < self.shape[0]) & (col >= 0) & (col < self.shape[1])
-        return inside
+        bits = post_bits(protocol)
+        posts = (BLOCK >> bits, BLOCK >> bits)
+        store = BlockStore(
+            {
+                "log_odds": (np.int8, (BLOCK, BLOCK)),
+                "flags": (np.uint8, (BLOCK, BLOCK)),
+                "votes": (np.uint8, (BLOCK, BLOCK)),
+                "ground_sum": (np.float32, posts),
+                "ground_count": (np.float32, posts),
+            }
+        )
+        if bounds is not None:
+            for side, length in (("depth", bounds.depth), ("width", bounds.width)):
+                cells = length / protocol.cell
+                if abs(cells - round(cells)) > 1e-6:
+                    raise ValueError(
+                        f"bounds: expected a {side} of whole {protocol.cell} m cells, got {length} m"
+                    )
+        area = bounds or Bounds(0.0, 0.0, protocol.cell, protocol.cell)
+        super().__init__(store, (0, 0), area, protocol, evidence or Evidence(), math.nan)
+        self._origin = (area.x_min, area.y_min)
+        self._bounded = bounds is not None
+        self._stamp = 0
+        self._frame: _Frame | None = None
 
     # ------------------------------------------------------------------------------------ what goes in
 
@@ -147,346 +97,145 @@ class OccupancyMap:
         """Take the ground within the protocol's launch radius for free: traversable, not explored."""
         if not (math.isfinite(x) and math.isfinite(y)):
             raise ValueError(f"launch: expected a finite position, got ({x}, {y})")
-        rows, cols = np.indices(self.shape, sparse=True)
-        center_x, center_y = self.center_of(rows, cols)
-        self._launch |= np.hypot(center_x - x, center_y - y) <= self.protocol.launch_radius
-        self._layers = {}
+        cell, radius = self.protocol.cell, self.protocol.launch_radius
+        (row, col), half = self._global(x, y), math.ceil(radius / cell) + 1
+        rows, cols = np.mgrid[row - half : row + half + 1, col - half : col + half + 1]
+        center_x, center_y = self._origin[0] + (cols + 0.5) * cell, self._origin[1] + (rows + 0.5) * cell
+        near = np.hypot(center_x - x, center_y - y) <= radius
+        if self._bounded:
+            near &= (rows >= 0) & (rows < self.shape[0]) & (cols >= 0) & (cols < self.shape[1])
+        low = (row - half, col - half)
+        marked = self._store.read("flags", low, near.shape)
+        marked[near] |= flags.LAUNCH
+        self._write("flags", low, marked)
+
+    def _write(self, name: str, low: tuple[int, int], cells: npt.NDArray[Any]) -> None:
+        self._stamp += 1
+        for key in self._store.write(name, low, cells):
+            self._store.stamps[self._store.slot_of[key]] = self._stamp
+        self._changed()
 
     def integrate(
         self,
-        depth: npt.NDArray[np.floating[Any]],
-        labels: npt.NDArray[np.integer[Any]],
+        depth: npt.NDArray[Any],
+        labels: npt.NDArray[Any],
         camera: Camera,
         T_world_camera: SE3,
     ) -> None:
         """Add one frame. The inputs are not changed.
 
-        A direct return explores its cell. Beside that, rays explore the camera's sector from the
-        protocol's blind distance to its reach (Eq. 7-8), as far as they are unblocked and as some return in
-        their direction shows that they ran; a direction without any return claims nothing.
+        A direct return explores its cell. Beside that, rays explore the camera's sector from the blind distance to
+        the protocol's reach (Eq. 7-8), as far as they are unblocked and as some return in their direction shows
+        that they ran; a direction without any return claims nothing.
 
         Args:
-            depth: (H, W) metres along the optical axis. NaN is no return; what is outside the protocol's
-                limits is ignored.
-            labels: (H, W) values of `Label`. Water is no return.
+            depth: (H, W) along the optical axis: float metres, NaN for no return, or uint16 millimetres, 0 for no
+                return. What is outside the protocol's limits is ignored.
+            labels: (H, W) integers, values of `Label`, water being no return; or floats, the probability in
+                [0, 1] that the pixel shows target, whose seabed is then told by its height.
             camera: Intrinsics of both images.
             T_world_camera: Where the optical frame was.
 
         Raises:
             ValueError: The images do not fit the camera, or labels are not labels.
         """
-        from dream.mapping._kernels import frame
-
         depth, labels = np.asarray(depth), np.asarray(labels)
         _check_frame(depth, labels, camera)
-        depth, labels = np.ascontiguousarray(depth, np.float32), np.ascontiguousarray(labels, np.uint8)
-        protocol, evidence, t = self.protocol, self.evidence, T_world_camera.translation
-        cells = np.empty(depth.size, np.int32)
-        heights = np.empty(depth.size, np.float32)
-        farthest = np.zeros(RAYS, np.float64)
-        counts = np.zeros((self._explored.size, 4), np.int32)
-        window = self._anchor_ground(t)
-        frame.project_pixels(
-            depth,
-            labels,
-            (camera.fx, camera.fy, camera.cx, camera.cy),
-            T_world_camera.rotation,
-            t,
-            (self.bounds.x_min, self.bounds.y_min),
-            protocol.cell,
-            (protocol.min_depth, protocol.max_depth, protocol.reach),
-            (int(Label.WATER), int(Label.SEABED), int(Label.TARGET)),
-            cells,
-            heights,
-            self._ground_sum,
-            self._ground_count,
-            self._seabed_seen,
-            farthest,
-        )
-        excess = self._ground_count > evidence.ground_memory
-        self._ground_sum[excess] *= evidence.ground_memory / self._ground_count[excess]
-        self._ground_count[excess] = evidence.ground_memory
-        frame.count_returns(
-            cells, heights, labels, self._smooth_ground(window), protocol.band, int(Label.TARGET), counts
-        )
-        frame.update_evidence(
-            counts,
-            self._log_odds,
-            self._hits,
-            self._returns,
-            self._explored,
-            self._bare,
-            evidence.hit,
-            evidence.miss,
-            evidence.clamp,
-            evidence.min_pixels,
-            evidence.min_share,
-            evidence.min_ground,
-            evidence.frame_pixels,
-        )
-        self._cast(camera, T_world_camera, farthest, counts)
-        self._layers = {}
+        if self._frame is None or self._frame.pixels < depth.size:
+            self._frame = _Frame(self.protocol, self.evidence, depth.size)
+        self._frame.read(self, depth, labels, camera, T_world_camera)
+        self._frame.commit(self)
+        self._changed()
 
-    def _anchor_ground(self, camera_position: npt.NDArray[np.floating[Any]]) -> tuple[int, int, int, int]:
-        """Count the camera as a faint sample of the ground; the window of cells within reach of it.
-
-        The vehicle holds its altitude above the bare seabed.
-        """
-        x, y, z = camera_position
-        rows, cols = self.shape
-        row, col = (int(index) for index in self.cell_of(x, y))
-        under = min(max(row, 0), rows - 1), min(max(col, 0), cols - 1)
-        self._ground_sum[under] += z - self.protocol.altitude
-        self._ground_count[under] += 1.0
-        reach = math.ceil(self.protocol.reach / self.protocol.cell) + 1
-        return (
-            max(row - reach, 0),
-            min(row + reach + 1, rows),
-            max(col - reach, 0),
-            min(col + reach + 1, cols),
-        )
-
-    def _cast(
-        self,
-        camera: Camera,
-        T_world_camera: SE3,
-        farthest: npt.NDArray[np.float64],
-        counts: npt.NDArray[np.int32],
-    ) -> None:
-        from dream.mapping._kernels import frame
-
-        forward = T_world_camera.rotation[:, 2]
-        level_part = math.hypot(forward[0], forward[1])
-        if level_part < 0.1:  # Looking straight down there is no sector; the direct returns are all.
-            return
-        left, right = math.atan(camera.cx / camera.fx), math.atan((camera.width - camera.cx) / camera.fx)
-        yaw = math.atan2(forward[1], forward[0]) + 0.5 * (left - right)
-        highest = math.atan(camera.cy / camera.fy) - math.atan2(-forward[2], level_part)
-        row, col, table = locate(self, *(float(value) for value in T_world_camera.translation[:2]))
+    def _global(self, x: float, y: float) -> tuple[int, int]:
+        """Row and column in the store."""
         cell = self.protocol.cell
-        frame.integrate_sector(
-            row,
-            col,
-            table.rows,
-            table.cols,
-            table.x,
-            table.y,
-            table.distance,
-            table.first,
-            table.last,
-            math.cos(yaw),
-            math.sin(yaw),
-            math.cos(0.5 * camera.horizontal_fov),
-            self.protocol.blind / cell,
-            highest >= 0.0,
-            # One more cell, since the farthest return lies anywhere in its own.
-            np.where(farthest > 0.0, farthest / cell + 1.0, 0.0),
-            counts,
-            self._log_odds,
-            self.evidence.miss,
-            self.evidence.clamp[0],
-            self._explored,
-            self._crossed,
-        )
+        return math.floor((y - self._origin[1]) / cell), math.floor((x - self._origin[0]) / cell)
 
-    def _smooth_ground(self, window: tuple[int, int, int, int]) -> npt.NDArray[np.float64]:
-        """The ground inside a window of cells, from means on ever coarser grids; NaN elsewhere."""
-        from dream.mapping._kernels import frame
-
-        levels = [(self._ground_sum, self._ground_count)]
-        windows = [window]
-        while levels[-1][0].size > 1:
-            levels.append(frame.pull(*levels[-1], self.evidence.ground_share))
-            rows, cols = levels[-1][0].shape
-            low_row, past_row, low_col, past_col = windows[-1]
-            windows.append(
-                (
-                    max(low_row // 2 - 1, 0),
-                    min(past_row // 2 + 2, rows),
-                    max(low_col // 2 - 1, 0),
-                    min(past_col // 2 + 2, cols),
-                )
-            )
-        total, count = levels[-1]
-        ground = np.where(count > 0.0, total / np.maximum(count, 1e-9), np.nan)
-        for (total, count), part in zip(reversed(levels[:-1]), reversed(windows[:-1]), strict=True):
-            ground = frame.push(total, count, ground, self.evidence.ground_pixels, part)
-        return ground
+    def _changed(self) -> None:
+        self._layers = {}
+        if not self._bounded and len(self._store):
+            keys = np.array(list(self._store.slot_of))
+            (row, col), past = keys.min(axis=0) * BLOCK, (keys.max(axis=0) + 1) * BLOCK
+            self._low, self._shape = (int(row), int(col)), (int(past[0] - row), int(past[1] - col))
+            self.bounds = self._window(self._low, self._shape)
 
     # ---------------------------------------------------------------------------------- what comes out
 
-    def _layer(self, name: str, compute: Callable[[], npt.NDArray[Any]]) -> npt.NDArray[Any]:
-        if name not in self._layers:
-            layer = compute()
-            layer.flags.writeable = False
-            self._layers[name] = layer
-        return self._layers[name]
+    def over(self, bounds: Bounds) -> Layers:
+        """The map over the cells that a box touches, as it is now; inside the map's bounds or not."""
+        cell = self.protocol.cell
+        low_row, low_col = (
+            math.floor((edge - origin) / cell + 1e-9)
+            for edge, origin in ((bounds.y_min, self._origin[1]), (bounds.x_min, self._origin[0]))
+        )
+        past_row, past_col = (
+            math.ceil((edge - origin) / cell - 1e-9)
+            for edge, origin in ((bounds.y_max, self._origin[1]), (bounds.x_max, self._origin[0]))
+        )
+        low = (low_row, low_col)
+        window = self._window(low, (past_row - low_row, past_col - low_col))
+        layers = Layers(self._store, low, window, self.protocol, self.evidence, self._datum)
+        for name in CELLS:  # read now, since the store goes on
+            layers._wide(name)
+        assert layers.ground.shape == layers.shape
+        return layers
 
-    @property
-    def solid(self) -> BoolArray:
-        """Something stands in the height band above the local seabed, target or not."""
-        return self._layer("solid", lambda: self._log_odds > 0.0)
-
-    @property
-    def target(self) -> BoolArray:
-        """Most of what was seen in the cell is target, in enough pixels."""
-        return self._layer(
-            "target",
-            lambda: (
-                (self._hits >= self.evidence.target_pixels)
-                & (self._hits > self.evidence.target_share * self._returns)
-            ),
+    def _window(self, low: tuple[int, int], shape: tuple[int, int]) -> Bounds:
+        cell, (x, y) = self.protocol.cell, self._origin
+        return Bounds(
+            x + low[1] * cell,
+            y + low[0] * cell,
+            x + (low[1] + shape[1]) * cell,
+            y + (low[0] + shape[0]) * cell,
         )
 
     @property
-    def target_probability(self) -> Float32Array:
-        """Share of target among what was seen in the cell, float32; one half where nothing was."""
-        return self._layer("target_probability", lambda: (self._hits + 1.0) / (self._returns + 2.0))
+    def stamp(self) -> int:
+        """Number of changes so far; `dirty` takes one from before."""
+        return self._stamp
+
+    def dirty(self, since: int = 0) -> list[Bounds]:
+        """The blocks that were written after a stamp, as boxes in the world."""
+        stamps = self._store.stamps
+        return [
+            self._window((row * BLOCK, col * BLOCK), (BLOCK, BLOCK))
+            for (row, col), slot in self._store.slot_of.items()
+            if stamps[slot] > since
+        ]
 
     @property
-    def explored(self) -> BoolArray:
-        """The paper's E_t. Never forgets."""
-        return self._layer("explored", self._explored.copy)
-
-    @property
-    def seabed_seen(self) -> BoolArray:
-        """A return from the seabed or a target fell into the cell."""
-        return self._layer("seabed_seen", self._seabed_seen.copy)
-
-    @property
-    def crossed(self) -> BoolArray:
-        """A ray at the vehicle's own height passed through."""
-        return self._layer("crossed", self._crossed.copy)
-
-    @property
-    def traversable(self) -> BoolArray:
-        """Explored, crossed or launch ground, and not solid.
-
-        What was explored only by returns from above the band, a deck or an overhang, is left out: what stands
-        below was not seen.
-        """
-        return self._layer("traversable", lambda: (self._bare | self._crossed | self._launch) & ~self.solid)
-
-    @property
-    def inflated(self) -> BoolArray:
-        """Solid, or so near that the body could touch it from somewhere in the cell."""
-        return self._layer("inflated", lambda: self._clearance(self.solid) <= self.needed_room)
-
-    @property
-    def standable(self) -> BoolArray:
-        """Where the vehicle's centre may be.
-
-        Wherever inside such a cell it is, the whole disc of its body lies in bounds and on traversable
-        ground (half a cell's diagonal of margin makes it so).
-        """
-        return self._layer("standable", lambda: self.room > self.needed_room)
-
-    @property
-    def ground(self) -> Float32Array:
-        """World z of the seabed, float32 metres: a smooth surface through the points labelled seabed.
-
-        Where none were, it follows from those around; with none at all, from the camera's height less
-        the protocol's altitude. NaN before the first frame.
-        """
-        rows, cols = self.shape
-        return self._layer("ground", lambda: self._smooth_ground((0, rows, 0, cols)).astype(np.float32))
-
-    @property
-    def distance_to_solid(self) -> Float32Array:
-        """Metres between each cell's centre and the nearest solid cell's, float32; inf without one."""
-        return self._layer("distance_to_solid", self._distance_to_solid)
-
-    def _distance_to_solid(self) -> npt.NDArray[Any]:
-        from scipy import ndimage
-
-        if not self.solid.any():
-            return np.full(self.shape, np.inf, np.float32)
-        distance: npt.NDArray[Any] = ndimage.distance_transform_edt(~self.solid, self.protocol.cell)
-        return distance.astype(np.float32)
-
-    @property
-    def needed_room(self) -> int:
-        """`room` that a standable cell exceeds: body radius and half a cell's diagonal."""
-        return math.floor((2.0 * self.protocol.body_radius / self.protocol.cell + math.sqrt(2.0)) ** 2 - 1e-9)
-
-    @property
-    def room(self) -> npt.NDArray[np.int32]:
-        """Squared distance, int32 in half cells, from each cell's centre to what is not traversable.
-
-        Measured to the nearest such cell's square, or to the outside. Beyond `needed_room` it is only known
-        to be larger.
-        """
-        return self._layer("room", self._measure_room)
-
-    def _measure_room(self) -> npt.NDArray[np.int32]:
-        # What lies outside the bounds is not traversable either.
-        barrier = np.pad(~self.traversable, 1, constant_values=True)
-        return self._clearance(barrier)[1:-1, 1:-1].copy()
-
-    def _clearance(self, barrier: BoolArray) -> npt.NDArray[np.int32]:
-        from dream.mapping._kernels import room
-
-        squared: npt.NDArray[np.int32] = room.clearance(barrier, (math.isqrt(self.needed_room) + 1) // 2)
-        return squared
-
-    def passable(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> BoolArray:
-        """Whether the vehicle may move straight from each start to its end.
-
-        Every sample along the segment, half a cell apart, must lie in a standable cell. From a start
-        that is not standable itself (a wall turned out to be nearer than thought), only a way out is
-        free: its room never shrinks, and its end has more of it.
-
-        Args:
-            starts: (N, 2) metres in the world.
-            ends: (N, 2) metres in the world.
-
-        Returns:
-            (N,) bool.
-        """
-        from dream.mapping._kernels import room
-
-        origin = np.array([self.bounds.x_min, self.bounds.y_min])
-        pairs = []
-        for name, points in (
-            ("starts", np.asarray(starts, np.float64)),
-            ("ends", np.asarray(ends, np.float64)),
-        ):
-            if points.ndim != 2 or points.shape[1] != 2:
-                raise ValueError(f"{name}: expected (N, 2) metres, got {points.shape}")
-            if not np.isfinite(points).all():
-                raise ValueError(f"{name}: expected finite positions, got NaN or infinity")
-            pairs.append((points - origin) / self.protocol.cell)
-        if len(pairs[0]) != len(pairs[1]):
-            raise ValueError(f"ends: expected {len(pairs[0])}, one for every start, got {len(pairs[1])}")
-        free: BoolArray = room.segments_are_free(self.room, self.needed_room, *pairs)
-        return free
-
-    def areas(self) -> dict[str, float]:
-        """Square metres explored, target, solid and of seabed really seen."""
-        square = self.protocol.cell**2
-        layers = ("explored", "target", "solid", "seabed_seen")
-        return {name: float(np.count_nonzero(getattr(self, name))) * square for name in layers}
+    def nbytes(self) -> int:
+        """Bytes that the cells take."""
+        return self._store.nbytes
 
     # ----------------------------------------------------------------------------------- copies, files
 
     def copy(self) -> OccupancyMap:
         """A map of its own with the same content."""
-        other = OccupancyMap(self.bounds, self.protocol, self.evidence)
-        for name in STATE:
-            setattr(other, f"_{name}", getattr(self, f"_{name}").copy())
+        other = OccupancyMap(self.bounds if self._bounded else None, self.protocol, self.evidence)
+        other._store = self._store.copy()
+        other._stamp, other._datum = self._stamp, self._datum
+        other._changed()
         return other
 
     def save(self, path: str | Path) -> None:
         """Write everything to one .npz file."""
         about = {
             "format": FORMAT,
-            "bounds": dataclasses.asdict(self.bounds),
+            "bounds": dataclasses.asdict(self.bounds) if self._bounded else None,
             "protocol": dataclasses.asdict(self.protocol),
             "evidence": dataclasses.asdict(self.evidence),
+            "stamp": self._stamp,
+            "datum": self._datum if math.isfinite(self._datum) else None,
         }
-        arrays = {name: getattr(self, f"_{name}") for name in STATE}
+        store, used = self._store, 1 + len(self._store)
+        keys = np.array(list(store.slot_of), np.int64).reshape(-1, 2)
+        arrays = {name: store.pools[name][1:used] for name in (*CELLS, *POSTS)}
         with Path(path).open("wb") as file:
-            np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays)
+            np.savez_compressed(
+                file, about=np.array(json.dumps(about)), blocks=keys, stamps=store.stamps[1:used], **arrays
+            )
 
     @staticmethod
     def load(path: str | Path) -> OccupancyMap:
@@ -514,23 +263,310 @@ class OccupancyMap:
             for name in ("band", "turns", "advances"):
                 protocol[name] = tuple(protocol[name])
             about["evidence"]["clamp"] = tuple(about["evidence"]["clamp"])
-            occupancy = OccupancyMap(
-                Bounds(**about["bounds"]), SurveyProtocol(**protocol), Evidence(**about["evidence"])
-            )
+            bounds = None if about["bounds"] is None else Bounds(**about["bounds"])
+            occupancy = OccupancyMap(bounds, SurveyProtocol(**protocol), Evidence(**about["evidence"]))
+            occupancy._stamp = int(about["stamp"])
+            occupancy._datum = math.nan if about["datum"] is None else float(about["datum"])
         except (KeyError, TypeError) as error:
             raise ValueError(
                 f"{path}: expected bounds, protocol and evidence, got something else ({error})"
             ) from error
-        for name in STATE:
-            mine = getattr(occupancy, f"_{name}")
+        keys = stored.get("blocks")
+        if keys is None or keys.dtype != np.int64 or keys.ndim != 2 or keys.shape[1] != 2:
+            raise ValueError(f"{path}: blocks: expected (n, 2) int64, got {_kind(keys)}")
+        if len(np.unique(keys, axis=0)) != len(keys) or (len(keys) and np.abs(keys).max() > NO_BOUNDS):
+            raise ValueError(f"{path}: blocks: expected different blocks within reach, got others")
+        store = occupancy._store
+        expected = {name: (dtype, (len(keys), *shape)) for name, (dtype, shape) in store.layers.items()}
+        for name, (dtype, shape) in {**expected, "stamps": (np.dtype(np.int64), (len(keys),))}.items():
             found = stored.get(name)
-            if found is None or found.shape != mine.shape or found.dtype != mine.dtype:
-                got = "nothing" if found is None else f"{found.shape} {found.dtype}"
-                raise ValueError(f"{path}: {name}: expected {mine.shape} {mine.dtype}, got {got}")
+            if found is None or found.shape != shape or found.dtype != dtype:
+                raise ValueError(f"{path}: {name}: expected {shape} {dtype}, got {_kind(found)}")
             if not np.isfinite(found).all():
                 raise ValueError(f"{path}: {name}: expected finite numbers, got NaN or infinity")
-            setattr(occupancy, f"_{name}", found)
+        store.make((int(row), int(col)) for row, col in keys)
+        for name in expected:
+            store.pools[name][1 : 1 + len(keys)] = stored[name]
+        store.stamps[1 : 1 + len(keys)] = stored["stamps"]
+        occupancy._changed()
         return occupancy
+
+
+class _Frame:
+    """What one frame says, over a window of cells around the camera; and room to work it out in."""
+
+    def __init__(self, protocol: SurveyProtocol, evidence: Evidence, pixels: int) -> None:
+        self.pixels = pixels
+        self.bits = post_bits(protocol)
+        self.post = 1 << self.bits
+        reach = math.ceil(protocol.reach / protocol.cell)
+        # The window's low corner lies on a post; two cells are for rounding.
+        self.side = -(-(2 * reach + 3 + self.post) // self.post) * self.post
+        self.half = reach + 1
+        self.posts = self.side >> self.bits
+        cells = self.side * self.side
+        self.sample_cell = np.empty(pixels, np.int32)
+        self.sample_z = np.empty(pixels, np.float32)
+        self.sample_label = np.empty(pixels, np.uint8)
+        self.farthest = np.empty(RAYS, np.float32)
+        self.ground = np.empty(cells, np.float32)
+        self.counts = np.empty((cells, 8), np.uint16)
+        self.log_odds, self.before = np.empty(cells, np.int8), np.empty(cells, np.int8)
+        self.flags, self.said, self.votes = (np.empty(cells, np.uint8) for _ in range(3))
+        self.low = (0, 0)
+        self.post_sum = np.empty((self.posts, self.posts))
+        self.post_count = np.empty((self.posts, self.posts))
+        self.steps = (round(evidence.step / QUANTUM), round(evidence.doubt / QUANTUM))
+        self.clamp = (math.ceil(evidence.clamp[0] / QUANTUM), math.floor(evidence.clamp[1] / QUANTUM))
+
+    def read(
+        self,
+        occupancy: OccupancyMap,
+        depth: npt.NDArray[Any],
+        labels: npt.NDArray[Any],
+        camera: Camera,
+        T_world_camera: SE3,
+    ) -> None:
+        from dream.mapping._kernels import frame
+
+        protocol, evidence, store = occupancy.protocol, occupancy.evidence, occupancy._store
+        t, R = T_world_camera.translation, T_world_camera.rotation
+        x, y = float(t[0]), float(t[1])
+        row, col = occupancy._global(x, y)
+        low = ((row - self.half) // self.post * self.post, (col - self.half) // self.post * self.post)
+        self.low = low
+        rows, cols = occupancy.shape if occupancy._bounded else (NO_BOUNDS, NO_BOUNDS)
+        clip = (
+            min(max(-low[0], 0), self.side) if occupancy._bounded else 0,
+            max(min(rows - low[0], self.side), 0),
+            min(max(-low[1], 0), self.side) if occupancy._bounded else 0,
+            max(min(cols - low[1], self.side), 0),
+        )
+        offset = (low[0] % BLOCK, low[1] % BLOCK)
+        blocks = [(o + self.side - 1) // BLOCK + 1 for o in offset]
+        first = [a // BLOCK for a in low]
+        table = store.table(first, blocks)
+        occupancy._datum = float(t[2]) - protocol.altitude
+        soft = np.issubdtype(labels.dtype, np.floating)
+
+        # ---- the seabed as it was, and this frame's points of it
+        post_low = [a >> self.bits for a in low]
+        coarse = 1 << LEVELS
+        wide_low = [(a // coarse - 2) * coarse for a in post_low]
+        wide = [
+            (-(-(a + self.posts) // coarse) + 2) * coarse - b for a, b in zip(post_low, wide_low, strict=True)
+        ]
+        total, count = (store.read(name, wide_low, wide).astype(np.float64) for name in POSTS)
+        margin = [a - b for a, b in zip(post_low, wide_low, strict=True)]
+        region = (
+            margin[0] - 1,
+            margin[0] + self.posts + 1,
+            margin[1] - 1,
+            margin[1] + self.posts + 1,
+        )
+
+        def smooth() -> npt.NDArray[np.float64]:
+            heights: npt.NDArray[np.float64] = frame.smooth_ground(
+                total,
+                count,
+                LEVELS,
+                evidence.ground_share,
+                evidence.ground_pixels,
+                occupancy._datum,
+                region,
+            )
+            return heights
+
+        inside = np.s_[margin[0] : margin[0] + self.posts, margin[1] : margin[1] + self.posts]
+        self.post_sum[:], self.post_count[:] = 0.0, 0.0
+        under = (row - low[0]) >> self.bits, (col - low[1]) >> self.bits
+        self.post_sum[under] += occupancy._datum
+        self.post_count[under] += 1.0
+        prior = np.zeros(1, np.float32)
+        if soft:
+            prior = smooth()[inside].astype(np.float32).ravel()
+        thin = protocol.cell * min(camera.fx, camera.fy) / PIXELS_ACROSS
+        self.samples = frame.project(
+            depth,
+            0.001 if depth.dtype == np.uint16 else 1.0,
+            labels,
+            255.0 if soft else 1,
+            labels.dtype.type(-1.0) if soft else labels.dtype.type(Label.WATER),
+            _KIND_SOFT if soft else _KIND,
+            (camera.fx, camera.fy, camera.cx, camera.cy),
+            R,
+            t,
+            (
+                occupancy._origin[0] + low[1] * protocol.cell,
+                occupancy._origin[1] + low[0] * protocol.cell,
+            ),
+            protocol.cell,
+            (protocol.min_depth, protocol.max_depth, protocol.reach),
+            np.array([thin / (2 << k) for k in range(THINNINGS)], np.float32),
+            self.side,
+            clip,
+            self.bits,
+            self.posts,
+            prior,
+            protocol.band[0],
+            self.sample_cell,
+            self.sample_z,
+            self.sample_label,
+            self.post_sum.ravel(),
+            self.post_count.ravel(),
+            self.farthest,
+        )
+        total[inside] += self.post_sum
+        count[inside] += self.post_count
+        self.heights = smooth()
+        frame.spread_ground(
+            self.heights[margin[0] - 1 : margin[0] + self.posts + 1, margin[1] - 1 : margin[1] + self.posts + 1],
+            1,
+            self.bits,
+            self.side,
+            self.ground,
+        )
+
+        # ---- what every cell shows
+        self.counts[:] = 0
+        lower, upper = protocol.band
+        frame.count_returns(
+            self.samples,
+            self.sample_cell,
+            self.sample_z,
+            self.sample_label,
+            self.ground,
+            (lower, lower + 0.25 * (upper - lower), upper),
+            _WEIGHT_SOFT if soft else _WEIGHT,
+            self.counts,
+        )
+        frame.gather(store.pools["log_odds"], table, *offset, self.side, self.side, self.log_odds)
+        frame.gather(store.pools["flags"], table, *offset, self.side, self.side, self.flags)
+        self.before[:] = self.log_odds
+        self.said[:], self.votes[:] = 0, 0
+        frame.weigh(
+            self.counts,
+            self.side,
+            (y - occupancy._origin[1]) / protocol.cell - low[0],
+            (x - occupancy._origin[0]) / protocol.cell - low[1],
+            self.steps,
+            self.clamp,
+            (
+                evidence.min_pixels,
+                evidence.min_share,
+                evidence.peak_share,
+                evidence.min_ground,
+                evidence.vote_pixels,
+                evidence.vote_share,
+            ),
+            evidence.range_noise,
+            protocol.cell,
+            self.log_odds,
+            self.flags,
+            self.said,
+            self.votes,
+        )
+        self._cast(occupancy, camera, T_world_camera, clip)
+        touched = np.zeros(blocks, np.bool_)
+        frame.touched_blocks(*offset, self.side, self.said, self.votes, self.log_odds, self.before, touched)
+        self.touched, self.first, self.offset, self.blocks = touched, first, offset, blocks
+
+    def _cast(
+        self,
+        occupancy: OccupancyMap,
+        camera: Camera,
+        T_world_camera: SE3,
+        clip: tuple[int, int, int, int],
+    ) -> None:
+        from dream.mapping._kernels import frame
+
+        protocol = occupancy.protocol
+        forward = T_world_camera.rotation[:, 2]
+        level_part = math.hypot(forward[0], forward[1])
+        if level_part < 0.1:  # Looking straight down there is no sector; the direct returns are all.
+            return
+        pitch = math.atan2(-forward[2], level_part)
+        left, right = math.atan(camera.cx / camera.fx), math.atan((camera.width - camera.cx) / camera.fx)
+        yaw = math.atan2(forward[1], forward[0]) + 0.5 * (left - right)
+        highest = math.atan(camera.cy / camera.fy) - pitch
+        steepest = math.atan((camera.height - camera.cy) / camera.fy) + pitch
+        blind = protocol.altitude / math.tan(steepest) if steepest < 0.5 * math.pi else 0.0
+        cell, (x0, y0) = protocol.cell, occupancy._origin
+        x, y = (float(value) for value in T_world_camera.translation[:2])
+        col, fraction_x = divmod(round((x - x0) / cell * FRACTIONS), FRACTIONS)
+        row, fraction_y = divmod(round((y - y0) / cell * FRACTIONS), FRACTIONS)
+        table = ray_table(protocol.reach / cell, fraction_x, fraction_y)
+        frame.cast_frame(
+            row - self.low[0],
+            col - self.low[1],
+            table.rows,
+            table.cols,
+            table.x,
+            table.y,
+            table.distance,
+            table.first,
+            table.last,
+            math.cos(yaw),
+            math.sin(yaw),
+            math.cos(0.5 * camera.horizontal_fov),
+            blind / cell,
+            highest >= 0.0,
+            1.0 / cell,
+            self.farthest,
+            self.side,
+            clip,
+            self.counts,
+            self.steps[0],
+            self.clamp[0],
+            self.log_odds,
+            self.said,
+        )
+
+    def commit(self, occupancy: OccupancyMap) -> tuple[int, int, int, int]:
+        from dream.mapping._kernels import frame
+
+        store = occupancy._store
+        occupancy._stamp += 1
+        rows, cols = np.nonzero(self.touched)
+        store.make((self.first[0] + int(row), self.first[1] + int(col)) for row, col in zip(rows, cols, strict=True))
+        table = store.table(self.first, self.blocks)
+        changed = frame.commit(
+            store.pools["log_odds"],
+            store.pools["flags"],
+            store.pools["votes"],
+            store.stamps,
+            table,
+            self.touched,
+            *self.offset,
+            self.side,
+            self.log_odds,
+            self.said,
+            self.votes,
+            occupancy._stamp,
+        )
+        frame.commit_ground(
+            store.pools["ground_sum"],
+            store.pools["ground_count"],
+            table,
+            self.offset[0] >> self.bits,
+            self.offset[1] >> self.bits,
+            self.post_sum,
+            self.post_count,
+            occupancy.evidence.ground_memory,
+        )
+        return changed
+
+
+_KIND = np.ones(256, np.uint8)
+_KIND[Label.SEABED] = 0
+_WEIGHT = np.zeros(256, np.uint16)
+_WEIGHT[Label.TARGET] = 16
+_KIND_SOFT = np.where(np.arange(256) < 128, 2, 1).astype(np.uint8)
+_WEIGHT_SOFT = np.rint(np.arange(256) / 255.0 * 16.0).astype(np.uint16)
+
+
+def _kind(array: npt.NDArray[Any] | None) -> str:
+    return "nothing" if array is None else f"{array.shape} {array.dtype}"
 
 
 def _check_frame(depth: npt.NDArray[Any], labels: npt.NDArray[Any], camera: Camera) -> None:
@@ -538,10 +574,14 @@ def _check_frame(depth: npt.NDArray[Any], labels: npt.NDArray[Any], camera: Came
         if image.ndim != 2:
             raise ValueError(f"{name}: expected (height, width), got {image.shape}")
         camera.check(image, name)
-    if not np.issubdtype(depth.dtype, np.floating):
-        raise ValueError(f"depth: expected floating-point metres, got {depth.dtype}. Are these millimetres?")
+    if not (np.issubdtype(depth.dtype, np.floating) or depth.dtype == np.uint16):
+        raise ValueError(f"depth: expected floating-point metres or uint16 millimetres, got {depth.dtype}")
+    if np.issubdtype(labels.dtype, np.floating):
+        if labels.size and not (labels.min() >= 0.0 and labels.max() <= 1.0):
+            raise ValueError("labels: expected probabilities in [0, 1], got others")
+        return
     if not np.issubdtype(labels.dtype, np.integer):
-        raise ValueError(f"labels: expected integers, values of Label, got {labels.dtype}")
+        raise ValueError(f"labels: expected integers, values of Label, or probabilities, got {labels.dtype}")
     if labels.size and (labels.min() < min(Label) or labels.max() > max(Label)):
         wrong = labels.max() if labels.max() > max(Label) else labels.min()
         raise ValueError(f"labels: expected values of Label, {min(Label):d} to {max(Label):d}, got {wrong}")

@@ -1,4 +1,8 @@
-"""One frame into the map."""
+"""One frame into the map, in two passes: what it says of a window of cells, then the window into the blocks.
+
+The window is a square of cells around the camera with the reach inside; flat indices are `row * side + col`.
+Its low corner is a multiple of a post of the ground.
+"""
 
 # mypy: disable-error-code="no-untyped-def"
 
@@ -9,210 +13,346 @@ import math
 import numpy as np
 from numba import njit
 
+from dream.mapping._kernels.flags import BARE, CROSSED, EXPLORED, GROUNDED, KNOWN, SEABED
 from dream.mapping._kernels.sight import RAY_MASK, SECTOR_SLACK, all_open, any_open, block
+
+BLOCK_BITS = 6
+BLOCK = 1 << BLOCK_BITS
+"""Cells along a block."""
+CHUNK = 32
+"""Pixels of a row that are looked at together."""
+FIELDS = 8
+"""Columns of the counts, five of them used: pixels below the height band, in its lower part, in its upper part,
+above it, and the target's share of all of them in parts of `WEIGHT`. Eight make a cell half a cache line."""
+WEIGHT = 16
+GROUND, THING, UNSURE = 0, 1, 2
+"""What a pixel is by its label: seabed, anything else, or seabed if its height agrees."""
+
+
+# ---------------------------------------------------------------------------------------------------
+# Pixels to samples
+# ---------------------------------------------------------------------------------------------------
 
 
 @njit(cache=True, nogil=True)
-def project_pixels(
+def project(
     depth,
+    unit,
     labels,
+    label_scale,
+    water,
+    kind_of,
     intrinsics,
     R,
     t,
-    origin,
+    low,
     size,
     limits,
-    names,
-    cells,
-    heights,
-    ground_sum,
-    ground_count,
-    seabed_seen,
+    cuts,
+    side,
+    clip,
+    post_bits,
+    post_side,
+    prior,
+    prior_room,
+    sample_cell,
+    sample_z,
+    sample_label,
+    post_sum,
+    post_count,
     farthest,
 ):
-    """Cell and world height of every pixel; sums of the seabed's heights; farthest return by direction.
+    """Window cell and world height of the pixels that count; seabed sums by post; farthest return by ray.
+
+    Nearer than `cuts[k]` only every 2ᵏ⁺¹-th row and column are taken: enough to fill a cell.
 
     Args:
-        depth: (H, W) float32 metres, NaN without return.
-        labels: (H, W) uint8.
+        depth: (H, W) of `unit` metres.
+        unit: Metres.
+        labels: (H, W), times `label_scale` an index into `kind_of`.
+        label_scale: See `labels`.
+        water: What `labels` holds where there is no return.
+        kind_of: (256,) uint8.
         intrinsics: (fx, fy, cx, cy).
         R: (3, 3), camera to world.
         t: (3,), likewise.
-        origin: World x and y of the grid's lower-left corner.
+        low: World x and y of the window's low corner.
         size: Metres a cell.
         limits: (min_depth, max_depth, reach), metres.
-        names: The labels (water, seabed, target).
-        cells: (H W) int32, out: flat cell, −1 for a pixel that counts for nothing.
-        heights: (H W) float32, out: world z.
-        ground_sum: (rows, cols), added to: z of seabed points.
-        ground_count: (rows, cols), added to: number of them.
-        seabed_seen: (rows, cols), added to: a seabed or target point fell in.
-        farthest: (rays,), out: metres over ground to the farthest return of the image columns in that
-            direction.
-    """
-    fx, fy, cx, cy = intrinsics
-    water, seabed, target = names
-    rows, cols = ground_sum.shape
-    min_depth, max_depth, reach = limits
-    height, width = depth.shape
-    per_radian = (RAY_MASK + 1) / (2.0 * math.pi)
-    per_metre = 1.0 / size
-    from_left, from_bottom = t[0] - origin[0], t[1] - origin[1]
-    square_reach = reach * reach
-    column_x = np.zeros(width)
-    column_y = np.zeros(width)
-    column_square = np.zeros(width)
-    for v in range(height):
-        b = (v + 0.5 - cy) / fy
-        ray_x = R[0, 1] * b + R[0, 2]
-        ray_y = R[1, 1] * b + R[1, 2]
-        ray_z = R[2, 1] * b + R[2, 2]
-        for u in range(width):
-            k = v * width + u
-            cells[k] = -1
-            z = depth[v, u]
-            label = labels[v, u]
-            if not (min_depth <= z <= max_depth) or label == water:
-                continue
-            a = (u + 0.5 - cx) / fx
-            dx = z * (R[0, 0] * a + ray_x)
-            dy = z * (R[1, 0] * a + ray_y)
-            square = dx * dx + dy * dy
-            if square > column_square[u]:
-                column_x[u], column_y[u], column_square[u] = dx, dy, square
-            if square > square_reach:
-                continue
-            col = math.floor((from_left + dx) * per_metre)
-            row = math.floor((from_bottom + dy) * per_metre)
-            if row < 0 or row >= rows or col < 0 or col >= cols:
-                continue
-            up = t[2] + z * (R[2, 0] * a + ray_z)
-            cells[k] = row * cols + col
-            heights[k] = up
-            if label == seabed:
-                ground_sum[row, col] += up
-                ground_count[row, col] += 1.0
-                seabed_seen[row, col] = True
-            elif label == target:
-                seabed_seen[row, col] = True
-    for u in range(width):
-        if column_square[u] > 0.0:
-            ray = math.floor(math.atan2(column_y[u], column_x[u]) * per_radian)
-            # A ray may run between two columns, or off to a side of where its column looked farthest.
-            for near in range(ray - 5, ray + 6):
-                farthest[near & RAY_MASK] = max(farthest[near & RAY_MASK], math.sqrt(column_square[u]))
-
-
-@njit(cache=True, nogil=True)
-def count_returns(cells, heights, labels, ground, band, target, counts):
-    """Pixels per cell, added to counts (cells, 4): all, those below the height band, in it, target."""
-    flat_ground = ground.ravel()
-    flat_labels = labels.ravel()
-    for k in range(len(cells)):
-        cell = cells[k]
-        if cell < 0:
-            continue
-        counts[cell, 0] += 1
-        above = heights[k] - flat_ground[cell]
-        if above < band[0]:
-            counts[cell, 1] += 1
-        elif above <= band[1]:
-            counts[cell, 2] += 1
-        if flat_labels[k] == target:
-            counts[cell, 3] += 1
-
-
-@njit(cache=True, nogil=True)
-def pull(total, count, limit):
-    """Sums and counts of 2 × 2 blocks; no cell weighs more than `limit`."""
-    rows, cols = (total.shape[0] + 1) // 2, (total.shape[1] + 1) // 2
-    sums = np.zeros((rows, cols))
-    counts = np.zeros((rows, cols))
-    for i in range(total.shape[0]):
-        for j in range(total.shape[1]):
-            n = count[i, j]
-            if n > 0.0:
-                weight = min(n, limit)
-                sums[i // 2, j // 2] += total[i, j] / n * weight
-                counts[i // 2, j // 2] += weight
-    return sums, counts
-
-
-@njit(cache=True, nogil=True)
-def push(total, count, coarse, trust, window):
-    """Means inside a window, each drawn to the bilinear value of the coarser level as by `trust` points.
-
-    Args:
-        total: (rows, cols) sums.
-        count: (rows, cols) points in them.
-        coarse: (⌈rows / 2⌉, ⌈cols / 2⌉) means.
-        trust: Number of points.
-        window: (first row, past row, first col, past col).
+        cuts: (levels,) float32 metres, falling.
+        side: Cells along the window.
+        clip: (first row, past row, first col, past col) of the window that lie in bounds.
+        post_bits: A post is 2 to this many cells wide.
+        post_side: Posts along the window.
+        prior: (post_side²) float32, height of the seabed before this frame.
+        prior_room: Metres from there within which an unsure pixel is seabed.
+        sample_cell, sample_z, sample_label: (H W) int32, float32 and uint8, out.
+        post_sum, post_count: (post_side²) float64, added to.
+        farthest: (rays,) float32, out: metres over ground to the farthest return in that direction.
 
     Returns:
-        (rows, cols), NaN outside the window.
+        Number of samples.
     """
-    filled = np.full(total.shape, np.nan)
-    rows, cols = coarse.shape
-    for i in range(window[0], window[1]):
-        y = min(max(0.5 * i - 0.25, 0.0), rows - 1.0)
+    fx, fy, cx, cy = intrinsics
+    min_depth, max_depth, reach = limits
+    height, width = depth.shape
+    levels = len(cuts)
+    f32 = np.float32
+    column_x, column_y, column_z = np.empty(width, f32), np.empty(width, f32), np.empty(width, f32)
+    far_x, far_y, far_square = np.zeros(width, f32), np.zeros(width, f32), np.zeros(width, f32)
+    for u in range(width):
+        a = (u + 0.5 - cx) / fx
+        column_x[u] = R[0, 0] * a
+        column_y[u] = R[1, 0] * a
+        column_z[u] = R[2, 0] * a
+    per_cell = f32(1.0 / size)
+    from_left, from_bottom = f32((t[0] - low[0]) / size), f32((t[1] - low[1]) / size)
+    square_reach = f32(reach * reach)
+    first_row, past_row = np.int32(clip[0]), np.int32(clip[1])
+    first_col, past_col = np.int32(clip[2]), np.int32(clip[3])
+    least, most, metres = f32(min_depth), f32(max_depth), f32(unit)
+    up, stride, zero = f32(t[2]), np.int32(side), f32(0.0)
+    bits, posts = np.int32(post_bits), np.int32(post_side)
+    cell = np.empty(CHUNK, np.int32)
+    post = np.empty(CHUNK, np.int32)
+    z_world = np.empty(CHUNK, f32)
+    count = 0
+    for v in range(height):
+        b = (v + 0.5 - cy) / fy
+        row_x = f32(R[0, 1] * b + R[0, 2])
+        row_y = f32(R[1, 1] * b + R[1, 2])
+        row_z = f32(R[2, 1] * b + R[2, 2])
+        row_level = 0
+        while row_level < levels and v & ((2 << row_level) - 1) == 0:
+            row_level += 1
+        row_cut = cuts[row_level] if row_level < levels else zero
+        for u0 in range(0, width, CHUNK):
+            n = min(CHUNK, width - u0)
+            useful = 0
+            for k in range(n):
+                z = f32(depth[v, u0 + k]) * metres
+                useful += (z > row_cut) & (z >= least) & (z <= most) & (labels[v, u0 + k] != water)
+            if useful == 0:
+                continue
+            for k in range(n):
+                u = u0 + k
+                z = f32(depth[v, u]) * metres
+                dx = z * (column_x[u] + row_x)
+                dy = z * (column_y[u] + row_y)
+                square = dx * dx + dy * dy
+                valid = (z > row_cut) & (z >= least) & (z <= most) & (labels[v, u] != water)
+                farther = valid & (square > far_square[u])
+                far_x[u] = dx if farther else far_x[u]
+                far_y[u] = dy if farther else far_y[u]
+                far_square[u] = square if farther else far_square[u]
+                near = valid & (square <= square_reach)
+                j = np.int32(from_left + dx * per_cell) if near else np.int32(0)
+                i = np.int32(from_bottom + dy * per_cell) if near else np.int32(0)
+                near = near & (i >= first_row) & (i < past_row) & (j >= first_col) & (j < past_col)
+                cell[k] = i * stride + j if near else np.int32(-1)
+                post[k] = (i >> bits) * posts + (j >> bits)
+                z_world[k] = up + z * (column_z[u] + row_z)
+            for k in range(n):
+                if cell[k] < 0:
+                    continue
+                u = u0 + k
+                if row_level > 0:
+                    level = 0
+                    while level < row_level and u & ((2 << level) - 1) == 0:
+                        level += 1
+                else:
+                    level = 0
+                if level < levels and f32(depth[v, u]) * metres <= cuts[level]:
+                    continue
+                label = np.uint8(labels[v, u] * label_scale)
+                kind = kind_of[label]
+                sample_cell[count] = cell[k]
+                sample_z[count] = z_world[k]
+                sample_label[count] = label
+                count += 1
+                if kind == GROUND or (kind == UNSURE and abs(z_world[k] - prior[post[k]]) <= prior_room):
+                    post_sum[post[k]] += z_world[k]
+                    post_count[post[k]] += 1.0
+    per_radian = (RAY_MASK + 1) / (2.0 * math.pi)
+    farthest[:] = zero
+    for u in range(width):
+        if far_square[u] > 0.0:
+            ray = math.floor(math.atan2(far_y[u], far_x[u]) * per_radian)
+            distance = math.sqrt(far_square[u])
+            # A ray may run between two columns, or off to a side of where its column looked farthest.
+            for near_ray in range(ray - 5, ray + 6):
+                farthest[near_ray & RAY_MASK] = max(farthest[near_ray & RAY_MASK], distance)
+    return count
+
+
+# ---------------------------------------------------------------------------------------------------
+# The seabed
+# ---------------------------------------------------------------------------------------------------
+
+
+@njit(cache=True, nogil=True)
+def smooth_ground(total, count, levels, share, trust, datum, region):
+    """Height of every post in a region, from means on grids that are 2, 4, ... 2^levels times coarser.
+
+    A mean is drawn to the bilinear value of the next coarser grid as by `trust` points; in it, a post weighs at
+    most as much as `share` points. Where a coarsest post has no point, it lies at the datum. What lies two of
+    the coarsest posts away from the region has no influence.
+
+    Args:
+        total: (rows, cols) float64 sums of heights; both sides are whole numbers of coarsest posts.
+        count: (rows, cols) float64 points in them.
+        levels: See above.
+        share: Points.
+        trust: Points.
+        datum: World z.
+        region: (first row, past row, first col, past col).
+
+    Returns:
+        (rows, cols) float64, metres in the world; NaN outside the region.
+    """
+    rows, cols = total.shape
+    sums = np.zeros((levels + 1, rows, cols))
+    counts = np.zeros((levels + 1, rows, cols))
+    means = np.full((levels + 1, rows, cols), np.nan)
+    sums[0], counts[0] = total, count
+    for level in range(1, levels + 1):
+        for i in range(rows >> (level - 1)):
+            for j in range(cols >> (level - 1)):
+                points = counts[level - 1, i, j]
+                if points > 0.0:
+                    weight = min(points, share)
+                    sums[level, i >> 1, j >> 1] += sums[level - 1, i, j] / points * weight
+                    counts[level, i >> 1, j >> 1] += weight
+    for level in range(levels, -1, -1):
+        # A finer grid looks one post beyond what is asked of it.
+        first_row, past_row = max((region[0] >> level) - 2, 0), min((region[1] >> level) + 3, rows >> level)
+        first_col, past_col = max((region[2] >> level) - 2, 0), min((region[3] >> level) + 3, cols >> level)
+        if level == 0:
+            first_row, past_row, first_col, past_col = region
+        for i in range(first_row, past_row):
+            y = 0.5 * i - 0.25
+            i0 = max(int(math.floor(y)), 0)
+            i1 = min(i0 + 1, (rows >> (level + 1)) - 1)
+            fy = max(y - i0, 0.0)
+            for j in range(first_col, past_col):
+                points = counts[level, i, j]
+                if level == levels:
+                    means[level, i, j] = sums[level, i, j] / points if points > 0.0 else datum
+                    continue
+                x = 0.5 * j - 0.25
+                j0 = max(int(math.floor(x)), 0)
+                j1 = min(j0 + 1, (cols >> (level + 1)) - 1)
+                fx = max(x - j0, 0.0)
+                lower = means[level + 1, i0, j0] * (1.0 - fx) + means[level + 1, i0, j1] * fx
+                upper = means[level + 1, i1, j0] * (1.0 - fx) + means[level + 1, i1, j1] * fx
+                prior = lower * (1.0 - fy) + upper * fy
+                means[level, i, j] = (sums[level, i, j] + trust * prior) / (points + trust)
+    return means[0]
+
+
+@njit(cache=True, nogil=True)
+def spread_ground(posts, margin, post_bits, side, ground):
+    """Height at every cell's centre of the window, bilinear between the posts' centres.
+
+    Args:
+        posts: (P + 2 margin)² heights, the window's own from [margin, margin] on.
+        margin: Posts.
+        post_bits: A post is 2 to this many cells wide.
+        side: Cells along the window.
+        ground: (side²) float32, out.
+    """
+    width = 1 << post_bits
+    for i in range(side):
+        y = (i + 0.5) / width - 0.5 + margin
         i0 = int(y)
-        i1 = min(i0 + 1, rows - 1)
         fy = y - i0
-        for j in range(window[2], window[3]):
-            x = min(max(0.5 * j - 0.25, 0.0), cols - 1.0)
-            j0 = int(x)
-            j1 = min(j0 + 1, cols - 1)
-            fx = x - j0
-            low = coarse[i0, j0] * (1.0 - fx) + coarse[i0, j1] * fx
-            high = coarse[i1, j0] * (1.0 - fx) + coarse[i1, j1] * fx
-            prior = low * (1.0 - fy) + high * fy
-            filled[i, j] = (total[i, j] + trust * prior) / (count[i, j] + trust)
-    return filled
+        for p in range(-1, side // width):
+            a = posts[i0, margin + p] * (1.0 - fy) + posts[i0 + 1, margin + p] * fy
+            b = posts[i0, margin + p + 1] * (1.0 - fy) + posts[i0 + 1, margin + p + 1] * fy
+            begin = max(p * width + width // 2, 0)
+            end = min((p + 1) * width + width // 2, side)
+            for j in range(begin, end):
+                fx = (j + 0.5) / width - 0.5 - p
+                ground[i * side + j] = a + (b - a) * fx
+
+
+# ---------------------------------------------------------------------------------------------------
+# Evidence and visibility
+# ---------------------------------------------------------------------------------------------------
 
 
 @njit(cache=True, nogil=True)
-def update_evidence(
-    counts,
-    log_odds,
-    hits,
-    returns,
-    explored,
-    bare,
-    hit,
-    miss,
-    clamp,
-    min_pixels,
-    min_share,
-    min_ground,
-    frame_pixels,
+def count_returns(count, sample_cell, sample_z, sample_label, ground, band, weight_of, counts):
+    """Sort the samples of every cell by their height above the seabed; see `FIELDS`."""
+    lower, middle, upper = np.float32(band[0]), np.float32(band[1]), np.float32(band[2])
+    for k in range(count):
+        cell = sample_cell[k]
+        above = sample_z[k] - ground[cell]
+        field = (above >= lower) + (above > middle) + (above > upper)
+        counts[cell, field] += 1
+        counts[cell, 4] += weight_of[sample_label[k]]
+
+
+@njit(cache=True, nogil=True)
+def weigh(
+    counts, side, camera_row, camera_col, steps, clamp, least, noise, size, log_odds, flags, bits, votes
 ):
-    """One step of log-odds per cell and frame, counts for the semantics, bits for what was really seen.
+    """One step of log-odds and one vote per cell that has returns.
 
-    `counts` is what `count_returns` gives; the parameters after `bare` are those of `Evidence`. A return
-    from above the band explores its cell, but says nothing of what stands below it.
+    Args:
+        counts: (side², FIELDS).
+        side: Cells along the window.
+        camera_row, camera_col: The camera, in cells.
+        steps: (hit or miss, miss where what is solid was not seen to reach down), log-odds units.
+        clamp: (lowest, highest) log-odds.
+        least: (pixels of a hit, their share of the cell's, their share of what lies just behind, pixels of a
+            miss, pixels of a vote, target share of a yes).
+        noise: Standard deviation of the depth, as a multiple of its square.
+        size: Metres a cell.
+        log_odds: (side²) int8, changed.
+        flags: (side²) uint8 as they were.
+        bits: (side²) uint8, out: flags to set.
+        votes: (side²) uint8, out: 1 target, 2 another thing.
     """
-    flat_odds, flat_explored, flat_bare = log_odds.ravel(), explored.ravel(), bare.ravel()
-    flat_hits, flat_returns = hits.ravel(), returns.ravel()
-    for cell in range(len(counts)):
-        total = counts[cell, 0]
-        if total == 0:
-            continue
-        below, band = counts[cell, 1], counts[cell, 2]
-        flat_explored[cell] = True
-        if below > 0:
-            flat_bare[cell] = True
-        weight = min(1.0, frame_pixels / total)
-        flat_hits[cell] += weight * counts[cell, 3]
-        flat_returns[cell] += weight * total
-        if band >= min_pixels and band >= min_share * total:
-            flat_odds[cell] = min(flat_odds[cell] + hit, clamp[1])
-        elif band < min_pixels and below >= min_ground:
-            flat_odds[cell] = max(flat_odds[cell] - miss, clamp[0])
+    step, doubt = steps
+    low, high = clamp
+    hit_pixels, hit_share, peak_share, miss_pixels, vote_pixels, vote_share = least
+    for i in range(side):
+        for j in range(side):
+            c = i * side + j
+            below, band = counts[c, 0], np.int32(counts[c, 1]) + np.int32(counts[c, 2])
+            total = below + band + counts[c, 3]
+            if total == 0:
+                continue
+            bits[c] = (BARE | SEABED if below > 0 else 0) | (SEABED if counts[c, 4] > 0 else 0)
+            if total >= vote_pixels:
+                votes[c] = 1 if counts[c, 4] >= vote_share * WEIGHT * total else 2
+            if band >= hit_pixels and band >= hit_share * total:
+                up, right = i + 0.5 - camera_row, j + 0.5 - camera_col
+                away = math.hypot(up, right)
+                scatter = noise * size * away * away
+                peak = band
+                for k in range(1, math.ceil(2.0 * scatter - 0.3) + 1):
+                    a = math.floor(i + 0.5 + k * up / away)
+                    b = math.floor(j + 0.5 + k * right / away)
+                    if 0 <= a < side and 0 <= b < side:
+                        beyond = a * side + b
+                        peak = max(peak, np.int32(counts[beyond, 1]) + np.int32(counts[beyond, 2]))
+                if band < peak_share * peak:
+                    # What scatters to this side of a surface passed through here more often than it ended.
+                    log_odds[c] = max(log_odds[c] - step // 2, low)
+                    continue
+                sure = min(1.0, 0.5 / max(scatter, 1e-9))
+                log_odds[c] = min(log_odds[c] + max(round(step * sure), 1), high)
+                if counts[c, 1] > 0:
+                    bits[c] |= GROUNDED
+            elif band < hit_pixels and below >= miss_pixels:
+                down = log_odds[c] <= 0 or flags[c] & GROUNDED
+                log_odds[c] = max(log_odds[c] - (step if down else doubt), low)
 
 
 @njit(cache=True, nogil=True)
-def integrate_sector(
+def cast_frame(
     row,
     col,
     t_rows,
@@ -227,36 +367,170 @@ def integrate_sector(
     cos_half,
     blind,
     level,
+    per_metre,
     farthest,
+    side,
+    clip,
     counts,
-    log_odds,
     miss,
-    low,
-    explored,
-    crossed,
+    lowest,
+    log_odds,
+    bits,
 ):
     """Cast one frame's rays: explore and cross what they reach, wear down what they pass without a return.
 
-    `farthest` holds, for each ray, how far it is known to have run; `level` tells whether rays at the
+    `farthest` holds, for each ray, the metres that it is known to have run; `level` tells whether rays at the
     vehicle's own height are in the image.
     """
-    rows, cols = log_odds.shape
+    first_row, past_row, first_col, past_col = clip
     blocked = np.zeros(RAY_MASK + 1, dtype=np.bool_)
     for k in range(len(t_rows)):
         i, j = row + t_rows[k], col + t_cols[k]
-        if i < 0 or i >= rows or j < 0 or j >= cols:
+        if i < first_row or i >= past_row or j < first_col or j >= past_col:
             continue
-        first, last = t_first[k], t_last[k]
-        if any_open(blocked, first, last):
-            forward = t_x[k] * forward_x + t_y[k] * forward_y
-            in_sector = forward >= t_distance[k] * cos_half - SECTOR_SLACK
-            middle = ((first + last) // 2) & RAY_MASK
-            if in_sector and t_distance[k] <= farthest[middle]:
+        c = i * side + j
+        forward = t_x[k] * forward_x + t_y[k] * forward_y
+        in_sector = forward >= t_distance[k] * cos_half - SECTOR_SLACK
+        if in_sector:
+            first, last = t_first[k], t_last[k]
+            ran = farthest[((first + last) // 2) & RAY_MASK]
+            # One more cell, since the farthest return lies anywhere in its own.
+            if ran > 0.0 and t_distance[k] <= ran * per_metre + 1.0 and any_open(blocked, first, last):
                 if forward >= blind - SECTOR_SLACK:
-                    explored[i, j] = True
-                    if counts[i * cols + j, 0] == 0 and all_open(blocked, first, last):
-                        log_odds[i, j] = max(log_odds[i, j] - miss, low)
-                if level and log_odds[i, j] <= 0.0:
-                    crossed[i, j] = True
-        if log_odds[i, j] > 0.0:
-            block(blocked, first, last)
+                    bits[c] |= EXPLORED
+                    nothing = counts[c, 0] + counts[c, 1] + counts[c, 2] + counts[c, 3] == 0
+                    if nothing and all_open(blocked, first, last):
+                        log_odds[c] = max(log_odds[c] - miss, lowest)
+                if level and log_odds[c] <= 0:
+                    bits[c] |= CROSSED
+        if log_odds[c] > 0:
+            block(blocked, t_first[k], t_last[k])
+
+
+# ---------------------------------------------------------------------------------------------------
+# Blocks to the window, and back
+# ---------------------------------------------------------------------------------------------------
+
+
+@njit(cache=True, nogil=True)
+def gather(pool, table, offset_row, offset_col, rows, cols, window):
+    """Copy a window of cells out of its blocks.
+
+    Args:
+        pool: (slots, n, n).
+        table: (block rows, block cols) slots.
+        offset_row, offset_col: The window's low corner inside the first block.
+        rows, cols: Size of the window.
+        window: (rows * cols), out.
+    """
+    n = pool.shape[1]
+    for i in range(rows):
+        block_row, y = divmod(offset_row + i, n)
+        j = 0
+        while j < cols:
+            block_col, x = divmod(offset_col + j, n)
+            width = min(n - x, cols - j)
+            source = pool[table[block_row, block_col], y]
+            for k in range(width):
+                window[i * cols + j + k] = source[x + k]
+            j += width
+
+
+@njit(cache=True, nogil=True)
+def touched_blocks(offset_row, offset_col, side, bits, votes, log_odds, before, touched):
+    """Mark the blocks (block rows, block cols) in which the frame says something."""
+    for i in range(side):
+        block_row = (offset_row + i) >> BLOCK_BITS
+        j = 0
+        while j < side:
+            x = (offset_col + j) & (BLOCK - 1)
+            width = min(BLOCK - x, side - j)
+            said = np.uint8(0)
+            for c in range(i * side + j, i * side + j + width):
+                said |= bits[c] | votes[c] | np.uint8(log_odds[c] ^ before[c])
+            if said:
+                touched[block_row, (offset_col + j) >> BLOCK_BITS] = True
+            j += width
+
+
+@njit(cache=True, nogil=True)
+def commit(
+    log_odds_pool,
+    flags_pool,
+    votes_pool,
+    stamps,
+    table,
+    touched,
+    offset_row,
+    offset_col,
+    side,
+    log_odds,
+    bits,
+    votes,
+    stamp,
+):
+    """Write the window into its blocks.
+
+    Returns:
+        (first row, past row, first col, past col) of the window in which something became solid or known, or
+        ceased to be; empty where nothing did.
+    """
+    first_row, past_row, first_col, past_col = side, 0, side, 0
+    for i in range(side):
+        block_row, y = (offset_row + i) >> BLOCK_BITS, (offset_row + i) & (BLOCK - 1)
+        j = 0
+        while j < side:
+            block_col, x = (offset_col + j) >> BLOCK_BITS, (offset_col + j) & (BLOCK - 1)
+            width = min(BLOCK - x, side - j)
+            if touched[block_row, block_col]:
+                slot = table[block_row, block_col]
+                stamps[slot] = stamp
+                c = i * side + j
+                odds, flags = log_odds_pool[slot, y], flags_pool[slot, y]
+                change = np.uint8(0)
+                for k in range(width):
+                    now, was = log_odds[c + k], odds[x + k]
+                    old = flags[x + k]
+                    new = (old | bits[c + k]) & (np.uint8(0xFF) if now > 0 else np.uint8(0xFF ^ GROUNDED))
+                    known = np.uint8((new & KNOWN) != 0) | np.uint8(now > 0)
+                    knew = np.uint8((old & KNOWN) != 0) | np.uint8(was > 0)
+                    change |= (known ^ knew) | (np.uint8(now > 0) ^ np.uint8(was > 0))
+                    odds[x + k] = now
+                    flags[x + k] = new
+                if change:
+                    first_row, past_row = min(first_row, i), max(past_row, i + 1)
+                    first_col, past_col = min(first_col, j), max(past_col, j + width)
+                cast_votes(votes, c, votes_pool[slot, y], x, width)
+            j += width
+    return first_row, past_row, first_col, past_col
+
+
+@njit(cache=True, nogil=True)
+def cast_votes(votes, c, row, x, width):
+    """Count votes: for the target in the high half of a byte, against it in the low one; both halved when full."""
+    for k in range(width):
+        vote = votes[c + k]
+        if vote:
+            yes, no = row[x + k] >> 4, row[x + k] & 15
+            if (vote == 1 and yes == 15) or (vote == 2 and no == 15):
+                yes, no = yes >> 1, no >> 1
+            row[x + k] = ((yes + (vote == 1)) << 4) | (no + (vote == 2))
+
+
+@njit(cache=True, nogil=True)
+def commit_ground(sum_pool, count_pool, table, offset_row, offset_col, total, count, memory):
+    """Add a window of (rows, cols) posts to their blocks where there is one; a post remembers `memory` points."""
+    n = sum_pool.shape[1]
+    for i in range(total.shape[0]):
+        for j in range(total.shape[1]):
+            if count[i, j] == 0.0:
+                continue
+            slot = table[(offset_row + i) // n, (offset_col + j) // n]
+            if slot == 0:
+                continue
+            y, x = (offset_row + i) % n, (offset_col + j) % n
+            points = count_pool[slot, y, x] + count[i, j]
+            mean = (sum_pool[slot, y, x] + total[i, j]) / points
+            points = min(points, memory)
+            sum_pool[slot, y, x] = mean * points
+            count_pool[slot, y, x] = points

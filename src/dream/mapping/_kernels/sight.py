@@ -11,6 +11,10 @@ RAY_MASK = 1023
 """Rays in a full turn, less one: a power of two, so that wrapping is one `and`."""
 SECTOR_SLACK = 1e-6
 """Cells whose centre lies on the edge of the sector belong to it, whatever the rounding."""
+BLOCK = 16
+"""Columns after which a window's list of solid cells has an entry of its own."""
+ENDLESS = 2**31 - 1
+"""Depth of a ray that no solid cell ends."""
 
 
 @njit(cache=True, nogil=True)
@@ -81,31 +85,148 @@ def cast_sector(
 
 
 @njit(cache=True, nogil=True)
+def list_blocks(places, cols, shape):
+    """Solid cells by blocks of a window: their columns, and where each block's begin in that list.
+
+    Args:
+        places: (n,) of the solid cells, flat over some grid inside the window, rising.
+        cols: Of that grid.
+        shape: Top and left of the grid in the window; rows and columns of the window.
+
+    Returns:
+        columns: (n,) int32 in the window.
+        starts: (rows, blocks + 1) int32; the last is where the row ends.
+    """
+    top, left, rows, width = shape
+    blocks = (width + BLOCK - 1) // BLOCK
+    starts = np.zeros((rows, blocks + 1), dtype=np.int32)
+    columns = np.empty(len(places), dtype=np.int32)
+    for s in range(len(places)):
+        row, col = divmod(places[s], cols)
+        columns[s] = left + col
+        starts[top + row, columns[s] // BLOCK + 1] += 1
+    count = 0
+    for i in range(rows):
+        for k in range(blocks + 1):
+            count += starts[i, k]
+            starts[i, k] = count
+    return columns, starts
+
+
+@njit(cache=True, nogil=True)
+def measure_rays(columns, starts, row, col, ranks, t_head, t_tail, depth):
+    """How far every ray gets, and the farthest among any run of 2^n neighbouring rays.
+
+    `depth[n * RAYS + ray]` becomes the greatest rank among the cells in which the rays from `ray` to
+    `ray + 2^n - 1` end. Two such runs, overlapping, make up any interval: `t_head` and `t_tail` are their
+    places for each cell. A solid cell is entered likewise, in its two runs; these are then handed down to
+    the single rays.
+    """
+    side = len(ranks)
+    rays = RAY_MASK + 1
+    levels = len(depth) // rays
+    depth[:] = ENDLESS
+    low, high = col - side // 2, col + side // 2
+    first_block, past_block = low // BLOCK, high // BLOCK + 1
+    for i in range(side):
+        line = row - side // 2 + i
+        for s in range(np.uint32(starts[line, first_block]), np.uint32(starts[line, past_block])):
+            j = np.uint32(columns[s] - low)
+            if j >= side:  # Less than 0 becomes large.
+                continue
+            rank = np.uint32(ranks[np.uint32(i), j])
+            # The lesser of the two, without a branch: which one it is cannot be foreseen.
+            closer = np.int64(rank) - depth[t_head[rank]]
+            depth[t_head[rank]] += closer & (closer >> 63)
+            closer = np.int64(rank) - depth[t_tail[rank]]
+            depth[t_tail[rank]] += closer & (closer >> 63)
+    for level in range(levels - 1, 0, -1):
+        half = 1 << (level - 1)
+        above, below = np.uint32(level * rays), np.uint32((level - 1) * rays)
+        for ray in range(np.uint32(rays)):
+            depth[below + ray] = min(depth[below + ray], depth[above + ray])
+        after = np.uint32(below + half)
+        for ray in range(np.uint32(rays - half)):
+            depth[after + ray] = min(depth[after + ray], depth[above + ray])
+        wrapped = np.uint32(above + rays - half)
+        for ray in range(np.uint32(half)):
+            depth[below + ray] = min(depth[below + ray], depth[wrapped + ray])
+    for level in range(1, levels):
+        half = 1 << (level - 1)
+        above, below = np.uint32(level * rays), np.uint32((level - 1) * rays)
+        after = np.uint32(below + half)
+        for ray in range(np.uint32(rays - half)):
+            depth[above + ray] = max(depth[below + ray], depth[after + ray])
+        last, wrapped = np.uint32(below + rays - half), np.uint32(above + rays - half)
+        for ray in range(np.uint32(half)):
+            depth[wrapped + ray] = max(depth[last + ray], depth[below + ray])
+
+
+@njit(cache=True, nogil=True)
 def sweep_gain(
-    solid, weights, position_rows, position_cols, t_rows, t_cols, t_first, t_last, h_first, h_count, headings
+    values,
+    columns,
+    starts,
+    position_rows,
+    position_cols,
+    ranks,
+    t_rows,
+    t_cols,
+    t_head,
+    t_tail,
+    t_group,
+    skip,
+    g_first,
+    g_count,
+    headings,
 ):
     """Sum of the weights of the visible cells, for every position and heading, one sweep a position.
 
-    Cell k of the table lies in the sectors of the `h_count[k]` headings from `h_first[k]` on.
+    A cell is visible when the longest of its rays gets to its rank. Which ones are follows no pattern that a
+    processor could foresee, so that nothing in the inner loop branches: what is hidden is summed too, apart.
+
+    Args:
+        values: (rows, cols) float32, the window's weights.
+        columns: Its solid cells, from `list_blocks`.
+        starts: See `columns`.
+        position_rows: Cells of the positions in the window; the whole table fits in around them.
+        position_cols: See `position_rows`.
+        ranks: (side, side) index into the table by row and column from the observer's, its length beyond.
+        t_rows: (n,) the table, from near to far.
+        t_cols: See `t_rows`.
+        t_head: (n + 1,) see `measure_rays`; the last is a place beyond all rays.
+        t_tail: See `t_head`.
+        t_group: (n,) cells of a group lie in the sectors of the same headings.
+        skip: Cells of the table that come before the first that lies in any sector.
+        g_first: (groups,) the first of those headings.
+        g_count: (groups,) how many there are from there on.
+        headings: In a full turn.
     """
-    rows, cols = solid.shape
+    rays = RAY_MASK + 1
+    levels = int(t_head[-1]) // rays
+    cells, groups = len(t_rows), len(g_first)
     gains = np.zeros((len(position_rows), headings), dtype=np.float32)
-    blocked = np.empty(RAY_MASK + 1, dtype=np.bool_)
+    depth = np.empty(levels * rays + 1, dtype=np.int32)
+    sums = np.empty(2 * groups)
     change = np.empty(2 * headings + 1)
+    flat = values.ravel()
+    offset = np.empty(cells, dtype=np.int32)
+    for k in range(cells):
+        offset[k] = t_rows[k] * values.shape[1] + t_cols[k]
     for p in range(len(position_rows)):
-        blocked[:] = False
+        measure_rays(columns, starts, position_rows[p], position_cols[p], ranks, t_head, t_tail, depth)
+        sums[:] = 0.0
+        here = position_rows[p] * values.shape[1] + position_cols[p]
+        # No ray gets beyond the deepest of all.
+        for k in range(np.uint32(skip), np.uint32(min(cells, np.int64(depth[(levels - 1) * rays]) + 1))):
+            before = np.int64(k) - 1  # Unsigned, `k` is known not to count from the end.
+            seen = ((before - depth[t_head[k]]) | (before - depth[t_tail[k]])) >> 63
+            sums[np.uint32(t_group[k]) + np.uint32(groups & ~seen)] += flat[np.uint32(here + offset[k])]
         change[:] = 0.0
-        row, col = position_rows[p], position_cols[p]
-        for k in range(len(t_rows)):
-            i, j = row + t_rows[k], col + t_cols[k]
-            if i < 0 or i >= rows or j < 0 or j >= cols:
-                continue
-            weight = weights[i, j]
-            if weight != 0.0 and h_count[k] > 0 and any_open(blocked, t_first[k], t_last[k]):
-                change[h_first[k]] += weight
-                change[h_first[k] + h_count[k]] -= weight
-            if solid[i, j]:
-                block(blocked, t_first[k], t_last[k])
+        for g in range(groups):
+            if g_count[g] > 0:
+                change[g_first[g]] += sums[g]
+                change[g_first[g] + g_count[g]] -= sums[g]
         running = 0.0
         for h in range(2 * headings):
             running += change[h]

@@ -1,0 +1,21 @@
+"""The bits of a cell."""
+
+EXPLORED = 1
+"""The paper's E_t."""
+BARE = 2
+"""A return from below the height band fell in."""
+SEABED = 4
+"""A return from the seabed or a target fell in."""
+CROSSED = 8
+"""A ray at the vehicle's own height passed through."""
+LAUNCH = 16
+"""Known to be free from the start."""
+GROUNDED = 32
+"""What is solid here was seen down to the lower edge of the height band."""
+FRONTIER = 64
+"""Free, beside an unknown cell."""
+INFLATED = 128
+"""Solid, or so near that the body could touch it."""
+
+KNOWN = EXPLORED | BARE | CROSSED | LAUNCH
+"""Any of these, or solid, makes a cell known."""

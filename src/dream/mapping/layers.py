@@ -1,0 +1,394 @@
+"""What a map holds over a window, as arrays of (rows, cols)."""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.geometry import Bounds
+from dream.mapping._kernels import flags
+from dream.mapping.blocks import BlockStore
+from dream.protocol import SurveyProtocol
+from dream.types import BoolArray, Float32Array, IntArray
+
+CELLS = ("log_odds", "flags", "votes")
+"""What a map remembers of every cell."""
+POSTS = ("ground_sum", "ground_count")
+"""What it remembers of the seabed, on a coarser grid."""
+POST = 0.64
+"""Metres between posts, about: as far as the seabed is smooth."""
+LEVELS = 4
+"""Coarser grids that fill the gaps between posts."""
+BLOCK = 64
+"""Cells along a block."""
+QUANTUM = 0.05
+"""Log-odds that one unit of the stored bytes stands for."""
+
+
+class State(enum.IntEnum):
+    """What is known of a cell."""
+
+    UNKNOWN = 0
+    FREE = 1
+    SOLID = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """How much a frame changes the map's mind."""
+
+    step: float = 0.6
+    """Log-odds that a cell gains in a frame with returns from the height band, and loses where the ground below
+    the band was seen, or a ray passed without a return."""
+    doubt: float = 0.15
+    """Log-odds that it loses where the way to the ground may lead under what is solid: where that was never
+    seen to reach down to the lower edge of the band, as the flare of a hull does not."""
+    clamp: tuple[float, float] = (-0.3, 3.5)
+    """Limits of the log-odds: so soon the map changes its mind."""
+    range_noise: float = 0.002
+    """Standard deviation of the depth over its square, 1/m. A hit counts the less the wider it scatters."""
+    min_pixels: int = 2
+    """Pixels in the height band that make a hit; fewer are taken for errors."""
+    min_share: float = 0.05
+    """Share of a cell's pixels that must be in the band for a hit."""
+    peak_share: float = 0.4
+    """Where the depth scatters over cells: share that a cell's hits must have of those just behind it. Fewer only
+    scattered to this side of a surface; they are half a miss."""
+    min_ground: int = 2
+    """Pixels below the band that show a cell to be free."""
+    vote_pixels: int = 2
+    """Pixels that give a cell a vote on whether it is target: one vote a frame."""
+    vote_share: float = 0.45
+    """Share of a cell's pixels that must be target for a yes."""
+    detection: float = 0.9
+    """How often a target is voted one."""
+    false_alarm: float = 0.02
+    """How often anything else is."""
+    target_prior: float = 0.05
+    """Share of cells that are target, before any vote."""
+    ground_pixels: float = 4.0
+    """The seabed around a post weighs as much as so many of its own points in its height."""
+    ground_share: float = 20.0
+    """A post weighs at most as much as so many points in the height of the seabed around it."""
+    ground_memory: float = 1000.0
+    """Seabed points that a post remembers."""
+
+    def __post_init__(self) -> None:
+        for name in ("detection", "false_alarm", "target_prior"):
+            if not 0.0 < getattr(self, name) < 1.0:
+                raise ValueError(f"{name}: expected a share between 0 and 1, got {getattr(self, name)}")
+        if not self.clamp[0] < 0.0 < self.clamp[1] or max(map(abs, self.clamp)) > 127 * QUANTUM:
+            raise ValueError(f"clamp: expected limits on both sides of 0 within ±{127 * QUANTUM}, got {self.clamp}")
+        for name in ("step", "doubt"):
+            if not 0.0 <= getattr(self, name) <= 127 * QUANTUM:
+                raise ValueError(f"{name}: expected 0 to {127 * QUANTUM}, got {getattr(self, name)}")
+
+
+@lru_cache(maxsize=8)
+def probability_of_votes(evidence: Evidence) -> Float32Array:
+    """(256,) float32: probability of target for every byte of votes, each vote an independent witness (Bayes)."""
+    yes, no = np.divmod(np.arange(256), 16)
+    odds = (
+        math.log(evidence.target_prior / (1.0 - evidence.target_prior))
+        + yes * math.log(evidence.detection / evidence.false_alarm)
+        + no * math.log((1.0 - evidence.detection) / (1.0 - evidence.false_alarm))
+    )
+    probability: Float32Array = (1.0 / (1.0 + np.exp(-odds))).astype(np.float32)
+    probability.flags.writeable = False
+    return probability
+
+
+def post_bits(protocol: SurveyProtocol) -> int:
+    """A post is 2 to this many cells wide."""
+    return min(max(round(math.log2(POST / protocol.cell)), 0), 4)
+
+
+class Layers:
+    """A window of a semantic occupancy grid; every layer a read-only array that keeps its values.
+
+    `cells[row, col]`: row grows with y, col with x, from the window's lower left corner. This is all that
+    planning and drawing read of a map.
+    """
+
+    def __init__(
+        self,
+        store: BlockStore,
+        low: tuple[int, int],
+        bounds: Bounds,
+        protocol: SurveyProtocol,
+        evidence: Evidence,
+        datum: float,
+    ) -> None:
+        """A window on a store.
+
+        Args:
+            store: The cells.
+            low: Row and column in the store of the window's lower left cell.
+            bounds: The window; its sides are whole numbers of cells.
+            protocol: Cell size, height band and body.
+            evidence: What votes mean.
+            datum: World z of the seabed where nothing around was seen; NaN where nothing ever was.
+        """
+        self.bounds = bounds
+        self.protocol = protocol
+        self.evidence = evidence
+        self._store = store
+        self._low = low
+        self._shape = (round(bounds.depth / protocol.cell), round(bounds.width / protocol.cell))
+        self._datum = datum
+        self._layers: dict[str, npt.NDArray[Any]] = {}
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols)."""
+        return self._shape
+
+    # ------------------------------------------------------------------------------ where cells are
+
+    def cell_of(self, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[IntArray, IntArray]:
+        """Row and column of world positions; outside the grid where they are outside the bounds."""
+        row = np.floor((np.asarray(y, np.float64) - self.bounds.y_min) / self.protocol.cell).astype(np.intp)
+        col = np.floor((np.asarray(x, np.float64) - self.bounds.x_min) / self.protocol.cell).astype(np.intp)
+        return row, col
+
+    def center_of(
+        self, row: npt.ArrayLike, col: npt.ArrayLike
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """World x and y of cells' centres."""
+        x = self.bounds.x_min + (np.asarray(col) + 0.5) * self.protocol.cell
+        y = self.bounds.y_min + (np.asarray(row) + 0.5) * self.protocol.cell
+        return x, y
+
+    def contains(self, x: npt.ArrayLike, y: npt.ArrayLike) -> BoolArray:
+        """Whether world positions fall into a cell of the window."""
+        row, col = self.cell_of(x, y)
+        inside: BoolArray = (row >= 0) & (row < self.shape[0]) & (col >= 0) & (col < self.shape[1])
+        return inside
+
+    # ---------------------------------------------------------------------------------- what is known
+
+    def _layer(self, name: str, compute: Callable[[], npt.NDArray[Any]]) -> npt.NDArray[Any]:
+        if name not in self._layers:
+            layer = compute()
+            layer.flags.writeable = False
+            self._layers[name] = layer
+        return self._layers[name]
+
+    def _wide(self, name: str) -> npt.NDArray[Any]:
+        """A stored layer with a margin as wide as the room that is measured."""
+        margin = self._room_radius
+        (row, col), (rows, cols) = self._low, self._shape
+        return self._layer(
+            f"wide {name}",
+            lambda: self._store.read(name, (row - margin, col - margin), (rows + 2 * margin, cols + 2 * margin)),
+        )
+
+    def _cells(self, name: str) -> npt.NDArray[Any]:
+        margin, (rows, cols) = self._room_radius, self._shape
+        return self._wide(name)[margin : margin + rows, margin : margin + cols]
+
+    def _flag(self, bits: int) -> BoolArray:
+        marked: BoolArray = (self._cells("flags") & bits) != 0
+        return marked
+
+    @property
+    def state(self) -> npt.NDArray[np.uint8]:
+        """uint8 values of `State`."""
+        return self._layer(
+            "state",
+            lambda: np.where(self.solid, State.SOLID, np.where(self.known, State.FREE, State.UNKNOWN)).astype(
+                np.uint8
+            ),
+        )
+
+    @property
+    def known(self) -> BoolArray:
+        """Explored, traversable or solid."""
+        return self._layer("known", lambda: self.solid | self._flag(flags.KNOWN))
+
+    @property
+    def solid(self) -> BoolArray:
+        """Something stands in the height band above the local seabed, target or not."""
+        return self._layer("solid", lambda: self._cells("log_odds") > 0)
+
+    @property
+    def target(self) -> BoolArray:
+        """More likely target than not."""
+        return self._layer("target", lambda: self.target_probability > 0.5)
+
+    @property
+    def target_probability(self) -> Float32Array:
+        """Probability that the cell is target given what was voted, float32; the prior where nothing was."""
+        return self._layer(
+            "target_probability", lambda: probability_of_votes(self.evidence)[self._cells("votes")]
+        )
+
+    @property
+    def explored(self) -> BoolArray:
+        """The paper's E_t. Never forgets."""
+        return self._layer("explored", lambda: self._flag(flags.EXPLORED))
+
+    @property
+    def seabed_seen(self) -> BoolArray:
+        """A return from below the height band, or a target, fell into the cell. Never forgets."""
+        return self._layer("seabed_seen", lambda: self._flag(flags.SEABED))
+
+    @property
+    def crossed(self) -> BoolArray:
+        """A ray at the vehicle's own height passed through. Never forgets."""
+        return self._layer("crossed", lambda: self._flag(flags.CROSSED))
+
+    @property
+    def traversable(self) -> BoolArray:
+        """Explored, crossed or launch ground, and not solid.
+
+        What was explored only by returns from above the band, a deck or an overhang, is left out: what stands
+        below was not seen.
+        """
+        return self._layer(
+            "traversable", lambda: self._flag(flags.BARE | flags.CROSSED | flags.LAUNCH) & ~self.solid
+        )
+
+    @property
+    def inflated(self) -> BoolArray:
+        """Solid, or so near that the body could touch it from somewhere in the cell."""
+        return self._layer("inflated", lambda: self._clearance(self._wide("log_odds") > 0) <= self.needed_room)
+
+    @property
+    def standable(self) -> BoolArray:
+        """Where the vehicle's centre may be.
+
+        Wherever inside such a cell it is, the whole disc of its body lies in bounds and on traversable
+        ground (half a cell's diagonal of margin makes it so).
+        """
+        return self._layer("standable", lambda: self.room > self.needed_room)
+
+    @property
+    def ground(self) -> Float32Array:
+        """World z of the seabed, float32 metres: a smooth surface through the seabed's points.
+
+        Where none were, it follows from those around; where none were within some ten metres, from the camera's
+        height less the protocol's altitude. NaN before the first frame.
+        """
+        return self._layer("ground", self._smooth_ground)
+
+    def _smooth_ground(self) -> npt.NDArray[Any]:
+        from dream.mapping._kernels import frame
+
+        bits = post_bits(self.protocol)
+        width, coarse = 1 << bits, 1 << LEVELS
+        first = [a // width for a in self._low]
+        sides = [-(-(a + n) // width) - f for a, n, f in zip(self._low, self._shape, first, strict=True)]
+        low = [(f // coarse - 2) * coarse for f in first]
+        shape = [
+            (-(-(f + n) // coarse) + 2) * coarse - a for f, n, a in zip(first, sides, low, strict=True)
+        ]
+        total, count = (self._posts(name, (low[0], low[1]), (shape[0], shape[1])) for name in POSTS)
+        row, col = first[0] - low[0], first[1] - low[1]
+        region = (row - 1, row + sides[0] + 1, col - 1, col + sides[1] + 1)
+        evidence = self.evidence
+        posts = frame.smooth_ground(
+            total, count, LEVELS, evidence.ground_share, evidence.ground_pixels, self._datum, region
+        )
+        y, x = (
+            (np.arange(a, a + n) + 0.5) / width - 0.5 - b
+            for a, n, b in zip(self._low, self._shape, low, strict=True)
+        )
+        i, j = np.floor(y).astype(np.intp), np.floor(x).astype(np.intp)
+        fy, fx = (y - i)[:, None], (x - j)[None, :]
+        west = posts[i][:, j] * (1.0 - fy) + posts[i + 1][:, j] * fy
+        east = posts[i][:, j + 1] * (1.0 - fy) + posts[i + 1][:, j + 1] * fy
+        return np.asarray(west + (east - west) * fx, np.float32)
+
+    def _posts(self, name: str, low: tuple[int, int], shape: tuple[int, int]) -> npt.NDArray[np.float64]:
+        return self._store.read(name, low, shape).astype(np.float64)
+
+    @property
+    def distance_to_solid(self) -> Float32Array:
+        """Metres between each cell's centre and the nearest solid cell's, float32; inf without one."""
+        return self._layer("distance_to_solid", self._distance_to_solid)
+
+    def _distance_to_solid(self) -> npt.NDArray[Any]:
+        from scipy import ndimage
+
+        if not self.solid.any():
+            return np.full(self.shape, np.inf, np.float32)
+        distance: npt.NDArray[Any] = ndimage.distance_transform_edt(~self.solid, self.protocol.cell)
+        return distance.astype(np.float32)
+
+    # ------------------------------------------------------------------------- where the vehicle may be
+
+    @property
+    def needed_room(self) -> int:
+        """`room` that a standable cell exceeds: body radius and half a cell's diagonal."""
+        return math.floor((2.0 * self.protocol.body_radius / self.protocol.cell + math.sqrt(2.0)) ** 2 - 1e-9)
+
+    @property
+    def _room_radius(self) -> int:
+        return (math.isqrt(self.needed_room) + 1) // 2
+
+    @property
+    def room(self) -> npt.NDArray[np.int32]:
+        """Squared distance, int32 in half cells, from each cell's centre to what is not traversable.
+
+        Measured to the nearest such cell's square, or to the outside. Beyond `needed_room` it is only known
+        to be larger.
+        """
+        return self._layer("room", self._measure_room)
+
+    def _measure_room(self) -> npt.NDArray[np.int32]:
+        # What lies outside the map's bounds was never written: it is not traversable either.
+        crossable = (self._wide("flags") & (flags.BARE | flags.CROSSED | flags.LAUNCH)) != 0
+        return self._clearance(~crossable | (self._wide("log_odds") > 0))
+
+    def _clearance(self, barrier: BoolArray) -> npt.NDArray[np.int32]:
+        from dream.mapping._kernels import room
+
+        radius, (rows, cols) = self._room_radius, self._shape
+        squared: npt.NDArray[np.int32] = room.clearance(barrier, radius)
+        return squared[radius : radius + rows, radius : radius + cols].copy()
+
+    def passable(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> BoolArray:
+        """Whether the vehicle may move straight from each start to its end.
+
+        Every sample along the segment, half a cell apart, must lie in a standable cell. From a start
+        that is not standable itself (a wall turned out to be nearer than thought), only a way out is
+        free: its room never shrinks, and its end has more of it.
+
+        Args:
+            starts: (N, 2) metres in the world.
+            ends: (N, 2) metres in the world.
+
+        Returns:
+            (N,) bool.
+        """
+        from dream.mapping._kernels import room
+
+        origin = np.array([self.bounds.x_min, self.bounds.y_min])
+        pairs = []
+        for name, points in (
+            ("starts", np.asarray(starts, np.float64)),
+            ("ends", np.asarray(ends, np.float64)),
+        ):
+            if points.ndim != 2 or points.shape[1] != 2:
+                raise ValueError(f"{name}: expected (N, 2) metres, got {points.shape}")
+            if not np.isfinite(points).all():
+                raise ValueError(f"{name}: expected finite positions, got NaN or infinity")
+            pairs.append((points - origin) / self.protocol.cell)
+        if len(pairs[0]) != len(pairs[1]):
+            raise ValueError(f"ends: expected {len(pairs[0])}, one for every start, got {len(pairs[1])}")
+        free: BoolArray = room.segments_are_free(self.room, self.needed_room, *pairs)
+        return free
+
+    def areas(self) -> dict[str, float]:
+        """Square metres explored, target, solid and of seabed really seen."""
+        square = self.protocol.cell**2
+        layers = ("explored", "target", "solid", "seabed_seen")
+        return {name: float(np.count_nonzero(getattr(self, name))) * square for name in layers}
