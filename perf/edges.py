@@ -10,6 +10,7 @@ one. What comes out must be the same to the cell. CPU time counts all threads of
 from __future__ import annotations
 
 import argparse
+import functools
 import math
 import os
 import platform
@@ -201,7 +202,8 @@ def measure(side: int, cell: float, frames: int, rounds: int) -> None:
     ours = with_ours(world, edges)
     print(
         f"\n{len(world.known)} x {len(world.known)} cells of {cell:g} m: "
-        f"{np.count_nonzero(ours.frontier)} frontier cells in {len(clusters)} clusters, inflation of room {world.needed_room}"
+        f"{np.count_nonzero(ours.frontier)} frontier cells in {len(clusters)} clusters, "
+        f"needed room {world.needed_room}"
     )
     print(f"{'':24} {'CPU ms p50':>11} {'p99':>9} {'ours':>9}")
     print(f"{'dream, a frame':24} {p50:>11.3f} {p99:>9.3f} {1.0:>8.1f}x")
@@ -214,7 +216,7 @@ def measure(side: int, cell: float, frames: int, rounds: int) -> None:
         try:
             times = []
             for _ in range(rounds):
-                spent, theirs = cpu_ms(lambda peer=peer: peer(world))
+                spent, theirs = cpu_ms(functools.partial(peer, world))
                 times.append(spent)
         except ImportError as error:
             missing.append(f"{name.split(',')[0]}: not installed ({error})")

@@ -116,7 +116,8 @@ class Edges:
             (self._faces, edges.S_FACES),
             (self._face_bits, edges.S_FACES),
         )
-        return sum(pool[0].nbytes * int(self._state[used]) for pool, used in pools) + 8 * len(self._store)
+        used: int = sum(pool[0].nbytes * int(self._state[count]) for pool, count in pools)
+        return used + 8 * len(self._store) + self._chart.nbytes
 
     def update(self, row: int, col: int, past_row: int, past_col: int) -> None:
         """Take in that cells became known or unknown, solid or not, all of them in a rectangle of cells."""

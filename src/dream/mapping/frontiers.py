@@ -32,7 +32,8 @@ class Frontier:
         Raises:
             RuntimeError: The map's frontier has changed since; ask for the frontiers again.
         """
-        return self._cluster.cells - np.array(self._low)
+        cells: IntArray = self._cluster.cells - np.array(self._low)
+        return cells
 
 
 def frontiers(occupancy: OccupancyMap) -> list[Frontier]:

@@ -63,9 +63,9 @@ class Evidence:
     scattered to this side of a surface; they are half a miss."""
     min_ground: int = 2
     """Pixels below the band that show a cell to be free."""
-    vote_pixels: int = 2
+    vote_pixels: int = 1
     """Pixels that give a cell a vote on whether it is target: one vote a frame."""
-    vote_share: float = 0.45
+    vote_share: float = 0.42
     """Share of a cell's pixels that must be target for a yes."""
     detection: float = 0.9
     """How often a target is voted one."""

@@ -32,9 +32,9 @@ from dream.protocol import SurveyProtocol
 from dream.types import Label
 
 FORMAT = "dream-map-2"
-PIXELS_ACROSS = 8
+PIXELS_ACROSS = 4
 """Pixels that are looked at along the side of a cell that faces the camera; what is nearer is thinned."""
-THINNINGS = 3
+THINNINGS = 2
 """How often rows and columns may be halved, at most."""
 NO_BOUNDS = 1 << 30
 """Cells: farther than any survey goes."""
@@ -305,12 +305,14 @@ class _Frame:
         self.half = reach + 1
         self.posts = self.side >> self.bits
         cells = self.side * self.side
-        self.sample_cell = np.empty(pixels, np.int32)
-        self.sample_z = np.empty(pixels, np.float32)
-        self.sample_label = np.empty(pixels, np.uint8)
+        self.samples = np.empty(pixels + 1, np.int32)
+        self.heights = np.empty(pixels + 1, np.float32)
+        post = np.arange(self.side) >> self.bits
+        self.post_of = (post[:, None] * self.posts + post[None, :]).astype(np.int32).ravel()
         self.farthest = np.empty(RAYS, np.float32)
         self.ground = np.empty(cells, np.float32)
-        self.counts = np.empty((cells, 8), np.uint16)
+        self.counts = np.empty(cells, np.uint64)
+        self.targets = np.empty(cells, np.int32)
         self.log_odds, self.before = np.empty(cells, np.int8), np.empty(cells, np.int8)
         self.flags, self.said, self.votes = (np.empty(cells, np.uint8) for _ in range(3))
         self.low = (0, 0)
@@ -382,13 +384,15 @@ class _Frame:
         under = (row - low[0]) >> self.bits, (col - low[1]) >> self.bits
         self.post_sum[under] += occupancy._datum
         self.post_count[under] += 1.0
-        prior = np.zeros(1, np.float32)
+        prior = np.zeros(1)
         if soft:
-            prior = smooth()[inside].astype(np.float32).ravel()
+            prior = smooth()[inside].ravel()
         thin = protocol.cell * min(camera.fx, camera.fy) / PIXELS_ACROSS
-        self.samples = frame.project(
+        cuts = np.array([thin / (2 << k) for k in range(THINNINGS)], np.float32)
+        unit = 0.001 if depth.dtype == np.uint16 else 1.0
+        self.count = frame.project(
             depth,
-            0.001 if depth.dtype == np.uint16 else 1.0,
+            unit,
             labels,
             255.0 if soft else 1,
             labels.dtype.type(-1.0) if soft else labels.dtype.type(Label.WATER),
@@ -402,25 +406,24 @@ class _Frame:
             ),
             protocol.cell,
             (protocol.min_depth, protocol.max_depth, protocol.reach),
-            np.array([thin / (2 << k) for k in range(THINNINGS)], np.float32),
+            cuts,
+            (np.append(cuts, protocol.min_depth) / unit).astype(depth.dtype),
             self.side,
             clip,
-            self.bits,
-            self.posts,
+            self.post_of,
             prior,
             protocol.band[0],
-            self.sample_cell,
-            self.sample_z,
-            self.sample_label,
+            self.samples,
+            self.heights,
             self.post_sum.ravel(),
             self.post_count.ravel(),
             self.farthest,
         )
         total[inside] += self.post_sum
         count[inside] += self.post_count
-        self.heights = smooth()
+        heights = smooth()
         frame.spread_ground(
-            self.heights[margin[0] - 1 : margin[0] + self.posts + 1, margin[1] - 1 : margin[1] + self.posts + 1],
+            heights[margin[0] - 1 : margin[0] + self.posts + 1, margin[1] - 1 : margin[1] + self.posts + 1],
             1,
             self.bits,
             self.side,
@@ -428,17 +431,17 @@ class _Frame:
         )
 
         # ---- what every cell shows
-        self.counts[:] = 0
+        self.counts[:], self.targets[:] = 0, 0
         lower, upper = protocol.band
         frame.count_returns(
+            self.count,
             self.samples,
-            self.sample_cell,
-            self.sample_z,
-            self.sample_label,
+            self.heights,
             self.ground,
-            (lower, lower + 0.25 * (upper - lower), upper),
+            tuple(np.float32(edge) for edge in (lower, lower + 0.25 * (upper - lower), upper)),
             _WEIGHT_SOFT if soft else _WEIGHT,
             self.counts,
+            self.targets,
         )
         frame.gather(store.pools["log_odds"], table, *offset, self.side, self.side, self.log_odds)
         frame.gather(store.pools["flags"], table, *offset, self.side, self.side, self.flags)
@@ -446,6 +449,7 @@ class _Frame:
         self.said[:], self.votes[:] = 0, 0
         frame.weigh(
             self.counts,
+            self.targets,
             self.side,
             (y - occupancy._origin[1]) / protocol.cell - low[0],
             (x - occupancy._origin[0]) / protocol.cell - low[1],
@@ -559,10 +563,10 @@ class _Frame:
 
 _KIND = np.ones(256, np.uint8)
 _KIND[Label.SEABED] = 0
-_WEIGHT = np.zeros(256, np.uint16)
+_WEIGHT = np.zeros(256, np.int32)
 _WEIGHT[Label.TARGET] = 16
 _KIND_SOFT = np.where(np.arange(256) < 128, 2, 1).astype(np.uint8)
-_WEIGHT_SOFT = np.rint(np.arange(256) / 255.0 * 16.0).astype(np.uint16)
+_WEIGHT_SOFT = np.rint(np.arange(256) / 255.0 * 16.0).astype(np.int32)
 
 
 def _kind(array: npt.NDArray[Any] | None) -> str:

@@ -1,8 +1,8 @@
 """Edges and clusters.
 
 A row of a block has 64 cells, one bit each of a word: frontier and inflation are a few shifts a row. The
-parts of the frontier in each block (components) form a graph over the blocks' borders; a cluster is what hangs
-together in it. See `update`.
+parts of the frontier in each block (components) form a graph over the blocks' borders; a cluster is what
+hangs together in it. See `update`.
 """
 
 # mypy: disable-error-code="no-untyped-def"

@@ -19,12 +19,19 @@ from dream.mapping._kernels.sight import RAY_MASK, SECTOR_SLACK, all_open, any_o
 BLOCK_BITS = 6
 BLOCK = 1 << BLOCK_BITS
 """Cells along a block."""
-CHUNK = 32
-"""Pixels of a row that are looked at together."""
-FIELDS = 8
-"""Columns of the counts, five of them used: pixels below the height band, in its lower part, in its upper part,
-above it, and the target's share of all of them in parts of `WEIGHT`. Eight make a cell half a cache line."""
+CHUNK = 512
+"""Pixels of a row that are looked at together, at most."""
+FIELD_BITS = 16
+"""A cell's counts are four fields of so many bits: pixels below the height band, in its lower part, in its upper part,
+and above it."""
+FIELD_MASK = (1 << FIELD_BITS) - 1
 WEIGHT = 16
+"""What a pixel that surely shows target adds to its cell's target count."""
+LABEL_BITS = 8
+"""A sample is its flat cell, shifted by so many bits, and its label."""
+LABEL_MASK = (1 << LABEL_BITS) - 1
+GROUND_STEP = 8
+"""Every so manieth sample is enough for the mean height of the seabed."""
 GROUND, THING, UNSURE = 0, 1, 2
 """What a pixel is by its label: seabed, anything else, or seabed if its height agrees."""
 
@@ -49,22 +56,21 @@ def project(
     size,
     limits,
     cuts,
+    raw_cuts,
     side,
     clip,
-    post_bits,
-    post_side,
+    post_of,
     prior,
     prior_room,
-    sample_cell,
-    sample_z,
-    sample_label,
+    samples,
+    heights,
     post_sum,
     post_count,
     farthest,
 ):
     """Window cell and world height of the pixels that count; seabed sums by post; farthest return by ray.
 
-    Nearer than `cuts[k]` only every 2ᵏ⁺¹-th row and column are taken: enough to fill a cell.
+    Of what lies between `cuts[k]` and `cuts[k - 1]` every 2ᵏ-th row and column is taken: enough to fill a cell.
 
     Args:
         depth: (H, W) of `unit` metres.
@@ -80,13 +86,14 @@ def project(
         size: Metres a cell.
         limits: (min_depth, max_depth, reach), metres.
         cuts: (levels,) float32 metres, falling.
+        raw_cuts: (levels + 1,) of depth's type: the cuts and `min_depth` in its unit, rounded down.
         side: Cells along the window.
         clip: (first row, past row, first col, past col) of the window that lie in bounds.
-        post_bits: A post is 2 to this many cells wide.
-        post_side: Posts along the window.
-        prior: (post_side²) float32, height of the seabed before this frame.
+        post_of: (side²) int32, the post of every cell.
+        prior: (post_side²) float64, height of the seabed before this frame.
         prior_room: Metres from there within which an unsure pixel is seabed.
-        sample_cell, sample_z, sample_label: (H W) int32, float32 and uint8, out.
+        samples: (H W + 1) int32, out: flat cell and label, see `LABEL_BITS`.
+        heights: (H W + 1) float32, out: world z.
         post_sum, post_count: (post_side²) float64, added to.
         farthest: (rays,) float32, out: metres over ground to the farthest return in that direction.
 
@@ -96,93 +103,170 @@ def project(
     fx, fy, cx, cy = intrinsics
     min_depth, max_depth, reach = limits
     height, width = depth.shape
-    levels = len(cuts)
-    f32 = np.float32
-    column_x, column_y, column_z = np.empty(width, f32), np.empty(width, f32), np.empty(width, f32)
-    far_x, far_y, far_square = np.zeros(width, f32), np.zeros(width, f32), np.zeros(width, f32)
-    for u in range(width):
-        a = (u + 0.5 - cx) / fx
-        column_x[u] = R[0, 0] * a
-        column_y[u] = R[1, 0] * a
-        column_z[u] = R[2, 0] * a
-    per_cell = f32(1.0 / size)
-    from_left, from_bottom = f32((t[0] - low[0]) / size), f32((t[1] - low[1]) / size)
+    f32, i32 = np.float32, np.int32
+    metres, scale = f32(unit), f32(label_scale)
+    frame = (f32((t[0] - low[0]) / size), f32((t[1] - low[1]) / size), f32(t[2]), f32(1.0 / size))
     square_reach = f32(reach * reach)
-    first_row, past_row = np.int32(clip[0]), np.int32(clip[1])
-    first_col, past_col = np.int32(clip[2]), np.int32(clip[3])
-    least, most, metres = f32(min_depth), f32(max_depth), f32(unit)
-    up, stride, zero = f32(t[2]), np.int32(side), f32(0.0)
-    bits, posts = np.int32(post_bits), np.int32(post_side)
-    cell = np.empty(CHUNK, np.int32)
-    post = np.empty(CHUNK, np.int32)
-    z_world = np.empty(CHUNK, f32)
-    count = 0
-    for v in range(height):
-        b = (v + 0.5 - cy) / fy
-        row_x = f32(R[0, 1] * b + R[0, 2])
-        row_y = f32(R[1, 1] * b + R[1, 2])
-        row_z = f32(R[2, 1] * b + R[2, 2])
-        row_level = 0
-        while row_level < levels and v & ((2 << row_level) - 1) == 0:
-            row_level += 1
-        row_cut = cuts[row_level] if row_level < levels else zero
-        for u0 in range(0, width, CHUNK):
-            n = min(CHUNK, width - u0)
-            useful = 0
-            for k in range(n):
-                z = f32(depth[v, u0 + k]) * metres
-                useful += (z > row_cut) & (z >= least) & (z <= most) & (labels[v, u0 + k] != water)
-            if useful == 0:
-                continue
-            for k in range(n):
-                u = u0 + k
-                z = f32(depth[v, u]) * metres
-                dx = z * (column_x[u] + row_x)
-                dy = z * (column_y[u] + row_y)
-                square = dx * dx + dy * dy
-                valid = (z > row_cut) & (z >= least) & (z <= most) & (labels[v, u] != water)
-                farther = valid & (square > far_square[u])
-                far_x[u] = dx if farther else far_x[u]
-                far_y[u] = dy if farther else far_y[u]
-                far_square[u] = square if farther else far_square[u]
-                near = valid & (square <= square_reach)
-                j = np.int32(from_left + dx * per_cell) if near else np.int32(0)
-                i = np.int32(from_bottom + dy * per_cell) if near else np.int32(0)
-                near = near & (i >= first_row) & (i < past_row) & (j >= first_col) & (j < past_col)
-                cell[k] = i * stride + j if near else np.int32(-1)
-                post[k] = (i >> bits) * posts + (j >> bits)
-                z_world[k] = up + z * (column_z[u] + row_z)
-            for k in range(n):
-                if cell[k] < 0:
-                    continue
-                u = u0 + k
-                if row_level > 0:
-                    level = 0
-                    while level < row_level and u & ((2 << level) - 1) == 0:
-                        level += 1
-                else:
-                    level = 0
-                if level < levels and f32(depth[v, u]) * metres <= cuts[level]:
-                    continue
-                label = np.uint8(labels[v, u] * label_scale)
-                kind = kind_of[label]
-                sample_cell[count] = cell[k]
-                sample_z[count] = z_world[k]
-                sample_label[count] = label
-                count += 1
-                if kind == GROUND or (kind == UNSURE and abs(z_world[k] - prior[post[k]]) <= prior_room):
-                    post_sum[post[k]] += z_world[k]
-                    post_count[post[k]] += 1.0
+    inside = (i32(clip[0]), i32(clip[1]), i32(clip[2]), i32(clip[3]))
+    stride = i32(side)
+    chunks = (width + CHUNK - 1) // CHUNK
+    columns = np.zeros((chunks, 3 * CHUNK), f32)
+    farther = np.empty((chunks, 3 * CHUNK), f32)
+    metric = np.zeros(4 * CHUNK, f32)
+    names = np.zeros(CHUNK, i32)
     per_radian = (RAY_MASK + 1) / (2.0 * math.pi)
-    farthest[:] = zero
-    for u in range(width):
-        if far_square[u] > 0.0:
-            ray = math.floor(math.atan2(far_y[u], far_x[u]) * per_radian)
-            distance = math.sqrt(far_square[u])
-            # A ray may run between two columns, or off to a side of where its column looked farthest.
-            for near_ray in range(ray - 5, ray + 6):
-                farthest[near_ray & RAY_MASK] = max(farthest[near_ray & RAY_MASK], distance)
+    farthest[:] = f32(0.0)
+    count = 0
+    for level in range(len(cuts) + 1):
+        step = 1 << level
+        across = 2 * step
+        nearest = f32(min_depth) if level == len(cuts) else max(cuts[level], f32(min_depth))
+        most = f32(max_depth) if level == 0 else min(cuts[level - 1], f32(max_depth))
+        n = (width + across - 1) // across
+        for k in range(n):
+            a = (k * across + 0.5 - cx) / fx
+            for axis in range(3):
+                columns[k // CHUNK, axis * CHUNK + k % CHUNK] = R[axis, 0] * a
+        farther[:] = f32(0.0)
+        for v in range(0, height, step):
+            if not any_beyond(depth[v], raw_cuts[level]):
+                continue
+            b = (v + 0.5 - cy) / fy
+            ray = (f32(R[0, 1] * b + R[0, 2]), f32(R[1, 1] * b + R[1, 2]), f32(R[2, 1] * b + R[2, 2]))
+            first = count
+            for begin in range(0, n, CHUNK):
+                size_of = min(CHUNK, n - begin)
+                skip = begin * across
+                valid = read_row(
+                    depth[v, skip:], labels[v, skip:], across, metres, scale, water, nearest, most, size_of, metric, names
+                )
+                if valid == 0:
+                    continue
+                of_chunk = begin // CHUNK
+                lay_out(metric, columns[of_chunk], size_of, ray)
+                reach_out(metric, farther[of_chunk], size_of)
+                past = count + size_of
+                if place(
+                    metric, names, samples[count:past], heights[count:past], size_of, frame, square_reach, inside, stride
+                ):
+                    count = past
+            sum_ground(first, count, samples, heights, kind_of, post_of, prior, prior_room, post_sum, post_count)
+        for k in range(n):
+            chunk, k_of = k // CHUNK, k % CHUNK
+            square = farther[chunk, 2 * CHUNK + k_of]
+            if square > 0.0:
+                bearing = math.atan2(farther[chunk, CHUNK + k_of], farther[chunk, k_of])
+                spread_far(math.floor(bearing * per_radian), math.sqrt(square), farthest)
     return count
+
+
+@njit(cache=True, nogil=True)
+def spread_far(ray, distance, farthest):
+    """A ray may run between two columns, or off to a side of where its column looked farthest."""
+    for near in range(ray - 5, ray + 6):
+        farthest[near & RAY_MASK] = max(farthest[near & RAY_MASK], distance)
+
+
+# The following loops have no branches and few arrays, so that they are vectorised: `metric` holds `CHUNK` each of
+# x and y over ground from the camera, world z and depth.
+
+
+@njit(cache=True, nogil=True)
+def any_beyond(row, least):
+    """Does some pixel of a row lie farther away, in the image's own unit?"""
+    found = np.int32(0)
+    for k in range(len(row)):
+        found += np.int32(row[k] > least)
+    return found > 0
+
+
+@njit(cache=True, nogil=True)
+def pick(z, label, water, nearest, most):
+    """The depth where it counts, else 0."""
+    return z if (z > nearest) & (z <= most) & (label != water) else np.float32(0.0)
+
+
+@njit(cache=True, nogil=True)
+def read_row(row, label_row, across, metres, scale, water, nearest, most, n, metric, names):
+    """Depths, 0 where they do not count, and labels of every second, fourth or eighth pixel of a row; how many count."""
+    # A step that is known when compiling is several times faster.
+    if across == 2:
+        for k in range(n):
+            z = np.float32(row[2 * k]) * metres
+            metric[3 * CHUNK + k] = pick(z, label_row[2 * k], water, nearest, most)
+            names[k] = np.int32(np.float32(label_row[2 * k]) * scale)
+    elif across == 4:
+        for k in range(n):
+            z = np.float32(row[4 * k]) * metres
+            metric[3 * CHUNK + k] = pick(z, label_row[4 * k], water, nearest, most)
+            names[k] = np.int32(np.float32(label_row[4 * k]) * scale)
+    else:
+        for k in range(n):
+            z = np.float32(row[8 * k]) * metres
+            metric[3 * CHUNK + k] = pick(z, label_row[8 * k], water, nearest, most)
+            names[k] = np.int32(np.float32(label_row[8 * k]) * scale)
+    found = np.int32(0)
+    for k in range(n):
+        found += np.int32(metric[3 * CHUNK + k] > np.float32(0.0))
+    return found
+
+
+@njit(cache=True, nogil=True)
+def lay_out(metric, columns, n, ray):
+    """Offsets from the camera in the world."""
+    ray_x, ray_y, ray_z = ray
+    for k in range(n):
+        z = metric[3 * CHUNK + k]
+        metric[k] = z * (columns[k] + ray_x)
+        metric[CHUNK + k] = z * (columns[CHUNK + k] + ray_y)
+        metric[2 * CHUNK + k] = z * (columns[2 * CHUNK + k] + ray_z)
+
+
+@njit(cache=True, nogil=True)
+def reach_out(metric, farther, n):
+    """Keep x, y and the squared distance of the farthest return of every column."""
+    for k in range(n):
+        x, y = metric[k], metric[CHUNK + k]
+        square = x * x + y * y
+        more = square > farther[2 * CHUNK + k]
+        farther[k] = x if more else farther[k]
+        farther[CHUNK + k] = y if more else farther[CHUNK + k]
+        farther[2 * CHUNK + k] = square if more else farther[2 * CHUNK + k]
+
+
+@njit(cache=True, nogil=True)
+def place(metric, names, samples, heights, n, frame, square_reach, inside, stride):
+    """Cells with their labels, −1 for none, and heights of a row; how many have a cell."""
+    left, bottom, up, per_cell = frame
+    first_row, past_row, first_col, past_col = inside
+    found = np.int32(0)
+    for k in range(n):
+        x, y = metric[k], metric[CHUNK + k]
+        near = (x * x + y * y <= square_reach) & (metric[3 * CHUNK + k] > np.float32(0.0))
+        j = np.int32(left + x * per_cell)
+        i = np.int32(bottom + y * per_cell)
+        near = near & (i >= first_row) & (i < past_row) & (j >= first_col) & (j < past_col)
+        packed = ((i * stride + j) << np.int32(LABEL_BITS)) | names[k]
+        samples[k] = packed if near else np.int32(-1)
+        found += np.int32(near)
+    for k in range(n):
+        heights[k] = up + metric[2 * CHUNK + k]
+    return found
+
+
+@njit(cache=True, nogil=True)
+def sum_ground(
+    first, past, samples, heights, kind_of, post_of, prior, prior_room, post_sum, post_count
+):
+    """Add some of the seabed's samples to their posts."""
+    for k in range(first, past, GROUND_STEP):
+        if samples[k] < 0:
+            continue
+        kind = kind_of[samples[k] & LABEL_MASK]
+        post = post_of[samples[k] >> LABEL_BITS]
+        if kind == GROUND or (kind == UNSURE and abs(heights[k] - prior[post]) <= prior_room):
+            post_sum[post] += heights[k]
+            post_count[post] += 1.0
 
 
 # ---------------------------------------------------------------------------------------------------
@@ -282,25 +366,37 @@ def spread_ground(posts, margin, post_bits, side, ground):
 
 
 @njit(cache=True, nogil=True)
-def count_returns(count, sample_cell, sample_z, sample_label, ground, band, weight_of, counts):
-    """Sort the samples of every cell by their height above the seabed; see `FIELDS`."""
+def count_returns(count, samples, heights, ground, band, weight_of, counts, targets):
+    """Sort the samples of every cell by their height above the seabed; see `FIELD_BITS`."""
     lower, middle, upper = np.float32(band[0]), np.float32(band[1]), np.float32(band[2])
     for k in range(count):
-        cell = sample_cell[k]
-        above = sample_z[k] - ground[cell]
-        field = (above >= lower) + (above > middle) + (above > upper)
-        counts[cell, field] += 1
-        counts[cell, 4] += weight_of[sample_label[k]]
+        sample = samples[k]
+        if sample < 0:
+            continue
+        cell = sample >> LABEL_BITS
+        above = heights[k] - ground[cell]
+        field = np.uint64(above >= lower) + np.uint64(above > middle) + np.uint64(above > upper)
+        counts[cell] += np.uint64(1) << (field * np.uint64(FIELD_BITS))
+        weight = weight_of[sample & LABEL_MASK]
+        if weight:
+            targets[cell] += weight
+
+
+@njit(cache=True, nogil=True)
+def field_of(packed, field):
+    """One of the four counts of a cell."""
+    return np.int64((packed >> np.uint64(FIELD_BITS * field)) & np.uint64(FIELD_MASK))
 
 
 @njit(cache=True, nogil=True)
 def weigh(
-    counts, side, camera_row, camera_col, steps, clamp, least, noise, size, log_odds, flags, bits, votes
+    counts, targets, side, camera_row, camera_col, steps, clamp, least, noise, size, log_odds, flags, bits, votes
 ):
     """One step of log-odds and one vote per cell that has returns.
 
     Args:
-        counts: (side², FIELDS).
+        counts: (side²) uint64, see `FIELD_BITS`.
+        targets: (side²) int32, in parts of `WEIGHT`.
         side: Cells along the window.
         camera_row, camera_col: The camera, in cells.
         steps: (hit or miss, miss where what is solid was not seen to reach down), log-odds units.
@@ -320,13 +416,14 @@ def weigh(
     for i in range(side):
         for j in range(side):
             c = i * side + j
-            below, band = counts[c, 0], np.int32(counts[c, 1]) + np.int32(counts[c, 2])
-            total = below + band + counts[c, 3]
-            if total == 0:
+            if counts[c] == 0:
                 continue
-            bits[c] = (BARE | SEABED if below > 0 else 0) | (SEABED if counts[c, 4] > 0 else 0)
+            below, low_band = field_of(counts[c], 0), field_of(counts[c], 1)
+            band = low_band + field_of(counts[c], 2)
+            total = below + band + field_of(counts[c], 3)
+            bits[c] = (BARE | SEABED if below > 0 else 0) | (SEABED if targets[c] > 0 else 0)
             if total >= vote_pixels:
-                votes[c] = 1 if counts[c, 4] >= vote_share * WEIGHT * total else 2
+                votes[c] = 1 if targets[c] >= vote_share * WEIGHT * total else 2
             if band >= hit_pixels and band >= hit_share * total:
                 up, right = i + 0.5 - camera_row, j + 0.5 - camera_col
                 away = math.hypot(up, right)
@@ -337,14 +434,14 @@ def weigh(
                     b = math.floor(j + 0.5 + k * right / away)
                     if 0 <= a < side and 0 <= b < side:
                         beyond = a * side + b
-                        peak = max(peak, np.int32(counts[beyond, 1]) + np.int32(counts[beyond, 2]))
+                        peak = max(peak, field_of(counts[beyond], 1) + field_of(counts[beyond], 2))
                 if band < peak_share * peak:
                     # What scatters to this side of a surface passed through here more often than it ended.
                     log_odds[c] = max(log_odds[c] - step // 2, low)
                     continue
                 sure = min(1.0, 0.5 / max(scatter, 1e-9))
                 log_odds[c] = min(log_odds[c] + max(round(step * sure), 1), high)
-                if counts[c, 1] > 0:
+                if low_band > 0:
                     bits[c] |= GROUNDED
             elif band < hit_pixels and below >= miss_pixels:
                 down = log_odds[c] <= 0 or flags[c] & GROUNDED
@@ -398,8 +495,7 @@ def cast_frame(
             if ran > 0.0 and t_distance[k] <= ran * per_metre + 1.0 and any_open(blocked, first, last):
                 if forward >= blind - SECTOR_SLACK:
                     bits[c] |= EXPLORED
-                    nothing = counts[c, 0] + counts[c, 1] + counts[c, 2] + counts[c, 3] == 0
-                    if nothing and all_open(blocked, first, last):
+                    if counts[c] == 0 and all_open(blocked, first, last):
                         log_odds[c] = max(log_odds[c] - miss, lowest)
                 if level and log_odds[c] <= 0:
                     bits[c] |= CROSSED
