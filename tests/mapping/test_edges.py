@@ -18,7 +18,7 @@ from dream.mapping._kernels.flags import (
     GROUNDED,
     INFLATED,
     KNOWN,
-    LAUNCH,
+    RETURNED,
     SEABED,
 )
 from dream.mapping.blocks import BlockStore
@@ -28,7 +28,7 @@ from dream.types import BoolArray
 CROSS = ndimage.generate_binary_structure(2, 1)
 LOW, SHAPE = (-200, -200), (400, 400)
 """Wider than what the tests write, with room for inflation."""
-REST = EXPLORED | BARE | SEABED | CROSSED | LAUNCH | GROUNDED
+REST = EXPLORED | BARE | SEABED | CROSSED | RETURNED | GROUNDED
 
 Bounds = tuple[int, int, int, int]
 BOUNDS: tuple[Bounds | None, ...] = (None, (-70, -130, 140, 200), (0, 0, 64, 128), (-64, -64, 1, 300))
@@ -99,7 +99,7 @@ def test_after_any_changes_all_is_as_from_scratch(
         share, crowd = rng.choice([0.0, 0.03, 0.4, 0.95, 1.0]), rng.choice([0.0, 0.0, 0.003, 0.1])
         known = np.kron(rng.random((1 + shape[0] // 4, 1 + shape[1] // 4)) < share, np.ones((4, 4), np.bool_))
         known = known[: shape[0], : shape[1]] ^ (rng.random(shape) < 0.01)
-        bit = int(rng.choice([EXPLORED, BARE, CROSSED, LAUNCH, REST]))
+        bit = int(rng.choice([EXPLORED, BARE, CROSSED, RETURNED, REST]))
         put(store, row, col, known, rng.random(shape) < crowd, bit)
         edges.update(row, col, row + shape[0], col + shape[1])
         check(store, edges, needed_room, bounds)

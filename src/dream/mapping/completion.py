@@ -70,7 +70,7 @@ def check_completion(occupancy: OccupancyMap, pose: SE2) -> Completion:
     """
     from dream.mapping._kernels import completion, edges
 
-    unexplored = ~occupancy.explored
+    unexplored = ~occupancy.observed
     labels, count = edges.label_within(
         occupancy.target, (occupancy.protocol.group_radius / occupancy.protocol.cell) ** 2
     )
@@ -139,12 +139,12 @@ def hiding_places(occupancy: OccupancyMap, pose: SE2, radius: float) -> BoolArra
         np.minimum(x - bounds.x_min, bounds.x_max - x), np.minimum(y - bounds.y_min, bounds.y_max - y)
     )
     places: BoolArray = inside >= radius
-    if occupancy.explored.any():
-        places &= ndimage.distance_transform_edt(~occupancy.explored, cell) > radius
+    if occupancy.observed.any():
+        places &= ndimage.distance_transform_edt(~occupancy.observed, cell) > radius
     if not places.any():
         return places
     in_a_disc = ndimage.distance_transform_edt(~places, cell) <= radius
-    seen = _seeable(occupancy, reachable(occupancy, pose), np.argwhere(in_a_disc & ~occupancy.explored))
+    seen = _seeable(occupancy, reachable(occupancy, pose), np.argwhere(in_a_disc & ~occupancy.observed))
     if not len(seen):
         return np.zeros(occupancy.shape, np.bool_)
     could_be_seen = np.zeros(occupancy.shape, np.bool_)

@@ -139,7 +139,7 @@ class _Sheet:
 
 def _paint(occupancy: OccupancyMap) -> npt.NDArray[np.uint8]:
     colors = np.full((*occupancy.shape, 3), UNKNOWN, np.uint8)
-    colors[occupancy.explored] = EXPLORED
+    colors[occupancy.observed] = EXPLORED
     colors[occupancy.target] = TARGET
     colors[occupancy.solid] = SOLID
     colors[occupancy.solid & occupancy.target] = SOLID_TARGET

@@ -81,7 +81,7 @@ class Edges:
 
         self._store = store
         self._needed_room = needed_room
-        self._limits = bounds
+        self.limits = bounds
         if bounds is None:
             self._bounds = (-EVERYWHERE, -EVERYWHERE, EVERYWHERE, EVERYWHERE)
         else:
@@ -240,7 +240,7 @@ class Edges:
 
     def copy(self, store: BlockStore) -> Edges:
         """Edges of their own for a copy of the store."""
-        other = Edges(BlockStore(store.layers), self._needed_room, self._limits)
+        other = Edges(BlockStore(store.layers), self._needed_room, self.limits)
         other._store = store
         other._components = self._components.copy()
         other._nodes = self._nodes.copy()

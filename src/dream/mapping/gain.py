@@ -28,7 +28,7 @@ def gain(
     headings: int | None = None,
 ) -> Float32Array:
     """Weight of the cells, not yet explored, that an observation would explore; see `visible_weight`."""
-    return _sweep(occupancy, positions, weights, headings, occupancy.explored)
+    return _sweep(occupancy, positions, weights, headings, occupancy.observed)
 
 
 def visible_weight(

@@ -150,6 +150,11 @@ class Layers:
         """(rows, cols)."""
         return self._shape
 
+    @property
+    def low(self) -> tuple[int, int]:
+        """Row and column in the map of this window's lower left cell."""
+        return self._low
+
     # ------------------------------------------------------------------------------ where cells are
 
     def cell_of(self, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[IntArray, IntArray]:
@@ -210,7 +215,7 @@ class Layers:
 
     @property
     def known(self) -> BoolArray:
-        """Explored, traversable or solid."""
+        """Explored, crossed or solid, or some return fell in."""
         return self._layer("known", lambda: self.solid | self._flag(flags.KNOWN))
 
     @property
@@ -236,30 +241,38 @@ class Layers:
         return self._layer("explored", lambda: self._flag(flags.EXPLORED))
 
     @property
+    def observed(self) -> BoolArray:
+        """Explored, or seen by a return of its own: nothing is left to look for.
+
+        A ray over a low boulder shows ground that the paper's flat rays do not explore.
+        """
+        return self._layer("observed", lambda: self._flag(flags.EXPLORED | flags.RETURNED))
+
+    @property
     def seabed_seen(self) -> BoolArray:
         """A return from below the height band, or a target, fell into the cell. Never forgets."""
         return self._layer("seabed_seen", lambda: self._flag(flags.SEABED))
 
     @property
     def crossed(self) -> BoolArray:
-        """A ray at the vehicle's own height passed through. Never forgets."""
+        """A ray at the vehicle's own height passed through, or the launch was there. Never forgets."""
         return self._layer("crossed", lambda: self._flag(flags.CROSSED))
 
     @property
     def traversable(self) -> BoolArray:
-        """Explored, crossed or launch ground, and not solid.
+        """Bare or crossed ground, and not solid.
 
-        What was explored only by returns from above the band, a deck or an overhang, is left out: what stands
-        below was not seen.
+        What only rays explored, or returns from above the band, a deck or an overhang, is left out: what stands
+        there was not seen.
         """
         return self._layer(
-            "traversable", lambda: self._flag(flags.BARE | flags.CROSSED | flags.LAUNCH) & ~self.solid
+            "traversable", lambda: self._flag(flags.BARE | flags.CROSSED) & ~self.solid
         )
 
     @property
     def inflated(self) -> BoolArray:
         """Solid, or so near that the body could touch it from somewhere in the cell."""
-        return self._layer("inflated", lambda: self._clearance(self._wide("log_odds") > 0) <= self.needed_room)
+        return self._layer("inflated", lambda: self._flag(flags.INFLATED))
 
     @property
     def standable(self) -> BoolArray:
@@ -345,7 +358,7 @@ class Layers:
 
     def _measure_room(self) -> npt.NDArray[np.int32]:
         # What lies outside the map's bounds was never written: it is not traversable either.
-        crossable = (self._wide("flags") & (flags.BARE | flags.CROSSED | flags.LAUNCH)) != 0
+        crossable = (self._wide("flags") & (flags.BARE | flags.CROSSED)) != 0
         return self._clearance(~crossable | (self._wide("log_odds") > 0))
 
     def _clearance(self, barrier: BoolArray) -> npt.NDArray[np.int32]:

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from dream.geometry import SE3, Bounds, Camera
 from dream.mapping._kernels import flags
 from dream.mapping.blocks import BlockStore
+from dream.mapping.edges import Edges
 from dream.mapping.layers import (
     BLOCK,
     CELLS,
@@ -29,13 +30,18 @@ from dream.mapping.layers import (
 )
 from dream.mapping.visibility import FRACTIONS, RAYS, ray_table
 from dream.protocol import SurveyProtocol
-from dream.types import Label
+from dream.types import BoolArray, IntArray, Label
 
 FORMAT = "dream-map-2"
 PIXELS_ACROSS = 4
 """Pixels that are looked at along the side of a cell that faces the camera; what is nearer is thinned."""
 THINNINGS = 2
 """How often rows and columns may be halved, at most."""
+Rectangle = tuple[int, int, int, int]
+"""First row and column, past row and column; cells of the store."""
+MOST_TABLES = 8
+MOST_PENDING = 8
+"""Changes that the edges may be behind."""
 NO_BOUNDS = 1 << 30
 """Cells: farther than any survey goes."""
 
@@ -90,6 +96,8 @@ class OccupancyMap(Layers):
         self._bounded = bounds is not None
         self._stamp = 0
         self._frame: _Frame | None = None
+        self._edges = Edges(store, self.needed_room, (0, 0, *self.shape) if self._bounded else None)
+        self._pending: list[Rectangle] = []
 
     # ------------------------------------------------------------------------------------ what goes in
 
@@ -106,14 +114,14 @@ class OccupancyMap(Layers):
             near &= (rows >= 0) & (rows < self.shape[0]) & (cols >= 0) & (cols < self.shape[1])
         low = (row - half, col - half)
         marked = self._store.read("flags", low, near.shape)
-        marked[near] |= flags.LAUNCH
+        marked[near] |= flags.CROSSED
         self._write("flags", low, marked)
 
     def _write(self, name: str, low: tuple[int, int], cells: npt.NDArray[Any]) -> None:
         self._stamp += 1
         for key in self._store.write(name, low, cells):
             self._store.stamps[self._store.slot_of[key]] = self._stamp
-        self._changed()
+        self._changed((*low, low[0] + cells.shape[0], low[1] + cells.shape[1]))
 
     def integrate(
         self,
@@ -144,21 +152,44 @@ class OccupancyMap(Layers):
         if self._frame is None or self._frame.pixels < depth.size:
             self._frame = _Frame(self.protocol, self.evidence, depth.size)
         self._frame.read(self, depth, labels, camera, T_world_camera)
-        self._frame.commit(self)
-        self._changed()
+        self._changed(self._frame.commit(self))
 
     def _global(self, x: float, y: float) -> tuple[int, int]:
         """Row and column in the store."""
         cell = self.protocol.cell
         return math.floor((y - self._origin[1]) / cell), math.floor((x - self._origin[0]) / cell)
 
-    def _changed(self) -> None:
+    def _changed(self, cells: Rectangle) -> None:
+        """Cells of the store in (first row, first col, past row, past col) became another."""
         self._layers = {}
+        self._pending.append(cells)
+        if len(self._pending) > MOST_PENDING:
+            self._renew_edges()
         if not self._bounded and len(self._store):
             keys = np.array(list(self._store.slot_of))
             (row, col), past = keys.min(axis=0) * BLOCK, (keys.max(axis=0) + 1) * BLOCK
             self._low, self._shape = (int(row), int(col)), (int(past[0] - row), int(past[1] - col))
             self.bounds = self._window(self._low, self._shape)
+
+    def _renew_edges(self) -> None:
+        for cells in self._pending:
+            self._edges.update(*cells)
+        self._pending = []
+
+    @property
+    def edges(self) -> Edges:
+        """Frontier and clusters, and the bits of inflation, up to date."""
+        if self._pending:
+            self._renew_edges()
+        return self._edges
+
+    @property
+    def inflated(self) -> BoolArray:
+        """See `Layers.inflated`."""
+        if self._pending:
+            self._renew_edges()
+            self._layers.pop("wide flags", None)
+        return super().inflated
 
     # ---------------------------------------------------------------------------------- what comes out
 
@@ -175,6 +206,7 @@ class OccupancyMap(Layers):
         )
         low = (low_row, low_col)
         window = self._window(low, (past_row - low_row, past_col - low_col))
+        self._renew_edges()
         layers = Layers(self._store, low, window, self.protocol, self.evidence, self._datum)
         for name in CELLS:  # read now, since the store goes on
             layers._wide(name)
@@ -215,8 +247,9 @@ class OccupancyMap(Layers):
         """A map of its own with the same content."""
         other = OccupancyMap(self.bounds if self._bounded else None, self.protocol, self.evidence)
         other._store = self._store.copy()
+        other._edges = self.edges.copy(other._store)
         other._stamp, other._datum = self._stamp, self._datum
-        other._changed()
+        other.bounds, other._low, other._shape = self.bounds, self._low, self._shape
         return other
 
     def save(self, path: str | Path) -> None:
@@ -229,6 +262,7 @@ class OccupancyMap(Layers):
             "stamp": self._stamp,
             "datum": self._datum if math.isfinite(self._datum) else None,
         }
+        self._renew_edges()
         store, used = self._store, 1 + len(self._store)
         keys = np.array(list(store.slot_of), np.int64).reshape(-1, 2)
         arrays = {name: store.pools[name][1:used] for name in (*CELLS, *POSTS)}
@@ -288,7 +322,8 @@ class OccupancyMap(Layers):
         for name in expected:
             store.pools[name][1 : 1 + len(keys)] = stored[name]
         store.stamps[1 : 1 + len(keys)] = stored["stamps"]
-        occupancy._changed()
+        occupancy._edges = Edges(store, occupancy.needed_room, occupancy._edges.limits)
+        occupancy._changed((0, 0, 0, 0))
         return occupancy
 
 
@@ -313,7 +348,8 @@ class _Frame:
         self.ground = np.empty(cells, np.float32)
         self.counts = np.empty(cells, np.uint64)
         self.targets = np.empty(cells, np.int32)
-        self.log_odds, self.before = np.empty(cells, np.int8), np.empty(cells, np.int8)
+        self.log_odds = np.empty(cells, np.int8)
+        self.tables: dict[tuple[int, ...], tuple[int, IntArray]] = {}
         self.flags, self.said, self.votes = (np.empty(cells, np.uint8) for _ in range(3))
         self.low = (0, 0)
         self.post_sum = np.empty((self.posts, self.posts))
@@ -347,7 +383,7 @@ class _Frame:
         offset = (low[0] % BLOCK, low[1] % BLOCK)
         blocks = [(o + self.side - 1) // BLOCK + 1 for o in offset]
         first = [a // BLOCK for a in low]
-        table = store.table(first, blocks)
+        table = self._table(store, first, blocks)
         occupancy._datum = float(t[2]) - protocol.altitude
         soft = np.issubdtype(labels.dtype, np.floating)
 
@@ -358,7 +394,16 @@ class _Frame:
         wide = [
             (-(-(a + self.posts) // coarse) + 2) * coarse - b for a, b in zip(post_low, wide_low, strict=True)
         ]
-        total, count = (store.read(name, wide_low, wide).astype(np.float64) for name in POSTS)
+        per_block = BLOCK >> self.bits
+        wide_first = [a // per_block for a in wide_low]
+        wide_offset = [a % per_block for a in wide_low]
+        wide_table = self._table(
+            store, wide_first, [(o + n - 1) // per_block + 1 for o, n in zip(wide_offset, wide, strict=True)]
+        )
+        total, count = np.empty(wide), np.empty(wide)
+        frame.gather_posts(
+            store.pools["ground_sum"], store.pools["ground_count"], wide_table, *wide_offset, total, count
+        )
         margin = [a - b for a, b in zip(post_low, wide_low, strict=True)]
         region = (
             margin[0] - 1,
@@ -421,10 +466,9 @@ class _Frame:
         )
         total[inside] += self.post_sum
         count[inside] += self.post_count
-        heights = smooth()
         frame.spread_ground(
-            heights[margin[0] - 1 : margin[0] + self.posts + 1, margin[1] - 1 : margin[1] + self.posts + 1],
-            1,
+            smooth(),
+            *margin,
             self.bits,
             self.side,
             self.ground,
@@ -443,9 +487,10 @@ class _Frame:
             self.counts,
             self.targets,
         )
-        frame.gather(store.pools["log_odds"], table, *offset, self.side, self.side, self.log_odds)
-        frame.gather(store.pools["flags"], table, *offset, self.side, self.side, self.flags)
-        self.before[:] = self.log_odds
+        frame.gather(
+            store.pools["log_odds"], store.pools["flags"], table, *offset, self.side, self.log_odds, self.flags
+        )
+        self.touched = np.zeros(blocks, np.bool_)
         self.said[:], self.votes[:] = 0, 0
         frame.weigh(
             self.counts,
@@ -469,11 +514,11 @@ class _Frame:
             self.flags,
             self.said,
             self.votes,
+            *offset,
+            self.touched,
         )
+        self.first, self.offset, self.blocks = first, offset, blocks
         self._cast(occupancy, camera, T_world_camera, clip)
-        touched = np.zeros(blocks, np.bool_)
-        frame.touched_blocks(*offset, self.side, self.said, self.votes, self.log_odds, self.before, touched)
-        self.touched, self.first, self.offset, self.blocks = touched, first, offset, blocks
 
     def _cast(
         self,
@@ -524,16 +569,28 @@ class _Frame:
             self.clamp[0],
             self.log_odds,
             self.said,
+            *self.offset,
+            self.touched,
         )
 
-    def commit(self, occupancy: OccupancyMap) -> tuple[int, int, int, int]:
+    def _table(self, store: BlockStore, low: list[int], shape: list[int]) -> IntArray:
+        """`BlockStore.table`; mostly it is the same as before."""
+        key = (*low, *shape)
+        known = self.tables.get(key)
+        if known is None or known[0] != len(store):
+            if len(self.tables) > MOST_TABLES:
+                self.tables = {}
+            known = self.tables[key] = (len(store), store.table(low, shape))
+        return known[1]
+
+    def commit(self, occupancy: OccupancyMap) -> Rectangle:
         from dream.mapping._kernels import frame
 
         store = occupancy._store
         occupancy._stamp += 1
         rows, cols = np.nonzero(self.touched)
         store.make((self.first[0] + int(row), self.first[1] + int(col)) for row, col in zip(rows, cols, strict=True))
-        table = store.table(self.first, self.blocks)
+        table = self._table(store, self.first, self.blocks)
         changed = frame.commit(
             store.pools["log_odds"],
             store.pools["flags"],
@@ -558,7 +615,9 @@ class _Frame:
             self.post_count,
             occupancy.evidence.ground_memory,
         )
-        return changed
+        first_row, past_row, first_col, past_col = changed
+        row, col = self.low
+        return row + first_row, col + first_col, row + past_row, col + past_col
 
 
 _KIND = np.ones(256, np.uint8)
@@ -586,6 +645,7 @@ def _check_frame(depth: npt.NDArray[Any], labels: npt.NDArray[Any], camera: Came
         return
     if not np.issubdtype(labels.dtype, np.integer):
         raise ValueError(f"labels: expected integers, values of Label, or probabilities, got {labels.dtype}")
-    if labels.size and (labels.min() < min(Label) or labels.max() > max(Label)):
+    unsigned = np.issubdtype(labels.dtype, np.unsignedinteger)
+    if labels.size and (labels.max() > max(Label) or (not unsigned and labels.min() < min(Label))):
         wrong = labels.max() if labels.max() > max(Label) else labels.min()
         raise ValueError(f"labels: expected values of Label, {min(Label):d} to {max(Label):d}, got {wrong}")

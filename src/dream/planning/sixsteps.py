@@ -82,9 +82,9 @@ class SixSteps:
         """
         radius = self.kernel * occupancy.protocol.group_radius
         targets = _blurred(occupancy.target, radius, occupancy)
-        explored = _blurred(occupancy.explored, radius, occupancy)
+        explored = _blurred(occupancy.observed, radius, occupancy)
         p = (targets + self.prior * self.prior_weight) / (explored + self.prior_weight)
-        return np.where(occupancy.explored, 0.0, np.clip(p, 0.0, 1.0)).astype(np.float32)
+        return np.where(occupancy.observed, 0.0, np.clip(p, 0.0, 1.0)).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,15 +184,15 @@ class _SixStepsPilot:
         evidence = self.planner.kernel * protocol.group_radius
         near_target = _within(occupancy.target, 2.0 * evidence / protocol.cell)
         # Where no target has been seen, only ground explored to the last cell is complete.
-        search = could_hide if completion.regions else ~occupancy.explored
-        surrounded = _blurred(occupancy.explored, 2.0 * evidence, occupancy)
+        search = could_hide if completion.regions else ~occupancy.observed
+        surrounded = _blurred(occupancy.observed, 2.0 * evidence, occupancy)
         worth = np.where(search, self.planner.prior * (1.0 + self.planner.closing * surrounded), 0.0)
         worth = np.where(near_target, np.maximum(expected, worth), worth).astype(np.float32)
         for region in completion.regions:
             rows, cols = region.open_cells.T
             factor = self.planner.focus if region is area else 1.0
             worth[rows, cols] = np.maximum(worth[rows, cols], self.planner.prior_weight) * factor
-        worth[occupancy.explored] = 0.0
+        worth[occupancy.observed] = 0.0
         return worth
 
     def _best_viewpoint(

@@ -7,9 +7,9 @@ BARE = 2
 SEABED = 4
 """A return from the seabed or a target fell in."""
 CROSSED = 8
-"""A ray at the vehicle's own height passed through."""
-LAUNCH = 16
-"""Known to be free from the start."""
+"""A ray at the vehicle's own height passed through, or the launch was there."""
+RETURNED = 16
+"""A return from any height fell in."""
 GROUNDED = 32
 """What is solid here was seen down to the lower edge of the height band."""
 FRONTIER = 64
@@ -17,5 +17,5 @@ FRONTIER = 64
 INFLATED = 128
 """Solid, or so near that the body could touch it."""
 
-KNOWN = EXPLORED | BARE | CROSSED | LAUNCH
+KNOWN = EXPLORED | BARE | CROSSED | RETURNED
 """Any of these, or solid, makes a cell known."""

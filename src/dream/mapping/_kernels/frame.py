@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
-from dream.mapping._kernels.flags import BARE, CROSSED, EXPLORED, GROUNDED, KNOWN, SEABED
+from dream.mapping._kernels.flags import BARE, CROSSED, EXPLORED, GROUNDED, KNOWN, RETURNED, SEABED
 from dream.mapping._kernels.sight import RAY_MASK, SECTOR_SLACK, all_open, any_open, block
 
 BLOCK_BITS = 6
@@ -292,72 +292,99 @@ def smooth_ground(total, count, levels, share, trust, datum, region):
         region: (first row, past row, first col, past col).
 
     Returns:
-        (rows, cols) float64, metres in the world; NaN outside the region.
+        (rows, cols) float64, metres in the world, only in the region.
     """
-    rows, cols = total.shape
-    sums = np.zeros((levels + 1, rows, cols))
-    counts = np.zeros((levels + 1, rows, cols))
-    means = np.full((levels + 1, rows, cols), np.nan)
-    sums[0], counts[0] = total, count
-    for level in range(1, levels + 1):
-        for i in range(rows >> (level - 1)):
-            for j in range(cols >> (level - 1)):
-                points = counts[level - 1, i, j]
-                if points > 0.0:
-                    weight = min(points, share)
-                    sums[level, i >> 1, j >> 1] += sums[level - 1, i, j] / points * weight
-                    counts[level, i >> 1, j >> 1] += weight
-    for level in range(levels, -1, -1):
+    sums, counts, below = total, count, [(total, count)]
+    for _ in range(levels):
+        sums, counts = pull(sums, counts, share)
+        below.append((sums, counts))
+    means = np.empty(sums.shape)
+    for i in range(means.shape[0]):
+        for j in range(means.shape[1]):
+            means[i, j] = sums[i, j] / counts[i, j] if counts[i, j] > 0.0 else datum
+    for level in range(levels - 1, -1, -1):
+        sums, counts = below[level]
         # A finer grid looks one post beyond what is asked of it.
-        first_row, past_row = max((region[0] >> level) - 2, 0), min((region[1] >> level) + 3, rows >> level)
-        first_col, past_col = max((region[2] >> level) - 2, 0), min((region[3] >> level) + 3, cols >> level)
-        if level == 0:
-            first_row, past_row, first_col, past_col = region
-        for i in range(first_row, past_row):
-            y = 0.5 * i - 0.25
-            i0 = max(int(math.floor(y)), 0)
-            i1 = min(i0 + 1, (rows >> (level + 1)) - 1)
-            fy = max(y - i0, 0.0)
-            for j in range(first_col, past_col):
-                points = counts[level, i, j]
-                if level == levels:
-                    means[level, i, j] = sums[level, i, j] / points if points > 0.0 else datum
-                    continue
-                x = 0.5 * j - 0.25
-                j0 = max(int(math.floor(x)), 0)
-                j1 = min(j0 + 1, (cols >> (level + 1)) - 1)
-                fx = max(x - j0, 0.0)
-                lower = means[level + 1, i0, j0] * (1.0 - fx) + means[level + 1, i0, j1] * fx
-                upper = means[level + 1, i1, j0] * (1.0 - fx) + means[level + 1, i1, j1] * fx
-                prior = lower * (1.0 - fy) + upper * fy
-                means[level, i, j] = (sums[level, i, j] + trust * prior) / (points + trust)
-    return means[0]
+        margin = 0 if level == 0 else 2
+        means = push(
+            sums,
+            counts,
+            means,
+            trust,
+            max((region[0] >> level) - margin, 0),
+            min((region[1] >> level) + margin + 1 if level else region[1], sums.shape[0]),
+            max((region[2] >> level) - margin, 0),
+            min((region[3] >> level) + margin + 1 if level else region[3], sums.shape[1]),
+        )
+    return means
 
 
 @njit(cache=True, nogil=True)
-def spread_ground(posts, margin, post_bits, side, ground):
+def pull(total, count, share):
+    """Sums and counts of 2 × 2 posts; no post weighs more than `share`."""
+    rows, cols = total.shape[0] // 2, total.shape[1] // 2
+    sums, counts = np.zeros((rows, cols)), np.zeros((rows, cols))
+    for i in range(2 * rows):
+        for j in range(2 * cols):
+            points = count[i, j]
+            if points > 0.0:
+                weight = min(points, share)
+                sums[i >> 1, j >> 1] += total[i, j] / points * weight
+                counts[i >> 1, j >> 1] += weight
+    return sums, counts
+
+
+@njit(cache=True, nogil=True)
+def push(total, count, coarse, trust, first_row, past_row, first_col, past_col):
+    """Means in a region, each drawn to the bilinear value of the coarser grid as by `trust` points."""
+    means = np.empty(total.shape)
+    rows, cols = coarse.shape
+    for i in range(first_row, past_row):
+        y = max(0.5 * i - 0.25, 0.0)
+        i0 = int(y)
+        i1 = min(i0 + 1, rows - 1)
+        fy = y - i0
+        for j in range(first_col, past_col):
+            x = max(0.5 * j - 0.25, 0.0)
+            j0 = int(x)
+            j1 = min(j0 + 1, cols - 1)
+            fx = x - j0
+            lower = coarse[i0, j0] * (1.0 - fx) + coarse[i0, j1] * fx
+            upper = coarse[i1, j0] * (1.0 - fx) + coarse[i1, j1] * fx
+            prior = lower * (1.0 - fy) + upper * fy
+            means[i, j] = (total[i, j] + trust * prior) / (count[i, j] + trust)
+    return means
+
+
+@njit(cache=True, nogil=True)
+def spread_ground(posts, low_row, low_col, post_bits, side, ground):
     """Height at every cell's centre of the window, bilinear between the posts' centres.
 
     Args:
-        posts: (P + 2 margin)² heights, the window's own from [margin, margin] on.
-        margin: Posts.
+        posts: Heights; the window's first is [low_row, low_col], and there is one more around.
+        low_row, low_col: See `posts`.
         post_bits: A post is 2 to this many cells wide.
         side: Cells along the window.
         ground: (side²) float32, out.
     """
     width = 1 << post_bits
+    count = (side >> post_bits) + 2
+    line = np.empty(count, np.float32)
+    share = ((np.arange(width) + 0.5) / width).astype(np.float32)
+    half = width >> 1
+    row = np.empty((count - 1) * width, np.float32)
     for i in range(side):
-        y = (i + 0.5) / width - 0.5 + margin
+        y = (i + 0.5) / width - 0.5 + low_row
         i0 = int(y)
         fy = y - i0
-        for p in range(-1, side // width):
-            a = posts[i0, margin + p] * (1.0 - fy) + posts[i0 + 1, margin + p] * fy
-            b = posts[i0, margin + p + 1] * (1.0 - fy) + posts[i0 + 1, margin + p + 1] * fy
-            begin = max(p * width + width // 2, 0)
-            end = min((p + 1) * width + width // 2, side)
-            for j in range(begin, end):
-                fx = (j + 0.5) / width - 0.5 - p
-                ground[i * side + j] = a + (b - a) * fx
+        for p in range(count):
+            line[p] = posts[i0, low_col - 1 + p] * (1.0 - fy) + posts[i0 + 1, low_col - 1 + p] * fy
+        for p in range(count - 1):
+            a, step = line[p], line[p + 1] - line[p]
+            for k in range(width):
+                row[p * width + k] = a + step * share[k]
+        # The first post's centre lies half a post before the window.
+        ground[i * side : (i + 1) * side] = row[width - half : width - half + side]
 
 
 # ---------------------------------------------------------------------------------------------------
@@ -390,7 +417,23 @@ def field_of(packed, field):
 
 @njit(cache=True, nogil=True)
 def weigh(
-    counts, targets, side, camera_row, camera_col, steps, clamp, least, noise, size, log_odds, flags, bits, votes
+    counts,
+    targets,
+    side,
+    camera_row,
+    camera_col,
+    steps,
+    clamp,
+    least,
+    noise,
+    size,
+    log_odds,
+    flags,
+    bits,
+    votes,
+    offset_row,
+    offset_col,
+    touched,
 ):
     """One step of log-odds and one vote per cell that has returns.
 
@@ -409,6 +452,8 @@ def weigh(
         flags: (side²) uint8 as they were.
         bits: (side²) uint8, out: flags to set.
         votes: (side²) uint8, out: 1 target, 2 another thing.
+        offset_row, offset_col: The window's low corner inside the first block.
+        touched: (block rows, block cols) bool, out: blocks of which the frame says something.
     """
     step, doubt = steps
     low, high = clamp
@@ -418,10 +463,11 @@ def weigh(
             c = i * side + j
             if counts[c] == 0:
                 continue
+            touched[(offset_row + i) >> BLOCK_BITS, (offset_col + j) >> BLOCK_BITS] = True
             below, low_band = field_of(counts[c], 0), field_of(counts[c], 1)
             band = low_band + field_of(counts[c], 2)
             total = below + band + field_of(counts[c], 3)
-            bits[c] = (BARE | SEABED if below > 0 else 0) | (SEABED if targets[c] > 0 else 0)
+            bits[c] = RETURNED | (BARE | SEABED if below > 0 else 0) | (SEABED if targets[c] > 0 else 0)
             if total >= vote_pixels:
                 votes[c] = 1 if targets[c] >= vote_share * WEIGHT * total else 2
             if band >= hit_pixels and band >= hit_share * total:
@@ -473,6 +519,9 @@ def cast_frame(
     lowest,
     log_odds,
     bits,
+    offset_row,
+    offset_col,
+    touched,
 ):
     """Cast one frame's rays: explore and cross what they reach, wear down what they pass without a return.
 
@@ -482,23 +531,28 @@ def cast_frame(
     first_row, past_row, first_col, past_col = clip
     blocked = np.zeros(RAY_MASK + 1, dtype=np.bool_)
     for k in range(len(t_rows)):
+        forward = t_x[k] * forward_x + t_y[k] * forward_y
+        inward = forward - t_distance[k] * cos_half
+        # The rays of the sector pass cells with their centre outside of it, but not by more than a diagonal.
+        if inward < -1.5:
+            continue
         i, j = row + t_rows[k], col + t_cols[k]
         if i < first_row or i >= past_row or j < first_col or j >= past_col:
             continue
         c = i * side + j
-        forward = t_x[k] * forward_x + t_y[k] * forward_y
-        in_sector = forward >= t_distance[k] * cos_half - SECTOR_SLACK
-        if in_sector:
+        if inward >= -SECTOR_SLACK:
             first, last = t_first[k], t_last[k]
-            ran = farthest[((first + last) // 2) & RAY_MASK]
+            ran = farthest[((first + last) >> 1) & RAY_MASK]
             # One more cell, since the farthest return lies anywhere in its own.
             if ran > 0.0 and t_distance[k] <= ran * per_metre + 1.0 and any_open(blocked, first, last):
                 if forward >= blind - SECTOR_SLACK:
                     bits[c] |= EXPLORED
+                    touched[(offset_row + i) >> BLOCK_BITS, (offset_col + j) >> BLOCK_BITS] = True
                     if counts[c] == 0 and all_open(blocked, first, last):
                         log_odds[c] = max(log_odds[c] - miss, lowest)
                 if level and log_odds[c] <= 0:
                     bits[c] |= CROSSED
+                    touched[(offset_row + i) >> BLOCK_BITS, (offset_col + j) >> BLOCK_BITS] = True
         if log_odds[c] > 0:
             block(blocked, t_first[k], t_last[k])
 
@@ -509,43 +563,46 @@ def cast_frame(
 
 
 @njit(cache=True, nogil=True)
-def gather(pool, table, offset_row, offset_col, rows, cols, window):
-    """Copy a window of cells out of its blocks.
+def gather(log_odds_pool, flags_pool, table, offset_row, offset_col, side, log_odds, flags):
+    """Copy two layers of the window out of their blocks.
 
     Args:
-        pool: (slots, n, n).
+        log_odds_pool, flags_pool: (slots, BLOCK, BLOCK).
         table: (block rows, block cols) slots.
         offset_row, offset_col: The window's low corner inside the first block.
-        rows, cols: Size of the window.
-        window: (rows * cols), out.
+        side: Cells along the window.
+        log_odds, flags: (side²), out.
     """
-    n = pool.shape[1]
-    for i in range(rows):
-        block_row, y = divmod(offset_row + i, n)
+    for i in range(side):
+        block_row, y = (offset_row + i) >> BLOCK_BITS, (offset_row + i) & (BLOCK - 1)
         j = 0
-        while j < cols:
-            block_col, x = divmod(offset_col + j, n)
-            width = min(n - x, cols - j)
-            source = pool[table[block_row, block_col], y]
-            for k in range(width):
-                window[i * cols + j + k] = source[x + k]
+        while j < side:
+            block_col, x = (offset_col + j) >> BLOCK_BITS, (offset_col + j) & (BLOCK - 1)
+            width = min(BLOCK - x, side - j)
+            slot, c = table[block_row, block_col], i * side + j
+            if slot:
+                log_odds[c : c + width] = log_odds_pool[slot, y, x : x + width]
+                flags[c : c + width] = flags_pool[slot, y, x : x + width]
+            else:
+                log_odds[c : c + width] = 0
+                flags[c : c + width] = 0
             j += width
 
 
 @njit(cache=True, nogil=True)
-def touched_blocks(offset_row, offset_col, side, bits, votes, log_odds, before, touched):
-    """Mark the blocks (block rows, block cols) in which the frame says something."""
-    for i in range(side):
-        block_row = (offset_row + i) >> BLOCK_BITS
+def gather_posts(sum_pool, count_pool, table, offset_row, offset_col, total, count):
+    """Copy a window of (rows, cols) posts out of their blocks, as float64."""
+    n = sum_pool.shape[1]
+    for i in range(total.shape[0]):
+        block_row, y = (offset_row + i) // n, (offset_row + i) % n
         j = 0
-        while j < side:
-            x = (offset_col + j) & (BLOCK - 1)
-            width = min(BLOCK - x, side - j)
-            said = np.uint8(0)
-            for c in range(i * side + j, i * side + j + width):
-                said |= bits[c] | votes[c] | np.uint8(log_odds[c] ^ before[c])
-            if said:
-                touched[block_row, (offset_col + j) >> BLOCK_BITS] = True
+        while j < total.shape[1]:
+            block_col, x = (offset_col + j) // n, (offset_col + j) % n
+            width = min(n - x, total.shape[1] - j)
+            slot = table[block_row, block_col]
+            for k in range(width):
+                total[i, j + k] = sum_pool[slot, y, x + k]
+                count[i, j + k] = count_pool[slot, y, x + k]
             j += width
 
 
@@ -579,38 +636,51 @@ def commit(
             block_col, x = (offset_col + j) >> BLOCK_BITS, (offset_col + j) & (BLOCK - 1)
             width = min(BLOCK - x, side - j)
             if touched[block_row, block_col]:
-                slot = table[block_row, block_col]
+                slot, c = table[block_row, block_col], i * side + j
                 stamps[slot] = stamp
-                c = i * side + j
-                odds, flags = log_odds_pool[slot, y], flags_pool[slot, y]
-                change = np.uint8(0)
-                for k in range(width):
-                    now, was = log_odds[c + k], odds[x + k]
-                    old = flags[x + k]
-                    new = (old | bits[c + k]) & (np.uint8(0xFF) if now > 0 else np.uint8(0xFF ^ GROUNDED))
-                    known = np.uint8((new & KNOWN) != 0) | np.uint8(now > 0)
-                    knew = np.uint8((old & KNOWN) != 0) | np.uint8(was > 0)
-                    change |= (known ^ knew) | (np.uint8(now > 0) ^ np.uint8(was > 0))
-                    odds[x + k] = now
-                    flags[x + k] = new
-                if change:
+                if renew(
+                    log_odds_pool[slot, y, x : x + width],
+                    flags_pool[slot, y, x : x + width],
+                    log_odds[c : c + width],
+                    bits[c : c + width],
+                ):
                     first_row, past_row = min(first_row, i), max(past_row, i + 1)
                     first_col, past_col = min(first_col, j), max(past_col, j + width)
-                cast_votes(votes, c, votes_pool[slot, y], x, width)
+                cast_votes(votes[c : c + width], votes_pool[slot, y, x : x + width])
             j += width
     return first_row, past_row, first_col, past_col
 
 
 @njit(cache=True, nogil=True)
-def cast_votes(votes, c, row, x, width):
+def renew(odds, flags, log_odds, bits):
+    """Write a row of cells; did one become solid or known, or cease to be?"""
+    change = np.uint8(0)
+    for k in range(len(odds)):
+        old = flags[k]
+        solid, was = log_odds[k] > 0, odds[k] > 0
+        new = (old | bits[k]) & (np.uint8(0xFF) if solid else np.uint8(0xFF ^ GROUNDED))
+        known, knew = solid | ((new & np.uint8(KNOWN)) != 0), was | ((old & np.uint8(KNOWN)) != 0)
+        change |= np.uint8(known ^ knew) | np.uint8(solid ^ was)
+        flags[k] = new
+        odds[k] = log_odds[k]
+    return change != 0
+
+
+@njit(cache=True, nogil=True)
+def cast_votes(votes, row):
     """Count votes: for the target in the high half of a byte, against it in the low one; both halved when full."""
-    for k in range(width):
-        vote = votes[c + k]
+    some = np.uint8(0)
+    for k in range(len(votes)):
+        some |= votes[k]
+    if some == 0:
+        return
+    for k in range(len(votes)):
+        vote = votes[k]
         if vote:
-            yes, no = row[x + k] >> 4, row[x + k] & 15
+            yes, no = row[k] >> 4, row[k] & 15
             if (vote == 1 and yes == 15) or (vote == 2 and no == 15):
                 yes, no = yes >> 1, no >> 1
-            row[x + k] = ((yes + (vote == 1)) << 4) | (no + (vote == 2))
+            row[k] = ((yes + (vote == 1)) << 4) | (no + (vote == 2))
 
 
 @njit(cache=True, nogil=True)
