@@ -10,6 +10,7 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import ndimage
 
 from dream.geometry import SE3, Bounds, Camera
 from dream.mapping import OccupancyMap
@@ -54,8 +55,11 @@ def test_bare_ground_is_explored_from_the_blind_distance_to_the_reach() -> None:
     distance = distance_from(occupancy, 0.0, 0.0)
     expected = ahead(occupancy, 0.0, 0.0) & (x >= DREAM_V1.blind) & (distance <= DREAM_V1.reach)
     assert occupancy.explored[expected].all()
-    # Beside the sector only what direct returns fell into, since the image widens on the ground.
-    assert not occupancy.explored[(distance > DREAM_V1.reach + 0.2) | (x < DREAM_V1.blind - 0.2)].any()
+    # The image widens on the ground beside the sector: that is seen, and not explored.
+    np.testing.assert_array_equal(occupancy.explored, expected)
+    assert (occupancy.seabed_seen & ~expected).any()
+    np.testing.assert_array_equal(occupancy.observed, occupancy.explored | occupancy.seabed_seen)
+    assert not occupancy.observed[(distance > DREAM_V1.reach + 0.2) | (x < DREAM_V1.blind - 0.2)].any()
     assert occupancy.solid.sum() == occupancy.target.sum() == 0
 
 
@@ -80,21 +84,19 @@ def test_cells_behind_a_wall_stay_unknown() -> None:
     assert not occupancy.solid[x < 3.9].any()
 
 
-def test_ground_really_seen_behind_a_low_boulder_is_explored_and_its_shadow_is_not() -> None:
+def test_ground_seen_behind_a_low_boulder_is_observed_and_not_explored_and_its_shadow_is_neither() -> None:
     # From eye height 2 m, the shadow of a far edge at 5 m ends at 10 m for 1 m of height, at 7.1 m for 0.6 m.
     high, low = empty_map(), empty_map()
     look(high, 0.0, 0.0, 0.0, Pillar(4.5, 0.0, 0.5, 1.0))
     look(low, 0.0, 0.0, 0.0, Pillar(4.5, 0.0, 0.5, 0.6))
-    row, cols = (
-        high.cell_of(0.1, np.array([5.6, 6.6, 7.5]))[1],
-        high.cell_of(np.array([5.6, 6.6, 7.5]), 0.1)[1],
-    )
+    cols = high.cell_of(np.array([5.6, 6.6, 7.5]), 0.1)[1]
     assert high.solid[high.cell_of(4.1, 0.1)]
     assert low.solid[low.cell_of(4.1, 0.1)]
     row = high.cell_of(0.0, 0.1)[0]
-    assert high.explored[row, cols].tolist() == [False, False, False]
-    assert low.explored[row, cols].tolist() == [False, False, True]
-    assert not low.crossed[row, cols].any()
+    assert high.observed[row, cols].tolist() == [False, False, False]
+    for seen in (low.observed, low.seabed_seen, low.known, low.traversable):
+        assert seen[row, cols].tolist() == [False, False, True]
+    assert not (low.explored | low.crossed)[row, cols].any()
 
 
 @given(seed=st.integers(0, 2**31))
@@ -102,17 +104,18 @@ def test_ground_really_seen_behind_a_low_boulder_is_explored_and_its_shadow_is_n
 def test_explored_only_grows(seed: int) -> None:
     rng = np.random.default_rng(seed)
     occupancy = empty_map()
-    before = occupancy.explored
+    before = {name: getattr(occupancy, name) for name in ("explored", "seabed_seen", "crossed")}
     for _ in range(4):
         x, y = rng.uniform(-9.0, 9.0, 2)
         pose = camera_at(x, y, rng.uniform(-4.0, 4.0))
         depth = rng.uniform(0.0, 25.0, (CAMERA.height, CAMERA.width)).astype(np.float32)
         labels = rng.integers(0, 4, depth.shape).astype(np.uint8)
         occupancy.integrate(depth, labels, CAMERA, pose)
-        assert not (before & ~occupancy.explored).any()
+        for name, was in before.items():
+            assert not (was & ~getattr(occupancy, name)).any()
+            before[name] = getattr(occupancy, name)
         assert not (occupancy.traversable & occupancy.solid).any()
         assert not (occupancy.standable & occupancy.inflated).any()
-        before = occupancy.explored
 
 
 def test_a_frame_without_returns_claims_nothing() -> None:
@@ -167,8 +170,12 @@ def test_a_target_disc_is_mapped_where_it_lies_and_is_not_solid() -> None:
     assert occupancy.target[distance < 0.8].all()
     assert not occupancy.target[distance > 1.2].any()
     assert not occupancy.solid.any()
-    assert (occupancy.target_probability[distance < 0.7] > 0.9).all()
-    assert (occupancy.target_probability[(distance > 1.4) & (distance < 2.0)] < 0.1).all()
+    assert (occupancy.target_probability[distance < 0.7] > 0.7).all(), "one vote"
+    assert (occupancy.target_probability[(distance > 1.4) & (distance < 2.0)] < 0.01).all()
+    prior = occupancy.evidence.target_prior
+    np.testing.assert_allclose(occupancy.target_probability[distance > 9.0], prior, rtol=1e-6)
+    look(occupancy, 0.0, 0.0, 0.0, Disc(4.0, 0.0, 1.0))
+    assert (occupancy.target_probability[distance < 0.7] > 0.99).all(), "two"
 
 
 def test_a_wreck_is_both_target_and_solid() -> None:
@@ -255,9 +262,10 @@ def test_a_sloping_seabed_is_ground_and_no_wall() -> None:
         pose = SE3.level(0.0, 0.0, SEABED + DREAM_V1.altitude, yaw) @ DREAM_V1.T_base_camera
         occupancy.integrate(*render(pose, slope=slope), CAMERA, pose)
     x, _ = occupancy.center_of(*np.indices(occupancy.shape))
-    seen = occupancy.seabed_seen
+    error = np.abs(occupancy.ground - (SEABED + slope * x))[occupancy.seabed_seen]
     assert not occupancy.solid.any()
-    assert np.abs(occupancy.ground - (SEABED + slope * x))[seen].max() < 0.07
+    assert error.max() < 0.2
+    assert np.median(error) < 0.01
 
 
 def test_heights_are_above_the_local_seabed() -> None:
@@ -309,8 +317,8 @@ def test_rotating_world_and_robot_by_a_quarter_turn_rotates_the_map() -> None:
     assert maps[0].target.sum() > 50
 
 
-def test_the_counts_are_those_of_the_paper_s_point_sets() -> None:
-    """Slow twin of the pixel kernels: back-projection and partition, point by point."""
+def test_solid_target_and_seabed_are_where_the_paper_s_point_sets_are() -> None:
+    """Back-projection and partition, point by point; test_frame.py has the twin of the thinned pixels."""
     occupancy = empty_map()
     pose = camera_at(0.5, -1.0, 0.4)
     depth, labels = render(pose, Pillar(5.0, 1.0, 0.8, 2.2), Disc(4.0, -1.0, 1.5))
@@ -331,12 +339,21 @@ def test_the_counts_are_those_of_the_paper_s_point_sets() -> None:
         return count
 
     total, band, target = pixels(points), pixels(sets.obstacle), pixels(sets.target)
-    e = occupancy.evidence
-    np.testing.assert_array_equal(occupancy.solid, (band >= e.min_pixels) & (band >= e.min_share * total))
-    np.testing.assert_array_equal(occupancy.target, (target >= 3) & (target > 0.5 * total))
-    assert occupancy.explored[total > 0].all()
-    ground_seen = np.isin(kinds, (Label.SEABED, Label.TARGET))
-    np.testing.assert_array_equal(occupancy.seabed_seen, pixels(points[ground_seen]) > 0)
+    # Near the camera one pixel in 32 is looked at, and few of many may all be left out.
+    enough = total >= 64
+    assert enough.sum() > 100
+    # Fewer than in a cell beside it may be taken for scatter.
+    most = ndimage.maximum_filter(band, 3)
+    solid = (band >= 64) & (band >= 0.3 * total) & (band >= 0.6 * most)
+    assert solid.sum() >= 4
+    assert occupancy.solid[solid].all()
+    assert not occupancy.solid[band < 2].any()
+    assert occupancy.target[enough & (target > 0.6 * total)].all()
+    assert not occupancy.target[target < 0.25 * total].any()
+    assert not occupancy.target[total == 0].any()
+    ground = points[(kinds == Label.SEABED) | (kinds == Label.TARGET)]
+    assert occupancy.seabed_seen[pixels(ground) >= 64].all()
+    assert not occupancy.seabed_seen[pixels(ground) == 0].any()
 
 
 # ------------------------------------------------------------------------------- where to move
@@ -496,8 +513,11 @@ GOOD_LABELS = np.ones((240, 320), np.uint8)
         ),
         (GOOD_DEPTH, GOOD_LABELS[:10], r"labels: expected \(240, 320\).*got \(10, 320\)"),
         (GOOD_DEPTH[..., None], GOOD_LABELS, r"depth: expected \(height, width\), got \(240, 320, 1\)"),
-        (GOOD_DEPTH.astype(np.uint16), GOOD_LABELS, "depth: expected floating-point metres, got uint16"),
-        (GOOD_DEPTH, GOOD_LABELS.astype(float), "labels: expected integers, values of Label, got float64"),
+        (GOOD_DEPTH.astype(np.int16), GOOD_LABELS, "depth: expected floating-point .* or uint16 .*, got int16"),
+        (GOOD_DEPTH, GOOD_LABELS > 0, "labels: expected integers, .*, or probabilities, got bool"),
+        (GOOD_DEPTH, GOOD_LABELS * 1.5, r"labels: expected probabilities in \[0, 1\], got others"),
+        (GOOD_DEPTH, GOOD_LABELS * -0.1, r"labels: expected probabilities in \[0, 1\], got others"),
+        (GOOD_DEPTH, GOOD_LABELS * np.nan, r"labels: expected probabilities in \[0, 1\], got others"),
         (GOOD_DEPTH, GOOD_LABELS + 6, "labels: expected values of Label, 0 to 3, got 7"),
     ],
 )
@@ -505,7 +525,7 @@ def test_images_that_do_not_fit_are_refused(depth: Any, labels: Any, message: st
     occupancy = empty_map()
     with pytest.raises(ValueError, match=message):
         occupancy.integrate(depth, labels, CAMERA, camera_at(0.0, 0.0, 0.0))
-    assert not occupancy.explored.any()
+    assert not occupancy.known.any()
 
 
 def test_a_pose_that_is_not_a_number_is_refused() -> None:
@@ -530,7 +550,9 @@ def test_any_image_size_and_a_camera_that_looks_straight_down_will_do() -> None:
     camera = Camera.from_fov(1, 1, math.radians(60.0))
     down = SE3(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.1, 0.1, -8.0]))
     occupancy.integrate(np.full((1, 1), 2.0), np.ones((1, 1), np.uint8), camera, down)
-    assert np.argwhere(occupancy.explored).tolist() == [[48, 48]]
+    for layer in (occupancy.seabed_seen, occupancy.known, occupancy.traversable):
+        assert np.argwhere(layer).tolist() == [[48, 48]]
+    assert not occupancy.explored.any(), "there is no sector"
 
 
 def test_a_camera_far_from_the_map_changes_nothing() -> None:
@@ -567,36 +589,6 @@ def test_a_map_comes_back_from_its_file_as_it_was_and_goes_on_alike(tmp_path: An
             look(occupancy, 1.0, 1.0, 2.0)
         for name in (*LAYERS, "target_probability", "ground", "distance_to_solid"):
             np.testing.assert_array_equal(getattr(back, name), getattr(occupancy, name))
-
-
-@pytest.mark.parametrize(
-    "damage", ["truncated", "empty", "text", "array", "other arrays", "wrong shape", "not finite", "missing"]
-)
-def test_a_damaged_file_is_refused(tmp_path: Any, damage: str) -> None:
-    path = tmp_path / "map.npz"
-    occupancy = empty_map()
-    occupancy.save(path)
-    content = dict(np.load(path))
-    if damage == "truncated":
-        path.write_bytes(path.read_bytes()[:-200])
-    elif damage == "empty":
-        path.write_bytes(b"")
-    elif damage == "text":
-        path.write_text("a map")
-    elif damage == "array":
-        with path.open("wb") as file:
-            np.save(file, np.zeros(3))
-    elif damage == "other arrays":
-        np.savez(path, x=np.zeros(3))
-    elif damage == "wrong shape":
-        np.savez(path, **(content | {"explored": np.zeros((3, 3), np.bool_)}))
-    elif damage == "not finite":
-        np.savez(path, **(content | {"log_odds": np.full((96, 96), np.nan, np.float32)}))
-    else:
-        del content["hits"]
-        np.savez(path, **content)
-    with pytest.raises(ValueError, match=r"map\.npz: .*expected .*got"):
-        OccupancyMap.load(path)
 
 
 def test_a_file_that_is_not_there_is_said_to_be_missing(tmp_path: Any) -> None:

@@ -38,6 +38,7 @@ class BlockStore:
         """Slot of every block made."""
         self.pools = {name: np.zeros((2, *shape), dtype) for name, (dtype, shape) in self.layers.items()}
         """Replaced when they grow: take them anew after `make`."""
+        self._extent: tuple[Key, Key] | None = None
         self.stamps: Int64Array = np.zeros(2, np.int64)
         """(slots,) when each block was last written; kept by the map."""
 
@@ -62,6 +63,22 @@ class BlockStore:
             self.stamps = _grown(self.stamps, capacity, 1 + len(self))
         for key in new:
             self.slot_of[key] = len(self.slot_of) + 1
+            low, past = self._extent or (key, key)
+            self._extent = (
+                tuple(map(min, low, key)),
+                tuple(max(a, b + 1) for a, b in zip(past, key, strict=True)),
+            )
+
+    @property
+    def extent(self) -> tuple[Key, Key]:
+        """First block along each axis, and the one past the last.
+
+        Raises:
+            ValueError: There is no block.
+        """
+        if self._extent is None:
+            raise ValueError("extent: expected some block, got an empty store")
+        return self._extent
 
     def table(self, low: Sequence[int], shape: Sequence[int]) -> IntArray:
         """Slots of a box of blocks, of the given shape; 0 where there is none."""
@@ -89,7 +106,9 @@ class BlockStore:
         wanted = int(np.prod([b - a for a, b in zip(first, past, strict=True)]))
         keys: Iterable[Key] = itertools.product(*(range(a, b) for a, b in zip(first, past, strict=True)))
         if wanted > len(self):
-            keys = (k for k in self.slot_of if all(a <= i < b for a, i, b in zip(first, k, past, strict=True)))
+            keys = (
+                k for k in self.slot_of if all(a <= i < b for a, i, b in zip(first, k, past, strict=True))
+            )
         pool = self.pools[layer]
         for key in keys:
             slot = self.slot_of.get(key, 0)
@@ -110,7 +129,9 @@ class BlockStore:
             The blocks that were written.
         """
         dtype, side = self.layers[layer]
-        ranges = [range(a // n, -(-(a + count) // n)) for a, count, n in zip(low, cells.shape, side, strict=True)]
+        ranges = [
+            range(a // n, -(-(a + count) // n)) for a, count, n in zip(low, cells.shape, side, strict=True)
+        ]
         written = []
         for key in itertools.product(*ranges):
             to, of = [], []
@@ -129,7 +150,7 @@ class BlockStore:
     def copy(self) -> BlockStore:
         """A store of its own with the same content."""
         other = BlockStore(self.layers)
-        other.slot_of = dict(self.slot_of)
+        other.slot_of, other._extent = dict(self.slot_of), self._extent
         used = 1 + len(self)
         other.pools = {name: _grown(pool, max(used, 2), used) for name, pool in self.pools.items()}
         other.stamps = _grown(self.stamps, max(used, 2), used)

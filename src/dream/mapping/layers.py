@@ -85,7 +85,9 @@ class Evidence:
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ValueError(f"{name}: expected a share between 0 and 1, got {getattr(self, name)}")
         if not self.clamp[0] < 0.0 < self.clamp[1] or max(map(abs, self.clamp)) > 127 * QUANTUM:
-            raise ValueError(f"clamp: expected limits on both sides of 0 within ±{127 * QUANTUM}, got {self.clamp}")
+            raise ValueError(
+                f"clamp: expected limits on both sides of 0 within ±{127 * QUANTUM}, got {self.clamp}"
+            )
         for name in ("step", "doubt"):
             if not 0.0 <= getattr(self, name) <= 127 * QUANTUM:
                 raise ValueError(f"{name}: expected 0 to {127 * QUANTUM}, got {getattr(self, name)}")
@@ -192,7 +194,9 @@ class Layers:
         (row, col), (rows, cols) = self._low, self._shape
         return self._layer(
             f"wide {name}",
-            lambda: self._store.read(name, (row - margin, col - margin), (rows + 2 * margin, cols + 2 * margin)),
+            lambda: self._store.read(
+                name, (row - margin, col - margin), (rows + 2 * margin, cols + 2 * margin)
+            ),
         )
 
     def _cells(self, name: str) -> npt.NDArray[Any]:
@@ -265,9 +269,7 @@ class Layers:
         What only rays explored, or returns from above the band, a deck or an overhang, is left out: what stands
         there was not seen.
         """
-        return self._layer(
-            "traversable", lambda: self._flag(flags.BARE | flags.CROSSED) & ~self.solid
-        )
+        return self._layer("traversable", lambda: self._flag(flags.BARE | flags.CROSSED) & ~self.solid)
 
     @property
     def inflated(self) -> BoolArray:
@@ -293,21 +295,19 @@ class Layers:
         return self._layer("ground", self._smooth_ground)
 
     def _smooth_ground(self) -> npt.NDArray[Any]:
-        from dream.mapping._kernels import frame
+        from dream.mapping._kernels import evidence as kernels
 
         bits = post_bits(self.protocol)
         width, coarse = 1 << bits, 1 << LEVELS
         first = [a // width for a in self._low]
         sides = [-(-(a + n) // width) - f for a, n, f in zip(self._low, self._shape, first, strict=True)]
         low = [(f // coarse - 2) * coarse for f in first]
-        shape = [
-            (-(-(f + n) // coarse) + 2) * coarse - a for f, n, a in zip(first, sides, low, strict=True)
-        ]
+        shape = [(-(-(f + n) // coarse) + 2) * coarse - a for f, n, a in zip(first, sides, low, strict=True)]
         total, count = (self._posts(name, (low[0], low[1]), (shape[0], shape[1])) for name in POSTS)
         row, col = first[0] - low[0], first[1] - low[1]
         region = (row - 1, row + sides[0] + 1, col - 1, col + sides[1] + 1)
         evidence = self.evidence
-        posts = frame.smooth_ground(
+        posts = kernels.smooth_ground(
             total, count, LEVELS, evidence.ground_share, evidence.ground_pixels, self._datum, region
         )
         y, x = (

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import json
 import math
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
@@ -18,28 +18,42 @@ from dream.geometry import SE3, Bounds, Camera
 from dream.mapping._kernels import flags
 from dream.mapping.blocks import BlockStore
 from dream.mapping.edges import Edges
+from dream.mapping.frame import FrameWindow
 from dream.mapping.layers import (
     BLOCK,
     CELLS,
-    LEVELS,
     POSTS,
-    QUANTUM,
     Evidence,
     Layers,
     post_bits,
 )
-from dream.mapping.visibility import FRACTIONS, RAYS, ray_table
 from dream.protocol import SurveyProtocol
-from dream.types import BoolArray, IntArray, Label
+from dream.types import BoolArray, Label
 
 FORMAT = "dream-map-2"
-PIXELS_ACROSS = 4
-"""Pixels that are looked at along the side of a cell that faces the camera; what is nearer is thinned."""
-THINNINGS = 2
-"""How often rows and columns may be halved, at most."""
 Rectangle = tuple[int, int, int, int]
 """First row and column, past row and column; cells of the store."""
-MOST_TABLES = 8
+MOST_PIXELS = 1 << 20
+"""Of larger images every n-th row and column is taken, so that no cell's counts overflow."""
+MOST_CELLS = 1400
+"""That the reach may be long."""
+LARGEST_EXPANSION = 2000
+"""How many times larger than its file an array may be; zeros pack well."""
+DAMAGED = (
+    zipfile.BadZipFile,
+    zlib.error,
+    tokenize.TokenError,
+    EOFError,
+    KeyError,
+    MemoryError,
+    OSError,
+    RuntimeError,
+    SyntaxError,
+    TypeError,
+    ValueError,
+    ArithmeticError,
+)
+"""What reading a damaged file may raise."""
 MOST_PENDING = 8
 """Changes that the edges may be behind."""
 NO_BOUNDS = 1 << 30
@@ -72,6 +86,10 @@ class OccupancyMap(Layers):
             protocol: Cell size, reach, height band, depth limits and body.
             evidence: How frames are weighed.
         """
+        if protocol.reach / protocol.cell > MOST_CELLS:
+            raise ValueError(
+                f"reach: expected at most {MOST_CELLS} cells, got {protocol.reach} m of {protocol.cell} m cells"
+            )
         bits = post_bits(protocol)
         posts = (BLOCK >> bits, BLOCK >> bits)
         store = BlockStore(
@@ -95,7 +113,7 @@ class OccupancyMap(Layers):
         self._origin = (area.x_min, area.y_min)
         self._bounded = bounds is not None
         self._stamp = 0
-        self._frame: _Frame | None = None
+        self._frame: FrameWindow | None = None
         self._edges = Edges(store, self.needed_room, (0, 0, *self.shape) if self._bounded else None)
         self._pending: list[Rectangle] = []
 
@@ -132,9 +150,10 @@ class OccupancyMap(Layers):
     ) -> None:
         """Add one frame. The inputs are not changed.
 
-        A direct return explores its cell. Beside that, rays explore the camera's sector from the blind distance to
-        the protocol's reach (Eq. 7-8), as far as they are unblocked and as some return in their direction shows
-        that they ran; a direction without any return claims nothing.
+        Rays explore the camera's sector from the blind distance to the protocol's reach (Eq. 7-8), as far as
+        they are unblocked and as some return in their direction shows that they ran; a direction without any
+        return claims nothing. A cell with a return of its own, which a ray over a low boulder may give, is
+        observed, but not explored.
 
         Args:
             depth: (H, W) along the optical axis: float metres, NaN for no return, or uint16 millimetres, 0 for no
@@ -149,10 +168,18 @@ class OccupancyMap(Layers):
         """
         depth, labels = np.asarray(depth), np.asarray(labels)
         _check_frame(depth, labels, camera)
+        depth, labels, camera = _thinned(depth, labels, camera)
         if self._frame is None or self._frame.pixels < depth.size:
-            self._frame = _Frame(self.protocol, self.evidence, depth.size)
-        self._frame.read(self, depth, labels, camera, T_world_camera)
-        self._changed(self._frame.commit(self))
+            self._frame = FrameWindow(self.protocol, self.evidence, depth.size)
+        if self._bounded:
+            limits = (0, 0, *self._shape)
+        else:
+            limits = (-NO_BOUNDS, -NO_BOUNDS, NO_BOUNDS, NO_BOUNDS)
+        window, origin = self._frame, self._origin
+        window.read(self._store, origin, limits, depth, labels, camera, T_world_camera)
+        self._datum = window.datum
+        self._stamp += 1
+        self._changed(window.commit(self._store, self._stamp))
 
     def _global(self, x: float, y: float) -> tuple[int, int]:
         """Row and column in the store."""
@@ -165,16 +192,20 @@ class OccupancyMap(Layers):
         self._pending.append(cells)
         if len(self._pending) > MOST_PENDING:
             self._renew_edges()
+        self._measure_extent()
+
+    def _measure_extent(self) -> None:
         if not self._bounded and len(self._store):
-            keys = np.array(list(self._store.slot_of))
-            (row, col), past = keys.min(axis=0) * BLOCK, (keys.max(axis=0) + 1) * BLOCK
-            self._low, self._shape = (int(row), int(col)), (int(past[0] - row), int(past[1] - col))
+            low, past = self._store.extent
+            self._low = (low[0] * BLOCK, low[1] * BLOCK)
+            self._shape = ((past[0] - low[0]) * BLOCK, (past[1] - low[1]) * BLOCK)
             self.bounds = self._window(self._low, self._shape)
 
     def _renew_edges(self) -> None:
         for cells in self._pending:
             self._edges.update(*cells)
         self._pending = []
+        self._measure_extent()  # Inflation may have made blocks.
 
     @property
     def edges(self) -> Edges:
@@ -246,8 +277,9 @@ class OccupancyMap(Layers):
     def copy(self) -> OccupancyMap:
         """A map of its own with the same content."""
         other = OccupancyMap(self.bounds if self._bounded else None, self.protocol, self.evidence)
+        edges = self.edges
         other._store = self._store.copy()
-        other._edges = self.edges.copy(other._store)
+        other._edges = edges.copy(other._store)
         other._stamp, other._datum = self._stamp, self._datum
         other.bounds, other._low, other._shape = self.bounds, self._low, self._shape
         return other
@@ -280,18 +312,10 @@ class OccupancyMap(Layers):
             ValueError: It is damaged, or no map; the message says what was expected and what was found.
         """
         try:
-            with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as content:
-                stored = {name: content[name] for name in content.files}
+            stored = _read_arrays(Path(path))
             about = json.loads(str(stored.pop("about")))
-        except (zipfile.BadZipFile, zlib.error, EOFError, KeyError, OSError, TypeError, ValueError) as error:
-            if isinstance(error, FileNotFoundError):
-                raise
-            raise ValueError(
-                f"{path}: expected a map written by save, got a damaged or foreign file ({error})"
-            ) from error
-        if not isinstance(about, dict) or about.get("format") != FORMAT:
-            raise ValueError(f'{path}: expected format "{FORMAT}", got {about!r:.80}')
-        try:
+            if not isinstance(about, dict) or about.get("format") != FORMAT:
+                raise ValueError(f'expected format "{FORMAT}", got {about!r:.80}')
             protocol = about["protocol"]
             protocol["camera"] = Camera(**protocol["camera"])
             for name in ("band", "turns", "advances"):
@@ -301,9 +325,11 @@ class OccupancyMap(Layers):
             occupancy = OccupancyMap(bounds, SurveyProtocol(**protocol), Evidence(**about["evidence"]))
             occupancy._stamp = int(about["stamp"])
             occupancy._datum = math.nan if about["datum"] is None else float(about["datum"])
-        except (KeyError, TypeError) as error:
+        except FileNotFoundError:
+            raise
+        except DAMAGED as error:
             raise ValueError(
-                f"{path}: expected bounds, protocol and evidence, got something else ({error})"
+                f"{path}: expected a map written by save, got a damaged or foreign file ({error})"
             ) from error
         keys = stored.get("blocks")
         if keys is None or keys.dtype != np.int64 or keys.ndim != 2 or keys.shape[1] != 2:
@@ -327,305 +353,38 @@ class OccupancyMap(Layers):
         return occupancy
 
 
-class _Frame:
-    """What one frame says, over a window of cells around the camera; and room to work it out in."""
+def _read_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """The arrays of an .npz file, none larger than what the file holds of it."""
+    with zipfile.ZipFile(path) as file:
+        for member in file.infolist():
+            if member.file_size > LARGEST_EXPANSION * max(path.stat().st_size, 1):
+                raise ValueError(f"{member.filename} claims {member.file_size} bytes")
+            with file.open(member) as stream:
+                version = np.lib.format.read_magic(stream)
+                if version != (1, 0):
+                    raise ValueError(f"{member.filename} has version {version}")
+                shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+                if math.prod(shape) * dtype.itemsize > member.file_size:
+                    raise ValueError(f"{member.filename} claims {shape} {dtype} in {member.file_size} bytes")
+    with path.open("rb") as opened, np.load(opened, allow_pickle=False) as content:
+        return {name: content[name] for name in content.files}
 
-    def __init__(self, protocol: SurveyProtocol, evidence: Evidence, pixels: int) -> None:
-        self.pixels = pixels
-        self.bits = post_bits(protocol)
-        self.post = 1 << self.bits
-        reach = math.ceil(protocol.reach / protocol.cell)
-        # The window's low corner lies on a post; two cells are for rounding.
-        self.side = -(-(2 * reach + 3 + self.post) // self.post) * self.post
-        self.half = reach + 1
-        self.posts = self.side >> self.bits
-        cells = self.side * self.side
-        self.samples = np.empty(pixels + 1, np.int32)
-        self.heights = np.empty(pixels + 1, np.float32)
-        post = np.arange(self.side) >> self.bits
-        self.post_of = (post[:, None] * self.posts + post[None, :]).astype(np.int32).ravel()
-        self.farthest = np.empty(RAYS, np.float32)
-        self.ground = np.empty(cells, np.float32)
-        self.counts = np.empty(cells, np.uint64)
-        self.targets = np.empty(cells, np.int32)
-        self.log_odds = np.empty(cells, np.int8)
-        self.tables: dict[tuple[int, ...], tuple[int, IntArray]] = {}
-        self.flags, self.said, self.votes = (np.empty(cells, np.uint8) for _ in range(3))
-        self.low = (0, 0)
-        self.post_sum = np.empty((self.posts, self.posts))
-        self.post_count = np.empty((self.posts, self.posts))
-        self.steps = (round(evidence.step / QUANTUM), round(evidence.doubt / QUANTUM))
-        self.clamp = (math.ceil(evidence.clamp[0] / QUANTUM), math.floor(evidence.clamp[1] / QUANTUM))
 
-    def read(
-        self,
-        occupancy: OccupancyMap,
-        depth: npt.NDArray[Any],
-        labels: npt.NDArray[Any],
-        camera: Camera,
-        T_world_camera: SE3,
-    ) -> None:
-        from dream.mapping._kernels import frame
-
-        protocol, evidence, store = occupancy.protocol, occupancy.evidence, occupancy._store
-        t, R = T_world_camera.translation, T_world_camera.rotation
-        x, y = float(t[0]), float(t[1])
-        row, col = occupancy._global(x, y)
-        low = ((row - self.half) // self.post * self.post, (col - self.half) // self.post * self.post)
-        self.low = low
-        rows, cols = occupancy.shape if occupancy._bounded else (NO_BOUNDS, NO_BOUNDS)
-        clip = (
-            min(max(-low[0], 0), self.side) if occupancy._bounded else 0,
-            max(min(rows - low[0], self.side), 0),
-            min(max(-low[1], 0), self.side) if occupancy._bounded else 0,
-            max(min(cols - low[1], self.side), 0),
+def _thinned(
+    depth: npt.NDArray[Any], labels: npt.NDArray[Any], camera: Camera
+) -> tuple[npt.NDArray[Any], npt.NDArray[Any], Camera]:
+    """Images in the types that the kernels know, every n-th row and column of very large ones."""
+    n = math.ceil(math.sqrt(depth.size / MOST_PIXELS)) if depth.size > MOST_PIXELS else 1
+    if n > 1:
+        depth, labels = depth[::n, ::n], labels[::n, ::n]
+        height, width = depth.shape
+        half = 0.5 - 0.5 / n  # A pixel's centre moves to that of the pixels around it.
+        camera = Camera(
+            width, height, camera.fx / n, camera.fy / n, camera.cx / n + half, camera.cy / n + half
         )
-        offset = (low[0] % BLOCK, low[1] % BLOCK)
-        blocks = [(o + self.side - 1) // BLOCK + 1 for o in offset]
-        first = [a // BLOCK for a in low]
-        table = self._table(store, first, blocks)
-        occupancy._datum = float(t[2]) - protocol.altitude
-        soft = np.issubdtype(labels.dtype, np.floating)
-
-        # ---- the seabed as it was, and this frame's points of it
-        post_low = [a >> self.bits for a in low]
-        coarse = 1 << LEVELS
-        wide_low = [(a // coarse - 2) * coarse for a in post_low]
-        wide = [
-            (-(-(a + self.posts) // coarse) + 2) * coarse - b for a, b in zip(post_low, wide_low, strict=True)
-        ]
-        per_block = BLOCK >> self.bits
-        wide_first = [a // per_block for a in wide_low]
-        wide_offset = [a % per_block for a in wide_low]
-        wide_table = self._table(
-            store, wide_first, [(o + n - 1) // per_block + 1 for o, n in zip(wide_offset, wide, strict=True)]
-        )
-        total, count = np.empty(wide), np.empty(wide)
-        frame.gather_posts(
-            store.pools["ground_sum"], store.pools["ground_count"], wide_table, *wide_offset, total, count
-        )
-        margin = [a - b for a, b in zip(post_low, wide_low, strict=True)]
-        region = (
-            margin[0] - 1,
-            margin[0] + self.posts + 1,
-            margin[1] - 1,
-            margin[1] + self.posts + 1,
-        )
-
-        def smooth() -> npt.NDArray[np.float64]:
-            heights: npt.NDArray[np.float64] = frame.smooth_ground(
-                total,
-                count,
-                LEVELS,
-                evidence.ground_share,
-                evidence.ground_pixels,
-                occupancy._datum,
-                region,
-            )
-            return heights
-
-        inside = np.s_[margin[0] : margin[0] + self.posts, margin[1] : margin[1] + self.posts]
-        self.post_sum[:], self.post_count[:] = 0.0, 0.0
-        under = (row - low[0]) >> self.bits, (col - low[1]) >> self.bits
-        self.post_sum[under] += occupancy._datum
-        self.post_count[under] += 1.0
-        prior = np.zeros(1)
-        if soft:
-            prior = smooth()[inside].ravel()
-        thin = protocol.cell * min(camera.fx, camera.fy) / PIXELS_ACROSS
-        cuts = np.array([thin / (2 << k) for k in range(THINNINGS)], np.float32)
-        unit = 0.001 if depth.dtype == np.uint16 else 1.0
-        self.count = frame.project(
-            depth,
-            unit,
-            labels,
-            255.0 if soft else 1,
-            labels.dtype.type(-1.0) if soft else labels.dtype.type(Label.WATER),
-            _KIND_SOFT if soft else _KIND,
-            (camera.fx, camera.fy, camera.cx, camera.cy),
-            R,
-            t,
-            (
-                occupancy._origin[0] + low[1] * protocol.cell,
-                occupancy._origin[1] + low[0] * protocol.cell,
-            ),
-            protocol.cell,
-            (protocol.min_depth, protocol.max_depth, protocol.reach),
-            cuts,
-            (np.append(cuts, protocol.min_depth) / unit).astype(depth.dtype),
-            self.side,
-            clip,
-            self.post_of,
-            prior,
-            protocol.band[0],
-            self.samples,
-            self.heights,
-            self.post_sum.ravel(),
-            self.post_count.ravel(),
-            self.farthest,
-        )
-        total[inside] += self.post_sum
-        count[inside] += self.post_count
-        frame.spread_ground(
-            smooth(),
-            *margin,
-            self.bits,
-            self.side,
-            self.ground,
-        )
-
-        # ---- what every cell shows
-        self.counts[:], self.targets[:] = 0, 0
-        lower, upper = protocol.band
-        frame.count_returns(
-            self.count,
-            self.samples,
-            self.heights,
-            self.ground,
-            tuple(np.float32(edge) for edge in (lower, lower + 0.25 * (upper - lower), upper)),
-            _WEIGHT_SOFT if soft else _WEIGHT,
-            self.counts,
-            self.targets,
-        )
-        frame.gather(
-            store.pools["log_odds"], store.pools["flags"], table, *offset, self.side, self.log_odds, self.flags
-        )
-        self.touched = np.zeros(blocks, np.bool_)
-        self.said[:], self.votes[:] = 0, 0
-        frame.weigh(
-            self.counts,
-            self.targets,
-            self.side,
-            (y - occupancy._origin[1]) / protocol.cell - low[0],
-            (x - occupancy._origin[0]) / protocol.cell - low[1],
-            self.steps,
-            self.clamp,
-            (
-                evidence.min_pixels,
-                evidence.min_share,
-                evidence.peak_share,
-                evidence.min_ground,
-                evidence.vote_pixels,
-                evidence.vote_share,
-            ),
-            evidence.range_noise,
-            protocol.cell,
-            self.log_odds,
-            self.flags,
-            self.said,
-            self.votes,
-            *offset,
-            self.touched,
-        )
-        self.first, self.offset, self.blocks = first, offset, blocks
-        self._cast(occupancy, camera, T_world_camera, clip)
-
-    def _cast(
-        self,
-        occupancy: OccupancyMap,
-        camera: Camera,
-        T_world_camera: SE3,
-        clip: tuple[int, int, int, int],
-    ) -> None:
-        from dream.mapping._kernels import frame
-
-        protocol = occupancy.protocol
-        forward = T_world_camera.rotation[:, 2]
-        level_part = math.hypot(forward[0], forward[1])
-        if level_part < 0.1:  # Looking straight down there is no sector; the direct returns are all.
-            return
-        pitch = math.atan2(-forward[2], level_part)
-        left, right = math.atan(camera.cx / camera.fx), math.atan((camera.width - camera.cx) / camera.fx)
-        yaw = math.atan2(forward[1], forward[0]) + 0.5 * (left - right)
-        highest = math.atan(camera.cy / camera.fy) - pitch
-        steepest = math.atan((camera.height - camera.cy) / camera.fy) + pitch
-        blind = protocol.altitude / math.tan(steepest) if steepest < 0.5 * math.pi else 0.0
-        cell, (x0, y0) = protocol.cell, occupancy._origin
-        x, y = (float(value) for value in T_world_camera.translation[:2])
-        col, fraction_x = divmod(round((x - x0) / cell * FRACTIONS), FRACTIONS)
-        row, fraction_y = divmod(round((y - y0) / cell * FRACTIONS), FRACTIONS)
-        table = ray_table(protocol.reach / cell, fraction_x, fraction_y)
-        frame.cast_frame(
-            row - self.low[0],
-            col - self.low[1],
-            table.rows,
-            table.cols,
-            table.x,
-            table.y,
-            table.distance,
-            table.first,
-            table.last,
-            math.cos(yaw),
-            math.sin(yaw),
-            math.cos(0.5 * camera.horizontal_fov),
-            blind / cell,
-            highest >= 0.0,
-            1.0 / cell,
-            self.farthest,
-            self.side,
-            clip,
-            self.counts,
-            self.steps[0],
-            self.clamp[0],
-            self.log_odds,
-            self.said,
-            *self.offset,
-            self.touched,
-        )
-
-    def _table(self, store: BlockStore, low: list[int], shape: list[int]) -> IntArray:
-        """`BlockStore.table`; mostly it is the same as before."""
-        key = (*low, *shape)
-        known = self.tables.get(key)
-        if known is None or known[0] != len(store):
-            if len(self.tables) > MOST_TABLES:
-                self.tables = {}
-            known = self.tables[key] = (len(store), store.table(low, shape))
-        return known[1]
-
-    def commit(self, occupancy: OccupancyMap) -> Rectangle:
-        from dream.mapping._kernels import frame
-
-        store = occupancy._store
-        occupancy._stamp += 1
-        rows, cols = np.nonzero(self.touched)
-        store.make((self.first[0] + int(row), self.first[1] + int(col)) for row, col in zip(rows, cols, strict=True))
-        table = self._table(store, self.first, self.blocks)
-        changed = frame.commit(
-            store.pools["log_odds"],
-            store.pools["flags"],
-            store.pools["votes"],
-            store.stamps,
-            table,
-            self.touched,
-            *self.offset,
-            self.side,
-            self.log_odds,
-            self.said,
-            self.votes,
-            occupancy._stamp,
-        )
-        frame.commit_ground(
-            store.pools["ground_sum"],
-            store.pools["ground_count"],
-            table,
-            self.offset[0] >> self.bits,
-            self.offset[1] >> self.bits,
-            self.post_sum,
-            self.post_count,
-            occupancy.evidence.ground_memory,
-        )
-        first_row, past_row, first_col, past_col = changed
-        row, col = self.low
-        return row + first_row, col + first_col, row + past_row, col + past_col
-
-
-_KIND = np.ones(256, np.uint8)
-_KIND[Label.SEABED] = 0
-_WEIGHT = np.zeros(256, np.int32)
-_WEIGHT[Label.TARGET] = 16
-_KIND_SOFT = np.where(np.arange(256) < 128, 2, 1).astype(np.uint8)
-_WEIGHT_SOFT = np.rint(np.arange(256) / 255.0 * 16.0).astype(np.int32)
+    depth = np.ascontiguousarray(depth, np.uint16 if depth.dtype == np.uint16 else np.float32)
+    soft = np.issubdtype(labels.dtype, np.floating)
+    return depth, np.ascontiguousarray(labels, np.float32 if soft else np.uint8), camera
 
 
 def _kind(array: npt.NDArray[Any] | None) -> str:

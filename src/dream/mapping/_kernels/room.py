@@ -41,14 +41,14 @@ def clearance(barrier, radius):
 
 
 @njit(cache=True, nogil=True)
-def segment_is_free(squared, needed, x0, y0, x1, y1):
+def segment_is_free(squared, needed, x0, y0, x1, y1, row=0, col=0):
     """Is every sample of a segment (in cells) far enough from the barrier?
 
     From a start that is too near itself, the room must never shrink on the way, and the end must have more of
-    it: a way out, never one along.
+    it: a way out, never one along. The first cell of `squared` is (row, col).
     """
     rows, cols = squared.shape
-    i, j = math.floor(y0), math.floor(x0)
+    i, j = math.floor(y0) - row, math.floor(x0) - col
     if i < 0 or j < 0 or i >= rows or j >= cols or squared[i, j] == 0:
         return False
     start = squared[i, j]
@@ -56,8 +56,8 @@ def segment_is_free(squared, needed, x0, y0, x1, y1):
     samples = max(1, math.ceil(2.0 * math.hypot(x1 - x0, y1 - y0) - 1e-9))
     for k in range(1, samples + 1):
         along = k / samples
-        i = math.floor(y0 + along * (y1 - y0))
-        j = math.floor(x0 + along * (x1 - x0))
+        i = math.floor(y0 + along * (y1 - y0)) - row
+        j = math.floor(x0 + along * (x1 - x0)) - col
         if i < 0 or j < 0 or i >= rows or j >= cols or squared[i, j] < least:
             return False
         least = max(least, min(squared[i, j], needed + 1))

@@ -1,8 +1,4 @@
-"""One frame into the map, in two passes: what it says of a window of cells, then the window into the blocks.
-
-The window is a square of cells around the camera with the reach inside; flat indices are `row * side + col`.
-Its low corner is a multiple of a post of the ground.
-"""
+"""What a frame says of a window of cells, and the window into the blocks."""
 
 # mypy: disable-error-code="no-untyped-def"
 
@@ -14,259 +10,20 @@ import numpy as np
 from numba import njit
 
 from dream.mapping._kernels.flags import BARE, CROSSED, EXPLORED, GROUNDED, KNOWN, RETURNED, SEABED
-from dream.mapping._kernels.sight import RAY_MASK, SECTOR_SLACK, all_open, any_open, block
+from dream.mapping._kernels.pixels import LABEL_BITS, LABEL_MASK
+from dream.mapping._kernels.sight import RAY_MASK, SECTOR_SLACK
 
 BLOCK_BITS = 6
 BLOCK = 1 << BLOCK_BITS
 """Cells along a block."""
-CHUNK = 512
-"""Pixels of a row that are looked at together, at most."""
 FIELD_BITS = 16
 """A cell's counts are four fields of so many bits: pixels below the height band, in its lower part, in its upper part,
 and above it."""
 FIELD_MASK = (1 << FIELD_BITS) - 1
 WEIGHT = 16
 """What a pixel that surely shows target adds to its cell's target count."""
-LABEL_BITS = 8
-"""A sample is its flat cell, shifted by so many bits, and its label."""
-LABEL_MASK = (1 << LABEL_BITS) - 1
-GROUND_STEP = 8
-"""Every so manieth sample is enough for the mean height of the seabed."""
-GROUND, THING, UNSURE = 0, 1, 2
-"""What a pixel is by its label: seabed, anything else, or seabed if its height agrees."""
-
-
-# ---------------------------------------------------------------------------------------------------
-# Pixels to samples
-# ---------------------------------------------------------------------------------------------------
-
-
-@njit(cache=True, nogil=True)
-def project(
-    depth,
-    unit,
-    labels,
-    label_scale,
-    water,
-    kind_of,
-    intrinsics,
-    R,
-    t,
-    low,
-    size,
-    limits,
-    cuts,
-    raw_cuts,
-    side,
-    clip,
-    post_of,
-    prior,
-    prior_room,
-    samples,
-    heights,
-    post_sum,
-    post_count,
-    farthest,
-):
-    """Window cell and world height of the pixels that count; seabed sums by post; farthest return by ray.
-
-    Of what lies between `cuts[k]` and `cuts[k - 1]` every 2ᵏ-th row and column is taken: enough to fill a cell.
-
-    Args:
-        depth: (H, W) of `unit` metres.
-        unit: Metres.
-        labels: (H, W), times `label_scale` an index into `kind_of`.
-        label_scale: See `labels`.
-        water: What `labels` holds where there is no return.
-        kind_of: (256,) uint8.
-        intrinsics: (fx, fy, cx, cy).
-        R: (3, 3), camera to world.
-        t: (3,), likewise.
-        low: World x and y of the window's low corner.
-        size: Metres a cell.
-        limits: (min_depth, max_depth, reach), metres.
-        cuts: (levels,) float32 metres, falling.
-        raw_cuts: (levels + 1,) of depth's type: the cuts and `min_depth` in its unit, rounded down.
-        side: Cells along the window.
-        clip: (first row, past row, first col, past col) of the window that lie in bounds.
-        post_of: (side²) int32, the post of every cell.
-        prior: (post_side²) float64, height of the seabed before this frame.
-        prior_room: Metres from there within which an unsure pixel is seabed.
-        samples: (H W + 1) int32, out: flat cell and label, see `LABEL_BITS`.
-        heights: (H W + 1) float32, out: world z.
-        post_sum, post_count: (post_side²) float64, added to.
-        farthest: (rays,) float32, out: metres over ground to the farthest return in that direction.
-
-    Returns:
-        Number of samples.
-    """
-    fx, fy, cx, cy = intrinsics
-    min_depth, max_depth, reach = limits
-    height, width = depth.shape
-    f32, i32 = np.float32, np.int32
-    metres, scale = f32(unit), f32(label_scale)
-    frame = (f32((t[0] - low[0]) / size), f32((t[1] - low[1]) / size), f32(t[2]), f32(1.0 / size))
-    square_reach = f32(reach * reach)
-    inside = (i32(clip[0]), i32(clip[1]), i32(clip[2]), i32(clip[3]))
-    stride = i32(side)
-    chunks = (width + CHUNK - 1) // CHUNK
-    columns = np.zeros((chunks, 3 * CHUNK), f32)
-    farther = np.empty((chunks, 3 * CHUNK), f32)
-    metric = np.zeros(4 * CHUNK, f32)
-    names = np.zeros(CHUNK, i32)
-    per_radian = (RAY_MASK + 1) / (2.0 * math.pi)
-    farthest[:] = f32(0.0)
-    count = 0
-    for level in range(len(cuts) + 1):
-        step = 1 << level
-        across = 2 * step
-        nearest = f32(min_depth) if level == len(cuts) else max(cuts[level], f32(min_depth))
-        most = f32(max_depth) if level == 0 else min(cuts[level - 1], f32(max_depth))
-        n = (width + across - 1) // across
-        for k in range(n):
-            a = (k * across + 0.5 - cx) / fx
-            for axis in range(3):
-                columns[k // CHUNK, axis * CHUNK + k % CHUNK] = R[axis, 0] * a
-        farther[:] = f32(0.0)
-        for v in range(0, height, step):
-            if not any_beyond(depth[v], raw_cuts[level]):
-                continue
-            b = (v + 0.5 - cy) / fy
-            ray = (f32(R[0, 1] * b + R[0, 2]), f32(R[1, 1] * b + R[1, 2]), f32(R[2, 1] * b + R[2, 2]))
-            first = count
-            for begin in range(0, n, CHUNK):
-                size_of = min(CHUNK, n - begin)
-                skip = begin * across
-                valid = read_row(
-                    depth[v, skip:], labels[v, skip:], across, metres, scale, water, nearest, most, size_of, metric, names
-                )
-                if valid == 0:
-                    continue
-                of_chunk = begin // CHUNK
-                lay_out(metric, columns[of_chunk], size_of, ray)
-                reach_out(metric, farther[of_chunk], size_of)
-                past = count + size_of
-                if place(
-                    metric, names, samples[count:past], heights[count:past], size_of, frame, square_reach, inside, stride
-                ):
-                    count = past
-            sum_ground(first, count, samples, heights, kind_of, post_of, prior, prior_room, post_sum, post_count)
-        for k in range(n):
-            chunk, k_of = k // CHUNK, k % CHUNK
-            square = farther[chunk, 2 * CHUNK + k_of]
-            if square > 0.0:
-                bearing = math.atan2(farther[chunk, CHUNK + k_of], farther[chunk, k_of])
-                spread_far(math.floor(bearing * per_radian), math.sqrt(square), farthest)
-    return count
-
-
-@njit(cache=True, nogil=True)
-def spread_far(ray, distance, farthest):
-    """A ray may run between two columns, or off to a side of where its column looked farthest."""
-    for near in range(ray - 5, ray + 6):
-        farthest[near & RAY_MASK] = max(farthest[near & RAY_MASK], distance)
-
-
-# The following loops have no branches and few arrays, so that they are vectorised: `metric` holds `CHUNK` each of
-# x and y over ground from the camera, world z and depth.
-
-
-@njit(cache=True, nogil=True)
-def any_beyond(row, least):
-    """Does some pixel of a row lie farther away, in the image's own unit?"""
-    found = np.int32(0)
-    for k in range(len(row)):
-        found += np.int32(row[k] > least)
-    return found > 0
-
-
-@njit(cache=True, nogil=True)
-def pick(z, label, water, nearest, most):
-    """The depth where it counts, else 0."""
-    return z if (z > nearest) & (z <= most) & (label != water) else np.float32(0.0)
-
-
-@njit(cache=True, nogil=True)
-def read_row(row, label_row, across, metres, scale, water, nearest, most, n, metric, names):
-    """Depths, 0 where they do not count, and labels of every second, fourth or eighth pixel of a row; how many count."""
-    # A step that is known when compiling is several times faster.
-    if across == 2:
-        for k in range(n):
-            z = np.float32(row[2 * k]) * metres
-            metric[3 * CHUNK + k] = pick(z, label_row[2 * k], water, nearest, most)
-            names[k] = np.int32(np.float32(label_row[2 * k]) * scale)
-    elif across == 4:
-        for k in range(n):
-            z = np.float32(row[4 * k]) * metres
-            metric[3 * CHUNK + k] = pick(z, label_row[4 * k], water, nearest, most)
-            names[k] = np.int32(np.float32(label_row[4 * k]) * scale)
-    else:
-        for k in range(n):
-            z = np.float32(row[8 * k]) * metres
-            metric[3 * CHUNK + k] = pick(z, label_row[8 * k], water, nearest, most)
-            names[k] = np.int32(np.float32(label_row[8 * k]) * scale)
-    found = np.int32(0)
-    for k in range(n):
-        found += np.int32(metric[3 * CHUNK + k] > np.float32(0.0))
-    return found
-
-
-@njit(cache=True, nogil=True)
-def lay_out(metric, columns, n, ray):
-    """Offsets from the camera in the world."""
-    ray_x, ray_y, ray_z = ray
-    for k in range(n):
-        z = metric[3 * CHUNK + k]
-        metric[k] = z * (columns[k] + ray_x)
-        metric[CHUNK + k] = z * (columns[CHUNK + k] + ray_y)
-        metric[2 * CHUNK + k] = z * (columns[2 * CHUNK + k] + ray_z)
-
-
-@njit(cache=True, nogil=True)
-def reach_out(metric, farther, n):
-    """Keep x, y and the squared distance of the farthest return of every column."""
-    for k in range(n):
-        x, y = metric[k], metric[CHUNK + k]
-        square = x * x + y * y
-        more = square > farther[2 * CHUNK + k]
-        farther[k] = x if more else farther[k]
-        farther[CHUNK + k] = y if more else farther[CHUNK + k]
-        farther[2 * CHUNK + k] = square if more else farther[2 * CHUNK + k]
-
-
-@njit(cache=True, nogil=True)
-def place(metric, names, samples, heights, n, frame, square_reach, inside, stride):
-    """Cells with their labels, −1 for none, and heights of a row; how many have a cell."""
-    left, bottom, up, per_cell = frame
-    first_row, past_row, first_col, past_col = inside
-    found = np.int32(0)
-    for k in range(n):
-        x, y = metric[k], metric[CHUNK + k]
-        near = (x * x + y * y <= square_reach) & (metric[3 * CHUNK + k] > np.float32(0.0))
-        j = np.int32(left + x * per_cell)
-        i = np.int32(bottom + y * per_cell)
-        near = near & (i >= first_row) & (i < past_row) & (j >= first_col) & (j < past_col)
-        packed = ((i * stride + j) << np.int32(LABEL_BITS)) | names[k]
-        samples[k] = packed if near else np.int32(-1)
-        found += np.int32(near)
-    for k in range(n):
-        heights[k] = up + metric[2 * CHUNK + k]
-    return found
-
-
-@njit(cache=True, nogil=True)
-def sum_ground(
-    first, past, samples, heights, kind_of, post_of, prior, prior_room, post_sum, post_count
-):
-    """Add some of the seabed's samples to their posts."""
-    for k in range(first, past, GROUND_STEP):
-        if samples[k] < 0:
-            continue
-        kind = kind_of[samples[k] & LABEL_MASK]
-        post = post_of[samples[k] >> LABEL_BITS]
-        if kind == GROUND or (kind == UNSURE and abs(heights[k] - prior[post]) <= prior_room):
-            post_sum[post] += heights[k]
-            post_count[post] += 1.0
+RAN, ENDED = 1, 2
+"""A ray came to a cell, or would have if it had not ended before."""
 
 
 # ---------------------------------------------------------------------------------------------------
@@ -416,12 +173,23 @@ def field_of(packed, field):
 
 
 @njit(cache=True, nogil=True)
+def reaches_down(log_odds, flags, side, row, col):
+    """Was what is solid in a cell, or in one that it touches, seen down to the lower edge of the band?"""
+    for i in range(max(row - 1, 0), min(row + 2, side)):
+        for j in range(max(col - 1, 0), min(col + 2, side)):
+            if log_odds[i * side + j] > 0 and flags[i * side + j] & GROUNDED:
+                return True
+    return False
+
+
+@njit(cache=True, nogil=True)
 def weigh(
     counts,
     targets,
     side,
     camera_row,
     camera_col,
+    sector,
     steps,
     clamp,
     least,
@@ -442,6 +210,7 @@ def weigh(
         targets: (side²) int32, in parts of `WEIGHT`.
         side: Cells along the window.
         camera_row, camera_col: The camera, in cells.
+        sector: See `read_frame`.
         steps: (hit or miss, miss where what is solid was not seen to reach down), log-odds units.
         clamp: (lowest, highest) log-odds.
         least: (pixels of a hit, their share of the cell's, their share of what lies just behind, pixels of a
@@ -457,6 +226,7 @@ def weigh(
     """
     step, doubt = steps
     low, high = clamp
+    _, _, forward_x, forward_y, cos_half, _, _, _ = sector
     hit_pixels, hit_share, peak_share, miss_pixels, vote_pixels, vote_share = least
     for i in range(side):
         for j in range(side):
@@ -486,75 +256,111 @@ def weigh(
                     log_odds[c] = max(log_odds[c] - step // 2, low)
                     continue
                 sure = min(1.0, 0.5 / max(scatter, 1e-9))
-                log_odds[c] = min(log_odds[c] + max(round(step * sure), 1), high)
+                log_odds[c] = min(log_odds[c] + min(max(round(step * sure), 1), step), high)
                 if low_band > 0:
                     bits[c] |= GROUNDED
-            elif band < hit_pixels and below >= miss_pixels:
-                down = log_odds[c] <= 0 or flags[c] & GROUNDED
+            elif band < hit_share * total and below >= miss_pixels:
+                up, right = i + 0.5 - camera_row, j + 0.5 - camera_col
+                # Beside the sector the image shows the foot of a cell at most.
+                if right * forward_x + up * forward_y < math.hypot(up, right) * cos_half - SECTOR_SLACK:
+                    continue
+                down = log_odds[c] <= 0 or reaches_down(log_odds, flags, side, i, j)
                 log_odds[c] = max(log_odds[c] - (step if down else doubt), low)
 
 
 @njit(cache=True, nogil=True)
-def cast_frame(
-    row,
-    col,
-    t_rows,
-    t_cols,
-    t_x,
-    t_y,
-    t_distance,
-    t_first,
-    t_last,
+def cast_rays(x, y, rays, directions, farthest, per_metre, reach, side, clip, log_odds, paths):
+    """Walk one frame's rays over the window (Amanatides and Woo, 1987); a solid cell ends a ray.
+
+    Args:
+        x, y: The camera, in cells.
+        rays: (first, last) ray of the sector; beyond a full turn where it wraps.
+        directions: (rays, 2) cosine and sine.
+        farthest: (rays,) metres that a ray is known to have run; nothing is claimed beyond.
+        per_metre: Cells.
+        reach: Cells.
+        side: Cells along the window.
+        clip: (first row, past row, first col, past col) of the window that lie in bounds.
+        log_odds: (side²).
+        paths: (side²) uint8, out: `RAN` where a ray came, `ENDED` where one would have come.
+    """
+    first_row, past_row, first_col, past_col = clip
+    for number in range(rays[0], rays[1] + 1):
+        ray = number & RAY_MASK
+        if farthest[ray] <= 0.0:
+            continue
+        runs = farthest[ray] * per_metre
+        dx, dy = directions[ray, 0], directions[ray, 1]
+        i, j = math.floor(y), math.floor(x)
+        step_i, step_j = (1 if dy > 0.0 else -1), (1 if dx > 0.0 else -1)
+        along_i, along_j = abs(1.0 / dy), abs(1.0 / dx)
+        next_i = (i + 1 - y if dy > 0.0 else y - i) * along_i
+        next_j = (j + 1 - x if dx > 0.0 else x - j) * along_j
+        along = 0.0
+        state = np.uint8(RAN)
+        while along <= reach:
+            if along > runs:
+                state = np.uint8(ENDED)
+            if first_row <= i < past_row and first_col <= j < past_col:
+                c = i * side + j
+                paths[c] |= state
+                if log_odds[c] > 0:
+                    state = np.uint8(ENDED)
+            if next_j < next_i:
+                along = next_j
+                next_j += along_j
+                j += step_j
+            else:
+                along = next_i
+                next_i += along_i
+                i += step_i
+
+
+@njit(cache=True, nogil=True)
+def explore(
+    x,
+    y,
     forward_x,
     forward_y,
     cos_half,
+    reach,
     blind,
     level,
-    per_metre,
-    farthest,
     side,
-    clip,
     counts,
     miss,
     lowest,
+    paths,
     log_odds,
     bits,
     offset_row,
     offset_col,
     touched,
 ):
-    """Cast one frame's rays: explore and cross what they reach, wear down what they pass without a return.
+    """Explore and cross what the rays reach of the sector, wear down what all of them pass without a return.
 
-    `farthest` holds, for each ray, the metres that it is known to have run; `level` tells whether rays at the
-    vehicle's own height are in the image.
+    `level` tells whether rays at the vehicle's own height are in the image.
     """
-    first_row, past_row, first_col, past_col = clip
-    blocked = np.zeros(RAY_MASK + 1, dtype=np.bool_)
-    for k in range(len(t_rows)):
-        forward = t_x[k] * forward_x + t_y[k] * forward_y
-        inward = forward - t_distance[k] * cos_half
-        # The rays of the sector pass cells with their centre outside of it, but not by more than a diagonal.
-        if inward < -1.5:
-            continue
-        i, j = row + t_rows[k], col + t_cols[k]
-        if i < first_row or i >= past_row or j < first_col or j >= past_col:
-            continue
-        c = i * side + j
-        if inward >= -SECTOR_SLACK:
-            first, last = t_first[k], t_last[k]
-            ran = farthest[((first + last) >> 1) & RAY_MASK]
-            # One more cell, since the farthest return lies anywhere in its own.
-            if ran > 0.0 and t_distance[k] <= ran * per_metre + 1.0 and any_open(blocked, first, last):
-                if forward >= blind - SECTOR_SLACK:
-                    bits[c] |= EXPLORED
-                    touched[(offset_row + i) >> BLOCK_BITS, (offset_col + j) >> BLOCK_BITS] = True
-                    if counts[c] == 0 and all_open(blocked, first, last):
-                        log_odds[c] = max(log_odds[c] - miss, lowest)
-                if level and log_odds[c] <= 0:
-                    bits[c] |= CROSSED
-                    touched[(offset_row + i) >> BLOCK_BITS, (offset_col + j) >> BLOCK_BITS] = True
-        if log_odds[c] > 0:
-            block(blocked, t_first[k], t_last[k])
+    for i in range(side):
+        up = i + 0.5 - y
+        for j in range(side):
+            c = i * side + j
+            if not paths[c] & RAN:
+                continue
+            right = j + 0.5 - x
+            forward, distance = right * forward_x + up * forward_y, math.hypot(right, up)
+            if distance > reach + SECTOR_SLACK or forward < distance * cos_half - SECTOR_SLACK:
+                continue
+            said = np.uint8(0)
+            if forward >= blind - SECTOR_SLACK:
+                said |= np.uint8(EXPLORED)
+                if counts[c] == 0 and not paths[c] & ENDED:
+                    log_odds[c] = max(log_odds[c] - miss, lowest)
+            if level and log_odds[c] <= 0:
+                said |= np.uint8(CROSSED)
+            if said:
+                bits[c] |= said
+                touched[(offset_row + i) >> BLOCK_BITS, (offset_col + j) >> BLOCK_BITS] = True
 
 
 # ---------------------------------------------------------------------------------------------------
@@ -608,19 +414,7 @@ def gather_posts(sum_pool, count_pool, table, offset_row, offset_col, total, cou
 
 @njit(cache=True, nogil=True)
 def commit(
-    log_odds_pool,
-    flags_pool,
-    votes_pool,
-    stamps,
-    table,
-    touched,
-    offset_row,
-    offset_col,
-    side,
-    log_odds,
-    bits,
-    votes,
-    stamp,
+    pools, stamps, table, offset_row, offset_col, side, said, stamp, post_bits, post_sum, post_count, memory
 ):
     """Write the window into its blocks.
 
@@ -628,6 +422,19 @@ def commit(
         (first row, past row, first col, past col) of the window in which something became solid or known, or
         ceased to be; empty where nothing did.
     """
+    log_odds_pool, flags_pool, votes_pool, sum_pool, count_pool = pools
+    log_odds, bits, votes, touched = said
+    posts = side >> post_bits
+    commit_ground(
+        sum_pool,
+        count_pool,
+        table,
+        offset_row >> post_bits,
+        offset_col >> post_bits,
+        post_sum.reshape(posts, posts),
+        post_count.reshape(posts, posts),
+        memory,
+    )
     first_row, past_row, first_col, past_col = side, 0, side, 0
     for i in range(side):
         block_row, y = (offset_row + i) >> BLOCK_BITS, (offset_row + i) & (BLOCK - 1)
@@ -700,3 +507,148 @@ def commit_ground(sum_pool, count_pool, table, offset_row, offset_col, total, co
             points = min(points, memory)
             sum_pool[slot, y, x] = mean * points
             count_pool[slot, y, x] = points
+
+
+# ---------------------------------------------------------------------------------------------------
+# The whole
+# ---------------------------------------------------------------------------------------------------
+
+
+@njit(cache=True, nogil=True)
+def ground_before(sum_pool, count_pool, table, offset_row, offset_col, post_window, ground_rule, posts):
+    """(posts²) heights of the seabed in the window, before a frame; see `read_frame`."""
+    rows, cols, first_row, first_col = post_window
+    levels, share, trust, datum = ground_rule
+    total, points = np.empty((rows, cols)), np.empty((rows, cols))
+    gather_posts(sum_pool, count_pool, table, offset_row, offset_col, total, points)
+    region = (first_row, first_row + posts, first_col, first_col + posts)
+    surface = smooth_ground(total, points, levels, share, trust, datum, region)
+    heights = np.empty(posts * posts)
+    for i in range(posts):
+        for j in range(posts):
+            heights[i * posts + j] = surface[first_row + i, first_col + j]
+    return heights
+
+
+@njit(cache=True, nogil=True)
+def read_frame(
+    pools,
+    tables,
+    offsets,
+    post_window,
+    ground_rule,
+    samples,
+    heights,
+    count,
+    post_sum,
+    post_count,
+    side,
+    post_bits,
+    band,
+    weight_of,
+    camera,
+    size,
+    rule,
+    sector,
+    farthest,
+    directions,
+    clip,
+    scratch,
+    out,
+):
+    """What a frame's samples say of every cell of the window.
+
+    Args:
+        pools: The map's (log_odds, flags, ground_sum, ground_count).
+        tables: Slots of the blocks around the window's cells, and around the posts that its ground depends on.
+        offsets: (row, col) of the window's low corner in the first of those blocks, cells and posts.
+        post_window: (rows, cols) of those posts and (row, col) of the window's first among them.
+        ground_rule: (levels, share, trust, datum); see `smooth_ground`.
+        samples, heights, count: What `project` found.
+        post_sum, post_count: (posts²) likewise.
+        side: Cells along the window.
+        post_bits: A post is 2 to this many cells wide.
+        band: Three heights; see `count_returns`.
+        weight_of: (256,) target weight of every label.
+        camera: (x, y) in cells of the window.
+        size: Metres a cell.
+        rule: (steps, clamp, least, noise); see `weigh`.
+        sector: (first ray, last ray, forward x, forward y, cosine of half its angle, reach, blind, level);
+            lengths in cells. No ray where it is not a sector.
+        farthest: (rays,); see `cast_rays`.
+        directions: (rays, 2); likewise.
+        clip: Likewise.
+        scratch: (ground, counts, targets, flags, paths), (side²) each.
+        out: (log_odds, bits, votes, touched) after the frame; see `weigh`.
+    """
+    log_odds_pool, flags_pool, sum_pool, count_pool = pools
+    table, post_table = tables
+    offset_row, offset_col, post_row, post_col = offsets
+    rows, cols, first_row, first_col = post_window
+    levels, share, trust, datum = ground_rule
+    ground, counts, targets, flags, paths = scratch
+    log_odds, bits, votes, touched = out
+    posts = side >> post_bits
+    total, points = np.empty((rows, cols)), np.empty((rows, cols))
+    gather_posts(sum_pool, count_pool, post_table, post_row, post_col, total, points)
+    for i in range(posts):
+        for j in range(posts):
+            total[first_row + i, first_col + j] += post_sum[i * posts + j]
+            points[first_row + i, first_col + j] += post_count[i * posts + j]
+    region = (first_row - 1, first_row + posts + 1, first_col - 1, first_col + posts + 1)
+    surface = smooth_ground(total, points, levels, share, trust, datum, region)
+    spread_ground(surface, first_row, first_col, post_bits, side, ground)
+
+    counts[:] = 0
+    targets[:] = 0
+    count_returns(count, samples, heights, ground, band, weight_of, counts, targets)
+    gather(log_odds_pool, flags_pool, table, offset_row, offset_col, side, log_odds, flags)
+    bits[:] = 0
+    votes[:] = 0
+    touched[:] = False
+    steps, clamp, least, noise = rule
+    x, y = camera
+    weigh(
+        counts,
+        targets,
+        side,
+        y,
+        x,
+        sector,
+        steps,
+        clamp,
+        least,
+        noise,
+        size,
+        log_odds,
+        flags,
+        bits,
+        votes,
+        offset_row,
+        offset_col,
+        touched,
+    )
+    first, last, forward_x, forward_y, cos_half, reach, blind, level = sector
+    if first <= last:
+        paths[:] = 0
+        cast_rays(x, y, (first, last), directions, farthest, 1.0 / size, reach, side, clip, log_odds, paths)
+        explore(
+            x,
+            y,
+            forward_x,
+            forward_y,
+            cos_half,
+            reach,
+            blind,
+            level,
+            side,
+            counts,
+            steps[0],
+            clamp[0],
+            paths,
+            log_odds,
+            bits,
+            offset_row,
+            offset_col,
+            touched,
+        )

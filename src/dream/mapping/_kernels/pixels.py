@@ -1,0 +1,274 @@
+"""Pixels of a frame to samples: a cell of the window, a label and a height each.
+
+The window is a square of cells around the camera with the reach inside; flat indices are `row * side + col`.
+Its low corner is a multiple of a post of the ground.
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from dream.mapping._kernels.sight import RAY_MASK
+
+CHUNK = 512
+"""Pixels of a row that are looked at together, at most."""
+LABEL_BITS = 8
+"""A sample is its flat cell, shifted by so many bits, and its label."""
+LABEL_MASK = (1 << LABEL_BITS) - 1
+GROUND, THING, UNSURE = 0, 1, 2
+"""What a pixel is by its label: seabed, anything else, or seabed if its height agrees."""
+GROUND_STEP = 8
+"""Every so manieth sample is enough for the mean height of the seabed."""
+
+
+@njit(cache=True, nogil=True)
+def project(
+    depth,
+    unit,
+    labels,
+    label_scale,
+    water,
+    kind_of,
+    intrinsics,
+    R,
+    t,
+    low,
+    size,
+    limits,
+    cuts,
+    raw_cuts,
+    side,
+    clip,
+    post_of,
+    prior,
+    prior_room,
+    samples,
+    heights,
+    post_sum,
+    post_count,
+    farthest,
+):
+    """Window cell and world height of the pixels that count; seabed sums by post; farthest return by ray.
+
+    Of what lies between `cuts[k]` and `cuts[k - 1]` every 2ᵏ-th row and 2ᵏ⁺¹-th column is taken:
+    enough to fill a cell.
+
+    Args:
+        depth: (H, W) of `unit` metres.
+        unit: Metres.
+        labels: (H, W), times `label_scale` an index into `kind_of`.
+        label_scale: See `labels`.
+        water: What `labels` holds where there is no return.
+        kind_of: (256,) uint8.
+        intrinsics: (fx, fy, cx, cy).
+        R: (3, 3), camera to world.
+        t: (3,), likewise.
+        low: World x and y of the window's low corner.
+        size: Metres a cell.
+        limits: (min_depth, max_depth, reach), metres.
+        cuts: (levels,) float32 metres, falling.
+        raw_cuts: (levels + 1,) of depth's type: the cuts and `min_depth` in its unit, rounded down.
+        side: Cells along the window.
+        clip: (first row, past row, first col, past col) of the window that lie in bounds.
+        post_of: (side²) int32, the post of every cell.
+        prior: (post_side²) float64, height of the seabed before this frame.
+        prior_room: Metres from there within which an unsure pixel is seabed.
+        samples: (H W + 1) int32, out: flat cell and label, see `LABEL_BITS`.
+        heights: (H W + 1) float32, out: world z.
+        post_sum, post_count: (post_side²) float64, added to.
+        farthest: (rays,) float32, out: metres over ground to the farthest return in that direction.
+
+    Returns:
+        Number of samples.
+    """
+    fx, fy, cx, cy = intrinsics
+    min_depth, max_depth, reach = limits
+    height, width = depth.shape
+    f32, i32 = np.float32, np.int32
+    metres, scale = f32(unit), f32(label_scale)
+    frame = (f32((t[0] - low[0]) / size), f32((t[1] - low[1]) / size), f32(t[2]), f32(1.0 / size))
+    square_reach = f32(reach * reach)
+    inside = (i32(clip[0]), i32(clip[1]), i32(clip[2]), i32(clip[3]))
+    stride = i32(side)
+    chunks = (width + CHUNK - 1) // CHUNK
+    columns = np.zeros((chunks, 3 * CHUNK), f32)
+    farther = np.empty((chunks, 3 * CHUNK), f32)
+    metric = np.zeros(4 * CHUNK, f32)
+    names = np.zeros(CHUNK, i32)
+    per_radian = (RAY_MASK + 1) / (2.0 * math.pi)
+    farthest[:] = f32(0.0)
+    count = 0
+    for level in range(len(cuts) + 1):
+        step = 1 << level
+        across = 2 * step
+        spread = max(math.ceil(across * per_radian / fx), 5)
+        nearest = f32(min_depth) if level == len(cuts) else max(cuts[level], f32(min_depth))
+        most = f32(max_depth) if level == 0 else min(cuts[level - 1], f32(max_depth))
+        n = (width + across - 1) // across
+        for k in range(n):
+            a = (k * across + 0.5 - cx) / fx
+            for axis in range(3):
+                columns[k // CHUNK, axis * CHUNK + k % CHUNK] = R[axis, 0] * a
+        farther[:] = f32(0.0)
+        for v in range(0, height, step):
+            if not any_beyond(depth[v], raw_cuts[level]):
+                continue
+            b = (v + 0.5 - cy) / fy
+            ray = (f32(R[0, 1] * b + R[0, 2]), f32(R[1, 1] * b + R[1, 2]), f32(R[2, 1] * b + R[2, 2]))
+            first = count
+            for begin in range(0, n, CHUNK):
+                size_of = min(CHUNK, n - begin)
+                skip = begin * across
+                valid = read_row(
+                    depth[v, skip:],
+                    labels[v, skip:],
+                    across,
+                    metres,
+                    scale,
+                    water,
+                    nearest,
+                    most,
+                    size_of,
+                    metric,
+                    names,
+                )
+                if valid == 0:
+                    continue
+                of_chunk = begin // CHUNK
+                lay_out(metric, columns[of_chunk], size_of, ray)
+                reach_out(metric, farther[of_chunk], size_of)
+                past = count + size_of
+                if place(
+                    metric,
+                    names,
+                    samples[count:past],
+                    heights[count:past],
+                    size_of,
+                    frame,
+                    square_reach,
+                    inside,
+                    stride,
+                ):
+                    count = past
+            sum_ground(
+                first, count, samples, heights, kind_of, post_of, prior, prior_room, post_sum, post_count
+            )
+        for k in range(n):
+            chunk, k_of = k // CHUNK, k % CHUNK
+            square = farther[chunk, 2 * CHUNK + k_of]
+            if square > 0.0:
+                bearing = math.atan2(farther[chunk, CHUNK + k_of], farther[chunk, k_of])
+                spread_far(math.floor(bearing * per_radian), spread, math.sqrt(square), farthest)
+    return count
+
+
+@njit(cache=True, nogil=True)
+def spread_far(ray, spread, distance, farthest):
+    """A ray may run between two columns, or off to a side of where its column looked farthest."""
+    for near in range(ray - spread, ray + spread + 1):
+        farthest[near & RAY_MASK] = max(farthest[near & RAY_MASK], distance)
+
+
+# The following loops have no branches and few arrays, so that they are vectorised: `metric` holds `CHUNK` each of
+# x and y over ground from the camera, world z and depth.
+
+
+@njit(cache=True, nogil=True)
+def any_beyond(row, least):
+    """Does some pixel of a row lie farther away, in the image's own unit?"""
+    found = np.int32(0)
+    for k in range(len(row)):
+        found += np.int32(row[k] > least)
+    return found > 0
+
+
+@njit(cache=True, nogil=True)
+def pick(z, label, water, nearest, most):
+    """The depth where it counts, else 0."""
+    return z if (z > nearest) & (z <= most) & (label != water) else np.float32(0.0)
+
+
+@njit(cache=True, nogil=True)
+def read_row(row, label_row, across, metres, scale, water, nearest, most, n, metric, names):
+    """Depths, 0 where they do not count, and labels of every second, fourth or eighth pixel of a row; how many count."""
+    # A step that is known when compiling is several times faster.
+    if across == 2:
+        for k in range(n):
+            z = np.float32(row[2 * k]) * metres
+            metric[3 * CHUNK + k] = pick(z, label_row[2 * k], water, nearest, most)
+            names[k] = np.int32(np.float32(label_row[2 * k]) * scale)
+    elif across == 4:
+        for k in range(n):
+            z = np.float32(row[4 * k]) * metres
+            metric[3 * CHUNK + k] = pick(z, label_row[4 * k], water, nearest, most)
+            names[k] = np.int32(np.float32(label_row[4 * k]) * scale)
+    else:
+        for k in range(n):
+            z = np.float32(row[8 * k]) * metres
+            metric[3 * CHUNK + k] = pick(z, label_row[8 * k], water, nearest, most)
+            names[k] = np.int32(np.float32(label_row[8 * k]) * scale)
+    found = np.int32(0)
+    for k in range(n):
+        found += np.int32(metric[3 * CHUNK + k] > np.float32(0.0))
+    return found
+
+
+@njit(cache=True, nogil=True)
+def lay_out(metric, columns, n, ray):
+    """Offsets from the camera in the world."""
+    ray_x, ray_y, ray_z = ray
+    for k in range(n):
+        z = metric[3 * CHUNK + k]
+        metric[k] = z * (columns[k] + ray_x)
+        metric[CHUNK + k] = z * (columns[CHUNK + k] + ray_y)
+        metric[2 * CHUNK + k] = z * (columns[2 * CHUNK + k] + ray_z)
+
+
+@njit(cache=True, nogil=True)
+def reach_out(metric, farther, n):
+    """Keep x, y and the squared distance of the farthest return of every column."""
+    for k in range(n):
+        x, y = metric[k], metric[CHUNK + k]
+        square = x * x + y * y
+        more = square > farther[2 * CHUNK + k]
+        farther[k] = x if more else farther[k]
+        farther[CHUNK + k] = y if more else farther[CHUNK + k]
+        farther[2 * CHUNK + k] = square if more else farther[2 * CHUNK + k]
+
+
+@njit(cache=True, nogil=True)
+def place(metric, names, samples, heights, n, frame, square_reach, inside, stride):
+    """Cells with their labels, −1 for none, and heights of a row; how many have a cell."""
+    left, bottom, up, per_cell = frame
+    first_row, past_row, first_col, past_col = inside
+    found = np.int32(0)
+    for k in range(n):
+        x, y = metric[k], metric[CHUNK + k]
+        near = (x * x + y * y <= square_reach) & (metric[3 * CHUNK + k] > np.float32(0.0))
+        j = np.int32(left + x * per_cell)
+        i = np.int32(bottom + y * per_cell)
+        near = near & (i >= first_row) & (i < past_row) & (j >= first_col) & (j < past_col)
+        packed = ((i * stride + j) << np.int32(LABEL_BITS)) | names[k]
+        samples[k] = packed if near else np.int32(-1)
+        found += np.int32(near)
+    for k in range(n):
+        heights[k] = up + metric[2 * CHUNK + k]
+    return found
+
+
+@njit(cache=True, nogil=True)
+def sum_ground(first, past, samples, heights, kind_of, post_of, prior, prior_room, post_sum, post_count):
+    """Add some of the seabed's samples to their posts."""
+    for k in range(first, past, GROUND_STEP):
+        if samples[k] < 0:
+            continue
+        kind = kind_of[samples[k] & LABEL_MASK]
+        post = post_of[samples[k] >> LABEL_BITS]
+        if kind == GROUND or (kind == UNSURE and abs(heights[k] - prior[post]) <= prior_room):
+            post_sum[post] += heights[k]
+            post_count[post] += 1.0

@@ -1,0 +1,280 @@
+"""One frame into the map, by way of a window of cells around the camera."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.geometry import SE3, Camera
+from dream.mapping.blocks import BlockStore
+from dream.mapping.layers import BLOCK, LEVELS, QUANTUM, Evidence, post_bits
+from dream.mapping.visibility import RAYS
+from dream.protocol import SurveyProtocol
+from dream.types import IntArray, Label
+
+Rectangle = tuple[int, int, int, int]
+"""First row and column, past row and column; cells of the store."""
+PIXELS_ACROSS = 4
+"""Pixels that are looked at along the side of a cell that faces the camera; what is nearer is thinned."""
+THINNINGS = 2
+"""How often rows and columns may be halved, at most."""
+MOST_TABLES = 8
+LOWER_PART = 0.25
+"""Share of the height band that is its lower part."""
+
+
+class FrameWindow:
+    """What one frame says, over a window of cells around the camera; and room to work it out in.
+
+    What it does: `read` leaves the map as it is, `commit` writes what was read. docs/map.md has the rule.
+    """
+
+    def __init__(self, protocol: SurveyProtocol, evidence: Evidence, pixels: int) -> None:
+        """Room for frames of up to so many pixels."""
+        self.protocol = protocol
+        self.evidence = evidence
+        self.pixels = pixels
+        self.datum = math.nan
+        self._bits = post_bits(protocol)
+        post = 1 << self._bits
+        reach = math.ceil(protocol.reach / protocol.cell)
+        # The window's low corner lies on a post; two cells are for rounding.
+        self._side = -(-(2 * reach + 3 + post) // post) * post
+        self._half = reach + 1
+        self._posts = self._side >> self._bits
+        cells = self._side**2
+        at = np.arange(self._side) >> self._bits
+        self._post_of = (at[:, None] * self._posts + at[None, :]).astype(np.int32).ravel()
+        self._samples = np.empty(pixels + 1, np.int32)
+        self._heights = np.empty(pixels + 1, np.float32)
+        self._farthest = np.empty(RAYS, np.float32)
+        self._post_sum, self._post_count = np.empty(self._posts**2), np.empty(self._posts**2)
+        self._scratch = (
+            np.empty(cells, np.float32),
+            np.empty(cells, np.uint64),
+            np.empty(cells, np.int32),
+            np.empty(cells, np.uint8),
+            np.empty(cells, np.uint8),
+        )
+        self._said = (np.empty(cells, np.int8), np.empty(cells, np.uint8), np.empty(cells, np.uint8))
+        self._touched = np.zeros((0, 0), np.bool_)
+        self._low = (0, 0)
+        bearings = (np.arange(RAYS) + 0.5) * (2.0 * math.pi / RAYS)
+        self._directions = np.column_stack([np.cos(bearings), np.sin(bearings)])
+        low, high = evidence.clamp
+        lower, upper = protocol.band
+        self._band = (lower, lower + LOWER_PART * (upper - lower), upper)
+        self._rule = (
+            (round(evidence.step / QUANTUM), round(evidence.doubt / QUANTUM)),
+            (math.ceil(low / QUANTUM - 1e-9), math.floor(high / QUANTUM + 1e-9)),
+            (
+                evidence.min_pixels,
+                evidence.min_share,
+                evidence.peak_share,
+                evidence.min_ground,
+                evidence.vote_pixels,
+                evidence.vote_share,
+            ),
+            evidence.range_noise,
+        )
+        self._tables: dict[tuple[int, ...], tuple[int, IntArray]] = {}
+
+    def read(
+        self,
+        store: BlockStore,
+        origin: tuple[float, float],
+        limits: Rectangle,
+        depth: npt.NDArray[Any],
+        labels: npt.NDArray[Any],
+        camera: Camera,
+        T_world_camera: SE3,
+    ) -> None:
+        """Work out what a frame says.
+
+        Args:
+            store: The map's cells; only read.
+            origin: World x and y of the corner where the store's cell (0, 0) begins.
+            limits: Cells in bounds.
+            depth, labels, camera, T_world_camera: See `OccupancyMap.integrate`; checked.
+        """
+        from dream.mapping._kernels import evidence as kernels
+        from dream.mapping._kernels import pixels
+
+        protocol, evidence, side = self.protocol, self.evidence, self._side
+        cell, t = protocol.cell, T_world_camera.translation
+        x, y = (float(t[0]) - origin[0]) / cell, (float(t[1]) - origin[1]) / cell
+        row, col = math.floor(y), math.floor(x)
+        low = tuple((a - self._half) >> self._bits << self._bits for a in (row, col))
+        clip = tuple(min(max(limit - a, 0), side) for limit, a in zip(limits, (*low, *low), strict=True))
+        clip = (clip[0], clip[2], clip[1], clip[3])
+        self._low = (low[0], low[1])
+        self.datum = float(t[2]) - protocol.altitude
+
+        # ---- which posts the window's ground depends on
+        coarse, per_block = 1 << LEVELS, BLOCK >> self._bits
+        first = [a >> self._bits for a in low]
+        wide = [(a // coarse - 2) * coarse for a in first]
+        shape = [(-(-(a + self._posts) // coarse) + 2) * coarse - b for a, b in zip(first, wide, strict=True)]
+        post_table = self._table(
+            store,
+            [a // per_block for a in wide],
+            [(a % per_block + n - 1) // per_block + 1 for a, n in zip(wide, shape, strict=True)],
+        )
+        post_window = (*shape, first[0] - wide[0], first[1] - wide[1])
+        ground_rule = (LEVELS, evidence.ground_share, evidence.ground_pixels, self.datum)
+        pools = store.pools
+
+        soft = bool(np.issubdtype(labels.dtype, np.floating))
+        prior = _NO_PRIOR
+        if soft:
+            prior = kernels.ground_before(
+                pools["ground_sum"],
+                pools["ground_count"],
+                post_table,
+                wide[0] % per_block,
+                wide[1] % per_block,
+                post_window,
+                ground_rule,
+                self._posts,
+            )
+        self._post_sum[:], self._post_count[:] = 0.0, 0.0
+        under = ((row - low[0]) >> self._bits) * self._posts + ((col - low[1]) >> self._bits)
+        self._post_sum[under], self._post_count[under] = self.datum, 1.0
+        unit = 0.001 if depth.dtype == np.uint16 else 1.0
+        thin = cell * min(camera.fx, camera.fy) / PIXELS_ACROSS
+        cuts = np.array([thin / (2 << k) for k in range(THINNINGS)], np.float32)
+        count = pixels.project(
+            depth,
+            unit,
+            labels,
+            255.0 if soft else 1.0,
+            labels.dtype.type(-1.0 if soft else Label.WATER),
+            _KIND_OF_PROBABILITY if soft else _KIND_OF_LABEL,
+            (camera.fx, camera.fy, camera.cx, camera.cy),
+            T_world_camera.rotation,
+            t,
+            (origin[0] + low[1] * cell, origin[1] + low[0] * cell),
+            cell,
+            (protocol.min_depth, protocol.max_depth, protocol.reach),
+            cuts,
+            (np.append(cuts, protocol.min_depth) / unit).astype(depth.dtype),
+            side,
+            clip,
+            self._post_of,
+            prior,
+            protocol.band[0],
+            self._samples,
+            self._heights,
+            self._post_sum,
+            self._post_count,
+            self._farthest,
+        )
+        offset = (low[0] % BLOCK, low[1] % BLOCK)
+        blocks = [(a + side - 1) // BLOCK + 1 for a in offset]
+        if self._touched.shape != tuple(blocks):
+            self._touched = np.zeros(blocks, np.bool_)
+        kernels.read_frame(
+            (pools["log_odds"], pools["flags"], pools["ground_sum"], pools["ground_count"]),
+            (self._table(store, [a // BLOCK for a in low], blocks), post_table),
+            (*offset, wide[0] % per_block, wide[1] % per_block),
+            post_window,
+            ground_rule,
+            self._samples,
+            self._heights,
+            count,
+            self._post_sum,
+            self._post_count,
+            side,
+            self._bits,
+            self._band,
+            _WEIGHT_OF_PROBABILITY if soft else _WEIGHT_OF_LABEL,
+            (x - low[1], y - low[0]),
+            cell,
+            self._rule,
+            self._sector(camera, T_world_camera),
+            self._farthest,
+            self._directions,
+            clip,
+            self._scratch,
+            (*self._said, self._touched),
+        )
+
+    def _sector(
+        self, camera: Camera, T_world_camera: SE3
+    ) -> tuple[int, int, float, float, float, float, float, bool]:
+        """First and last ray, forward direction, half angle's cosine, reach, blind distance, level rays in sight?"""
+        protocol, forward = self.protocol, T_world_camera.rotation[:, 2]
+        level_part = math.hypot(forward[0], forward[1])
+        if level_part < 0.1:  # Looking straight down there is no sector; the direct returns are all.
+            return 0, -1, 0.0, 0.0, -1.0, 0.0, 0.0, False
+        pitch = math.atan2(-forward[2], level_part)
+        left, right = math.atan(camera.cx / camera.fx), math.atan((camera.width - camera.cx) / camera.fx)
+        yaw, half = math.atan2(forward[1], forward[0]) + 0.5 * (left - right), 0.5 * camera.horizontal_fov
+        steepest = math.atan((camera.height - camera.cy) / camera.fy) + pitch
+        if steepest <= 0.0:  # All of the image is above the horizon.
+            blind = math.inf
+        else:
+            blind = protocol.altitude / math.tan(steepest) if steepest < 0.5 * math.pi else 0.0
+        per_radian, per_metre = RAYS / (2.0 * math.pi), 1.0 / protocol.cell
+        return (
+            math.floor((yaw - half) * per_radian) - 1,
+            math.floor((yaw + half) * per_radian) + 1,
+            math.cos(yaw),
+            math.sin(yaw),
+            math.cos(half),
+            protocol.reach * per_metre,
+            blind * per_metre,
+            math.atan(camera.cy / camera.fy) >= pitch,
+        )
+
+    def _table(self, store: BlockStore, low: list[int], shape: list[int]) -> IntArray:
+        """`BlockStore.table`; mostly it is the same as before."""
+        key = (*low, *shape)
+        known = self._tables.get(key)
+        if known is None or known[0] != len(store):
+            if len(self._tables) >= MOST_TABLES:
+                self._tables = {}
+            known = self._tables[key] = (len(store), store.table(low, shape))
+        return known[1]
+
+    def commit(self, store: BlockStore, stamp: int) -> Rectangle:
+        """Write what was read.
+
+        Returns:
+            Cells among which some became solid or known, or ceased to be.
+        """
+        from dream.mapping._kernels import evidence as kernels
+
+        low = self._low
+        first = [a // BLOCK for a in low]
+        touched = np.argwhere(self._touched)
+        store.make((first[0] + int(i), first[1] + int(j)) for i, j in touched)
+        pools = store.pools
+        changed = kernels.commit(
+            (pools["log_odds"], pools["flags"], pools["votes"], pools["ground_sum"], pools["ground_count"]),
+            store.stamps,
+            self._table(store, first, list(self._touched.shape)),
+            low[0] % BLOCK,
+            low[1] % BLOCK,
+            self._side,
+            (*self._said, self._touched),
+            stamp,
+            self._bits,
+            self._post_sum,
+            self._post_count,
+            self.evidence.ground_memory,
+        )
+        first_row, past_row, first_col, past_col = changed
+        return low[0] + first_row, low[1] + first_col, low[0] + past_row, low[1] + past_col
+
+
+_NO_PRIOR = np.zeros(1)
+_KIND_OF_LABEL = np.ones(256, np.uint8)
+_KIND_OF_LABEL[Label.SEABED] = 0
+_WEIGHT_OF_LABEL = np.zeros(256, np.int32)
+_WEIGHT_OF_LABEL[Label.TARGET] = 16
+_KIND_OF_PROBABILITY = np.where(np.arange(256) < 128, 2, 1).astype(np.uint8)
+_WEIGHT_OF_PROBABILITY = np.rint(np.arange(256) / 255.0 * 16.0).astype(np.int32)
