@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dream.geometry import SE3, Bounds
+from dream.geometry import SE3, Bounds, Camera
 from dream.mapping import OccupancyMap
 from dream.mapping._kernels import flags
 from dream.protocol import DREAM_V1
@@ -52,9 +52,10 @@ def camera_at(x: float, y: float, yaw: float) -> SE3:
     return SE3.level(x, y, SEABED + DREAM_V1.altitude, yaw) @ DREAM_V1.T_base_camera
 
 
-def render(T_world_camera: SE3, *things: Pillar | Disc, slope: float = 0.0) -> Images:
+def render(
+    T_world_camera: SE3, *things: Pillar | Disc, slope: float = 0.0, camera: Camera = CAMERA
+) -> Images:
     """Depth and labels, one ray through the middle of each pixel. The seabed rises by `slope` along x."""
-    camera = CAMERA
     u = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     v = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
     rays_camera = np.stack(np.broadcast_arrays(u[None, :], v[:, None], 1.0), axis=-1)

@@ -10,10 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dream.geometry import SE2
-from dream.mapping import OccupancyMap, check_completion, hiding_places, reachable, view
-from dream.protocol import DREAM_V1
+from dream.geometry import SE2, Bounds
+from dream.mapping import Completion, OccupancyMap, check_completion, hiding_places, reachable, view
+from dream.mapping._kernels.flags import BARE, CROSSED, EXPLORED, RETURNED
+from dream.mapping.progress import Progress
+from dream.protocol import DREAM_V1, POOL_V1, SurveyProtocol
 from dream.types import BoolArray
+from tests.mapping import completion_from_scratch as scratch
 from tests.mapping.analytic import Disc, empty_map, look_around, map_with
 
 HERE = SE2(0.0, 0.0, 0.0)
@@ -176,3 +179,196 @@ def test_where_nothing_is_explored_every_disc_in_bounds_that_shows_is_a_hiding_p
     assert not places[np.maximum(abs(x), abs(y)) > 10.5].any()
     with pytest.raises(ValueError, match="radius: expected a positive length in metres, got nan"):
         hiding_places(occupancy, HERE, math.nan)
+
+
+# ------------------------------------------------------------------------------------- kept up to date
+
+
+class Kept:
+    """A map whose cells are written at will, and a progress that is told where."""
+
+    def __init__(self, bounds: Bounds | None, protocol: SurveyProtocol = DREAM_V1) -> None:
+        self.map = OccupancyMap(bounds, protocol)
+        self.progress = Progress(
+            self.map._store,
+            protocol,
+            self.map.evidence,
+            self.map.needed_room,
+            self.map._origin,
+            bounds,
+        )
+
+    def write(self, name: str, row: int, col: int, cells: npt.NDArray[np.integer[npt.NBitBase]]) -> None:
+        self.map._write(name, (row, col), cells)
+        self.progress.update(row, col, row + cells.shape[0], col + cells.shape[1])
+
+    def fill(self, name: str, row: int, col: int, shape: tuple[int, int], value: int) -> None:
+        self.write(name, row, col, np.full(shape, value))
+
+    def check(self, x: float, y: float) -> Completion:
+        """What is kept, which must be what comes out from scratch."""
+        pose = SE2(x, y, 0.0)
+        (row, col), (rows, cols) = self.map.low, self.map.shape
+        window = (row, col, row + rows, col + cols)
+        completion = self.progress.check(pose, window)
+        np.testing.assert_array_equal(
+            self.progress.reachable(pose, window), scratch.reachable(self.map, pose)
+        )
+        scratch.assert_same(completion, scratch.check_completion(self.map, pose))
+        return completion
+
+
+BARE_GROUND = EXPLORED | BARE
+TARGET, SOLID, FREE = 0x50, 5, -3
+
+
+@given(
+    seed=st.integers(0, 2**31),
+    bounds=st.sampled_from((None, Bounds(-12.0, -12.0, 12.0, 12.0), Bounds(-3.0, 5.0, 37.0, 9.0))),
+    targets=st.booleans(),
+)
+@settings(max_examples=8)
+def test_after_any_changes_the_answer_is_the_one_from_scratch(
+    seed: int, bounds: Bounds | None, targets: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    kept = Kept(bounds)
+    low, (rows, cols) = ((0, 0), kept.map.shape) if bounds else ((-70, -40), (110, 100))
+    kept.fill("flags", *low, (rows, cols), BARE_GROUND if rng.random() < 0.7 else CROSSED)
+    middle_x, middle_y = (
+        origin + (first + 0.5 * count) * DREAM_V1.cell
+        for origin, first, count in zip(kept.map._origin, low[::-1], (cols, rows), strict=True)
+    )
+    for _ in range(12):
+        height, width = (int(rng.integers(1, 1 + min(rng.choice([6, 60]), n))) for n in (rows, cols))
+        row = low[0] + int(rng.integers(0, rows - height + 1))
+        col = low[1] + int(rng.integers(0, cols - width + 1))
+        shape = (height, width)
+        match int(rng.integers(6)):
+            case 0:
+                kept.fill("log_odds", row, col, shape, int(rng.choice([SOLID, FREE])))
+            case 1:
+                kept.write("log_odds", row, col, np.where(rng.random(shape) < 0.03, SOLID, FREE))
+            case 2:
+                kept.fill("flags", row, col, shape, int(rng.choice([0, BARE_GROUND, CROSSED, RETURNED])))
+            case 3 if targets:
+                share = rng.choice([0.02, 0.3, 1.0])
+                kept.write("votes", row, col, np.where(rng.random(shape) < share, TARGET, 0))
+            case 4 if targets:
+                kept.fill("votes", row, col, shape, 0)
+        x, y = middle_x, middle_y
+        if rng.random() < 0.5:  # Wherever, on a boulder or in the unknown too.
+            x += float(rng.uniform(-0.5, 0.5)) * cols * DREAM_V1.cell
+            y += float(rng.uniform(-0.5, 0.5)) * rows * DREAM_V1.cell
+        elif rng.random() < 0.1:
+            x, y = kept.map.bounds.x_min, kept.map.bounds.y_max
+        kept.check(x, y)
+    again = Kept(bounds)
+    again.map = kept.map.copy()
+    again.progress = kept.progress.copy(again.map._store)
+    again.check(middle_x, middle_y)
+    kept.check(middle_x, middle_y)
+
+
+def test_a_door_that_closes_and_opens_takes_away_and_gives_back_all_behind_it() -> None:
+    kept = Kept(Bounds(-20.0, -20.0, 20.0, 20.0))
+    kept.fill("flags", 0, 0, (160, 160), BARE_GROUND)
+    kept.fill("log_odds", 0, 80, (160, 1), SOLID)
+    kept.fill("flags", 60, 120, (20, 20), 0)
+
+    def nodes() -> int:
+        kept.check(-10.0, 0.0)
+        return int(kept.progress._lattice.pools["reached"].sum())
+
+    one_side = nodes()
+    kept.fill("log_odds", 70, 80, (8, 1), FREE)
+    both_sides = nodes()
+    assert both_sides > 1.9 * one_side
+    assert len(kept.check(-10.0, 0.0).open_cells) > 300
+    # A second door makes a loop: closing either one takes nothing away.
+    kept.fill("log_odds", 20, 80, (8, 1), FREE)
+    kept.fill("log_odds", 70, 80, (8, 1), SOLID)
+    assert nodes() > 1.9 * one_side
+    kept.fill("log_odds", 20, 80, (8, 1), SOLID)
+    assert nodes() == one_side
+    assert kept.check(-10.0, 0.0).complete
+
+
+def test_two_regions_merge_over_a_bridge_and_part_again() -> None:
+    kept = Kept(None)
+    kept.fill("flags", -80, -90, (160, 180), BARE_GROUND)
+    kept.fill("votes", -30, 1, (10, 80), TARGET)
+    kept.fill("votes", -30, -70, (10, 4), TARGET)
+    assert [len(region.cells) for region in kept.check(0.0, 0.0).regions] == [40, 800]
+    bridge = np.zeros((1, 63), np.int64)
+    bridge[0, ::4] = TARGET
+    kept.write("votes", -25, -63, bridge)  # All in the block between them.
+    (region,) = kept.check(0.0, 0.0).regions
+    assert len(region.cells) == 40 + 16 + 800
+    kept.fill("votes", -25, -31, (1, 1), 0)
+    assert [len(region.cells) for region in kept.check(0.0, 0.0).regions] == [48, 807]
+    kept.fill("votes", -30, -80, (10, 81), 0)
+    assert [len(region.cells) for region in kept.check(0.0, 0.0).regions] == [800]
+    kept.fill("votes", -30, 1, (10, 80), 0)
+    assert kept.check(0.0, 0.0).regions == ()
+
+
+@given(seed=st.integers(0, 2**31))
+@settings(max_examples=6)
+def test_in_a_maze_whose_doors_open_and_close_the_reachable_ground_is_as_from_scratch(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    kept = Kept(None)
+    side, room = 240, 24
+    low = -128
+    kept.fill("flags", low, low, (side, side), BARE_GROUND)
+    kept.write("flags", low, low, np.where(rng.random((side, side)) < 0.001, 0, BARE_GROUND))
+    walls = np.full((side, side), FREE)
+    walls[::room] = walls[:, ::room] = walls[-1] = walls[:, -1] = SOLID
+    kept.write("log_odds", low, low, walls)
+    for _ in range(40):
+        # Doors are just wide enough, or not.
+        row, col = (low + room * int(n) for n in rng.integers(1, side // room, 2))
+        along, width = int(rng.integers(3, room - 10)), int(rng.integers(4, 8))
+        shape = (1, width) if rng.random() < 0.5 else (width, 1)
+        where = (row, col + along) if shape[0] == 1 else (row + along, col)
+        kept.fill("log_odds", *where, shape, int(rng.choice([FREE, FREE, FREE, SOLID])))
+        kept.check(*rng.choice([-29.0, -26.0, -2.0, 2.0, 10.0], 2))
+
+
+def test_a_hole_in_a_region_over_many_blocks_is_open_until_it_is_seen() -> None:
+    kept = Kept(Bounds(-25.0, -25.0, 25.0, 25.0))
+    kept.fill("flags", 0, 0, (200, 200), BARE_GROUND)
+    kept.fill("votes", 30, 30, (140, 140), TARGET)
+    kept.fill("votes", 40, 40, (120, 120), 0)
+    kept.fill("flags", 100, 100, (2, 3), 0)
+    assert len(kept.check(-20.0, -20.0).open_cells) == 6
+    kept.fill("flags", 100, 100, (1, 3), RETURNED)
+    assert len(kept.check(-20.0, -20.0).open_cells) == 3
+    kept.fill("votes", 30, 90, (10, 20), 0)  # Now the hole is none.
+    assert kept.check(-20.0, -20.0).complete
+
+
+@pytest.mark.parametrize("target", [False, True])
+def test_a_map_that_grows_to_all_sides_is_as_from_scratch(target: bool) -> None:
+    rng = np.random.default_rng(0)
+    kept = Kept(None)
+    for row, col in ((0, 0), (-90, 30), (-150, -120), (100, -200), (150, 210), (20, -50)):
+        shape = (50, 60)
+        kept.write("flags", row, col, np.where(rng.random(shape) < 0.98, BARE_GROUND, 0))
+        kept.write("log_odds", row, col, np.where(rng.random(shape) < 0.002, SOLID, FREE))
+        if target:
+            kept.fill("votes", row + 20, col, (20, 20), TARGET)
+        kept.check((col + 30) * DREAM_V1.cell, (row + 25) * DREAM_V1.cell)
+        kept.check(0.25 * 30, 0.25 * 25)
+
+
+def test_a_pool_with_nodes_on_the_corners_of_cells_is_as_from_scratch() -> None:
+    rng = np.random.default_rng(0)
+    kept = Kept(Bounds(-3.0, -2.0, 3.0, 2.0), POOL_V1)
+    kept.fill("flags", 0, 0, (80, 120), BARE_GROUND)
+    for _ in range(8):
+        row, col = int(rng.integers(0, 60)), int(rng.integers(0, 100))
+        kept.write("log_odds", row, col, np.where(rng.random((20, 20)) < 0.01, SOLID, FREE))
+        kept.write("votes", row, col, np.where(rng.random((20, 20)) < 0.1, TARGET, 0))
+        kept.fill("flags", row, col, (5, 9), 0)
+        kept.check(*rng.uniform(-1.5, 1.5, 2))

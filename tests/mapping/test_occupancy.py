@@ -513,7 +513,7 @@ GOOD_LABELS = np.ones((240, 320), np.uint8)
         ),
         (GOOD_DEPTH, GOOD_LABELS[:10], r"labels: expected \(240, 320\).*got \(10, 320\)"),
         (GOOD_DEPTH[..., None], GOOD_LABELS, r"depth: expected \(height, width\), got \(240, 320, 1\)"),
-        (GOOD_DEPTH.astype(np.int16), GOOD_LABELS, "depth: expected floating-point .* or uint16 .*, got int16"),
+        (GOOD_DEPTH.astype(np.int16), GOOD_LABELS, "depth: expected floating-point .* uint16 .*, got int16"),
         (GOOD_DEPTH, GOOD_LABELS > 0, "labels: expected integers, .*, or probabilities, got bool"),
         (GOOD_DEPTH, GOOD_LABELS * 1.5, r"labels: expected probabilities in \[0, 1\], got others"),
         (GOOD_DEPTH, GOOD_LABELS * -0.1, r"labels: expected probabilities in \[0, 1\], got others"),

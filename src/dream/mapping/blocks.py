@@ -53,7 +53,7 @@ class BlockStore:
 
     def make(self, keys: Iterable[Key]) -> None:
         """Make blocks where there are none."""
-        new = [key for key in keys if key not in self.slot_of]
+        new = [key for key in dict.fromkeys(keys) if key not in self.slot_of]
         needed = 1 + len(self) + len(new)
         if needed > len(self.stamps):
             capacity = 2 * len(self.stamps)

@@ -240,6 +240,12 @@ class FrameWindow:
             known = self._tables[key] = (len(store), store.table(low, shape))
         return known[1]
 
+    @property
+    def cells(self) -> Rectangle:
+        """The window."""
+        row, col = self._low
+        return row, col, row + self._side, col + self._side
+
     def commit(self, store: BlockStore, stamp: int) -> Rectangle:
         """Write what was read.
 

@@ -24,7 +24,7 @@ POSTS = ("ground_sum", "ground_count")
 """What it remembers of the seabed, on a coarser grid."""
 POST = 0.64
 """Metres between posts, about: as far as the seabed is smooth."""
-LEVELS = 4
+LEVELS = 3
 """Coarser grids that fill the gaps between posts."""
 BLOCK = 64
 """Cells along a block."""

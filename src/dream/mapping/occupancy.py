@@ -18,7 +18,7 @@ from dream.geometry import SE3, Bounds, Camera
 from dream.mapping._kernels import flags
 from dream.mapping.blocks import BlockStore
 from dream.mapping.edges import Edges
-from dream.mapping.frame import FrameWindow
+from dream.mapping.frame import FrameWindow, Rectangle
 from dream.mapping.layers import (
     BLOCK,
     CELLS,
@@ -27,12 +27,11 @@ from dream.mapping.layers import (
     Layers,
     post_bits,
 )
+from dream.mapping.progress import Progress
 from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, Label
 
 FORMAT = "dream-map-2"
-Rectangle = tuple[int, int, int, int]
-"""First row and column, past row and column; cells of the store."""
 MOST_PIXELS = 1 << 20
 """Of larger images every n-th row and column is taken, so that no cell's counts overflow."""
 MOST_CELLS = 1400
@@ -116,6 +115,7 @@ class OccupancyMap(Layers):
         self._frame: FrameWindow | None = None
         self._edges = Edges(store, self.needed_room, (0, 0, *self.shape) if self._bounded else None)
         self._pending: list[Rectangle] = []
+        self._progress = Progress(store, protocol, self.evidence, self.needed_room, self._origin, bounds)
 
     # ------------------------------------------------------------------------------------ what goes in
 
@@ -139,7 +139,8 @@ class OccupancyMap(Layers):
         self._stamp += 1
         for key in self._store.write(name, low, cells):
             self._store.stamps[self._store.slot_of[key]] = self._stamp
-        self._changed((*low, low[0] + cells.shape[0], low[1] + cells.shape[1]))
+        cells_written = (*low, low[0] + cells.shape[0], low[1] + cells.shape[1])
+        self._changed(cells_written, cells_written)
 
     def integrate(
         self,
@@ -179,17 +180,18 @@ class OccupancyMap(Layers):
         window.read(self._store, origin, limits, depth, labels, camera, T_world_camera)
         self._datum = window.datum
         self._stamp += 1
-        self._changed(window.commit(self._store, self._stamp))
+        self._changed(window.commit(self._store, self._stamp), window.cells)
 
     def _global(self, x: float, y: float) -> tuple[int, int]:
         """Row and column in the store."""
         cell = self.protocol.cell
         return math.floor((y - self._origin[1]) / cell), math.floor((x - self._origin[0]) / cell)
 
-    def _changed(self, cells: Rectangle) -> None:
-        """Cells of the store in (first row, first col, past row, past col) became another."""
+    def _changed(self, outlines: Rectangle, written: Rectangle) -> None:
+        """What is solid or known changed in the first rectangle of the store's cells, anything in the second."""
         self._layers = {}
-        self._pending.append(cells)
+        self._pending.append(outlines)
+        self._progress.update(*written)
         if len(self._pending) > MOST_PENDING:
             self._renew_edges()
         self._measure_extent()
@@ -213,6 +215,11 @@ class OccupancyMap(Layers):
         if self._pending:
             self._renew_edges()
         return self._edges
+
+    @property
+    def progress(self) -> Progress:
+        """Target regions, what is open about them, and reachable ground, up to date when asked."""
+        return self._progress
 
     @property
     def inflated(self) -> BoolArray:
@@ -280,6 +287,7 @@ class OccupancyMap(Layers):
         edges = self.edges
         other._store = self._store.copy()
         other._edges = edges.copy(other._store)
+        other._progress = self._progress.copy(other._store)
         other._stamp, other._datum = self._stamp, self._datum
         other.bounds, other._low, other._shape = self.bounds, self._low, self._shape
         return other
@@ -349,7 +357,8 @@ class OccupancyMap(Layers):
             store.pools[name][1 : 1 + len(keys)] = stored[name]
         store.stamps[1 : 1 + len(keys)] = stored["stamps"]
         occupancy._edges = Edges(store, occupancy.needed_room, occupancy._edges.limits)
-        occupancy._changed((0, 0, 0, 0))
+        occupancy._progress = occupancy._progress.copy(store)
+        occupancy._measure_extent()
         return occupancy
 
 

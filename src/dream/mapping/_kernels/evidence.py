@@ -124,24 +124,25 @@ def spread_ground(posts, low_row, low_col, post_bits, side, ground):
         side: Cells along the window.
         ground: (side²) float32, out.
     """
-    width = 1 << post_bits
-    count = (side >> post_bits) + 2
-    line = np.empty(count, np.float32)
-    share = ((np.arange(width) + 0.5) / width).astype(np.float32)
+    width, count = 1 << post_bits, (side >> post_bits) + 2
     half = width >> 1
-    row = np.empty((count - 1) * width, np.float32)
-    for i in range(side):
-        y = (i + 0.5) / width - 0.5 + low_row
-        i0 = int(y)
-        fy = y - i0
-        for p in range(count):
-            line[p] = posts[i0, low_col - 1 + p] * (1.0 - fy) + posts[i0 + 1, low_col - 1 + p] * fy
-        for p in range(count - 1):
-            a, step = line[p], line[p + 1] - line[p]
+    share = ((np.arange(width) + 0.5) / width).astype(np.float32)
+    # First along the rows of posts, then between them.
+    wide = np.empty((count, count * width), np.float32)
+    for p in range(count):
+        for q in range(count - 1):
+            a = np.float32(posts[low_row - 1 + p, low_col - 1 + q])
+            rise = np.float32(posts[low_row - 1 + p, low_col + q]) - a
             for k in range(width):
-                row[p * width + k] = a + step * share[k]
-        # The first post's centre lies half a post before the window.
-        ground[i * side : (i + 1) * side] = row[width - half : width - half + side]
+                wide[p, q * width + k] = a + rise * share[k]
+    # The first post's centre lies half a post before the window.
+    for i in range(side):
+        p = (i + half) >> post_bits
+        fy = share[(i + half) & (width - 1)]
+        south, north = wide[p, width - half :], wide[p + 1, width - half :]
+        row = ground[i * side : (i + 1) * side]
+        for j in range(side):
+            row[j] = south[j] + (north[j] - south[j]) * fy
 
 
 # ---------------------------------------------------------------------------------------------------
@@ -173,11 +174,11 @@ def field_of(packed, field):
 
 
 @njit(cache=True, nogil=True)
-def reaches_down(log_odds, flags, side, row, col):
-    """Was what is solid in a cell, or in one that it touches, seen down to the lower edge of the band?"""
+def reaches_down(flags, side, row, col):
+    """Was what was solid in a cell before, or in one that it touches, seen down to the band's lower edge?"""
     for i in range(max(row - 1, 0), min(row + 2, side)):
         for j in range(max(col - 1, 0), min(col + 2, side)):
-            if log_odds[i * side + j] > 0 and flags[i * side + j] & GROUNDED:
+            if flags[i * side + j] & GROUNDED:
                 return True
     return False
 
@@ -242,8 +243,8 @@ def weigh(
                 votes[c] = 1 if targets[c] >= vote_share * WEIGHT * total else 2
             if band >= hit_pixels and band >= hit_share * total:
                 up, right = i + 0.5 - camera_row, j + 0.5 - camera_col
-                away = math.hypot(up, right)
-                scatter = noise * size * away * away
+                square = up * up + right * right
+                away, scatter = math.sqrt(square), noise * size * square
                 peak = band
                 for k in range(1, math.ceil(2.0 * scatter - 0.3) + 1):
                     a = math.floor(i + 0.5 + k * up / away)
@@ -262,14 +263,15 @@ def weigh(
             elif band < hit_share * total and below >= miss_pixels:
                 up, right = i + 0.5 - camera_row, j + 0.5 - camera_col
                 # Beside the sector the image shows the foot of a cell at most.
-                if right * forward_x + up * forward_y < math.hypot(up, right) * cos_half - SECTOR_SLACK:
+                distance = math.sqrt(up * up + right * right)
+                if right * forward_x + up * forward_y < distance * cos_half - SECTOR_SLACK:
                     continue
-                down = log_odds[c] <= 0 or reaches_down(log_odds, flags, side, i, j)
+                down = log_odds[c] <= 0 or reaches_down(flags, side, i, j)
                 log_odds[c] = max(log_odds[c] - (step if down else doubt), low)
 
 
 @njit(cache=True, nogil=True)
-def cast_rays(x, y, rays, directions, farthest, per_metre, reach, side, clip, log_odds, paths):
+def cast_rays(x, y, rays, directions, farthest, per_metre, reach, side, log_odds, paths):
     """Walk one frame's rays over the window (Amanatides and Woo, 1987); a solid cell ends a ray.
 
     Args:
@@ -278,55 +280,54 @@ def cast_rays(x, y, rays, directions, farthest, per_metre, reach, side, clip, lo
         directions: (rays, 2) cosine and sine.
         farthest: (rays,) metres that a ray is known to have run; nothing is claimed beyond.
         per_metre: Cells.
-        reach: Cells.
+        reach: Cells; no cell so near lies outside the window.
         side: Cells along the window.
-        clip: (first row, past row, first col, past col) of the window that lie in bounds.
-        log_odds: (side²).
+        log_odds: (side²), not above 0 out of bounds.
         paths: (side²) uint8, out: `RAN` where a ray came, `ENDED` where one would have come.
     """
-    first_row, past_row, first_col, past_col = clip
     for number in range(rays[0], rays[1] + 1):
         ray = number & RAY_MASK
         if farthest[ray] <= 0.0:
             continue
-        runs = farthest[ray] * per_metre
+        runs = min(farthest[ray] * per_metre, reach)
         dx, dy = directions[ray, 0], directions[ray, 1]
         i, j = math.floor(y), math.floor(x)
-        step_i, step_j = (1 if dy > 0.0 else -1), (1 if dx > 0.0 else -1)
+        c = i * side + j
+        step_i, step_j = (side if dy > 0.0 else -side), (1 if dx > 0.0 else -1)
         along_i, along_j = abs(1.0 / dy), abs(1.0 / dx)
         next_i = (i + 1 - y if dy > 0.0 else y - i) * along_i
         next_j = (j + 1 - x if dx > 0.0 else x - j) * along_j
         along = 0.0
-        state = np.uint8(RAN)
-        while along <= reach:
-            if along > runs:
-                state = np.uint8(ENDED)
-            if first_row <= i < past_row and first_col <= j < past_col:
-                c = i * side + j
-                paths[c] |= state
-                if log_odds[c] > 0:
-                    state = np.uint8(ENDED)
+        while along <= runs:
+            paths[c] |= RAN
+            ended = log_odds[c] > 0
+            along = min(next_i, next_j)
             if next_j < next_i:
-                along = next_j
                 next_j += along_j
-                j += step_j
+                c += step_j
             else:
-                along = next_i
                 next_i += along_i
-                i += step_i
+                c += step_i
+            if ended:
+                break
+        while along <= reach:
+            paths[c] |= ENDED
+            along = min(next_i, next_j)
+            if next_j < next_i:
+                next_j += along_j
+                c += step_j
+            else:
+                next_i += along_i
+                c += step_i
 
 
 @njit(cache=True, nogil=True)
 def explore(
     x,
     y,
-    forward_x,
-    forward_y,
-    cos_half,
-    reach,
-    blind,
-    level,
+    sector,
     side,
+    clip,
     counts,
     miss,
     lowest,
@@ -337,19 +338,19 @@ def explore(
     offset_col,
     touched,
 ):
-    """Explore and cross what the rays reach of the sector, wear down what all of them pass without a return.
-
-    `level` tells whether rays at the vehicle's own height are in the image.
-    """
-    for i in range(side):
+    """Explore and cross what the rays reach of the sector, wear down what all of them pass without a return."""
+    _, _, forward_x, forward_y, cos_half, reach, blind, level = sector
+    first_row, past_row, first_col, past_col = clip
+    farthest = (reach + SECTOR_SLACK) ** 2
+    for i in range(first_row, past_row):
         up = i + 0.5 - y
-        for j in range(side):
+        for j in range(first_col, past_col):
             c = i * side + j
             if not paths[c] & RAN:
                 continue
             right = j + 0.5 - x
-            forward, distance = right * forward_x + up * forward_y, math.hypot(right, up)
-            if distance > reach + SECTOR_SLACK or forward < distance * cos_half - SECTOR_SLACK:
+            forward, square = right * forward_x + up * forward_y, right * right + up * up
+            if square > farthest or forward < math.sqrt(square) * cos_half - SECTOR_SLACK:
                 continue
             said = np.uint8(0)
             if forward >= blind - SECTOR_SLACK:
@@ -429,6 +430,7 @@ def commit(
         sum_pool,
         count_pool,
         table,
+        touched,
         offset_row >> post_bits,
         offset_col >> post_bits,
         post_sum.reshape(posts, posts),
@@ -491,16 +493,17 @@ def cast_votes(votes, row):
 
 
 @njit(cache=True, nogil=True)
-def commit_ground(sum_pool, count_pool, table, offset_row, offset_col, total, count, memory):
-    """Add a window of (rows, cols) posts to their blocks where there is one; a post remembers `memory` points."""
+def commit_ground(sum_pool, count_pool, table, touched, offset_row, offset_col, total, count, memory):
+    """Add a window of (rows, cols) posts to the blocks that were touched; a post remembers `memory` points."""
     n = sum_pool.shape[1]
     for i in range(total.shape[0]):
         for j in range(total.shape[1]):
             if count[i, j] == 0.0:
                 continue
-            slot = table[(offset_row + i) // n, (offset_col + j) // n]
-            if slot == 0:
+            at = (offset_row + i) // n, (offset_col + j) // n
+            if not touched[at]:
                 continue
+            slot = table[at]
             y, x = (offset_row + i) % n, (offset_col + j) % n
             points = count_pool[slot, y, x] + count[i, j]
             mean = (sum_pool[slot, y, x] + total[i, j]) / points
@@ -577,7 +580,7 @@ def read_frame(
             lengths in cells. No ray where it is not a sector.
         farthest: (rays,); see `cast_rays`.
         directions: (rays, 2); likewise.
-        clip: Likewise.
+        clip: (first row, past row, first col, past col) of the window that lie in bounds.
         scratch: (ground, counts, targets, flags, paths), (side²) each.
         out: (log_odds, bits, votes, touched) after the frame; see `weigh`.
     """
@@ -628,20 +631,15 @@ def read_frame(
         offset_col,
         touched,
     )
-    first, last, forward_x, forward_y, cos_half, reach, blind, level = sector
-    if first <= last:
+    if sector[0] <= sector[1]:
         paths[:] = 0
-        cast_rays(x, y, (first, last), directions, farthest, 1.0 / size, reach, side, clip, log_odds, paths)
+        cast_rays(x, y, sector[:2], directions, farthest, 1.0 / size, sector[5], side, log_odds, paths)
         explore(
             x,
             y,
-            forward_x,
-            forward_y,
-            cos_half,
-            reach,
-            blind,
-            level,
+            sector,
             side,
+            clip,
             counts,
             steps[0],
             clamp[0],

@@ -93,8 +93,8 @@ def project(
     metres, scale = f32(unit), f32(label_scale)
     frame = (f32((t[0] - low[0]) / size), f32((t[1] - low[1]) / size), f32(t[2]), f32(1.0 / size))
     square_reach = f32(reach * reach)
-    inside = (i32(clip[0]), i32(clip[1]), i32(clip[2]), i32(clip[3]))
-    stride = i32(side)
+    inside = (f32(clip[0]), f32(clip[1]), f32(clip[2]), f32(clip[3]))
+    stride = f32(side)
     chunks = (width + CHUNK - 1) // CHUNK
     columns = np.zeros((chunks, 3 * CHUNK), f32)
     farther = np.empty((chunks, 3 * CHUNK), f32)
@@ -250,12 +250,14 @@ def place(metric, names, samples, heights, n, frame, square_reach, inside, strid
     for k in range(n):
         x, y = metric[k], metric[CHUNK + k]
         near = (x * x + y * y <= square_reach) & (metric[3 * CHUNK + k] > np.float32(0.0))
-        j = np.int32(left + x * per_cell)
-        i = np.int32(bottom + y * per_cell)
-        near = near & (i >= first_row) & (i < past_row) & (j >= first_col) & (j < past_col)
-        packed = ((i * stride + j) << np.int32(LABEL_BITS)) | names[k]
-        samples[k] = packed if near else np.int32(-1)
+        col, row = left + x * per_cell, bottom + y * per_cell
+        near = near & (row >= first_row) & (row < past_row) & (col >= first_col) & (col < past_col)
+        # In float32, which is exact for so few cells: products of whole numbers would be widened to 64 bits.
+        cell = np.float32(np.int32(row)) * stride + np.float32(np.int32(col))
+        samples[k] = np.int32(cell) if near else np.int32(-1)
         found += np.int32(near)
+    for k in range(n):
+        samples[k] = np.int32((samples[k] << LABEL_BITS) | names[k])
     for k in range(n):
         heights[k] = up + metric[2 * CHUNK + k]
     return found
