@@ -29,9 +29,8 @@ from scipy import ndimage  # noqa: E402
 from tests.mapping import completion_from_scratch as scratch  # noqa: E402
 
 from dream.geometry import SE2, Bounds  # noqa: E402
-from dream.mapping import OccupancyMap  # noqa: E402
+from dream.mapping import OccupancyMap, check_completion, reachable  # noqa: E402
 from dream.mapping._kernels.flags import BARE, EXPLORED, RETURNED  # noqa: E402
-from dream.mapping.progress import Progress  # noqa: E402
 from dream.protocol import DREAM_V1  # noqa: E402
 
 Rectangle = tuple[int, int, int, int]
@@ -68,7 +67,7 @@ class Survey:
             old = store.read(name, (row, col), shape)
             self.map._write(name, (row, col), np.where(seen, value, old))
 
-    def frames(self, count: int) -> Iterator[tuple[Rectangle, SE2]]:
+    def frames(self, count: int) -> Iterator[SE2]:
         """Look with a sector of 90 degrees from places 0.5 m apart, along the edge of the known."""
         rows, cols = self.map.shape
         reach = math.ceil(DREAM_V1.reach / self.cell)
@@ -94,7 +93,7 @@ class Survey:
                 low[0] - row + reach : past[0] - row + reach, low[1] - col + reach : past[1] - col + reach
             ]
             self.write(rectangle, seen[part])
-            yield rectangle, SE2(x, y, yaw)
+            yield SE2(x, y, yaw)
 
 
 def _patches(
@@ -109,31 +108,19 @@ def measure(name: str, survey: Survey, frames: int, every: int) -> float:
     """Print the rows of one map; milliseconds of ours."""
     occupancy = survey.map
     start = time.process_time()
-    progress = Progress(
-        occupancy._store,
-        DREAM_V1,
-        occupancy.evidence,
-        occupancy.needed_room,
-        (0.0, 0.0),
-        occupancy.bounds,
-    )
-    window = (0, 0, *occupancy.shape)
-    completion = progress.check(SE2(20.0, 10.0, 0.0), window)
+    completion = check_completion(occupancy, SE2(20.0, 10.0, 0.0))
     building = time.process_time() - start
     ours, theirs = [], []
-    for frame, (rectangle, pose) in enumerate(survey.frames(frames)):
+    for frame, pose in enumerate(survey.frames(frames)):
         start = time.process_time()
-        progress.update(*rectangle)
-        completion = progress.check(pose, window)
+        completion = check_completion(occupancy, pose)
         ours.append((time.process_time() - start) * 1e3)
         if frame % every == 0:
             start = time.process_time()
             expected = scratch.check_completion(occupancy, pose)
             theirs.append((time.process_time() - start) * 1e3)
             scratch.assert_same(completion, expected)
-            np.testing.assert_array_equal(
-                progress.reachable(pose, window), scratch.reachable(occupancy, pose)
-            )
+            np.testing.assert_array_equal(reachable(occupancy, pose), scratch.reachable(occupancy, pose))
     p50, p99 = np.percentile(ours, (50, 99))
     other50, other99 = np.percentile(theirs, (50, 99))
     rows, cols = occupancy.shape

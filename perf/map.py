@@ -71,18 +71,15 @@ class Ours:
         self, depth_mm: npt.NDArray[np.uint16], labels: npt.NDArray[np.uint8], camera: Camera, pose: SE3
     ) -> None:
         """Add a frame."""
-        depth = depth_mm * np.float32(1e-3)
-        depth[depth_mm == 0] = np.nan
-        self.map.integrate(depth, labels, camera, pose)
+        self.map.integrate(depth_mm, labels, camera, pose)
 
     def layers(self) -> Layers:
         """Solid, explored, target."""
         return self.map.solid, self.map.explored, self.map.target
 
     def megabytes(self) -> float:
-        """Of all arrays that it holds."""
-        held = {id(v): v for v in vars(self.map).values() if isinstance(v, np.ndarray)}
-        return sum(array.nbytes for array in held.values()) / 1e6
+        """Of all blocks that it holds."""
+        return self.map.nbytes / 1e6
 
 
 # ------------------------------------------------------------------------------------------- measuring
@@ -158,7 +155,8 @@ def accuracy(layers: Layers, truth: workload.Truth) -> dict[str, float]:
         scores[f"E{name} R"] = ratio(explored, there & inside)
     scores["E P"] = ratio(truth.explored_2d | truth.explored_3d, explored & inside)
     if target is not None:
-        scores["tgt P"] = ratio(truth.target, target & inside)
+        scores["tgt P"] = ratio(truth.target_touched, target & inside)
+        scores["tgt P½"] = ratio(truth.target, target & inside)
         scores["tgt R"] = ratio(target, truth.target & truth.target_observed & inside)
     return scores
 
@@ -175,6 +173,7 @@ COLUMNS = (
     "E3d R",
     "E P",
     "tgt P",
+    "tgt P½",
     "tgt R",
 )
 
@@ -233,7 +232,8 @@ def measure(arguments: argparse.Namespace) -> None:
         "occ: solid; P against the true footprint, R against what of it was observed; ±1 forgives a cell.\n"
         "E2d: explored against the paper's visibility among true obstacles; E3d: against columns crossed;\n"
         "E: against either. Returns on a low obstacle or over it explore in 3-D, not in the paper's 2-D.\n"
-        "tgt: cells at least half covered by oysters; labels have 10 % misses and false targets."
+        "tgt: labels have 10 % misses and false targets; R of the cells at least half covered by oysters, P of\n"
+        "those that hold any. P½ asks for half, which views from the side do not tell: clumps hide the ground behind."
     )
     for name, line in does.items():
         print(f"  {name}: {line}")
@@ -248,24 +248,42 @@ def spread(values: list[float], digits: int) -> str:
 
 
 def kilometre(arguments: argparse.Namespace) -> None:
-    """Print our time on the same images at the start and after a kilometre."""
+    """Print our time on the same images at the start and after a kilometre, on a map without bounds."""
     cell, reach = arguments.cell, arguments.reach
-    half = 5.0 * workload.HALF
-    side = round(2.0 * half / cell)
-    survey = Survey(Bounds(-half, -half, half, half), cell, reach, BAND, 1.0, np.zeros((side, side)))
     stream = workload.kilometre(arguments.seeds[0], arguments.folder)
-    fly([Ours(survey)], (next(stream) for _ in range(2)), workload.CAMERA)
+    warm = OccupancyMap(None, protocol(cell, reach))
+    for frame in (next(stream) for _ in range(2)):
+        warm.integrate(
+            np.array(frame.depth_mm), np.array(frame.labels_noisy), workload.CAMERA, frame.T_world_camera
+        )
+        assert warm.edges.clusters() is not None
     stream = workload.kilometre(arguments.seeds[0], arguments.folder)
-    ours = Ours(survey)
+    occupancy = OccupancyMap(None, protocol(cell, reach))
     # Laps 1 to 4 are 1.2 km; lap 5 comes after them, on the same images as lap 1.
-    (taken,) = fly([ours], (next(stream) for _ in range(5 * LAP)), workload.CAMERA)
-    laps = np.array(taken).reshape(5, LAP)
+    taken, edges = [], []
+    gc.disable()
+    for frame in (next(stream) for _ in range(5 * LAP)):
+        depth, labels = np.array(frame.depth_mm), np.array(frame.labels_noisy)
+        start = time.process_time()
+        occupancy.integrate(depth, labels, workload.CAMERA, frame.T_world_camera)
+        taken.append(1e3 * (time.process_time() - start))
+        start = time.process_time()
+        assert occupancy.edges is not None
+        edges.append(1e3 * (time.process_time() - start))
+    gc.enable()
     print(f"dream, cells {cell} m: CPU ms a frame over the same {LAP} images, each lap on new ground")
-    for number, lap in enumerate(laps):
+    laps, of_edges = np.array(taken).reshape(5, LAP), np.array(edges).reshape(5, LAP)
+    for number, (lap, edge) in enumerate(zip(laps, of_edges, strict=True)):
         p50, p99 = np.percentile(lap, (50, 99))
-        print(f"  after {0.293 * number:.2f} km: mean {lap.mean():.3f}  p50 {p50:.3f}  p99 {p99:.3f}")
+        print(
+            f"  after {0.293 * number:.2f} km: mean {lap.mean():.3f}  p50 {p50:.3f}  p99 {p99:.3f};"
+            f"  frontiers, clusters and inflation p50 {np.median(edge):.3f}  p99 {np.percentile(edge, 99):.3f}"
+        )
+    seen = occupancy.areas()["explored"] / 1e6
+    megabytes = occupancy.nbytes / 1e6
     print(f"  last against first: p50 {np.median(laps[4]) / np.median(laps[0]):.2f}, ", end="")
-    print(f"p99 {np.percentile(laps[4], 99) / np.percentile(laps[0], 99):.2f}; {ours.megabytes():.1f} MB")
+    print(f"p99 {np.percentile(laps[4], 99) / np.percentile(laps[0], 99):.2f}")
+    print(f"  memory: {megabytes:.1f} MB for {1e6 * seen:.0f} m² explored, {megabytes / seen:.0f} MB/km²")
 
 
 def main() -> None:

@@ -111,6 +111,8 @@ class Truth:
     """At least 3 noise-free returns labelled obstacle, within reach and in the band, over all frames."""
     target: BoolArray
     """Clumps cover at least half of the cell's 2.5 cm points."""
+    target_touched: BoolArray
+    """Clumps cover at least one of the cell's 2.5 cm points."""
     target_observed: BoolArray
     """Some noise-free return labelled target within reach."""
     explored_2d: BoolArray
@@ -614,11 +616,13 @@ def truth(
         rows, cols, within = _ellipse(clump)
         covered[rows, cols] |= within
     target = _share_in(_points_of_cells(covered, side)) >= 0.5
+    target_touched = _any_in(_points_of_cells(covered, side))
     inner = np.abs(line) + 0.5 * cell <= HALF - RING - FRINGE + 1e-9
     found = Truth(
         solid=solid,
         solid_observed=obstacle_returns >= 3,
         target=target,
+        target_touched=target_touched,
         target_observed=target_returns > 0,
         explored_2d=explored_2d,
         explored_3d=explored_3d,

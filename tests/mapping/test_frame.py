@@ -178,8 +178,9 @@ class PlainMap:
         valid = (z > f32(protocol.min_depth)) & (z <= f32(protocol.max_depth))
         if not soft:
             valid &= labels != Label.WATER
-        level = (z <= cuts[0]).astype(int) + (z <= cuts[1])
-        v, u = np.indices(z.shape)
+        level: npt.NDArray[Any] = (z <= cuts[0]).astype(int) + (z <= cuts[1])
+        pixel: npt.NDArray[Any] = np.indices(z.shape)
+        v, u = pixel
         taken = valid & (v % (1 << level) == 0) & (u % (2 << level) == 0)
         # By levels, then in raster order.
         order = np.lexsort((u[taken], v[taken], level[taken]))
@@ -395,7 +396,8 @@ def random_frame(
             Pillar(float(place[0]), float(place[1]), float(size), float(high))
             for place, size, high in zip(places, sizes, tall, strict=True)
         ]
-        disc = Disc(*(float(a + rng.uniform(-1.0, 1.0) * protocol.reach) for a in at), float(sizes[0]))
+        disc_x, disc_y = (float(a + rng.uniform(-1.0, 1.0) * protocol.reach) for a in at)
+        disc = Disc(disc_x, disc_y, float(sizes[0]))
         depth, labels = render(pose, *things, disc, camera=camera)
     depth = depth + rng.normal(size=shape) * 0.003 * depth**2
     if rng.random() < 0.5:
@@ -411,7 +413,10 @@ def millimetres(depth: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
 
 def probabilities(rng: np.random.Generator, labels: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
     target = labels == Label.TARGET
-    return np.where(target, 1 - rng.random(target.shape) ** 2, rng.random(target.shape) ** 3).astype(f32)
+    soft: npt.NDArray[np.float32] = np.where(
+        target, 1 - rng.random(target.shape) ** 2, rng.random(target.shape) ** 3
+    ).astype(f32)
+    return soft
 
 
 CAMERAS = {

@@ -64,6 +64,8 @@ class _Group:
     """Those of them that are open."""
     stale: set[Key] = field(default_factory=set)
     """Blocks whose open cells must be found anew."""
+    before: list[_Group] = field(default_factory=list)
+    """Of which it was made: where the outline is as it was, so are the open cells."""
     about: tuple[IntArray, tuple[float, float], Bounds] | None = None
     """What a region says of its cells; None when it must be said anew."""
     region: Region | None = None
@@ -184,6 +186,8 @@ class Progress:
         self._groups: dict[int, _Group] = {}
         """By the number of their first part."""
         self._group_of: dict[int, int] = {}
+        self._past: dict[int, _Group] = {}
+        """Regions that parts were in until now."""
         self._completion: Completion | None = None
 
     def update(self, row: int, col: int, past_row: int, past_col: int) -> None:
@@ -221,8 +225,9 @@ class Progress:
             open_cells = np.concatenate([region.open_cells for region in regions])
             if len(regions) > 1:
                 open_cells = _in_raster_order(open_cells)
-                again = np.any(open_cells[1:] != open_cells[:-1], axis=1)
-                open_cells = open_cells[np.append(True, again)[: len(open_cells)]]
+                row, col = open_cells.T
+                first = np.append(True, (row[1:] != row[:-1]) | (col[1:] != col[:-1]))
+                open_cells = open_cells[first[: len(open_cells)]]
             self._completion = Completion(regions, _frozen(open_cells), describe(regions, self._middle))
         return self._completion
 
@@ -271,7 +276,9 @@ class Progress:
             blocks = {key for rectangle in dirty for key in _blocks(rectangle, SIDE)}
             for n in np.flatnonzero(meets):
                 outline = groups[n].outline
-                if outline is not None and not blocks.isdisjoint(outline):
+                if outline is None:
+                    groups[n].stale |= blocks
+                elif not blocks.isdisjoint(outline):
                     groups[n].stale |= blocks & outline.keys()
                     groups[n].region = None
         return regrouped or moved
@@ -283,6 +290,7 @@ class Progress:
         for group in self._groups.values():
             if not _holds(both, group.box):
                 group.outline = group.region = None
+                group.before = []
             if old[:2] != window[:2]:
                 group.about = group.region = None
         for strip in (*_without(window, both), *_without(old, both)):
@@ -666,6 +674,7 @@ class Progress:
                 todo.extend(new)
             loose -= members
             self._form(sorted(members))
+        self._past = {}
         return True
 
     def _disband(self, number: int) -> list[int]:
@@ -673,18 +682,21 @@ class Progress:
         first = self._group_of.get(number)
         if first is None:
             return []
-        parts = self._groups.pop(first).parts
-        for part in parts:
+        group = self._groups.pop(first)
+        for part in group.parts:
             del self._group_of[part]
-        return parts
+            self._past[part] = group
+        return group.parts
 
     def _form(self, parts: list[int]) -> None:
         cells = np.concatenate([self._target_parts[number].cells for number in parts])
         if len(parts) > 1:
             cells = _in_raster_order(cells)
         margin = MARGIN_CELLS + 1
-        low, past = cells.min(axis=0) - margin, cells.max(axis=0) + margin + 1
-        self._groups[parts[0]] = _Group(parts, cells, (int(low[0]), int(low[1]), int(past[0]), int(past[1])))
+        row, col = cells[:, 0], cells[:, 1]
+        box = _grown((int(row[0]), int(col.min()), int(row[-1]) + 1, int(col.max()) + 1), margin)
+        old = {id(group): group for group in map(self._past.get, parts) if group is not None}
+        self._groups[parts[0]] = _Group(parts, cells, box, before=list(old.values()))
         for number in parts:
             self._group_of[number] = parts[0]
 
@@ -697,9 +709,8 @@ class Progress:
             past = np.minimum(group.box[2:], window[2:])
             mask = np.zeros(tuple(past - low), np.bool_)
             mask[tuple((group.cells - low).T)] = True
-            inside = np.argwhere(progress.filled(progress.within(mask, MARGIN_CELLS**2))) + low
-            group.outline = dict(_by_block(inside))
-            group.open_cells, group.stale = {}, set(group.outline)
+            self._outline(group, low, progress.filled(progress.within(mask, MARGIN_CELLS**2)))
+        assert group.outline is not None
         for key in group.stale:
             cells = group.outline[key]
             cells = cells[self._unobserved(cells, key)]
@@ -709,12 +720,43 @@ class Progress:
         open_cells = _in_raster_order(np.concatenate(some)) if some else np.zeros((0, 2), np.int64)
         if group.about is None:
             cells = group.cells - window[:2]
-            west, south = self._center_of(*cells.min(axis=0))
-            east, north = self._center_of(*cells.max(axis=0))
+            margin = MARGIN_CELLS + 1
+            west, south = self._center_of(
+                group.box[0] + margin - window[0], group.box[1] + margin - window[1]
+            )
+            east, north = self._center_of(
+                group.box[2] - margin - 1 - window[0], group.box[3] - margin - 1 - window[1]
+            )
             half = 0.5 * self._protocol.cell
             extent = Bounds(west - half, south - half, east + half, north + half)
             group.about = (_frozen(cells), self._middle(cells), extent)
         group.region = Region(*group.about, open_cells=_frozen(open_cells - window[:2]))
+
+    def _outline(self, group: _Group, low: IntArray, mask: BoolArray) -> None:
+        """Take in another outline, from the cell `low` on; what is open is kept where nothing changed."""
+        row, col = int(low[0]), int(low[1])
+        box = (row, col, row + mask.shape[0], col + mask.shape[1])
+        changed, group.stale = group.stale, set()
+        group.outline, group.open_cells = {}, {}
+        for key in _blocks(box, SIDE):
+            top, left = max(key[0] * SIDE - row, 0), max(key[1] * SIDE - col, 0)
+            cells = np.argwhere(mask[top : (key[0] + 1) * SIDE - row, left : (key[1] + 1) * SIDE - col])
+            if not len(cells):
+                continue
+            cells += (row + top, col + left)
+            group.outline[key] = cells
+            for old in group.before if key not in changed else ():
+                if (
+                    old.outline is not None
+                    and key in old.outline
+                    and key not in old.stale
+                    and np.array_equal(old.outline[key], cells)
+                ):
+                    group.open_cells[key] = old.open_cells[key]
+                    break
+            else:
+                group.stale.add(key)
+        group.before = []
 
     def _unobserved(self, cells: IntArray, key: Key) -> BoolArray:
         """(n,) which cells of a block are neither explored nor seen by a return."""
