@@ -68,7 +68,7 @@ def between(cells: Float64Array, at_row: Float64Array, at_col: Float64Array) -> 
 def smooth(total: Float64Array, count: Float64Array, evidence: Evidence, datum: float) -> Float64Array:
     """Heights of all posts: from the coarsest grid down, each mean is drawn to the coarser grid's value."""
     grids = [(total, count)]
-    for _ in range(4):
+    for _ in range(3):
         weight = np.minimum(grids[-1][1], evidence.ground_share)
         mean = np.divide(grids[-1][0], grids[-1][1], out=np.zeros_like(weight), where=grids[-1][1] > 0)
         grids.append((halved(mean * weight), halved(weight)))
@@ -125,7 +125,7 @@ class PlainMap:
         self.bounds, self.protocol, self.evidence = bounds, protocol, evidence or Evidence()
         self.post = 2 ** min(max(round(math.log2(0.64 / protocol.cell)), 0), 4)
         self.x0, self.y0 = (0.0, 0.0) if bounds is None else (bounds.x_min, bounds.y_min)
-        block = max(16 * self.post, 64)  # Whole blocks, and whole posts of the coarsest grid.
+        block = max(8 * self.post, 64)  # Whole blocks, and whole posts of the coarsest grid.
         here = (math.floor((a - b) / protocol.cell) for a, b in ((y, self.y0), (x, self.x0)))
         self.low = tuple((a // block - 2) * block for a in here)
         side = 5 * block
@@ -133,7 +133,6 @@ class PlainMap:
         self.flags, self.votes = np.zeros((side, side), np.uint8), np.zeros((side, side), np.uint8)
         posts = side // self.post
         self.ground_sum, self.ground_count = np.zeros((posts, posts), f32), np.zeros((posts, posts), f32)
-        self.made = np.zeros((side // 64, side // 64), np.bool_)
         self.inside = np.ones((side, side), np.bool_)
         if bounds is not None:
             rows, cols = (np.arange(side) + low for low in self.low)
@@ -254,14 +253,15 @@ class PlainMap:
             if change > 0 and shown[i, j, 1]:
                 said[i, j] |= GROUNDED
             pixels = shown[i, j].sum()
-            if pixels >= evidence.vote_pixels:
+            band = shown[i, j, 1:3].sum()
+            if pixels - (band if band < evidence.min_pixels else 0) >= evidence.vote_pixels:
                 vote[i, j] = 1 if targets[i, j] >= evidence.vote_share * 16 * pixels else 2
         returned: npt.NDArray[np.bool_] = np.asarray(shown.any(axis=2))
         self.cast(sector, eye, farthest, returned, odds, said)
 
         # ---- into the map
-        blocks = len(self.made)
-        self.made |= (said > 0).reshape(blocks, 64, blocks, 64).any(axis=(1, 3))
+        blocks = len(self.flags) // 64
+        touched = (said > 0).reshape(blocks, 64, blocks, 64).any(axis=(1, 3))
         self.log_odds = odds.astype(np.int8)
         self.flags |= said
         self.flags[odds <= 0] &= 0xFF ^ GROUNDED
@@ -272,7 +272,7 @@ class PlainMap:
             votes[vote[i, j] - 1] += 1
             self.votes[i, j] = votes[0] << 4 | votes[1]
         for i, j in np.argwhere(count):
-            if self.made[i * self.post // 64, j * self.post // 64]:
+            if touched[i * self.post // 64, j * self.post // 64]:
                 points = float(self.ground_count[i, j]) + count[i, j]
                 mean = (float(self.ground_sum[i, j]) + total[i, j]) / points
                 points = min(points, evidence.ground_memory)

@@ -264,7 +264,7 @@ def test_memory_grows_only_with_what_was_seen() -> None:
 
 
 def test_a_vanished_obstacle_is_cleared_within_six_frames_that_see_the_ground_there() -> None:
-    for pillar in (Pillar(4.0, 0.3, 0.5, 3.0), Pillar(3.0, -0.6, 0.3, 1.2), Pillar(5.0, 0.0, 1.0, 2.0)):
+    for pillar in (Pillar(4.0, 0.3, 0.5, 3.0), Pillar(3.0, -0.6, 0.2, 1.2), Pillar(5.0, 0.0, 1.0, 2.0)):
         occupancy = empty_map()
         for _ in range(20):
             look(occupancy, 0.0, 0.0, 0.0, pillar)
@@ -272,6 +272,19 @@ def test_a_vanished_obstacle_is_cleared_within_six_frames_that_see_the_ground_th
         for _ in range(6):
             look(occupancy, 0.0, 0.0, 0.0)
         assert not occupancy.solid.any()
+
+
+def test_the_middle_of_a_flat_top_that_vanished_is_cleared_by_doubt() -> None:
+    # Its sides were seen, its middle only from above, as that of an overhang would be.
+    occupancy = empty_map()
+    for _ in range(20):
+        look(occupancy, 0.0, 0.0, 0.0, Pillar(3.0, -0.6, 0.3, 1.2))
+    for _ in range(6):
+        look(occupancy, 0.0, 0.0, 0.0)
+    assert 0 < occupancy.solid.sum() <= 2
+    for _ in range(18):
+        look(occupancy, 0.0, 0.0, 0.0)
+    assert not occupancy.solid.any()
 
 
 def test_an_obstacle_that_moved_is_where_it_is_and_no_longer_where_it_was() -> None:

@@ -264,7 +264,8 @@ def test_a_sloping_seabed_is_ground_and_no_wall() -> None:
     x, _ = occupancy.center_of(*np.indices(occupancy.shape))
     error = np.abs(occupancy.ground - (SEABED + slope * x))[occupancy.seabed_seen]
     assert not occupancy.solid.any()
-    assert error.max() < 0.2
+    assert error.max() < 0.5 * DREAM_V1.band[0]
+    assert np.percentile(error, 99) < 0.2
     assert np.median(error) < 0.01
 
 

@@ -55,6 +55,10 @@ class Drawn:
     def shape(self) -> tuple[int, int]:
         return self.solid.shape[0], self.solid.shape[1]
 
+    @property
+    def observed(self) -> BoolArray:
+        return self.explored
+
 
 def drawn_map(
     solid: BoolArray,

@@ -55,7 +55,7 @@ class Evidence:
     range_noise: float = 0.002
     """Standard deviation of the depth over its square, 1/m. A hit counts the less the wider it scatters."""
     min_pixels: int = 2
-    """Pixels in the height band that make a hit; fewer are taken for errors."""
+    """Pixels in the height band that make a hit; fewer are taken for errors, and have no vote."""
     min_share: float = 0.05
     """Share of a cell's pixels that must be in the band for a hit."""
     peak_share: float = 0.4
@@ -73,7 +73,7 @@ class Evidence:
     """How often anything else is."""
     target_prior: float = 0.05
     """Share of cells that are target, before any vote."""
-    ground_pixels: float = 4.0
+    ground_pixels: float = 2.0
     """The seabed around a post weighs as much as so many of its own points in its height."""
     ground_share: float = 20.0
     """A post weighs at most as much as so many points in the height of the seabed around it."""

@@ -342,7 +342,7 @@ class OccupancyMap(Layers):
         keys = stored.get("blocks")
         if keys is None or keys.dtype != np.int64 or keys.ndim != 2 or keys.shape[1] != 2:
             raise ValueError(f"{path}: blocks: expected (n, 2) int64, got {_kind(keys)}")
-        if len(np.unique(keys, axis=0)) != len(keys) or (len(keys) and np.abs(keys).max() > NO_BOUNDS):
+        if len(np.unique(keys, axis=0)) != len(keys) or ((keys < -NO_BOUNDS) | (keys > NO_BOUNDS)).any():
             raise ValueError(f"{path}: blocks: expected different blocks within reach, got others")
         store = occupancy._store
         expected = {name: (dtype, (len(keys), *shape)) for name, (dtype, shape) in store.layers.items()}

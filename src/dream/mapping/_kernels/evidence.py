@@ -239,7 +239,8 @@ def weigh(
             band = low_band + field_of(counts[c], 2)
             total = below + band + field_of(counts[c], 3)
             bits[c] = RETURNED | (BARE | SEABED if below > 0 else 0) | (SEABED if targets[c] > 0 else 0)
-            if total >= vote_pixels:
+            # Too few for a hit are errors.
+            if total - (band if band < hit_pixels else 0) >= vote_pixels:
                 votes[c] = 1 if targets[c] >= vote_share * WEIGHT * total else 2
             if band >= hit_pixels and band >= hit_share * total:
                 up, right = i + 0.5 - camera_row, j + 0.5 - camera_col
