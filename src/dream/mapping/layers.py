@@ -112,6 +112,12 @@ def post_bits(protocol: SurveyProtocol) -> int:
     return min(max(round(math.log2(POST / protocol.cell)), 0), 4)
 
 
+def _is_crossable(bits: npt.NDArray[np.uint8]) -> BoolArray:
+    both = flags.EXPLORED | flags.BARE
+    crossable: BoolArray = ((bits & flags.CROSSED) != 0) | ((bits & both) == both)
+    return crossable
+
+
 class Layers:
     """A window of a semantic occupancy grid; every layer a read-only array that keeps its values.
 
@@ -264,12 +270,12 @@ class Layers:
 
     @property
     def traversable(self) -> BoolArray:
-        """Bare or crossed ground, and not solid.
+        """Crossed, or explored and bare, and not solid.
 
         What only rays explored, or returns from above the band, a deck or an overhang, is left out: what stands
-        there was not seen.
+        there was not seen. So is bare ground that no ray explored: beside a hull it is seen below its flare.
         """
-        return self._layer("traversable", lambda: self._flag(flags.BARE | flags.CROSSED) & ~self.solid)
+        return self._layer("traversable", lambda: _is_crossable(self._cells("flags")) & ~self.solid)
 
     @property
     def inflated(self) -> BoolArray:
@@ -358,8 +364,7 @@ class Layers:
 
     def _measure_room(self) -> npt.NDArray[np.int32]:
         # What lies outside the map's bounds was never written: it is not traversable either.
-        crossable = (self._wide("flags") & (flags.BARE | flags.CROSSED)) != 0
-        return self._clearance(~crossable | (self._wide("log_odds") > 0))
+        return self._clearance(~_is_crossable(self._wide("flags")) | (self._wide("log_odds") > 0))
 
     def _clearance(self, barrier: BoolArray) -> npt.NDArray[np.int32]:
         from dream.mapping._kernels import room

@@ -17,7 +17,9 @@ SIDE = 64
 """Cells along a block, as many as a word has bits."""
 NODES = 32
 """Nodes of the lattice along a block of theirs."""
-CROSSABLE = bits_of.BARE | bits_of.CROSSED
+CROSSED = bits_of.CROSSED
+SHOWN = bits_of.EXPLORED | bits_of.BARE
+"""Both of them also make a cell crossable."""
 COARSE = 8
 """Cells along a square for which it is known whether there is any node in it."""
 
@@ -50,7 +52,7 @@ def renew_cells(log_odds, flags, votes, is_target, slots, firsts, solid, crossab
                 bit = _ONE << np.uint64(j)
                 if log_odds[slot, i, j] > 0:
                     s |= bit
-                elif flags[slot, i, j] & CROSSABLE:
+                elif flags[slot, i, j] & CROSSED or flags[slot, i, j] & SHOWN == SHOWN:
                     c |= bit
                 if is_target[votes[slot, i, j]]:
                     t |= bit
