@@ -232,8 +232,9 @@ def measure(arguments: argparse.Namespace) -> None:
         "occ: solid; P against the true footprint, R against what of it was observed; ±1 forgives a cell.\n"
         "E2d: explored against the paper's visibility among true obstacles; E3d: against columns crossed;\n"
         "E: against either. Returns on a low obstacle or over it explore in 3-D, not in the paper's 2-D.\n"
-        "tgt: labels have 10 % misses and false targets; R of the cells at least half covered by oysters, P of\n"
-        "those that hold any. P½ asks for half, which views from the side do not tell: clumps hide the ground behind."
+        "tgt: labels have 10 % misses and false targets; R of the cells at least half covered by oysters,\n"
+        "P of those that hold any. P½ asks for half, which views from the side do not tell: clumps hide the\n"
+        "ground behind."
     )
     for name, line in does.items():
         print(f"  {name}: {line}")
@@ -275,9 +276,10 @@ def kilometre(arguments: argparse.Namespace) -> None:
     laps, of_edges = np.array(taken).reshape(5, LAP), np.array(edges).reshape(5, LAP)
     for number, (lap, edge) in enumerate(zip(laps, of_edges, strict=True)):
         p50, p99 = np.percentile(lap, (50, 99))
+        edge50, edge99 = np.percentile(edge, (50, 99))
         print(
             f"  after {0.293 * number:.2f} km: mean {lap.mean():.3f}  p50 {p50:.3f}  p99 {p99:.3f};"
-            f"  frontiers, clusters and inflation p50 {np.median(edge):.3f}  p99 {np.percentile(edge, 99):.3f}"
+            f"  frontiers, clusters and inflation p50 {edge50:.3f}  p99 {edge99:.3f}"
         )
     seen = occupancy.areas()["explored"] / 1e6
     megabytes = occupancy.nbytes / 1e6

@@ -261,7 +261,9 @@ class PlainMap:
 
         # ---- into the map
         blocks = len(self.flags) // 64
-        touched = (said > 0).reshape(blocks, 64, blocks, 64).any(axis=(1, 3))
+        touched: npt.NDArray[np.bool_] = np.asarray(
+            (said > 0).reshape(blocks, 64, blocks, 64).any(axis=(1, 3))
+        )
         self.log_odds = odds.astype(np.int8)
         self.flags |= said
         self.flags[odds <= 0] &= 0xFF ^ GROUNDED

@@ -114,12 +114,8 @@ class BlockStore:
             slot = self.slot_of.get(key, 0)
             if slot == 0:
                 continue
-            to, of = [], []
-            for i, n, a, count in zip(key, side, low, shape, strict=True):
-                begin, end = max(i * n, a), min((i + 1) * n, a + count)
-                to.append(slice(begin - a, end - a))
-                of.append(slice(begin - i * n, end - i * n))
-            cells[tuple(to)] = pool[(slot, *of)]
+            in_block, in_box = _common(key, side, low, shape)
+            cells[in_box] = pool[slot][in_block]
         return cells
 
     def write(self, layer: str, low: Sequence[int], cells: npt.NDArray[Any]) -> list[Key]:
@@ -134,16 +130,12 @@ class BlockStore:
         ]
         written = []
         for key in itertools.product(*ranges):
-            to, of = [], []
-            for i, n, a, count in zip(key, side, low, cells.shape, strict=True):
-                begin, end = max(i * n, a), min((i + 1) * n, a + count)
-                of.append(slice(begin - a, end - a))
-                to.append(slice(begin - i * n, end - i * n))
-            part = cells[tuple(of)].astype(dtype)
+            in_block, in_box = _common(key, side, low, cells.shape)
+            part = cells[in_box].astype(dtype)
             if key not in self.slot_of and not part.any():
                 continue
             self.make([key])
-            self.pools[layer][(self.slot_of[key], *to)] = part
+            self.pools[layer][self.slot_of[key]][in_block] = part
             written.append(key)
         return written
 
@@ -155,6 +147,18 @@ class BlockStore:
         other.pools = {name: _grown(pool, max(used, 2), used) for name, pool in self.pools.items()}
         other.stamps = _grown(self.stamps, max(used, 2), used)
         return other
+
+
+def _common(
+    key: Key, side: Sequence[int], low: Sequence[int], shape: Sequence[int]
+) -> tuple[tuple[slice[int, int], ...], tuple[slice[int, int], ...]]:
+    """What a block and a box of cells share, as part of the block and as part of the box."""
+    in_block, in_box = [], []
+    for i, n, a, count in zip(key, side, low, shape, strict=True):
+        begin, end = max(i * n, a), min((i + 1) * n, a + count)
+        in_block.append(slice(begin - i * n, end - i * n))
+        in_box.append(slice(begin - a, end - a))
+    return tuple(in_block), tuple(in_box)
 
 
 def _grown(pool: npt.NDArray[Any], capacity: int, used: int) -> npt.NDArray[Any]:

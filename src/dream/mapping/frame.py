@@ -205,7 +205,7 @@ class FrameWindow:
     def _sector(
         self, camera: Camera, T_world_camera: SE3
     ) -> tuple[int, int, float, float, float, float, float, bool]:
-        """First and last ray, forward direction, half angle's cosine, reach, blind distance, level rays in sight?"""
+        """First and last ray, forward direction, half angle's cosine, reach, blind distance, level seen?"""
         protocol, forward = self.protocol, T_world_camera.rotation[:, 2]
         level_part = math.hypot(forward[0], forward[1])
         if level_part < 0.1:  # Looking straight down there is no sector; the direct returns are all.

@@ -45,8 +45,8 @@ class Evidence:
     """How much a frame changes the map's mind."""
 
     step: float = 0.6
-    """Log-odds that a cell gains in a frame with returns from the height band, and loses where the ground below
-    the band was seen, or a ray passed without a return."""
+    """Log-odds that a cell gains in a frame with returns from the height band, and loses where the ground
+    below the band was seen, or a ray passed without a return."""
     doubt: float = 0.15
     """Log-odds that it loses where the way to the ground may lead under what is solid: where that was never
     seen to reach down to the lower edge of the band, as the flare of a hull does not."""
@@ -59,8 +59,8 @@ class Evidence:
     min_share: float = 0.05
     """Share of a cell's pixels that must be in the band for a hit."""
     peak_share: float = 0.4
-    """Where the depth scatters over cells: share that a cell's hits must have of those just behind it. Fewer only
-    scattered to this side of a surface; they are half a miss."""
+    """Where the depth scatters over cells: share that a cell's hits must have of those just behind it. Fewer
+    only scattered to this side of a surface; they are half a miss."""
     min_ground: int = 2
     """Pixels below the band that show a cell to be free."""
     vote_pixels: int = 1
@@ -95,7 +95,7 @@ class Evidence:
 
 @lru_cache(maxsize=8)
 def probability_of_votes(evidence: Evidence) -> Float32Array:
-    """(256,) float32: probability of target for every byte of votes, each vote an independent witness (Bayes)."""
+    """(256,) float32: probability of target for every byte of votes, each an independent witness (Bayes)."""
     yes, no = np.divmod(np.arange(256), 16)
     odds = (
         math.log(evidence.target_prior / (1.0 - evidence.target_prior))
@@ -272,8 +272,9 @@ class Layers:
     def traversable(self) -> BoolArray:
         """Crossed, or explored and bare, and not solid.
 
-        What only rays explored, or returns from above the band, a deck or an overhang, is left out: what stands
-        there was not seen. So is bare ground that no ray explored: beside a hull it is seen below its flare.
+        What only rays explored, or returns from above the band, a deck or an overhang, is left out: what
+        stands there was not seen. So is bare ground that no ray explored: beside a
+        hull it is seen below its flare.
         """
         return self._layer("traversable", lambda: _is_crossable(self._cells("flags")) & ~self.solid)
 
@@ -295,8 +296,8 @@ class Layers:
     def ground(self) -> Float32Array:
         """World z of the seabed, float32 metres: a smooth surface through the seabed's points.
 
-        Where none were, it follows from those around; where none were within some ten metres, from the camera's
-        height less the protocol's altitude. NaN before the first frame.
+        Where none were, it follows from those around; where none were within some ten metres, from the
+        camera's height less the protocol's altitude. NaN before the first frame.
         """
         return self._layer("ground", self._smooth_ground)
 

@@ -80,14 +80,15 @@ class OccupancyMap(Layers):
         """An empty map.
 
         Args:
-            bounds: The survey area, whose sides are whole numbers of cells: nothing outside is ever known. None
-                for a map without an end, whose `bounds` are the blocks that it has so far.
+            bounds: The survey area, whose sides are whole numbers of cells: nothing outside is ever known.
+                None for a map without an end, whose `bounds` are the blocks that it has so far.
             protocol: Cell size, reach, height band, depth limits and body.
             evidence: How frames are weighed.
         """
         if protocol.reach / protocol.cell > MOST_CELLS:
             raise ValueError(
-                f"reach: expected at most {MOST_CELLS} cells, got {protocol.reach} m of {protocol.cell} m cells"
+                f"reach: expected at most {MOST_CELLS} cells, got {protocol.reach} m with cells of "
+                f"{protocol.cell} m"
             )
         bits = post_bits(protocol)
         posts = (BLOCK >> bits, BLOCK >> bits)
@@ -157,8 +158,8 @@ class OccupancyMap(Layers):
         observed, but not explored.
 
         Args:
-            depth: (H, W) along the optical axis: float metres, NaN for no return, or uint16 millimetres, 0 for no
-                return. What is outside the protocol's limits is ignored.
+            depth: (H, W) along the optical axis: float metres, NaN for no return, or uint16 millimetres, 0
+                for no return. What is outside the protocol's limits is ignored.
             labels: (H, W) integers, values of `Label`, water being no return; or floats, the probability in
                 [0, 1] that the pixel shows target, whose seabed is then told by its height.
             camera: Intrinsics of both images.
@@ -172,10 +173,8 @@ class OccupancyMap(Layers):
         depth, labels, camera = _thinned(depth, labels, camera)
         if self._frame is None or self._frame.pixels < depth.size:
             self._frame = FrameWindow(self.protocol, self.evidence, depth.size)
-        if self._bounded:
-            limits = (0, 0, *self._shape)
-        else:
-            limits = (-NO_BOUNDS, -NO_BOUNDS, NO_BOUNDS, NO_BOUNDS)
+        endless = (-NO_BOUNDS, -NO_BOUNDS, NO_BOUNDS, NO_BOUNDS)
+        limits = (0, 0, *self._shape) if self._bounded else endless
         window, origin = self._frame, self._origin
         window.read(self._store, origin, limits, depth, labels, camera, T_world_camera)
         self._datum = window.datum
@@ -188,7 +187,7 @@ class OccupancyMap(Layers):
         return math.floor((y - self._origin[1]) / cell), math.floor((x - self._origin[0]) / cell)
 
     def _changed(self, outlines: Rectangle, written: Rectangle) -> None:
-        """What is solid or known changed in the first rectangle of the store's cells, anything in the second."""
+        """What is solid or known changed in the first rectangle of cells, anything in the second."""
         self._layers = {}
         self._pending.append(outlines)
         self._progress.update(*written)
@@ -305,11 +304,10 @@ class OccupancyMap(Layers):
         self._renew_edges()
         store, used = self._store, 1 + len(self._store)
         keys = np.array(list(store.slot_of), np.int64).reshape(-1, 2)
-        arrays = {name: store.pools[name][1:used] for name in (*CELLS, *POSTS)}
+        arrays: dict[str, Any] = {name: store.pools[name][1:used] for name in (*CELLS, *POSTS)}
+        arrays |= {"about": np.array(json.dumps(about)), "blocks": keys, "stamps": store.stamps[1:used]}
         with Path(path).open("wb") as file:
-            np.savez_compressed(
-                file, about=np.array(json.dumps(about)), blocks=keys, stamps=store.stamps[1:used], **arrays
-            )
+            np.savez_compressed(file, **arrays)
 
     @staticmethod
     def load(path: str | Path) -> OccupancyMap:

@@ -17,8 +17,8 @@ BLOCK_BITS = 6
 BLOCK = 1 << BLOCK_BITS
 """Cells along a block."""
 FIELD_BITS = 16
-"""A cell's counts are four fields of so many bits: pixels below the height band, in its lower part, in its upper part,
-and above it."""
+"""A cell's counts are four fields of so many bits: pixels below the height band, in its lower part, in its
+upper part, and above it."""
 FIELD_MASK = (1 << FIELD_BITS) - 1
 WEIGHT = 16
 """What a pixel that surely shows target adds to its cell's target count."""
@@ -35,9 +35,9 @@ RAN, ENDED = 1, 2
 def smooth_ground(total, count, levels, share, trust, datum, region):
     """Height of every post in a region, from means on grids that are 2, 4, ... 2^levels times coarser.
 
-    A mean is drawn to the bilinear value of the next coarser grid as by `trust` points; in it, a post weighs at
-    most as much as `share` points. Where a coarsest post has no point, it lies at the datum. What lies two of
-    the coarsest posts away from the region has no influence.
+    A mean is drawn to the bilinear value of the next coarser grid as by `trust` points; in it, a post
+    weighs at most as much as `share` points. Where a coarsest post has no point, it lies at the datum. What lies
+    two of the coarsest posts away from the region has no influence.
 
     Args:
         total: (rows, cols) float64 sums of heights; both sides are whole numbers of coarsest posts.
@@ -339,7 +339,7 @@ def explore(
     offset_col,
     touched,
 ):
-    """Explore and cross what the rays reach of the sector, wear down what all of them pass without a return."""
+    """Explore and cross what the rays reach of the sector; wear down what all pass without a return."""
     _, _, forward_x, forward_y, cos_half, reach, blind, level = sector
     first_row, past_row, first_col, past_col = clip
     farthest = (reach + SECTOR_SLACK) ** 2
@@ -478,7 +478,7 @@ def renew(odds, flags, log_odds, bits):
 
 @njit(cache=True, nogil=True)
 def cast_votes(votes, row):
-    """Count votes: for the target in the high half of a byte, against it in the low one; both halved when full."""
+    """Count votes: for the target in a byte's high half, against it in the low one; both halved when full."""
     some = np.uint8(0)
     for k in range(len(votes)):
         some |= votes[k]
@@ -495,7 +495,7 @@ def cast_votes(votes, row):
 
 @njit(cache=True, nogil=True)
 def commit_ground(sum_pool, count_pool, table, touched, offset_row, offset_col, total, count, memory):
-    """Add a window of (rows, cols) posts to the blocks that were touched; a post remembers `memory` points."""
+    """Add a window of (rows, cols) posts to the blocks touched; a post remembers `memory` points."""
     n = sum_pool.shape[1]
     for i in range(total.shape[0]):
         for j in range(total.shape[1]):
@@ -564,7 +564,8 @@ def read_frame(
 
     Args:
         pools: The map's (log_odds, flags, ground_sum, ground_count).
-        tables: Slots of the blocks around the window's cells, and around the posts that its ground depends on.
+        tables: Slots of the blocks around the window's cells, and around the posts that its ground
+            depends on.
         offsets: (row, col) of the window's low corner in the first of those blocks, cells and posts.
         post_window: (rows, cols) of those posts and (row, col) of the window's first among them.
         ground_rule: (levels, share, trust, datum); see `smooth_ground`.

@@ -174,8 +174,8 @@ def spread_far(ray, spread, distance, farthest):
         farthest[near & RAY_MASK] = max(farthest[near & RAY_MASK], distance)
 
 
-# The following loops have no branches and few arrays, so that they are vectorised: `metric` holds `CHUNK` each of
-# x and y over ground from the camera, world z and depth.
+# The following loops have no branches and few arrays, so that they are vectorised: `metric` holds `CHUNK`
+# each of x and y over ground from the camera, world z and depth.
 
 
 @njit(cache=True, nogil=True)
@@ -195,7 +195,7 @@ def pick(z, label, water, nearest, most):
 
 @njit(cache=True, nogil=True)
 def read_row(row, label_row, across, metres, scale, water, nearest, most, n, metric, names):
-    """Depths, 0 where they do not count, and labels of every second, fourth or eighth pixel of a row; how many count."""
+    """Depths, 0 where they do not count, and labels of every 2nd, 4th or 8th pixel; how many count."""
     # A step that is known when compiling is several times faster.
     if across == 2:
         for k in range(n):

@@ -218,7 +218,8 @@ def sweep_gain(
         sums[:] = 0.0
         here = position_rows[p] * values.shape[1] + position_cols[p]
         # No ray gets beyond the deepest of all.
-        for k in range(np.uint32(skip), np.uint32(min(cells, np.int64(depth[(levels - 1) * rays]) + 1))):
+        past = min(cells, int(depth[(levels - 1) * rays]) + 1)
+        for k in range(np.uint32(skip), np.uint32(past)):
             before = np.int64(k) - 1  # Unsigned, `k` is known not to count from the end.
             seen = ((before - depth[t_head[k]]) | (before - depth[t_tail[k]])) >> 63
             sums[np.uint32(t_group[k]) + np.uint32(groups & ~seen)] += flat[np.uint32(here + offset[k])]
