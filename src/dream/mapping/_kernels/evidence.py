@@ -36,8 +36,8 @@ def smooth_ground(total, count, levels, share, trust, datum, region):
     """Height of every post in a region, from means on grids that are 2, 4, ... 2^levels times coarser.
 
     A mean is drawn to the bilinear value of the next coarser grid as by `trust` points; in it, a post
-    weighs at most as much as `share` points. Where a coarsest post has no point, it lies at the datum. What lies
-    two of the coarsest posts away from the region has no influence.
+    weighs at most as much as `share` points. Where a coarsest post has no point, it lies at the datum.
+    What lies two of the coarsest posts away from the region has no influence.
 
     Args:
         total: (rows, cols) float64 sums of heights; both sides are whole numbers of coarsest posts.
