@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from dream.mapping.blocks import BlockStore
 from dream.mapping.layers import BLOCK, LEVELS, QUANTUM, Evidence, post_bits
 from dream.mapping.visibility import RAYS
 from dream.protocol import SurveyProtocol
-from dream.types import IntArray, Label
+from dream.types import Float32Array, IntArray, Label
 
 Rectangle = tuple[int, int, int, int]
 """First row and column, past row and column; cells of the store."""
@@ -22,6 +23,8 @@ PIXELS_ACROSS = 4
 THINNINGS = 2
 """How often rows and columns may be halved, at most."""
 MOST_TABLES = 8
+MARGIN = 2
+"""Cells around what a camera can see."""
 LOWER_PART = 0.25
 """Share of the height band that is its lower part."""
 
@@ -62,6 +65,7 @@ class FrameWindow:
         self._said = (np.empty(cells, np.int8), np.empty(cells, np.uint8), np.empty(cells, np.uint8))
         self._touched = np.zeros((0, 0), np.bool_)
         self._low = (0, 0)
+        self._clip = (0, 0, 0, 0)
         bearings = (np.arange(RAYS) + 0.5) * (2.0 * math.pi / RAYS)
         self._directions = np.column_stack([np.cos(bearings), np.sin(bearings)])
         low, high = evidence.clamp
@@ -108,9 +112,16 @@ class FrameWindow:
         x, y = (float(t[0]) - origin[0]) / cell, (float(t[1]) - origin[1]) / cell
         row, col = math.floor(y), math.floor(x)
         low = tuple((a - self._half) >> self._bits << self._bits for a in (row, col))
-        clip = tuple(min(max(limit - a, 0), side) for limit, a in zip(limits, (*low, *low), strict=True))
-        clip = (clip[0], clip[2], clip[1], clip[3])
         self._low = (low[0], low[1])
+        rotation = T_world_camera.rotation.tolist()
+        box = _overlook(camera, rotation, protocol.reach / cell, y, x)
+        first_row, first_col, past_row, past_col = limits
+        self._clip = (
+            min(max(first_row, box[0], low[0]) - low[0], side),
+            max(min(past_row, box[2], low[0] + side) - low[0], 0),
+            min(max(first_col, box[1], low[1]) - low[1], side),
+            max(min(past_col, box[3], low[1] + side) - low[1], 0),
+        )
         self.datum = float(t[2]) - protocol.altitude
 
         # ---- which posts the window's ground depends on
@@ -143,11 +154,10 @@ class FrameWindow:
         self._post_sum[:], self._post_count[:] = 0.0, 0.0
         under = ((row - low[0]) >> self._bits) * self._posts + ((col - low[1]) >> self._bits)
         self._post_sum[under], self._post_count[under] = self.datum, 1.0
-        unit = 0.001 if depth.dtype == np.uint16 else 1.0
-        thin = cell * min(camera.fx, camera.fy) / PIXELS_ACROSS
-        cuts = np.array([thin / (2 << k) for k in range(THINNINGS)], np.float32)
+        unit, cuts, raw = _cuts(protocol, camera, depth.dtype == np.uint16)
         count = pixels.project(
             depth,
+            depth.view(raw.dtype),
             unit,
             labels,
             255.0 if soft else 1.0,
@@ -160,9 +170,9 @@ class FrameWindow:
             cell,
             (protocol.min_depth, protocol.max_depth, protocol.reach),
             cuts,
-            (np.append(cuts, protocol.min_depth) / unit).astype(depth.dtype),
+            raw,
             side,
-            clip,
+            self._clip,
             self._post_of,
             prior,
             protocol.band[0],
@@ -194,25 +204,25 @@ class FrameWindow:
             (x - low[1], y - low[0]),
             cell,
             self._rule,
-            self._sector(camera, T_world_camera),
+            self._sector(camera, rotation),
             self._farthest,
             self._directions,
-            clip,
+            self._clip,
             self._scratch,
             (*self._said, self._touched),
         )
 
     def _sector(
-        self, camera: Camera, T_world_camera: SE3
+        self, camera: Camera, rotation: list[list[float]]
     ) -> tuple[int, int, float, float, float, float, float, bool]:
         """First and last ray, forward direction, half angle's cosine, reach, blind distance, level seen?"""
-        protocol, forward = self.protocol, T_world_camera.rotation[:, 2]
+        protocol, forward = self.protocol, [row[2] for row in rotation]
         level_part = math.hypot(forward[0], forward[1])
         if level_part < 0.1:  # Looking straight down there is no sector; the direct returns are all.
             return 0, -1, 0.0, 0.0, -1.0, 0.0, 0.0, False
         pitch = math.atan2(-forward[2], level_part)
-        left, right = math.atan(camera.cx / camera.fx), math.atan((camera.width - camera.cx) / camera.fx)
-        yaw, half = math.atan2(forward[1], forward[0]) + 0.5 * (left - right), 0.5 * camera.horizontal_fov
+        left, right = _sides(camera)
+        yaw, half = math.atan2(forward[1], forward[0]) + 0.5 * (left + right), 0.5 * camera.horizontal_fov
         steepest = math.atan((camera.height - camera.cy) / camera.fy) + pitch
         if steepest <= 0.0:  # All of the image is above the horizon.
             blind = math.inf
@@ -256,8 +266,9 @@ class FrameWindow:
 
         low = self._low
         first = [a // BLOCK for a in low]
-        touched = np.argwhere(self._touched)
-        store.make((first[0] + int(i), first[1] + int(j)) for i, j in touched)
+        missing = self._touched & (self._table(store, first, list(self._touched.shape)) == 0)
+        if missing.any():
+            store.make((first[0] + int(i), first[1] + int(j)) for i, j in np.argwhere(missing))
         pools = store.pools
         changed = kernels.commit(
             (pools["log_odds"], pools["flags"], pools["votes"], pools["ground_sum"], pools["ground_count"]),
@@ -266,6 +277,7 @@ class FrameWindow:
             low[0] % BLOCK,
             low[1] % BLOCK,
             self._side,
+            self._clip,
             (*self._said, self._touched),
             stamp,
             self._bits,
@@ -275,6 +287,59 @@ class FrameWindow:
         )
         first_row, past_row, first_col, past_col = changed
         return low[0] + first_row, low[1] + first_col, low[0] + past_row, low[1] + past_col
+
+
+@lru_cache(maxsize=8)
+def _cuts(
+    protocol: SurveyProtocol, camera: Camera, millimetres: bool
+) -> tuple[float, Float32Array, npt.NDArray[Any]]:
+    """Metres that depths are in, the depths at which thinning changes, and these with both limits as bits.
+
+    As bits, positive floats are in order, and their extremes are found faster.
+    """
+    unit, kind, bits = (0.001, np.uint16, np.uint16) if millimetres else (1.0, np.float32, np.uint32)
+    thin = protocol.cell * min(camera.fx, camera.fy) / PIXELS_ACROSS
+    cuts = np.array([thin / (2 << k) for k in range(THINNINGS)], np.float32)
+    limits = np.array([protocol.max_depth, *cuts, protocol.min_depth]) / unit
+    if millimetres:
+        limits = np.minimum(limits, np.iinfo(np.uint16).max)
+    return unit, cuts, limits.astype(kind).view(bits)
+
+
+@lru_cache(maxsize=8)
+def _sides(camera: Camera) -> tuple[float, float]:
+    """Bearings of the left and the right side of a level image."""
+    return math.atan(camera.cx / camera.fx), -math.atan((camera.width - camera.cx) / camera.fx)
+
+
+def _overlook(camera: Camera, rotation: list[list[float]], reach: float, row: float, col: float) -> Rectangle:
+    """The cells around all that a camera can see within its reach, and two more; lengths in cells.
+
+    Seen from above, what is farthest to the left or right in an image is one of its corners, unless it shows
+    what is straight below or above.
+    """
+    (xx, xy, xz), (yx, yy, yz), _ = rotation
+    bearings = [*_sides(camera)]  # The sector does not roll.
+    for a in (-camera.cx / camera.fx, (camera.width - camera.cx) / camera.fx):
+        for b in (-camera.cy / camera.fy, (camera.height - camera.cy) / camera.fy):
+            x, y = xx * a + xy * b + xz, yx * a + yy * b + yz
+            bearings.append(math.atan2(xz * y - yz * x, xz * x + yz * y))
+    yaw, quarter = math.atan2(yz, xz), 0.5 * math.pi
+    first, last = min(bearings), max(bearings)
+    if max(-first, last) >= quarter - 1e-6:
+        first, last = -math.pi, math.pi
+    turns = [
+        k * quarter for k in range(math.ceil((yaw + first) / quarter), math.floor((yaw + last) / quarter) + 1)
+    ]
+    turns += (yaw + first, yaw + last)
+    rows = [row, *(row + reach * math.sin(turn) for turn in turns)]
+    cols = [col, *(col + reach * math.cos(turn) for turn in turns)]
+    return (
+        math.floor(min(rows)) - MARGIN,
+        math.floor(min(cols)) - MARGIN,
+        math.floor(max(rows)) + 1 + MARGIN,
+        math.floor(max(cols)) + 1 + MARGIN,
+    )
 
 
 _NO_PRIOR = np.zeros(1)

@@ -32,6 +32,7 @@ from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, Label
 
 FORMAT = "dream-map-2"
+LAST_LABEL = int(max(Label))
 MOST_PIXELS = 1 << 20
 """Of larger images every n-th row and column is taken, so that no cell's counts overflow."""
 MOST_CELLS = 1400
@@ -412,6 +413,6 @@ def _check_frame(depth: npt.NDArray[Any], labels: npt.NDArray[Any], camera: Came
     if not np.issubdtype(labels.dtype, np.integer):
         raise ValueError(f"labels: expected integers, values of Label, or probabilities, got {labels.dtype}")
     unsigned = np.issubdtype(labels.dtype, np.unsignedinteger)
-    if labels.size and (labels.max() > max(Label) or (not unsigned and labels.min() < min(Label))):
-        wrong = labels.max() if labels.max() > max(Label) else labels.min()
-        raise ValueError(f"labels: expected values of Label, {min(Label):d} to {max(Label):d}, got {wrong}")
+    if labels.size and (labels.max() > LAST_LABEL or (not unsigned and labels.min() < 0)):
+        wrong = labels.max() if labels.max() > LAST_LABEL else labels.min()
+        raise ValueError(f"labels: expected values of Label, 0 to {LAST_LABEL}, got {wrong}")

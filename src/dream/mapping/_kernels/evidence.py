@@ -168,6 +168,20 @@ def count_returns(count, samples, heights, ground, band, weight_of, counts, targ
 
 
 @njit(cache=True, nogil=True)
+def clear(side, clip, counts, targets, bits, votes, paths):
+    """Zeros over a part of the window."""
+    first_row, past_row, first_col, past_col = clip
+    for i in range(first_row, past_row):
+        # Unsigned, no index is taken for one from the end, and the loop is vectorised.
+        for c in range(np.uint64(i * side + first_col), np.uint64(i * side + past_col)):
+            counts[c] = 0
+            targets[c] = 0
+            bits[c] = 0
+            votes[c] = 0
+            paths[c] = 0
+
+
+@njit(cache=True, nogil=True)
 def field_of(packed, field):
     """One of the four counts of a cell."""
     return np.int64((packed >> np.uint64(FIELD_BITS * field)) & np.uint64(FIELD_MASK))
@@ -202,6 +216,7 @@ def weigh(
     votes,
     offset_row,
     offset_col,
+    clip,
     touched,
 ):
     """One step of log-odds and one vote per cell that has returns.
@@ -223,14 +238,16 @@ def weigh(
         bits: (side²) uint8, out: flags to set.
         votes: (side²) uint8, out: 1 target, 2 another thing.
         offset_row, offset_col: The window's low corner inside the first block.
+        clip: See `read_frame`.
         touched: (block rows, block cols) bool, out: blocks of which the frame says something.
     """
+    first_row, past_row, first_col, past_col = clip
     step, doubt = steps
     low, high = clamp
     _, _, forward_x, forward_y, cos_half, _, _, _ = sector
     hit_pixels, hit_share, peak_share, miss_pixels, vote_pixels, vote_share = least
-    for i in range(side):
-        for j in range(side):
+    for i in range(first_row, past_row):
+        for j in range(first_col, past_col):
             c = i * side + j
             if counts[c] == 0:
                 continue
@@ -250,7 +267,7 @@ def weigh(
                 for k in range(1, math.ceil(2.0 * scatter - 0.3) + 1):
                     a = math.floor(i + 0.5 + k * up / away)
                     b = math.floor(j + 0.5 + k * right / away)
-                    if 0 <= a < side and 0 <= b < side:
+                    if first_row <= a < past_row and first_col <= b < past_col:
                         beyond = a * side + b
                         peak = max(peak, field_of(counts[beyond], 1) + field_of(counts[beyond], 2))
                 if band < peak_share * peak:
@@ -371,29 +388,30 @@ def explore(
 
 
 @njit(cache=True, nogil=True)
-def gather(log_odds_pool, flags_pool, table, offset_row, offset_col, side, log_odds, flags):
-    """Copy two layers of the window out of their blocks.
+def gather(log_odds_pool, flags_pool, table, offset_row, offset_col, side, clip, log_odds, flags):
+    """Copy two layers of a part of the window out of their blocks.
 
     Args:
         log_odds_pool, flags_pool: (slots, BLOCK, BLOCK).
         table: (block rows, block cols) slots.
         offset_row, offset_col: The window's low corner inside the first block.
         side: Cells along the window.
+        clip: (first row, past row, first col, past col).
         log_odds, flags: (side²), out.
     """
-    for i in range(side):
+    first_row, past_row, first_col, past_col = clip
+    for i in range(first_row, past_row):
         block_row, y = (offset_row + i) >> BLOCK_BITS, (offset_row + i) & (BLOCK - 1)
-        j = 0
-        while j < side:
+        j = first_col
+        while j < past_col:
             block_col, x = (offset_col + j) >> BLOCK_BITS, (offset_col + j) & (BLOCK - 1)
-            width = min(BLOCK - x, side - j)
-            slot, c = table[block_row, block_col], i * side + j
-            if slot:
-                log_odds[c : c + width] = log_odds_pool[slot, y, x : x + width]
-                flags[c : c + width] = flags_pool[slot, y, x : x + width]
-            else:
-                log_odds[c : c + width] = 0
-                flags[c : c + width] = 0
+            width = min(BLOCK - x, past_col - j)
+            # Slot 0 holds zeros. Unsigned, see `clear`.
+            slot, row, col = np.uint64(table[block_row, block_col]), np.uint64(y), np.uint64(x)
+            c = np.uint64(i * side + j)
+            for k in range(np.uint64(width)):
+                log_odds[c + k] = log_odds_pool[slot, row, col + k]
+                flags[c + k] = flags_pool[slot, row, col + k]
             j += width
 
 
@@ -416,9 +434,21 @@ def gather_posts(sum_pool, count_pool, table, offset_row, offset_col, total, cou
 
 @njit(cache=True, nogil=True)
 def commit(
-    pools, stamps, table, offset_row, offset_col, side, said, stamp, post_bits, post_sum, post_count, memory
+    pools,
+    stamps,
+    table,
+    offset_row,
+    offset_col,
+    side,
+    clip,
+    said,
+    stamp,
+    post_bits,
+    post_sum,
+    post_count,
+    memory,
 ):
-    """Write the window into its blocks.
+    """Write the window, as far as a frame says something of it, into its blocks; see `read_frame`.
 
     Returns:
         (first row, past row, first col, past col) of the window in which something became solid or known, or
@@ -439,12 +469,12 @@ def commit(
         memory,
     )
     first_row, past_row, first_col, past_col = side, 0, side, 0
-    for i in range(side):
+    for i in range(clip[0], clip[1]):
         block_row, y = (offset_row + i) >> BLOCK_BITS, (offset_row + i) & (BLOCK - 1)
-        j = 0
-        while j < side:
+        j = clip[2]
+        while j < clip[3]:
             block_col, x = (offset_col + j) >> BLOCK_BITS, (offset_col + j) & (BLOCK - 1)
-            width = min(BLOCK - x, side - j)
+            width = min(BLOCK - x, clip[3] - j)
             if touched[block_row, block_col]:
                 slot, c = table[block_row, block_col], i * side + j
                 stamps[slot] = stamp
@@ -582,7 +612,8 @@ def read_frame(
             lengths in cells. No ray where it is not a sector.
         farthest: (rays,); see `cast_rays`.
         directions: (rays, 2); likewise.
-        clip: (first row, past row, first col, past col) of the window that lie in bounds.
+        clip: (first row, past row, first col, past col) of the window that lie in bounds and around what the
+            frame may show; nothing else is written.
         scratch: (ground, counts, targets, flags, paths), (side²) each.
         out: (log_odds, bits, votes, touched) after the frame; see `weigh`.
     """
@@ -604,12 +635,9 @@ def read_frame(
     surface = smooth_ground(total, points, levels, share, trust, datum, region)
     spread_ground(surface, first_row, first_col, post_bits, side, ground)
 
-    counts[:] = 0
-    targets[:] = 0
+    clear(side, clip, counts, targets, bits, votes, paths)
     count_returns(count, samples, heights, ground, band, weight_of, counts, targets)
-    gather(log_odds_pool, flags_pool, table, offset_row, offset_col, side, log_odds, flags)
-    bits[:] = 0
-    votes[:] = 0
+    gather(log_odds_pool, flags_pool, table, offset_row, offset_col, side, clip, log_odds, flags)
     touched[:] = False
     steps, clamp, least, noise = rule
     x, y = camera
@@ -631,10 +659,10 @@ def read_frame(
         votes,
         offset_row,
         offset_col,
+        clip,
         touched,
     )
     if sector[0] <= sector[1]:
-        paths[:] = 0
         cast_rays(x, y, sector[:2], directions, farthest, 1.0 / size, sector[5], side, log_odds, paths)
         explore(
             x,

@@ -15,7 +15,9 @@ from numba import njit
 
 from dream.mapping._kernels.sight import RAY_MASK
 
-CHUNK = 512
+SPAN = 128
+"""Pixels of a row of which it is asked whether any is far enough, before they are looked at."""
+RUN = 512
 """Pixels of a row that are looked at together, at most."""
 LABEL_BITS = 8
 """A sample is its flat cell, shifted by so many bits, and its label."""
@@ -29,6 +31,7 @@ GROUND_STEP = 8
 @njit(cache=True, nogil=True)
 def project(
     depth,
+    bits,
     unit,
     labels,
     label_scale,
@@ -41,7 +44,7 @@ def project(
     size,
     limits,
     cuts,
-    raw_cuts,
+    raw,
     side,
     clip,
     post_of,
@@ -60,6 +63,7 @@ def project(
 
     Args:
         depth: (H, W) of `unit` metres.
+        bits: (H, W) the same as unsigned integers, which are in the same order.
         unit: Metres.
         labels: (H, W), times `label_scale` an index into `kind_of`.
         label_scale: See `labels`.
@@ -72,7 +76,7 @@ def project(
         size: Metres a cell.
         limits: (min_depth, max_depth, reach), metres.
         cuts: (levels,) float32 metres, falling.
-        raw_cuts: (levels + 1,) of depth's type: the cuts and `min_depth` in its unit, rounded down.
+        raw: (levels + 2,) `max_depth`, the cuts and `min_depth` as `bits`.
         side: Cells along the window.
         clip: (first row, past row, first col, past col) of the window that lie in bounds.
         post_of: (side²) int32, the post of every cell.
@@ -95,14 +99,14 @@ def project(
     square_reach = f32(reach * reach)
     inside = (f32(clip[0]), f32(clip[1]), f32(clip[2]), f32(clip[3]))
     stride = f32(side)
-    chunks = (width + CHUNK - 1) // CHUNK
-    columns = np.zeros((chunks, 3 * CHUNK), f32)
-    farther = np.empty((chunks, 3 * CHUNK), f32)
-    metric = np.zeros(4 * CHUNK, f32)
-    names = np.zeros(CHUNK, i32)
+    columns = np.empty((3, width), f32)
+    farther = np.empty((3, width), f32)
+    metric = np.zeros(4 * RUN, f32)
+    names = np.zeros(RUN, i32)
     per_radian = (RAY_MASK + 1) / (2.0 * math.pi)
     farthest[:] = f32(0.0)
     count = 0
+    peaks, lows = find_extremes(bits)
     for level in range(len(cuts) + 1):
         step = 1 << level
         across = 2 * step
@@ -113,56 +117,44 @@ def project(
         for k in range(n):
             a = (k * across + 0.5 - cx) / fx
             for axis in range(3):
-                columns[k // CHUNK, axis * CHUNK + k % CHUNK] = R[axis, 0] * a
+                columns[axis, k] = R[axis, 0] * a
         farther[:] = f32(0.0)
         for v in range(0, height, step):
-            if not any_beyond(depth[v], raw_cuts[level]):
-                continue
             b = (v + 0.5 - cy) / fy
             ray = (f32(R[0, 1] * b + R[0, 2]), f32(R[1, 1] * b + R[1, 2]), f32(R[2, 1] * b + R[2, 2]))
-            first = count
-            for begin in range(0, n, CHUNK):
-                size_of = min(CHUNK, n - begin)
-                skip = begin * across
-                valid = read_row(
-                    depth[v, skip:],
-                    labels[v, skip:],
-                    across,
-                    metres,
-                    scale,
-                    water,
-                    nearest,
-                    most,
-                    size_of,
-                    metric,
-                    names,
+            span = 0
+            while True:
+                begin, span = next_run(
+                    peaks[v], lows[v], raw[level], raw[level + 1], span, RUN * across // SPAN
                 )
-                if valid == 0:
-                    continue
-                of_chunk = begin // CHUNK
-                lay_out(metric, columns[of_chunk], size_of, ray)
-                reach_out(metric, farther[of_chunk], size_of)
-                past = count + size_of
-                if place(
-                    metric,
-                    names,
-                    samples[count:past],
-                    heights[count:past],
-                    size_of,
-                    frame,
-                    square_reach,
-                    inside,
-                    stride,
-                ):
-                    count = past
-            sum_ground(
-                first, count, samples, heights, kind_of, post_of, prior, prior_room, post_sum, post_count
-            )
+                if begin == span:
+                    break
+                first = begin * SPAN // across
+                run = min(span * SPAN // across, n) - first
+                skip, past = first * across, count + run
+                row, label_row = depth[v, skip:], labels[v, skip:]
+                read_run(row, label_row, across, metres, scale, water, nearest, most, run, metric, names)
+                lay_out(metric, columns[0, first:], columns[1, first:], columns[2, first:], run, ray)
+                reach_out(metric, farther[0, first:], farther[1, first:], farther[2, first:], run)
+                cells, ups = samples[count:past], heights[count:past]
+                if place(metric, names, cells, ups, run, frame, square_reach, inside, stride):
+                    sum_ground(
+                        count,
+                        count + run,
+                        samples,
+                        heights,
+                        kind_of,
+                        post_of,
+                        prior,
+                        prior_room,
+                        post_sum,
+                        post_count,
+                    )
+                    count += run
         for k in range(n):
-            chunk, k_of = k // CHUNK, k % CHUNK
-            square = farther[chunk, 2 * CHUNK + k_of]
+            square = farther[2, k]
             if square > 0.0:
-                bearing = math.atan2(farther[chunk, CHUNK + k_of], farther[chunk, k_of])
+                bearing = math.atan2(farther[1, k], farther[0, k])
                 spread_far(math.floor(bearing * per_radian), spread, math.sqrt(square), farthest)
     return count
 
@@ -174,17 +166,38 @@ def spread_far(ray, spread, distance, farthest):
         farthest[near & RAY_MASK] = max(farthest[near & RAY_MASK], distance)
 
 
-# The following loops have no branches and few arrays, so that they are vectorised: `metric` holds `CHUNK`
+# The following loops have no branches and few arrays, so that they are vectorised: `metric` holds `RUN`
 # each of x and y over ground from the camera, world z and depth.
 
 
 @njit(cache=True, nogil=True)
-def any_beyond(row, least):
-    """Does some pixel of a row lie farther away, in the image's own unit?"""
-    found = np.int32(0)
-    for k in range(len(row)):
-        found += np.int32(row[k] > least)
-    return found > 0
+def find_extremes(bits):
+    """(H, spans) the largest of every `SPAN` pixels of a row, and the least but 0, less 1."""
+    height, width = bits.shape
+    one = bits.dtype.type(1)
+    peaks = np.zeros((height, (width + SPAN - 1) // SPAN), bits.dtype)
+    lows = np.zeros(peaks.shape, bits.dtype)
+    for v in range(height):
+        for span in range(width // SPAN):
+            most, least = bits[v, span * SPAN], bits.dtype.type(bits[v, span * SPAN] - one)
+            for k in range(SPAN):
+                pixel = bits[v, span * SPAN + k]
+                most, least = max(most, pixel), min(least, bits.dtype.type(pixel - one))
+            peaks[v, span], lows[v, span] = most, least
+        for u in range(width // SPAN * SPAN, width):
+            peaks[v, -1] = max(peaks[v, -1], bits[v, u])
+    return peaks, lows
+
+
+@njit(cache=True, nogil=True)
+def next_run(peaks, lows, farthest, nearest, span, most):
+    """First and past last of the next spans, at most so many, that may have pixels between two depths."""
+    while span < len(peaks) and (peaks[span] < nearest or lows[span] > farthest):
+        span += 1
+    begin = span
+    while span < len(peaks) and span - begin < most and peaks[span] >= nearest and lows[span] <= farthest:
+        span += 1
+    return begin, span
 
 
 @njit(cache=True, nogil=True)
@@ -194,73 +207,69 @@ def pick(z, label, water, nearest, most):
 
 
 @njit(cache=True, nogil=True)
-def read_row(row, label_row, across, metres, scale, water, nearest, most, n, metric, names):
-    """Depths, 0 where they do not count, and labels of every 2nd, 4th or 8th pixel; how many count."""
+def read_run(row, label_row, across, metres, scale, water, nearest, most, n, metric, names):
+    """Depths, 0 where they do not count, and labels of every 2nd, 4th or 8th pixel of a part of a row."""
     # A step that is known when compiling is several times faster.
     if across == 2:
         for k in range(n):
             z = np.float32(row[2 * k]) * metres
-            metric[3 * CHUNK + k] = pick(z, label_row[2 * k], water, nearest, most)
+            metric[3 * RUN + k] = pick(z, label_row[2 * k], water, nearest, most)
             names[k] = np.int32(np.float32(label_row[2 * k]) * scale)
     elif across == 4:
         for k in range(n):
             z = np.float32(row[4 * k]) * metres
-            metric[3 * CHUNK + k] = pick(z, label_row[4 * k], water, nearest, most)
+            metric[3 * RUN + k] = pick(z, label_row[4 * k], water, nearest, most)
             names[k] = np.int32(np.float32(label_row[4 * k]) * scale)
     else:
         for k in range(n):
             z = np.float32(row[8 * k]) * metres
-            metric[3 * CHUNK + k] = pick(z, label_row[8 * k], water, nearest, most)
+            metric[3 * RUN + k] = pick(z, label_row[8 * k], water, nearest, most)
             names[k] = np.int32(np.float32(label_row[8 * k]) * scale)
-    found = np.int32(0)
-    for k in range(n):
-        found += np.int32(metric[3 * CHUNK + k] > np.float32(0.0))
-    return found
 
 
 @njit(cache=True, nogil=True)
-def lay_out(metric, columns, n, ray):
+def lay_out(metric, a_x, a_y, a_z, n, ray):
     """Offsets from the camera in the world."""
     ray_x, ray_y, ray_z = ray
     for k in range(n):
-        z = metric[3 * CHUNK + k]
-        metric[k] = z * (columns[k] + ray_x)
-        metric[CHUNK + k] = z * (columns[CHUNK + k] + ray_y)
-        metric[2 * CHUNK + k] = z * (columns[2 * CHUNK + k] + ray_z)
+        z = metric[3 * RUN + k]
+        metric[k] = z * (a_x[k] + ray_x)
+        metric[RUN + k] = z * (a_y[k] + ray_y)
+        metric[2 * RUN + k] = z * (a_z[k] + ray_z)
 
 
 @njit(cache=True, nogil=True)
-def reach_out(metric, farther, n):
+def reach_out(metric, far_x, far_y, far_square, n):
     """Keep x, y and the squared distance of the farthest return of every column."""
     for k in range(n):
-        x, y = metric[k], metric[CHUNK + k]
+        x, y = metric[k], metric[RUN + k]
         square = x * x + y * y
-        more = square > farther[2 * CHUNK + k]
-        farther[k] = x if more else farther[k]
-        farther[CHUNK + k] = y if more else farther[CHUNK + k]
-        farther[2 * CHUNK + k] = square if more else farther[2 * CHUNK + k]
+        more = square > far_square[k]
+        far_x[k] = x if more else far_x[k]
+        far_y[k] = y if more else far_y[k]
+        far_square[k] = square if more else far_square[k]
 
 
 @njit(cache=True, nogil=True)
 def place(metric, names, samples, heights, n, frame, square_reach, inside, stride):
-    """Cells with their labels, −1 for none, and heights of a row; how many have a cell."""
+    """Cells with their labels, −1 for none, and heights of a run; has any a cell?"""
     left, bottom, up, per_cell = frame
     first_row, past_row, first_col, past_col = inside
-    found = np.int32(0)
+    found = np.int32(-1)
     for k in range(n):
-        x, y = metric[k], metric[CHUNK + k]
-        near = (x * x + y * y <= square_reach) & (metric[3 * CHUNK + k] > np.float32(0.0))
+        x, y = metric[k], metric[RUN + k]
+        near = (x * x + y * y <= square_reach) & (metric[3 * RUN + k] > np.float32(0.0))
         col, row = left + x * per_cell, bottom + y * per_cell
         near = near & (row >= first_row) & (row < past_row) & (col >= first_col) & (col < past_col)
         # In float32, which is exact for so few cells: products of whole numbers would be widened to 64 bits.
         cell = np.float32(np.int32(row)) * stride + np.float32(np.int32(col))
         samples[k] = np.int32(cell) if near else np.int32(-1)
-        found += np.int32(near)
+        found &= samples[k]
     for k in range(n):
         samples[k] = np.int32((samples[k] << LABEL_BITS) | names[k])
     for k in range(n):
-        heights[k] = up + metric[2 * CHUNK + k]
-    return found
+        heights[k] = up + metric[2 * RUN + k]
+    return found >= 0
 
 
 @njit(cache=True, nogil=True)
