@@ -114,6 +114,17 @@ class Camera:
     cx: float
     cy: float
 
+    def __post_init__(self) -> None:
+        for name in ("width", "height"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}: expected at least one pixel, got {getattr(self, name)}")
+        for name in ("fx", "fy"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: expected pixels above 0, got {getattr(self, name)}")
+        for name in ("cx", "cy"):
+            if not math.isfinite(getattr(self, name)):
+                raise ValueError(f"{name}: expected a finite number of pixels, got {getattr(self, name)}")
+
     @staticmethod
     def from_fov(width: int, height: int, horizontal_fov: float) -> Camera:
         """Square pixels, principal point in the middle."""

@@ -52,6 +52,22 @@ class SurveyProtocol:
     traversal: float | None = None
     """Where set, an individual counts when it passed under or in front of the vehicle this near."""
 
+    def __post_init__(self) -> None:
+        for name in ("altitude", "body_radius", "body_height", "max_depth", "reach", "cell", "lattice"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: expected metres above 0, got {getattr(self, name)}")
+        for name in ("min_depth", "launch_radius", "group_radius"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: expected 0 m or more, got {getattr(self, name)}")
+        if not -math.inf < self.band[0] < self.band[1] < math.inf:
+            raise ValueError(f"band: expected two heights, the lower first, got {self.band}")
+        if not abs(self.camera_pitch) <= 0.5 * math.pi:
+            raise ValueError(f"camera_pitch: expected at most a quarter turn, got {self.camera_pitch}")
+        if not 1 <= self.headings <= 3600:
+            raise ValueError(f"headings: expected 1 to 3600, got {self.headings}")
+        if self.cap < 1:
+            raise ValueError(f"cap: expected at least 1, got {self.cap}")
+
     @property
     def T_base_camera(self) -> SE3:
         """The camera sits at the vehicle's centre and looks ahead and down."""

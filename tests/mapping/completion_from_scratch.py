@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -13,9 +15,8 @@ from scipy.spatial import cKDTree
 
 from dream.geometry import SE2, Bounds
 from dream.mapping import Completion, OccupancyMap, Region
-from dream.mapping._kernels import progress
 from dream.mapping._kernels.room import segment_is_free
-from dream.mapping.visibility import FRACTIONS, ray_table
+from dream.mapping.visibility import RAYS
 from dream.types import BoolArray, IntArray
 
 Float64Array = npt.NDArray[np.float64]
@@ -25,27 +26,35 @@ FOUR = ndimage.generate_binary_structure(2, 1)
 
 
 @njit(cache=True)
-def _flood(squared, needed, offset_x, offset_y, spacing, shape, row, col, moves):  # type: ignore[no-untyped-def]
-    """Lattice nodes that can be reached from (row, col) by the moves, each a free segment."""
-    rows, cols = shape
-    reached = np.zeros((rows, cols), dtype=np.bool_)
-    stack = np.empty(rows * cols, dtype=np.int32)
-    reached[row, col] = True
-    stack[0] = row * cols + col
-    depth = 1
-    while depth > 0:
-        depth -= 1
-        i, j = stack[depth] // cols, stack[depth] % cols
-        x, y = offset_x + spacing * j, offset_y + spacing * i
+def _flood(room, low, needed, lattice, origin, cell, limits, start, moves):  # type: ignore[no-untyped-def]
+    """Nodes of the lattice within limits that moves, each a free segment, lead to from one of them."""
+    first_row, first_col, past_row, past_col = limits
+    reached = np.zeros((past_row - first_row, past_col - first_col), dtype=np.bool_)
+    reached[start[0] - first_row, start[1] - first_col] = True
+    todo = [start]
+    while len(todo) > 0:
+        i, j = todo.pop()
+        x, y = (j * lattice - origin[0]) / cell, (i * lattice - origin[1]) / cell
         for k in range(len(moves)):
             a, b = i + moves[k, 1], j + moves[k, 0]
-            if a < 0 or b < 0 or a >= rows or b >= cols or reached[a, b]:
+            if a < first_row or b < first_col or a >= past_row or b >= past_col:
                 continue
-            if segment_is_free(squared, needed, x, y, offset_x + spacing * b, offset_y + spacing * a):
-                reached[a, b] = True
-                stack[depth] = a * cols + b
-                depth += 1
+            to_x, to_y = (b * lattice - origin[0]) / cell, (a * lattice - origin[1]) / cell
+            if not reached[a - first_row, b - first_col] and segment_is_free(
+                room, needed, x, y, to_x, to_y, low[0], low[1]
+            ):
+                reached[a - first_row, b - first_col] = True
+                todo.append((a, b))
     return reached
+
+
+def cells_of(
+    occupancy: OccupancyMap, positions: Float64Array
+) -> tuple[IntArray, IntArray, Float64Array, Float64Array]:
+    """Row and column in the map, and how far north and east in that cell; in cells."""
+    east, north = ((positions - occupancy._origin) / occupancy.protocol.cell).T
+    row, col = np.floor(north).astype(int), np.floor(east).astype(int)
+    return row - occupancy.low[0], col - occupancy.low[1], north - row, east - col
 
 
 def reachable(occupancy: OccupancyMap, pose: SE2) -> Float64Array:
@@ -54,61 +63,135 @@ def reachable(occupancy: OccupancyMap, pose: SE2) -> Float64Array:
     lattice = protocol.lattice
     first_col, last_col = math.ceil(bounds.x_min / lattice - 1e-9), math.floor(bounds.x_max / lattice + 1e-9)
     first_row, last_row = math.ceil(bounds.y_min / lattice - 1e-9), math.floor(bounds.y_max / lattice + 1e-9)
-    shape = (last_row - first_row + 1, last_col - first_col + 1)
-    row, col = round(pose.y / lattice) - first_row, round(pose.x / lattice) - first_col
-    if not (0 <= row < shape[0] and 0 <= col < shape[1]):
+    row, col = round(pose.y / lattice), round(pose.x / lattice)
+    if not (first_row <= row <= last_row and first_col <= col <= last_col):
         return np.zeros((0, 2))
     headings = range(protocol.headings)
     moves = {protocol.offset(heading, advance) for heading in headings for advance in protocol.advances}
     reached = _flood(
         occupancy.room,
+        occupancy.low,
         occupancy.needed_room,
-        (first_col * lattice - bounds.x_min) / protocol.cell,
-        (first_row * lattice - bounds.y_min) / protocol.cell,
-        lattice / protocol.cell,
-        shape,
-        row,
-        col,
+        lattice,
+        occupancy._origin,
+        protocol.cell,
+        (first_row, first_col, last_row + 1, last_col + 1),
+        (row, col),
         np.array(sorted(moves)),
     )
-    nodes = np.argwhere(reached)
-    positions: Float64Array = np.multiply(nodes[:, ::-1] + (first_col, first_row), lattice)
+    positions: Float64Array = np.multiply(np.argwhere(reached)[:, ::-1] + (first_col, first_row), lattice)
     return positions
 
 
+@dataclass(frozen=True)
+class Surroundings:
+    """Cells around a place from near to far, and the rays that cross each of them; lengths in cells."""
+
+    rows: IntArray
+    """(n,) from the place's own cell."""
+    cols: IntArray
+    x: Float64Array
+    """(n,) from the place to the cell's centre."""
+    y: Float64Array
+    rays: IntArray
+    """Those of all cells, one cell's after the other's."""
+    starts: IntArray
+    """(n,) where a cell's begin."""
+    rank: IntArray
+    """For each of `rays`, which cell it is."""
+
+    def entered(self, solid: BoolArray) -> BoolArray:
+        """(n,) cells that some ray enters, given which of them end it."""
+        depth = np.full(RAYS, len(self.rows))
+        ends = solid[self.rank]
+        np.minimum.at(depth, self.rays[ends], self.rank[ends])
+        deepest: IntArray = np.maximum.reduceat(depth[self.rays], self.starts)
+        return deepest >= np.arange(len(self.rows))
+
+
+@lru_cache(maxsize=4096)
+def surroundings(radius: float, fraction_x: float, fraction_y: float) -> Surroundings:
+    """Of a place inside its cell. Ray k points along (k + 1/2) / RAYS of a turn."""
+    span = math.ceil(radius) + 1
+    rows, cols = (offset.ravel() for offset in np.mgrid[-span : span + 1, -span : span + 1])
+    x, y = cols + 0.5 - fraction_x, rows + 0.5 - fraction_y
+    distance = np.hypot(x, y)
+    order = np.argsort(np.round(distance, 9), kind="stable")
+    order = order[distance[order] <= radius + 1e-9]
+    rows, cols, x, y = rows[order], cols[order], x[order], y[order]
+    corners = np.array([(-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5)])
+    to_x, to_y = x[:, None] + corners[:, 0], y[:, None] + corners[:, 1]
+    side = np.arctan2(x[:, None] * to_y - y[:, None] * to_x, x[:, None] * to_x + y[:, None] * to_y)
+    bearing = np.arctan2(y, x)
+    first, last = (
+        (bearing + edge) * RAYS / (2.0 * math.pi) - 0.5 for edge in (side.min(axis=1), side.max(axis=1))
+    )
+    first, last = np.ceil(first).astype(int), np.floor(last).astype(int)
+    around = np.maximum(np.abs(x), np.abs(y)) < 0.5
+    first[around], last[around] = 0, RAYS - 1
+    count = last - first + 1
+    starts = np.cumsum(count) - count
+    rank = np.repeat(np.arange(len(rows)), count)
+    rays = (first[rank] + np.arange(len(rank)) - starts[rank]) % RAYS
+    return Surroundings(rows, cols, x, y, rays, starts, rank)
+
+
 def seeable(occupancy: OccupancyMap, nodes: Float64Array, candidates: IntArray) -> IntArray:
-    """The candidates (n, 2) that an observation from one of the nodes would explore."""
+    """The candidates (n, 2) that an observation from one of the nodes would explore.
+
+    Asked are the nearest node, and all to whose cells rays lead from the candidate's middle.
+    """
     if not len(nodes) or not len(candidates):
         return candidates[:0]
     protocol = occupancy.protocol
-    x, y = ((nodes - (occupancy.bounds.x_min, occupancy.bounds.y_min)) / protocol.cell).T
-    row = np.clip(np.floor(y).astype(np.intp), 0, occupancy.shape[0] - 1)
-    col = np.clip(np.floor(x).astype(np.intp), 0, occupancy.shape[1] - 1)
-    node_at = np.full(occupancy.shape, -1, np.int32)
-    node_at[row, col] = np.arange(len(nodes))
-    reach = protocol.reach / protocol.cell
-    # A node lies anywhere in its cell, up to half a diagonal from the centre that was measured to.
+    reach, blind = protocol.reach / protocol.cell, protocol.blind / protocol.cell
+    margin = math.ceil(reach) + 3
+    solid = np.pad(occupancy.solid, margin)
+    row, col, north, east = cells_of(occupancy, nodes)
+    last_row, last_col = occupancy.shape[0] - 1, occupancy.shape[1] - 1
+    node_at = np.full(solid.shape, -1)
+    # A node on the edge counts to the last cell.
+    node_at[np.clip(row, 0, last_row) + margin, np.clip(col, 0, last_col) + margin] = np.arange(len(nodes))
+    views: dict[int, BoolArray] = {}
+
+    def sees(node: int, cell: IntArray) -> bool:
+        """Does a camera in that place, with the heading that suits it best, explore the cell?"""
+        own = int(row[node]), int(col[node])
+        around = surroundings(reach + 1.0, float(east[node]), float(north[node]))
+        if node not in views:
+            entered = around.entered(solid[around.rows + own[0] + margin, around.cols + own[1] + margin])
+            bearing = np.arctan2(around.y, around.x)
+            step = protocol.heading_step
+            off_axis = np.abs(bearing - step * np.floor(bearing / step + 0.5))
+            distance = np.hypot(around.x, around.y)
+            entered &= (distance <= reach) & (off_axis <= 0.5 * protocol.camera.horizontal_fov)
+            entered &= distance * np.cos(off_axis) >= blind
+            views[node] = np.zeros((2 * margin + 1, 2 * margin + 1), np.bool_)
+            views[node][around.rows[entered] + margin, around.cols[entered] + margin] = True
+        return bool(views[node][cell[0] - own[0] + margin, cell[1] - own[1] + margin])
+
+    def is_seen(cell: IntArray) -> bool:
+        at = middle.rows + cell[0] + margin, middle.cols + cell[1] + margin
+        near = node_at[at]
+        (places,) = np.nonzero(near >= 0)
+        if not len(places):
+            return False
+        if sees(int(near[places[0]]), cell):
+            return True
+        ends = solid[at]
+        ends[0] = False
+        entered = middle.entered(ends)
+        return any(sees(int(near[place]), cell) for place in places if entered[place])
+
+    middle = surroundings(reach + 1.0, 0.5, 0.5)
+    # Whatever has no node within reach is quickly left out.
     distance = ndimage.distance_transform_edt(node_at < 0)
-    candidates = candidates[distance[tuple(candidates.T)] <= reach + 0.71]
-    rays = ray_table(reach + 1.0, FRACTIONS // 2, FRACTIONS // 2)
-    found = progress.seeable(
-        occupancy.solid,
-        (0, 0),
-        candidates,
-        node_at,
-        np.ascontiguousarray(x),
-        np.ascontiguousarray(y),
-        reach,
-        protocol.blind / protocol.cell,
-        0.5 * protocol.camera.horizontal_fov,
-        protocol.heading_step,
-        rays.rows,
-        rays.cols,
-        rays.first,
-        rays.last,
-    )
-    seen: IntArray = candidates[found]
+    candidates = candidates[distance[tuple((candidates + margin).T)] <= reach + 1.1]
+    seen: IntArray = candidates[[is_seen(cell) for cell in candidates]]
     return seen
+
+
+Seeable = Callable[[OccupancyMap, Float64Array, IntArray], IntArray]
 
 
 def linked(target: BoolArray, radius: float) -> tuple[IntArray, IntArray]:
@@ -136,8 +219,8 @@ def outline(cells: IntArray, shape: tuple[int, int]) -> IntArray:
     return inside
 
 
-def check_completion(occupancy: OccupancyMap, pose: SE2) -> Completion:
-    """Everything anew."""
+def check_completion(occupancy: OccupancyMap, pose: SE2, seeable: Seeable = seeable) -> Completion:
+    """Everything anew; with another function for `seeable` where this one takes too long."""
     nodes = reachable(occupancy, pose)
     protocol, unexplored = occupancy.protocol, ~occupancy.observed
     cells, numbers = linked(occupancy.target, protocol.group_radius / protocol.cell)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from dream.geometry import SE2, Bounds
 from dream.mapping import Completion, OccupancyMap, check_completion, hiding_places, reachable, view
-from dream.mapping._kernels.flags import BARE, CROSSED, EXPLORED, RETURNED
+from dream.mapping._kernels.flags import BARE, CROSSED, EXPLORED, FRONTIER, INFLATED, RETURNED
 from dream.protocol import DREAM_V1, POOL_V1, SurveyProtocol
 from dream.types import BoolArray
 from tests.mapping import completion_from_scratch as scratch
@@ -189,20 +189,49 @@ class Kept:
 
     def __init__(self, bounds: Bounds | None, protocol: SurveyProtocol = DREAM_V1) -> None:
         self.map = OccupancyMap(bounds, protocol)
+        self.rng = np.random.default_rng(0)
 
     def write(self, name: str, row: int, col: int, cells: npt.NDArray[np.integer[Any]]) -> None:
+        if name == "flags":  # Two of the bits nobody but the edges writes.
+            kept = FRONTIER | INFLATED
+            old = self.map._store.read("flags", (row, col), cells.shape)
+            cells = (cells & ~kept) | (old & kept)
         self.map._write(name, (row, col), cells)
 
     def fill(self, name: str, row: int, col: int, shape: tuple[int, int], value: int) -> None:
         self.write(name, row, col, np.full(shape, value))
 
     def check(self, x: float, y: float) -> Completion:
-        """What is kept, which must be what comes out from scratch."""
+        """What is kept, which must be what comes out from scratch; other questions may come before."""
         pose = SE2(x, y, 0.0)
+        for question in self.rng.permutation((self.check_reachable, self.check_seeable))[
+            : self.rng.integers(3)
+        ]:
+            question(pose)
+        return self.check_completion(pose)
+
+    def ask(self, x: float, y: float) -> None:
+        """Some of the questions, in any order."""
+        questions = (self.check_reachable, self.check_seeable, self.check_completion)
+        for question in self.rng.permutation(questions)[: self.rng.integers(1, 4)]:
+            question(SE2(x, y, 0.0))
+
+    def check_completion(self, pose: SE2) -> Completion:
         completion = check_completion(self.map, pose)
-        np.testing.assert_array_equal(reachable(self.map, pose), scratch.reachable(self.map, pose))
         scratch.assert_same(completion, scratch.check_completion(self.map, pose))
         return completion
+
+    def check_reachable(self, pose: SE2) -> None:
+        np.testing.assert_array_equal(reachable(self.map, pose), scratch.reachable(self.map, pose))
+
+    def check_seeable(self, pose: SE2) -> None:
+        """Of some cells; `hiding_places` asks so."""
+        unobserved = np.argwhere(~self.map.observed)
+        cells = np.sort(self.rng.permutation(len(unobserved))[: self.rng.integers(1, 200)])
+        (row, col), (rows, cols) = self.map.low, self.map.shape
+        seen = self.map.progress.seeable(pose, (row, col, row + rows, col + cols), unobserved[cells])
+        expected = scratch.seeable(self.map, scratch.reachable(self.map, pose), unobserved[cells])
+        np.testing.assert_array_equal(seen, expected)
 
 
 BARE_GROUND = EXPLORED | BARE
@@ -212,18 +241,23 @@ TARGET, SOLID, FREE = 0x50, 5, -3
 @given(
     seed=st.integers(0, 2**31),
     bounds=st.sampled_from((None, Bounds(-12.0, -12.0, 12.0, 12.0), Bounds(-3.0, 5.0, 37.0, 9.0))),
+    protocol=st.sampled_from((DREAM_V1, POOL_V1)),
     targets=st.booleans(),
 )
-@settings(max_examples=8)
+@settings(max_examples=12)
 def test_after_any_changes_the_answer_is_the_one_from_scratch(
-    seed: int, bounds: Bounds | None, targets: bool
+    seed: int, bounds: Bounds | None, protocol: SurveyProtocol, targets: bool
 ) -> None:
     rng = np.random.default_rng(seed)
-    kept = Kept(bounds)
+    cell = protocol.cell
+    if bounds:  # The same cells, however large one is.
+        scale = cell / DREAM_V1.cell
+        bounds = Bounds(*(scale * edge for edge in (bounds.x_min, bounds.y_min, bounds.x_max, bounds.y_max)))
+    kept = Kept(bounds, protocol)
     low, (rows, cols) = ((0, 0), kept.map.shape) if bounds else ((-70, -40), (110, 100))
     kept.fill("flags", *low, (rows, cols), BARE_GROUND if rng.random() < 0.7 else CROSSED)
     middle_x, middle_y = (
-        origin + (first + 0.5 * count) * DREAM_V1.cell
+        origin + (first + 0.5 * count) * cell
         for origin, first, count in zip(kept.map._origin, low[::-1], (cols, rows), strict=True)
     )
     for _ in range(12):
@@ -245,15 +279,29 @@ def test_after_any_changes_the_answer_is_the_one_from_scratch(
                 kept.fill("votes", row, col, shape, 0)
         x, y = middle_x, middle_y
         if rng.random() < 0.5:  # Wherever, on a boulder or in the unknown too.
-            x += float(rng.uniform(-0.5, 0.5)) * cols * DREAM_V1.cell
-            y += float(rng.uniform(-0.5, 0.5)) * rows * DREAM_V1.cell
+            x += float(rng.uniform(-0.5, 0.5)) * cols * cell
+            y += float(rng.uniform(-0.5, 0.5)) * rows * cell
         elif rng.random() < 0.1:
             x, y = kept.map.bounds.x_min, kept.map.bounds.y_max
-        kept.check(x, y)
-    again = Kept(bounds)
+        kept.ask(x, y)
+    again = Kept(bounds, protocol)
     again.map = kept.map.copy()
     again.check(middle_x, middle_y)
     kept.check(middle_x, middle_y)
+
+
+def test_a_region_that_vanished_is_gone_whatever_was_asked_first() -> None:
+    kept = Kept(Bounds(-12.0, -12.0, 12.0, 12.0))
+    kept.fill("flags", 0, 0, (96, 96), BARE_GROUND)
+    kept.fill("votes", 10, 10, (3, 3), TARGET)
+    kept.fill("votes", 80, 80, (3, 3), TARGET)
+    kept.fill("flags", 79, 79, (2, 2), 0)
+    assert len(check_completion(kept.map, HERE).regions) == 2
+    kept.fill("votes", 80, 80, (3, 3), 0)
+    reachable(kept.map, HERE)
+    completion = check_completion(kept.map, HERE)
+    assert len(completion.regions) == 1
+    assert completion.complete
 
 
 def test_a_door_that_closes_and_opens_takes_away_and_gives_back_all_behind_it() -> None:

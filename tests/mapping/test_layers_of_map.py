@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
 import math
 import zipfile
@@ -216,6 +217,46 @@ def test_reading_a_map_does_not_change_what_comes_next() -> None:
             occupancy.integrate(*render(pose, Pillar(16.45, 8.3, 0.25, 1.5)), CAMERA, pose)
         reader.inflated, frontiers(reader), reader.over(Bounds(0.0, 0.0, 30.0, 1.0)), reader.areas()
     assert everything(reader) == everything(writer)
+
+
+READERS = {
+    "inflated": lambda occupancy: occupancy.inflated,
+    "explored": lambda occupancy: occupancy.explored,
+    "frontiers": frontiers,
+    "over": lambda occupancy: occupancy.over(Bounds(0.0, 0.0, 30.0, 1.0)),
+    "copy": OccupancyMap.copy,
+}
+
+
+@pytest.mark.parametrize("readers", list(itertools.permutations(READERS, 2)), ids="-".join)
+def test_what_was_read_before_does_not_change_what_is_read(readers: tuple[str, str]) -> None:
+    # The pillar inflates into a block that no frame has written.
+    for make, x in ((empty_map, 0.0), (endless_map, 8.0)):
+        reader, other = make(), make()
+        for occupancy in (reader, other):
+            look(occupancy, x, 8.0, 0.0, Pillar(x + 7.6, 8.0, 0.2, 4.0))
+        for name in readers:
+            READERS[name](reader)
+        same_layers(reader, other)
+        assert reader.bounds == other.bounds
+        assert reader.inflated.any()
+
+
+def test_a_frontier_of_an_earlier_map_has_no_cells() -> None:
+    occupancy = endless_map()
+    look(occupancy, 0.0, 0.0, 0.0)
+    frontier = frontiers(occupancy)[0]
+    assert len(frontier.cells) == frontier.size
+    look(occupancy, -57.0, 0.0, 0.0)
+    with pytest.raises(RuntimeError, match=r"expected a frontier of the map as it is.*Ask for the frontiers"):
+        frontier.cells  # noqa: B018
+
+
+def test_beyond_the_farthest_cell_there_is_no_map() -> None:
+    occupancy = endless_map()
+    with pytest.raises(ValueError, match="T_world_camera: expected a place within"):
+        look(occupancy, 2e9, 0.0, 0.0)
+    assert occupancy.stamp == 0
 
 
 # ---------------------------------------------------------------------------------------- what changed
@@ -535,6 +576,7 @@ def test_a_file_with_heights_that_are_no_numbers_is_refused(
         lambda keys: keys.ravel(),
         lambda keys: keys[:-1],
         lambda keys: np.where(np.arange(len(keys))[:, None] == 0, np.iinfo(np.int64).min, keys),
+        lambda keys: np.where(np.arange(len(keys))[:, None] == 0, 1 << 25, keys),
     ],
 )
 def test_a_file_with_blocks_that_cannot_be_is_refused(tmp_path: Path, content: bytes, blocks: Any) -> None:
@@ -552,11 +594,18 @@ def test_a_file_with_blocks_that_cannot_be_is_refused(tmp_path: Path, content: b
         (("bounds", "x_max"), 1e6 + 0.1),
         (("bounds", "x_max"), -1e6),
         (("bounds", "x_max"), math.nan),
+        (("bounds", "x_max"), 1e300),
         (("protocol",), None),
         (("protocol", "cell"), 0),
         (("protocol", "cell"), -0.25),
         (("protocol", "cell"), "0.25"),
         (("protocol", "reach"), 1e9),
+        (("protocol", "cell"), 1e-9),
+        (("protocol", "body_radius"), 1e9),
+        (("protocol", "headings"), 10**9),
+        (("protocol", "altitude"), "deep"),
+        (("protocol", "altitude"), math.inf),
+        (("protocol", "camera", "fx"), 0.0),
         (("protocol", "camera"), None),
         (("protocol", "band"), 3),
         (("protocol", "unheard_of"), 3),
@@ -564,8 +613,15 @@ def test_a_file_with_blocks_that_cannot_be_is_refused(tmp_path: Path, content: b
         (("evidence", "clamp"), 5),
         (("evidence", "clamp"), [0.3, 3.5]),
         (("evidence", "detection"), 1.5),
+        (("evidence", "detection"), 0.01),
+        (("evidence", "range_noise"), math.nan),
+        (("evidence", "vote_share"), math.nan),
+        (("evidence", "min_pixels"), "two"),
+        (("evidence", "ground_pixels"), 0.0),
         (("evidence", "step"), "much"),
         (("stamp",), "late"),
+        (("stamp",), -5),
+        (("stamp",), 0),
         (("stamp",), math.inf),
         (("stamp",), None),
         (("datum",), [1.0]),
@@ -582,6 +638,11 @@ def test_a_file_that_says_wrong_things_about_itself_is_refused(
         place = place[step]
     place[path[-1]] = value
     refused(tmp_path / "map.npz", zipped(parts | {"about.npy": as_npy(np.array(json.dumps(about)))}))
+
+
+def test_a_file_with_more_in_it_is_refused(tmp_path: Path, content: bytes) -> None:
+    more = {"more.npy": as_npy(np.zeros(3))}
+    refused(tmp_path / "map.npz", zipped(members(content) | more))
 
 
 # ------------------------------------------------------------------------------------ kinds of images

@@ -38,7 +38,6 @@ class BlockStore:
         """Slot of every block made."""
         self.pools = {name: np.zeros((2, *shape), dtype) for name, (dtype, shape) in self.layers.items()}
         """Replaced when they grow: take them anew after `make`."""
-        self._extent: tuple[Key, Key] | None = None
         self.stamps: Int64Array = np.zeros(2, np.int64)
         """(slots,) when each block was last written; kept by the map."""
 
@@ -63,22 +62,6 @@ class BlockStore:
             self.stamps = _grown(self.stamps, capacity, 1 + len(self))
         for key in new:
             self.slot_of[key] = len(self.slot_of) + 1
-            low, past = self._extent or (key, key)
-            self._extent = (
-                tuple(map(min, low, key)),
-                tuple(max(a, b + 1) for a, b in zip(past, key, strict=True)),
-            )
-
-    @property
-    def extent(self) -> tuple[Key, Key]:
-        """First block along each axis, and the one past the last.
-
-        Raises:
-            ValueError: There is no block.
-        """
-        if self._extent is None:
-            raise ValueError("extent: expected some block, got an empty store")
-        return self._extent
 
     def table(self, low: Sequence[int], shape: Sequence[int]) -> IntArray:
         """Slots of a box of blocks, of the given shape; 0 where there is none."""
@@ -142,7 +125,7 @@ class BlockStore:
     def copy(self) -> BlockStore:
         """A store of its own with the same content."""
         other = BlockStore(self.layers)
-        other.slot_of, other._extent = dict(self.slot_of), self._extent
+        other.slot_of = dict(self.slot_of)
         used = 1 + len(self)
         other.pools = {name: _grown(pool, max(used, 2), used) for name, pool in self.pools.items()}
         other.stamps = _grown(self.stamps, max(used, 2), used)

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.mapping.blocks import BlockStore
+from dream.mapping.layers import room_radius
 from dream.types import IntArray
 
 Int64Array = npt.NDArray[np.int64]
@@ -254,7 +255,7 @@ class Edges:
 
 def _spans(needed_room: int) -> Int64Array:
     """How many cells to each side of a solid one are inflated, in its own row and in each row away."""
-    radius = (math.isqrt(needed_room) + 1) // 2
+    radius = room_radius(needed_room)
     left = [needed_room - max(2 * away - 1, 0) ** 2 for away in range(radius + 1)]
     return np.array([(math.isqrt(room) + 1) // 2 for room in left], np.int64)
 

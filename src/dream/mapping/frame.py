@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import SE3, Camera
+from dream.mapping._kernels import flags
 from dream.mapping.blocks import BlockStore
 from dream.mapping.layers import BLOCK, LEVELS, QUANTUM, Evidence, post_bits
 from dream.mapping.visibility import RAYS
@@ -256,6 +257,15 @@ class FrameWindow:
         row, col = self._low
         return row, col, row + self._side, col + self._side
 
+    @property
+    def blocks(self) -> tuple[tuple[int, int], tuple[int, int]] | None:
+        """First of the blocks of which the frame says something, and past the last; None without any."""
+        rows, cols = np.flatnonzero(self._touched.any(axis=1)), np.flatnonzero(self._touched.any(axis=0))
+        if not len(rows):
+            return None
+        row, col = (a // BLOCK for a in self._low)
+        return (row + int(rows[0]), col + int(cols[0])), (row + int(rows[-1]) + 1, col + int(cols[-1]) + 1)
+
     def commit(self, store: BlockStore, stamp: int) -> Rectangle:
         """Write what was read.
 
@@ -343,9 +353,9 @@ def _overlook(camera: Camera, rotation: list[list[float]], reach: float, row: fl
 
 
 _NO_PRIOR = np.zeros(1)
-_KIND_OF_LABEL = np.ones(256, np.uint8)
-_KIND_OF_LABEL[Label.SEABED] = 0
+_KIND_OF_LABEL = np.full(256, flags.THING, np.uint8)
+_KIND_OF_LABEL[Label.SEABED] = flags.GROUND
 _WEIGHT_OF_LABEL = np.zeros(256, np.int32)
 _WEIGHT_OF_LABEL[Label.TARGET] = 16
-_KIND_OF_PROBABILITY = np.where(np.arange(256) < 128, 2, 1).astype(np.uint8)
+_KIND_OF_PROBABILITY = np.where(np.arange(256) < 128, flags.UNSURE, flags.THING).astype(np.uint8)
 _WEIGHT_OF_PROBABILITY = np.rint(np.arange(256) / 255.0 * 16.0).astype(np.int32)

@@ -27,7 +27,7 @@ def gain(
     weights: npt.NDArray[Any] | None = None,
     headings: int | None = None,
 ) -> Float32Array:
-    """Weight of the cells, not yet explored, that an observation would explore; see `visible_weight`."""
+    """Weight of the cells, not yet observed, that an observation would explore; see `visible_weight`."""
     return _sweep(occupancy, positions, weights, headings, occupancy.observed)
 
 

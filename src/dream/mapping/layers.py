@@ -28,6 +28,8 @@ LEVELS = 3
 """Coarser grids that fill the gaps between posts."""
 BLOCK = 64
 """Cells along a block."""
+EDGE = 1e-9
+"""Cells: a position on the edge of two is in the upper one, whatever its rounding."""
 QUANTUM = 0.05
 """Log-odds that one unit of the stored bytes stands for."""
 
@@ -84,6 +86,23 @@ class Evidence:
         for name in ("detection", "false_alarm", "target_prior"):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ValueError(f"{name}: expected a share between 0 and 1, got {getattr(self, name)}")
+        if self.detection <= self.false_alarm:
+            raise ValueError(f"detection: expected more than {self.false_alarm}, got {self.detection}")
+        for name in ("min_share", "peak_share", "vote_share"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"{name}: expected a share of 0 to 1, got {getattr(self, name)}")
+        for name in (
+            "min_pixels",
+            "min_ground",
+            "vote_pixels",
+            "ground_pixels",
+            "ground_share",
+            "ground_memory",
+        ):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: expected a number above 0, got {getattr(self, name)}")
+        if not 0.0 <= self.range_noise < math.inf:
+            raise ValueError(f"range_noise: expected 0 or more, got {self.range_noise}")
         if not self.clamp[0] < 0.0 < self.clamp[1] or max(map(abs, self.clamp)) > 127 * QUANTUM:
             raise ValueError(
                 f"clamp: expected limits on both sides of 0 within ±{127 * QUANTUM}, got {self.clamp}"
@@ -118,6 +137,11 @@ def _is_crossable(bits: npt.NDArray[np.uint8]) -> BoolArray:
     return crossable
 
 
+def room_radius(needed_room: int) -> int:
+    """Cells away at which something solid may still take a cell's `room` down to what is needed."""
+    return (math.isqrt(needed_room) + 1) // 2
+
+
 class Layers:
     """A window of a semantic occupancy grid; every layer a read-only array that keeps its values.
 
@@ -132,6 +156,7 @@ class Layers:
         bounds: Bounds,
         protocol: SurveyProtocol,
         evidence: Evidence,
+        origin: tuple[float, float],
         datum: float,
     ) -> None:
         """A window on a store.
@@ -142,12 +167,14 @@ class Layers:
             bounds: The window; its sides are whole numbers of cells.
             protocol: Cell size, height band and body.
             evidence: What votes mean.
+            origin: World x and y of the corner where the store's cell (0, 0) begins.
             datum: World z of the seabed where nothing around was seen; NaN where nothing ever was.
         """
         self.bounds = bounds
         self.protocol = protocol
         self.evidence = evidence
         self._store = store
+        self._origin = origin
         self._low = low
         self._shape = (round(bounds.depth / protocol.cell), round(bounds.width / protocol.cell))
         self._datum = datum
@@ -167,16 +194,18 @@ class Layers:
 
     def cell_of(self, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[IntArray, IntArray]:
         """Row and column of world positions; outside the grid where they are outside the bounds."""
-        row = np.floor((np.asarray(y, np.float64) - self.bounds.y_min) / self.protocol.cell).astype(np.intp)
-        col = np.floor((np.asarray(x, np.float64) - self.bounds.x_min) / self.protocol.cell).astype(np.intp)
+        row, col = (
+            np.floor((np.asarray(at, np.float64) - origin) / self.protocol.cell + EDGE).astype(np.intp) - low
+            for at, origin, low in zip((y, x), self._origin[::-1], self._low, strict=True)
+        )
         return row, col
 
     def center_of(
         self, row: npt.ArrayLike, col: npt.ArrayLike
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """World x and y of cells' centres."""
-        x = self.bounds.x_min + (np.asarray(col) + 0.5) * self.protocol.cell
-        y = self.bounds.y_min + (np.asarray(row) + 0.5) * self.protocol.cell
+        x = self._origin[0] + (np.asarray(col) + self._low[1] + 0.5) * self.protocol.cell
+        y = self._origin[1] + (np.asarray(row) + self._low[0] + 0.5) * self.protocol.cell
         return x, y
 
     def contains(self, x: npt.ArrayLike, y: npt.ArrayLike) -> BoolArray:
@@ -352,7 +381,7 @@ class Layers:
 
     @property
     def _room_radius(self) -> int:
-        return (math.isqrt(self.needed_room) + 1) // 2
+        return room_radius(self.needed_room)
 
     @property
     def room(self) -> npt.NDArray[np.int32]:
@@ -390,7 +419,6 @@ class Layers:
         """
         from dream.mapping._kernels import room
 
-        origin = np.array([self.bounds.x_min, self.bounds.y_min])
         pairs = []
         for name, points in (
             ("starts", np.asarray(starts, np.float64)),
@@ -400,10 +428,10 @@ class Layers:
                 raise ValueError(f"{name}: expected (N, 2) metres, got {points.shape}")
             if not np.isfinite(points).all():
                 raise ValueError(f"{name}: expected finite positions, got NaN or infinity")
-            pairs.append((points - origin) / self.protocol.cell)
+            pairs.append((points - self._origin) / self.protocol.cell + EDGE)
         if len(pairs[0]) != len(pairs[1]):
             raise ValueError(f"ends: expected {len(pairs[0])}, one for every start, got {len(pairs[1])}")
-        free: BoolArray = room.segments_are_free(self.room, self.needed_room, *pairs)
+        free: BoolArray = room.segments_are_free(self.room, self.needed_room, pairs[0], pairs[1], *self._low)
         return free
 
     def areas(self) -> dict[str, float]:

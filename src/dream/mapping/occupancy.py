@@ -9,10 +9,11 @@ import tokenize
 import zipfile
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, BinaryIO, Literal
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field
 
 from dream.geometry import SE3, Bounds, Camera
 from dream.mapping._kernels import flags
@@ -22,6 +23,7 @@ from dream.mapping.frame import FrameWindow, Rectangle
 from dream.mapping.layers import (
     BLOCK,
     CELLS,
+    EDGE,
     POSTS,
     Evidence,
     Layers,
@@ -32,13 +34,15 @@ from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, Label
 
 FORMAT = "dream-map-2"
+MOST_TEXT = 1 << 16
+"""Bytes of what a file says of its map."""
 LAST_LABEL = int(max(Label))
 MOST_PIXELS = 1 << 20
-"""Of larger images every n-th row and column is taken, so that no cell's counts overflow."""
+"""Of larger images every n-th row and column is taken."""
+MOST_SIDE = 8192
+"""Likewise of images with a longer side. Within both no cell's counts overflow."""
 MOST_CELLS = 1400
-"""That the reach may be long."""
-LARGEST_EXPANSION = 2000
-"""How many times larger than its file an array may be; zeros pack well."""
+"""Of the reach and of the lengths around the vehicle: a window's cells and labels then fit 32 bits."""
 DAMAGED = (
     zipfile.BadZipFile,
     zlib.error,
@@ -54,10 +58,12 @@ DAMAGED = (
     ArithmeticError,
 )
 """What reading a damaged file may raise."""
+MARGIN_BLOCKS = 1 + MOST_CELLS // BLOCK
+"""Around the bounds, made for inflation at most."""
 MOST_PENDING = 8
-"""Changes that the edges may be behind."""
-NO_BOUNDS = 1 << 30
-"""Cells: farther than any survey goes."""
+"""Changes that the edges may be behind; the next one takes in all of them."""
+FARTHEST = 1 << 30
+"""Cells from the origin beyond which there is no map."""
 
 
 class OccupancyMap(Layers):
@@ -82,15 +88,17 @@ class OccupancyMap(Layers):
 
         Args:
             bounds: The survey area, whose sides are whole numbers of cells: nothing outside is ever known.
-                None for a map without an end, whose `bounds` are the blocks that it has so far.
+                None for a map without an end, whose `bounds` are those of the blocks that were written so
+                far, and one cell at the world's origin before any was.
             protocol: Cell size, reach, height band, depth limits and body.
             evidence: How frames are weighed.
         """
-        if protocol.reach / protocol.cell > MOST_CELLS:
-            raise ValueError(
-                f"reach: expected at most {MOST_CELLS} cells, got {protocol.reach} m with cells of "
-                f"{protocol.cell} m"
-            )
+        for name in ("reach", "body_radius", "launch_radius", "lattice"):
+            if not getattr(protocol, name) / protocol.cell <= MOST_CELLS:
+                length = getattr(protocol, name)
+                raise ValueError(
+                    f"{name}: expected at most {MOST_CELLS} cells of {protocol.cell} m, got {length} m"
+                )
         bits = post_bits(protocol)
         posts = (BLOCK >> bits, BLOCK >> bits)
         store = BlockStore(
@@ -110,8 +118,10 @@ class OccupancyMap(Layers):
                         f"bounds: expected a {side} of whole {protocol.cell} m cells, got {length} m"
                     )
         area = bounds or Bounds(0.0, 0.0, protocol.cell, protocol.cell)
-        super().__init__(store, (0, 0), area, protocol, evidence or Evidence(), math.nan)
-        self._origin = (area.x_min, area.y_min)
+        origin = (area.x_min, area.y_min)
+        super().__init__(store, (0, 0), area, protocol, evidence or Evidence(), origin, math.nan)
+        self._written: tuple[tuple[int, int], tuple[int, int]] | None = None
+        """First block that was written, and the one past the last; others were made for inflation alone."""
         self._bounded = bounds is not None
         self._stamp = 0
         self._frame: FrameWindow | None = None
@@ -141,6 +151,7 @@ class OccupancyMap(Layers):
         self._stamp += 1
         for key in self._store.write(name, low, cells):
             self._store.stamps[self._store.slot_of[key]] = self._stamp
+            self._extend((key[0], key[1]), (key[0] + 1, key[1] + 1))
         cells_written = (*low, low[0] + cells.shape[0], low[1] + cells.shape[1])
         self._changed(cells_written, cells_written)
 
@@ -167,25 +178,36 @@ class OccupancyMap(Layers):
             T_world_camera: Where the optical frame was.
 
         Raises:
-            ValueError: The images do not fit the camera, or labels are not labels.
+            ValueError: The images do not fit the camera, labels are not labels, or the camera is farther away
+                than any map reaches.
         """
         depth, labels = np.asarray(depth), np.asarray(labels)
         _check_frame(depth, labels, camera)
         depth, labels, camera = _thinned(depth, labels, camera)
         if self._frame is None or self._frame.pixels < depth.size:
             self._frame = FrameWindow(self.protocol, self.evidence, depth.size)
-        endless = (-NO_BOUNDS, -NO_BOUNDS, NO_BOUNDS, NO_BOUNDS)
+        if not np.all(np.abs(T_world_camera.translation[:2] - self._origin) < FARTHEST * self.protocol.cell):
+            raise ValueError(
+                f"T_world_camera: expected a place within {FARTHEST * self.protocol.cell:g} m of the map's "
+                f"origin, got {T_world_camera.translation[:2]}"
+            )
+        endless = (-FARTHEST, -FARTHEST, FARTHEST, FARTHEST)
         limits = (0, 0, *self._shape) if self._bounded else endless
         window, origin = self._frame, self._origin
         window.read(self._store, origin, limits, depth, labels, camera, T_world_camera)
         self._datum = window.datum
         self._stamp += 1
-        self._changed(window.commit(self._store, self._stamp), window.cells)
+        outlines = window.commit(self._store, self._stamp)
+        if window.blocks is not None:
+            self._extend(*window.blocks)
+        self._changed(outlines, window.cells)
 
     def _global(self, x: float, y: float) -> tuple[int, int]:
         """Row and column in the store."""
         cell = self.protocol.cell
-        return math.floor((y - self._origin[1]) / cell), math.floor((x - self._origin[0]) / cell)
+        return math.floor((y - self._origin[1]) / cell + EDGE), math.floor(
+            (x - self._origin[0]) / cell + EDGE
+        )
 
     def _changed(self, outlines: Rectangle, written: Rectangle) -> None:
         """What is solid or known changed in the first rectangle of cells, anything in the second."""
@@ -194,26 +216,32 @@ class OccupancyMap(Layers):
         self._progress.update(*written)
         if len(self._pending) > MOST_PENDING:
             self._renew_edges()
-        self._measure_extent()
 
-    def _measure_extent(self) -> None:
-        if not self._bounded and len(self._store):
-            low, past = self._store.extent
-            self._low = (low[0] * BLOCK, low[1] * BLOCK)
-            self._shape = ((past[0] - low[0]) * BLOCK, (past[1] - low[1]) * BLOCK)
-            self.bounds = self._window(self._low, self._shape)
+    def _extend(self, first: tuple[int, int], past: tuple[int, int]) -> None:
+        """An endless map has these blocks too; called before `_changed`."""
+        low, high = self._written or (first, past)
+        low = (min(low[0], first[0]), min(low[1], first[1]))
+        high = (max(high[0], past[0]), max(high[1], past[1]))
+        if self._bounded or self._written == (low, high):
+            return
+        self._written = (low, high)
+        self._low = (low[0] * BLOCK, low[1] * BLOCK)
+        self._shape = ((high[0] - low[0]) * BLOCK, (high[1] - low[1]) * BLOCK)
+        self.bounds = self._window(self._low, self._shape)
 
     def _renew_edges(self) -> None:
+        if not self._pending:
+            return
         for cells in self._pending:
             self._edges.update(*cells)
         self._pending = []
-        self._measure_extent()  # Inflation may have made blocks.
+        for name in ("wide flags", "inflated"):
+            self._layers.pop(name, None)
 
     @property
     def edges(self) -> Edges:
         """Frontier and clusters, and the bits of inflation, up to date."""
-        if self._pending:
-            self._renew_edges()
+        self._renew_edges()
         return self._edges
 
     @property
@@ -224,9 +252,7 @@ class OccupancyMap(Layers):
     @property
     def inflated(self) -> BoolArray:
         """See `Layers.inflated`."""
-        if self._pending:
-            self._renew_edges()
-            self._layers.pop("wide flags", None)
+        self._renew_edges()
         return super().inflated
 
     # ---------------------------------------------------------------------------------- what comes out
@@ -235,20 +261,21 @@ class OccupancyMap(Layers):
         """The map over the cells that a box touches, as it is now; inside the map's bounds or not."""
         cell = self.protocol.cell
         low_row, low_col = (
-            math.floor((edge - origin) / cell + 1e-9)
+            math.floor((edge - origin) / cell + EDGE)
             for edge, origin in ((bounds.y_min, self._origin[1]), (bounds.x_min, self._origin[0]))
         )
         past_row, past_col = (
-            math.ceil((edge - origin) / cell - 1e-9)
+            math.ceil((edge - origin) / cell - EDGE)
             for edge, origin in ((bounds.y_max, self._origin[1]), (bounds.x_max, self._origin[0]))
         )
         low = (low_row, low_col)
         window = self._window(low, (past_row - low_row, past_col - low_col))
         self._renew_edges()
-        layers = Layers(self._store, low, window, self.protocol, self.evidence, self._datum)
-        for name in CELLS:  # read now, since the store goes on
+        layers = Layers(self._store, low, window, self.protocol, self.evidence, self._origin, self._datum)
+        # Read now, since the store goes on.
+        for name in CELLS:
             layers._wide(name)
-        assert layers.ground.shape == layers.shape
+        layers._layer("ground", layers._smooth_ground)
         return layers
 
     def _window(self, low: tuple[int, int], shape: tuple[int, int]) -> Bounds:
@@ -289,7 +316,8 @@ class OccupancyMap(Layers):
         other._edges = edges.copy(other._store)
         other._progress = self._progress.copy(other._store)
         other._stamp, other._datum = self._stamp, self._datum
-        other.bounds, other._low, other._shape = self.bounds, self._low, self._shape
+        if self._written is not None:
+            other._extend(*self._written)
         return other
 
     def save(self, path: str | Path) -> None:
@@ -319,70 +347,100 @@ class OccupancyMap(Layers):
             ValueError: It is damaged, or no map; the message says what was expected and what was found.
         """
         try:
-            stored = _read_arrays(Path(path))
-            about = json.loads(str(stored.pop("about")))
-            if not isinstance(about, dict) or about.get("format") != FORMAT:
-                raise ValueError(f'expected format "{FORMAT}", got {about!r:.80}')
-            protocol = about["protocol"]
-            protocol["camera"] = Camera(**protocol["camera"])
-            for name in ("band", "turns", "advances"):
-                protocol[name] = tuple(protocol[name])
-            about["evidence"]["clamp"] = tuple(about["evidence"]["clamp"])
-            bounds = None if about["bounds"] is None else Bounds(**about["bounds"])
-            occupancy = OccupancyMap(bounds, SurveyProtocol(**protocol), Evidence(**about["evidence"]))
-            occupancy._stamp = int(about["stamp"])
-            occupancy._datum = math.nan if about["datum"] is None else float(about["datum"])
+            return _read(Path(path))
         except FileNotFoundError:
             raise
         except DAMAGED as error:
             raise ValueError(
                 f"{path}: expected a map written by save, got a damaged or foreign file ({error})"
             ) from error
-        keys = stored.get("blocks")
-        if keys is None or keys.dtype != np.int64 or keys.ndim != 2 or keys.shape[1] != 2:
-            raise ValueError(f"{path}: blocks: expected (n, 2) int64, got {_kind(keys)}")
-        if len(np.unique(keys, axis=0)) != len(keys) or ((keys < -NO_BOUNDS) | (keys > NO_BOUNDS)).any():
-            raise ValueError(f"{path}: blocks: expected different blocks within reach, got others")
-        store = occupancy._store
-        expected = {name: (dtype, (len(keys), *shape)) for name, (dtype, shape) in store.layers.items()}
-        for name, (dtype, shape) in {**expected, "stamps": (np.dtype(np.int64), (len(keys),))}.items():
-            found = stored.get(name)
-            if found is None or found.shape != shape or found.dtype != dtype:
-                raise ValueError(f"{path}: {name}: expected {shape} {dtype}, got {_kind(found)}")
-            if not np.isfinite(found).all():
-                raise ValueError(f"{path}: {name}: expected finite numbers, got NaN or infinity")
-        store.make((int(row), int(col)) for row, col in keys)
-        for name in expected:
-            store.pools[name][1 : 1 + len(keys)] = stored[name]
-        store.stamps[1 : 1 + len(keys)] = stored["stamps"]
-        occupancy._edges = Edges(store, occupancy.needed_room, occupancy._edges.limits)
-        occupancy._progress = occupancy._progress.copy(store)
-        occupancy._measure_extent()
-        return occupancy
 
 
-def _read_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
-    """The arrays of an .npz file, none larger than what the file holds of it."""
-    with zipfile.ZipFile(path) as file:
-        for member in file.infolist():
-            if member.file_size > LARGEST_EXPANSION * max(path.stat().st_size, 1):
-                raise ValueError(f"{member.filename} claims {member.file_size} bytes")
+class _About(BaseModel):
+    """What a file says of its map."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    format: Literal["dream-map-2"]
+    bounds: Bounds | None
+    protocol: SurveyProtocol
+    evidence: Evidence
+    stamp: Annotated[int, Field(ge=0)]
+    datum: Annotated[float, Field(allow_inf_nan=False)] | None
+
+
+def _read(path: Path) -> OccupancyMap:
+    names = {"about", "blocks", "stamps", *CELLS, *POSTS}
+    with path.open("rb") as opened:
+        headers = _headers(opened, names)
+        shape, dtype = headers.pop("about")
+        if shape != () or dtype.kind != "U" or dtype.itemsize > MOST_TEXT:
+            raise ValueError(f"about: expected a text, got {shape} {dtype}")
+        with np.load(opened, allow_pickle=False) as content:
+            about = _About.model_validate_json(str(content["about"]))
+            occupancy = OccupancyMap(about.bounds, about.protocol, about.evidence)
+            store, count = occupancy._store, headers["blocks"][0][0] if headers["blocks"][0] else 0
+            expected = {name: (dtype, (count, *shape)) for name, (dtype, shape) in store.layers.items()}
+            whole = np.dtype(np.int64)
+            for name, (dtype, shape) in {
+                **expected,
+                "blocks": (whole, (count, 2)),
+                "stamps": (whole, (count,)),
+            }.items():
+                if headers[name] != (shape, dtype):
+                    raise ValueError(f"{name}: expected {shape} {dtype}, got {headers[name]}")
+            keys, stamps = content["blocks"], content["stamps"]
+            low, past = np.full(2, -FARTHEST // BLOCK), np.full(2, FARTHEST // BLOCK)
+            if about.bounds is not None:
+                low = np.full(2, -MARGIN_BLOCKS)
+                past = np.array([-(-side // BLOCK) + MARGIN_BLOCKS for side in occupancy.shape])
+            if len(np.unique(keys, axis=0)) != count or ((keys < low) | (keys >= past)).any():
+                raise ValueError("blocks: expected different blocks of the map, got others")
+            if ((stamps < 0) | (stamps > about.stamp)).any():
+                raise ValueError(f"stamps: expected 0 to {about.stamp}, got others")
+            store.make((int(row), int(col)) for row, col in keys)
+            for name in expected:
+                cells = content[name]
+                if not np.isfinite(cells).all():
+                    raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
+                store.pools[name][1 : 1 + count] = cells
+    store.stamps[1 : 1 + count] = stamps
+    occupancy._stamp = about.stamp
+    occupancy._datum = math.nan if about.datum is None else about.datum
+    occupancy._edges = Edges(store, occupancy.needed_room, occupancy._edges.limits)
+    occupancy._progress = occupancy._progress.copy(store)
+    written = keys[stamps > 0]
+    if len(written):
+        first, last = written.min(axis=0), written.max(axis=0)
+        occupancy._extend((int(first[0]), int(first[1])), (int(last[0]) + 1, int(last[1]) + 1))
+    return occupancy
+
+
+def _headers(opened: BinaryIO, names: set[str]) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
+    """Shape and type of each array of an .npz file, which must be these, read without unpacking them."""
+    headers = {}
+    with zipfile.ZipFile(opened) as file:
+        members = {member.filename.removesuffix(".npy"): member for member in file.infolist()}
+        if set(members) != names or len(members) != len(file.infolist()):
+            raise ValueError(f"expected the arrays {', '.join(sorted(names))}, got others")
+        for name, member in members.items():
             with file.open(member) as stream:
                 version = np.lib.format.read_magic(stream)
                 if version != (1, 0):
-                    raise ValueError(f"{member.filename} has version {version}")
+                    raise ValueError(f"{name}: expected version 1.0 of .npy, got {version}")
                 shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
                 if math.prod(shape) * dtype.itemsize > member.file_size:
-                    raise ValueError(f"{member.filename} claims {shape} {dtype} in {member.file_size} bytes")
-    with path.open("rb") as opened, np.load(opened, allow_pickle=False) as content:
-        return {name: content[name] for name in content.files}
+                    raise ValueError(f"{name} claims {shape} {dtype} in {member.file_size} bytes")
+            headers[name] = (shape, dtype)
+    opened.seek(0)
+    return headers
 
 
 def _thinned(
     depth: npt.NDArray[Any], labels: npt.NDArray[Any], camera: Camera
 ) -> tuple[npt.NDArray[Any], npt.NDArray[Any], Camera]:
     """Images in the types that the kernels know, every n-th row and column of very large ones."""
-    n = math.ceil(math.sqrt(depth.size / MOST_PIXELS)) if depth.size > MOST_PIXELS else 1
+    n = max(math.ceil(math.sqrt(depth.size / MOST_PIXELS)), math.ceil(max(depth.shape) / MOST_SIDE), 1)
     if n > 1:
         depth, labels = depth[::n, ::n], labels[::n, ::n]
         height, width = depth.shape
@@ -393,10 +451,6 @@ def _thinned(
     depth = np.ascontiguousarray(depth, np.uint16 if depth.dtype == np.uint16 else np.float32)
     soft = np.issubdtype(labels.dtype, np.floating)
     return depth, np.ascontiguousarray(labels, np.float32 if soft else np.uint8), camera
-
-
-def _kind(array: npt.NDArray[Any] | None) -> str:
-    return "nothing" if array is None else f"{array.shape} {array.dtype}"
 
 
 def _check_frame(depth: npt.NDArray[Any], labels: npt.NDArray[Any], camera: Camera) -> None:

@@ -59,7 +59,7 @@ SCRATCH = 9
 
 _ZERO, _ONE, _ALL = np.uint64(0), np.uint64(1), np.uint64(0xFFFFFFFFFFFFFFFF)
 _TOP = np.uint64(63)
-_SEVEN, _EIGHT = np.uint64(7), np.uint64(8)
+_SEVEN = np.uint64(7)
 _EACH = np.uint64(0x0101010101010101)
 _LOW_SEVEN = np.uint64(0x7F7F7F7F7F7F7F7F)
 _HIGH = np.uint64(0x8080808080808080)

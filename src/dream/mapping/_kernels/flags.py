@@ -1,4 +1,4 @@
-"""The bits of a cell."""
+"""The bits of a cell, and kinds of pixels."""
 
 EXPLORED = 1
 """The paper's E_t."""
@@ -19,3 +19,6 @@ INFLATED = 128
 
 KNOWN = EXPLORED | BARE | CROSSED | RETURNED
 """Any of these, or solid, makes a cell known."""
+
+GROUND, THING, UNSURE = 0, 1, 2
+"""What a pixel is by its label: seabed, anything else, or seabed if its height agrees."""

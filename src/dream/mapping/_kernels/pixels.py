@@ -13,6 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
+from dream.mapping._kernels.flags import GROUND, UNSURE
 from dream.mapping._kernels.sight import RAY_MASK
 
 SPAN = 128
@@ -22,10 +23,8 @@ RUN = 512
 LABEL_BITS = 8
 """A sample is its flat cell, shifted by so many bits, and its label."""
 LABEL_MASK = (1 << LABEL_BITS) - 1
-GROUND, THING, UNSURE = 0, 1, 2
-"""What a pixel is by its label: seabed, anything else, or seabed if its height agrees."""
 GROUND_STEP = 8
-"""Every so manieth sample is enough for the mean height of the seabed."""
+"""One sample in so many is enough for the mean height of the seabed."""
 
 
 @njit(cache=True, nogil=True)

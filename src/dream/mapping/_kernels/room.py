@@ -65,9 +65,11 @@ def segment_is_free(squared, needed, x0, y0, x1, y1, row=0, col=0):
 
 
 @njit(cache=True, nogil=True)
-def segments_are_free(squared, needed, starts, ends):
+def segments_are_free(squared, needed, starts, ends, row, col):
     """`segment_is_free` for (n, 2) starts and ends, in cells."""
     free = np.empty(len(starts), dtype=np.bool_)
     for k in range(len(starts)):
-        free[k] = segment_is_free(squared, needed, starts[k, 0], starts[k, 1], ends[k, 0], ends[k, 1])
+        free[k] = segment_is_free(
+            squared, needed, starts[k, 0], starts[k, 1], ends[k, 0], ends[k, 1], row, col
+        )
     return free

@@ -11,7 +11,7 @@ RAY_MASK = 1023
 """Rays in a full turn, less one: a power of two, so that wrapping is one `and`."""
 SECTOR_SLACK = 1e-6
 """Cells whose centre lies on the edge of the sector belong to it, whatever the rounding."""
-BLOCK = 16
+STRETCH = 16
 """Columns after which a window's list of solid cells has an entry of its own."""
 ENDLESS = 2**31 - 1
 """Depth of a ray that no solid cell ends."""
@@ -27,23 +27,10 @@ def any_open(blocked, first, last):
 
 
 @njit(cache=True, nogil=True)
-def all_open(blocked, first, last):
-    """Do all rays of the interval still run?"""
-    for ray in range(first, last + 1):  # noqa: SIM110
-        if blocked[ray & RAY_MASK]:
-            return False
-    return True
-
-
-@njit(cache=True, nogil=True)
 def block(blocked, first, last):
-    """End the rays of the interval; how many of them still ran?"""
-    ended = 0
+    """End the rays of the interval."""
     for ray in range(first, last + 1):
-        if not blocked[ray & RAY_MASK]:
-            blocked[ray & RAY_MASK] = True
-            ended += 1
-    return ended
+        blocked[ray & RAY_MASK] = True
 
 
 @njit(cache=True, nogil=True)
@@ -98,13 +85,13 @@ def list_blocks(places, cols, shape):
         starts: (rows, blocks + 1) int32; the last is where the row ends.
     """
     top, left, rows, width = shape
-    blocks = (width + BLOCK - 1) // BLOCK
+    blocks = (width + STRETCH - 1) // STRETCH
     starts = np.zeros((rows, blocks + 1), dtype=np.int32)
     columns = np.empty(len(places), dtype=np.int32)
     for s in range(len(places)):
         row, col = divmod(places[s], cols)
         columns[s] = left + col
-        starts[top + row, columns[s] // BLOCK + 1] += 1
+        starts[top + row, columns[s] // STRETCH + 1] += 1
     count = 0
     for i in range(rows):
         for k in range(blocks + 1):
@@ -127,7 +114,7 @@ def measure_rays(columns, starts, row, col, ranks, t_head, t_tail, depth):
     levels = len(depth) // rays
     depth[:] = ENDLESS
     low, high = col - side // 2, col + side // 2
-    first_block, past_block = low // BLOCK, high // BLOCK + 1
+    first_block, past_block = low // STRETCH, high // STRETCH + 1
     for i in range(side):
         line = row - side // 2 + i
         for s in range(np.uint32(starts[line, first_block]), np.uint32(starts[line, past_block])):
