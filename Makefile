@@ -36,9 +36,15 @@ check: setup ## Lint, types and format
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 
-perf: setup ## Measure speed beside named peers
+perf: setup ## Measure speed and accuracy beside named peers; some forty minutes
 	@$(UV) sync --quiet --locked --compile-bytecode --inexact --group perf
 	@$(BIN)/python perf/render.py
+	@$(BIN)/python perf/edges.py
+	@$(BIN)/python perf/completion.py
+	@$(BIN)/python perf/gain.py
+	@$(BIN)/python perf/map.py --kilometre
+	@$(BIN)/python perf/map.py --memory
+	@$(BIN)/python perf/map.py
 
 clean: ## Remove what setup built
 	@rm -rf .venv .tools

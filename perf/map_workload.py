@@ -30,7 +30,7 @@ Float64Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 Array = npt.NDArray[Any]
 
-VERSION = 1
+VERSION = 2
 """Of the workload; what a cache holds of another version is made again."""
 HALF = 25.0
 """Metres from the arena's centre to its sides."""
