@@ -30,11 +30,8 @@ from tests.mapping import completion_from_scratch as scratch  # noqa: E402
 
 from dream.geometry import SE2, Bounds  # noqa: E402
 from dream.mapping import OccupancyMap, check_completion, reachable  # noqa: E402
-from dream.mapping._kernels import progress  # noqa: E402
 from dream.mapping._kernels.flags import BARE, EXPLORED, RETURNED  # noqa: E402
-from dream.mapping.visibility import FRACTIONS, ray_table  # noqa: E402
 from dream.protocol import DREAM_V1  # noqa: E402
-from dream.types import IntArray  # noqa: E402
 
 Rectangle = tuple[int, int, int, int]
 SEEN = EXPLORED | BARE | RETURNED
@@ -107,39 +104,6 @@ def _patches(
     return np.asarray(noise / noise.std())
 
 
-def seeable(occupancy: OccupancyMap, nodes: scratch.Float64Array, candidates: IntArray) -> IntArray:
-    """`completion_from_scratch.seeable`, over the whole map at once."""
-    if not len(nodes) or not len(candidates):
-        return candidates[:0]
-    protocol = occupancy.protocol
-    row, col, north, east = scratch.cells_of(occupancy, nodes)
-    last_row, last_col = occupancy.shape[0] - 1, occupancy.shape[1] - 1
-    node_at = np.full(occupancy.shape, -1, np.int32)
-    node_at[np.clip(row, 0, last_row), np.clip(col, 0, last_col)] = np.arange(len(nodes))
-    reach = protocol.reach / protocol.cell
-    distance = ndimage.distance_transform_edt(node_at < 0)
-    candidates = candidates[distance[tuple(candidates.T)] <= reach + 1.1]
-    rays = ray_table(reach + 1.0, FRACTIONS // 2, FRACTIONS // 2)
-    found = progress.seeable(
-        occupancy.solid,
-        (0, 0),
-        candidates,
-        node_at,
-        col + east,
-        row + north,
-        reach,
-        protocol.blind / protocol.cell,
-        0.5 * protocol.camera.horizontal_fov,
-        protocol.heading_step,
-        rays.rows,
-        rays.cols,
-        rays.first,
-        rays.last,
-    )
-    seen: IntArray = candidates[found]
-    return seen
-
-
 def measure(name: str, survey: Survey, frames: int, every: int) -> float:
     """Print the rows of one map; milliseconds of ours."""
     occupancy = survey.map
@@ -153,7 +117,7 @@ def measure(name: str, survey: Survey, frames: int, every: int) -> float:
         ours.append((time.process_time() - start) * 1e3)
         if frame % every == 0:
             start = time.process_time()
-            expected = scratch.check_completion(occupancy, pose, seeable)
+            expected = scratch.check_completion(occupancy, pose, scratch.seeable_at_once)
             theirs.append((time.process_time() - start) * 1e3)
             scratch.assert_same(completion, expected)
             np.testing.assert_array_equal(reachable(occupancy, pose), scratch.reachable(occupancy, pose))

@@ -15,8 +15,9 @@ from scipy.spatial import cKDTree
 
 from dream.geometry import SE2, Bounds
 from dream.mapping import Completion, OccupancyMap, Region
+from dream.mapping._kernels import progress
 from dream.mapping._kernels.room import segment_is_free
-from dream.mapping.visibility import RAYS
+from dream.mapping.visibility import FRACTIONS, RAYS, ray_table
 from dream.types import BoolArray, IntArray
 
 Float64Array = npt.NDArray[np.float64]
@@ -109,7 +110,7 @@ class Surroundings:
         return deepest >= np.arange(len(self.rows))
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=128)
 def surroundings(radius: float, fraction_x: float, fraction_y: float) -> Surroundings:
     """Of a place inside its cell. Ray k points along (k + 1/2) / RAYS of a turn."""
     span = math.ceil(radius) + 1
@@ -154,40 +155,75 @@ def seeable(occupancy: OccupancyMap, nodes: Float64Array, candidates: IntArray) 
     node_at[np.clip(row, 0, last_row) + margin, np.clip(col, 0, last_col) + margin] = np.arange(len(nodes))
     views: dict[int, BoolArray] = {}
 
-    def sees(node: int, cell: IntArray) -> bool:
-        """Does a camera in that place, with the heading that suits it best, explore the cell?"""
-        own = int(row[node]), int(col[node])
+    def view(node: int) -> BoolArray:
+        """What a camera in that place explores around its cell, with the heading that suits each cell best."""
+        if node in views:
+            return views[node]
         around = surroundings(reach + 1.0, float(east[node]), float(north[node]))
-        if node not in views:
-            entered = around.entered(solid[around.rows + own[0] + margin, around.cols + own[1] + margin])
-            bearing = np.arctan2(around.y, around.x)
-            step = protocol.heading_step
-            off_axis = np.abs(bearing - step * np.floor(bearing / step + 0.5))
-            distance = np.hypot(around.x, around.y)
-            entered &= (distance <= reach) & (off_axis <= 0.5 * protocol.camera.horizontal_fov)
-            entered &= distance * np.cos(off_axis) >= blind
-            views[node] = np.zeros((2 * margin + 1, 2 * margin + 1), np.bool_)
-            views[node][around.rows[entered] + margin, around.cols[entered] + margin] = True
-        return bool(views[node][cell[0] - own[0] + margin, cell[1] - own[1] + margin])
+        seen = around.entered(solid[around.rows + row[node] + margin, around.cols + col[node] + margin])
+        bearing = np.arctan2(around.y, around.x)
+        step = protocol.heading_step
+        off_axis = np.abs(bearing - step * np.floor(bearing / step + 0.5))
+        distance = np.hypot(around.x, around.y)
+        seen &= (distance <= reach) & (off_axis <= 0.5 * protocol.camera.horizontal_fov)
+        seen &= distance * np.cos(off_axis) >= blind
+        views[node] = np.zeros((2 * margin + 1, 2 * margin + 1), np.bool_)
+        views[node][around.rows[seen] + margin, around.cols[seen] + margin] = True
+        return views[node]
 
     def is_seen(cell: IntArray) -> bool:
         at = middle.rows + cell[0] + margin, middle.cols + cell[1] + margin
-        near = node_at[at]
-        (places,) = np.nonzero(near >= 0)
-        if not len(places):
+        here = node_at[at]
+        if not (here >= 0).any():
             return False
-        if sees(int(near[places[0]]), cell):
-            return True
         ends = solid[at]
         ends[0] = False
-        entered = middle.entered(ends)
-        return any(sees(int(near[place]), cell) for place in places if entered[place])
+        asked = (here >= 0) & middle.entered(ends)
+        asked[np.argmax(here >= 0)] = True
+        # From far to near: the near ones are blind.
+        return any(
+            view(node)[cell[0] - row[node] + margin, cell[1] - col[node] + margin]
+            for node in here[asked][::-1]
+        )
 
     middle = surroundings(reach + 1.0, 0.5, 0.5)
     # Whatever has no node within reach is quickly left out.
     distance = ndimage.distance_transform_edt(node_at < 0)
     candidates = candidates[distance[tuple((candidates + margin).T)] <= reach + 1.1]
     seen: IntArray = candidates[[is_seen(cell) for cell in candidates]]
+    return seen
+
+
+def seeable_at_once(occupancy: OccupancyMap, nodes: Float64Array, candidates: IntArray) -> IntArray:
+    """`completion_from_seeable`, over the whole map at once."""
+    if not len(nodes) or not len(candidates):
+        return candidates[:0]
+    protocol = occupancy.protocol
+    row, col, north, east = cells_of(occupancy, nodes)
+    last_row, last_col = occupancy.shape[0] - 1, occupancy.shape[1] - 1
+    node_at = np.full(occupancy.shape, -1, np.int32)
+    node_at[np.clip(row, 0, last_row), np.clip(col, 0, last_col)] = np.arange(len(nodes))
+    reach = protocol.reach / protocol.cell
+    distance = ndimage.distance_transform_edt(node_at < 0)
+    candidates = candidates[distance[tuple(candidates.T)] <= reach + 1.1]
+    rays = ray_table(reach + 1.0, FRACTIONS // 2, FRACTIONS // 2)
+    found = progress.seeable(
+        occupancy.solid,
+        (0, 0),
+        candidates,
+        node_at,
+        col + east,
+        row + north,
+        reach,
+        protocol.blind / protocol.cell,
+        0.5 * protocol.camera.horizontal_fov,
+        protocol.heading_step,
+        rays.rows,
+        rays.cols,
+        rays.first,
+        rays.last,
+    )
+    seen: IntArray = candidates[found]
     return seen
 
 
