@@ -17,6 +17,7 @@ from dream.geometry import SE2, Bounds
 from dream.mapping import Completion, OccupancyMap, Region
 from dream.mapping._kernels import progress
 from dream.mapping._kernels.room import segment_is_free
+from dream.mapping.layers import EDGE
 from dream.mapping.visibility import FRACTIONS, RAYS, ray_table
 from dream.types import BoolArray, IntArray
 
@@ -35,12 +36,12 @@ def _flood(room, low, needed, lattice, origin, cell, limits, start, moves):  # t
     todo = [start]
     while len(todo) > 0:
         i, j = todo.pop()
-        x, y = (j * lattice - origin[0]) / cell, (i * lattice - origin[1]) / cell
+        x, y = (j * lattice - origin[0]) / cell + EDGE, (i * lattice - origin[1]) / cell + EDGE
         for k in range(len(moves)):
             a, b = i + moves[k, 1], j + moves[k, 0]
             if a < first_row or b < first_col or a >= past_row or b >= past_col:
                 continue
-            to_x, to_y = (b * lattice - origin[0]) / cell, (a * lattice - origin[1]) / cell
+            to_x, to_y = (b * lattice - origin[0]) / cell + EDGE, (a * lattice - origin[1]) / cell + EDGE
             if not reached[a - first_row, b - first_col] and segment_is_free(
                 room, needed, x, y, to_x, to_y, low[0], low[1]
             ):
@@ -53,9 +54,11 @@ def cells_of(
     occupancy: OccupancyMap, positions: Float64Array
 ) -> tuple[IntArray, IntArray, Float64Array, Float64Array]:
     """Row and column in the map, and how far north and east in that cell; in cells."""
-    east, north = ((positions - occupancy._origin) / occupancy.protocol.cell).T
+    east, north = ((positions - occupancy._origin) / occupancy.protocol.cell + EDGE).T
     row, col = np.floor(north).astype(int), np.floor(east).astype(int)
-    return row - occupancy.low[0], col - occupancy.low[1], north - row, east - col
+    # A node on the edge of cells lies exactly there.
+    north, east = (np.where(part < 2.0 * EDGE, 0.0, part - EDGE) for part in (north - row, east - col))
+    return row - occupancy.low[0], col - occupancy.low[1], north, east
 
 
 def reachable(occupancy: OccupancyMap, pose: SE2) -> Float64Array:
@@ -156,7 +159,7 @@ def seeable(occupancy: OccupancyMap, nodes: Float64Array, candidates: IntArray) 
     views: dict[int, BoolArray] = {}
 
     def view(node: int) -> BoolArray:
-        """What a camera in that place explores around its cell, with the heading that suits each cell best."""
+        """What a camera there explores around its cell, each cell with the heading that suits it best."""
         if node in views:
             return views[node]
         around = surroundings(reach + 1.0, float(east[node]), float(north[node]))
@@ -180,10 +183,10 @@ def seeable(occupancy: OccupancyMap, nodes: Float64Array, candidates: IntArray) 
         ends[0] = False
         asked = (here >= 0) & middle.entered(ends)
         asked[np.argmax(here >= 0)] = True
-        # From far to near: the near ones are blind.
+        # The nearest ones are blind.
         return any(
             view(node)[cell[0] - row[node] + margin, cell[1] - col[node] + margin]
-            for node in here[asked][::-1]
+            for node in here[asked & (np.hypot(middle.x, middle.y) > blind - 1.0)]
         )
 
     middle = surroundings(reach + 1.0, 0.5, 0.5)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Float64Array = npt.NDArray[np.float64]
 
 MARGIN_CELLS = 2
-"""Cells around a region's target cells that must be explored for it to be enclosed."""
+"""Cells around a region's target cells that must be observed for it to be enclosed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +32,7 @@ class Region:
     extent: Bounds
     """The box around the cells."""
     open_cells: IntArray
-    """(m, 2) cells at its edge or inside its outline that are unexplored and could be seen."""
+    """(m, 2) cells at its edge or inside its outline that are not observed and could be seen."""
 
     @property
     def enclosed(self) -> bool:
@@ -58,10 +58,11 @@ class Completion:
 
 
 def check_completion(occupancy: OccupancyMap, pose: SE2) -> Completion:
-    """Is every target region enclosed by explored cells, with no unknown cell inside?
+    """Is every target region enclosed by observed cells, with none inside that is not?
 
-    Unknown cells that no reachable pose could see do not count, and the bounds count as enclosure.
-    Where no target was seen, everything that a reachable pose could see must be explored.
+    Observed is what was explored or seen by a return of its own; see `Layers.observed`. Cells that no
+    reachable pose could see do not count, and the bounds count as enclosure. Where no target was seen,
+    everything that a reachable pose could see must be observed. Arrays are read-only.
 
     Args:
         occupancy: What is known.
@@ -79,7 +80,7 @@ def hiding_places(occupancy: OccupancyMap, pose: SE2, radius: float) -> BoolArra
         radius: Of the group; metres.
 
     Returns:
-        (rows, cols), true at the centres of discs in bounds that hold no explored cell's centre and at least
+        (rows, cols), true at the centres of discs in bounds that hold no observed cell's centre and at least
         one cell that a reachable pose could see.
     """
     from scipy import ndimage
@@ -99,8 +100,8 @@ def hiding_places(occupancy: OccupancyMap, pose: SE2, radius: float) -> BoolArra
     if not places.any():
         return places
     in_a_disc = ndimage.distance_transform_edt(~places, cell) <= radius
-    unexplored = np.argwhere(in_a_disc & ~occupancy.observed)
-    seen = occupancy.progress.seeable(pose, _window(occupancy), unexplored)
+    unobserved = np.argwhere(in_a_disc & ~occupancy.observed)
+    seen = occupancy.progress.seeable(pose, _window(occupancy), unobserved)
     if not len(seen):
         return np.zeros(occupancy.shape, np.bool_)
     could_be_seen = np.zeros(occupancy.shape, np.bool_)
@@ -138,6 +139,14 @@ def describe(regions: Sequence[Region], middle: Callable[[IntArray], tuple[float
     text = f"region {worst} near ({x:.1f}, {y:.1f}) has {unknown(regions[worst - 1].open_cells)} at its edge"
     others = len(waiting) - 1
     return text + (f"; {others} more region{'s are' if others > 1 else ' is'} open" if others else "")
+
+
+def describe_ground(open_cells: IntArray, middle: Callable[[IntArray], tuple[float, float]]) -> str:
+    """The sentence where no target was seen; see `describe`."""
+    if not len(open_cells):
+        return ""
+    x, y = middle(open_cells)
+    return f"no target was seen, and {unknown(open_cells)} near ({x:.1f}, {y:.1f}) could still be seen"
 
 
 def unknown(cells: IntArray) -> str:

@@ -127,7 +127,7 @@ class OccupancyMap(Layers):
         self._frame: FrameWindow | None = None
         self._edges = Edges(store, self.needed_room, (0, 0, *self.shape) if self._bounded else None)
         self._pending: list[Rectangle] = []
-        self._progress = Progress(store, protocol, self.evidence, self.needed_room, self._origin, bounds)
+        self._progress = Progress(store, protocol, self.evidence, self.needed_room, self._origin)
 
     # ------------------------------------------------------------------------------------ what goes in
 

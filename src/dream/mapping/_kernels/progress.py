@@ -11,12 +11,10 @@ from numba import njit
 
 from dream.mapping._kernels import flags as bits_of
 from dream.mapping._kernels.room import segment_is_free
-from dream.mapping._kernels.sight import RAY_MASK, any_open, block
+from dream.mapping._kernels.sight import RAY_MASK, any_open
+from dream.mapping.lattice import NODES
+from dream.mapping.layers import BLOCK, EDGE
 
-SIDE = 64
-"""Cells along a block, as many as a word has bits."""
-NODES = 32
-"""Nodes of the lattice along a block of theirs."""
 CROSSED = bits_of.CROSSED
 SHOWN = bits_of.EXPLORED | bits_of.BARE
 """Both of them also make a cell crossable."""
@@ -44,11 +42,11 @@ def renew_cells(log_odds, flags, votes, is_target, slots, firsts, solid, crossab
     """
     for n in range(len(slots)):
         slot = slots[n]
-        rows = np.array([[SIDE, -1], [SIDE, -1]])
+        rows = np.array([[BLOCK, -1], [BLOCK, -1]])
         cols = np.zeros(2, np.uint64)
-        for i in range(SIDE):
+        for i in range(BLOCK):
             s, c, t = _ZERO, _ZERO, _ZERO
-            for j in range(SIDE):
+            for j in range(BLOCK):
                 bit = _ONE << np.uint64(j)
                 if log_odds[slot, i, j] > 0:
                     s |= bit
@@ -65,8 +63,8 @@ def renew_cells(log_odds, flags, votes, is_target, slots, firsts, solid, crossab
                     rows[k, 1] = i
             solid[slot, i], crossable[slot, i] = s, c
         for k in range(2):
-            first, past = SIDE, 0
-            for j in range(SIDE):
+            first, past = BLOCK, 0
+            for j in range(BLOCK):
                 if cols[k] >> np.uint64(j) & _ONE:
                     first, past = min(first, j), j + 1
             rectangles[k, n, 0] = firsts[n, 0] + rows[k, 0]
@@ -91,24 +89,37 @@ def unpack(words, table, first, low, shape):
         row = low[0] + i
         for j in range(shape[1]):
             col = low[1] + j
-            word = words[table[row // SIDE - first[0], col // SIDE - first[1]], row & (SIDE - 1)]
-            cells[i, j] = (word >> np.uint64(col & (SIDE - 1))) & _ONE
+            word = words[table[row // BLOCK - first[0], col // BLOCK - first[1]], row & (BLOCK - 1)]
+            cells[i, j] = (word >> np.uint64(col & (BLOCK - 1))) & _ONE
     return cells
 
 
 # ------------------------------------------------------------------------------------------- the lattice
-# Node (i, j) lies at `offset + spacing * (j - anchor)`, in cells. Blocks of 32 x 32 nodes.
+# A grid is metres between nodes, metres of a cell, and world y and x of the corner of cell (0, 0).
 
 
 @njit(cache=True, nogil=True)
-def renew_moves(room, low, needed, offset, anchor, spacing, nodes, moves, free, table, first, changed):
+def place(i, j, grid):
+    """How far north and east a node lies, in cells: as `Layers` measures where a position lies."""
+    lattice, cell, south, west = grid
+    return (i * lattice - south) / cell + EDGE, (j * lattice - west) / cell + EDGE
+
+
+@njit(cache=True, nogil=True)
+def _snapped(at):
+    """A node on the edge of cells lies exactly there: rays to both sides begin in these."""
+    return float(math.floor(at)) if at - math.floor(at) < 2.0 * EDGE else at - EDGE
+
+
+@njit(cache=True, nogil=True)
+def renew_moves(room, low, needed, grid, nodes, moves, free, table, first, changed):
     """Which moves are free from each node of a rectangle; bit `len(moves)`: the vehicle can stand there.
 
     Args:
         room: Around them, as far as moves lead; from the cell `low` on.
         low: See `room`.
         needed: Room that a standable cell exceeds.
-        offset, anchor, spacing: Where nodes lie.
+        grid: See above.
         nodes: First and past, rows and columns.
         moves: (n, 2) lattice steps east and north.
         free: (slots, 32, 32, bytes) uint8, renewed.
@@ -118,15 +129,12 @@ def renew_moves(room, low, needed, offset, anchor, spacing, nodes, moves, free, 
     """
     bits = np.empty(free.shape[3], np.uint8)
     for i in range(nodes[0], nodes[2]):
-        y = offset[0] + spacing * (i - anchor[0])
-        row = math.floor(y) - low[0]
         for j in range(nodes[1], nodes[3]):
-            x = offset[1] + spacing * (j - anchor[1])
+            y, x = place(i, j, grid)
             bits[:] = 0
-            if room[row, math.floor(x) - low[1]] > needed:
+            if room[math.floor(y) - low[0], math.floor(x) - low[1]] > needed:
                 for k in range(len(moves)):
-                    to_x = offset[1] + spacing * (j + moves[k, 0] - anchor[1])
-                    to_y = offset[0] + spacing * (i + moves[k, 1] - anchor[0])
+                    to_y, to_x = place(i + moves[k, 1], j + moves[k, 0], grid)
                     if segment_is_free(room, needed, x, y, to_x, to_y, low[0], low[1]):
                         bits[k >> 3] |= 1 << (k & 7)
                 bits[len(moves) >> 3] |= 1 << (len(moves) & 7)
@@ -266,12 +274,12 @@ def walk(offsets, neighbours, links, link_counts, firsts, starts):
 
 
 @njit(cache=True, nogil=True)
-def ways_out(room, low, needed, offset, anchor, spacing, nodes, row, col, moves):
+def ways_out(room, low, needed, grid, nodes, row, col, moves):
     """From a node where the vehicle cannot stand, the nodes to which ways out lead.
 
     Args:
         room: Around them; from the cell `low` on.
-        low, needed, offset, anchor, spacing: See `renew_moves`.
+        low, needed, grid: See `renew_moves`.
         nodes: The rectangle that may be looked at; first and past, rows and columns.
         row, col: The node.
         moves: (n, 2).
@@ -288,7 +296,7 @@ def ways_out(room, low, needed, offset, anchor, spacing, nodes, row, col, moves)
     while depth > 0:
         depth -= 1
         i, j = stack[depth]
-        x, y = offset[1] + spacing * (j - anchor[1]), offset[0] + spacing * (i - anchor[0])
+        y, x = place(i, j, grid)
         if room[math.floor(y) - low[0], math.floor(x) - low[1]] == 0:
             continue
         for k in range(len(moves)):
@@ -298,7 +306,7 @@ def ways_out(room, low, needed, offset, anchor, spacing, nodes, row, col, moves)
                 continue
             if found[a - nodes[0], b - nodes[1]] != 0:
                 continue
-            to_x, to_y = offset[1] + spacing * (b - anchor[1]), offset[0] + spacing * (a - anchor[0])
+            to_y, to_x = place(a, b, grid)
             if not segment_is_free(room, needed, x, y, to_x, to_y, low[0], low[1]):
                 continue
             if room[math.floor(to_y) - low[0], math.floor(to_x) - low[1]] > needed:
@@ -364,7 +372,7 @@ def renew_reached(labels, offsets, marks, old_offsets, old_marks, stale, extras,
 
 
 @njit(cache=True, nogil=True)
-def nodes_in(reached, table, first, nodes, lattice, origin, cell, limits, low, shape):
+def nodes_in(reached, table, first, nodes, grid, limits, low, shape):
     """Nodes that were reached, by cell.
 
     Args:
@@ -372,9 +380,7 @@ def nodes_in(reached, table, first, nodes, lattice, origin, cell, limits, low, s
         table: (n, m) slots of the blocks of nodes, from the block `first` on.
         first: See `table`.
         nodes: The rectangle to look at; first and past, rows and columns.
-        lattice: Metres between nodes.
-        origin: World y and x of the first cell's corner.
-        cell: Metres.
+        grid: See `renew_moves`.
         limits: First and past, rows and columns, of all cells; a node on the edge counts to the last one.
         low, shape: The box of cells.
 
@@ -386,19 +392,16 @@ def nodes_in(reached, table, first, nodes, lattice, origin, cell, limits, low, s
     node_x, node_y = np.empty(most), np.empty(most)
     count = 0
     for i in range(nodes[0], nodes[2]):
-        y = (i * lattice - origin[0]) / cell
-        row = min(max(math.floor(y), limits[0]), limits[2] - 1) - low[0]
-        if row < 0 or row >= shape[0]:
-            continue
         for j in range(nodes[1], nodes[3]):
             slot = table[i // NODES - first[0], j // NODES - first[1]]
             if not reached[slot, i & (NODES - 1), j & (NODES - 1)]:
                 continue
-            x = (j * lattice - origin[1]) / cell
+            y, x = place(i, j, grid)
+            row = min(max(math.floor(y), limits[0]), limits[2] - 1) - low[0]
             col = min(max(math.floor(x), limits[1]), limits[3] - 1) - low[1]
-            if 0 <= col < shape[1]:
+            if 0 <= row < shape[0] and 0 <= col < shape[1]:
                 node_at[row, col] = count
-                node_x[count], node_y[count] = x, y
+                node_x[count], node_y[count] = _snapped(x), _snapped(y)
                 count += 1
     return node_at, node_x[:count], node_y[:count]
 
@@ -527,10 +530,21 @@ def seeable(
                     found[c] = True
                     break
             if solid[i, j] and k > 0:
-                running -= block(blocked, t_first[k], t_last[k])
+                running -= _end(blocked, t_first[k], t_last[k])
                 if running == 0:
                     break
     return found
+
+
+@njit(cache=True, nogil=True)
+def _end(blocked, first, last):
+    """End the rays of the interval; how many of them still ran?"""
+    ended = 0
+    for ray in range(first, last + 1):
+        if not blocked[ray & RAY_MASK]:
+            blocked[ray & RAY_MASK] = True
+            ended += 1
+    return ended
 
 
 @njit(cache=True, nogil=True)
@@ -563,19 +577,19 @@ def link_parts(labels, reach, squared_link):
     """
     pairs = []
     last = np.zeros(9, np.int64)
-    for i in range(SIDE):
-        for j in range(SIDE):
+    for i in range(BLOCK):
+        for j in range(BLOCK):
             mine = labels[4, i, j]
             if mine == 0:
                 continue
-            if reach <= i < SIDE - reach and reach <= j < SIDE - reach:
+            if reach <= i < BLOCK - reach and reach <= j < BLOCK - reach:
                 continue
             for y in range(i - reach, i + reach + 1):
                 for x in range(j - reach, j + reach + 1):
-                    side = 3 * (1 + y // SIDE) + 1 + x // SIDE
+                    side = 3 * (1 + y // BLOCK) + 1 + x // BLOCK
                     if side == 4 or (y - i) * (y - i) + (x - j) * (x - j) > squared_link + 1e-9:
                         continue
-                    other = labels[side, y & (SIDE - 1), x & (SIDE - 1)]
+                    other = labels[side, y & (BLOCK - 1), x & (BLOCK - 1)]
                     if other == 0:
                         continue
                     pair = np.int64(mine) << 16 | other
