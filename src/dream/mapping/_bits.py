@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.mapping._rectangles import Key, Rectangle, blocks_of
-from dream.mapping.blocks import BlockStore
+from dream.mapping.blocks import BlockStore, grown
 from dream.mapping.layers import BLOCK, Evidence, probability_of_votes
 from dream.types import BoolArray
 
@@ -53,7 +53,8 @@ class CellBits:
         keys = [key for key in blocks if key in store.slot_of]
         if len(self._solid) < len(store.stamps):
             self._solid, self._crossable, self._target = (
-                _enlarged(words, len(store.stamps)) for words in (self._solid, self._crossable, self._target)
+                grown(words, len(store.stamps), len(words))
+                for words in (self._solid, self._crossable, self._target)
             )
         if not keys:
             return Change([], [], {})
@@ -96,9 +97,3 @@ class CellBits:
         table = self._store.table(first, shape)
         cells: BoolArray = progress.unpack(words, table, first, (row, col), (past_row - row, past_col - col))
         return cells
-
-
-def _enlarged(words: UInt64Array, capacity: int) -> UInt64Array:
-    larger = np.zeros((capacity, *words.shape[1:]), words.dtype)
-    larger[: len(words)] = words
-    return larger

@@ -58,8 +58,8 @@ class BlockStore:
             capacity = 2 * len(self.stamps)
             while capacity < needed:
                 capacity *= 2
-            self.pools = {name: _grown(pool, capacity, 1 + len(self)) for name, pool in self.pools.items()}
-            self.stamps = _grown(self.stamps, capacity, 1 + len(self))
+            self.pools = {name: grown(pool, capacity, 1 + len(self)) for name, pool in self.pools.items()}
+            self.stamps = grown(self.stamps, capacity, 1 + len(self))
         for key in new:
             self.slot_of[key] = len(self.slot_of) + 1
 
@@ -127,8 +127,8 @@ class BlockStore:
         other = BlockStore(self.layers)
         other.slot_of = dict(self.slot_of)
         used = 1 + len(self)
-        other.pools = {name: _grown(pool, max(used, 2), used) for name, pool in self.pools.items()}
-        other.stamps = _grown(self.stamps, max(used, 2), used)
+        other.pools = {name: grown(pool, max(used, 2), used) for name, pool in self.pools.items()}
+        other.stamps = grown(self.stamps, max(used, 2), used)
         return other
 
 
@@ -144,8 +144,8 @@ def _common(
     return tuple(in_block), tuple(in_box)
 
 
-def _grown(pool: npt.NDArray[Any], capacity: int, used: int) -> npt.NDArray[Any]:
-    # Fresh zeros cost no memory until they are written.
+def grown(pool: npt.NDArray[Any], capacity: int, used: int) -> npt.NDArray[Any]:
+    """A larger pool with the first so many entries of this one; fresh zeros cost no memory until written."""
     larger = np.zeros((capacity, *pool.shape[1:]), pool.dtype)
     larger[:used] = pool[:used]
     return larger

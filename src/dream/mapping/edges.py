@@ -5,12 +5,11 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from dream.mapping.blocks import BlockStore
+from dream.mapping.blocks import BlockStore, grown
 from dream.mapping.layers import room_radius
 from dream.types import IntArray
 
@@ -137,7 +136,7 @@ class Edges:
         while True:
             table = self._table(low, shape)
             if len(self._blocks) < len(store.stamps):
-                self._blocks = _grown(self._blocks, len(store.stamps), len(self._blocks) - 1)
+                self._blocks = grown(self._blocks, len(store.stamps), len(self._blocks))
             missing = edges.update(
                 store.pools["log_odds"].view(np.uint64),
                 store.pools["flags"].view(np.uint64),
@@ -188,14 +187,14 @@ class Edges:
         )
         # Zeros cost no memory until they are written.
         if components + most >= len(self._components):
-            self._components = _grown(self._components, 2 * (components + most), components)
+            self._components = grown(self._components, 2 * (components + most), components + 1)
         if nodes + 2 * most >= len(self._nodes):
-            self._nodes = _grown(self._nodes, 2 * (nodes + 2 * most), nodes)
+            self._nodes = grown(self._nodes, 2 * (nodes + 2 * most), nodes + 1)
         if links + MOST_LINKS * blocks >= len(self._links):
-            self._links = _grown(self._links, 2 * (links + MOST_LINKS * blocks), links)
+            self._links = grown(self._links, 2 * (links + MOST_LINKS * blocks), links + 1)
         if faces + blocks >= len(self._faces):
-            self._faces = _grown(self._faces, 2 * (faces + blocks), faces)
-            self._face_bits = _grown(self._face_bits, 2 * (faces + blocks), faces)
+            self._faces = grown(self._faces, 2 * (faces + blocks), faces + 1)
+            self._face_bits = grown(self._face_bits, 2 * (faces + blocks), faces + 1)
         if most > self._scratch.shape[1]:
             self._scratch = np.zeros((edges.SCRATCH, most), np.int32)
 
@@ -278,9 +277,3 @@ def _charted(low: tuple[int, int], chart: IntArray, keys: Int64Array) -> tuple[t
     if chart.size:
         larger[i : i + chart.shape[0], j : j + chart.shape[1]] = chart
     return (int(first[0]), int(first[1])), larger
-
-
-def _grown(pool: npt.NDArray[Any], capacity: int, used: int) -> npt.NDArray[Any]:
-    larger = np.zeros((capacity, *pool.shape[1:]), pool.dtype)
-    larger[: used + 1] = pool[: used + 1]
-    return larger

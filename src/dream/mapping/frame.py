@@ -11,14 +11,13 @@ import numpy.typing as npt
 
 from dream.geometry import SE3, Camera
 from dream.mapping._kernels import flags
+from dream.mapping._rectangles import Rectangle
 from dream.mapping.blocks import BlockStore
 from dream.mapping.layers import BLOCK, LEVELS, QUANTUM, Evidence, post_bits
 from dream.mapping.visibility import RAYS
 from dream.protocol import SurveyProtocol
 from dream.types import Float32Array, IntArray, Label
 
-Rectangle = tuple[int, int, int, int]
-"""First row and column, past row and column; cells of the store."""
 PIXELS_ACROSS = 4
 """Pixels that are looked at along the side of a cell that faces the camera; what is nearer is thinned."""
 THINNINGS = 2

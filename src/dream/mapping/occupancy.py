@@ -17,9 +17,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from dream.geometry import SE3, Bounds, Camera
 from dream.mapping._kernels import flags
+from dream.mapping._rectangles import Rectangle
 from dream.mapping.blocks import BlockStore
 from dream.mapping.edges import Edges
-from dream.mapping.frame import FrameWindow, Rectangle
+from dream.mapping.frame import FrameWindow
 from dream.mapping.layers import (
     BLOCK,
     CELLS,
