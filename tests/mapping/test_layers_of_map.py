@@ -16,7 +16,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from dream.geometry import SE3, Bounds, camera_mount
+from dream.geometry import SE3, Bounds, Camera, camera_mount
 from dream.mapping import OccupancyMap, frontiers
 from dream.mapping.layers import CELLS, POSTS, Layers
 from dream.protocol import DREAM_V1
@@ -646,6 +646,20 @@ def test_a_file_with_more_in_it_is_refused(tmp_path: Path, content: bytes) -> No
 
 
 # ------------------------------------------------------------------------------------ kinds of images
+
+
+@pytest.mark.parametrize("shape", [(1500, 2000), (1, 1 << 17), (1 << 16, 1)])
+def test_of_a_very_large_image_enough_is_read_to_tell_a_wall(shape: tuple[int, int]) -> None:
+    # All of it lies on a wall 3 m ahead, in so few cells that counting every pixel would overflow.
+    height, width = shape
+    camera = Camera(width, height, 40.0 * width, 40.0 * height, 0.5 * width, 0.5 * height)
+    occupancy = endless_map()
+    pose = SE3.level(0.1, 0.1, SEABED + 1.5, 0.0) @ camera_mount(0.0)
+    occupancy.integrate(
+        np.full(shape, 3.0, np.float32), np.full(shape, Label.OBSTACLE, np.uint8), camera, pose
+    )
+    assert occupancy.solid[occupancy.cell_of(3.1, 0.1)]
+    assert occupancy.solid.sum() == 1
 
 
 def test_millimetres_and_metres_of_any_width_make_the_same_map() -> None:
