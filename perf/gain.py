@@ -48,7 +48,7 @@ class Scene:
     protocol: SurveyProtocol
     bounds: Bounds
     solid: Array
-    explored: Array
+    observed: Array
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -57,7 +57,7 @@ class Scene:
 
 
 def scene(kind: str, share: float, cell: float, seed: int) -> Scene:
-    """A share of solid cells, in boxes of 0.5 to 3 m or one by one; discs of explored ground."""
+    """A share of solid cells, in boxes of 0.5 to 3 m or one by one; discs of observed ground."""
     rng = np.random.default_rng(seed)
     side = round(SIDE / cell)
     solid = np.zeros((side, side), np.bool_)
@@ -151,7 +151,7 @@ def with_numba(
     p = on.protocol
     half = 0.5 * p.camera.horizontal_fov
     counts: Array = count_views(
-        on.solid, on.explored, positions / p.cell, headings, half, p.reach / p.cell, p.blind / p.cell, rays,
+        on.solid, on.observed, positions / p.cell, headings, half, p.reach / p.cell, p.blind / p.cell, rays,
         whole_turn,
     )  # fmt: skip
     return counts
@@ -171,7 +171,7 @@ def with_numpy(on: Scene, positions: Array, headings: int) -> Array:
     steps = np.arange(len(away))
     span = math.ceil(reach) + 2
     side = 2 * span + 1
-    solid, explored = (np.pad(layer, span, constant_values=True) for layer in (on.solid, on.explored))
+    solid, explored = (np.pad(layer, span, constant_values=True) for layer in (on.solid, on.observed))
     counts = np.zeros((len(positions), headings), np.float32)
     for n, (x, y) in enumerate(positions / p.cell):
         window = np.s_[int(y) : int(y) + side, int(x) : int(x) + side]
@@ -237,7 +237,7 @@ def main() -> None:
     arguments = parser.parse_args()
     machine = platform.processor() or platform.machine()
     print(f"{machine}, Python {platform.python_version()}, {os.cpu_count()} CPUs")
-    print(f"\nspeed: 5% boxes, 40% explored, reach {DREAM_V1.reach:g} m, 90° views, positions on the lattice")
+    print(f"\nspeed: 5% boxes, 40% observed, reach {DREAM_V1.reach:g} m, 90° views, positions on the lattice")
     print(f"{'':24} {'cell m':>6} {'headings':>9} {'us/position':>12} {'views/CPU-s':>12} {'ours':>8}")
     for cell in arguments.cells:
         world = scene("boxes", 0.05, cell, arguments.seed)
