@@ -7,7 +7,7 @@ import dream
 
 ROOT = Path(dream.__file__).parent
 LAYERS = [
-    {"errors", "geometry", "names"},
+    {"errors", "geometry", "names", "versions"},
     {"protocol"},
     {"types"},
     {"perception", "mapping"},

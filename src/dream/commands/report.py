@@ -1,0 +1,31 @@
+"""`dream report`: the page of a recorded run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from dream.commands.console import print_json
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """Write the HTML page of a recorded run again, also of one that was interrupted."""
+
+    run: tyro.conf.Positional[Path]
+    """Folder of the run."""
+    json: bool = False
+    """Print one JSON object and nothing else."""
+
+    def __call__(self) -> int:
+        """Exit status 0."""
+        from dream.report import write_report
+
+        page = write_report(self.run)
+        if self.json:
+            print_json({"run": str(self.run), "report": str(page)})
+        else:
+            print(page)
+        return 0

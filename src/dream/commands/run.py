@@ -1,0 +1,133 @@
+"""`dream run`: one mission in a simulated world."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import tyro
+
+from dream import __version__
+from dream.commands.console import open_world, print_json, with_progress
+from dream.errors import MissionAborted
+from dream.planning import PLANNERS, AnyPlanner
+from dream.protocol import protocol_named
+from dream.versions import commit
+
+if TYPE_CHECKING:
+    from dream.sim.world import World
+
+    ChosenPlanner = AnyPlanner
+else:
+    ChosenPlanner = tyro.extras.subcommand_type_from_defaults(PLANNERS, sort_subcommands=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Fly one mission in a simulated world; leave its recording, its report and its summary."""
+
+    planner: ChosenPlanner = PLANNERS["sixsteps"]
+    """Who decides."""
+    world: str = "reef/string"
+    """A name from `dream worlds`, or a folder that holds a saved world."""
+    seed: int = 1
+    """Which world of that name."""
+    start: int = 0
+    """Which of the world's start poses."""
+    out: Path = Path("runs")
+    """Folder that the run's own folder is made in."""
+    max_steps: int | None = None
+    """Decisions at most; the protocol's cap unless given."""
+    protocol: str | None = None
+    """Survey protocol; the one that the world is made for unless given."""
+    json: bool = False
+    """Print the summary as one JSON object and nothing else."""
+
+    def __call__(self) -> int:
+        """Exit status 0; a MissionAborted where the mission did not end by itself."""
+        from dream import recording
+        from dream.evaluation.metrics import Scorer
+        from dream.evaluation.runner import simulate, summarize
+        from dream.report import write_report
+
+        if self.max_steps is not None and self.max_steps < 1:
+            raise ValueError(f"--max-steps: expected at least 1, got {self.max_steps}")
+        began = time.perf_counter()
+        world = open_world(self.world, self.seed)
+        protocol = protocol_named(self.protocol or world.protocol)
+        name = planner_name(self.planner)
+        steps = simulate(world, self.planner, protocol, start=self.start, max_steps=self.max_steps)
+        folder = recording.new_run_folder(
+            self.out, world.name, world.seed, name, datetime.datetime.now(datetime.UTC)
+        )
+        recording.write_config(folder, self._config(world, protocol.name, name))
+
+        scorer = Scorer(world, protocol)
+        stopped: BaseException | None = None
+        with contextlib.closing(
+            recording.record(steps, folder, annotate=lambda step: {"coverage": scorer.add(step).as_dict()})
+        ) as recorded:
+            try:
+                for _ in with_progress(
+                    recorded, f"{name} · {world.name} {world.seed}", self.max_steps or protocol.cap
+                ):
+                    pass
+            except KeyboardInterrupt as interrupt:
+                stopped = interrupt
+            except Exception as failure:  # noqa: BLE001 - whatever stopped it, what was flown is kept.
+                stopped = failure
+        summary = summarize(world, name, protocol, scorer, time.perf_counter() - began)
+        recording.write_summary(folder, summary)
+        page = write_report(folder)
+        if self.json:
+            print_json(summary)
+        else:
+            _print_outcome(summary, page)
+        if stopped is not None:
+            why = "interrupted" if isinstance(stopped, KeyboardInterrupt) else f"aborted: {stopped}"
+            raise MissionAborted(f"{why}; {summary['steps']} steps are kept in {folder}") from stopped
+        return 0
+
+    def _config(self, world: World, protocol: str, planner: str) -> dict[str, Any]:
+        from dream.sim.files import world_hash
+
+        return {
+            "version": __version__,
+            "commit": commit(),
+            "protocol": protocol,
+            "world": world.name,
+            "seed": world.seed,
+            "world_from": self.world,
+            "world_hash": world_hash(world),
+            "start": self.start,
+            "planner": planner,
+            "planner_parameters": asdict(self.planner),
+            "max_steps": self.max_steps,
+        }
+
+
+def planner_name(planner: AnyPlanner) -> str:
+    """The name of a planner on the command line."""
+    return next(name for name, default in PLANNERS.items() if type(default) is type(planner))
+
+
+def _print_outcome(summary: Mapping[str, Any], page: Path) -> None:
+    coverage = summary["coverage"]
+    ended = {"done": "done", "cap": "steps spent", "aborted": "interrupted"}[summary["ended"]]
+    times = ", ".join(
+        f"{name[1:]} % at {summary[name]}"
+        for name in ("t90", "t95", "t98", "t100")
+        if summary[name] is not None
+    )
+    print(f"{summary['world']} {summary['seed']} · {summary['planner']} · {summary['protocol']}")
+    print(f"  {ended} after {summary['steps']} steps" + (", a success" if summary["success"] else ""))
+    print("  seen: " + ", ".join(f"{coverage[k]:.1%} of the {k}" for k in ("instances", "clusters", "area")))
+    if times:
+        print(f"  steps to a share of the instances: {times}")
+    print(f"  {summary['collisions']} collisions, {summary['distance_m']:.0f} m, {summary['wall_s']:.1f} s")
+    print(f"  report: {page}")

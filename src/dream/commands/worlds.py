@@ -1,0 +1,105 @@
+"""`dream worlds` and `dream draw`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dream.commands.console import open_world, print_json
+from dream.protocol import protocol_named
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+    from dream.sim.world import World
+
+
+@dataclass(frozen=True, slots=True)
+class Worlds:
+    """List the worlds that can be named, or save one as a folder to edit."""
+
+    save: str | None = None
+    """Save this world instead of listing."""
+    seed: int = 1
+    """Which world of that name."""
+    out: Path = Path("world")
+    """Folder to save to."""
+    json: bool = False
+    """Print one JSON object and nothing else."""
+
+    def __call__(self) -> int:
+        """Exit status 0."""
+        from dream.sim.files import save_world, world_hash
+        from dream.sim.worlds import WORLDS, make_world
+
+        if self.save is not None:
+            world = make_world(self.save, self.seed)
+            save_world(world, self.out)
+            record = {
+                "world": world.name,
+                "seed": world.seed,
+                "hash": world_hash(world),
+                "folder": str(self.out),
+            }
+            if self.json:
+                print_json(record)
+            else:
+                print(f"saved {world.name} {world.seed}; fly it with: dream run --world {self.out}")
+        elif self.json:
+            print_json({"worlds": list(WORLDS)})
+        else:
+            print("\n".join(WORLDS))
+        return 0
+
+
+@dataclass(frozen=True, slots=True)
+class Draw:
+    """Draw a world as a picture: its chart from above, and what the camera sees from two of its starts."""
+
+    world: str = "reef/string"
+    """A name from `dream worlds`, or a folder that holds a saved world."""
+    seed: int = 1
+    """Which world of that name."""
+    out: Path | None = None
+    """Picture to write; `WORLD-SEED.png` unless given."""
+    json: bool = False
+    """Print one JSON object and nothing else."""
+
+    def __call__(self) -> int:
+        """Exit status 0."""
+        from dream.sim.chart import chart
+        from dream.sim.files import world_hash
+
+        world = open_world(self.world, self.seed)
+        out = self.out or Path(f"{world.name.replace('/', '-')}-{world.seed}.png")
+        if out.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
+            raise ValueError(f"--out: expected a name that ends in .png, .jpg or .webp, got {out}")
+        _portrait(world, chart(world)).save(out)
+        if self.json:
+            print_json(
+                {"world": world.name, "seed": world.seed, "hash": world_hash(world), "picture": str(out)}
+            )
+        else:
+            counts = f"{len(world.targets)} individuals, {len(world.obstacles)} obstacles"
+            print(f"{world.name} {world.seed}: {counts} → {out}")
+        return 0
+
+
+def _portrait(world: World, above: Image.Image) -> Image.Image:
+    """The chart, and beside it what the camera sees from the first two starts, as a model is shown it."""
+    from PIL import Image
+
+    from dream.geometry import SE3
+    from dream.sim.render import Renderer
+
+    protocol, renderer = protocol_named(world.protocol), Renderer(world)
+    camera = protocol.camera.scaled(2.0)
+    picture = Image.new("RGB", (above.width + camera.width, max(above.height, 2 * camera.height)), "white")
+    picture.paste(above, (0, 0))
+    for k, start in enumerate(world.starts[:2]):
+        seabed = float(world.terrain.height(start.x, start.y))
+        T_world_base = SE3.level(start.x, start.y, seabed + protocol.altitude, start.yaw)
+        frame = renderer.render(camera, T_world_base @ protocol.T_base_camera)
+        picture.paste(Image.fromarray(frame.rgb), (above.width, k * camera.height))
+    return picture
