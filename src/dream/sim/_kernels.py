@@ -483,6 +483,25 @@ def _passes(
 
 
 @njit(cache=True, nogil=True)
+def passes(
+    index: Index,
+    starts: Float64Array,
+    ends: Float64Array,
+    altitude: float,
+    radius: float,
+    height: float,
+    pace: float,
+) -> BoolArray:
+    """`_passes` for every move from starts (M, 2) to ends (M, 2)."""
+    result = np.empty(len(starts), np.bool_)
+    for i in range(len(starts)):
+        result[i] = _passes(
+            index, starts[i, 0], starts[i, 1], ends[i, 0], ends[i, 1], altitude, radius, height, pace
+        )
+    return result
+
+
+@njit(cache=True, nogil=True)
 def reachable(
     index: Index,
     free: BoolArray,

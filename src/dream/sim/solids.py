@@ -197,6 +197,14 @@ class Solids:
         )
         return Sweep(free, least)
 
+    def passes(self, starts: npt.ArrayLike, ends: npt.ArrayLike, protocol: SurveyProtocol) -> BoolArray:
+        """(M,) bool: which straight moves, from starts (M, 2) to ends (M, 2), touch nothing; as `sweep`."""
+        begin, end = checked(starts, "starts", 2), checked(ends, "ends", 2)
+        if begin.shape != end.shape:
+            raise ValueError(f"ends: expected {begin.shape} like starts, got {end.shape}")
+        radius, height = protocol.body_radius, protocol.body_height
+        return _kernels.passes(self.index, begin, end, protocol.altitude, radius, height, PACE)
+
     def lattice(self, protocol: SurveyProtocol) -> Lattice:
         """The protocol's positions inside the bounds: where the body is free, and where it can get."""
         bounds, spacing = self.world.bounds, protocol.lattice
