@@ -20,6 +20,9 @@ SPAN = 128
 """Pixels of a row of which it is asked whether any is far enough, before they are looked at."""
 RUN = 512
 """Pixels of a row that are looked at together, at most."""
+Y, UP, DEPTH = np.uint64(RUN), np.uint64(2 * RUN), np.uint64(3 * RUN)
+"""Where `metric` holds what, behind x."""
+TWO, FOUR, EIGHT = np.uint64(2), np.uint64(4), np.uint64(8)
 LABEL_BITS = 8
 """A sample is its flat cell, shifted by so many bits, and its label."""
 LABEL_MASK = (1 << LABEL_BITS) - 1
@@ -101,7 +104,8 @@ def project(
     columns = np.empty((3, width), f32)
     farther = np.empty((3, width), f32)
     metric = np.zeros(4 * RUN, f32)
-    names = np.zeros(RUN, i32)
+    marks = np.zeros(RUN, i32)
+    pixels, names = depth.ravel(), labels.ravel()
     per_radian = (RAY_MASK + 1) / (2.0 * math.pi)
     farthest[:] = f32(0.0)
     count = 0
@@ -123,20 +127,26 @@ def project(
             ray = (f32(R[0, 1] * b + R[0, 2]), f32(R[1, 1] * b + R[1, 2]), f32(R[2, 1] * b + R[2, 2]))
             span = 0
             while True:
-                begin, span = next_run(
-                    peaks[v], lows[v], raw[level], raw[level + 1], span, RUN * across // SPAN
-                )
+                begin, span = next_run(peaks, lows, v, raw[level], raw[level + 1], span, RUN * across // SPAN)
                 if begin == span:
                     break
-                first = begin * SPAN // across
-                run = min(span * SPAN // across, n) - first
-                skip, past = first * across, count + run
-                row, label_row = depth[v, skip:], labels[v, skip:]
-                read_run(row, label_row, across, metres, scale, water, nearest, most, run, metric, names)
-                lay_out(metric, columns[0, first:], columns[1, first:], columns[2, first:], run, ray)
-                reach_out(metric, farther[0, first:], farther[1, first:], farther[2, first:], run)
-                cells, ups = samples[count:past], heights[count:past]
-                if place(metric, names, cells, ups, run, frame, square_reach, inside, stride):
+                first, run = begin * SPAN // across, min(span * SPAN // across, n) - begin * SPAN // across
+                size, column, at = np.uint64(run), np.uint64(first), np.uint64(v * width + first * across)
+                read_run(pixels, names, at, across, metres, scale, water, nearest, most, size, metric, marks)
+                lay_out(metric, columns, column, size, ray)
+                reach_out(metric, farther, column, size)
+                if place(
+                    metric,
+                    marks,
+                    size,
+                    frame,
+                    square_reach,
+                    inside,
+                    stride,
+                    np.uint64(count),
+                    samples,
+                    heights,
+                ):
                     sum_ground(
                         count,
                         count + run,
@@ -189,12 +199,14 @@ def find_extremes(bits):
 
 
 @njit(cache=True, nogil=True)
-def next_run(peaks, lows, farthest, nearest, span, most):
-    """First and past last of the next spans, at most so many, that may have pixels between two depths."""
-    while span < len(peaks) and (peaks[span] < nearest or lows[span] > farthest):
+def next_run(peaks, lows, v, farthest, nearest, span, most):
+    """First and past last of a row's next spans, at most so many, that may have pixels between two depths."""
+    spans = peaks.shape[1]
+    while span < spans and (peaks[v, span] < nearest or lows[v, span] > farthest):
         span += 1
     begin = span
-    while span < len(peaks) and span - begin < most and peaks[span] >= nearest and lows[span] <= farthest:
+    past = min(spans, begin + most)
+    while span < past and peaks[v, span] >= nearest and lows[v, span] <= farthest:
         span += 1
     return begin, span
 
@@ -206,68 +218,67 @@ def pick(z, label, water, nearest, most):
 
 
 @njit(cache=True, nogil=True)
-def read_run(row, label_row, across, metres, scale, water, nearest, most, n, metric, names):
+def read_run(pixels, names, at, across, metres, scale, water, nearest, most, n, metric, marks):
     """Depths, 0 where they do not count, and labels of every 2nd, 4th or 8th pixel of a part of a row."""
     # A step that is known when compiling is several times faster.
     if across == 2:
         for k in range(n):
-            z = np.float32(row[2 * k]) * metres
-            metric[3 * RUN + k] = pick(z, label_row[2 * k], water, nearest, most)
-            names[k] = np.int32(np.float32(label_row[2 * k]) * scale)
+            z = np.float32(pixels[at + TWO * k]) * metres
+            metric[DEPTH + k] = pick(z, names[at + TWO * k], water, nearest, most)
+            marks[k] = np.int32(np.float32(names[at + TWO * k]) * scale)
     elif across == 4:
         for k in range(n):
-            z = np.float32(row[4 * k]) * metres
-            metric[3 * RUN + k] = pick(z, label_row[4 * k], water, nearest, most)
-            names[k] = np.int32(np.float32(label_row[4 * k]) * scale)
+            z = np.float32(pixels[at + FOUR * k]) * metres
+            metric[DEPTH + k] = pick(z, names[at + FOUR * k], water, nearest, most)
+            marks[k] = np.int32(np.float32(names[at + FOUR * k]) * scale)
     else:
         for k in range(n):
-            z = np.float32(row[8 * k]) * metres
-            metric[3 * RUN + k] = pick(z, label_row[8 * k], water, nearest, most)
-            names[k] = np.int32(np.float32(label_row[8 * k]) * scale)
+            z = np.float32(pixels[at + EIGHT * k]) * metres
+            metric[DEPTH + k] = pick(z, names[at + EIGHT * k], water, nearest, most)
+            marks[k] = np.int32(np.float32(names[at + EIGHT * k]) * scale)
 
 
 @njit(cache=True, nogil=True)
-def lay_out(metric, a_x, a_y, a_z, n, ray):
+def lay_out(metric, columns, first, n, ray):
     """Offsets from the camera in the world."""
     ray_x, ray_y, ray_z = ray
     for k in range(n):
-        z = metric[3 * RUN + k]
-        metric[k] = z * (a_x[k] + ray_x)
-        metric[RUN + k] = z * (a_y[k] + ray_y)
-        metric[2 * RUN + k] = z * (a_z[k] + ray_z)
+        z = metric[DEPTH + k]
+        metric[k] = z * (columns[0, first + k] + ray_x)
+        metric[Y + k] = z * (columns[1, first + k] + ray_y)
+        metric[UP + k] = z * (columns[2, first + k] + ray_z)
 
 
 @njit(cache=True, nogil=True)
-def reach_out(metric, far_x, far_y, far_square, n):
+def reach_out(metric, farther, first, n):
     """Keep x, y and the squared distance of the farthest return of every column."""
     for k in range(n):
-        x, y = metric[k], metric[RUN + k]
+        x, y = metric[k], metric[Y + k]
         square = x * x + y * y
-        more = square > far_square[k]
-        far_x[k] = x if more else far_x[k]
-        far_y[k] = y if more else far_y[k]
-        far_square[k] = square if more else far_square[k]
+        more = square > farther[2, first + k]
+        farther[0, first + k] = x if more else farther[0, first + k]
+        farther[1, first + k] = y if more else farther[1, first + k]
+        farther[2, first + k] = square if more else farther[2, first + k]
 
 
 @njit(cache=True, nogil=True)
-def place(metric, names, samples, heights, n, frame, square_reach, inside, stride):
+def place(metric, marks, n, frame, square_reach, inside, stride, at, samples, heights):
     """Cells with their labels, −1 for none, and heights of a run; has any a cell?"""
     left, bottom, up, per_cell = frame
     first_row, past_row, first_col, past_col = inside
     found = np.int32(-1)
     for k in range(n):
-        x, y = metric[k], metric[RUN + k]
-        near = (x * x + y * y <= square_reach) & (metric[3 * RUN + k] > np.float32(0.0))
+        x, y = metric[k], metric[Y + k]
+        near = (x * x + y * y <= square_reach) & (metric[DEPTH + k] > np.float32(0.0))
         col, row = left + x * per_cell, bottom + y * per_cell
         near = near & (row >= first_row) & (row < past_row) & (col >= first_col) & (col < past_col)
         # In float32, which is exact for so few cells: products of whole numbers would be widened to 64 bits.
         cell = np.float32(np.int32(row)) * stride + np.float32(np.int32(col))
-        samples[k] = np.int32(cell) if near else np.int32(-1)
-        found &= samples[k]
+        sample = np.int32(cell) if near else np.int32(-1)
+        found &= sample
+        samples[at + k] = np.int32((sample << LABEL_BITS) | marks[k])
     for k in range(n):
-        samples[k] = np.int32((samples[k] << LABEL_BITS) | names[k])
-    for k in range(n):
-        heights[k] = up + metric[2 * RUN + k]
+        heights[at + k] = up + metric[UP + k]
     return found >= 0
 
 
