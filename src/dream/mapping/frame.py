@@ -36,7 +36,12 @@ class FrameWindow:
     """
 
     def __init__(self, protocol: SurveyProtocol, evidence: Evidence, pixels: int) -> None:
-        """Room for frames of up to so many pixels."""
+        """Room for frames of up to so many pixels.
+
+        All of it is taken here: asking for memory frame by frame may mean tidying up after others.
+        """
+        from dream.mapping._kernels.pixels import RUN
+
         self.protocol = protocol
         self.evidence = evidence
         self.pixels = pixels
@@ -55,12 +60,22 @@ class FrameWindow:
         self._heights = np.empty(pixels + 1, np.float32)
         self._farthest = np.empty(RAYS, np.float32)
         self._post_sum, self._post_count = np.empty(self._posts**2), np.empty(self._posts**2)
+        self._prior = np.empty(self._posts**2)
+        self._row_scratch = (
+            np.empty(6 * pixels, np.float32),
+            np.empty(4 * RUN, np.float32),
+            np.empty(RUN, np.int32),
+        )
+        self._extremes = np.empty((2, pixels), np.uint32)
+        most_posts = (-(-self._posts // (1 << LEVELS)) + 5) << LEVELS
         self._scratch = (
             np.empty(cells, np.float32),
             np.empty(cells, np.uint64),
             np.empty(cells, np.int32),
             np.empty(cells, np.uint8),
             np.empty(cells, np.uint8),
+            np.empty((LEVELS + 1, 3, most_posts, most_posts)),
+            np.empty((self._posts + 2, self._side + 2 * post), np.float32),
         )
         self._said = (np.empty(cells, np.int8), np.empty(cells, np.uint8), np.empty(cells, np.uint8))
         self._touched = np.zeros((0, 0), np.bool_)
@@ -139,9 +154,8 @@ class FrameWindow:
         pools = store.pools
 
         soft = bool(np.issubdtype(labels.dtype, np.floating))
-        prior = _NO_PRIOR
         if soft:
-            prior = kernels.ground_before(
+            kernels.ground_before(
                 pools["ground_sum"],
                 pools["ground_count"],
                 post_table,
@@ -150,11 +164,14 @@ class FrameWindow:
                 post_window,
                 ground_rule,
                 self._posts,
+                self._scratch[-2],
+                self._prior,
             )
         self._post_sum[:], self._post_count[:] = 0.0, 0.0
         under = ((row - low[0]) >> self._bits) * self._posts + ((col - low[1]) >> self._bits)
         self._post_sum[under], self._post_count[under] = self.datum, 1.0
         unit, cuts, raw = _cuts(protocol, camera, depth.dtype == np.uint16)
+        lines, metric, marks = self._row_scratch
         count = pixels.project(
             depth,
             depth.view(raw.dtype),
@@ -174,13 +191,14 @@ class FrameWindow:
             side,
             self._clip,
             self._post_of,
-            prior,
+            self._prior,
             protocol.band[0],
             self._samples,
             self._heights,
             self._post_sum,
             self._post_count,
             self._farthest,
+            (lines, self._extremes.view(raw.dtype), metric, marks),
         )
         offset = (low[0] % BLOCK, low[1] % BLOCK)
         blocks = [(a + side - 1) // BLOCK + 1 for a in offset]
@@ -351,7 +369,6 @@ def _overlook(camera: Camera, rotation: list[list[float]], reach: float, row: fl
     )
 
 
-_NO_PRIOR = np.zeros(1)
 _KIND_OF_LABEL = np.full(256, flags.THING, np.uint8)
 _KIND_OF_LABEL[Label.SEABED] = flags.GROUND
 _WEIGHT_OF_LABEL = np.zeros(256, np.int32)

@@ -339,13 +339,23 @@ class Layers:
         sides = [-(-(a + n) // width) - f for a, n, f in zip(self._low, self._shape, first, strict=True)]
         low = [(f // coarse - 2) * coarse for f in first]
         shape = [(-(-(f + n) // coarse) + 2) * coarse - a for f, n, a in zip(first, sides, low, strict=True)]
-        total, count = (self._posts(name, (low[0], low[1]), (shape[0], shape[1])) for name in POSTS)
+        pyramid = np.empty((LEVELS + 1, 3, *shape))
+        for name, grid in zip(POSTS, (kernels.SUM, kernels.COUNT), strict=True):
+            pyramid[0, grid] = self._store.read(name, low, shape)
         row, col = first[0] - low[0], first[1] - low[1]
         region = (row - 1, row + sides[0] + 1, col - 1, col + sides[1] + 1)
         evidence = self.evidence
-        posts = kernels.smooth_ground(
-            total, count, LEVELS, evidence.ground_share, evidence.ground_pixels, self._datum, region
+        kernels.smooth_ground(
+            pyramid,
+            shape[0],
+            shape[1],
+            LEVELS,
+            evidence.ground_share,
+            evidence.ground_pixels,
+            self._datum,
+            region,
         )
+        posts = pyramid[0, kernels.MEAN]
         y, x = (
             (np.arange(a, a + n) + 0.5) / width - 0.5 - b
             for a, n, b in zip(self._low, self._shape, low, strict=True)
@@ -355,9 +365,6 @@ class Layers:
         west = posts[i][:, j] * (1.0 - fy) + posts[i + 1][:, j] * fy
         east = posts[i][:, j + 1] * (1.0 - fy) + posts[i + 1][:, j + 1] * fy
         return np.asarray(west + (east - west) * fx, np.float32)
-
-    def _posts(self, name: str, low: tuple[int, int], shape: tuple[int, int]) -> npt.NDArray[np.float64]:
-        return self._store.read(name, low, shape).astype(np.float64)
 
     @property
     def distance_to_solid(self) -> Float32Array:

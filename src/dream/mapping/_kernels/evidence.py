@@ -22,6 +22,8 @@ upper part, and above it."""
 FIELD_MASK = (1 << FIELD_BITS) - 1
 WEIGHT = 16
 """What a pixel that surely shows target adds to its cell's target count."""
+SUM, COUNT, MEAN = 0, 1, 2
+"""What is known of the seabed at a post."""
 ONE = 2.0**52
 """A cell's length in the whole numbers of `cast_rays`; no ray is nearer to an axis than 1 in 326."""
 RAN, ENDED = 1, 2
@@ -34,7 +36,7 @@ RAN, ENDED = 1, 2
 
 
 @njit(cache=True, nogil=True)
-def smooth_ground(total, count, levels, share, trust, datum, region):
+def smooth_ground(posts, rows, cols, levels, share, trust, datum, region):
     """Height of every post in a region, from means on grids that are 2, 4, ... 2^levels times coarser.
 
     A mean is drawn to the bilinear value of the next coarser grid as by `trust` points; in it, a post
@@ -42,62 +44,58 @@ def smooth_ground(total, count, levels, share, trust, datum, region):
     What lies two of the coarsest posts away from the region has no influence.
 
     Args:
-        total: (rows, cols) float64 sums of heights; both sides are whole numbers of coarsest posts.
-        count: (rows, cols) float64 points in them.
+        posts: (levels + 1, 3, rows or more, cols or more) float64: for each grid, the finest first, sums of
+            heights, the points in them, and means. Sums and points of the finest are given, its means in the
+            region are what is wanted: metres in the world.
+        rows, cols: Whole numbers of coarsest posts.
         levels: See above.
         share: Points.
         trust: Points.
         datum: World z.
         region: (first row, past row, first col, past col).
-
-    Returns:
-        (rows, cols) float64, metres in the world, only in the region.
     """
-    sums, counts, below = total, count, [(total, count)]
-    for _ in range(levels):
-        sums, counts = pull(sums, counts, share)
-        below.append((sums, counts))
-    means = np.empty(sums.shape)
-    for i in range(means.shape[0]):
-        for j in range(means.shape[1]):
-            means[i, j] = sums[i, j] / counts[i, j] if counts[i, j] > 0.0 else datum
+    for level in range(levels):
+        pull(posts, level, rows >> level, cols >> level, share)
+    for i in range(rows >> levels):
+        for j in range(cols >> levels):
+            count = posts[levels, COUNT, i, j]
+            posts[levels, MEAN, i, j] = posts[levels, SUM, i, j] / count if count > 0.0 else datum
     for level in range(levels - 1, -1, -1):
-        sums, counts = below[level]
         # A finer grid looks one post beyond what is asked of it.
         margin = 0 if level == 0 else 2
-        means = push(
-            sums,
-            counts,
-            means,
+        push(
+            posts,
+            level,
+            rows >> level + 1,
+            cols >> level + 1,
             trust,
             max((region[0] >> level) - margin, 0),
-            min((region[1] >> level) + margin + 1 if level else region[1], sums.shape[0]),
+            min((region[1] >> level) + margin + 1 if level else region[1], rows >> level),
             max((region[2] >> level) - margin, 0),
-            min((region[3] >> level) + margin + 1 if level else region[3], sums.shape[1]),
+            min((region[3] >> level) + margin + 1 if level else region[3], cols >> level),
         )
-    return means
 
 
 @njit(cache=True, nogil=True)
-def pull(total, count, share):
+def pull(posts, level, rows, cols, share):
     """Sums and counts of 2 × 2 posts; no post weighs more than `share`."""
-    rows, cols = total.shape[0] // 2, total.shape[1] // 2
-    sums, counts = np.zeros((rows, cols)), np.zeros((rows, cols))
-    for i in range(2 * rows):
-        for j in range(2 * cols):
-            points = count[i, j]
+    coarse = level + 1
+    for i in range(rows // 2):
+        for j in range(cols // 2):
+            posts[coarse, SUM, i, j], posts[coarse, COUNT, i, j] = 0.0, 0.0
+    for i in range(rows):
+        for j in range(cols):
+            points = posts[level, COUNT, i, j]
             if points > 0.0:
                 weight = min(points, share)
-                sums[i >> 1, j >> 1] += total[i, j] / points * weight
-                counts[i >> 1, j >> 1] += weight
-    return sums, counts
+                posts[coarse, SUM, i >> 1, j >> 1] += posts[level, SUM, i, j] / points * weight
+                posts[coarse, COUNT, i >> 1, j >> 1] += weight
 
 
 @njit(cache=True, nogil=True)
-def push(total, count, coarse, trust, first_row, past_row, first_col, past_col):
+def push(posts, level, rows, cols, trust, first_row, past_row, first_col, past_col):
     """Means in a region, each drawn to the bilinear value of the coarser grid as by `trust` points."""
-    means = np.empty(total.shape)
-    rows, cols = coarse.shape
+    coarse = level + 1
     for i in range(first_row, past_row):
         y = max(0.5 * i - 0.25, 0.0)
         i0 = int(y)
@@ -108,43 +106,42 @@ def push(total, count, coarse, trust, first_row, past_row, first_col, past_col):
             j0 = int(x)
             j1 = min(j0 + 1, cols - 1)
             fx = x - j0
-            lower = coarse[i0, j0] * (1.0 - fx) + coarse[i0, j1] * fx
-            upper = coarse[i1, j0] * (1.0 - fx) + coarse[i1, j1] * fx
+            lower = posts[coarse, MEAN, i0, j0] * (1.0 - fx) + posts[coarse, MEAN, i0, j1] * fx
+            upper = posts[coarse, MEAN, i1, j0] * (1.0 - fx) + posts[coarse, MEAN, i1, j1] * fx
             prior = lower * (1.0 - fy) + upper * fy
-            means[i, j] = (total[i, j] + trust * prior) / (count[i, j] + trust)
-    return means
+            posts[level, MEAN, i, j] = (posts[level, SUM, i, j] + trust * prior) / (
+                posts[level, COUNT, i, j] + trust
+            )
 
 
 @njit(cache=True, nogil=True)
-def spread_ground(posts, low_row, low_col, post_bits, side, ground):
+def spread_ground(posts, low_row, low_col, post_bits, side, wide, ground):
     """Height at every cell's centre of the window, bilinear between the posts' centres.
 
     Args:
-        posts: Heights; the window's first is [low_row, low_col], and there is one more around.
+        posts: See `smooth_ground`. The window's first is at low_row, low_col, and there is one more around.
         low_row, low_col: See `posts`.
         post_bits: A post is 2 to this many cells wide.
         side: Cells along the window.
+        wide: (posts along the window + 2, as many times their width) float32, scratch.
         ground: (side²) float32, out.
     """
     width, count = 1 << post_bits, (side >> post_bits) + 2
     half = width >> 1
-    share = ((np.arange(width) + 0.5) / width).astype(np.float32)
     # First along the rows of posts, then between them.
-    wide = np.empty((count, count * width), np.float32)
     for p in range(count):
         for q in range(count - 1):
-            a = np.float32(posts[low_row - 1 + p, low_col - 1 + q])
-            rise = np.float32(posts[low_row - 1 + p, low_col + q]) - a
+            a = np.float32(posts[0, MEAN, low_row - 1 + p, low_col - 1 + q])
+            rise = np.float32(posts[0, MEAN, low_row - 1 + p, low_col + q]) - a
             for k in range(width):
-                wide[p, q * width + k] = a + rise * share[k]
-    # The first post's centre lies half a post before the window.
+                wide[p, q * width + k] = a + rise * np.float32((k + 0.5) / width)
+    # The first post's centre lies half a post before the window. Unsigned, see `clear`.
+    skip = np.uint64(width - half)
     for i in range(side):
-        p = (i + half) >> post_bits
-        fy = share[(i + half) & (width - 1)]
-        south, north = wide[p, width - half :], wide[p + 1, width - half :]
-        row = ground[i * side : (i + 1) * side]
-        for j in range(side):
-            row[j] = south[j] + (north[j] - south[j]) * fy
+        p, fy = (i + half) >> post_bits, np.float32((((i + half) & (width - 1)) + 0.5) / width)
+        for j in range(np.uint64(side)):
+            south, north = wide[p, skip + j], wide[p + 1, skip + j]
+            ground[np.uint64(i * side) + j] = south + (north - south) * fy
 
 
 # ---------------------------------------------------------------------------------------------------
@@ -157,14 +154,11 @@ def count_returns(count, samples, heights, ground, band, weight_of, counts, targ
     """Sort the samples of every cell by their height above the seabed; see `FIELD_BITS`."""
     lower, middle, upper = np.float32(band[0]), np.float32(band[1]), np.float32(band[2])
     for k in range(count):
-        sample = samples[k]
-        if sample < 0:
-            continue
-        cell = sample >> LABEL_BITS
+        label, cell = samples[k] & LABEL_MASK, np.uint64(samples[k] >> LABEL_BITS)
         above = heights[k] - ground[cell]
         field = np.uint64(above >= lower) + np.uint64(above > middle) + np.uint64(above > upper)
         counts[cell] += np.uint64(1) << (field * np.uint64(FIELD_BITS))
-        weight = weight_of[sample & LABEL_MASK]
+        weight = weight_of[label]
         if weight:
             targets[cell] += weight
 
@@ -424,19 +418,19 @@ def gather(log_odds_pool, flags_pool, table, offset_row, offset_col, side, clip,
 
 
 @njit(cache=True, nogil=True)
-def gather_posts(sum_pool, count_pool, table, offset_row, offset_col, total, count):
-    """Copy a window of (rows, cols) posts out of their blocks, as float64."""
+def gather_posts(sum_pool, count_pool, table, offset_row, offset_col, rows, cols, posts):
+    """Copy a window of (rows, cols) posts out of their blocks; see `smooth_ground`."""
     n = sum_pool.shape[1]
-    for i in range(total.shape[0]):
+    for i in range(rows):
         block_row, y = (offset_row + i) // n, (offset_row + i) % n
         j = 0
-        while j < total.shape[1]:
+        while j < cols:
             block_col, x = (offset_col + j) // n, (offset_col + j) % n
-            width = min(n - x, total.shape[1] - j)
+            width = min(n - x, cols - j)
             slot = table[block_row, block_col]
             for k in range(width):
-                total[i, j + k] = sum_pool[slot, y, x + k]
-                count[i, j + k] = count_pool[slot, y, x + k]
+                posts[0, SUM, i, j + k] = sum_pool[slot, y, x + k]
+                posts[0, COUNT, i, j + k] = count_pool[slot, y, x + k]
             j += width
 
 
@@ -484,51 +478,54 @@ def commit(
             block_col, x = (offset_col + j) >> BLOCK_BITS, (offset_col + j) & (BLOCK - 1)
             width = min(BLOCK - x, clip[3] - j)
             if touched[block_row, block_col]:
-                slot, c = table[block_row, block_col], i * side + j
+                slot = table[block_row, block_col]
                 stamps[slot] = stamp
-                if renew(
-                    log_odds_pool[slot, y, x : x + width],
-                    flags_pool[slot, y, x : x + width],
-                    log_odds[c : c + width],
-                    bits[c : c + width],
-                ):
+                # Unsigned, see `clear`.
+                at, c, n = (
+                    (np.uint64(slot), np.uint64(y), np.uint64(x)),
+                    np.uint64(i * side + j),
+                    np.uint64(width),
+                )
+                if renew(log_odds_pool, flags_pool, at, log_odds, bits, c, n):
                     first_row, past_row = min(first_row, i), max(past_row, i + 1)
                     first_col, past_col = min(first_col, j), max(past_col, j + width)
-                cast_votes(votes[c : c + width], votes_pool[slot, y, x : x + width])
+                cast_votes(votes, c, n, votes_pool, at)
             j += width
     return first_row, past_row, first_col, past_col
 
 
 @njit(cache=True, nogil=True)
-def renew(odds, flags, log_odds, bits):
-    """Write a row of cells; did one become solid or known, or cease to be?"""
+def renew(odds_pool, flags_pool, at, log_odds, bits, c, n):
+    """Write n cells of a row; did one become solid or known, or cease to be?"""
+    slot, row, col = at
     change = np.uint8(0)
-    for k in range(len(odds)):
-        old = flags[k]
-        solid, was = log_odds[k] > 0, odds[k] > 0
-        new = (old | bits[k]) & (np.uint8(0xFF) if solid else np.uint8(0xFF ^ GROUNDED))
+    for k in range(n):
+        old, odds = flags_pool[slot, row, col + k], log_odds[c + k]
+        solid, was = odds > 0, odds_pool[slot, row, col + k] > 0
+        new = (old | bits[c + k]) & (np.uint8(0xFF) if solid else np.uint8(0xFF ^ GROUNDED))
         known, knew = solid | ((new & np.uint8(KNOWN)) != 0), was | ((old & np.uint8(KNOWN)) != 0)
         change |= np.uint8(known ^ knew) | np.uint8(solid ^ was)
-        flags[k] = new
-        odds[k] = log_odds[k]
+        flags_pool[slot, row, col + k] = new
+        odds_pool[slot, row, col + k] = odds
     return change != 0
 
 
 @njit(cache=True, nogil=True)
-def cast_votes(votes, row):
+def cast_votes(votes, c, n, pool, at):
     """Count votes: for the target in a byte's high half, against it in the low one; both halved when full."""
     some = np.uint8(0)
-    for k in range(len(votes)):
-        some |= votes[k]
+    for k in range(n):
+        some |= votes[c + k]
     if some == 0:
         return
-    for k in range(len(votes)):
-        vote = votes[k]
+    slot, row, col = at
+    for k in range(n):
+        vote = votes[c + k]
         if vote:
-            yes, no = row[k] >> 4, row[k] & 15
+            yes, no = pool[slot, row, col + k] >> 4, pool[slot, row, col + k] & 15
             if (vote == 1 and yes == 15) or (vote == 2 and no == 15):
                 yes, no = yes >> 1, no >> 1
-            row[k] = ((yes + (vote == 1)) << 4) | (no + (vote == 2))
+            pool[slot, row, col + k] = ((yes + (vote == 1)) << 4) | (no + (vote == 2))
 
 
 @njit(cache=True, nogil=True)
@@ -557,19 +554,18 @@ def commit_ground(sum_pool, count_pool, table, touched, offset_row, offset_col, 
 
 
 @njit(cache=True, nogil=True)
-def ground_before(sum_pool, count_pool, table, offset_row, offset_col, post_window, ground_rule, posts):
-    """(posts²) heights of the seabed in the window, before a frame; see `read_frame`."""
+def ground_before(
+    sum_pool, count_pool, table, offset_row, offset_col, post_window, ground_rule, side, posts, prior
+):
+    """(side²) heights of the seabed at the window's posts, before a frame, into `prior`; see `read_frame`."""
     rows, cols, first_row, first_col = post_window
     levels, share, trust, datum = ground_rule
-    total, points = np.empty((rows, cols)), np.empty((rows, cols))
-    gather_posts(sum_pool, count_pool, table, offset_row, offset_col, total, points)
-    region = (first_row, first_row + posts, first_col, first_col + posts)
-    surface = smooth_ground(total, points, levels, share, trust, datum, region)
-    heights = np.empty(posts * posts)
-    for i in range(posts):
-        for j in range(posts):
-            heights[i * posts + j] = surface[first_row + i, first_col + j]
-    return heights
+    gather_posts(sum_pool, count_pool, table, offset_row, offset_col, rows, cols, posts)
+    region = (first_row, first_row + side, first_col, first_col + side)
+    smooth_ground(posts, rows, cols, levels, share, trust, datum, region)
+    for i in range(side):
+        for j in range(side):
+            prior[i * side + j] = posts[0, MEAN, first_row + i, first_col + j]
 
 
 @njit(cache=True, nogil=True)
@@ -622,7 +618,8 @@ def read_frame(
         directions: (rays, 2); likewise.
         clip: (first row, past row, first col, past col) of the window that lie in bounds and around what the
             frame may show; nothing else is written.
-        scratch: (ground, counts, targets, flags, paths), (side²) each.
+        scratch: (ground, counts, targets, flags, paths), (side²) each; posts, see `smooth_ground`; and wide,
+            see `spread_ground`.
         out: (log_odds, bits, votes, touched) after the frame; see `weigh`.
     """
     log_odds_pool, flags_pool, sum_pool, count_pool = pools
@@ -630,18 +627,17 @@ def read_frame(
     offset_row, offset_col, post_row, post_col = offsets
     rows, cols, first_row, first_col = post_window
     levels, share, trust, datum = ground_rule
-    ground, counts, targets, flags, paths = scratch
+    ground, counts, targets, flags, paths, posts, wide = scratch
     log_odds, bits, votes, touched = out
-    posts = side >> post_bits
-    total, points = np.empty((rows, cols)), np.empty((rows, cols))
-    gather_posts(sum_pool, count_pool, post_table, post_row, post_col, total, points)
-    for i in range(posts):
-        for j in range(posts):
-            total[first_row + i, first_col + j] += post_sum[i * posts + j]
-            points[first_row + i, first_col + j] += post_count[i * posts + j]
-    region = (first_row - 1, first_row + posts + 1, first_col - 1, first_col + posts + 1)
-    surface = smooth_ground(total, points, levels, share, trust, datum, region)
-    spread_ground(surface, first_row, first_col, post_bits, side, ground)
+    gather_posts(sum_pool, count_pool, post_table, post_row, post_col, rows, cols, posts)
+    n = side >> post_bits
+    for i in range(n):
+        for j in range(n):
+            posts[0, SUM, first_row + i, first_col + j] += post_sum[i * n + j]
+            posts[0, COUNT, first_row + i, first_col + j] += post_count[i * n + j]
+    region = (first_row - 1, first_row + n + 1, first_col - 1, first_col + n + 1)
+    smooth_ground(posts, rows, cols, levels, share, trust, datum, region)
+    spread_ground(posts, first_row, first_col, post_bits, side, wide, ground)
 
     clear(side, clip, counts, targets, bits, votes, paths)
     count_returns(count, samples, heights, ground, band, weight_of, counts, targets)

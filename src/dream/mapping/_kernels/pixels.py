@@ -57,6 +57,7 @@ def project(
     post_sum,
     post_count,
     farthest,
+    scratch,
 ):
     """Window cell and world height of the pixels that count; seabed sums by post; farthest return by ray.
 
@@ -88,6 +89,7 @@ def project(
         heights: (H W + 1) float32, out: world z.
         post_sum, post_count: (post_side²) float64, added to.
         farthest: (rays,) float32, out: metres over ground to the farthest return in that direction.
+        scratch: (6 W) float32, (2, H W) of the type of `bits`, (4 RUN) float32 and (RUN) int32, or more.
 
     Returns:
         Number of samples.
@@ -95,21 +97,20 @@ def project(
     fx, fy, cx, cy = intrinsics
     min_depth, max_depth, reach = limits
     height, width = depth.shape
-    f32, i32 = np.float32, np.int32
+    f32 = np.float32
     metres, scale = f32(unit), f32(label_scale)
     frame = (f32((t[0] - low[0]) / size), f32((t[1] - low[1]) / size), f32(t[2]), f32(1.0 / size))
     square_reach = f32(reach * reach)
     inside = (f32(clip[0]), f32(clip[1]), f32(clip[2]), f32(clip[3]))
     stride = f32(side)
-    columns = np.empty((3, width), f32)
-    farther = np.empty((3, width), f32)
-    metric = np.zeros(4 * RUN, f32)
-    marks = np.zeros(RUN, i32)
+    lines, extremes, metric, marks = scratch
+    columns, farther = lines[: 3 * width].reshape(3, width), lines[3 * width : 6 * width].reshape(3, width)
     pixels, names = depth.ravel(), labels.ravel()
     per_radian = (RAY_MASK + 1) / (2.0 * math.pi)
     farthest[:] = f32(0.0)
-    count = 0
-    peaks, lows = find_extremes(bits)
+    count = np.uint64(0)
+    spans = (width + SPAN - 1) // SPAN
+    find_extremes(bits, spans, extremes)
     for level in range(len(cuts) + 1):
         step = 1 << level
         across = 2 * step
@@ -127,7 +128,9 @@ def project(
             ray = (f32(R[0, 1] * b + R[0, 2]), f32(R[1, 1] * b + R[1, 2]), f32(R[2, 1] * b + R[2, 2]))
             span = 0
             while True:
-                begin, span = next_run(peaks, lows, v, raw[level], raw[level + 1], span, RUN * across // SPAN)
+                begin, span = next_run(
+                    extremes, v * spans, spans, raw[level], raw[level + 1], span, RUN * across // SPAN
+                )
                 if begin == span:
                     break
                 first, run = begin * SPAN // across, min(span * SPAN // across, n) - begin * SPAN // across
@@ -135,31 +138,9 @@ def project(
                 read_run(pixels, names, at, across, metres, scale, water, nearest, most, size, metric, marks)
                 lay_out(metric, columns, column, size, ray)
                 reach_out(metric, farther, column, size)
-                if place(
-                    metric,
-                    marks,
-                    size,
-                    frame,
-                    square_reach,
-                    inside,
-                    stride,
-                    np.uint64(count),
-                    samples,
-                    heights,
-                ):
-                    sum_ground(
-                        count,
-                        count + run,
-                        samples,
-                        heights,
-                        kind_of,
-                        post_of,
-                        prior,
-                        prior_room,
-                        post_sum,
-                        post_count,
-                    )
-                    count += run
+                if place(metric, marks, size, frame, square_reach, inside, stride):
+                    sum_ground(marks, metric, size, kind_of, post_of, prior, prior_room, post_sum, post_count)
+                    count = keep(marks, metric, size, count, samples, heights)
         for k in range(n):
             square = farther[2, k]
             if square > 0.0:
@@ -180,33 +161,32 @@ def spread_far(ray, spread, distance, farthest):
 
 
 @njit(cache=True, nogil=True)
-def find_extremes(bits):
-    """(H, spans) the largest of every `SPAN` pixels of a row, and the least but 0, less 1."""
+def find_extremes(bits, spans, extremes):
+    """The largest of every `SPAN` pixels of a row, and the least but 0, less 1."""
     height, width = bits.shape
     one = bits.dtype.type(1)
-    peaks = np.zeros((height, (width + SPAN - 1) // SPAN), bits.dtype)
-    lows = np.zeros(peaks.shape, bits.dtype)
     for v in range(height):
         for span in range(width // SPAN):
             most, least = bits[v, span * SPAN], bits.dtype.type(bits[v, span * SPAN] - one)
             for k in range(SPAN):
                 pixel = bits[v, span * SPAN + k]
                 most, least = max(most, pixel), min(least, bits.dtype.type(pixel - one))
-            peaks[v, span], lows[v, span] = most, least
-        for u in range(width // SPAN * SPAN, width):
-            peaks[v, -1] = max(peaks[v, -1], bits[v, u])
-    return peaks, lows
+            extremes[0, v * spans + span], extremes[1, v * spans + span] = most, least
+        if width % SPAN > 0:
+            most = bits[v, width - 1]
+            for u in range(width // SPAN * SPAN, width):
+                most = max(most, bits[v, u])
+            extremes[0, v * spans + spans - 1], extremes[1, v * spans + spans - 1] = most, 0
 
 
 @njit(cache=True, nogil=True)
-def next_run(peaks, lows, v, farthest, nearest, span, most):
+def next_run(extremes, row, spans, farthest, nearest, span, most):
     """First and past last of a row's next spans, at most so many, that may have pixels between two depths."""
-    spans = peaks.shape[1]
-    while span < spans and (peaks[v, span] < nearest or lows[v, span] > farthest):
+    while span < spans and (extremes[0, row + span] < nearest or extremes[1, row + span] > farthest):
         span += 1
     begin = span
     past = min(spans, begin + most)
-    while span < past and peaks[v, span] >= nearest and lows[v, span] <= farthest:
+    while span < past and extremes[0, row + span] >= nearest and extremes[1, row + span] <= farthest:
         span += 1
     return begin, span
 
@@ -262,8 +242,8 @@ def reach_out(metric, farther, first, n):
 
 
 @njit(cache=True, nogil=True)
-def place(metric, marks, n, frame, square_reach, inside, stride, at, samples, heights):
-    """Cells with their labels, −1 for none, and heights of a run; has any a cell?"""
+def place(metric, marks, n, frame, square_reach, inside, stride):
+    """Labels to samples, negative where there is none, and offsets to heights; has any a cell?"""
     left, bottom, up, per_cell = frame
     first_row, past_row, first_col, past_col = inside
     found = np.int32(-1)
@@ -276,20 +256,29 @@ def place(metric, marks, n, frame, square_reach, inside, stride, at, samples, he
         cell = np.float32(np.int32(row)) * stride + np.float32(np.int32(col))
         sample = np.int32(cell) if near else np.int32(-1)
         found &= sample
-        samples[at + k] = np.int32((sample << LABEL_BITS) | marks[k])
-    for k in range(n):
-        heights[at + k] = up + metric[UP + k]
+        marks[k] = np.int32((sample << LABEL_BITS) | marks[k])
+        metric[UP + k] = up + metric[UP + k]
     return found >= 0
 
 
 @njit(cache=True, nogil=True)
-def sum_ground(first, past, samples, heights, kind_of, post_of, prior, prior_room, post_sum, post_count):
+def keep(marks, metric, n, count, samples, heights):
+    """Append those that have a cell; how many there are now."""
+    for k in range(n):
+        # Written in any case, since a branch could not be foreseen.
+        samples[count], heights[count] = marks[k], metric[UP + k]
+        count += np.uint64(marks[k] >= 0)
+    return count
+
+
+@njit(cache=True, nogil=True)
+def sum_ground(marks, metric, n, kind_of, post_of, prior, prior_room, post_sum, post_count):
     """Add some of the seabed's samples to their posts."""
-    for k in range(first, past, GROUND_STEP):
-        if samples[k] < 0:
+    for k in range(np.uint64(0), n, np.uint64(GROUND_STEP)):
+        if marks[k] < 0:
             continue
-        kind = kind_of[samples[k] & LABEL_MASK]
-        post = post_of[samples[k] >> LABEL_BITS]
-        if kind == GROUND or (kind == UNSURE and abs(heights[k] - prior[post]) <= prior_room):
-            post_sum[post] += heights[k]
+        kind, height = kind_of[marks[k] & LABEL_MASK], metric[UP + k]
+        post = post_of[marks[k] >> LABEL_BITS]
+        if kind == GROUND or (kind == UNSURE and abs(height - prior[post]) <= prior_room):
+            post_sum[post] += height
             post_count[post] += 1.0
