@@ -79,6 +79,7 @@ class FrameWindow:
         )
         self._said = (np.empty(cells, np.int8), np.empty(cells, np.uint8), np.empty(cells, np.uint8))
         self._touched = np.zeros((0, 0), np.bool_)
+        self._outline = (0, 0, 0, 0, 0)
         self._low = (0, 0)
         self._clip = (0, 0, 0, 0)
         bearings = (np.arange(RAYS) + 0.5) * (2.0 * math.pi / RAYS)
@@ -204,7 +205,7 @@ class FrameWindow:
         blocks = [(a + side - 1) // BLOCK + 1 for a in offset]
         if self._touched.shape != tuple(blocks):
             self._touched = np.zeros(blocks, np.bool_)
-        kernels.read_frame(
+        self._outline = kernels.read_frame(
             (pools["log_odds"], pools["flags"], pools["ground_sum"], pools["ground_count"]),
             (self._table(store, [a // BLOCK for a in low], blocks), post_table),
             (*offset, wide[0] % per_block, wide[1] % per_block),
@@ -277,11 +278,11 @@ class FrameWindow:
     @property
     def blocks(self) -> tuple[tuple[int, int], tuple[int, int]] | None:
         """First of the blocks of which the frame says something, and past the last; None without any."""
-        rows, cols = np.flatnonzero(self._touched.any(axis=1)), np.flatnonzero(self._touched.any(axis=0))
-        if not len(rows):
+        first_row, past_row, first_col, past_col, _ = self._outline
+        if first_row >= past_row:
             return None
         row, col = (a // BLOCK for a in self._low)
-        return (row + int(rows[0]), col + int(cols[0])), (row + int(rows[-1]) + 1, col + int(cols[-1]) + 1)
+        return (row + first_row, col + first_col), (row + past_row, col + past_col)
 
     def commit(self, store: BlockStore, stamp: int) -> Rectangle:
         """Write what was read.
@@ -293,8 +294,8 @@ class FrameWindow:
 
         low = self._low
         first = [a // BLOCK for a in low]
-        missing = self._touched & (self._table(store, first, list(self._touched.shape)) == 0)
-        if missing.any():
+        if self._outline[-1] > 0:
+            missing = self._touched & (self._table(store, first, list(self._touched.shape)) == 0)
             store.make((first[0] + int(i), first[1] + int(j)) for i, j in np.argwhere(missing))
         pools = store.pools
         changed = kernels.commit(

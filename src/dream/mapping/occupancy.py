@@ -187,10 +187,10 @@ class OccupancyMap(Layers):
         depth, labels, camera = _thinned(depth, labels, camera)
         if self._frame is None or self._frame.pixels < depth.size:
             self._frame = FrameWindow(self.protocol, self.evidence, depth.size)
-        if not np.all(np.abs(T_world_camera.translation[:2] - self._origin) < FARTHEST * self.protocol.cell):
+        place, farthest = T_world_camera.translation[:2].tolist(), FARTHEST * self.protocol.cell
+        if not all(abs(a - b) < farthest for a, b in zip(place, self._origin, strict=True)):
             raise ValueError(
-                f"T_world_camera: expected a place within {FARTHEST * self.protocol.cell:g} m of the map's "
-                f"origin, got {T_world_camera.translation[:2]}"
+                f"T_world_camera: expected a place within {farthest:g} m of the map's origin, got {place}"
             )
         endless = (-FARTHEST, -FARTHEST, FARTHEST, FARTHEST)
         limits = (0, 0, *self._shape) if self._bounded else endless
@@ -199,8 +199,9 @@ class OccupancyMap(Layers):
         self._datum = window.datum
         self._stamp += 1
         outlines = window.commit(self._store, self._stamp)
-        if window.blocks is not None:
-            self._extend(*window.blocks)
+        blocks = window.blocks
+        if blocks is not None:
+            self._extend(*blocks)
         self._changed(outlines, window.cells)
 
     def _global(self, x: float, y: float) -> tuple[int, int]:

@@ -390,6 +390,20 @@ def explore(
 
 
 @njit(cache=True, nogil=True)
+def outline(touched, table):
+    """(first row, past row, first col, past col) of the blocks touched, and how many of them are missing."""
+    rows, cols = touched.shape
+    first_row, past_row, first_col, past_col, missing = rows, 0, cols, 0, 0
+    for i in range(rows):
+        for j in range(cols):
+            if touched[i, j]:
+                first_row, past_row = min(first_row, i), max(past_row, i + 1)
+                first_col, past_col = min(first_col, j), max(past_col, j + 1)
+                missing += table[i, j] == 0
+    return first_row, past_row, first_col, past_col, missing
+
+
+@njit(cache=True, nogil=True)
 def gather(log_odds_pool, flags_pool, table, offset_row, offset_col, side, clip, log_odds, flags):
     """Copy two layers of a part of the window out of their blocks.
 
@@ -621,6 +635,9 @@ def read_frame(
         scratch: (ground, counts, targets, flags, paths), (side²) each; posts, see `smooth_ground`; and wide,
             see `spread_ground`.
         out: (log_odds, bits, votes, touched) after the frame; see `weigh`.
+
+    Returns:
+        See `outline`.
     """
     log_odds_pool, flags_pool, sum_pool, count_pool = pools
     table, post_table = tables
@@ -684,3 +701,4 @@ def read_frame(
             offset_col,
             touched,
         )
+    return outline(touched, table)
