@@ -165,7 +165,7 @@ class FrameWindow:
                 post_window,
                 ground_rule,
                 self._posts,
-                self._scratch[-2],
+                self._scratch[5],
                 self._prior,
             )
         self._post_sum[:], self._post_count[:] = 0.0, 0.0
@@ -227,7 +227,7 @@ class FrameWindow:
             self._farthest,
             self._directions,
             self._clip,
-            self._scratch,
+            (*self._scratch, metric, marks),
             (*self._said, self._touched),
         )
 

@@ -150,17 +150,34 @@ def spread_ground(posts, low_row, low_col, post_bits, side, wide, ground):
 
 
 @njit(cache=True, nogil=True)
-def count_returns(count, samples, heights, ground, band, weight_of, counts, targets):
-    """Sort the samples of every cell by their height above the seabed; see `FIELD_BITS`."""
+def count_returns(count, samples, heights, ground, band, weight_of, above, shifts, counts, targets):
+    """Sort the samples of every cell by their height above the seabed; see `FIELD_BITS`.
+
+    Args:
+        count: How many samples there are.
+        samples, heights: See `project`.
+        ground: (side²) height of the seabed.
+        band: Three heights, which part the fields.
+        weight_of: (256,) target weight of every label.
+        above, shifts: (n or more) float32 and (n) int32, scratch for n samples at a time.
+        counts, targets: (side²), added to.
+    """
     lower, middle, upper = np.float32(band[0]), np.float32(band[1]), np.float32(band[2])
-    for k in range(count):
-        label, cell = samples[k] & LABEL_MASK, np.uint64(samples[k] >> LABEL_BITS)
-        above = heights[k] - ground[cell]
-        field = np.uint64(above >= lower) + np.uint64(above > middle) + np.uint64(above > upper)
-        counts[cell] += np.uint64(1) << (field * np.uint64(FIELD_BITS))
-        weight = weight_of[label]
-        if weight:
-            targets[cell] += weight
+    for first in range(np.uint64(0), np.uint64(count), np.uint64(len(shifts))):
+        n = min(np.uint64(count) - first, np.uint64(len(shifts)))
+        for k in range(n):
+            above[k] = ground[np.uint32(samples[first + k] >> LABEL_BITS)]
+        # By itself, this is vectorised.
+        for k in range(n):
+            height = heights[first + k] - above[k]
+            field = np.int32(height >= lower) + np.int32(height > middle) + np.int32(height > upper)
+            shifts[k] = np.int32(field * np.int32(FIELD_BITS))
+        for k in range(n):
+            label, cell = samples[first + k] & LABEL_MASK, np.uint32(samples[first + k] >> LABEL_BITS)
+            counts[cell] += np.uint64(1) << np.uint64(shifts[k])
+            weight = weight_of[label]
+            if weight:
+                targets[cell] += weight
 
 
 @njit(cache=True, nogil=True)
@@ -632,8 +649,8 @@ def read_frame(
         directions: (rays, 2); likewise.
         clip: (first row, past row, first col, past col) of the window that lie in bounds and around what the
             frame may show; nothing else is written.
-        scratch: (ground, counts, targets, flags, paths), (side²) each; posts, see `smooth_ground`; and wide,
-            see `spread_ground`.
+        scratch: (ground, counts, targets, flags, paths), (side²) each; posts, see `smooth_ground`; wide,
+            see `spread_ground`; above and shifts, see `count_returns`.
         out: (log_odds, bits, votes, touched) after the frame; see `weigh`.
 
     Returns:
@@ -644,7 +661,7 @@ def read_frame(
     offset_row, offset_col, post_row, post_col = offsets
     rows, cols, first_row, first_col = post_window
     levels, share, trust, datum = ground_rule
-    ground, counts, targets, flags, paths, posts, wide = scratch
+    ground, counts, targets, flags, paths, posts, wide, above, shifts = scratch
     log_odds, bits, votes, touched = out
     gather_posts(sum_pool, count_pool, post_table, post_row, post_col, rows, cols, posts)
     n = side >> post_bits
@@ -657,7 +674,7 @@ def read_frame(
     spread_ground(posts, first_row, first_col, post_bits, side, wide, ground)
 
     clear(side, clip, counts, targets, bits, votes, paths)
-    count_returns(count, samples, heights, ground, band, weight_of, counts, targets)
+    count_returns(count, samples, heights, ground, band, weight_of, above, shifts, counts, targets)
     gather(log_odds_pool, flags_pool, table, offset_row, offset_col, side, clip, log_odds, flags)
     touched[:] = False
     steps, clamp, least, noise = rule
