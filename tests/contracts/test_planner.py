@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import FrozenInstanceError, fields
+from typing import Any
 
 import numpy as np
 import pytest
@@ -89,6 +91,14 @@ def test_two_missions_of_one_planner_do_not_disturb_each_other(
     for _ in range(3):
         first.decide(observation, occupancy)
     assert second.decide(observation, occupancy) == alone
+
+
+@planners
+def test_a_parameter_out_of_range_is_refused_by_name(planner: AnyPlanner) -> None:
+    for parameter in fields(planner):
+        wrong: dict[str, Any] = {parameter.name: math.nan}
+        with pytest.raises(ValueError, match=f"{parameter.name}: expected"):
+            type(planner)(**wrong)
 
 
 @planners

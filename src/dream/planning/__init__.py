@@ -1,15 +1,36 @@
 """Observation, Map → Decision."""
 
-from dream.planning.baselines import Lawnmower, RandomWalk
+from dream.planning.baselines import (
+    Lawnmower,
+    NearestFrontier,
+    NextBestView,
+    RandomWalk,
+    Spiral,
+    SweepAndGraze,
+)
 from dream.planning.sixsteps import SixSteps
 
-AnyPlanner = SixSteps | Lawnmower | RandomWalk
+AnyPlanner = SixSteps | Lawnmower | Spiral | NearestFrontier | NextBestView | SweepAndGraze | RandomWalk
 
 PLANNERS: dict[str, AnyPlanner] = {
     "sixsteps": SixSteps(),
     "lawnmower": Lawnmower(),
+    "spiral": Spiral(),
+    "frontier": NearestFrontier(),
+    "nbv": NextBestView(),
+    "sweep-and-graze": SweepAndGraze(),
     "random": RandomWalk(),
 }
 """Every planner by its name on the command line, with its default parameters. The first is the default."""
 
-__all__ = ["PLANNERS", "AnyPlanner", "Lawnmower", "RandomWalk", "SixSteps"]
+__all__ = [
+    "PLANNERS",
+    "AnyPlanner",
+    "Lawnmower",
+    "NearestFrontier",
+    "NextBestView",
+    "RandomWalk",
+    "SixSteps",
+    "Spiral",
+    "SweepAndGraze",
+]

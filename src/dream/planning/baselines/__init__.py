@@ -1,6 +1,10 @@
 """Planners to compare with."""
 
+from dream.planning.baselines.frontier import NearestFrontier
+from dream.planning.baselines.graze import SweepAndGraze
 from dream.planning.baselines.lawnmower import Lawnmower
+from dream.planning.baselines.nbv import NextBestView
 from dream.planning.baselines.random_walk import RandomWalk
+from dream.planning.baselines.spiral import Spiral
 
-__all__ = ["Lawnmower", "RandomWalk"]
+__all__ = ["Lawnmower", "NearestFrontier", "NextBestView", "RandomWalk", "Spiral", "SweepAndGraze"]

@@ -2,131 +2,56 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
-from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
-from dream.geometry import SE2, Bounds
+from dream.geometry import SE2
+from dream.planning.baselines.lanes import Points, across, lanes, mirrored, seen_to_both_sides, shortest
+from dream.planning.baselines.sweeping import Sweeping
+from dream.planning.baselines.views import Remains, group_cells
 from dream.planning.parameters import check_range
-from dream.planning.travel import Travel, travel_from
-from dream.types import Decision, Mission, Observation, Reasoning
-
-if TYPE_CHECKING:
-    from dream.mapping import OccupancyMap
-
-Points = npt.NDArray[np.floating[Any]]
+from dream.types import Mission
 
 
 @dataclass(frozen=True, slots=True)
 class Lawnmower:
-    """Sweep the area in parallel lanes, blind to what is seen, with detours round obstacles.
+    """Sweep the area in parallel lanes, blind to what is seen, until no ground is left.
 
-    What it does: lanes as far apart as the camera sees to both sides, evenly spread over the area,
-    begun at the corner nearest to the start. A waypoint that turns out to be solid ground is left
-    out. At the end of the lanes it says that it is done; where the map disagrees, it goes over the area
-    again with the lanes across.
+    What it does: lanes no farther apart than the camera sees to both sides, evenly spread over the area; of
+    the two directions and four corners to begin at, those of the shortest way. It goes round obstacles and
+    leaves out waypoints that would show nothing new. After the lanes it looks at what they missed, nearest
+    first: ground where a group could hide, and, where its `done` is refused, all ground until the map is
+    complete. If that is not enough, it goes over the area again with the lanes across.
 
     Reference: boustrophedon coverage (Choset & Pignon 1998).
 
-    Assumes: the area is a box. Fails when: the ground is cluttered; what hides behind an obstacle
-    stays unseen.
+    Assumes: the area is a box. Fails when: targets fill a small part of the area; it sees them no sooner than
+    the rest.
     """
 
-    swath: float = 0.95
-    """Lane spacing as a share of the ground seen to both sides, 2 · reach · sin(fov / 2)."""
+    swath: float = 0.81
+    """Lane spacing at most, as a share of the ground seen to both sides, 2 · reach · sin(fov / 2). By default
+    views 2 m apart leave no gap."""
     inset: float = 0.5
     """Distance of the lanes' ends from the area's edge, as a share of the reach."""
+    least: float = 0.25
+    """New ground for which a waypoint is flown to, as a share of the smallest group's area."""
 
     def __post_init__(self) -> None:
         check_range("swath", self.swath, 0.1, 4.0)
-        check_range("inset", self.inset, 0.0, 4.0)
+        check_range("inset", self.inset, 0.1, 4.0)
+        check_range("least", self.least, 0.0, 100.0)
 
-    def begin(self, mission: Mission) -> _Mowing:
+    def begin(self, mission: Mission) -> Sweeping:
         """A fresh survey; the lanes are laid when the start is known."""
-        return _Mowing(self, mission)
+        return Sweeping(self.route, Remains(mission, max(1.0, self.least * group_cells(mission.protocol))))
 
-    def lanes(self, mission: Mission, start: SE2, along_y: bool) -> Points:
-        """(N, 2) waypoints of the lanes, one per longest advance, nearest corner first.
-
-        Args:
-            mission: Area and camera.
-            start: Where the vehicle is.
-            along_y: Lanes run south-north rather than west-east.
-        """
+    def route(self, mission: Mission, start: SE2, sweep: int) -> Points:
+        """(n, 2) corners of the shortest way over the lanes; see `Layout`. Odd sweeps go across even ones."""
         protocol, box = mission.protocol, mission.bounds
-        if not along_y:
-            box = Bounds(box.y_min, box.x_min, box.y_max, box.x_max)
-            start = SE2(start.y, start.x, 0.0)
-        spacing = self.swath * 2.0 * protocol.reach * math.sin(protocol.camera.horizontal_fov / 2.0)
-        count = max(1, math.ceil(box.width / spacing))
-        xs = box.x_min + (np.arange(count) + 0.5) * box.width / count
-        inset = min(self.inset * protocol.reach, 0.4 * box.depth)
-        ends = np.array([box.y_min + inset, box.y_max - inset])
-        if abs(xs[-1] - start.x) < abs(xs[0] - start.x):
-            xs = xs[::-1]
-        if abs(ends[1] - start.y) < abs(ends[0] - start.y):
-            ends = ends[::-1]
-        corners = [(x, y) for k, x in enumerate(xs) for y in (ends if k % 2 == 0 else ends[::-1])]
-        waypoints = _densify(np.array(corners), max(protocol.advances))
-        return waypoints if along_y else waypoints[:, ::-1]
-
-
-def _densify(corners: Points, step: float) -> Points:
-    pieces = [corners[:1]]
-    for a, b in pairwise(corners):
-        count = max(1, math.ceil(float(np.hypot(*(b - a))) / step))
-        pieces.append(a + (np.arange(1, count + 1) / count)[:, None] * (b - a))
-    return np.concatenate(pieces)
-
-
-@dataclass(slots=True)
-class _Mowing:
-    planner: Lawnmower
-    mission: Mission
-    waypoints: Points = field(default_factory=lambda: np.empty((0, 2)))
-    sweeps: int = 0
-    """How many times lanes were laid."""
-    claimed: bool = False
-
-    def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
-        pose = observation.pose
-        if len(self.waypoints) == 0 and (self.sweeps == 0 or self.claimed):
-            self.waypoints = self.planner.lanes(self.mission, pose, along_y=self.sweeps % 2 == 0)
-            self.sweeps += 1
-            self.claimed = False
-        travel = travel_from(pose, occupancy)
-        while len(self.waypoints):
-            path = self._path_to(self.waypoints[0], pose, travel, occupancy)
-            if len(path) > 1:
-                turn, advance = travel.move(path[0], path[1])
-                x, y = self.waypoints[0]
-                action = f"Along the lanes to ({x:.1f}, {y:.1f}), {len(path) - 1} steps away."
-                return Decision(turn, advance, reasoning=Reasoning(action=action))
-            self.waypoints = self.waypoints[1:]
-        self.claimed = True
-        return Decision(done=True, reasoning=Reasoning(action="All lanes are done."))
-
-    def _path_to(
-        self, waypoint: Points, pose: SE2, travel: Travel, occupancy: OccupancyMap
-    ) -> list[tuple[int, int, int]]:
-        """Shortest way to within a lattice step of the waypoint, or as near as known ground allows.
-
-        A path of one pose means that the waypoint is reached, or is not to be had.
-        """
-        row, col = occupancy.cell_of(*waypoint)
-        if occupancy.explored[row, col] and not occupancy.standable[row, col]:
-            return []
-        rows, cols = np.nonzero(travel.reached)
-        steps = travel.nearest[rows, cols]
-        distance = np.hypot(*(travel.position(rows, cols) - waypoint).T)
-        near = np.maximum(distance, 2.0 * travel.protocol.lattice)
-        best = np.lexsort((steps, near))[0]
-        if near[best] >= max(
-            2.0 * travel.protocol.lattice, float(np.hypot(pose.x - waypoint[0], pose.y - waypoint[1]))
-        ):
-            return []
-        return travel.path_to_position(int(rows[best]), int(cols[best]))
+        spacing, inset = self.swath * seen_to_both_sides(protocol), self.inset * protocol.reach
+        upright = shortest(mirrored(lanes(box, spacing, inset), box), start)
+        level = shortest(
+            [route[:, ::-1] for route in mirrored(lanes(across(box), spacing, inset), across(box))], start
+        )
+        first = shortest([upright, level], start)
+        return first if sweep % 2 == 0 else (level if first is upright else upright)

@@ -1,0 +1,98 @@
+"""To the nearest edge of the known, again and again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dream.planning.baselines.views import FloatArray, Remains, View, careful_travel, views_from
+from dream.planning.parameters import check_range
+from dream.planning.travel import Travel
+from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
+
+if TYPE_CHECKING:
+    from dream.mapping import OccupancyMap
+
+
+@dataclass(frozen=True, slots=True)
+class NearestFrontier:
+    """Go to the nearest frontier and look beyond it, until none is left.
+
+    What it does: clusters the free cells beside unknown ones; of all poses near a cluster that face its
+    unknown side it goes to the one of fewest steps, and keeps to it until nothing is left to see there.
+    Clusters that no reachable pose faces are left out, and so is unknown ground that stayed unknown after
+    it was looked at, until the map beside it changes. It is done when no cluster is left; where that is
+    refused, small clusters count too.
+
+    Reference: frontier-based exploration (Yamauchi 1997).
+
+    Assumes: nothing. Fails when: time matters; near frontiers are small, and large ones are left for later.
+    """
+
+    approach: float = 0.5
+    """Distance at most from a frontier to the pose that looks beyond it, as a share of the reach."""
+    smallest: float = 0.3
+    """Frontier cells of the least cluster, and unknown cells beside it that must be in view, as a share of
+    the cells along a line as long as the reach."""
+
+    def __post_init__(self) -> None:
+        check_range("approach", self.approach, 0.05, 1.0)
+        check_range("smallest", self.smallest, 0.0, 10.0)
+
+    def begin(self, mission: Mission) -> _FrontierPilot:
+        """A fresh pilot; it remembers where it is going and what it looked at in vain."""
+        protocol = mission.protocol
+        return _FrontierPilot(
+            self, Remains(mission, max(1.0, self.smallest * protocol.reach / protocol.cell))
+        )
+
+
+@dataclass(slots=True)
+class _FrontierPilot:
+    planner: NearestFrontier
+    remains: Remains
+
+    def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
+        pose = observation.pose
+        self.remains.look(pose, occupancy)
+        travel = careful_travel(pose, occupancy)
+        going = self.remains.go(pose, travel, occupancy, lambda way: self._nearest(way, occupancy))
+        if going is None:
+            return self.remains.done("No frontier is left that can be seen.")
+        view, decision = going
+        x, y = travel.position(view.pose[0], view.pose[1])
+        action = (
+            f"To the nearest frontier, to look beyond {view.gain:.0f} cells of it from ({x:.1f}, {y:.1f}), "
+            f"{view.steps} steps away."
+        )
+        return replace(decision, reasoning=Reasoning(action=action))
+
+    def _nearest(self, travel: Travel, occupancy: OccupancyMap) -> View | None:
+        """The view that is gone for; None where no frontier can be seen."""
+        remains = self.remains
+        near, beyond = self._frontiers(occupancy)
+        views = views_from(travel, occupancy, beyond, keep=remains.goal)
+        x, y = travel.position(views.rows, views.cols).T
+        views = views.only(near[occupancy.cell_of(x, y)])
+        kept = None if remains.goal is None else views.at(remains.goal)
+        return kept if kept is not None and kept.gain >= remains.least else views.nearest(remains.least)
+
+    def _frontiers(self, occupancy: OccupancyMap) -> tuple[BoolArray, FloatArray]:
+        """(rows, cols) what is near a cluster, and 1 in the unknown cells beside one that are worth it."""
+        from scipy.ndimage import binary_dilation, distance_transform_edt
+
+        from dream.mapping import frontiers
+
+        edge = np.zeros(occupancy.shape, np.bool_)
+        for frontier in frontiers(occupancy):
+            if frontier.size >= self.remains.least:
+                edge[tuple(frontier.cells.T)] = True
+        beyond = binary_dilation(edge) & self.remains.worth_looking(occupancy)
+        if not edge.any():
+            return edge, beyond.astype(np.float32)
+        distance = distance_transform_edt(~edge, self.remains.mission.protocol.cell)
+        return distance <= self.planner.approach * self.remains.mission.protocol.reach, beyond.astype(
+            np.float32
+        )

@@ -1,0 +1,110 @@
+"""Lanes until a target is met, then along the edge of what was met until it is closed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dream.geometry import SE2
+from dream.planning.baselines.lawnmower import Lawnmower
+from dream.planning.baselines.sweeping import Sweeping
+from dream.planning.baselines.views import Pose, careful_travel, views_from
+from dream.planning.parameters import check_range
+from dream.types import Decision, Mission, Observation, Reasoning
+
+if TYPE_CHECKING:
+    from dream.mapping import OccupancyMap
+    from dream.mapping.completion import Region
+
+
+@dataclass(frozen=True, slots=True)
+class SweepAndGraze:
+    """Sweep in lanes; where a target is met, follow the open edge of its region until it is closed.
+
+    What it does: flies the lawnmower's lanes. As soon as the map holds a region that is not enclosed, it
+    leaves the lane and goes from one open stretch of that region's edge to the nearest next, until the
+    region is closed or the rest of its edge cannot be seen; then it does the same with other open regions,
+    and resumes the lanes where it left them. It ends as the lawnmower does.
+
+    Reference: the alternation of sweeping and close inspection of Bounomodes (arXiv 2507.06960).
+
+    Assumes: targets come in regions. Fails when: they are scattered one by one, so that there is no edge to
+    follow.
+    """
+
+    swath: float = 1.0
+    """Lane spacing at most, as a share of the ground seen to both sides, 2 · reach · sin(fov / 2). Wider than
+    the lawnmower's by default: gaps at targets are closed on the way."""
+    inset: float = 0.5
+    """Distance of the lanes' ends from the area's edge, as a share of the reach."""
+    least: float = 0.25
+    """New ground for which a waypoint is flown to, as a share of the smallest group's area."""
+
+    def __post_init__(self) -> None:
+        check_range("swath", self.swath, 0.1, 4.0)
+        check_range("inset", self.inset, 0.1, 4.0)
+        check_range("least", self.least, 0.0, 100.0)
+
+    def begin(self, mission: Mission) -> _Grazing:
+        """A fresh survey; the lanes are laid when the start is known."""
+        lanes = Lawnmower(swath=self.swath, inset=self.inset, least=self.least)
+        return _Grazing(lanes.begin(mission))
+
+
+@dataclass(slots=True)
+class _Grazing:
+    sweeping: Sweeping
+    region: tuple[float, float] | None = None
+    """Middle of a target cell of the region that is being followed; None on the lanes."""
+    goal: Pose | None = None
+
+    def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
+        from dream.mapping import check_completion
+
+        pose, remains = observation.pose, self.sweeping.remains
+        remains.look(pose, occupancy)
+        travel = careful_travel(pose, occupancy)
+        worth = remains.worth_looking(occupancy)
+        regions = [region for region in check_completion(occupancy, pose).regions if not region.enclosed]
+        while regions:
+            region = self._followed(regions, occupancy) or _nearest(regions, pose, occupancy)
+            weights = np.zeros(occupancy.shape, np.float32)
+            weights[tuple(region.open_cells.T)] = 1.0
+            weights *= worth
+            views = views_from(travel, occupancy, weights, keep=self.goal)
+            view = views.nearest(1.0)
+            if view is not None:
+                cell_x, cell_y = occupancy.center_of(*region.cells[0])
+                self.region, self.goal = (float(cell_x), float(cell_y)), view.pose
+                self.sweeping.budget = 0  # The way back to the lane is a new one.
+                remains.refused = False
+                path = travel.path(view.pose)
+                turn, advance = travel.move(path[0], path[1])
+                x, y = region.centroid
+                action = (
+                    f"Along the edge of the region at ({x:.1f}, {y:.1f}), of which {len(region.open_cells)} "
+                    f"cells are open: to a view of {view.gain:.0f} of them, {view.steps} steps away."
+                )
+                return Decision(turn, advance, reasoning=Reasoning(action=action))
+            regions.remove(region)
+            self.region = self.goal = None
+        return self.sweeping.proceed(pose, travel, occupancy)
+
+    def _followed(self, regions: list[Region], occupancy: OccupancyMap) -> Region | None:
+        """The region that is being followed, which may have grown since; None where it is closed."""
+        if self.region is None:
+            return None
+        row, col = occupancy.cell_of(*self.region)
+        return next((region for region in regions if (region.cells == (row, col)).all(axis=1).any()), None)
+
+
+def _nearest(regions: list[Region], pose: SE2, occupancy: OccupancyMap) -> Region:
+    """The region whose open edge is nearest to the vehicle."""
+
+    def distance(region: Region) -> float:
+        x, y = occupancy.center_of(*region.open_cells.T)
+        return float(np.hypot(x - pose.x, y - pose.y).min())
+
+    return min(regions, key=distance)
