@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from dream.geometry import SE2, SE3, Camera, camera_mount, wrap_angle
 from dream.names import look_up
@@ -154,7 +154,19 @@ POOL_V1 = SurveyProtocol(
     traversal=0.6,
 )
 
-PROTOCOLS = {protocol.name: protocol for protocol in (DREAM_V1, POOL_V1)}
+REACHES = (4.0, 6.0, 8.0, 10.0)
+"""Metres: the reaches that `dream-v1` is swept over; 8 is its own."""
+
+
+def reach_variant(reach: float) -> str:
+    """The name of the protocol that differs from `dream-v1` only in its reach."""
+    return DREAM_V1.name if reach == DREAM_V1.reach else f"{DREAM_V1.name}-reach{reach:g}"
+
+
+_OTHER_REACHES = [
+    replace(DREAM_V1, name=reach_variant(reach), reach=reach) for reach in REACHES if reach != DREAM_V1.reach
+]
+PROTOCOLS = {protocol.name: protocol for protocol in (DREAM_V1, POOL_V1, *_OTHER_REACHES)}
 
 
 def protocol_named(name: str) -> SurveyProtocol:

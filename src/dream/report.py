@@ -76,9 +76,9 @@ def write_report(folder: Path) -> Path:
     script = "".join(map(_part, _SCRIPTS))
     policy = (
         "default-src 'none'; img-src data:; base-uri 'none'; form-action 'none'; "
-        f"style-src {_digest(style)}; script-src {_digest(script)}"
+        f"style-src {digest(style)}; script-src {digest(script)}"
     )
-    page = _fill(
+    page = fill(
         _part("page.html"),
         {
             "policy": policy,
@@ -184,12 +184,12 @@ def _json(value: Any) -> str:
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 
-def _digest(text: str) -> str:
+def digest(text: str) -> str:
     """A source expression of a content security policy that allows exactly `text`."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
-def _fill(template: str, parts: Mapping[str, str]) -> str:
+def fill(template: str, parts: Mapping[str, str]) -> str:
     """`template` with each {{name}} replaced, in one pass, so that no part can name another."""
     return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], template)
 

@@ -9,15 +9,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from dream.evaluation.metrics import Scorer, pooled
-from dream.evaluation.runner import Flight, fly_all, simulate
-from dream.evaluation.suites import SUITES, suite_named
+from dream.evaluation.metrics import Scorer
+from dream.evaluation.runner import simulate
 from dream.geometry import SE2, Bounds
-from dream.planning import PLANNERS, Lawnmower, SixSteps
+from dream.planning import Lawnmower, SixSteps
 from dream.protocol import DREAM_V1
 from dream.sim.visibility import Visibility
 from dream.sim.world import World
-from dream.sim.worlds import WORLDS
 from dream.types import Step
 
 
@@ -66,22 +64,6 @@ def test_the_summary_counts_what_happened(scored: tuple[Scorer, list[Step], list
     assert summary["t90"] == first
 
 
-def test_a_time_never_reached_counts_as_the_cap() -> None:
-    assert pooled([{"t90": 50}, {"t90": None}], "t90", 200) == 125.0
-
-
-def test_a_suite_names_worlds_that_exist() -> None:
-    for cases in SUITES.values():
-        assert len(set(cases)) == len(cases)
-        assert {case.world for case in cases} <= set(WORLDS)
-
-
-def test_the_paper_suite_has_ten_reefs_and_five_wrecks() -> None:
-    families = [case.world.split("/")[0] for case in suite_named("paper")]
-    assert families.count("reef") == 10
-    assert families.count("wreck") == 5
-
-
 def test_an_empty_world_is_done_only_when_all_ground_is_explored(empty_world: World) -> None:
     small = replace(empty_world, bounds=Bounds(-9.0, -9.0, 9.0, 9.0), starts=(SE2(0.0, 0.0, 0.0),))
     scorer = Scorer(small, DREAM_V1)
@@ -103,12 +85,3 @@ def test_the_same_flight_gives_the_same_summary(string_reef: World) -> None:
 
     assert short(0) == short(0)
     assert short(0) != short(1)
-
-
-@pytest.mark.slow
-def test_missions_fly_side_by_side_and_come_back_scored() -> None:
-    names = ("sixsteps", "random")
-    flights = [Flight("pool/arc", 1, name, PLANNERS[name], "pool-v1", max_steps=5) for name in names]
-    summaries = dict(fly_all(flights, workers=2))
-    assert [summaries[flight]["planner"] for flight in flights] == ["sixsteps", "random"]
-    assert all(summary["world"] == "pool/arc" and summary["steps"] == 5 for summary in summaries.values())

@@ -2,102 +2,214 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import re
 import sys
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
-from dream.commands.console import print_json, with_progress
+from dream.commands.console import print_json, with_scores
+from dream.errors import MissionAborted
 from dream.names import look_up
-from dream.planning import PLANNERS
+from dream.planning import PLANNERS, AnyPlanner
 from dream.protocol import protocol_named
+
+if TYPE_CHECKING:
+    from dream.evaluation.engines import Engine
+    from dream.evaluation.results import Row
+    from dream.evaluation.runner import Plan
+    from dream.evaluation.suites import Case
+
+MAX_SEEDS = 10_000
 
 
 @dataclass(frozen=True, slots=True)
-class Bench:
-    """Fly planners over the worlds of a suite, side by side, and print a table."""
+class Flying:
+    """Options of every command that flies many missions."""
 
-    suite: tyro.conf.Positional[str] = "paper"
-    """A suite: `paper` is ten reefs and five wrecks."""
-    planners: tuple[str, ...] = ("sixsteps", "lawnmower", "random")
+    planners: tuple[str, ...] = tuple(PLANNERS)
     """Which planners, with their default parameters."""
-    protocol: str = "dream-v1"
-    """Survey protocol."""
     max_steps: int | None = None
     """Decisions at most; the protocol's cap unless given."""
-    workers: int | None = None
+    jobs: int | None = None
     """Missions at a time; as many as there are processors unless given."""
+    engine: Literal["process", "ray"] = "process"
+    """Where to fly: processes of this machine, or a Ray cluster."""
+    address: str | None = None
+    """Address of the Ray cluster; one that runs on this machine, else a fresh one, unless given."""
+    keep_runs: bool = False
+    """Leave the full recording of each mission that is flown now below `runs` in the folder."""
     json: bool = False
-    """Print all summaries as one JSON object and nothing else."""
+    """Print one JSON object and nothing else."""
 
-    def __call__(self) -> int:
-        """Exit status 0."""
-        from dream.evaluation.runner import Flight, fly_all
-        from dream.evaluation.suites import suite_named
-
-        protocol_named(self.protocol)
+    def chosen_planners(self) -> dict[str, AnyPlanner]:
+        """By name; a ValueError where there is none of that name, or none at all."""
         if not self.planners:
             raise ValueError(f"--planners: expected one or more of {', '.join(PLANNERS)}, got none")
-        if self.workers is not None and self.workers < 1:
-            raise ValueError(f"--workers: expected at least 1, got {self.workers}")
-        flights = [
-            Flight(
-                case.world,
-                case.seed,
-                name,
-                look_up(PLANNERS, name, "planner"),
-                self.protocol,
-                max_steps=self.max_steps,
-            )
-            for case in suite_named(self.suite)
-            for name in self.planners
-        ]
-        finished = dict(with_progress(fly_all(flights, self.workers), self.suite, len(flights)))
+        chosen = {name: look_up(PLANNERS, name, "planner") for name in self.planners}
+        if len(chosen) < len(self.planners):
+            raise ValueError(f"--planners: expected each once, got {' '.join(self.planners)}")
+        return chosen
+
+    def chosen_engine(self) -> Engine:
+        """A ValueError where its options contradict each other."""
+        from dream.evaluation.engines import Processes, Ray
+
+        if self.engine == "ray":
+            return Ray(self.jobs, self.address)
+        if self.address is not None:
+            raise ValueError(f"--address: expected --engine ray with it, got --engine {self.engine}")
+        return Processes(os.cpu_count() if self.jobs is None else self.jobs)
+
+
+@dataclass(frozen=True, slots=True)
+class Bench(Flying):
+    """Fly planners over the worlds of a suite, side by side; leave a table of results and a report.
+
+    Every finished mission is kept at once. After an interruption the same command goes on with the others,
+    and more planners, worlds or seeds may be added to the same folder later.
+    """
+
+    suite: tyro.conf.Positional[str | None] = None
+    """A suite: `paper` (ten reefs, five wrecks; the default), `dev` (60 worlds to tune on) or `test` (200
+    worlds that nothing is tuned on)."""
+    world: str | None = None
+    """One world instead of a suite: a name from `dream worlds`."""
+    seeds: str | None = None
+    """Which worlds of that name: a seed, or the first and the last as A..B; 1 unless given."""
+    protocol: str | None = None
+    """Survey protocol; the one that the worlds are made for unless given."""
+    out: Path | None = None
+    """Folder of the benchmark; `bench/SUITE`, or `bench/WORLD_SEEDS`, unless given."""
+
+    def __call__(self) -> int:
+        """Exit status 0; a MissionAborted where a mission failed."""
+        from dream.evaluation.runner import Plan
+
+        planners, engine = self.chosen_planners(), self.chosen_engine()
+        name, cases = self._cases()
+        protocol = protocol_named(self.protocol or _home(cases[0]))
+        plan = Plan(name, cases, planners, protocol, self.max_steps, self.keep_runs)
+        folder = self.out or Path("bench") / re.sub(r"[^A-Za-z0-9.]+", "-", name)
+        outcome = fly(plan, folder, engine)
         if self.json:
-            print_json({"suite": self.suite, "missions": [finished[flight] for flight in flights]})
+            print_json(outcome.as_dict())
         else:
-            _print_table(
-                [finished[flight] for flight in flights],
-                list(self.planners),
-                protocol_named(self.protocol).cap,
-            )
+            outcome.print()
+        outcome.check()
         return 0
 
+    def _cases(self) -> tuple[str, tuple[Case, ...]]:
+        from dream.evaluation.suites import Case, suite_named
+        from dream.sim.worlds import WORLDS
 
-def _print_table(summaries: list[dict[str, Any]], planners: list[str], cap: int) -> None:
-    from rich.console import Console
-    from rich.table import Table
+        if self.world is None:
+            if self.seeds is not None:
+                raise ValueError(f"--seeds: expected --world with it, got --seeds {self.seeds} alone")
+            return self.suite or "paper", suite_named(self.suite or "paper")
+        if self.suite is not None:
+            raise ValueError(f"expected a suite or --world, got both: {self.suite} and --world {self.world}")
+        world = look_up(dict.fromkeys(WORLDS, self.world), self.world, "world", see="See dream worlds")
+        seeds = _seeds(self.seeds or "1")
+        named = f"{seeds[0]}..{seeds[-1]}" if len(seeds) > 1 else str(seeds[0])
+        return f"{world} {named}", tuple(Case(world, seed) for seed in seeds)
 
-    from dream.evaluation.metrics import pooled
 
-    table = Table(title=f"mean over the worlds; a time never reached counts as {cap}")
-    for heading in (
-        "worlds",
-        "planner",
-        "t90",
-        "t98",
-        "steps",
-        "instances",
-        "clusters",
-        "area",
-        "success",
-        "collisions",
-    ):
-        table.add_column(heading, justify="left" if heading in ("worlds", "planner") else "right")
-    families = sorted({s["world"].split("/")[0] for s in summaries})
-    for family in families:
-        for planner in planners:
-            chosen = [s for s in summaries if s["planner"] == planner and s["world"].startswith(family + "/")]
-            shares = [
-                sum(s["coverage"][k] for s in chosen) / len(chosen) for k in ("instances", "clusters", "area")
-            ]
-            table.add_row(
-                f"{len(chosen)} {family}",
-                planner,
-                *(f"{pooled(chosen, key, cap):.1f}" for key in ("t90", "t98", "t_stop")),
-                *(f"{share:.1%}" for share in shares),
-                f"{sum(s['success'] for s in chosen)}/{len(chosen)}",
-                str(sum(s["collisions"] for s in chosen)),
+def _seeds(text: str) -> range:
+    """The seeds that `A..B` names, both ends included."""
+    found = re.fullmatch(r"(\d{1,18})(?:\.\.(\d{1,18}))?", text)
+    if not found:
+        raise ValueError(f"--seeds: expected a number or A..B such as 1..5, got {text}")
+    first, last = int(found[1]), int(found[2] or found[1])
+    if last < first:
+        raise ValueError(f"--seeds: expected the lower seed first, got {text}. Did you mean {last}..{first}?")
+    if last - first >= MAX_SEEDS:
+        raise ValueError(f"--seeds: expected at most {MAX_SEEDS} seeds, got {last - first + 1}")
+    return range(first, last + 1)
+
+
+def _home(case: Case) -> str:
+    """The protocol that a world is made for."""
+    from dream.sim.worlds import make_world
+
+    return make_world(case.world, case.seed).protocol
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a benchmark came to."""
+
+    plan: Plan
+    folder: Path
+    rows: tuple[Row, ...]
+    """Of the missions asked for, in canonical order."""
+    failures: tuple[tuple[Case, str, str], ...]
+    """Case, planner and reason of each mission that failed."""
+    report: Path | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """For `--json`."""
+        return {
+            "out": str(self.folder),
+            "suite": self.plan.suite,
+            "protocol": self.plan.protocol.name,
+            "missions": [asdict(row) for row in self.rows],
+            "failed": [
+                {**asdict(case), "planner": planner, "error": error} for case, planner, error in self.failures
+            ],
+            "report": str(self.report) if self.report else None,
+        }
+
+    def print(self) -> None:
+        """A table, what failed, and where all of it lies."""
+        from rich.console import Console
+
+        from dream.evaluation.results import read_results
+        from dream.evaluation.tables import print_summary
+
+        console = Console(width=None if sys.stdout.isatty() else 120)
+        if self.rows:
+            print_summary(read_results(self.folder), console)
+        for case, planner, error in self.failures:
+            where = f"{planner} in {case.world} {case.seed}"
+            console.print(f"failed: {where}: {error}", markup=False, highlight=False, soft_wrap=True)
+        console.print(str(self.report or self.folder), markup=False, highlight=False, soft_wrap=True)
+
+    def check(self) -> None:
+        """Raise a MissionAborted where a mission failed."""
+        if self.failures:
+            case, planner, error = self.failures[0]
+            raise MissionAborted(
+                f"{len(self.failures)} of {len(self.plan)} missions failed, first {planner} in {case.world} "
+                f"{case.seed}: {error}. The others are kept in {self.folder}; the same command flies the rest"
             )
-    Console(width=None if sys.stdout.isatty() else 120).print(table)
+
+
+def fly(plan: Plan, folder: Path, engine: Engine) -> Outcome:
+    """Fly a benchmark while showing how it goes, and write its report."""
+    from dream.evaluation.report import write_report
+    from dream.evaluation.results import Flown
+    from dream.evaluation.runner import fly_plan
+    from dream.evaluation.suites import Case
+
+    flown: dict[tuple[Case, str], Flown] = {}
+    failures = []
+    try:
+        with contextlib.closing(fly_plan(plan, folder, engine)) as missions:
+            for mission in with_scores(missions, plan):
+                _, world, seed, start, planner = mission.key
+                if isinstance(mission.outcome, Flown):
+                    flown[Case(world, seed, start), planner] = mission.outcome
+                else:
+                    failures.append((Case(world, seed, start), planner, mission.outcome.message))
+    except KeyboardInterrupt:
+        raise MissionAborted(
+            f"interrupted; {len(flown)} of {len(plan)} missions are kept in {folder}, "
+            "and the same command goes on from there"
+        ) from None
+    rows = [flown[c, p].row for c in plan.cases for p in plan.planners if (c, p) in flown]
+    return Outcome(plan, folder, tuple(rows), tuple(failures), write_report(folder) if rows else None)

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import json as json_format
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+
+    from dream.evaluation.runner import Ended, Plan
     from dream.sim.world import World
 
 T = TypeVar("T")
+
+LINE_EVERY = 20.0
+"""Seconds between two lines that tell of progress where standard error is no terminal."""
 
 
 def open_world(name: str, seed: int) -> World:
@@ -38,6 +46,110 @@ def with_progress(items: Iterator[T], title: str, total: int) -> Iterator[T]:
         for done, item in enumerate(items):
             bar.update(task, completed=done)
             yield item
+
+
+def with_scores(missions: Iterable[Ended], plan: Plan) -> Iterator[Ended]:
+    """Pass the missions of a benchmark on, and show on standard error how the planners fare so far.
+
+    A live table on a terminal, else a line every so often.
+    """
+    from rich.console import Console
+    from rich.live import Live
+
+    console = Console(stderr=True)
+    scores = _Scores(plan)
+    if console.is_terminal:
+        with Live(get_renderable=scores.table, console=console, transient=True):
+            for mission in missions:
+                scores.add(mission)
+                yield mission
+        return
+    last = time.monotonic()
+    for mission in missions:
+        scores.add(mission)
+        if time.monotonic() - last >= LINE_EVERY or scores.ended == len(plan):
+            last = time.monotonic()
+            _print_line(console, scores.line())
+        yield mission
+
+
+def _print_line(console: Console, line: str) -> None:
+    console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+@dataclass(slots=True)
+class _Score:
+    flown: int = 0
+    failed: int = 0
+    successes: int = 0
+    t98: int = 0
+    """Summed; one never reached counts as the cap."""
+    collisions: int = 0
+
+
+class _Scores:
+    """How far a benchmark is."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._of = {name: _Score() for name in plan.planners}
+        self._kept = 0
+        self._began = time.monotonic()
+        self.ended = 0
+
+    def add(self, mission: Ended) -> None:
+        from dream.evaluation.results import Flown
+
+        score = self._of[mission.key[-1]]
+        self.ended += 1
+        self._kept += mission.kept
+        if isinstance(mission.outcome, Flown):
+            row = mission.outcome.row
+            score.flown += 1
+            score.successes += row.success
+            score.t98 += self._plan.protocol.cap if row.t98 is None else row.t98
+            score.collisions += row.collisions
+        else:
+            score.failed += 1
+
+    def line(self) -> str:
+        failed = sum(score.failed for score in self._of.values())
+        return (
+            f"{self._plan.suite}: {self.ended}/{len(self._plan)} missions"
+            + (f", {self._kept} of them kept" if self._kept else "")
+            + (f", {failed} failed" if failed else "")
+            + self._time_left()
+        )
+
+    def _time_left(self) -> str:
+        flown, left = self.ended - self._kept, len(self._plan) - self.ended
+        if not flown or not left:
+            return ""
+        seconds = (time.monotonic() - self._began) / flown * left
+        return f", about {seconds / 60:.0f} min left" if seconds >= 90 else f", about {seconds:.0f} s left"
+
+    def table(self) -> RenderableType:
+        from rich.console import Group
+        from rich.progress_bar import ProgressBar
+        from rich.table import Table
+        from rich.text import Text
+
+        table = Table()
+        for heading in ("planner", "missions", "success", "t98", "collisions", "failed"):
+            table.add_column(heading, justify="left" if heading == "planner" else "right")
+        for name, score in self._of.items():
+            table.add_row(
+                name,
+                f"{score.flown}/{len(self._plan.cases)}",
+                f"{score.successes / score.flown:.0%}" if score.flown else "",
+                f"{score.t98 / score.flown:.1f}" if score.flown else "",
+                str(score.collisions),
+                str(score.failed) if score.failed else "",
+            )
+        progress = Table.grid()
+        progress.add_row(ProgressBar(len(self._plan), self.ended, width=60))
+        progress.add_row(Text(self.line()))
+        return Group(table, progress)
 
 
 def print_json(record: Mapping[str, Any]) -> None:

@@ -6,22 +6,18 @@ import contextlib
 import datetime
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from dream import __version__
 from dream.commands.console import open_world, print_json, with_progress
 from dream.errors import MissionAborted
 from dream.planning import PLANNERS, AnyPlanner
 from dream.protocol import protocol_named
-from dream.versions import commit
 
 if TYPE_CHECKING:
-    from dream.sim.world import World
-
     ChosenPlanner = AnyPlanner
 else:
     ChosenPlanner = tyro.extras.subcommand_type_from_defaults(PLANNERS, sort_subcommands=False)
@@ -52,7 +48,7 @@ class Run:
         """Exit status 0; a MissionAborted where the mission did not end by itself."""
         from dream import recording
         from dream.evaluation.metrics import Scorer
-        from dream.evaluation.runner import simulate, summarize
+        from dream.evaluation.runner import run_config, simulate, summarize
         from dream.report import write_report
 
         if self.max_steps is not None and self.max_steps < 1:
@@ -65,7 +61,16 @@ class Run:
         folder = recording.new_run_folder(
             self.out, world.name, world.seed, name, datetime.datetime.now(datetime.UTC)
         )
-        recording.write_config(folder, self._config(world, protocol.name, name))
+        config = run_config(
+            world,
+            name,
+            self.planner,
+            protocol,
+            world_from=self.world,
+            start=self.start,
+            max_steps=self.max_steps,
+        )
+        recording.write_config(folder, config)
 
         scorer = Scorer(world, protocol)
         stopped: BaseException | None = None
@@ -92,23 +97,6 @@ class Run:
             why = "interrupted" if isinstance(stopped, KeyboardInterrupt) else f"aborted: {stopped}"
             raise MissionAborted(f"{why}; {summary['steps']} steps are kept in {folder}") from stopped
         return 0
-
-    def _config(self, world: World, protocol: str, planner: str) -> dict[str, Any]:
-        from dream.sim.files import world_hash
-
-        return {
-            "version": __version__,
-            "commit": commit(),
-            "protocol": protocol,
-            "world": world.name,
-            "seed": world.seed,
-            "world_from": self.world,
-            "world_hash": world_hash(world),
-            "start": self.start,
-            "planner": planner,
-            "planner_parameters": asdict(self.planner),
-            "max_steps": self.max_steps,
-        }
 
 
 def planner_name(planner: AnyPlanner) -> str:

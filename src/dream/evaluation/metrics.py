@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -65,10 +65,18 @@ class Scorer:
     Seeing is geometry (`sim.visibility`), so that scoring, simulator and oracle agree exactly.
     """
 
-    def __init__(self, world: World, protocol: SurveyProtocol) -> None:
+    def __init__(
+        self,
+        world: World,
+        protocol: SurveyProtocol,
+        *,
+        visibility: Visibility | None = None,
+        renderer: Renderer | None = None,
+    ) -> None:
+        """Score by the visibility and the renderer of this world where they are made already."""
         self._protocol = protocol
-        self._visibility = Visibility(world, protocol)
-        self._renderer = Renderer(world)
+        self._visibility = Visibility(world, protocol) if visibility is None else visibility
+        self._renderer = renderer or Renderer(world)
         self._countable = self._visibility.countable
         self._group = np.asarray(world.targets.group)
         self._piece, self._piece_area = _area_pieces(world, protocol)
@@ -170,6 +178,26 @@ class Scorer:
         return next((entry.index for entry in self._log if entry.instances >= share - 1e-12), None)
 
 
+CURVE = (50, 100, 137, 200)
+"""Steps after which the share of the instances is reported; the paper's own mission took 137.3."""
+
+
+def curve(instances: Sequence[float], cap: int) -> dict[str, float]:
+    """Coverage on the way: `c50` to `c200`, and `auc`, its mean over steps 1 to `cap`.
+
+    Args:
+        instances: Share of the instances after each step, the first look first. What a mission ended
+            with stays, so that one which stopped early can be compared.
+        cap: Of the protocol.
+    """
+    last = len(instances) - 1
+    held = [instances[min(step, last)] for step in range(1, cap + 1)]
+    return {
+        **{f"c{step}": round(instances[min(step, last)], 6) for step in CURVE},
+        "auc": round(math.fsum(held) / cap, 6),
+    }
+
+
 def _share(flags: BoolArray) -> float:
     return float(flags.mean()) if flags.size else 1.0
 
@@ -195,8 +223,3 @@ def _surface(mesh: Mesh, scale: npt.NDArray[Any]) -> float:
     corners = (mesh.vertices * scale)[mesh.faces].astype(np.float64)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return float(0.5 * np.linalg.norm(normals, axis=1).sum())
-
-
-def pooled(summaries: Sequence[Mapping[str, Any]], key: str, cap: int) -> float:
-    """Mean of a time over missions; one never reached counts as the cap (the paper's rule)."""
-    return float(np.mean([cap if s[key] is None else s[key] for s in summaries]))

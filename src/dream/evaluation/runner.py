@@ -1,28 +1,76 @@
-"""Missions in the simulator: one, or many side by side."""
+"""Missions in the simulator: one, or a whole benchmark that can be interrupted and goes on where it was."""
 
 from __future__ import annotations
 
-import multiprocessing
-import os
+import contextlib
+import datetime
+import json
+import logging
+import math
+import shutil
 import time
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from itertools import groupby
+from pathlib import Path
 from typing import Any
 
-from dream.evaluation.metrics import Scorer
+import numpy as np
+
+from dream import __version__, recording
+from dream.evaluation import machine
+from dream.evaluation.engines import Engine, Failure
+from dream.evaluation.metrics import Scorer, curve
+from dream.evaluation.results import (
+    Flown,
+    MissionKey,
+    Row,
+    Trace,
+    mission_path,
+    read_manifest,
+    read_mission,
+    write_manifest,
+    write_mission,
+    write_tables,
+)
+from dream.evaluation.suites import Case
 from dream.mapping import OccupancyMap
 from dream.mission import Planner, explore
+from dream.planning import PLANNERS, AnyPlanner
 from dream.protocol import SurveyProtocol, protocol_named
 from dream.robots import Teleport
 from dream.sim.files import world_hash
+from dream.sim.render import Renderer
+from dream.sim.solids import Solids
+from dream.sim.visibility import Visibility
 from dream.sim.world import World
-from dream.sim.worlds import make_world
+from dream.sim.worlds import WORLDS, make_world
 from dream.types import Step
+from dream.versions import commit
+
+logger = logging.getLogger(__name__)
+
+
+def check_fits(world: World, protocol: SurveyProtocol) -> None:
+    """Raise a ValueError unless the world is made for a protocol of this lattice and altitude."""
+    home = protocol_named(world.protocol)
+    if (protocol.lattice, protocol.altitude) != (home.lattice, home.altitude):
+        raise ValueError(
+            f"protocol: {world.name} is made for {home.name}, got {protocol.name}, whose lattice of "
+            f"{protocol.lattice} m and altitude of {protocol.altitude} m do not fit it"
+        )
 
 
 def simulate(
-    world: World, planner: Planner, protocol: SurveyProtocol, *, start: int = 0, max_steps: int | None = None
+    world: World,
+    planner: Planner,
+    protocol: SurveyProtocol,
+    *,
+    start: int = 0,
+    max_steps: int | None = None,
+    renderer: Renderer | None = None,
+    solids: Solids | None = None,
 ) -> Iterator[Step]:
     """One mission of a planner in a world; see `mission.explore`.
 
@@ -32,41 +80,14 @@ def simulate(
         protocol: By which rules.
         start: Which of the world's start poses.
         max_steps: Decisions at most; the protocol's cap unless given.
+        renderer: Of this world, where one is made already.
+        solids: Of this world, where they are made already.
     """
     if not 0 <= start < len(world.starts):
         raise ValueError(f"start: expected 0 to {len(world.starts) - 1} for {world.name}, got {start}")
-    home = protocol_named(world.protocol)
-    if (protocol.lattice, protocol.altitude) != (home.lattice, home.altitude):
-        raise ValueError(
-            f"protocol: {world.name} is made for {home.name}, got {protocol.name}, whose lattice of "
-            f"{protocol.lattice} m and altitude of {protocol.altitude} m do not fit it"
-        )
-    robot = Teleport(world, protocol, world.starts[start])
+    check_fits(world, protocol)
+    robot = Teleport(world, protocol, world.starts[start], renderer=renderer, solids=solids)
     return explore(robot, planner, OccupancyMap(world.bounds, protocol), max_steps=max_steps)
-
-
-@dataclass(frozen=True, slots=True)
-class Flight:
-    """One mission of a suite: enough to fly it in another process."""
-
-    world: str
-    seed: int
-    planner_name: str
-    planner: Planner
-    protocol: str
-    start: int = 0
-    max_steps: int | None = None
-
-
-def fly(flight: Flight) -> dict[str, Any]:
-    """Fly one mission without recording it, and score it. The dictionary of `summary.json`."""
-    began = time.perf_counter()
-    world = make_world(flight.world, flight.seed)
-    protocol = protocol_named(flight.protocol)
-    scorer = Scorer(world, protocol)
-    for step in simulate(world, flight.planner, protocol, start=flight.start, max_steps=flight.max_steps):
-        scorer.add(step)
-    return summarize(world, flight.planner_name, protocol, scorer, time.perf_counter() - began)
 
 
 def summarize(
@@ -84,15 +105,378 @@ def summarize(
     }
 
 
-def fly_all(flights: list[Flight], workers: int | None = None) -> Iterator[tuple[Flight, dict[str, Any]]]:
-    """Fly many missions side by side, yielding each as it ends."""
-    workers = workers or os.cpu_count() or 1
-    # Spawned, not forked: forking a process that holds numba's threads is not safe.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(flights)), mp_context=context) as pool:
-        running = {pool.submit(fly, flight): flight for flight in flights}
+def run_config(
+    world: World,
+    planner_name: str,
+    planner: AnyPlanner,
+    protocol: SurveyProtocol,
+    *,
+    world_from: str,
+    start: int,
+    max_steps: int | None,
+) -> dict[str, Any]:
+    """`config.json` of a mission: enough to fly it again."""
+    return {
+        "version": __version__,
+        "commit": commit(),
+        "protocol": protocol.name,
+        "world": world.name,
+        "seed": world.seed,
+        "world_from": world_from,
+        "world_hash": world_hash(world),
+        "start": start,
+        "planner": planner_name,
+        "planner_parameters": asdict(planner),
+        "max_steps": max_steps,
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """One mission of a benchmark: enough to fly it in another process."""
+
+    case: Case
+    planner_name: str
+    planner: AnyPlanner
+    protocol: str
+    max_steps: int | None = None
+    source: str = ""
+    """Of the code that it must be flown by (`machine.source`); any where empty."""
+    record_to: Path | None = None
+    """Folder to leave a full recording in."""
+
+    @property
+    def key(self) -> MissionKey:
+        """See `results.Row.key`."""
+        return (self.protocol, self.case.world, self.case.seed, self.case.start, self.planner_name)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stage:
+    """A world and what is prepared once for all missions in it. Flying changes nothing here."""
+
+    world: World
+    visibility: Visibility
+    renderer: Renderer
+
+
+# One at a time: missions come world by world, and a wreck takes some hundred megabytes.
+@lru_cache(maxsize=1)
+def _stage(world: str, seed: int, protocol: str) -> _Stage:
+    made = make_world(world, seed)
+    return _Stage(made, Visibility(made, protocol_named(protocol)), Renderer(made))
+
+
+def fly(flight: Flight) -> Flown:
+    """Fly one mission and score it. Its outcome depends on nothing that was flown before.
+
+    Raises:
+        ValueError: The flight is for other code than this.
+    """
+    if flight.source and flight.source != machine.source():
+        raise ValueError(
+            f"source: expected the code {flight.source[:12]} that the benchmark began with, "
+            f"got {machine.source()[:12]}. Was it edited, or is another version installed here?"
+        )
+    began = time.perf_counter()
+    stage = _stage(flight.case.world, flight.case.seed, flight.protocol)
+    protocol = protocol_named(flight.protocol)
+    scorer = Scorer(stage.world, protocol, visibility=stage.visibility, renderer=stage.renderer)
+    steps = simulate(
+        stage.world,
+        flight.planner,
+        protocol,
+        start=flight.case.start,
+        max_steps=flight.max_steps,
+        renderer=stage.renderer,
+        solids=stage.visibility.solids,
+    )
+    poses: list[tuple[float, float, float, float, bool]] = []
+
+    def score(step: Step) -> dict[str, Any]:
+        coverage = scorer.add(step)
+        pose = step.observation.pose
+        # Adding 0.0 turns -0.0, which would be written differently, into 0.0.
+        x, y, yaw = (round(v, 3) + 0.0 for v in (pose.x, pose.y, math.degrees(pose.yaw)))
+        poses.append((x, y, yaw, round(coverage.instances, 6), step.arrival.collided))
+        return {"coverage": coverage.as_dict()}
+
+    def outcome() -> dict[str, Any]:
+        wall_s = time.perf_counter() - began
+        return summarize(stage.world, flight.planner_name, protocol, scorer, wall_s)
+
+    if flight.record_to is None:
+        for step in steps:
+            score(step)
+    else:
+        _record(flight, stage.world, protocol, steps, score, outcome)
+    return _flown(outcome(), poses, flight.case.start, protocol.cap)
+
+
+def _record(
+    flight: Flight,
+    world: World,
+    protocol: SurveyProtocol,
+    steps: Iterator[Step],
+    score: Callable[[Step], Mapping[str, Any]],
+    outcome: Callable[[], Mapping[str, Any]],
+) -> None:
+    """Fly a mission and leave its run folder, in place of what a broken-off try may have left."""
+    from dream.report import write_report
+
+    folder = flight.record_to
+    assert folder is not None
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    config = run_config(
+        world,
+        flight.planner_name,
+        flight.planner,
+        protocol,
+        world_from=world.name,
+        start=flight.case.start,
+        max_steps=flight.max_steps,
+    )
+    recording.write_config(folder, config)
+    with contextlib.closing(recording.record(steps, folder, annotate=score)) as recorded:
+        for _ in recorded:
+            pass
+    recording.write_summary(folder, outcome())
+    write_report(folder)
+
+
+def _flown(
+    summary: Mapping[str, Any], poses: Sequence[tuple[float, float, float, float, bool]], start: int, cap: int
+) -> Flown:
+    """The row and the trace of a mission: the one place where they are put together."""
+    x, y, yaw_deg, instances, collided = (np.array(column) for column in zip(*poses, strict=True))
+    vlm = summary["vlm"] or dict.fromkeys(("calls", "tokens", "cost_usd", "fallbacks"))
+    same = (
+        *("protocol", "world", "seed", "world_hash", "planner", "ended", "steps", "t_stop", "t_claimed"),
+        *("t90", "t95", "t98", "t100", "countable", "collisions", "distance_m", "turns", "guarded"),
+        *("min_clearance_m", "success", "wall_s"),
+    )
+    values: dict[str, Any] = {
+        "start": start,
+        **{name: summary[name] for name in same},
+        **{name: summary["coverage"][name] for name in ("instances", "clusters", "area", "visible")},
+        **{f"planner_ms_{name}": summary["planner_ms"][name] for name in ("p50", "p99")},
+        **curve([pose[3] for pose in poses], cap),
+        **{f"vlm_{name}": vlm[name] for name in ("calls", "tokens", "cost_usd", "fallbacks")},
+    }
+    return Flown(Row(**values), Trace(x, y, yaw_deg, instances, collided))
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A benchmark: every planner in every case, from the same starts and by the same rules."""
+
+    suite: str
+    """What the cases are called: a suite, or a world and its seeds."""
+    cases: tuple[Case, ...]
+    planners: Mapping[str, AnyPlanner]
+    protocol: SurveyProtocol
+    max_steps: int | None = None
+    keep_runs: bool = False
+    """Leave a full recording of each mission that is flown, below `runs/`."""
+
+    def __post_init__(self) -> None:
+        if not self.cases:
+            raise ValueError(f"cases: expected at least one world, got none in {self.suite}")
+        if len(set(self.cases)) < len(self.cases):
+            raise ValueError(f"cases: expected each once, got one twice in {self.suite}")
+        if not self.planners:
+            raise ValueError(f"planners: expected one or more of {', '.join(PLANNERS)}, got none")
+        if self.max_steps is not None and self.max_steps < 1:
+            raise ValueError(f"--max-steps: expected at least 1, got {self.max_steps}")
+
+    def __len__(self) -> int:
+        return len(self.cases) * len(self.planners)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ended:
+    """A mission of a benchmark that is over."""
+
+    key: MissionKey
+    outcome: Flown | Failure
+    kept: bool
+    """It was flown before and is not flown again."""
+
+
+def fly_plan(plan: Plan, folder: Path, engine: Engine) -> Generator[Ended, None, None]:
+    """Fly what is missing of a benchmark, and yield each mission as it ends; those kept from before first.
+
+    Whatever interrupts it, finished missions are on disk and the same call goes on with the others. More
+    planners and worlds may join a folder later. When the iterator ends, fails or is closed, the tables of
+    the folder hold all missions that are in it. Its missions do not depend on the engine, the number of
+    workers or the order.
+
+    Args:
+        plan: What to fly.
+        folder: Of the benchmark; see `dream.evaluation.results`.
+        engine: Where to fly it.
+
+    Raises:
+        ValueError: The folder holds missions that do not belong beside these: other code, another protocol,
+            other parameters. Or another process writes to it.
+        OSError: The folder cannot be written.
+    """
+    began = time.perf_counter()
+    check_fits(make_world(plan.cases[0].world, plan.cases[0].seed), plan.protocol)
+    with _alone_in(folder):
+        manifest = _manifest(plan, folder, engine)
+        write_manifest(folder, manifest)
+        missing = []
+        for flight in _flights(plan, folder, manifest):
+            flown = _kept(folder, flight.key)
+            if flown is None:
+                missing.append(flight)
+            else:
+                yield Ended(flight.key, flown, kept=True)
+        left = len(missing)
         try:
-            for future in as_completed(running):
-                yield running[future], future.result()
+            groups = [list(flights) for _, flights in groupby(missing, key=lambda flight: flight.case)]
+            with contextlib.closing(engine.run(fly, groups)) as ended:
+                for flight, outcome in ended:
+                    if isinstance(outcome, Flown):
+                        write_mission(folder, outcome)
+                        left -= 1
+                    yield Ended(flight.key, outcome, kept=False)
         finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+            write_tables(folder, _all_kept(folder, manifest))
+            manifest["finished"] = None if left else _now()
+            manifest["wall_s"] = round(manifest["wall_s"] + time.perf_counter() - began, 3)
+            write_manifest(folder, manifest)
+
+
+def _flights(plan: Plan, folder: Path, manifest: Mapping[str, Any]) -> Iterator[Flight]:
+    """Case after case, so that those of one world stand together."""
+    for case in plan.cases:
+        for name, planner in plan.planners.items():
+            flight = Flight(
+                case,
+                name,
+                planner,
+                plan.protocol.name,
+                max_steps=plan.max_steps,
+                source=manifest["source"],
+            )
+            record_to = folder.resolve() / "runs" / mission_path(folder, flight.key).stem
+            yield replace(flight, record_to=record_to) if plan.keep_runs else flight
+
+
+def _kept(folder: Path, key: MissionKey) -> Flown | None:
+    """A mission that was flown before; None where there is none, or only a damaged file."""
+    try:
+        return read_mission(mission_path(folder, key))
+    except FileNotFoundError:
+        return None
+    except ValueError as damage:
+        logger.warning("%s; that mission counts as not flown", damage)
+        return None
+
+
+def _all_kept(folder: Path, manifest: Mapping[str, Any]) -> list[Flown]:
+    """All missions of a folder in canonical order."""
+    keys = [
+        (manifest["protocol"]["name"], case["world"], case["seed"], case["start"], planner)
+        for case in manifest["cases"]
+        for planner in manifest["planners"]
+    ]
+    return [flown for key in keys if (flown := _kept(folder, key)) is not None]
+
+
+def _manifest(plan: Plan, folder: Path, engine: Engine) -> dict[str, Any]:
+    """What the folder holds once the plan is flown; a ValueError where the two do not belong together."""
+    now: dict[str, Any] = {
+        "suite": plan.suite,
+        "cases": [asdict(case) for case in plan.cases],
+        "planners": {name: _as_json(planner) for name, planner in plan.planners.items()},
+        "protocol": _as_json(plan.protocol),
+        "max_steps": plan.max_steps,
+        "engine": repr(engine),
+        **machine.code(),
+        **machine.libraries(),
+        "machine": machine.machine(),
+        "started": _now(),
+        "finished": None,
+        "wall_s": 0.0,
+    }
+    if (folder / "manifest.json").exists():
+        before = read_manifest(folder)
+        # Not the commit: one that changes a page must not end a benchmark, and the source says what counts.
+        for name in ("version", "source", "protocol", "max_steps"):
+            _check_same(folder, name, before[name], now[name])
+        for name in before["planners"].keys() & now["planners"].keys():
+            _check_same(folder, name, before["planners"][name], now["planners"][name])
+        suites = dict.fromkeys([*before["suite"].split(", "), plan.suite])
+        now["suite"] = ", ".join(suites)
+        now["cases"] += [case for case in before["cases"] if case not in now["cases"]]
+        now["planners"] |= before["planners"]
+        now["started"], now["wall_s"] = before["started"], before["wall_s"]
+    elif (folder / "missions").exists():
+        raise ValueError(
+            f"{folder}: expected a manifest.json that tells how its missions were flown, got none. "
+            "Choose another --out"
+        )
+    now["cases"].sort(key=lambda case: _rank_of_case(Case(**case)))
+    now["planners"] = {name: now["planners"][name] for name in sorted(now["planners"], key=_rank_of_planner)}
+    return now
+
+
+def _check_same(folder: Path, name: str, before: Any, now: Any) -> None:
+    if isinstance(before, dict) and isinstance(now, dict):
+        for key in sorted(before.keys() | now.keys()):
+            _check_same(folder, f"{name}.{key}", before.get(key), now.get(key))
+    elif before != now:
+        raise ValueError(
+            f"{folder}: {name}: expected {before} as for the missions in it, got {now}. Choose another --out"
+        )
+
+
+def _as_json(parameters: AnyPlanner | SurveyProtocol) -> Any:
+    """Parameters as they are read back from a file."""
+    return json.loads(json.dumps(asdict(parameters)))
+
+
+def _rank_of_case(case: Case) -> tuple[int, str, int, int]:
+    """Worlds in the order of `dream worlds`, which is that of the suites; then by seed and start."""
+    rank = WORLDS.index(case.world) if case.world in WORLDS else len(WORLDS)
+    return (rank, case.world, case.seed, case.start)
+
+
+def _rank_of_planner(name: str) -> tuple[int, str]:
+    order = list(PLANNERS)
+    return (order.index(name) if name in order else len(order), name)
+
+
+def _now() -> str:
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+
+
+@contextlib.contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Keep other processes from flying into the same folder. However this one ends, the folder is free."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = (folder / ".lock").open("w")
+    except OSError as error:
+        raise OSError(
+            f"benchmark folder: expected a place that can be written, got {folder} ({error.strerror}). "
+            "Choose another with --out"
+        ) from error
+    with lock:
+        try:
+            import fcntl
+
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as taken:
+            raise ValueError(
+                f"{folder}: expected that no other benchmark writes here, got one at work. "
+                "Wait for it, or choose another --out"
+            ) from taken
+        except (ImportError, OSError):
+            # Neither Windows nor every network disk has such locks; there the user takes care.
+            pass
+        yield

@@ -27,15 +27,31 @@ class Teleport:
     Assumes: setpoints on the protocol's lattice.
     """
 
-    def __init__(self, world: World, protocol: SurveyProtocol, start: SE2 | None = None) -> None:
-        """Put the robot into the world, at its first start pose unless told otherwise."""
+    def __init__(
+        self,
+        world: World,
+        protocol: SurveyProtocol,
+        start: SE2 | None = None,
+        *,
+        renderer: Renderer | None = None,
+        solids: Solids | None = None,
+    ) -> None:
+        """Put the robot into the world, at its first start pose unless told otherwise.
+
+        Args:
+            world: Where.
+            protocol: By which rules it looks and moves.
+            start: Snapped to the lattice.
+            renderer: Of this world, where one is made already.
+            solids: Of this world, where they are made already.
+        """
         pose = world.starts[0] if start is None else start
         if not world.bounds.contains(pose.x, pose.y):
             raise ValueError(f"start: expected a pose inside {world.bounds}, got ({pose.x}, {pose.y})")
         self._world = world
         self._protocol = protocol
-        self._renderer = Renderer(world)
-        self._solids = Solids(world)
+        self._renderer = renderer or Renderer(world)
+        self._solids = solids or Solids(world)
         self._pose = protocol.snap(pose)
         self._time = 0.0
         if self._solids.clearance(self._pose.x, self._pose.y, protocol) <= 0.0:

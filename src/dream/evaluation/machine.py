@@ -1,0 +1,70 @@
+"""What a result was made with: the code, the libraries under it, and the machine."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import dream
+from dream.versions import commit
+
+LIBRARIES = ("numpy", "numba", "scipy")
+_SHOWS_ONLY = ("cli.py", "commands", "recording.py", "report.py", "versions.py")
+_SCORES = ("metrics.py", "runner.py")
+
+
+@cache
+def source() -> str:
+    """SHA-256 of the code that a mission's outcome can depend on; where it is equal, results are.
+
+    A commit says nothing of changes that were not committed, and an installed package has none.
+    """
+    root = Path(dream.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        parts = path.relative_to(root).parts
+        if parts[0] in _SHOWS_ONLY or (parts[0] == "evaluation" and parts[1:] not in [(n,) for n in _SCORES]):
+            continue
+        digest.update("/".join(parts).encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def code() -> dict[str, str | None]:
+    """Version, commit and source of this package: results of other code do not belong beside its own."""
+    return {"version": dream.__version__, "commit": commit(), "source": source()}
+
+
+def libraries() -> dict[str, str]:
+    """Versions of Python and of what computes."""
+    return {"python": platform.python_version(), **{name: version(name) for name in LIBRARIES}}
+
+
+def machine() -> dict[str, Any]:
+    """Processor, cores, memory and system of this machine; None for what it does not tell."""
+    return {
+        "cpu": _processor(),
+        "cores": os.cpu_count(),
+        "memory_gb": _memory_gb(),
+        "os": platform.platform(),
+    }
+
+
+def _processor() -> str | None:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, None) or platform.processor() or None
+
+
+def _memory_gb() -> float | None:
+    try:
+        return round(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9, 1)
+    except (AttributeError, OSError, ValueError):
+        return None

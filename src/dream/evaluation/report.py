@@ -1,0 +1,637 @@
+"""Benchmark folder → one self-contained HTML page and its tables in Markdown.
+
+Whatever stands in the folder is treated as text from a stranger: it is escaped, and the page's policy
+forbids it to run or to load anything. The page has no script.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import os
+import re
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from PIL import Image
+
+from dream.evaluation import figures, tables
+from dream.evaluation.figures import DARK, LIGHT, Picture, Scene
+from dream.evaluation.results import Results, read_results
+from dream.evaluation.tables import NONE, Comparison, Table, compare, label
+from dream.report import digest, fill
+
+JPEG_QUALITY = 72
+SHOWN = 3
+"""Planners whose ways the page shows before anyone asks for more."""
+SHORT = {
+    "results": "Results",
+    "families": "Families",
+    "baselines": "Baselines",
+    "bounds": "Bounds",
+    "paper": "The paper",
+    "ways": "Trajectories",
+    "worlds": "Worlds",
+    "details": "All measures",
+    "run": "What was run",
+}
+"""Names of the parts in the bar of contents."""
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A part of a report: the same for the page, for `tables.md` and for the documentation."""
+
+    name: str
+    title: str
+    lead: str
+    tables: tuple[Table, ...] = ()
+    pictures: tuple[Picture, ...] = ()
+    aside: tuple[Table, ...] = ()
+    """Set apart from the other tables, since they are not ours."""
+
+
+def write_report(folder: Path) -> Path:
+    """Make `report.html` and `tables.md` in a benchmark folder, from what lies in that folder alone.
+
+    An unfinished benchmark is shown as far as it went, and says how much is missing.
+
+    Returns:
+        The path of the page.
+
+    Raises:
+        FileNotFoundError: It is no benchmark folder.
+        ValueError: One of its files is damaged; the message names it.
+    """
+    results = read_results(folder)
+    comparison = compare(results)
+    _replace(folder / "tables.md", markdown(results, comparison))
+    page = folder / "report.html"
+    _replace(page, _page(results, comparison))
+    return page
+
+
+def sections(results: Results, comparison: Comparison) -> list[Section]:
+    """What there is to say about a benchmark, the most important first."""
+    pictures = {picture.name: picture for picture in figures.pictures(results, comparison)}
+    curves = tuple(picture for name, picture in pictures.items() if name != "profile")
+    profile = tuple(picture for name, picture in pictures.items() if name == "profile")
+    found = tables.groups(comparison)
+    whole = next(iter(found))
+    against = tables.against_the_best_baseline(comparison)
+    every = [
+        Section(
+            "results",
+            "Results",
+            _verdict(comparison),
+            (tables.headline(comparison, found[whole], whole),),
+            curves,
+        )
+    ]
+    if len(found) > 1:
+        every.append(
+            Section(
+                "families",
+                "By family of worlds",
+                "The same planners, family by family. The number of missions of each stands in the heading.",
+                tuple(tables.by_family(comparison)),
+            )
+        )
+    if against.rows:
+        every.append(
+            Section(
+                "baselines",
+                "Against the best baseline",
+                "Every planner flew the same worlds from the same starts, so that planners are compared "
+                "world by world.",
+                (against,),
+            )
+        )
+    every.append(
+        Section(
+            "bounds",
+            "Against one who knows the world",
+            "How near a planner came to the fewest steps that any mission could take: between the best "
+            "tour that is known and a lower bound that is certified.",
+            (tables.efficiency(comparison, whole, found[whole]), tables.bounds_table(comparison)),
+            profile,
+        )
+    )
+    every.append(
+        Section(
+            "paper",
+            "The paper's tables",
+            "In the paper's own form, measured in our simulator. What others published stands apart below.",
+            tuple(tables.paper_tables(comparison)),
+            aside=tuple(tables.published_tables()),
+        )
+    )
+    every.append(
+        Section(
+            "worlds",
+            "World by world",
+            "One world a line.",
+            (tables.world_table(comparison),),
+        )
+    )
+    return every
+
+
+def details(comparison: Comparison) -> dict[str, list[Table]]:
+    """All measures, group by group."""
+    return {
+        title: tables.detail_tables(comparison, title, cases)
+        for title, cases in tables.groups(comparison).items()
+    }
+
+
+def run_table(results: Results, comparison: Comparison) -> Table:
+    """What was flown, by which code, on which machine."""
+    manifest = results.manifest
+    machine = manifest["machine"]
+    libraries = [
+        f"{name} {manifest[name]}" for name in ("python", "numpy", "numba", "scipy") if name in manifest
+    ]
+    protocol = manifest["protocol"]
+    known = [
+        f"{name} {protocol[name]:g} m"
+        for name in ("reach", "cell", "lattice")
+        if _is_number(protocol.get(name))
+    ]
+    rows = [
+        ("worlds", f"{manifest['suite']}: {len(comparison.cases)} cases"),
+        ("protocol", ", ".join([comparison.protocol, *known, f"{comparison.horizon} steps at most"])),
+        ("missions", f"{len(comparison.rows)} of {len(comparison.rows) + comparison.missing}"),
+        *(
+            (
+                f"planner {name}",
+                ", ".join(f"{key} {value}" for key, value in parameters.items()) or "no parameters",
+            )
+            for name, parameters in manifest["planners"].items()
+        ),
+        ("version", f"{manifest['version']}, commit {manifest['commit'] or 'unknown'}"),
+        ("source", str(manifest["source"])),
+        ("libraries", ", ".join(libraries) or NONE),
+        ("engine", str(manifest["engine"])),
+        (
+            "machine",
+            ", ".join(f"{key} {value}" for key, value in machine.items() if value is not None) or NONE,
+        ),
+        ("started", str(manifest["started"])),
+        ("finished", str(manifest["finished"] or "not yet")),
+        ("flying took", f"{float(manifest['wall_s']):.0f} s"),
+        ("repeat with", repeating_command(manifest)),
+    ]
+    return Table("run", "What was run", ("", ""), tuple(rows), labels=2)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def repeating_command(manifest: Mapping[str, Any]) -> str:
+    """The command line, or lines, that fly the benchmark again."""
+    found = []
+    for suite in str(manifest["suite"]).split(", "):
+        world, _, seeds = suite.partition(" ")
+        words = ["dream", "bench"]
+        words += ["--world", world, "--seeds", seeds] if seeds else [world]
+        words += ["--planners", *manifest["planners"], "--protocol", str(manifest["protocol"]["name"])]
+        if manifest["max_steps"] is not None:
+            words += ["--max-steps", str(manifest["max_steps"])]
+        found.append(shlex.join(words))
+    return " && ".join(found)
+
+
+def warnings(comparison: Comparison) -> list[str]:
+    """What a reader must know before reading a number."""
+    found = []
+    if comparison.missing:
+        found.append(
+            f"Unfinished: {comparison.missing} of {comparison.missing + len(comparison.rows)} missions "
+            "are missing. Means of different planners are then over different worlds; only the paired "
+            "comparisons are not."
+        )
+    broken = tables.contradictions(comparison)
+    if broken:
+        found.append(
+            f"A certified bound is contradicted, so one of the two is wrong: {'; '.join(broken[:5])}."
+        )
+    unknown = sum(case not in comparison.bounds for case in comparison.cases)
+    if unknown:
+        found.append(
+            f"No certified bound is known for {unknown} of {len(comparison.cases)} cases; ratios leave "
+            "them out."
+        )
+    return found
+
+
+def _verdict(comparison: Comparison) -> str:
+    """The result in a few sentences, with what speaks against it."""
+    best, cases = comparison.ranked[0], comparison.cases
+    flown = comparison.flown(best, cases)
+    reached, count = comparison.reached(best, cases, "t98")
+    text = (
+        f"{best} is the fastest here: it reached 98.26 % of the instances in {reached} of {count} "
+        f"missions, after {_time(comparison, best)} steps on average where never counts as "
+        f"{comparison.horizon}, and succeeded in {sum(row.success for _, row in flown)}."
+    )
+    reference = tables.best_baseline(comparison, cases)
+    if reference is not None and reference != best:
+        difference = tables.difference(comparison, best, reference, cases)
+        text += (
+            f" The best baseline, {reference}, takes {_time(comparison, reference)}; paired by world the "
+            f"difference is {tables.with_interval(difference)} over {difference.count} worlds."
+        )
+    return text
+
+
+def _time(comparison: Comparison, planner: str) -> str:
+    limits = (0.0, float(comparison.horizon))
+    return tables.with_interval(
+        comparison.estimate(planner, comparison.cases, comparison.time("t98"), limits=limits)
+    )
+
+
+# ---- Markdown ----
+
+
+def markdown(results: Results, comparison: Comparison) -> str:
+    """All tables of a benchmark as one Markdown page."""
+    escape = tables.escape_markdown
+    parts = [f"# Benchmark {escape(str(results.manifest['suite']))}\n"]
+    parts += [f"> {escape(text)}\n" for text in warnings(comparison)]
+    for section in sections(results, comparison):
+        parts.append(f"## {section.title}\n\n{escape(section.lead)}\n")
+        parts += [table.markdown() for table in (*section.tables, *section.aside)]
+    parts.append("## All measures\n")
+    for title, every in details(comparison).items():
+        parts.append(f"### {title}\n")
+        parts += [table.markdown() for table in every]
+    parts.append(run_table(results, comparison).markdown())
+    return "\n".join(parts)
+
+
+# ---- HTML ----
+
+
+def _page(results: Results, comparison: Comparison) -> str:
+    style = _part("dream", "report_page/page.css") + _part("dream.evaluation", "bench_page/page.css")
+    style += _colours(comparison)
+    every = sections(results, comparison)
+    scenes = [figures.scene(results, comparison, case) for case in figures.shown_cases(comparison)]
+    blocks = {section.name: (section.title, _section(section, comparison)) for section in every}
+    ordered = {}
+    for name, block in blocks.items():
+        if name == "worlds":
+            ordered["ways"] = ("Trajectories", _ways(scenes, comparison))
+        ordered[name] = block
+    ordered["details"] = ("All measures", _details(comparison))
+    run = run_table(results, comparison)
+    ordered["run"] = ("What was run", f'<div class="run">{_table(run, comparison)}</div>')
+    collisions = sum(row.collisions for row in comparison.rows.values())
+    worlds = {(case.world, case.seed) for case in comparison.cases}
+    shown = (
+        ("planners", len(comparison.planners)),
+        ("worlds", len(worlds)),
+        ("missions", len(comparison.rows)),
+        ("collisions", collisions),
+    )
+    suite = str(results.manifest["suite"])
+    return fill(
+        _part("dream.evaluation", "bench_page/page.html"),
+        {
+            "policy": f"default-src 'none'; img-src data:; base-uri 'none'; form-action 'none'; style-src "
+            f"{digest(style)}",
+            "title": html.escape(f"{suite} · DREAM benchmark"),
+            "style": style,
+            "heading": html.escape(suite),
+            "how": html.escape(
+                f"protocol {comparison.protocol}, {comparison.horizon} steps at most, version "
+                f"{results.manifest['version']}, "
+                f"{str(results.manifest['finished'] or results.manifest['started'])[:10]}"
+            ),
+            "figures": "".join(f"<div><dt>{name}</dt><dd>{count}</dd></div>" for name, count in shown),
+            "notices": "".join(f'<p class="notice">{html.escape(text)}</p>' for text in warnings(comparison)),
+            "contents": "".join(f'<a href="#{name}">{SHORT[name]}</a>' for name in ordered),
+            "sections": "\n".join(
+                f'<section class="panel" id="{name}"><h2>{html.escape(title)}</h2>{body}</section>'
+                for name, (title, body) in ordered.items()
+            ),
+            "command": html.escape(repeating_command(results.manifest)),
+        },
+    )
+
+
+def _colours(comparison: Comparison) -> str:
+    """Rules for the planners' colours, and for hiding a planner's way over the worlds."""
+    rules, dark = [], []
+    for k, planner in enumerate(comparison.planners):
+        rules.append(f".c{k} {{ background: {_color(figures.LIGHT, comparison, planner)}; }}")
+        dark.append(f".c{k} {{ background: {_color(figures.DARK, comparison, planner)}; }}")
+        rules.append(f"main:has(#show{k}:not(:checked)) .w{k} {{ display: none; }}")
+    rules.append("main:has(#show-tour:not(:checked)) .tour { display: none; }")
+    return "\n".join([*rules, "@media (prefers-color-scheme: dark) {", *dark, "}"])
+
+
+def _color(theme: figures.Theme, comparison: Comparison, planner: str) -> str:
+    return str(figures.look(theme, comparison.planners, planner)["color"])
+
+
+def _section(section: Section, comparison: Comparison) -> str:
+    parts = [f'<p class="lead">{html.escape(section.lead)}</p>']
+    drawn = (
+        f'<div class="pictures">{"".join(map(_picture, section.pictures))}</div>' if section.pictures else ""
+    )
+    first, *others = [_table(table, comparison) for table in section.tables] or [""]
+    if section.name == "paper":
+        parts.append(f'<div class="pairs">{"".join(f"<div>{each}</div>" for each in (first, *others))}</div>')
+    else:
+        parts += [first, drawn, *others]
+    if section.aside:
+        apart = "".join(f"<div>{_table(table, comparison)}</div>" for table in section.aside)
+        parts.append(f'<div class="aside pairs">{apart}</div>')
+    return "".join(parts)
+
+
+def _table(table: Table, comparison: Comparison) -> str:
+    head = "".join(
+        f'<th scope="col"{_name(k, table)}>{html.escape(heading)}</th>'
+        for k, heading in enumerate(table.headings)
+    )
+    head = f"<thead><tr>{head}</tr></thead>" if any(table.headings) else ""
+    rows = "".join(f"<tr>{_cells(row, table, comparison)}</tr>" for row in table.rows)
+    notes = "".join(f'<p class="note">{html.escape(note)}</p>' for note in table.notes)
+    # The one table of its section needs no title of its own.
+    title = f"<h3>{html.escape(table.title)}</h3>" if any(table.headings) else ""
+    return (
+        f"{title}"
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{html.escape(table.title)}">'
+        f"<table>{head}<tbody>{rows}</tbody></table></div>{notes}"
+    )
+
+
+def _cells(row: Sequence[str], table: Table, comparison: Comparison) -> str:
+    cells = []
+    for k, cell in enumerate(row):
+        if k < table.labels:
+            dot = ""
+            if table.headings[k] in ("planner", "method") and cell in comparison.planners:
+                dot = f'<i class="dot c{comparison.planners.index(cell)}"></i>'
+            tag = "th" if k == 0 else "td"
+            scope = ' scope="row"' if k == 0 else ""
+            cells.append(f'<{tag}{scope} class="name">{dot}{html.escape(cell)}</{tag}>')
+        else:
+            cells.append(f"<td>{_quiet(cell)}</td>")
+    return "".join(cells)
+
+
+def _quiet(cell: str) -> str:
+    """A cell whose interval and count stand back behind its number."""
+    value, between, rest = re.fullmatch(r"(.*?)(?:( \(| · )(.*))?", cell, re.DOTALL).groups()  # type: ignore[union-attr]
+    if rest is None:
+        return html.escape(value)
+    return f"{html.escape(value)} <small>{html.escape(between.strip(' ·') + rest)}</small>"
+
+
+def _name(k: int, table: Table) -> str:
+    return ' class="name"' if k < table.labels else ""
+
+
+def _picture(picture: Picture) -> str:
+    light, dark = (_url("svg+xml", picture.svg(theme)) for theme in (LIGHT, DARK))
+    return (
+        f'<figure><picture><source media="(prefers-color-scheme: dark)" srcset="{dark}">'
+        f'<img src="{light}" alt="{html.escape(picture.title)}"></picture>'
+        f"<figcaption><span>{html.escape(picture.says)}</span></figcaption></figure>"
+    )
+
+
+def _details(comparison: Comparison) -> str:
+    parts = []
+    for title, every in details(comparison).items():
+        body = "".join(_table(table, comparison) for table in every)
+        parts.append(f"<details><summary>{html.escape(title)}</summary>{body}</details>")
+    return f'<div class="details">{"".join(parts)}</div>'
+
+
+def _ways(scenes: Sequence[Scene], comparison: Comparison) -> str:
+    """The ways of all planners over the worlds; each can be switched off, without a script."""
+    names = [name for name in comparison.planners if any(name in scene.tracks for scene in scenes)]
+    switches, fastest = [], comparison.ranked[:SHOWN]
+    for name in names:
+        k = comparison.planners.index(name)
+        switches.append(_switch(f"show{k}", _stroke(comparison, name), name, on=name in fastest))
+    if any(scene.tour is not None for scene in scenes):
+        switches.append(
+            _switch("show-tour", ' stroke="currentColor" stroke-dasharray="5 4"', figures.TOUR, on=True)
+        )
+    cases = sum(any((case, name) in comparison.rows for name in names) for case in comparison.cases)
+    some = f" {len(scenes)} of the {cases} cases, spread over the families." if len(scenes) < cases else ""
+    some += " Names switch planners on and off; at first the fastest are shown." if len(names) > SHOWN else ""
+    return (
+        '<p class="lead">Where the planners went, seen from above: north is up, targets are coloured by '
+        "group, obstacles grey. A ring where the mission began, a dot where it ended, a red cross where it "
+        f"touched something.{some}</p>"
+        f'<div class="switches">{"".join(switches)}</div>'
+        f'<div class="maps">{"".join(_map(scene, comparison) for scene in scenes)}</div>'
+    )
+
+
+def _switch(name: str, stroke: str, text: str, *, on: bool) -> str:
+    return (
+        f'<label><input type="checkbox" id="{name}"{" checked" if on else ""}><svg viewBox="0 0 26 10">'
+        f'<line x1="1" y1="5" x2="25" y2="5" stroke-width="3"{stroke}/></svg>{html.escape(text)}</label>'
+    )
+
+
+def _map(scene: Scene, comparison: Comparison) -> str:
+    size = scene.pixels
+    parts = []
+    if scene.chart is not None:
+        parts.append(f'<image width="{size}" height="{size}" href="{_url("jpeg", _jpeg(scene.chart))}"/>')
+    if scene.tour is not None:
+        parts.append(f'<path class="tour" stroke="#0c2431" stroke-dasharray="9 7" d="{_path(scene.tour)}"/>')
+    start = next(iter(scene.tracks.values()))[0]
+    for name, track in scene.tracks.items():
+        color = _color(LIGHT, comparison, name)
+        x, y = track[-1]
+        crosses = "".join(f"M{u - 7:.0f} {v - 7:.0f}l14 14m0-14l-14 14" for u, v in scene.contacts[name])
+        touched = f'<path stroke="#b3261e" d="{crosses}"/>' if crosses else ""
+        parts.append(
+            f'<g class="w{comparison.planners.index(name)}"><path{_stroke(comparison, name)} '
+            f'd="{_path(track)}"/><circle cx="{x:.1f}" cy="{y:.1f}" r="6.5" fill="{color}" stroke="#fff" '
+            f'stroke-width="2"/>{touched}</g>'
+        )
+    parts.append(
+        f'<circle cx="{start[0]:.1f}" cy="{start[1]:.1f}" r="9" fill="none" stroke="#0c2431" '
+        'stroke-width="3"/>'
+    )
+    times = {name: comparison.rows[scene.case, name].t98 for name in scene.tracks}
+    fastest = min((t, name) for name, t in times.items() if t is not None) if any(times.values()) else None
+    outcome = f"{fastest[1]} {fastest[0]}" if fastest else "98.26 % never"
+    name = html.escape(label(scene.case))
+    return (
+        f'<figure><svg viewBox="0 0 {size} {size}" role="img" aria-label="Trajectories in '
+        f'{name}">{"".join(parts)}</svg>'
+        f"<figcaption><span>{name}</span><span>{html.escape(outcome)}</span></figcaption></figure>"
+    )
+
+
+def _stroke(comparison: Comparison, planner: str) -> str:
+    style = figures.look(LIGHT, comparison.planners, planner)
+    dashes = (
+        ""
+        if isinstance(style["linestyle"], str)
+        else " ".join(f"{4 * length:g}" for length in style["linestyle"][1])
+    )
+    return f' stroke="{style["color"]}"' + (f' stroke-dasharray="{dashes}"' if dashes else "")
+
+
+def _path(points: Any) -> str:
+    """Path data; places where the vehicle only turned are left out."""
+    kept = [f"{x:.1f} {y:.1f}" for x, y in points]
+    return "M" + "L".join(point for k, point in enumerate(kept) if k == 0 or point != kept[k - 1])
+
+
+def _jpeg(image: Image.Image) -> bytes:
+    buffer = io.BytesIO()
+    image.save(buffer, "jpeg", quality=JPEG_QUALITY)
+    return buffer.getvalue()
+
+
+def _url(kind: str, content: bytes) -> str:
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
+
+
+def _part(package: str, name: str) -> str:
+    return resources.files(package).joinpath(*name.split("/")).read_text(encoding="utf-8")
+
+
+def _replace(path: Path, text: str) -> None:
+    partial = path.with_name(f".{path.name}.partial")
+    partial.write_text(text, encoding="utf-8")
+    partial.replace(path)
+
+
+# ---- the documentation ----
+
+
+def write_results(folders: Sequence[Path], page: Path, pictures: Path) -> list[Path]:
+    """Write the documentation's page of results, and its pictures as files; returns the paths of these.
+
+    A folder that holds benchmark folders of several reaches is shown as a sweep.
+
+    Raises:
+        FileNotFoundError: A folder is neither a benchmark nor a sweep.
+        ValueError: A file is damaged.
+    """
+    parts = [_INTRODUCTION]
+    files: dict[Path, bytes] = {}
+    taken: set[str] = set()
+    for folder in folders:
+        name = _slug(folder.resolve().name, taken)
+        drawn: list[tuple[Picture, str]]
+        if (folder / "manifest.json").is_file():
+            text, drawn = _chapter(read_results(folder), name)
+        else:
+            text, drawn = _sweep_chapter(folder, name)
+        for picture, kind in drawn:
+            path = pictures / f"{name}-{picture.name}.{kind}"
+            files[path] = picture.svg() if kind == "svg" else picture.png()
+            link = Path(os.path.relpath(path, page.parent)).as_posix()
+            text = text.replace(_place(picture), f"![{picture.title}]({quote(link)})\n\n*{picture.says}*\n")
+        parts.append(text)
+    parts.append("## As published elsewhere\n")
+    parts += [table.markdown() for table in tables.published_tables()]
+    for path, content in files.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    page.parent.mkdir(parents=True, exist_ok=True)
+    _replace(page, "\n".join(parts))
+    return list(files)
+
+
+_INTRODUCTION = """\
+# Results
+
+This page is written by `dream results` from the files of benchmarks and says nothing that is not in them;
+the same files give the same page, byte for byte. Numbers are only comparable within one protocol. What other
+papers published, in other simulators, stands apart at the end.
+"""
+
+
+def _place(picture: Picture) -> str:
+    """Where a picture goes in the text: a mark that no escaped text can hold."""
+    return f"<picture {picture.name}>"
+
+
+def _chapter(results: Results, name: str) -> tuple[str, list[tuple[Picture, str]]]:
+    """A benchmark in Markdown, with the place of each picture, and these with the kind of file of each."""
+    comparison = compare(results)
+    escape = tables.escape_markdown
+    every = sections(results, comparison)
+    drawn = [(picture, "svg") for section in every for picture in section.pictures]
+    shown = figures.shown_cases(comparison)
+    parts = [
+        f"## {escape(str(results.manifest['suite']))}\n",
+        *(f"> {escape(each)}\n" for each in warnings(comparison)),
+    ]
+    parts.append(run_table(results, comparison).markdown())
+    for section in every:
+        parts.append(f"### {section.title}\n\n{escape(section.lead)}\n")
+        first, *others = [table.markdown() for table in section.tables] or [""]
+        parts += [first, *map(_place, section.pictures), *others]
+    if shown:
+        ways = figures.trajectories(
+            comparison,
+            comparison.ranked[:SHOWN],
+            [figures.scene(results, comparison, case) for case in shown],
+        )
+        drawn.append((ways, "png"))
+        thinned = len(shown) < len(comparison.cases)
+        some = f" {len(shown)} of {len(comparison.cases)} cases, spread over the families." if thinned else ""
+        parts.append(
+            f"### {ways.title}\n\n{ways.title} over the worlds, seen from above.{some}\n\n{_place(ways)}"
+        )
+    return "\n".join(parts), drawn
+
+
+def _sweep_chapter(folder: Path, name: str) -> tuple[str, list[tuple[Picture, str]]]:
+    """A sweep in Markdown: one picture and one table over all reaches."""
+    found: dict[float, tuple[Results, Comparison]] = {}
+    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+        if (path / "manifest.json").is_file():
+            results = read_results(path)
+            reach = results.manifest["protocol"].get("reach")
+            if not _is_number(reach) or reach in found:
+                raise ValueError(f"{path}: expected a benchmark with a reach of its own, got {reach}")
+            found[float(reach)] = results, compare(results)
+    if not found:
+        raise FileNotFoundError(f"{folder}: expected a folder of dream bench or dream sweep, got neither")
+    comparisons = {reach: found[reach][1] for reach in sorted(found)}
+    picture = figures.sweep(comparisons)
+    first = found[min(found)][0]
+    parts = [
+        f"## Sweep over the reach: {tables.escape_markdown(str(first.manifest['suite']))}\n",
+        _place(picture),
+    ]
+    parts.append(tables.sweep_table(comparisons).markdown())
+    parts += [run_table(*found[reach]).markdown() for reach in comparisons]
+    return "\n".join(parts), [(picture, "svg")]
+
+
+def _slug(name: str, taken: set[str]) -> str:
+    """A file name from a folder's, different from those already taken."""
+    slug = re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip(".-") or "bench"
+    count = sum(
+        other == slug or re.fullmatch(re.escape(slug) + r"-\d+", other) is not None for other in taken
+    )
+    taken.add(slug if not count else f"{slug}-{count + 1}")
+    return slug if not count else f"{slug}-{count + 1}"

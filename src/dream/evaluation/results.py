@@ -1,0 +1,427 @@
+"""A benchmark folder: one row and one trace a mission, written so that nothing finished is ever lost.
+
+A mission is written to `missions/` as soon as it ends, whole or not at all; `results.csv` and
+`traces.csv.gz` are made from those files and say the same in canonical order. Whatever is read is checked.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import gzip
+import io
+import json
+import os
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any, BinaryIO, Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic_core import from_json
+
+Float64Array = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+MissionKey = tuple[str, str, int, int, str]
+"""Protocol, world, seed, start, planner."""
+
+MAX_STEPS = 100_000
+"""A longer mission is refused when it is read."""
+MAX_MISSION_BYTES = 64 << 20
+"""A larger file of one mission is refused."""
+MAX_TABLE_BYTES = 1 << 30
+"""A larger `results.csv` is refused."""
+MAX_LINE_BYTES = 1 << 16
+
+_Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._/+-]{0,99}$")]
+_Count = Annotated[int, Field(ge=0)]
+_Step = Annotated[int, Field(ge=0, le=MAX_STEPS)]
+_Share = Annotated[float, Field(ge=0.0, le=1.0)]
+_Amount = Annotated[float, Field(ge=0.0)]
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One mission: a line of `results.csv`, whose columns are these fields in this order.
+
+    Times are steps, counted from 1 with the look-around; None where the mark was not reached.
+    """
+
+    __pydantic_config__ = ConfigDict(allow_inf_nan=False, extra="forbid")
+
+    protocol: _Name
+    world: _Name
+    seed: _Count
+    start: _Count
+    world_hash: _Name
+    planner: _Name
+    ended: Literal["done", "cap"]
+    steps: _Step
+    t_stop: _Step | None
+    """Where the planner itself stopped."""
+    t_claimed: _Step | None
+    """Where the planner first said done, whether or not the map agreed."""
+    t90: _Step | None
+    t95: _Step | None
+    t98: _Step | None
+    t100: _Step | None
+    instances: _Share
+    clusters: _Share
+    area: _Share
+    visible: _Share
+    countable: _Count
+    """Individuals that some reachable pose sees."""
+    collisions: _Count
+    distance_m: _Amount
+    turns: _Count
+    guarded: _Count
+    """Decisions that the guard changed."""
+    min_clearance_m: float | None
+    planner_ms_p50: _Amount
+    planner_ms_p99: _Amount
+    c50: _Share
+    """Share of the instances seen after 50 steps; what a shorter mission ended with stays."""
+    c100: _Share
+    c137: _Share
+    c200: _Share
+    auc: _Share
+    """Mean of that share over steps 1 to the protocol's cap, held likewise."""
+    vlm_calls: _Count | None
+    vlm_tokens: _Count | None
+    vlm_cost_usd: _Amount | None
+    vlm_fallbacks: _Count | None
+    success: bool
+    wall_s: _Amount
+
+    @property
+    def key(self) -> MissionKey:
+        """What tells this mission from every other."""
+        return (self.protocol, self.world, self.seed, self.start, self.planner)
+
+
+COLUMNS: tuple[str, ...] = tuple(field.name for field in fields(Row))
+TIMES: tuple[str, ...] = ("planner_ms_p50", "planner_ms_p99", "wall_s")
+"""Columns that depend on the machine; all others are the same each time a mission is flown."""
+TRACE_COLUMNS: tuple[str, ...] = (
+    *("protocol", "world", "seed", "start", "planner", "step"),
+    *("x", "y", "yaw_deg", "instances", "collided"),
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trace:
+    """A mission step by step; index 0 is the first look."""
+
+    x: Float64Array
+    """(n + 1,) metres east in the world, where the step ended."""
+    y: Float64Array
+    """(n + 1,) metres north."""
+    yaw_deg: Float64Array
+    """(n + 1,) heading in degrees, 0 = east, positive to the left."""
+    instances: Float64Array
+    """(n + 1,) share of the instances seen so far."""
+    collided: BoolArray
+    """(n + 1,)."""
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flown:
+    """A finished mission."""
+
+    row: Row
+    trace: Trace
+
+    def __post_init__(self) -> None:
+        lengths = {name: len(getattr(self.trace, name)) for name in Trace.__slots__}
+        if set(lengths.values()) != {self.row.steps + 1}:
+            raise ValueError(
+                f"trace: expected {self.row.steps + 1} poses of {self.row.steps} steps, got {lengths}"
+            )
+
+
+class CaseEntry(BaseModel):
+    """A case in a manifest."""
+
+    world: _Name
+    seed: _Count
+    start: _Count
+
+
+class Manifest(BaseModel):
+    """`manifest.json`: what was flown, by which code, on which machine."""
+
+    model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
+
+    suite: str
+    cases: list[CaseEntry]
+    planners: dict[_Name, dict[str, Any]]
+    """Parameters of each, by its name on the command line."""
+    protocol: dict[str, Any]
+    max_steps: int | None
+    version: str
+    commit: str | None
+    source: str
+    """SHA-256 of the code; see `dream.evaluation.machine`."""
+    engine: str
+    machine: dict[str, Any]
+    started: str
+    finished: str | None
+    """None while missions are missing."""
+    wall_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Results:
+    """All that a benchmark folder says."""
+
+    manifest: dict[str, Any]
+    rows: tuple[Row, ...]
+    """In canonical order: case after case, planner after planner."""
+    traces: dict[MissionKey, Trace]
+
+
+_ROW = TypeAdapter(Row)
+
+
+def mission_path(folder: Path, key: MissionKey) -> Path:
+    """Where a mission of a benchmark folder is kept."""
+    protocol, world, seed, start, planner = key
+    return folder / "missions" / f"{protocol}_{world.replace('/', '-')}_{seed}_{start}_{planner}.json"
+
+
+def write_mission(folder: Path, flown: Flown) -> Path:
+    """Keep one finished mission: whole or not at all, and on the disk when this returns."""
+    trace = {name: getattr(flown.trace, name).tolist() for name in Trace.__slots__}
+    path = mission_path(folder, flown.row.key)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _replace(path, (json.dumps({"row": asdict(flown.row), "trace": trace}, allow_nan=False) + "\n").encode())
+    return path
+
+
+def read_mission(path: Path) -> Flown:
+    """A mission that `write_mission` kept.
+
+    Raises:
+        FileNotFoundError: There is none.
+        ValueError: The file is damaged, or it is another mission's; the message names it.
+    """
+    if path.stat().st_size > MAX_MISSION_BYTES:
+        raise ValueError(f"{path}: expected a mission of at most {MAX_MISSION_BYTES} bytes, got more")
+    content = _json(path)
+    if not isinstance(content, dict) or set(content) != {"row", "trace"}:
+        raise ValueError(f"{path}: expected an object with row and trace, got something else")
+    row = _row(content["row"], str(path))
+    try:
+        flown = Flown(row, _trace(content["trace"], row.steps + 1))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path}: {error}") from error
+    if mission_path(path.parents[1], row.key) != path:
+        raise ValueError(f"{path}: expected the mission that the file is named after, got {row.key}")
+    return flown
+
+
+def write_tables(folder: Path, missions: Sequence[Flown]) -> None:
+    """Write `results.csv` and `traces.csv.gz` of these missions, in this order.
+
+    Equal missions give equal bytes, except in the columns `TIMES`.
+    """
+    table = io.StringIO()
+    lines = csv.writer(table, lineterminator="\n")
+    lines.writerow(COLUMNS)
+    lines.writerows([_cell(getattr(flown.row, name)) for name in COLUMNS] for flown in missions)
+    _replace(folder / "results.csv", table.getvalue().encode())
+    packed = io.BytesIO()
+    with gzip.GzipFile(filename="", mode="wb", fileobj=packed, compresslevel=6, mtime=0) as file:
+        file.write((",".join(TRACE_COLUMNS) + "\n").encode())
+        for flown in missions:
+            file.writelines(_trace_lines(flown))
+    _replace(folder / "traces.csv.gz", packed.getvalue())
+
+
+def write_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
+    """Check and write `manifest.json`: whole or not at all."""
+    checked = _checked_manifest(manifest, "manifest")
+    folder.mkdir(parents=True, exist_ok=True)
+    _replace(folder / "manifest.json", (json.dumps(checked, indent=2, allow_nan=False) + "\n").encode())
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """What was run.
+
+    Raises:
+        FileNotFoundError: `folder` is no benchmark folder.
+        ValueError: The file is damaged.
+    """
+    path = _file_of(folder, "manifest.json")
+    return _checked_manifest(_json(path), str(path))
+
+
+def read_results(folder: Path) -> Results:
+    """A benchmark folder.
+
+    Raises:
+        FileNotFoundError: `folder` is no benchmark folder, or no run of it has ended yet.
+        ValueError: A file is damaged; the message names it and the line.
+    """
+    manifest = read_manifest(folder)
+    rows = tuple(_read_rows(_file_of(folder, "results.csv")))
+    traces = _read_traces(_file_of(folder, "traces.csv.gz"), rows)
+    return Results(manifest, rows, traces)
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return ""
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _trace_lines(flown: Flown) -> Iterator[bytes]:
+    head, trace = ",".join(map(str, flown.row.key)), flown.trace
+    columns = (getattr(trace, name).tolist() for name in Trace.__slots__)
+    for step, values in enumerate(zip(*columns, strict=True)):
+        yield f"{head},{step},{','.join(map(_cell, values))}\n".encode()
+
+
+def _row(values: Any, where: str) -> Row:
+    try:
+        return _ROW.validate_python(values)
+    except ValidationError as error:
+        raise ValueError(f"{where}: {_first(error)}") from error
+
+
+def _trace(values: Any, length: int) -> Trace:
+    """A trace of that many poses; a ValueError where it is none."""
+    if not isinstance(values, dict) or set(values) != set(Trace.__slots__):
+        raise ValueError(f"trace: expected the columns {', '.join(Trace.__slots__)}")
+    columns: dict[str, npt.NDArray[Any]] = {}
+    for name, given in values.items():
+        if not isinstance(given, list) or len(given) != length:
+            raise ValueError(f"trace: {name}: expected {length} values")
+        kind = bool if name == "collided" else int | float
+        if not all(isinstance(value, kind) for value in given):
+            raise ValueError(
+                f"trace: {name}: expected only {'booleans' if name == 'collided' else 'numbers'}"
+            )
+        columns[name] = np.array(given, np.bool_ if name == "collided" else np.float64)
+    trace = Trace(**columns)
+    if not all(np.isfinite(columns[name]).all() for name in ("x", "y", "yaw_deg")):
+        raise ValueError("trace: expected finite poses")
+    if not ((trace.instances >= 0.0) & (trace.instances <= 1.0)).all():
+        raise ValueError("trace: instances: expected shares from 0 to 1")
+    return trace
+
+
+def _read_rows(path: Path) -> Iterator[Row]:
+    if path.stat().st_size > MAX_TABLE_BYTES:
+        raise ValueError(f"{path}: expected at most {MAX_TABLE_BYTES} bytes, got more")
+    known: set[MissionKey] = set()
+    with path.open(encoding="utf-8", newline="") as file:
+        lines = csv.reader(file, strict=True)
+        try:
+            header = next(lines, [])
+            if tuple(header) != COLUMNS:
+                raise ValueError(f"expected the columns {','.join(COLUMNS)}, got {','.join(header)[:200]}")
+            for cells in lines:
+                if len(cells) != len(COLUMNS):
+                    raise ValueError(f"expected {len(COLUMNS)} cells, got {len(cells)}")
+                row = _row({name: cell or None for name, cell in zip(COLUMNS, cells, strict=True)}, "row")
+                if row.key in known:
+                    raise ValueError(f"expected each mission once, got {row.key} again")
+                known.add(row.key)
+                yield row
+        except (csv.Error, ValueError) as error:
+            raise ValueError(f"{path}, line {lines.line_num}: {error}") from error
+
+
+def _read_traces(path: Path, rows: Sequence[Row]) -> dict[MissionKey, Trace]:
+    traces: dict[MissionKey, Trace] = {}
+    number = 1
+    try:
+        with gzip.open(path, "rb") as file:
+            header = file.readline(MAX_LINE_BYTES).decode().rstrip("\n")
+            if header != ",".join(TRACE_COLUMNS):
+                raise ValueError(f"expected the columns {','.join(TRACE_COLUMNS)}, got {header[:200]}")
+            for row in rows:
+                head = ",".join(map(str, row.key))
+                columns: dict[str, list[Any]] = {name: [] for name in Trace.__slots__}
+                for step in range(row.steps + 1):
+                    number += 1
+                    cells = _after(file, f"{head},{step},").split(",")
+                    if len(cells) != len(columns):
+                        raise ValueError(f"expected {len(TRACE_COLUMNS)} cells, got another number")
+                    for name, cell in zip(columns, cells, strict=True):
+                        columns[name].append(_flag(cell) if name == "collided" else float(cell))
+                traces[row.key] = _trace(columns, row.steps + 1)
+            number += 1
+            if file.read(1):
+                raise ValueError("expected the end, got more than results.csv tells of")
+    except (ValueError, EOFError, OSError, zlib.error) as error:
+        raise ValueError(f"{path}, line {number}: {error}") from error
+    return traces
+
+
+def _after(file: BinaryIO | gzip.GzipFile, head: str) -> str:
+    """The rest of the next line, which must begin with `head`."""
+    line = file.readline(MAX_LINE_BYTES).decode()
+    if not line.startswith(head) or not line.endswith("\n"):
+        raise ValueError(f"expected a line that begins with {head}, got {line[:100]!r}")
+    return line[len(head) : -1]
+
+
+def _flag(cell: str) -> bool:
+    if cell not in ("true", "false"):
+        raise ValueError(f"expected true or false, got {cell[:20]!r}")
+    return cell == "true"
+
+
+def _checked_manifest(content: Any, where: str) -> dict[str, Any]:
+    try:
+        return Manifest.model_validate(content).model_dump(mode="json")
+    except ValidationError as error:
+        raise ValueError(f"{where}: {_first(error)}") from error
+
+
+def _first(error: ValidationError) -> str:
+    first = error.errors(include_url=False)[0]
+    field = ".".join(map(str, first["loc"])) or "the whole"
+    return f"{field}: {first['msg']}, got {repr(first['input'])[:80]}"
+
+
+def _json(path: Path) -> Any:
+    try:
+        return from_json(path.read_bytes(), allow_inf_nan=False)
+    except ValueError as error:
+        raise ValueError(f"{path}: expected one JSON object, got damaged text ({error})") from error
+
+
+def _file_of(folder: Path, name: str) -> Path:
+    path = folder / name
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{folder}: expected a benchmark folder, got no {name} in it. They are made by dream bench"
+        )
+    return path
+
+
+def _replace(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all; it survives a loss of power once this returns."""
+    partial = path.with_name(f".{path.name}.partial")
+    with partial.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    partial.replace(path)
+    # Not every system lets a folder be opened or synchronised; there the rename alone must do.
+    with contextlib.suppress(OSError):
+        descriptor = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

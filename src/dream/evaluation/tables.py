@@ -1,0 +1,882 @@
+"""Benchmark results as tables: the same ones for the page, for Markdown and for the terminal."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dream.evaluation import published
+from dream.evaluation.results import MAX_STEPS, Results, Row
+from dream.evaluation.statistics import (
+    FloatArray,
+    Interval,
+    Statistic,
+    holm,
+    improvement,
+    interquartile_mean,
+    interval,
+    mean,
+    paired_p_value,
+    ratio,
+    share_interval,
+    soft_spl,
+    spl,
+)
+from dream.evaluation.suites import REEF_FAMILIES, Case, family_of
+from dream.mission import LOOK_AROUND
+from dream.planning import PLANNERS
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from dream.evaluation.oracle.bounds import Bounds, Limit
+
+NONE = "–"
+"""What a table shows where nothing is known."""
+UNMEASURED = "not yet measured here"
+
+FAMILIES = {
+    "fringing": "Fringing reefs",
+    "string": "String reefs",
+    "patch": "Patch reefs",
+    "mixed": "Mixed reefs",
+    "letter": "Letter reefs",
+    "wreck": "Wrecks",
+    "pool": "Tank",
+    "flat": "Empty ground",
+    "other": "Other worlds",
+}
+REEFS = (*REEF_FAMILIES, "letter")
+
+Measure = Callable[[Case, Row], float]
+"""A number of one mission; NaN where it has none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of text."""
+
+    name: str
+    """For links."""
+    title: str
+    headings: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...] = ()
+    labels: int = 1
+    """How many columns, from the left, hold names; the others hold numbers."""
+
+    def markdown(self) -> str:
+        """As GitHub-flavoured Markdown, with a title in bold and the notes below."""
+        align = [":--" if k < self.labels else "--:" for k in range(len(self.headings))]
+        lines = [_line(self.headings), _line(align, plain=True), *map(_line, self.rows)]
+        parts = [f"**{escape_markdown(self.title)}**", "\n".join(lines), *map(escape_markdown, self.notes)]
+        return "\n\n".join(parts) + "\n"
+
+
+def escape_markdown(text: str) -> str:
+    """Text that Markdown shows as it is, on one line."""
+    escaped = re.sub(r"([\\`*_\[\]|#~])", r"\\\1", " ".join(text.split()))
+    return escaped.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+
+
+def _line(cells: Iterable[str], *, plain: bool = False) -> str:
+    return "| " + " | ".join(cells if plain else map(escape_markdown, cells)) + " |"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """Planners over worlds: the missions of one benchmark folder and what is certified about its worlds."""
+
+    planners: tuple[str, ...]
+    """In the order of the benchmark."""
+    cases: tuple[Case, ...]
+    rows: Mapping[tuple[Case, str], Row]
+    """Finished missions."""
+    bounds: Mapping[Case, Bounds]
+    """Where they are known."""
+    protocol: str
+    horizon: int
+    """Steps that a mission had; an unreached mark counts as this many."""
+
+    @property
+    def missing(self) -> int:
+        """Missions that have not been flown yet."""
+        return len(self.cases) * len(self.planners) - len(self.rows)
+
+    @property
+    def ranked(self) -> tuple[str, ...]:
+        """The planners, those with the shortest mean time to 98.26 % first."""
+        means = {name: self.estimate(name, self.cases, self.time("t98")).value for name in self.planners}
+        return tuple(sorted(self.planners, key=lambda name: (math.isnan(means[name]), means[name])))
+
+    def flown(self, planner: str, cases: Sequence[Case]) -> list[tuple[Case, Row]]:
+        """The finished missions of a planner, in the order of the cases."""
+        return [(case, self.rows[case, planner]) for case in cases if (case, planner) in self.rows]
+
+    def by_world(self, planner: str, cases: Sequence[Case], measure: Measure) -> dict[tuple[str, int], float]:
+        """A measure for each world (name, seed): the mean over its starts, where it has a value."""
+        found: dict[tuple[str, int], list[float]] = {}
+        for case, row in self.flown(planner, cases):
+            value = measure(case, row)
+            if not math.isnan(value):
+                found.setdefault((case.world, case.seed), []).append(value)
+        return {world: float(np.mean(values)) for world, values in found.items()}
+
+    def estimate(
+        self,
+        planner: str,
+        cases: Sequence[Case],
+        measure: Measure,
+        *,
+        statistic: Statistic = mean,
+        limits: tuple[float, float] = (0.0, math.inf),
+    ) -> Interval:
+        """A statistic of a measure over worlds, with its interval."""
+        values = self.by_world(planner, cases, measure)
+        return interval(np.array([*values.values()]), list(map(_family, values)), statistic, limits=limits)
+
+    def time(self, mark: str) -> Measure:
+        """Steps to a mark (`t90` … `t_stop`), the horizon where it was not reached."""
+
+        def steps(case: Case, row: Row) -> float:
+            value = getattr(row, mark)
+            return float(self.horizon if value is None else min(value, self.horizon))
+
+        return steps
+
+    def against(self, mark: str, which: str) -> Measure:
+        """Steps to `t98` or `t100` over the `lower_bound` or the `best_tour` for it."""
+
+        def steps(case: Case, row: Row) -> float:
+            limit = self.limit(case, mark)
+            return ratio(row, getattr(row, mark), getattr(limit, which) if limit else None, self.horizon)
+
+        return steps
+
+    def limit(self, case: Case, mark: str) -> Limit | None:
+        """What is known of the fewest steps to `t98` or `t100`."""
+        bounds = self.bounds.get(case)
+        return None if bounds is None else bounds.full if mark == "t100" else bounds.t98
+
+    def reached(self, planner: str, cases: Sequence[Case], mark: str) -> tuple[int, int]:
+        """Missions that reached a mark within the horizon, and missions."""
+        flown = self.flown(planner, cases)
+        times = [getattr(row, mark) for _, row in flown]
+        return sum(time is not None and time <= self.horizon for time in times), len(flown)
+
+
+def compare(results: Results) -> Comparison:
+    """Arrange the missions of a benchmark folder, and look up what is certified about its worlds."""
+    cases = dict.fromkeys(
+        Case(str(case["world"]), int(case["seed"]), int(case.get("start", 0)))
+        for case in results.manifest["cases"]
+    )
+    rows: dict[tuple[Case, str], Row] = {}
+    bounds: dict[Case, Bounds] = {}
+    for row in results.rows:
+        case = Case(row.world, row.seed, row.start)
+        cases.setdefault(case)
+        rows[case, row.planner] = row
+        if case not in bounds and (known := _bounds(row)) is not None:
+            bounds[case] = known
+    protocol = results.manifest["protocol"]
+    cap = protocol.get("cap")
+    if type(cap) is not int or not 1 <= cap <= MAX_STEPS:
+        raise ValueError(f"manifest.json: protocol.cap: expected 1 to {MAX_STEPS} steps, got {cap!r:.80}")
+    asked = results.manifest["max_steps"]
+    return Comparison(
+        planners=tuple(dict.fromkeys([*results.manifest["planners"], *(planner for _, planner in rows)])),
+        cases=tuple(cases),
+        rows=rows,
+        bounds=bounds,
+        protocol=str(protocol.get("name")),
+        horizon=cap if asked is None else min(cap, int(asked)),
+    )
+
+
+def _bounds(row: Row) -> Bounds | None:
+    from dream.evaluation.oracle.bounds import known_bounds
+
+    return known_bounds(row.protocol, row.world, row.seed, row.start, row.world_hash)
+
+
+def family(case: Case) -> str:
+    """The family of a case's world, `other` for a world of the user's own."""
+    return _family((case.world, case.seed))
+
+
+def _family(world: tuple[str, int]) -> str:
+    try:
+        return family_of(world[0])
+    except ValueError:
+        return "other"
+
+
+def groups(comparison: Comparison) -> dict[str, tuple[Case, ...]]:
+    """Worlds that are reported together, by title: all, reefs, wrecks, then each family that occurs."""
+    kinds = {case: family(case) for case in comparison.cases}
+    found = {
+        "All worlds": comparison.cases,
+        "Reefs together": tuple(case for case, kind in kinds.items() if kind in REEFS),
+    }
+    for kind, title in FAMILIES.items():
+        found[title] = tuple(case for case, other in kinds.items() if other == kind)
+    different: dict[frozenset[Case], str] = {}
+    for title, cases in found.items():
+        if cases:
+            different.setdefault(frozenset(cases), title)
+    return {title: found[title] for title in different.values()}
+
+
+def baselines(planners: Iterable[str]) -> list[str]:
+    """Those of the planners that are baselines by where their code stands."""
+    return [
+        name
+        for name in planners
+        if name in PLANNERS and type(PLANNERS[name]).__module__.startswith("dream.planning.baselines")
+    ]
+
+
+def best_baseline(comparison: Comparison, cases: Sequence[Case]) -> str | None:
+    """The baseline with the shortest mean time to 98.26 % on these worlds.
+
+    It is chosen on the same missions that it is then compared on, which favours it.
+    """
+    means = {
+        name: comparison.estimate(name, cases, comparison.time("t98")).value
+        for name in baselines(comparison.planners)
+    }
+    known = {name: value for name, value in means.items() if not math.isnan(value)}
+    return min(known, key=lambda name: known[name]) if known else None
+
+
+def contradictions(comparison: Comparison) -> list[str]:
+    """Missions without a collision that were faster than a certified bound: then the bound is wrong."""
+    found = []
+    for (case, planner), row in comparison.rows.items():
+        for mark in ("t98", "t100"):
+            limit, time = comparison.limit(case, mark), getattr(row, mark)
+            faster = limit and time is not None and max(time, LOOK_AROUND) < limit.lower_bound
+            if limit and faster and not row.collisions:
+                found.append(
+                    f"{planner} took {time} steps to {mark} in {label(case)}, below the bound "
+                    f"{limit.lower_bound}"
+                )
+    return found
+
+
+def label(case: Case) -> str:
+    """A case in words."""
+    return f"{case.world} {case.seed}" + (f", start {case.start}" if case.start else "")
+
+
+# ---- cells ----
+
+
+def number(value: float, digits: int = 1, *, scale: float = 1.0) -> str:
+    """A number, or a dash where it is NaN."""
+    return NONE if math.isnan(value) else f"{scale * value:.{digits}f}".replace("-", "−")
+
+
+def with_interval(found: Interval, digits: int = 1, *, scale: float = 1.0) -> str:
+    """An estimate with its interval in parentheses, where it has one."""
+    write = partial(number, digits=digits, scale=scale)
+    if math.isnan(found.low):
+        return write(found.value)
+    between = " to " if found.low < 0.0 else "–"
+    return f"{write(found.value)} ({write(found.low)}{between}{write(found.high)})"
+
+
+def _p(value: float) -> str:
+    return NONE if math.isnan(value) else "< 0.001" if value < 0.001 else f"{value:.3f}"
+
+
+def _share(comparison: Comparison, planner: str, cases: Sequence[Case], name: str) -> Interval:
+    return comparison.estimate(planner, cases, lambda _, row: float(getattr(row, name)), limits=(0.0, 1.0))
+
+
+def _success(comparison: Comparison, planner: str, cases: Sequence[Case]) -> str:
+    by_world = comparison.by_world(planner, cases, lambda _, row: float(row.success))
+    found = share_interval(sum(by_world.values()), len(by_world))
+    flown = comparison.flown(planner, cases)
+    if not flown:
+        return NONE
+    successes = sum(row.success for _, row in flown)
+    return f"{successes}/{len(flown)} ({100 * found.low:.0f}–{100 * found.high:.0f} %)"
+
+
+def _time_cell(comparison: Comparison, planner: str, cases: Sequence[Case], mark: str) -> str:
+    found = comparison.estimate(
+        planner, cases, comparison.time(mark), limits=(0.0, float(comparison.horizon))
+    )
+    reached, flown = comparison.reached(planner, cases, mark)
+    return f"{with_interval(found)} · {reached}/{flown}" if flown else NONE
+
+
+# ---- the tables ----
+
+
+def headline(comparison: Comparison, cases: Sequence[Case], title: str = "At a glance") -> Table:
+    """The few numbers that matter most, best planner first."""
+    reference = best_baseline(comparison, cases)
+    rows = []
+    for planner in comparison.ranked:
+        t98 = comparison.time("t98")
+        cap = (0.0, float(comparison.horizon))
+        rows.append(
+            (
+                planner,
+                _success(comparison, planner, cases),
+                with_interval(comparison.estimate(planner, cases, t98, limits=cap)),
+                with_interval(
+                    comparison.estimate(planner, cases, t98, statistic=interquartile_mean, limits=cap)
+                ),
+                with_interval(comparison.estimate(planner, cases, comparison.time("t_stop"), limits=cap)),
+                with_interval(_share(comparison, planner, cases, "instances"), 2, scale=100),
+                _ratio_cell(comparison, planner, cases, "t98", "lower_bound"),
+                _ratio_cell(comparison, planner, cases, "t98", "best_tour"),
+                str(sum(row.collisions for _, row in comparison.flown(planner, cases))),
+                _improvement_cell(comparison, planner, reference, cases),
+            )
+        )
+    return Table(
+        "headline",
+        f"{title}: {_worlds(cases)}",
+        (
+            "planner",
+            "success",
+            "t98, mean",
+            "t98, IQM",
+            "own stop, mean",
+            "coverage at the end, %",
+            "t98 ÷ certified bound",
+            "t98 ÷ best known tour",
+            "collisions",
+            f"better than {reference}, P" if reference else "better than the best baseline, P",
+        ),
+        tuple(rows),
+        (
+            f"A time that was never reached counts as {comparison.horizon} steps. In parentheses: 95 % "
+            "intervals over worlds (stratified by family, paired; Wilson's for shares). Success: stopped "
+            "by itself with at least 98.26 % of the instances and no collision.",
+        ),
+    )
+
+
+def _worlds(cases: Sequence[Case]) -> str:
+    worlds = len({(case.world, case.seed) for case in cases})
+    starts = "" if worlds == len(cases) else f", {len(cases)} starts"
+    return f"{worlds} world{'s' if worlds != 1 else ''}{starts}"
+
+
+def _ratio_cell(comparison: Comparison, planner: str, cases: Sequence[Case], mark: str, which: str) -> str:
+    found = comparison.estimate(planner, cases, comparison.against(mark, which))
+    return f"{with_interval(found, 2)} · {found.count}" if found.count else NONE
+
+
+def _improvement_cell(
+    comparison: Comparison, planner: str, reference: str | None, cases: Sequence[Case]
+) -> str:
+    if reference is None or planner == reference:
+        return NONE
+    ours, theirs, _ = _pairs(comparison, planner, reference, cases)
+    return _improvement(ours, theirs)
+
+
+def _improvement(ours: FloatArray, theirs: FloatArray) -> str:
+    return with_interval(share_interval(float(improvement(ours, theirs).sum()), len(ours)), 2)
+
+
+def _pairs(
+    comparison: Comparison, planner: str, reference: str, cases: Sequence[Case]
+) -> tuple[FloatArray, FloatArray, list[str]]:
+    """Times to 98.26 % of two planners in the worlds that both have flown, and the families of these."""
+    ours = comparison.by_world(planner, cases, comparison.time("t98"))
+    theirs = comparison.by_world(reference, cases, comparison.time("t98"))
+    both = [world for world in ours if world in theirs]
+    return (
+        np.array([ours[world] for world in both]),
+        np.array([theirs[world] for world in both]),
+        list(map(_family, both)),
+    )
+
+
+def difference(comparison: Comparison, planner: str, reference: str, cases: Sequence[Case]) -> Interval:
+    """Mean of the time to 98.26 % minus the other's, paired by world; below 0 where the planner is faster."""
+    ours, theirs, strata = _pairs(comparison, planner, reference, cases)
+    return interval(ours - theirs, strata, mean)
+
+
+def against_the_best_baseline(comparison: Comparison) -> Table:
+    """Paired by world: difference, probability of improvement, p-values with Holm's correction."""
+    lines: list[tuple[str, str, str, str, str, str]] = []
+    p_values: list[float] = []
+    for title, cases in groups(comparison).items():
+        if title not in ("All worlds", "Reefs together", FAMILIES["wreck"]):
+            continue
+        reference = best_baseline(comparison, cases)
+        for planner in comparison.ranked:
+            if reference is None or planner == reference:
+                continue
+            ours, theirs, _ = _pairs(comparison, planner, reference, cases)
+            if not len(ours):
+                continue
+            lines.append(
+                (
+                    title,
+                    planner,
+                    reference,
+                    str(len(ours)),
+                    with_interval(difference(comparison, planner, reference, cases)),
+                    _improvement(ours, theirs),
+                )
+            )
+            p_values.append(paired_p_value(ours, theirs))
+    adjusted = holm(p_values)
+    return Table(
+        "comparison",
+        "Against the best baseline, world by world",
+        (
+            "worlds",
+            "planner",
+            "best baseline",
+            "pairs",
+            "t98 minus the baseline's",
+            "P(better)",
+            "p",
+            "p, Holm",
+        ),
+        tuple((*line, _p(p), _p(q)) for line, p, q in zip(lines, p_values, adjusted, strict=True)),
+        (
+            "The best baseline is the one with the shortest mean t98 on the same worlds, chosen "
+            "afterwards, which favours it. P(better): share of worlds with the smaller t98, ties count "
+            "half; Wilson's interval. p: two-sided exchange test of the paired mean difference; Holm's "
+            f"correction over the {len(lines)} lines.",
+        ),
+        labels=3,
+    )
+
+
+def times(comparison: Comparison, title: str, cases: Sequence[Case]) -> Table:
+    """Steps to each mark."""
+    marks = ("t90", "t95", "t98", "t100", "t_stop")
+    return Table(
+        "times",
+        f"{title}: steps",
+        ("planner", "to 90 %", "to 95 %", "to 98.26 %", "to 100 %", "until its own stop", "to 98.26 %, IQM"),
+        tuple(
+            (
+                planner,
+                *(_time_cell(comparison, planner, cases, mark) for mark in marks),
+                with_interval(
+                    comparison.estimate(
+                        planner,
+                        cases,
+                        comparison.time("t98"),
+                        statistic=interquartile_mean,
+                        limits=(0.0, float(comparison.horizon)),
+                    )
+                ),
+            )
+            for planner in comparison.ranked
+        ),
+        (
+            f"Mean with what was never reached counted as {comparison.horizon} (restricted mean), its 95 "
+            "% interval, and in how many missions the mark was reached.",
+        ),
+    )
+
+
+def coverage(comparison: Comparison, title: str, cases: Sequence[Case]) -> Table:
+    """Coverage after given steps and at the end."""
+    names = ("c50", "c100", "c137", "c200", "auc", "instances", "clusters", "area")
+    return Table(
+        "coverage",
+        f"{title}: coverage, %",
+        (
+            "planner",
+            "after 50 steps",
+            "after 100",
+            "after 137",
+            "after 200",
+            "mean over the steps",
+            "instances at the end",
+            "clusters at the end",
+            "area at the end",
+        ),
+        tuple(
+            (
+                planner,
+                *(with_interval(_share(comparison, planner, cases, name), scale=100) for name in names),
+            )
+            for planner in comparison.ranked
+        ),
+        ("Share of the instances, held after the mission ended; the last two columns count otherwise.",),
+    )
+
+
+def efficiency(comparison: Comparison, title: str, cases: Sequence[Case]) -> Table:
+    """Steps against what one who knows the world needs."""
+    rows = []
+    for planner in comparison.ranked:
+        of_bound = comparison.estimate(
+            planner, cases, lambda case, row: spl(row, comparison.limit(case, "t98"), comparison.horizon)
+        )
+        soft = comparison.estimate(
+            planner, cases, lambda case, row: soft_spl(row, comparison.limit(case, "t98"))
+        )
+        cells = [
+            _ratio_cell(comparison, planner, cases, mark, which)
+            for mark in ("t98", "t100")
+            for which in ("best_tour", "lower_bound")
+        ]
+        rows.append((planner, *cells, with_interval(of_bound, 2), with_interval(soft, 2)))
+    return Table(
+        "efficiency",
+        f"{title}: against one who knows the world",
+        (
+            "planner",
+            "t98 ÷ best known tour",
+            "t98 ÷ certified bound",
+            "t100 ÷ best known tour",
+            "t100 ÷ certified bound",
+            "SPL",
+            "soft SPL",
+        ),
+        tuple(rows),
+        (
+            "The fewest steps possible lie between the certified lower bound and the best known tour, so "
+            "the true ratio lies between the two columns. Missions with a collision are left out (the "
+            "number after the dot counts the worlds that remain); a mark never reached counts as the cap. "
+            "SPL: mean of 1[98.26 % reached] · bound ÷ max(t98, bound). Soft SPL: final share · bound ÷ "
+            "max(steps flown, bound). Both against the certified bound for 98.26 %, 0 with a collision.",
+        ),
+    )
+
+
+def conduct(comparison: Comparison, title: str, cases: Sequence[Case]) -> Table:
+    """How the planners flew, and at what cost."""
+    asked = any(row.vlm_calls is not None for row in comparison.rows.values())
+    rows = []
+    for planner in comparison.ranked:
+        flown = [row for _, row in comparison.flown(planner, cases)]
+        clearances = [row.min_clearance_m for row in flown if row.min_clearance_m is not None]
+
+        def average(name: str, digits: int = 1, rows: Sequence[Row] = flown) -> str:
+            return number(float(np.mean([getattr(row, name) for row in rows])) if rows else math.nan, digits)
+
+        cells = [
+            planner,
+            _success(comparison, planner, cases),
+            str(sum(row.collisions for row in flown)),
+            str(sum(row.collisions > 0 for row in flown)),
+            number(min(clearances, default=math.nan), 2),
+            average("distance_m"),
+            average("turns"),
+            average("guarded"),
+            number(float(np.median([row.planner_ms_p50 for row in flown])) if flown else math.nan),
+            number(max((row.planner_ms_p99 for row in flown), default=math.nan)),
+        ]
+        if asked:
+            cells += [
+                _total(flown, name, digits)
+                for name, digits in (
+                    ("vlm_calls", 0),
+                    ("vlm_tokens", 0),
+                    ("vlm_cost_usd", 2),
+                    ("vlm_fallbacks", 0),
+                )
+            ]
+        rows.append(tuple(cells))
+    return Table(
+        "conduct",
+        f"{title}: conduct",
+        (
+            "planner",
+            "success",
+            "collisions",
+            "missions with one",
+            "least clearance, m",
+            "distance, m",
+            "turns",
+            "guarded",
+            "ms a decision, median",
+            "worst 99th percentile",
+            *(("VLM calls", "tokens", "US$", "fallbacks") if asked else ()),
+        ),
+        tuple(rows),
+        ("Distance, turns and guarded decisions are means over missions; times depend on the machine.",),
+    )
+
+
+def _total(rows: Sequence[Row], name: str, digits: int) -> str:
+    known = [getattr(row, name) for row in rows if getattr(row, name) is not None]
+    return number(float(sum(known)), digits) if known else NONE
+
+
+def by_family(comparison: Comparison) -> list[Table]:
+    """Planner × family, one table a measure."""
+    found = groups(comparison)
+    headings = ("planner", *(f"{title} ({len(cases)})" for title, cases in found.items()))
+
+    def table(name: str, title: str, note: str, cell: Callable[[str, Sequence[Case]], str]) -> Table:
+        rows = tuple(
+            (planner, *(cell(planner, cases) for cases in found.values())) for planner in comparison.ranked
+        )
+        return Table(name, title, headings, rows, (note,))
+
+    def time(planner: str, cases: Sequence[Case]) -> str:
+        return _time_cell(comparison, planner, cases, "t98")
+
+    def final(planner: str, cases: Sequence[Case]) -> str:
+        return with_interval(_share(comparison, planner, cases, "instances"), scale=100)
+
+    def far(planner: str, cases: Sequence[Case]) -> str:
+        low, high = (
+            comparison.estimate(planner, cases, comparison.against("t98", which))
+            for which in ("best_tour", "lower_bound")
+        )
+        return f"{number(low.value, 2)} … {number(high.value, 2)} · {high.count}" if high.count else NONE
+
+    return [
+        table(
+            "t98-by-family",
+            "Steps to 98.26 %, by family",
+            "Restricted mean (95 % interval) · missions that reached it; never counts as "
+            f"{comparison.horizon}.",
+            time,
+        ),
+        table(
+            "success-by-family",
+            "Success, by family",
+            "Missions that stopped by themselves with at least 98.26 % and no collision; Wilson's 95 % "
+            "interval.",
+            lambda planner, cases: _success(comparison, planner, cases),
+        ),
+        table(
+            "coverage-by-family",
+            "Instances seen at the end, %, by family",
+            "Mean (95 % interval).",
+            final,
+        ),
+        table(
+            "ratio-by-family",
+            "Times the fewest possible steps to 98.26 %, by family",
+            "To the best known tour … to the certified lower bound · worlds; the truth lies between the two.",
+            far,
+        ),
+    ]
+
+
+def paper_tables(comparison: Comparison) -> list[Table]:
+    """The paper's Tables I and II in its own form, with our missions in our simulator."""
+    found = []
+    kinds = (
+        ("paper-1", "Table I", "reefs", REEFS, "instances"),
+        ("paper-2", "Table II", "wrecks", ("wreck",), "area"),
+    )
+    for name, title, what, families, column in kinds:
+        cases = tuple(case for case in comparison.cases if family(case) in families)
+        if not cases:
+            continue
+        rows = [
+            (
+                planner,
+                str(len(comparison.flown(planner, cases))),
+                number(comparison.estimate(planner, cases, comparison.time("t_stop")).value),
+                number(_share(comparison, planner, cases, column).value, 2, scale=100),
+            )
+            for planner in comparison.ranked
+        ]
+        if not any("uivnav" in planner for planner in comparison.planners):
+            rows.append(("UIVNav (our re-implementation)", NONE, UNMEASURED, NONE))
+        if not any(row.vlm_calls is not None for row in comparison.rows.values()):
+            rows.append(("planners that ask a vision-language model", NONE, UNMEASURED, NONE))
+        meaning = "oysters" if what == "reefs" else "outer surface"
+        found.append(
+            Table(
+                name,
+                f"{title} of the paper in our simulator: {what}",
+                ("method", "worlds", "steps", "coverage, %"),
+                tuple(rows),
+                (
+                    f"Steps: mean of the step at which the planner itself stopped; {comparison.horizon} "
+                    f"where it did not. Coverage: mean share of the {meaning} seen at the end. Protocol "
+                    f"{comparison.protocol}.",
+                ),
+            )
+        )
+    return found
+
+
+def published_tables() -> list[Table]:
+    """What others published, from other simulators: not to be ranked with ours."""
+    note = (
+        "Other simulator, other sensor, other moves: these numbers stand here to be read, not to be compared "
+        "with ours line by line."
+    )
+    paper = [
+        Table(
+            f"published-{k}",
+            f"As published, other simulator: {title}",
+            ("method", "steps", "coverage, %"),
+            tuple((each.name, f"{each.steps:g}", f"{each.coverage:.2f}") for each in methods),
+            (f"{published.DREAM_PAPER}, Table {'I' * k}. {note}",),
+        )
+        for k, title, methods in ((1, "reefs", published.REEFS), (2, "wrecks", published.WRECKS))
+    ]
+    coral = Table(
+        "published-coral",
+        "As published, other simulator: the successor",
+        ("method", "coverage, %", "time, s", "collisions", "VLM calls"),
+        tuple(
+            (
+                each.name,
+                f"{each.coverage:.2f}",
+                f"{each.time_s:.1f}",
+                str(each.collisions),
+                str(each.vlm_calls),
+            )
+            for each in published.CORAL
+        ),
+        (f"{published.CORAL_PAPER}, ten scenes. {note}",),
+    )
+    return [*paper, coral]
+
+
+def bounds_table(comparison: Comparison) -> Table:
+    """What one who knows the world needs: certified from below, found from above."""
+
+    def cells(limit: Limit | None) -> tuple[str, str, str, str]:
+        if limit is None:
+            return NONE, NONE, NONE, "unknown"
+        if limit.best_tour is None:
+            return str(limit.lower_bound), NONE, NONE, "no tour known"
+        gap = (limit.best_tour - limit.lower_bound) / limit.best_tour
+        return str(limit.lower_bound), str(limit.best_tour), f"{100 * gap:.0f} %", limit.status
+
+    rows = []
+    for case in comparison.cases:
+        known = comparison.bounds.get(case)
+        rows.append(
+            (
+                label(case),
+                str(known.countable) if known else NONE,
+                *cells(comparison.limit(case, "t98")),
+                *cells(comparison.limit(case, "t100")),
+            )
+        )
+    return Table(
+        "bounds",
+        "Fewest steps possible, world by world",
+        (
+            "world",
+            "individuals",
+            "98.26 %: bound",
+            "tour",
+            "gap",
+            "status",
+            "100 %: bound",
+            "tour",
+            "gap",
+            "status",
+        ),
+        tuple(rows),
+        (
+            "Bound: no mission without a collision is faster, certified. Tour: the best that was found by "
+            "one who knows the world; it is the optimum only where the status says so. Both count the "
+            "look-around.",
+        ),
+    )
+
+
+def world_table(comparison: Comparison) -> Table:
+    """Steps to 98.26 % of every planner in every world."""
+    planners = comparison.ranked
+
+    def cell(case: Case, planner: str) -> str:
+        row = comparison.rows.get((case, planner))
+        if row is None:
+            return "missing"
+        mark = f" ×{row.collisions}" if row.collisions else ""
+        return (str(row.t98) if row.t98 is not None else f"never, {100 * row.instances:.1f} %") + mark
+
+    return Table(
+        "worlds",
+        "Steps to 98.26 %, world by world",
+        ("world", *planners),
+        tuple((label(case), *(cell(case, planner) for planner in planners)) for case in comparison.cases),
+        ("Never: with the share of the instances seen at the end. ×n: n collisions.",),
+    )
+
+
+def sweep_table(comparisons: Mapping[float, Comparison]) -> Table:
+    """Steps to 98.26 % and coverage at the end of every planner under every reach in metres."""
+    planners = tuple(dict.fromkeys(name for each in comparisons.values() for name in each.planners))
+    return Table(
+        "sweep",
+        "By reach",
+        ("planner", "reach, m", "to 98.26 %", "coverage at the end, %", "until its own stop", "success"),
+        tuple(
+            (
+                planner,
+                f"{reach:g}",
+                _time_cell(each, planner, each.cases, "t98"),
+                with_interval(_share(each, planner, each.cases, "instances"), 2, scale=100),
+                _time_cell(each, planner, each.cases, "t_stop"),
+                _success(each, planner, each.cases),
+            )
+            for planner in planners
+            for reach, each in comparisons.items()
+        ),
+        ("Restricted mean, its 95 % interval, and in how many missions the mark was reached.",),
+    )
+
+
+def detail_tables(comparison: Comparison, title: str, cases: Sequence[Case]) -> list[Table]:
+    """All measures of a group of worlds."""
+    return [table(comparison, title, cases) for table in (times, coverage, efficiency, conduct)]
+
+
+def print_summary(results: Results, console: Console) -> None:
+    """The short table at the end of a benchmark."""
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    comparison = compare(results)
+    table = RichTable(
+        title=f"mean over worlds; what was never reached counts as {comparison.horizon}",
+        title_justify="left",
+    )
+    headings = ("worlds", "planner", "t90", "t98", "own stop", "seen, %", "success", "collisions", "÷ bound")
+    for heading in headings:
+        table.add_column(heading, justify="left" if heading in ("worlds", "planner") else "right")
+    titles = ("All worlds", "Reefs together", FAMILIES["wreck"])
+    shown = {title: cases for title, cases in groups(comparison).items() if title in titles}
+    for title, cases in (shown or groups(comparison)).items():
+        for k, planner in enumerate(comparison.ranked):
+            flown = comparison.flown(planner, cases)
+            table.add_row(
+                f"{title} ({len(cases)})" if k == 0 else "",
+                Text(planner),
+                *(
+                    number(comparison.estimate(planner, cases, comparison.time(mark)).value)
+                    for mark in ("t90", "t98", "t_stop")
+                ),
+                number(_share(comparison, planner, cases, "instances").value, 2, scale=100),
+                f"{sum(row.success for _, row in flown)}/{len(flown)}",
+                str(sum(row.collisions for _, row in flown)),
+                number(
+                    comparison.estimate(planner, cases, comparison.against("t98", "lower_bound")).value, 2
+                ),
+            )
+        table.add_section()
+    console.print(table)
+    if comparison.missing:
+        console.print(f"{comparison.missing} missions are missing; the means are over those that were flown.")

@@ -1,0 +1,338 @@
+"""The page of a benchmark, its tables as Markdown, and the documentation's page of results."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dream.cli import run_command
+from dream.evaluation.figures import shown_cases
+from dream.evaluation.oracle.bounds import Bounds
+from dream.evaluation.report import repeating_command, write_report, write_results
+from dream.evaluation.results import Results
+from dream.evaluation.suites import SUITES, Case
+from dream.evaluation.tables import compare, family
+from dream.sim.files import world_hash
+from dream.sim.worlds import make_world
+from tests.evaluation.benches import PACES, PAPER, Made, bounds, flown, manifest, paper_missions, write_bench
+
+FEW = (Case("reef/L", 1), Case("reef/L", 2), Case("reef/string", 1), Case("wreck/3", 1))
+HOSTILE = "</style><script>document.title='owned'</script><img src=x onerror=alert(1)> & {{style}} [a](b)|`c`"
+
+
+class Page(HTMLParser):
+    """What a page would load and run, its tables and its text."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.loads: list[str] = []
+        self.styles: list[str] = []
+        self.attributes: set[str] = set()
+        self.ids: list[str] = []
+        self.policy = ""
+        self.text = ""
+        self._inside = ""
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        named = dict(attrs)
+        self.tags.append(tag)
+        self._inside = tag
+        self.attributes |= set(named)
+        self.ids += [str(named["id"])] if "id" in named else []
+        self.loads += [v for name in ("src", "href", "srcset", "action", "data") if (v := named.get(name))]
+        if named.get("http-equiv") == "Content-Security-Policy":
+            self.policy = named.get("content") or ""
+
+    def handle_data(self, data: str) -> None:
+        if self._inside == "style":
+            self.styles.append(data)
+        else:
+            self.text += data
+
+    def handle_endtag(self, tag: str) -> None:
+        self._inside = ""
+
+
+@pytest.fixture(scope="module")
+def paper(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A benchmark of four planners over the suite `paper`, with bounds for one case, and its report."""
+    folder = tmp_path_factory.mktemp("paper")
+    write_bench(folder, paper_missions(), PAPER, list(PACES))
+    with pytest.MonkeyPatch.context() as patch:
+
+        def known(protocol: str, world: str, seed: int, start: int, world_hash: str) -> Bounds | None:
+            case = Case(world, seed, start)
+            return bounds(case, (20, 24), (22, None)) if world == "reef/L" else None
+
+        patch.setattr("dream.evaluation.oracle.bounds.known_bounds", known)
+        write_report(folder)
+        yield folder
+
+
+def few(folder: Path, missing: int = 0, **changes: Any) -> Path:
+    paces = {"sixsteps": 60.0, "lawnmower": 120.0}
+    missions = paper_missions(paces, FEW)
+    return write_bench(folder, missions[: len(missions) - missing], FEW, list(paces), **changes)
+
+
+@pytest.mark.slow
+def test_the_page_loads_and_runs_nothing(paper: Path) -> None:
+    page = Page(paper / "report.html")
+    assert "script" not in page.tags
+    assert "link" not in page.tags
+    assert not {name for name in page.attributes if name.startswith("on")}
+    assert "style" not in page.attributes
+    assert all(load.startswith(("data:image/", "#")) for load in page.loads)
+    digest = base64.b64encode(hashlib.sha256(page.styles[0].encode()).digest()).decode()
+    assert page.policy == (
+        f"default-src 'none'; img-src data:; base-uri 'none'; form-action 'none'; style-src 'sha256-{digest}'"
+    )
+    assert (paper / "report.html").stat().st_size < 6_000_000
+
+
+@pytest.mark.slow
+def test_the_page_says_all_that_there_is_to_say(paper: Path) -> None:
+    page = Page(paper / "report.html")
+    parts = ["results", "families", "baselines", "bounds", "paper", "ways", "worlds", "details", "run"]
+    assert [name for name in page.ids if name in parts] == parts
+    assert len(page.ids) == len(set(page.ids))
+    links = {load for load in page.loads if load.startswith("#")}
+    assert links == {"#" + part for part in parts}
+    for text in (
+        "sixsteps is the fastest here: it reached 98.26 % of the instances in 15 of 15 missions",
+        "The best baseline, lawnmower, takes",
+        "As published, other simulator: reefs",
+        "not yet measured here",
+        "No certified bound is known for 14 of 15 cases",
+        "dream bench paper --planners sixsteps lawnmower frontier random --protocol dream-v1",
+        "commit 0123abc",
+    ):
+        assert text in page.text
+    # Five curves in light and dark, and fifteen worlds.
+    assert page.tags.count("picture") == 5
+    assert page.tags.count("figure") == 5 + 15
+
+
+@pytest.mark.slow
+def test_markdown_has_the_same_tables(paper: Path) -> None:
+    text = (paper / "tables.md").read_text()
+    page = Page(paper / "report.html")
+    titles = re.findall(r"^\*\*(.*)\*\*$", text, re.M)
+    assert len(titles) > 40
+    for title in titles:
+        assert title.replace("\\", "") in page.text
+
+
+@pytest.mark.slow
+def test_equal_folders_give_equal_bytes(tmp_path: Path) -> None:
+    one, two = (write_report(few(tmp_path / name)) for name in "ab")
+    assert one.read_bytes() == two.read_bytes()
+    assert (one.parent / "tables.md").read_bytes() == (two.parent / "tables.md").read_bytes()
+
+
+def test_an_unfinished_benchmark_says_what_is_missing(tmp_path: Path) -> None:
+    page = Page(write_report(few(tmp_path, missing=3, finished=None)))
+    assert "Unfinished: 3 of 8 missions are missing" in page.text
+    assert "not yet" in page.text
+
+
+@pytest.mark.parametrize(
+    ("cases", "planners"),
+    [
+        pytest.param(FEW[:1], {"sixsteps": Made(60, 70)}, id="one planner, one world"),
+        pytest.param(FEW[:2], {"random": Made(900)}, id="no success"),
+        pytest.param(FEW[:1], {"random": Made(900), "unheard-of": Made(30, 40, 7)}, id="no planner of ours"),
+        pytest.param((Case("my-world", 5),), {"sixsteps": Made(60, 70)}, id="a world of the user's own"),
+        pytest.param(FEW[:1], {"sixsteps": Made(60, 0)}, id="a mission of no step"),
+        pytest.param(FEW[2:3], {f"planner-{k}": Made(60 + k, 90) for k in range(18)}, id="many planners"),
+    ],
+)
+def test_small_and_odd_benchmarks_have_a_page(
+    tmp_path: Path, cases: tuple[Case, ...], planners: dict[str, Made]
+) -> None:
+    missions = [flown(case, name, made) for case in cases for name, made in planners.items()]
+    page = Page(write_report(write_bench(tmp_path, missions, cases, list(planners))))
+    assert all(name in page.text for name in planners)
+    assert "nan" not in page.text
+
+
+def test_a_benchmark_without_a_finished_mission_has_a_page(tmp_path: Path) -> None:
+    page = Page(write_report(write_bench(tmp_path, [], FEW, ["sixsteps", "lawnmower"], finished=None)))
+    assert "8 of 8 missions are missing" in page.text
+    assert "nan" not in page.text
+
+
+def test_what_a_stranger_wrote_is_shown_as_text(tmp_path: Path) -> None:
+    folder = few(
+        tmp_path,
+        suite=HOSTILE,
+        commit=HOSTILE,
+        engine=HOSTILE,
+        version=HOSTILE,
+        finished=HOSTILE,
+        machine={HOSTILE: HOSTILE},
+    )
+    page = Page(write_report(folder))
+    assert "script" not in page.tags
+    assert page.tags.count("img") == page.tags.count("picture")
+    assert HOSTILE in page.text
+    markdown = (folder / "tables.md").read_text()
+    assert "<script" not in markdown
+    assert "[a](b)" not in markdown
+
+
+@pytest.mark.parametrize("cap", [True, 0, -1, 10**9, "200", None, 1.5])
+def test_a_cap_that_is_none_is_refused(tmp_path: Path, cap: Any) -> None:
+    folder = few(tmp_path, protocol={"name": "dream-v1", "cap": cap})
+    with pytest.raises(ValueError, match="cap"):
+        write_report(folder)
+
+
+def test_world_and_best_tour_are_drawn_only_where_the_world_is_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "dream.evaluation.oracle.bounds.known_bounds",
+        lambda protocol, world, seed, start, digest: bounds(Case(world, seed, start), (20, 24), (22, 26)),
+    )
+    cases = (Case("reef/L", 1), Case("reef/string", 1))
+    true = world_hash(make_world("reef/L", 1))
+    missions = [
+        flown(case, "sixsteps", Made(60, 70, 20), world_hash=true if case.world == "reef/L" else "other")
+        for case in cases
+    ]
+    text = write_report(write_bench(tmp_path, missions, cases, ["sixsteps"])).read_text()
+    assert text.count('href="data:image/jpeg') == 1
+    assert text.count('<path class="tour"') == 1
+
+
+def test_only_so_many_worlds_are_drawn_from_every_family() -> None:
+    cases = SUITES["dev"]
+    missions = [flown(case, "sixsteps", Made(60, 70)) for case in cases]
+    results = Results(manifest(cases, ["sixsteps"]), tuple(mission.row for mission in missions), {})
+    shown = shown_cases(compare(results), 16)
+    assert len(shown) == len(set(shown)) == 16
+    assert {
+        kind: [family(case) for case in shown].count(kind) for kind in ("fringing", "patch", "wreck")
+    } == {
+        "fringing": 3,
+        "patch": 3,
+        "wreck": 2,
+    }
+    assert shown == [case for case in cases if case in shown]
+    assert shown_cases(compare(results), 60) == list(cases)
+
+
+def test_no_benchmark_folder_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="dream bench"):
+        write_report(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("suite", "commands"),
+    [
+        ("paper", ["dream bench paper"]),
+        ("reef/L 1..2", ["dream bench --world reef/L --seeds 1..2"]),
+        ("paper, reef/L 3", ["dream bench paper", "dream bench --world reef/L --seeds 3"]),
+        ("a; rm -rf /", ["dream bench --world 'a;' --seeds 'rm -rf /'"]),
+    ],
+)
+def test_the_command_that_repeats_it(suite: str, commands: list[str]) -> None:
+    rest = " --planners sixsteps random --protocol dream-v1 --max-steps 50"
+    made = manifest(FEW, ["sixsteps", "random"], suite=suite, max_steps=50)
+    assert repeating_command(made) == " && ".join(command + rest for command in commands)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.slow
+def test_the_documentation_is_made_from_folders_and_is_the_same_each_time(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench = few(tmp_path / "results" / "few")
+    written = []
+    for name in ("one", "two"):
+        page = tmp_path / name / "results.md"
+        assert run_command(["results", str(bench), "--out", str(page), "--json"]) == 0
+        told = json.loads(capsys.readouterr().out)
+        assert told["page"] == str(page)
+        assert all(Path(picture).is_file() for picture in told["figures"])
+        written.append(contents(tmp_path / name))
+    assert written[0] == written[1]
+    text = written[0]["results.md"].decode()
+    linked = re.findall(r"!\[[^\]]*\]\(([^)]+)\)", text)
+    assert sorted(linked) == sorted(name for name in written[0] if name != "results.md")
+    assert "results/few-trajectories.png" in linked
+    assert "<picture" not in text
+    for said in ("0123abc", "A processor", "2026-01-02T03:04:05", "dream bench paper", "As published"):
+        assert said in text
+
+
+def test_folders_of_one_name_do_not_overwrite_each_other(tmp_path: Path) -> None:
+    missions = [flown(FEW[0], "sixsteps", Made(60, 70))]
+    folders = [write_bench(tmp_path / name / "paper", missions, FEW[:1], ["sixsteps"]) for name in "ab"]
+    files = write_results(folders, tmp_path / "results.md", tmp_path / "pictures")
+    assert len(files) == len(set(files))
+    assert {path.name for path in files} >= {"paper-trajectories.png", "paper-2-trajectories.png"}
+
+
+def test_a_sweep_is_one_picture_and_one_table(tmp_path: Path) -> None:
+    sweep = tmp_path / "sweep"
+    for reach in (10.0, 4.0):
+        protocol = {"name": f"dream-v1-reach{reach:g}", "cap": 200, "reach": reach}
+        missions = [
+            flown(case, "sixsteps", Made(600 / reach, 190), protocol=str(protocol["name"])) for case in FEW
+        ]
+        write_bench(sweep / f"reach-{reach:g}", missions, FEW, ["sixsteps"], protocol=protocol)
+    (picture,) = write_results([sweep], tmp_path / "results.md", tmp_path / "results")
+    assert picture.name == "sweep-sweep.svg"
+    text = (tmp_path / "results.md").read_text()
+    four, ten = (
+        next(line for line in text.splitlines() if f"| sixsteps | {r} |" in line) for r in ("4", "10")
+    )
+    assert "| 148.0 · 4/4 |" in four
+    assert "| 59.0 · 4/4 |" in ten
+    assert text.index(four) < text.index(ten)
+
+
+def test_two_benchmarks_of_one_reach_are_no_sweep(tmp_path: Path) -> None:
+    for name in "ab":
+        few(tmp_path / name)
+    with pytest.raises(ValueError, match="a reach of its own, got 8"):
+        write_results([tmp_path], tmp_path / "results.md", tmp_path / "results")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["nowhere"], "nowhere: expected a folder of dream bench or dream sweep"),
+        (["nowhere", "--out", "page.html"], "--out: expected a name that ends in .md"),
+        ([], "folders"),
+    ],
+)
+def test_bad_arguments_are_one_line(
+    arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command(["results", *arguments]) == 2
+    printed = capsys.readouterr()
+    assert complaint in printed.err
+    assert len(printed.err.strip().splitlines()) == 1
+
+
+def test_tables_are_made_without_matplotlib() -> None:
+    code = "import sys, dream.evaluation.report, dream.cli; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

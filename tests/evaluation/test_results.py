@@ -1,0 +1,310 @@
+"""A benchmark folder says the same when it is read as when it was written, and damage is named."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import os
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dream.evaluation.results import (
+    COLUMNS,
+    Flown,
+    Row,
+    Trace,
+    mission_path,
+    read_manifest,
+    read_mission,
+    read_results,
+    write_manifest,
+    write_mission,
+    write_tables,
+)
+
+ROW = Row(
+    protocol="dream-v1",
+    world="reef/L",
+    seed=3,
+    start=1,
+    world_hash="ab12",
+    planner="sweep-and-graze",
+    ended="done",
+    steps=2,
+    t_stop=2,
+    t_claimed=None,
+    t90=0,
+    t95=1,
+    t98=None,
+    t100=None,
+    instances=0.1,
+    clusters=0.0,
+    area=1.0,
+    visible=1 / 3,
+    countable=7,
+    collisions=1,
+    distance_m=3.123,
+    turns=2,
+    guarded=0,
+    min_clearance_m=-0.01,
+    planner_ms_p50=1e-05,
+    planner_ms_p99=2.0,
+    c50=0.1,
+    c100=0.1,
+    c137=0.1,
+    c200=0.1,
+    auc=0.1,
+    vlm_calls=4,
+    vlm_tokens=100,
+    vlm_cost_usd=0.5,
+    vlm_fallbacks=0,
+    success=False,
+    wall_s=9.5,
+)
+BARE = replace(
+    ROW,
+    planner="random",
+    ended="cap",
+    t_stop=None,
+    t90=None,
+    t95=None,
+    steps=0,
+    min_clearance_m=None,
+    vlm_calls=None,
+    vlm_tokens=None,
+    vlm_cost_usd=None,
+    vlm_fallbacks=None,
+    success=True,
+)
+MANIFEST: dict[str, Any] = {
+    "suite": "reef/L 3",
+    "cases": [{"world": "reef/L", "seed": 3, "start": 1}],
+    "planners": {"sweep-and-graze": {"spacing": 2.5}, "random": {}},
+    "protocol": {"name": "dream-v1"},
+    "max_steps": None,
+    "version": "0.1.0",
+    "commit": None,
+    "source": "00",
+    "engine": "Processes(jobs=2)",
+    "machine": {},
+    "started": "2026-01-01T00:00:00+00:00",
+    "finished": None,
+    "wall_s": 1.5,
+}
+
+
+def trace(steps: int) -> Trace:
+    ramp = np.arange(steps + 1, dtype=np.float64)
+    return Trace(0.1 + ramp, -ramp + 0.0, 30.0 * ramp - 180.0, 0.1 * ramp / 3, ramp == 1)
+
+
+MISSIONS = (Flown(ROW, trace(2)), Flown(BARE, trace(0)))
+
+
+def same(one: Flown, other: Flown) -> bool:
+    columns = [(getattr(one.trace, name), getattr(other.trace, name)) for name in Trace.__slots__]
+    return one.row == other.row and all(a.dtype == b.dtype and (a == b).all() for a, b in columns)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_manifest(tmp_path, MANIFEST)
+    write_tables(tmp_path, MISSIONS)
+    return tmp_path
+
+
+def test_a_folder_is_read_as_it_was_written(folder: Path) -> None:
+    results = read_results(folder)
+    assert results.manifest == MANIFEST
+    assert results.rows == (ROW, BARE)
+    assert list(results.traces) == [ROW.key, BARE.key]
+    for flown in MISSIONS:
+        assert same(Flown(flown.row, results.traces[flown.row.key]), flown)
+
+
+def test_the_table_has_the_published_columns_and_words(folder: Path) -> None:
+    lines = (folder / "results.csv").read_text().splitlines()
+    assert lines[0] == (
+        "protocol,world,seed,start,world_hash,planner,ended,steps,t_stop,t_claimed,t90,t95,t98,t100,instances,"
+        "clusters,area,visible,countable,collisions,distance_m,turns,guarded,min_clearance_m,planner_ms_p50,"
+        "planner_ms_p99,c50,c100,c137,c200,auc,vlm_calls,vlm_tokens,vlm_cost_usd,vlm_fallbacks,success,wall_s"
+    )
+    assert lines[1].startswith(
+        "dream-v1,reef/L,3,1,ab12,sweep-and-graze,done,2,2,,0,1,,,0.1,0.0,1.0,0.333333"
+    )
+    assert lines[2].endswith(",,,,,true,9.5")
+    steps = gzip.decompress((folder / "traces.csv.gz").read_bytes()).decode().splitlines()
+    assert steps[0] == "protocol,world,seed,start,planner,step,x,y,yaw_deg,instances,collided"
+    assert steps[2] == "dream-v1,reef/L,3,1,sweep-and-graze,1,1.1,-1.0,-150.0,0.03333333333333333,true"
+
+
+def test_equal_missions_give_equal_bytes(
+    folder: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = tmp_path_factory.mktemp("other")
+    monkeypatch.setattr(time, "time", lambda: 1e9)
+    write_tables(other, MISSIONS)
+    for name in ("results.csv", "traces.csv.gz"):
+        assert (other / name).read_bytes() == (folder / name).read_bytes()
+
+
+@pytest.mark.parametrize("flown", MISSIONS, ids=["full", "bare"])
+def test_a_mission_is_kept_under_its_own_name(flown: Flown, tmp_path: Path) -> None:
+    path = write_mission(tmp_path, flown)
+    assert path == mission_path(tmp_path, flown.row.key)
+    assert path.parent.name == "missions"
+    assert same(read_mission(path), flown)
+    assert [entry.name for entry in path.parent.iterdir()] == [path.name], "nothing temporary is left"
+
+
+def test_a_write_that_breaks_off_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_mission(tmp_path, MISSIONS[0])
+
+    def no_space(descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", no_space)
+    changed = Flown(replace(ROW, turns=99), trace(2))
+    with pytest.raises(OSError, match="No space"):
+        write_mission(tmp_path, changed)
+    assert same(read_mission(path), MISSIONS[0])
+
+
+def edited(change: Callable[[dict[str, Any]], object]) -> Callable[[bytes], bytes]:
+    def edit(content: bytes) -> bytes:
+        mission = json.loads(content)
+        change(mission)
+        return json.dumps(mission).encode()
+
+    return edit
+
+
+@pytest.mark.parametrize(
+    ("damage", "complaint"),
+    [
+        (lambda content: content[: len(content) // 2], "damaged text"),
+        (lambda content: b"", "damaged text"),
+        (lambda content: content.replace(b"0.1", b"NaN", 1), "damaged text"),
+        (edited(lambda m: m["row"].pop("t98")), "t98: Field required"),
+        (edited(lambda m: m["row"].update(extra=1)), "extra: Unexpected"),
+        (edited(lambda m: m["row"].update(instances=1.5)), "instances: .*less than or equal to 1"),
+        (edited(lambda m: m["row"].update(steps=-1)), "steps"),
+        (edited(lambda m: m["row"].update(ended="aborted")), "ended"),
+        (edited(lambda m: m["row"].update(seed=4)), "expected the mission that the file is named after"),
+        (edited(lambda m: m["trace"]["x"].pop()), "trace: x: expected 3 values"),
+        (edited(lambda m: m["trace"]["y"].__setitem__(1, "2")), "trace: y: expected only numbers"),
+        (edited(lambda m: m["trace"]["collided"].__setitem__(1, 1)), "collided: expected only booleans"),
+        (edited(lambda m: m["trace"]["instances"].__setitem__(1, 2.0)), "shares from 0 to 1"),
+        (edited(lambda m: m["trace"].pop("yaw_deg")), "trace: expected the columns"),
+        (edited(lambda m: m.pop("trace")), "expected an object with row and trace"),
+        (lambda content: b"[" * 100_000, "damaged text"),
+    ],
+)
+def test_a_damaged_mission_is_named(damage: Callable[[bytes], bytes], complaint: str, tmp_path: Path) -> None:
+    path = write_mission(tmp_path, MISSIONS[0])
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(ValueError, match=complaint) as caught:
+        read_mission(path)
+    assert str(caught.value).startswith(str(path))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "complaint"),
+    [
+        ("world_hash", "hash", "line 1: expected the columns"),
+        (",done,2,", ",done,two,", "line 2: row: steps"),
+        (",done,2,", ",done,2,7,", "line 2: expected 37 cells, got 38"),
+        (",random,", ",sweep-and-graze,", "line 3: expected each mission once"),
+        (",true,", ",perhaps,", "line 3: row: success"),
+        ("0.5,0,false", "inf,0,false", "line 2: row: vlm_cost_usd"),
+        ("ab12,random", '"ab12,random', "line 3"),
+    ],
+)
+def test_a_damaged_table_is_named_with_its_line(
+    before: str, after: str, complaint: str, folder: Path
+) -> None:
+    path = folder / "results.csv"
+    text = path.read_text()
+    assert before in text
+    path.write_text(text.replace(before, after, 1))
+    with pytest.raises(ValueError, match=complaint) as caught:
+        read_results(folder)
+    assert str(caught.value).startswith(f"{path}, line ")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "complaint"),
+    [
+        ("yaw_deg", "yaw", "line 1: expected the columns"),
+        ("graze,1,1.1", "graze,2,1.1", "line 3: expected a line that begins with"),
+        (",true\n", ",1\n", "line 3: expected true or false"),
+        (",true\n", ",true,\n", "line 3: expected 11 cells"),
+        ("graze,1,1.1", "graze,1,nan", "expected finite poses"),
+        ("graze,1,1.1", "graze,1,east", "line 3: could not convert"),
+        ("random,0,", "random,0,0,0,0,0,false\nrandom,1,", "line 6: expected the end"),
+    ],
+)
+def test_a_damaged_trace_is_named_with_its_line(
+    before: str, after: str, complaint: str, folder: Path
+) -> None:
+    path = folder / "traces.csv.gz"
+    text = gzip.decompress(path.read_bytes()).decode()
+    assert before in text
+    path.write_bytes(gzip.compress(text.replace(before, after, 1).encode()))
+    with pytest.raises(ValueError, match=complaint) as caught:
+        read_results(folder)
+    assert str(caught.value).startswith(f"{path}, line ")
+
+
+@pytest.mark.parametrize("end", [-9, -1])
+def test_a_torn_trace_is_named(end: int, folder: Path) -> None:
+    path = folder / "traces.csv.gz"
+    path.write_bytes(path.read_bytes()[:end])
+    with pytest.raises(ValueError, match=str(path)):
+        read_results(folder)
+
+
+def test_more_steps_than_the_table_tells_of_are_not_read(folder: Path) -> None:
+    path = folder / "traces.csv.gz"
+    path.write_bytes(gzip.compress(gzip.decompress(path.read_bytes()) + b"0" * 100_000_000))
+    with pytest.raises(ValueError, match="line 6: expected the end"):
+        read_results(folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"cases": [{"world": "../x", "seed": 1, "start": 0}]}, "cases.0.world"),
+        ({"cases": 3}, "cases"),
+        ({"planners": {"a": 1}}, "planners.a"),
+        ({"wall_s": "long"}, "wall_s"),
+    ],
+)
+def test_a_damaged_manifest_is_named(change: dict[str, Any], complaint: str, folder: Path) -> None:
+    (folder / "manifest.json").write_text(json.dumps(MANIFEST | change))
+    with pytest.raises(ValueError, match=complaint) as caught:
+        read_manifest(folder)
+    assert str(folder / "manifest.json") in str(caught.value)
+
+
+def test_another_folder_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"expected a benchmark folder, got no manifest\.json"):
+        read_results(tmp_path)
+    write_manifest(tmp_path, MANIFEST)
+    with pytest.raises(FileNotFoundError, match=r"got no results\.csv"):
+        read_results(tmp_path)
+
+
+def test_a_row_and_a_trace_of_different_length_are_no_mission() -> None:
+    with pytest.raises(ValueError, match="expected 3 poses of 2 steps"):
+        Flown(ROW, trace(3))
+
+
+def test_columns_are_the_fields_of_a_row() -> None:
+    assert tuple(Row.__slots__) == COLUMNS

@@ -1,0 +1,394 @@
+"""A benchmark goes on where it was, whatever interrupted it, and its numbers depend on nothing else."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dream.cli import run_command
+from dream.evaluation import runner
+from dream.evaluation.engines import Engine, Failure, Processes
+from dream.evaluation.metrics import curve
+from dream.evaluation.results import TIMES, Flown, MissionKey, mission_path, read_manifest, read_results
+from dream.evaluation.runner import Ended, Flight, Plan, fly, fly_plan
+from dream.evaluation.suites import SUITES, Case
+from dream.mission import Pilot
+from dream.planning import Lawnmower, RandomWalk
+from dream.protocol import DREAM_V1, POOL_V1, protocol_named, reach_variant
+from dream.recording import read_config, read_steps, read_summary
+from dream.sim.render import Renderer
+from dream.types import Mission
+
+STEPS = 4
+FLAT = tuple(Case("flat/empty", seed) for seed in (1, 2, 3))
+PLANNERS: dict[str, Any] = {"random": RandomWalk(), "lawnmower": Lawnmower()}
+
+
+@dataclass(slots=True)
+class Here:
+    """Flies in this process, the last group first where told to, and remembers what it flew."""
+
+    backwards: bool = False
+    flown: list[MissionKey] | None = None
+    stop_after: int = 1000
+    """Missions before Ctrl-C."""
+
+    def run(
+        self, task: Callable[[Any], Any], groups: Sequence[Sequence[Any]]
+    ) -> Generator[tuple[Any, Any], None, None]:
+        flights = [flight for group in groups for flight in group]
+        for number, flight in enumerate(reversed(flights) if self.backwards else flights):
+            if number == self.stop_after:
+                raise KeyboardInterrupt
+            if self.flown is not None:
+                self.flown.append(flight.key)
+            yield flight, task(flight)
+
+
+@dataclass(frozen=True, slots=True)
+class Deadly:
+    """A planner that takes its worker with it."""
+
+    def begin(self, mission: Mission) -> Pilot:
+        os.kill(os.getpid(), signal.SIGKILL)
+        raise AssertionError
+
+
+@dataclass(frozen=True, slots=True)
+class Broken:
+    """A planner that raises."""
+
+    def begin(self, mission: Mission) -> Pilot:
+        raise RuntimeError("the planner burnt")
+
+
+def plan(cases: Sequence[Case] = FLAT, **changes: Any) -> Plan:
+    values: dict[str, Any] = {"suite": "flat", "planners": PLANNERS, "protocol": DREAM_V1, "max_steps": STEPS}
+    return Plan(**({"cases": tuple(cases)} | values | changes))
+
+
+def bench(plan: Plan, folder: Path, engine: Engine | None = None) -> list[Ended]:
+    return list(fly_plan(plan, folder, engine or Here()))
+
+
+def without_times(folder: Path) -> list[dict[str, str]]:
+    with (folder / "results.csv").open(newline="") as file:
+        return [{k: v for k, v in row.items() if k not in TIMES} for row in csv.DictReader(file)]
+
+
+def files_of(folder: Path) -> dict[str, int]:
+    return {path.name: path.stat().st_mtime_ns for path in (folder / "missions").glob("*.json")}
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A benchmark of one world with a reef and one without, flown in this process."""
+    folder = tmp_path_factory.mktemp("flown")
+    bench(plan((Case("reef/L", 1), FLAT[0])), folder)
+    return folder
+
+
+def test_results_do_not_depend_on_workers_or_order(flown: Path, tmp_path: Path) -> None:
+    cases = (FLAT[0], Case("reef/L", 1))
+    flipped = dict(reversed(PLANNERS.items()))
+    engines: dict[str, Engine] = {"two": Processes(2), "back": Here(backwards=True)}
+    for name, engine in engines.items():
+        ended = bench(plan(cases, planners=flipped), tmp_path / name, engine)
+        assert len(ended) == 4
+        assert without_times(tmp_path / name) == without_times(flown)
+        assert (tmp_path / name / "traces.csv.gz").read_bytes() == (flown / "traces.csv.gz").read_bytes()
+
+
+def test_all_planners_start_alike_in_the_same_worlds(flown: Path) -> None:
+    results = read_results(flown)
+    assert [(row.world, row.planner) for row in results.rows] == [
+        *(("reef/L", "lawnmower"), ("reef/L", "random")),
+        *(("flat/empty", "lawnmower"), ("flat/empty", "random")),
+    ]
+    for one, other in (results.rows[:2], results.rows[2:]):
+        a, b = results.traces[one.key], results.traces[other.key]
+        assert (a.x[0], a.y[0], a.yaw_deg[0]) == (b.x[0], b.y[0], b.yaw_deg[0])
+        assert (one.world_hash, one.countable) == (other.world_hash, other.countable)
+
+
+def test_a_row_says_what_its_trace_says(flown: Path) -> None:
+    results = read_results(flown)
+    for row in results.rows:
+        trace = results.traces[row.key]
+        assert row.steps == STEPS == len(trace) - 1
+        assert row.instances == trace.instances[-1] == row.c50 == row.c200
+        assert row.collisions == trace.collided.sum()
+        assert math.isclose(row.distance_m, np.hypot(np.diff(trace.x), np.diff(trace.y)).sum(), abs_tol=0.01)
+        assert (np.diff(trace.instances) >= 0).all()
+        held = [*trace.instances[1:], *[trace.instances[-1]] * (200 - STEPS)]
+        assert math.isclose(row.auc, np.mean(held), abs_tol=2e-6)
+
+
+def test_the_curve_holds_what_a_mission_ended_with() -> None:
+    ramp = [step / 160 for step in range(121)]
+    found = curve(ramp, 200)
+    assert found == {
+        "c50": 0.3125,
+        "c100": 0.625,
+        "c137": 0.75,
+        "c200": 0.75,
+        "auc": round((sum(ramp) + 80 * 0.75) / 200, 6),
+    }
+    assert curve([0.25], 200) == {**dict.fromkeys(("c50", "c100", "c137", "c200"), 0.25), "auc": 0.25}
+    assert curve([0.0] * 201 + [1.0] * 50, 200)["auc"] == 0.0, "the cap ends the mean"
+
+
+def test_a_world_that_is_used_again_gives_the_same_mission(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[str] = []
+    renderer = Renderer
+
+    def counting(world: Any) -> Any:
+        made.append(world.name)
+        return renderer(world)
+
+    monkeypatch.setattr(runner, "Renderer", counting)
+    flights = [Flight(Case("reef/L", 2, start), "random", RandomWalk(), "dream-v1", 3) for start in (0, 1, 0)]
+    runner._stage.cache_clear()
+    shared = [fly(flight) for flight in flights]
+    assert made == ["reef/L"], "one renderer for three missions"
+    runner._stage.cache_clear()
+    fresh = fly(flights[2])
+    rows = [replace(f.row, planner_ms_p50=0, planner_ms_p99=0, wall_s=0) for f in (*shared, fresh)]
+    assert rows[0] == rows[2] == rows[3]
+    assert rows[0] != replace(rows[1], start=0)
+
+
+def test_ctrl_c_keeps_what_was_flown_and_the_rest_follows(tmp_path: Path) -> None:
+    first: list[MissionKey] = []
+    with pytest.raises(KeyboardInterrupt):
+        bench(plan(), tmp_path, Here(flown=first, stop_after=2))
+    assert len(read_results(tmp_path).rows) == 2
+    assert read_manifest(tmp_path)["finished"] is None
+    before = files_of(tmp_path)
+    second: list[MissionKey] = []
+    ended = bench(plan(), tmp_path, Here(flown=second))
+    assert sorted(first + second) == sorted({e.key for e in ended})
+    assert [e.kept for e in ended] == [True] * 2 + [False] * 4
+    assert {name: files_of(tmp_path)[name] for name in before} == before, "kept files are not touched"
+    assert read_manifest(tmp_path)["finished"]
+    third: list[MissionKey] = []
+    assert all(e.kept for e in bench(plan(), tmp_path, Here(flown=third)))
+    assert third == []
+
+
+def test_kill_9_loses_and_repeats_nothing(tmp_path: Path) -> None:
+    command = ["bench", "--world", "flat/empty", "--seeds", "1..6", "--planners", "random", "lawnmower"]
+    command += ["--max-steps", "9", "--jobs", "1", "--out", str(tmp_path)]
+    running = subprocess.Popen([sys.executable, "-m", "dream.cli", *command], stderr=subprocess.PIPE)
+    deadline = time.monotonic() + 60
+    while len(files_of(tmp_path)) < 3:
+        assert running.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    running.kill()
+    running.communicate()
+    before = files_of(tmp_path)
+    assert 3 <= len(before) < 12
+    again: list[MissionKey] = []
+    cases = [Case("flat/empty", seed) for seed in range(1, 7)]
+    ended = bench(plan(cases, suite="flat/empty 1..6", max_steps=9), tmp_path, Here(flown=again))
+    assert len(again) == len(set(again)) == 12 - len(before)
+    assert sum(e.kept for e in ended) == len(before)
+    after = files_of(tmp_path)
+    assert {name: after[name] for name in before} == before, "no mission was written again"
+    assert len(after) == len(read_results(tmp_path).rows) == 12
+
+
+def test_planners_and_worlds_may_join_later(tmp_path: Path) -> None:
+    once, twice = tmp_path / "once", tmp_path / "twice"
+    bench(plan(), once)
+    bench(plan(FLAT[:2], planners={"lawnmower": Lawnmower()}, suite="first"), twice)
+    bench(plan(FLAT[2:], planners={"random": RandomWalk()}), twice)
+    assert [(row.seed, row.planner) for row in read_results(twice).rows] == [
+        *((1, "lawnmower"), (2, "lawnmower"), (3, "random"))
+    ]
+    again: list[MissionKey] = []
+    bench(plan(), twice, Here(flown=again))
+    assert len(again) == 3
+    assert without_times(twice) == without_times(once)
+    assert (twice / "traces.csv.gz").read_bytes() == (once / "traces.csv.gz").read_bytes()
+    assert read_manifest(twice)["suite"] == "first, flat"
+    assert read_manifest(twice)["cases"] == read_manifest(once)["cases"]
+
+
+def test_a_damaged_mission_is_named_and_flown_again(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    keys = [ended.key for ended in bench(plan(FLAT[:1]), tmp_path)]
+    good = without_times(tmp_path)
+    path = mission_path(tmp_path, keys[1])
+    path.write_bytes(path.read_bytes()[:-40])
+    again: list[MissionKey] = []
+    bench(plan(FLAT[:1]), tmp_path, Here(flown=again))
+    assert again == [keys[1]]
+    assert str(path) in caplog.text
+    assert without_times(tmp_path) == good
+
+
+@pytest.mark.parametrize(
+    ("path", "other", "complaint"),
+    [
+        (("version",), "0.0.9", r"version: expected 0\.0\.9 as for the missions in it, got "),
+        (("source",), "0" * 64, "source: expected 0{64} "),
+        (("protocol", "reach"), 4.0, r"protocol\.reach: expected 4\.0 as for the missions in it, got 8\.0"),
+        (("protocol", "camera", "width"), 99, r"protocol\.camera\.width: expected 99 .* got 320"),
+        (("max_steps",), None, f"max_steps: expected None .* got {STEPS}"),
+        (("planners", "random", "walk_seed"), 9, r"random\.walk_seed: expected 9 .* got 0"),
+    ],
+)
+def test_missions_of_another_make_are_refused(
+    path: tuple[str, ...], other: Any, complaint: str, flown: Path, tmp_path: Path
+) -> None:
+    manifest = json.loads((flown / "manifest.json").read_text())
+    place = manifest
+    for name in path[:-1]:
+        place = place[name]
+    place[path[-1]] = other
+    (tmp_path / "manifest.json").write_text(json.dumps(manifest))
+    untouched = (tmp_path / "manifest.json").read_bytes()
+    with pytest.raises(ValueError, match=complaint) as caught:
+        bench(plan(), tmp_path)
+    assert str(caught.value).startswith(f"{tmp_path}: ")
+    assert str(caught.value).endswith("Choose another --out")
+    assert (tmp_path / "manifest.json").read_bytes() == untouched
+    assert not (tmp_path / "missions").exists(), "nothing was flown"
+
+
+def test_another_commit_with_the_same_code_goes_on(flown: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "bench"
+    shutil.copytree(flown, folder)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    (folder / "manifest.json").write_text(json.dumps({**manifest, "commit": "abc"}))
+    again: list[MissionKey] = []
+    bench(plan((Case("reef/L", 1), FLAT[0])), folder, Here(flown=again))
+    assert again == []
+
+
+def test_missions_of_unknown_make_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "missions").mkdir()
+    with pytest.raises(ValueError, match=r"expected a manifest\.json"):
+        bench(plan(), tmp_path)
+
+
+def test_two_benchmarks_do_not_share_a_folder(tmp_path: Path) -> None:
+    first = fly_plan(plan(FLAT[:1]), tmp_path, Here())
+    next(first)
+    with pytest.raises(ValueError, match="expected that no other benchmark writes here"):
+        bench(plan(FLAT[:1]), tmp_path)
+    first.close()
+    assert len(bench(plan(FLAT[:1]), tmp_path)) == 2
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"cases": ()}, "cases: expected at least one world"),
+        ({"cases": (FLAT[0], FLAT[0])}, "cases: expected each once"),
+        ({"planners": {}}, "planners: expected one or more of"),
+        ({"max_steps": 0}, "--max-steps: expected at least 1, got 0"),
+    ],
+)
+def test_a_plan_that_flies_nothing_is_refused(changes: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        plan(**changes)
+
+
+def test_a_mission_that_fails_costs_only_itself(tmp_path: Path) -> None:
+    planners = {"deadly": Deadly(), "broken": Broken(), "random": RandomWalk()}
+    ended = bench(plan(FLAT[:1], planners=planners), tmp_path, Processes(2))
+    outcomes = {e.key[-1]: e.outcome for e in ended}
+    assert outcomes["deadly"] == Failure("its worker died 3 times: killed by SIGKILL")
+    assert outcomes["broken"] == Failure("RuntimeError: the planner burnt")
+    assert isinstance(outcomes["random"], Flown)
+    assert [row.planner for row in read_results(tmp_path).rows] == ["random"]
+    assert read_manifest(tmp_path)["finished"] is None
+
+
+def test_a_worker_with_other_code_flies_nothing() -> None:
+    flight = Flight(FLAT[0], "random", RandomWalk(), "dream-v1", 1, source="0" * 64)
+    with pytest.raises(ValueError, match=r"source: expected the code 000000000000 .* another version"):
+        fly(flight)
+
+
+def test_a_mission_can_be_kept_as_a_run(tmp_path: Path) -> None:
+    only = {"random": RandomWalk()}
+    bench(plan(FLAT[:1], planners=only, keep_runs=True), tmp_path)
+    (folder,) = (tmp_path / "runs").iterdir()
+    results = read_results(tmp_path)
+    (trace,) = results.traces.values()
+    assert [step.pose.x for step in read_steps(folder)] == pytest.approx(trace.x.tolist(), abs=1e-3)
+    assert read_config(folder).max_steps == STEPS
+    summary = read_summary(folder)
+    assert summary is not None
+    assert (summary.steps, summary.world_hash) == (STEPS, results.rows[0].world_hash)
+    assert (folder / "report.html").stat().st_size > 10_000
+    (mission,) = (tmp_path / "missions").glob("*.json")
+    mission.unlink()
+    bench(plan(FLAT[:1], planners=only, keep_runs=True), tmp_path)
+    assert len(read_steps(folder)) == STEPS + 1, "a second try takes the place of the first"
+
+
+def test_a_protocol_that_does_not_fit_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="flat/empty is made for dream-v1, got pool-v1"):
+        bench(plan(protocol=POOL_V1), tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+def test_reaches_are_protocols_of_their_own() -> None:
+    assert protocol_named(reach_variant(8.0)) is DREAM_V1
+    far = protocol_named("dream-v1-reach10")
+    assert replace(far, name=DREAM_V1.name, reach=8.0) == DREAM_V1
+    assert far.reach == 10.0
+
+
+def test_a_sweep_flies_the_same_missions_with_every_reach(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(SUITES, "tiny", (Case("reef/L", 1),))
+    monkeypatch.setattr("dream.evaluation.engines.Processes", lambda jobs: Here())
+    options = ["sweep", "tiny", "--reach", "4", "8", "--planners", "random", "--max-steps", "4", "--json"]
+    assert run_command([*options, "--out", str(tmp_path)]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert [bench["protocol"] for bench in printed["reaches"]] == ["dream-v1-reach4", "dream-v1"]
+    (near,), (far,) = (read_results(tmp_path / f"reach-{reach}").rows for reach in (4, 8))
+    assert near.protocol == "dream-v1-reach4"
+    assert near.world_hash == far.world_hash
+    assert near.instances < far.instances
+
+
+def test_a_failed_mission_makes_status_1_and_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+
+    class Unlucky(Here):
+        def run(self, task: Any, groups: Any) -> Generator[tuple[Any, Any], None, None]:
+            for flight, outcome in Here.run(self, task, groups):
+                yield flight, Failure("the sea was rough") if flight.planner_name == "random" else outcome
+
+    monkeypatch.setattr("dream.evaluation.engines.Processes", lambda jobs: Unlucky())
+    options = ["bench", "--world", "flat/empty", "--planners", "random", "lawnmower", "--max-steps", "3"]
+    assert run_command([*options, "--json", "--out", str(tmp_path)]) == 1
+    printed = capsys.readouterr()
+    outcome = json.loads(printed.out)
+    assert [row["planner"] for row in outcome["missions"]] == ["lawnmower"]
+    assert outcome["failed"] == [
+        {"world": "flat/empty", "seed": 1, "start": 0, "planner": "random", "error": "the sea was rough"}
+    ]
+    assert "1 of 2 missions failed, first random in flat/empty 1: the sea was rough" in printed.err

@@ -1,0 +1,57 @@
+"""The suites are what they say they are."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import combinations
+
+import pytest
+
+from dream.evaluation.suites import REEF_FAMILIES, SUITES, Case, family_of, suite_named
+from dream.sim.worlds import WORLDS
+
+EXPECTED = {
+    "paper": {"fringing": 1, "string": 1, "patch": 1, "mixed": 2, "letter": 5, "wreck": 5},
+    "dev": {**dict.fromkeys(REEF_FAMILIES, 5), "letter": 20, "wreck": 20},
+    "test": {**dict.fromkeys(REEF_FAMILIES, 25), "letter": 50, "wreck": 50},
+}
+
+
+@pytest.mark.parametrize("name", SUITES)
+def test_a_suite_has_as_many_worlds_of_each_family_as_it_says(name: str) -> None:
+    cases = suite_named(name)
+    assert Counter(family_of(case.world) for case in cases) == EXPECTED[name]
+    assert len(set(cases)) == len(cases)
+    assert {case.world for case in cases} <= set(WORLDS)
+
+
+def test_no_world_is_in_two_suites() -> None:
+    for one, other in combinations(SUITES.values(), 2):
+        assert not set(one) & set(other)
+
+
+def test_the_paper_suite_is_fixed() -> None:
+    assert suite_named("paper")[3:6] == (Case("reef/mixed", 1), Case("reef/mixed", 2), Case("reef/L", 1))
+    assert {case.start for case in suite_named("paper")} == {0}
+
+
+def test_letters_and_wrecks_are_spread_evenly() -> None:
+    assert Counter(
+        case.world for case in suite_named("test") if family_of(case.world) in ("letter", "wreck")
+    ) == {
+        **{f"reef/{letter}": 10 for letter in "LSOKE"},
+        **{f"wreck/{number}": 10 for number in range(1, 6)},
+    }
+
+
+def test_every_world_has_a_family() -> None:
+    families = {*REEF_FAMILIES, "letter", "wreck", "pool", "flat"}
+    assert {family_of(world) for world in WORLDS} == families
+    for stranger in ("reef/X", "reef", "", "lake/1"):
+        with pytest.raises(ValueError, match="no family"):
+            family_of(stranger)
+
+
+def test_an_unknown_suite_is_answered_with_the_nearest() -> None:
+    with pytest.raises(ValueError, match=r'no suite "paepr"\. Did you mean "paper"\?'):
+        suite_named("paepr")

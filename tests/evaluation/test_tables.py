@@ -1,0 +1,302 @@
+"""The tables, from missions that are made up so that every number in them is known."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from dream.evaluation import tables
+from dream.evaluation.oracle.bounds import Bounds
+from dream.evaluation.results import Flown, Results
+from dream.evaluation.suites import Case
+from dream.evaluation.tables import (
+    NONE,
+    UNMEASURED,
+    Comparison,
+    Table,
+    baselines,
+    best_baseline,
+    compare,
+    contradictions,
+    escape_markdown,
+    groups,
+)
+from tests.evaluation.benches import PAPER, Made, bounds, flown, manifest, paper_missions
+
+L1, L2, W1 = Case("reef/L", 1), Case("reef/L", 2), Case("wreck/1", 1)
+FAST, SLOW = Made(50, 60), Made(100, 120)
+
+
+def results(
+    missions: Sequence[Flown], cases: Sequence[Case], planners: Sequence[str], **changes: Any
+) -> Results:
+    rows = tuple(mission.row for mission in missions)
+    traces = {mission.row.key: mission.trace for mission in missions}
+    return Results(manifest(cases, planners, **changes), rows, traces)
+
+
+def comparison(
+    *missions: Flown,
+    cases: Sequence[Case] = (L1, L2, W1),
+    planners: Sequence[str] = ("sixsteps", "lawnmower"),
+    **changes: Any,
+) -> Comparison:
+    return compare(results(missions, cases, planners, **changes))
+
+
+@pytest.fixture
+def known(monkeypatch: pytest.MonkeyPatch) -> dict[Case, Bounds]:
+    """What is certified, by case; empty at first."""
+    found: dict[Case, Bounds] = {}
+
+    def known_bounds(protocol: str, world: str, seed: int, start: int, world_hash: str) -> Bounds | None:
+        assert (protocol, world_hash) == ("dream-v1", "made")
+        return found.get(Case(world, seed, start))
+
+    monkeypatch.setattr("dream.evaluation.oracle.bounds.known_bounds", known_bounds)
+    return found
+
+
+def row(table: Table, *names: str) -> dict[str, str]:
+    """The line that begins with these names, by heading; the first of two equal headings wins."""
+    line = next(line for line in table.rows if line[: len(names)] == names)
+    found: dict[str, str] = {}
+    for heading, cell in zip(table.headings, line, strict=True):
+        found.setdefault(heading, cell)
+    return found
+
+
+def three_each() -> tuple[Flown, ...]:
+    return tuple(
+        flown(case, planner, made)
+        for case in (L1, L2, W1)
+        for planner, made in (("sixsteps", FAST), ("lawnmower", SLOW))
+    )
+
+
+def test_times_are_restricted_means_with_the_number_that_got_there() -> None:
+    # 98.26 % of 50 steps is 50 (49.13), 90 % is 45; the third never gets past 75 %.
+    three = comparison(
+        flown(L1, "sixsteps", FAST),
+        flown(L2, "sixsteps", Made(100, 120)),
+        flown(W1, "sixsteps", Made(200, 150)),
+        planners=["sixsteps"],
+    )
+    line = row(tables.times(three, "All", three.cases), "sixsteps")
+    assert line["to 98.26 %"].startswith(f"{(50 + 99 + 200) / 3:.1f} (")
+    assert line["to 98.26 %"].endswith("· 2/3")
+    assert line["to 90 %"].startswith(f"{(45 + 90 + 200) / 3:.1f} (")
+    assert line["until its own stop"].startswith("110.0 (")
+    assert line["until its own stop"].endswith("· 3/3")
+
+
+def test_missions_that_were_cut_short_count_as_their_own_cap() -> None:
+    cut = comparison(
+        *(flown(case, "random", Made(400), cap=100) for case in (L1, L2)), planners=["random"], max_steps=100
+    )
+    assert cut.horizon == 100
+    assert row(tables.times(cut, "All", cut.cases), "random")["to 98.26 %"] == "100.0 · 0/2"
+
+
+def test_the_fastest_planner_stands_first() -> None:
+    assert comparison(*three_each(), planners=["lawnmower", "sixsteps"]).ranked == ("sixsteps", "lawnmower")
+
+
+def test_starts_of_a_world_count_as_one_world() -> None:
+    starts = [Case("reef/L", 1, start) for start in (0, 1)]
+    both = comparison(
+        flown(starts[0], "sixsteps", Made(50, 60)),
+        flown(starts[1], "sixsteps", Made(100, 120)),
+        flown(W1, "sixsteps", Made(150, 160)),
+        cases=[*starts, W1],
+        planners=["sixsteps"],
+    )
+    found = both.estimate("sixsteps", both.cases, both.time("t98"))
+    assert found.count == 2
+    assert found.value == ((50 + 99) / 2 + 148) / 2
+
+
+def test_groups_leave_out_what_says_the_same() -> None:
+    every = groups(comparison(cases=PAPER))
+    assert {title: len(cases) for title, cases in every.items()} == {
+        "All worlds": 15,
+        "Reefs together": 10,
+        "Fringing reefs": 1,
+        "String reefs": 1,
+        "Patch reefs": 1,
+        "Mixed reefs": 2,
+        "Letter reefs": 5,
+        "Wrecks": 5,
+    }
+    assert list(groups(comparison(cases=[L1, L2]))) == ["All worlds"]
+    own = Case("my-world", 1)
+    assert groups(comparison(cases=[L1, own]))["Other worlds"] == (own,)
+
+
+def test_the_best_baseline_is_no_planner_of_ours() -> None:
+    assert baselines(["sixsteps", "random", "unheard-of", "lawnmower"]) == ["random", "lawnmower"]
+    assert best_baseline(comparison(*three_each()), (L1, L2, W1)) == "lawnmower"
+    alone = comparison(flown(L1, "sixsteps", FAST), planners=["sixsteps"])
+    assert best_baseline(alone, alone.cases) is None
+
+
+def test_planners_are_compared_in_the_worlds_that_both_have_flown() -> None:
+    half = comparison(*(m for m in three_each() if m.row.key[1:] != ("reef/L", 2, 0, "lawnmower")))
+    line = row(tables.against_the_best_baseline(half), "All worlds", "sixsteps", "lawnmower")
+    assert line["pairs"] == "2"
+    assert line["t98 minus the baseline's"] == "−49.0"
+    assert line["P(better)"].startswith("1.00 (")
+    assert half.missing == 1
+
+
+def test_p_values_are_corrected_for_their_number() -> None:
+    paper = compare(results(paper_missions(), PAPER, ["sixsteps", "lawnmower", "frontier", "random"]))
+    table = tables.against_the_best_baseline(paper)
+    assert len(table.rows) == 9
+    ours = row(table, "All worlds", "sixsteps", "lawnmower")
+    assert ours["p"] == "< 0.001"
+    # The smallest of nine is multiplied by nine: 2 of 10 001 exchanges.
+    assert ours["p, Holm"] == "0.002"
+    wrecks = row(table, "Wrecks", "sixsteps", "lawnmower")
+    assert wrecks["p"] == "0.062"
+    assert float(wrecks["p, Holm"]) > 0.062
+
+
+def test_ratios_stand_side_by_side_and_leave_collisions_out(known: dict[Case, Bounds]) -> None:
+    known[L1] = bounds(L1, (25, 40), (30, None))
+    known[L2] = bounds(L2, (20, 20), (20, 20))
+    missions = [flown(L1, "sixsteps", FAST), flown(L2, "sixsteps", replace(FAST, collides_at=9))]
+    line = row(tables.efficiency(comparison(*missions), "All", (L1, L2)), "sixsteps")
+    assert line["t98 ÷ certified bound"] == "2.00 · 1"
+    assert line["t98 ÷ best known tour"] == "1.25 · 1"
+    assert line["t100 ÷ certified bound"] == f"{50 / 30:.2f} · 1"
+    assert line["t100 ÷ best known tour"] == NONE
+    # The one that collided scores 0 over both.
+    assert line["SPL"] == "0.25"
+    assert line["soft SPL"] == f"{0.5 * 25 / 60:.2f}"
+
+
+def test_without_bounds_there_are_no_ratios(known: dict[Case, Bounds]) -> None:
+    line = row(tables.efficiency(comparison(*three_each()), "All", (L1, L2, W1)), "sixsteps")
+    assert set(line.values()) == {"sixsteps", NONE}
+
+
+def test_the_table_of_bounds_never_calls_a_tour_the_optimum_without_proof(known: dict[Case, Bounds]) -> None:
+    known[L1] = bounds(L1, (25, 40), (30, None))
+    known[L2] = bounds(L2, (20, 20), (21, 21))
+    table = tables.bounds_table(comparison(*three_each()))
+    assert table.rows == (
+        ("reef/L 1", "400", "25", "40", "38 %", "gap", "30", NONE, NONE, "no tour known"),
+        ("reef/L 2", "400", "20", "20", "0 %", "optimal", "21", "21", "0 %", "optimal"),
+        ("wreck/1 1", NONE, NONE, NONE, NONE, "unknown", NONE, NONE, NONE, "unknown"),
+    )
+
+
+def test_a_mission_below_a_certified_bound_is_told(known: dict[Case, Bounds]) -> None:
+    known[L1] = bounds(L1, (50, 50), (51, 51))
+    known[L2] = bounds(L2, (51, 60), (51, 60))
+    assert contradictions(comparison(flown(L1, "sixsteps", FAST))) == [
+        "sixsteps took 50 steps to t100 in reef/L 1, below the bound 51"
+    ]
+    assert not contradictions(comparison(flown(L2, "sixsteps", replace(FAST, collides_at=3))))
+
+
+def test_the_papers_tables_count_the_planners_own_stop() -> None:
+    first, second = tables.paper_tables(
+        comparison(
+            flown(L1, "sixsteps", FAST),
+            flown(L2, "sixsteps", Made(400)),
+            flown(W1, "sixsteps", FAST, area=0.875),
+            planners=["sixsteps"],
+        )
+    )
+    assert row(first, "sixsteps")["steps"] == "130.0"
+    assert row(first, "sixsteps")["coverage, %"] == "75.00"
+    assert row(second, "sixsteps")["coverage, %"] == "87.50"
+    for table in (first, second):
+        assert [line[0] for line in table.rows if UNMEASURED in line] == [
+            "UIVNav (our re-implementation)",
+            "planners that ask a vision-language model",
+        ]
+
+
+def test_what_is_measured_is_no_longer_called_unmeasured() -> None:
+    asked = comparison(
+        flown(L1, "uivnav", FAST),
+        flown(L1, "gpt", FAST, vlm_calls=60),
+        cases=[L1],
+        planners=["uivnav", "gpt"],
+    )
+    (table,) = tables.paper_tables(asked)
+    assert UNMEASURED not in str(table.rows)
+    assert row(tables.conduct(asked, "All", (L1,)), "gpt")["VLM calls"] == "60"
+
+
+def test_published_numbers_stand_in_tables_of_their_own() -> None:
+    reefs, wrecks, successor = tables.published_tables()
+    assert row(reefs, "DREAM") == {"method": "DREAM", "steps": "137.3", "coverage, %": "98.26"}
+    assert row(reefs, "UIVNav")["coverage, %"] == "55.46"
+    assert row(wrecks, "vanilla GPT-5")["coverage, %"] == "60.23"
+    assert row(successor, "CORAL")["VLM calls"] == "547"
+    ours = tables.paper_tables(comparison(*three_each()))
+    assert not {"DREAM", "CORAL", "vanilla GPT-5"} & {line[0] for table in ours for line in table.rows}
+
+
+def test_conduct_adds_up_contacts_and_averages_the_way() -> None:
+    missions = [
+        flown(L1, "sixsteps", replace(FAST, collides_at=5), distance_m=10.0, min_clearance_m=0.02),
+        flown(L2, "sixsteps", FAST, distance_m=20.0, min_clearance_m=None, planner_ms_p99=95.0),
+    ]
+    line = row(tables.conduct(comparison(*missions), "All", (L1, L2)), "sixsteps")
+    assert line["collisions"] == "1"
+    assert line["missions with one"] == "1"
+    assert line["success"].startswith("1/2 (")
+    assert line["least clearance, m"] == "0.02"
+    assert line["distance, m"] == "15.0"
+    assert line["worst 99th percentile"] == "95.0"
+    assert row(tables.conduct(comparison(*missions), "All", (L1, L2)), "lawnmower")["distance, m"] == NONE
+
+
+def test_world_by_world_says_what_never_and_what_is_missing() -> None:
+    some = comparison(flown(L1, "sixsteps", replace(FAST, collides_at=5)), flown(L2, "sixsteps", Made(400)))
+    table = tables.world_table(some)
+    assert [row(table, world)["sixsteps"] for world in ("reef/L 1", "reef/L 2", "wreck/1 1")] == [
+        "50 ×1",
+        "never, 50.0 %",
+        "missing",
+    ]
+
+
+def test_the_headline_of_no_success_at_all() -> None:
+    never = comparison(*(flown(case, "random", Made(400)) for case in (L1, L2, W1)), planners=["random"])
+    line = row(tables.headline(never, never.cases), "random")
+    assert line["success"] == "0/3 (0–56 %)"
+    assert line["t98, mean"] == "200.0"
+    assert line["coverage at the end, %"] == "50.00"
+
+
+def test_markdown_shows_any_text_as_it_is() -> None:
+    hostile = "a|b <script>*x*</script> [y](z) `c` #d\n# e"
+    table = Table("t", hostile, ("name", "n"), ((hostile, "1"),), (hostile,))
+    text = table.markdown()
+    lines = text.splitlines()
+    assert lines[2] == "| name | n |"
+    assert lines[3] == "| :-- | --: |"
+    assert lines[4].count("|") - lines[4].count("\\|") == 3
+    assert "<script>" not in text
+    assert "\n# e" not in text
+    assert escape_markdown("[y](z)") == "\\[y\\](z)"
+
+
+def test_the_summary_names_planners_and_what_is_missing() -> None:
+    console = Console(file=io.StringIO(), width=120)
+    tables.print_summary(results(three_each()[:5], (L1, L2, W1), ["sixsteps", "lawnmower"]), console)
+    printed = console.file.getvalue()  # type: ignore[attr-defined]
+    assert "sixsteps" in printed
+    assert "Wrecks (1)" in printed
+    assert "1 missions are missing" in printed
