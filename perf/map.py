@@ -38,7 +38,7 @@ from dream.protocol import DREAM_V1, SurveyProtocol  # noqa: E402
 from map_peers import PEERS, TWO, BoolArray, Layers, Mapper, Survey  # noqa: E402
 
 SEEDS = (101, 102, 103, 104, 105)
-"""Never used in development; seeds 1 to 3 are."""
+"""Never used in development; seeds 1 to 5 are."""
 BAND = (0.35, 2.5)
 SQUARES = 100
 """Of 50 m, that `memory` surveys."""

@@ -255,7 +255,10 @@ class PlainMap:
             pixels = shown[i, j].sum()
             band = shown[i, j, 1:3].sum()
             if pixels - (band if band < evidence.min_pixels else 0) >= evidence.vote_pixels:
-                vote[i, j] = 1 if targets[i, j] >= evidence.vote_share * 16 * pixels else 2
+                if targets[i, j] >= evidence.vote_share * 16 * pixels:
+                    vote[i, j] = 1
+                elif targets[i, j] <= evidence.against_share * 16 * pixels:
+                    vote[i, j] = 2
         returned: npt.NDArray[np.bool_] = np.asarray(shown.any(axis=2))
         self.cast(sector, eye, farthest, returned, odds, said)
 

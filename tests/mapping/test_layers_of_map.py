@@ -616,6 +616,8 @@ def test_a_file_with_blocks_that_cannot_be_is_refused(tmp_path: Path, content: b
         (("evidence", "detection"), 0.01),
         (("evidence", "range_noise"), math.nan),
         (("evidence", "vote_share"), math.nan),
+        (("evidence", "vote_share"), 0.05),
+        (("evidence", "against_share"), 0.6),
         (("evidence", "min_pixels"), "two"),
         (("evidence", "ground_pixels"), 0.0),
         (("evidence", "step"), "much"),
@@ -701,10 +703,14 @@ def test_sure_probabilities_find_the_targets_that_labels_do() -> None:
 def test_unsure_pixels_vote_by_the_share_that_they_would_be_right() -> None:
     pose = camera_at(0.0, 0.0, 0.0)
     depth, _ = render(pose)
-    for probability, expected in ((0.3, False), (0.6, True)):
+    # By shares of 0.1 and 0.5; between them a frame says nothing of a cell.
+    for probability, expected in ((0.05, -1), (0.2, 0), (0.4, 0), (0.6, 1)):
         occupancy = empty_map()
+        before = occupancy.target_probability
         occupancy.integrate(depth, np.full(depth.shape, probability), CAMERA, pose)
-        assert (occupancy.target[occupancy.seabed_seen] == expected).all()
+        after = occupancy.target_probability
+        assert (np.sign(after - before)[occupancy.seabed_seen] == expected).all()
+        assert (occupancy.target[occupancy.seabed_seen] == (expected > 0)).all()
 
 
 def test_poses_a_thousand_kilometres_away_make_the_same_map() -> None:

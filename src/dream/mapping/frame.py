@@ -97,6 +97,7 @@ class FrameWindow:
                 evidence.min_ground,
                 evidence.vote_pixels,
                 evidence.vote_share,
+                evidence.against_share,
             ),
             evidence.range_noise,
         )

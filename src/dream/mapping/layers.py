@@ -67,8 +67,11 @@ class Evidence:
     """Pixels below the band that show a cell to be free."""
     vote_pixels: int = 1
     """Pixels that give a cell a vote on whether it is target: one vote a frame."""
-    vote_share: float = 0.42
+    vote_share: float = 0.5
     """Share of a cell's pixels that must be target for a yes."""
+    against_share: float = 0.1
+    """Share of them that may be target for a no. What lies between is no vote: of a cell that is target it is
+    likelier than of any other."""
     detection: float = 0.9
     """How often a target is voted one."""
     false_alarm: float = 0.02
@@ -88,9 +91,13 @@ class Evidence:
                 raise ValueError(f"{name}: expected a share between 0 and 1, got {getattr(self, name)}")
         if self.detection <= self.false_alarm:
             raise ValueError(f"detection: expected more than {self.false_alarm}, got {self.detection}")
-        for name in ("min_share", "peak_share", "vote_share"):
+        for name in ("min_share", "peak_share", "vote_share", "against_share"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name}: expected a share of 0 to 1, got {getattr(self, name)}")
+        if self.against_share > self.vote_share:
+            raise ValueError(
+                f"against_share: expected at most vote_share, {self.vote_share}, got {self.against_share}"
+            )
         for name in (
             "min_pixels",
             "min_ground",

@@ -243,13 +243,13 @@ def weigh(
         steps: (hit or miss, miss where what is solid was not seen to reach down), log-odds units.
         clamp: (lowest, highest) log-odds.
         least: (pixels of a hit, their share of the cell's, their share of what lies just behind, pixels of a
-            miss, pixels of a vote, target share of a yes).
+            miss, pixels of a vote, target share of a yes, most of a no).
         noise: Standard deviation of the depth, as a multiple of its square.
         size: Metres a cell.
         log_odds: (side²) int8, changed.
         flags: (side²) uint8 as they were.
         bits: (side²) uint8, out: flags to set.
-        votes: (side²) uint8, out: 1 target, 2 another thing.
+        votes: (side²) uint8, out: 1 target, 2 another thing, 0 no vote.
         offset_row, offset_col: The window's low corner inside the first block.
         clip: See `read_frame`.
         touched: (block rows, block cols) bool, out: blocks of which the frame says something.
@@ -258,7 +258,7 @@ def weigh(
     step, doubt = steps
     low, high = clamp
     _, _, forward_x, forward_y, cos_half, _, _, _ = sector
-    hit_pixels, hit_share, peak_share, miss_pixels, vote_pixels, vote_share = least
+    hit_pixels, hit_share, peak_share, miss_pixels, vote_pixels, vote_share, against_share = least
     for i in range(first_row, past_row):
         for j in range(first_col, past_col):
             c = i * side + j
@@ -271,7 +271,10 @@ def weigh(
             bits[c] = RETURNED | (BARE | SEABED if below > 0 else 0) | (SEABED if targets[c] > 0 else 0)
             # Too few for a hit are errors.
             if total - (band if band < hit_pixels else 0) >= vote_pixels:
-                votes[c] = 1 if targets[c] >= vote_share * WEIGHT * total else 2
+                if targets[c] >= vote_share * WEIGHT * total:
+                    votes[c] = 1
+                elif targets[c] <= against_share * WEIGHT * total:
+                    votes[c] = 2
             if band >= hit_pixels and band >= hit_share * total:
                 up, right = i + 0.5 - camera_row, j + 0.5 - camera_col
                 square = up * up + right * right
