@@ -107,6 +107,20 @@ def test_after_any_changes_all_is_as_from_scratch(
     check(again, Edges(again, needed_room, bounds), needed_room, bounds)
 
 
+@settings(max_examples=10)
+@given(seed=st.integers(0, 2**31), share=st.sampled_from([0.1, 0.3, 0.5, 0.9]))
+def test_many_parts_may_lie_along_the_borders_of_blocks(seed: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    store = empty_store()
+    edges = Edges(store, 2)
+    for low, high in ((-100, 100), (-4, 4), (-66, -60), (-1, 1), (-65, 64)):
+        row, col = (low, -80) if rng.random() < 0.5 else (-80, low)
+        shape = (high - low, 160) if row == low else (160, high - low)
+        put(store, row, col, rng.random(shape) < share, np.zeros(shape, np.bool_))
+        edges.update(row, col, row + shape[0], col + shape[1])
+        check(store, edges, 2, None)
+
+
 def snake(rows: int, cols: int) -> BoolArray:
     """One path of single cells that winds up and down through a rectangle."""
     path = np.zeros((rows, cols), np.bool_)
@@ -213,6 +227,17 @@ def test_a_copy_goes_its_own_way() -> None:
     other.update(50, 0, 51, 101)
     assert check(store, edges, 17, None) == 1
     assert check(other_store, other, 17, None) > 1
+
+
+def test_a_hole_takes_some_fifty_bytes() -> None:
+    store = empty_store()
+    edges = Edges(store, 0)
+    known = np.ones((256, 256), np.bool_)
+    known[4::8, 4::8] = False
+    put(store, -128, -128, known, np.zeros_like(known))
+    edges.update(-128, -128, 128, 128)
+    assert check(store, edges, 0, None) == 1025
+    assert edges.nbytes - edges._chart.nbytes < 55 * 1024
 
 
 def test_cells_of_a_frontier_that_changed_are_refused() -> None:

@@ -24,6 +24,8 @@ MOST_CHARTED = 1 << 20
 """Blocks that the chart may cover, made or not: 8 MB."""
 MOST_LINKS = 2 * (4 * 3 * 64 + 4)
 """From one block."""
+MOST_RUNS = 4 * 32
+"""On the sides of one block."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,9 +93,9 @@ class Edges:
         self._components = np.zeros((2, edges.COMPONENT), np.int32)
         self._nodes = np.zeros((2, edges.NODE), np.int64)
         self._links = np.zeros((2, edges.LINK), np.int32)
-        self._faces = np.zeros((2, 4, edges.SIDE), np.int32)
-        self._face_bits = np.zeros((2, 4), np.uint64)
-        self._blocks = np.zeros((2, 2), np.int32)
+        self._runs = np.zeros((2, edges.RUNS), np.int32)
+        self._faces = np.zeros((2, 4), np.uint64)
+        self._blocks = np.zeros((2, 4), np.int32)
         self._state = np.zeros(edges.STATE, np.int64)
         self._charted = 0
         self._chart_low = (0, 0)
@@ -113,11 +115,11 @@ class Edges:
             (self._components, edges.S_COMPONENTS),
             (self._nodes, edges.S_NODES),
             (self._links, edges.S_LINKS),
-            (self._faces, edges.S_FACES),
-            (self._face_bits, edges.S_FACES),
+            (self._runs, edges.S_RUNS),
         )
         used: int = sum(pool[0].nbytes * int(self._state[count]) for pool, count in pools)
-        return used + 8 * len(self._store) + self._chart.nbytes
+        used += len(self._store) * (self._blocks[0].nbytes + self._faces[0].nbytes)
+        return used + self._chart.nbytes
 
     def update(self, row: int, col: int, past_row: int, past_col: int) -> None:
         """Take in that cells became known or unknown, solid or not, all of them in a rectangle of cells."""
@@ -137,6 +139,7 @@ class Edges:
             table = self._table(low, shape)
             if len(self._blocks) < len(store.stamps):
                 self._blocks = grown(self._blocks, len(store.stamps), len(self._blocks))
+                self._faces = grown(self._faces, len(store.stamps), len(self._faces))
             missing = edges.update(
                 store.pools["log_odds"].view(np.uint64),
                 store.pools["flags"].view(np.uint64),
@@ -150,7 +153,7 @@ class Edges:
                 self._nodes,
                 self._links,
                 self._faces,
-                self._face_bits,
+                self._runs,
                 self._blocks,
                 self._state,
                 self._scratch,
@@ -181,9 +184,9 @@ class Edges:
         from dream.mapping._kernels import edges
 
         most = MOST_COMPONENTS * blocks
-        components, nodes, links, faces = (
+        components, nodes, links, runs = (
             int(self._state[used])
-            for used in (edges.S_COMPONENTS, edges.S_NODES, edges.S_LINKS, edges.S_FACES)
+            for used in (edges.S_COMPONENTS, edges.S_NODES, edges.S_LINKS, edges.S_RUNS)
         )
         # Zeros cost no memory until they are written.
         if components + most >= len(self._components):
@@ -192,9 +195,8 @@ class Edges:
             self._nodes = grown(self._nodes, 2 * (nodes + 2 * most), nodes + 1)
         if links + MOST_LINKS * blocks >= len(self._links):
             self._links = grown(self._links, 2 * (links + MOST_LINKS * blocks), links + 1)
-        if faces + blocks >= len(self._faces):
-            self._faces = grown(self._faces, 2 * (faces + blocks), faces + 1)
-            self._face_bits = grown(self._face_bits, 2 * (faces + blocks), faces + 1)
+        if runs + MOST_RUNS * blocks >= len(self._runs):
+            self._runs = grown(self._runs, 2 * (runs + MOST_RUNS * blocks), runs + 1)
         if most > self._scratch.shape[1]:
             self._scratch = np.zeros((edges.SCRATCH, most), np.int32)
 
@@ -202,7 +204,7 @@ class Edges:
         """All clusters, in the raster order of their first cells."""
         from dream.mapping._kernels import edges
 
-        sums, firsts = edges.read_clusters(self._components, self._nodes, self._state)
+        sums, firsts = edges.read_clusters(self._components, self._nodes, self._blocks, self._state)
         change = int(self._state[edges.S_CHANGES])
         order = np.lexsort((firsts[:, 1], firsts[:, 0]))
         centroids = sums[order, 1:] / sums[order, :1]
@@ -245,8 +247,8 @@ class Edges:
         other._components = self._components.copy()
         other._nodes = self._nodes.copy()
         other._links = self._links.copy()
+        other._runs = self._runs.copy()
         other._faces = self._faces.copy()
-        other._face_bits = self._face_bits.copy()
         other._blocks = self._blocks.copy()
         other._state = self._state.copy()
         return other

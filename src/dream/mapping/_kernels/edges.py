@@ -19,17 +19,16 @@ from dream.mapping._kernels.flags import FRONTIER, INFLATED, KNOWN
 SIDE = 64
 """Cells along a block, as many as a word has bits."""
 
-# Fields of a component, (n, 16) int32; number 0 is none. An update numbers those it meets, `C_LOCAL`.
-C_SLOT, C_ROW, C_COL = 0, 1, 2  # its block
-C_NEXT = 3  # the block's next
-C_SIZE, C_FIRST, C_SUM_ROW, C_SUM_COL = 4, 5, 6, 7  # cells; the first one, 64 row + col; within the block
-C_NODE = 8
-C_LINK = 9
-C_EPOCH, C_LOCAL = 10, 11  # what the update of that number calls it
-C_QUEUED, C_REACHED = 12, 13  # the next in a search's two lists
-COMPONENT = 16
+# Fields of a component, (n, 12) int32; number 0 is none. An update numbers those it meets, `C_LOCAL`.
+C_SLOT, C_NEXT = 0, 1  # its block, the block's next
+C_SIZE, C_FIRST, C_SUM_ROW, C_SUM_COL = 2, 3, 4, 5  # cells; the first one, 64 row + col; within the block
+C_NODE, C_LINK = 6, 7
+C_EPOCH, C_LOCAL = 8, 9  # what the update of that number calls it
+C_QUEUED, C_REACHED = 10, 11  # the next in a search's two lists
+COMPONENT = 12
 
-# Fields of a node of the forest of clusters, (n, 8) int64; number 0 is none. A cluster is a root.
+# Fields of a node of the forest of clusters, (n, 8) int64; number 0 is none. A cluster is a root, or a
+# component without links and without a node: most are, as every cell that stays unknown has one around it.
 N_PARENT, N_REFS = 0, 1  # refs: components and nodes that point here; without any it is free
 N_SIZE, N_SUM_ROW, N_SUM_COL = 2, 3, 4  # of roots; over the whole map
 N_EPOCH, N_CHAIN = 5, 6  # the update that took a part away; its components beside the changed blocks
@@ -40,15 +39,18 @@ NODE = 8
 L_TO, L_NEXT = 0, 1
 LINK = 2
 
-# Fields of a block, (slots, 2) int32.
-B_HEAD, B_FACE = 0, 1
+# Fields of a block, (slots, 4) int32.
+B_HEAD, B_RUNS, B_ROW, B_COL = 0, 1, 2, 3
 
-# Sides of a block, in `faces` (n, 4, 64) int32, the component of each border cell, and in `face_bits`.
+# Sides of a block: which of their cells are frontier, in `faces` (slots, 4) uint64. A run of such cells is of
+# one component. Those of all its runs, side after side, are in a chain of (n, 8) int32: the next, and seven.
 LOW_ROW, HIGH_ROW, LOW_COL, HIGH_COL = 0, 1, 2, 3
+R_NEXT, R_FIRST = 0, 1
+RUNS = 8
 
 # Fields of the state, (10,) int64.
 S_EPOCH = 0
-S_COMPONENTS, S_NODES, S_LINKS, S_FACES = 1, 3, 5, 7  # how many were ever in use; behind it, the first free
+S_COMPONENTS, S_NODES, S_LINKS, S_RUNS = 1, 3, 5, 7  # how many were ever in use; behind it, the first free
 S_CHANGES = 9  # updates that changed the frontier
 STATE = 10
 
@@ -66,6 +68,10 @@ _HIGH = np.uint64(0x8080808080808080)
 _GATHER = np.uint64(0x0102040810204080)
 _GATHERED = np.uint64(56)
 _BYTE = np.uint64(0xFF)
+_TWO, _FOUR = np.uint64(2), np.uint64(4)
+_PAIRS = np.uint64(0x5555555555555555)
+_FOURS = np.uint64(0x3333333333333333)
+_EIGHTS = np.uint64(0x0F0F0F0F0F0F0F0F)
 _KNOWN = np.uint64(KNOWN * 0x0101010101010101)
 _FRONTIER_SHIFT = np.uint64(FRONTIER.bit_length() - 1)
 _INFLATED_SHIFT = np.uint64(INFLATED.bit_length() - 1)
@@ -83,6 +89,24 @@ for _k in range(64):
 def _lowest(word):
     """Number of the lowest bit that is set."""
     return _LOWEST[((word & (~word + _ONE)) * _DE_BRUIJN) >> _DE_BRUIJN_SHIFT]
+
+
+@njit(cache=True, nogil=True)
+def _first_run(word):
+    """First and past last of the lowest bits that are set in a row, and the word without them."""
+    first = _lowest(word)
+    rest = ~(word >> np.uint64(first))
+    past = SIDE if rest == _ZERO else first + _lowest(rest)
+    return first, past, word & (_ALL << np.uint64(past)) if past < SIDE else _ZERO
+
+
+@njit(cache=True, nogil=True)
+def _count_runs(word):
+    """How many runs of bits are set."""
+    starts = word & ~(word << _ONE)
+    pairs = starts - ((starts >> _ONE) & _PAIRS)
+    fours = (pairs & _FOURS) + ((pairs >> _TWO) & _FOURS)
+    return np.int64((((fours + (fours >> _FOUR)) & _EIGHTS) * _EACH) >> _GATHERED)
 
 
 @njit(cache=True, nogil=True)
@@ -279,10 +303,7 @@ def _label(flags, slot, runs, parent):
         before, here = here, count
         above = before
         while bits != _ZERO:
-            first = _lowest(bits)
-            rest = ~(bits >> np.uint64(first))
-            past = SIDE if rest == _ZERO else first + _lowest(rest)
-            bits = bits & (_ALL << np.uint64(past)) if past < SIDE else _ZERO
+            first, past, bits = _first_run(bits)
             runs[count, 0], runs[count, 1], runs[count, 2] = row, first, past - 1
             parent[count] = count
             while above < here and runs[above, 2] < first - 1:
@@ -383,12 +404,19 @@ def _merge_clusters(nodes, a, b):
 
 
 @njit(cache=True, nogil=True)
-def _count(components, nodes, node, component, sign):
+def _sums(components, blocks, component):
+    """A component's cells, and the sums of their rows and columns, over the whole map."""
+    size, slot = np.int64(components[component, C_SIZE]), components[component, C_SLOT]
+    rows = components[component, C_SUM_ROW] + size * SIDE * blocks[slot, B_ROW]
+    cols = components[component, C_SUM_COL] + size * SIDE * blocks[slot, B_COL]
+    return size, rows, cols
+
+
+@njit(cache=True, nogil=True)
+def _count(components, nodes, blocks, node, component, sign):
     """Add a component to a cluster's sums, or take it away."""
-    size = components[component, C_SIZE]
+    size, rows, cols = _sums(components, blocks, component)
     nodes[node, N_SIZE] += sign * size
-    rows = components[component, C_SUM_ROW] + np.int64(size) * SIDE * components[component, C_ROW]
-    cols = components[component, C_SUM_COL] + np.int64(size) * SIDE * components[component, C_COL]
     nodes[node, N_SUM_ROW] += sign * rows
     nodes[node, N_SUM_COL] += sign * cols
 
@@ -410,15 +438,16 @@ def _name(components, component, state, scratch, count):
 
 
 @njit(cache=True, nogil=True)
-def _forget(components, nodes, links, faces, blocks, state, slot, scratch, count):
+def _forget(components, nodes, links, faces, runs, blocks, state, slot, scratch, count):
     """Take a block's components out of the graph; those they hung on get local numbers."""
     component = blocks[slot, B_HEAD]
     while component != 0:
-        node = _cluster(state, components, nodes, component)
-        nodes[node, N_EPOCH] = state[S_EPOCH]
-        nodes[node, N_CHAIN] = -1
-        _count(components, nodes, node, component, -1)
-        _release(state, nodes, node)
+        if components[component, C_NODE] != 0:
+            node = _cluster(state, components, nodes, component)
+            nodes[node, N_EPOCH] = state[S_EPOCH]
+            nodes[node, N_CHAIN] = -1
+            _count(components, nodes, blocks, node, component, -1)
+            _release(state, nodes, node)
         link = components[component, C_LINK]
         while link != 0:
             other = links[link, L_TO]
@@ -441,11 +470,13 @@ def _forget(components, nodes, links, faces, blocks, state, slot, scratch, count
         _give(state, S_COMPONENTS, components, C_NEXT, component)
         component = following
     blocks[slot, B_HEAD] = 0
-    face = blocks[slot, B_FACE]
-    if face != 0:
-        faces[face, 0, 0] = state[S_FACES + 1]
-        state[S_FACES + 1] = face
-        blocks[slot, B_FACE] = 0
+    chain = blocks[slot, B_RUNS]
+    while chain != 0:
+        following = runs[chain, R_NEXT]
+        _give(state, S_RUNS, runs, R_NEXT, chain)
+        chain = following
+    blocks[slot, B_RUNS] = 0
+    faces[slot] = _ZERO
     return count
 
 
@@ -469,22 +500,23 @@ def _tie(components, links, state, a, b, scratch, count):
 
 
 @njit(cache=True, nogil=True)
-def _create(flags, faces, face_bits, components, blocks, state, slot, row, col, runs, parent, numbers):
+def _create(
+    flags, faces, runs, components, blocks, state, slot, row, col, found_runs, parent, numbers, sides
+):
     """Components of a block, not yet in a cluster, and what of them lies on its sides."""
-    count, found = _label(flags, slot, runs, parent)
+    blocks[slot, B_ROW], blocks[slot, B_COL] = row, col
+    count, found = _label(flags, slot, found_runs, parent)
     for k in range(found - 1, -1, -1):
         component = _take(state, S_COMPONENTS, components, C_NEXT)
         numbers[k] = component
         components[component] = 0
         components[component, C_SLOT] = slot
-        components[component, C_ROW] = row
-        components[component, C_COL] = col
         components[component, C_NEXT] = blocks[slot, B_HEAD]
         blocks[slot, B_HEAD] = component
-    bits = np.zeros(4, np.uint64)
-    face = 0
+    bits = faces[slot]
     for run in range(count):
-        y, first, last, component = runs[run, 0], runs[run, 1], runs[run, 2], numbers[runs[run, 3]]
+        y, first, last = found_runs[run, 0], found_runs[run, 1], found_runs[run, 2]
+        component = numbers[found_runs[run, 3]]
         size = last - first + 1
         if components[component, C_SIZE] == 0:
             components[component, C_FIRST] = y * SIDE + first
@@ -493,56 +525,90 @@ def _create(flags, faces, face_bits, components, blocks, state, slot, row, col, 
         components[component, C_SUM_COL] += size * (first + last) // 2
         if 0 < y < SIDE - 1 and first > 0 and last < SIDE - 1:
             continue
-        if face == 0:
-            face = state[S_FACES + 1]
-            if face != 0:
-                state[S_FACES + 1] = faces[face, 0, 0]
-            else:
-                state[S_FACES] += 1
-                face = state[S_FACES]
-            blocks[slot, B_FACE] = face
         for side, end in ((LOW_ROW, 0), (HIGH_ROW, SIDE - 1)):
             if y == end:
                 bits[side] |= _columns(first, last + 1, 0)
-                faces[face, side, first : last + 1] = component
+                sides[side, first] = component
         if first == 0:
             bits[LOW_COL] |= _ONE << np.uint64(y)
-            faces[face, LOW_COL, y] = component
+            sides[LOW_COL, y] = component
         if last == SIDE - 1:
             bits[HIGH_COL] |= _ONE << np.uint64(y)
-            faces[face, HIGH_COL, y] = component
-    if face != 0:
-        face_bits[face] = bits
+            sides[HIGH_COL, y] = component
+    chain, place = 0, RUNS
+    for side in range(4):
+        rest = bits[side]
+        while rest != _ZERO:
+            first, _, rest = _first_run(rest)
+            if place == RUNS:
+                following = _take(state, S_RUNS, runs, R_NEXT)
+                runs[following, R_NEXT] = 0
+                if chain == 0:
+                    blocks[slot, B_RUNS] = following
+                else:
+                    runs[chain, R_NEXT] = following
+                chain, place = following, R_FIRST
+            runs[chain, place] = sides[side, first]
+            place += 1
 
 
 @njit(cache=True, nogil=True)
-def _tie_sides(components, links, faces, face_bits, state, face, side, other, other_side, scratch, count):
-    """Tie what touches across the border between two blocks."""
-    facing = face_bits[other, other_side]
-    bits = face_bits[face, side] & (facing | facing << _ONE | facing >> _ONE)
-    while bits != _ZERO:
-        k = _lowest(bits)
-        bits &= bits - _ONE
-        for j in range(max(k - 1, 0), min(k + 2, SIDE)):
-            if (facing >> np.uint64(j)) & _ONE:
-                a, b = faces[face, side, k], faces[other, other_side, j]
-                count = _tie(components, links, state, a, b, scratch, count)
+def _runs_before(faces, slot, side):
+    """Runs of a block on the sides before one."""
+    count = 0
+    for before in range(side):
+        count += _count_runs(faces[slot, before])
     return count
 
 
 @njit(cache=True, nogil=True)
-def _tie_block(components, links, faces, face_bits, blocks, state, table, touched, i, j, scratch, count):
+def _component_of(runs, blocks, slot, number):
+    """The component of a block's run."""
+    chain = blocks[slot, B_RUNS]
+    while number >= RUNS - R_FIRST:
+        chain = runs[chain, R_NEXT]
+        number -= RUNS - R_FIRST
+    return runs[chain, R_FIRST + number]
+
+
+@njit(cache=True, nogil=True)
+def _tie_sides(components, links, faces, runs, blocks, state, slot, side, other, other_side, scratch, count):
+    """Tie what touches across the border between two blocks."""
+    here, there = faces[slot, side], faces[other, other_side]
+    if here & (there | there << _ONE | there >> _ONE) == _ZERO:
+        return count
+    number, facing = _runs_before(faces, slot, side), _runs_before(faces, other, other_side)
+    while here != _ZERO:
+        first, past, here = _first_run(here)
+        beside, across = there, facing
+        while beside != _ZERO:
+            begin, end, rest = _first_run(beside)
+            if begin > past:
+                break
+            if end < first:  # Nor does it touch what comes.
+                there, facing = rest, across + 1
+            else:
+                a, b = _component_of(runs, blocks, slot, number), _component_of(runs, blocks, other, across)
+                count = _tie(components, links, state, a, b, scratch, count)
+            beside = rest
+            across += 1
+        number += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _tie_block(components, links, faces, runs, blocks, state, table, touched, i, j, scratch, count):
     """Tie a block's components to those of the eight around it; of two that changed, the first ties."""
-    face = blocks[table[i, j], B_FACE]
-    if face == 0:
+    slot = table[i, j]
+    if blocks[slot, B_RUNS] == 0:
         return count
     for di in range(-1, 2):
         for dj in range(-1, 2):
             at = i + di, j + dj
             if (di == 0 and dj == 0) or (touched[at] and (di < 0 or (di == 0 and dj < 0))):
                 continue
-            other = blocks[table[at], B_FACE]
-            if other == 0:
+            other = table[at]
+            if blocks[other, B_RUNS] == 0:
                 continue
             if dj == 0:
                 side, other_side = (LOW_ROW, HIGH_ROW) if di < 0 else (HIGH_ROW, LOW_ROW)
@@ -550,21 +616,25 @@ def _tie_block(components, links, faces, face_bits, blocks, state, table, touche
                 side, other_side = (LOW_COL, HIGH_COL) if dj < 0 else (HIGH_COL, LOW_COL)
             else:
                 side, other_side = (LOW_ROW, HIGH_ROW) if di < 0 else (HIGH_ROW, LOW_ROW)
-                corner, other_corner = (0, SIDE - 1) if dj < 0 else (SIDE - 1, 0)
-                if (face_bits[face, side] >> np.uint64(corner)) & _ONE and (
-                    face_bits[other, other_side] >> np.uint64(other_corner)
-                ) & _ONE:
-                    a, b = faces[face, side, corner], faces[other, other_side, other_corner]
+                corner, other_corner = (_ZERO, _TOP) if dj < 0 else (_TOP, _ZERO)
+                if (faces[slot, side] >> corner) & (faces[other, other_side] >> other_corner) & _ONE:
+                    # A side's first run, or its last.
+                    number = _runs_before(faces, slot, side if dj < 0 else side + 1) - (dj > 0)
+                    facing = _runs_before(faces, other, other_side + 1 if dj < 0 else other_side) - (dj < 0)
+                    a, b = (
+                        _component_of(runs, blocks, slot, number),
+                        _component_of(runs, blocks, other, facing),
+                    )
                     count = _tie(components, links, state, a, b, scratch, count)
                 continue
             count = _tie_sides(
-                components, links, faces, face_bits, state, face, side, other, other_side, scratch, count
+                components, links, faces, runs, blocks, state, slot, side, other, other_side, scratch, count
             )
     return count
 
 
 @njit(cache=True, nogil=True)
-def _split(components, nodes, links, state, chain, scratch):
+def _split(components, nodes, links, blocks, state, chain, scratch):
     """Search what is left of a cluster for its pieces; all but one get a cluster of their own.
 
     From each group of components that still touch, outward in turn, until all groups have met but one:
@@ -606,11 +676,11 @@ def _split(components, nodes, links, state, chain, scratch):
             component = reached[group]
             while component != 0:
                 whole = _cluster(state, components, nodes, component)
-                _count(components, nodes, whole, component, -1)
+                _count(components, nodes, blocks, whole, component, -1)
                 _release(state, nodes, whole)
                 components[component, C_NODE] = node
                 nodes[node, N_REFS] += 1
-                _count(components, nodes, node, component, 1)
+                _count(components, nodes, blocks, node, component, 1)
                 component = components[component, C_REACHED]
             searches -= 1
             active[turn] = active[searches]
@@ -620,7 +690,7 @@ def _split(components, nodes, links, state, chain, scratch):
         while link != 0:
             other = links[link, L_TO]
             link = links[link, L_NEXT]
-            if components[other, C_NODE] == 0:  # New: what it unites is united already.
+            if components[other, C_NODE] == 0:  # New, or newly linked: what it unites is united already.
                 continue
             if components[other, C_EPOCH] != state[S_EPOCH]:
                 components[other, C_EPOCH] = state[S_EPOCH]
@@ -661,8 +731,8 @@ def _split(components, nodes, links, state, chain, scratch):
 
 
 @njit(cache=True, nogil=True)
-def _join(components, nodes, links, state, scratch, count):
-    """Clusters of all components with local numbers."""
+def _join(components, nodes, links, blocks, state, scratch, count):
+    """Clusters of all components with local numbers; one that stands alone needs no node."""
     epoch = state[S_EPOCH]
     for number in range(count):
         component = scratch[T_COMPONENT, number]
@@ -678,7 +748,7 @@ def _join(components, nodes, links, state, scratch, count):
             if nodes[node, N_EPOCH] == epoch and nodes[node, N_CHAIN] >= 0:
                 chain = nodes[node, N_CHAIN]
                 nodes[node, N_CHAIN] = -1
-                _split(components, nodes, links, state, chain, scratch)
+                _split(components, nodes, links, blocks, state, chain, scratch)
     parent = scratch[T_PARENT]
     for number in range(count):
         node = components[scratch[T_COMPONENT, number], C_NODE]
@@ -688,7 +758,7 @@ def _join(components, nodes, links, state, scratch, count):
             scratch[T_NODE, group] = node if other == 0 else _merge_clusters(nodes, node, other)
     for number in range(count):
         component = scratch[T_COMPONENT, number]
-        if components[component, C_NODE] == 0:
+        if components[component, C_NODE] == 0 and components[component, C_LINK] != 0:
             group = _root(parent, number)
             node = scratch[T_NODE, group]
             if node == 0:
@@ -698,7 +768,7 @@ def _join(components, nodes, links, state, scratch, count):
             scratch[T_NODE, group] = node
             components[component, C_NODE] = node
             nodes[node, N_REFS] += 1
-            _count(components, nodes, node, component, 1)
+            _count(components, nodes, blocks, node, component, 1)
 
 
 # ------------------------------------------------------------------------------------------- what is called
@@ -718,7 +788,7 @@ def update(
     nodes,
     links,
     faces,
-    face_bits,
+    runs,
     blocks,
     state,
     scratch,
@@ -737,12 +807,12 @@ def update(
         spans: (radius + 1,) how far inflation reaches along a row, by rows away.
         bounds: Likewise a rectangle: what lies outside is nobody's frontier and is not inflated.
         everything: Renew the components of all blocks in the rectangle.
-        components: (n, 16) int32.
+        components: (n, 12) int32.
         nodes: (n, 8) int64.
         links: (n, 2) int32.
-        faces: (n, 4, 64) int32.
-        face_bits: (n, 4) uint64.
-        blocks: (slots, 2) int32.
+        faces: (slots, 4) uint64.
+        runs: (n, 8) int32.
+        blocks: (slots, 4) int32.
         state: (10,) int64.
         scratch: (9, n) int32.
 
@@ -780,28 +850,29 @@ def update(
                 changed += 1
     count = 0
     for i, j in at:
-        count = _forget(components, nodes, links, faces, blocks, state, table[i, j], scratch, count)
-    runs = np.empty((SIDE * SIDE // 2, 4), np.int32)
+        count = _forget(components, nodes, links, faces, runs, blocks, state, table[i, j], scratch, count)
+    found = np.empty((SIDE * SIDE // 2, 4), np.int32)
     parent = np.empty(SIDE * SIDE // 2, np.int32)
     numbers = np.empty(SIDE * SIDE // 4, np.int32)
+    sides = np.empty((4, SIDE), np.int32)
     for i, j in at:
         slot = table[i, j]
         row, col = low[0] + i, low[1] + j
-        _create(flags, faces, face_bits, components, blocks, state, slot, row, col, runs, parent, numbers)
+        _create(flags, faces, runs, components, blocks, state, slot, row, col, found, parent, numbers, sides)
         component = blocks[slot, B_HEAD]
         while component != 0:
             count = _name(components, component, state, scratch, count)
             component = components[component, C_NEXT]
     for i, j in at:
         count = _tie_block(
-            components, links, faces, face_bits, blocks, state, table, touched, i, j, scratch, count
+            components, links, faces, runs, blocks, state, table, touched, i, j, scratch, count
         )
-    _join(components, nodes, links, state, scratch, count)
+    _join(components, nodes, links, blocks, state, scratch, count)
     return 0
 
 
 @njit(cache=True, nogil=True)
-def read_clusters(components, nodes, state):
+def read_clusters(components, nodes, blocks, state):
     """All clusters.
 
     Returns:
@@ -812,6 +883,9 @@ def read_clusters(components, nodes, state):
         if nodes[node, N_PARENT] == node and nodes[node, N_REFS] > 0:
             nodes[node, N_INDEX] = count
             count += 1
+    alone = count
+    for component in range(1, state[S_COMPONENTS] + 1):
+        count += components[component, C_SIZE] > 0 and components[component, C_NODE] == 0
     sums = np.empty((count, 3), np.int64)
     firsts = np.zeros((count, 3), np.int64)
     for node in range(1, state[S_NODES] + 1):
@@ -820,9 +894,15 @@ def read_clusters(components, nodes, state):
     for component in range(1, state[S_COMPONENTS] + 1):
         if components[component, C_SIZE] == 0:
             continue
-        best = firsts[nodes[_cluster(state, components, nodes, component), N_INDEX]]
-        row = np.int64(components[component, C_ROW]) * SIDE + components[component, C_FIRST] // SIDE
-        col = np.int64(components[component, C_COL]) * SIDE + components[component, C_FIRST] % SIDE
+        if components[component, C_NODE] == 0:
+            sums[alone] = _sums(components, blocks, component)
+            best = firsts[alone]
+            alone += 1
+        else:
+            best = firsts[nodes[_cluster(state, components, nodes, component), N_INDEX]]
+        slot, first = components[component, C_SLOT], components[component, C_FIRST]
+        row = np.int64(blocks[slot, B_ROW]) * SIDE + first // SIDE
+        col = np.int64(blocks[slot, B_COL]) * SIDE + first % SIDE
         if best[2] == 0 or row < best[0] or (row == best[0] and col < best[1]):
             best[:] = row, col, component
     return sums, firsts
@@ -851,8 +931,8 @@ def read_cells(flags, components, links, blocks, state, start, size):
         for run in range(found):
             if runs[run, 3] == place:
                 for col in range(runs[run, 1], runs[run, 2] + 1):
-                    cells[count, 0] = np.int64(components[component, C_ROW]) * SIDE + runs[run, 0]
-                    cells[count, 1] = np.int64(components[component, C_COL]) * SIDE + col
+                    cells[count, 0] = np.int64(blocks[slot, B_ROW]) * SIDE + runs[run, 0]
+                    cells[count, 1] = np.int64(blocks[slot, B_COL]) * SIDE + col
                     count += 1
         link = components[component, C_LINK]
         while link != 0:
