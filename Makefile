@@ -5,11 +5,11 @@ BIN := .venv/bin
 UV := env -u VIRTUAL_ENV -u UV_PYTHON -u UV_PROJECT_ENVIRONMENT -u UV_PROJECT -u PYTHONPATH \
 	UV_PYTHON_DOWNLOADS=never .tools/bin/uv
 
-.PHONY: help setup run test check perf clean
+.PHONY: help setup run test test-ray check results perf clean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  make %-7s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup: .venv/.synced ## Build .venv, with .venv/bin/dream in it
 
@@ -31,10 +31,17 @@ run: setup ## Explore an oyster reef and write its report
 test: setup ## Run all tests
 	@$(BIN)/pytest -n 2 --dist loadscope
 
+test-ray: setup ## Run the tests that need Ray, an optional extra
+	@$(UV) sync --quiet --locked --compile-bytecode --inexact --extra ray
+	@$(BIN)/pytest tests/evaluation/test_engines.py
+
 check: setup ## Lint, types and format
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
+
+results: setup ## Write docs/results.md from the released results
+	@$(BIN)/dream results results/paper results/dev --out docs/results.md
 
 perf: setup ## Measure speed and accuracy beside named peers; some forty minutes
 	@$(UV) sync --quiet --locked --compile-bytecode --inexact --group perf

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from dream.cli import COMMANDS, run_command
+from dream.evaluation.suites import SUITES, Case
 from dream.robots import Teleport
 from dream.types import Arrival, Setpoint
 
@@ -57,19 +58,59 @@ def test_help_imports_nothing_heavy() -> None:
         (["draw", "--world", "wreck/9"], 'no world "wreck/9". Did you mean "wreck/'),
         (["bench", "paepr"], 'no suite "paepr". Did you mean "paper"?'),
         (["bench", "paper", "--planners", "sixstep"], 'no planner "sixstep". Did you mean "sixsteps"?'),
+        (["oracle", "--world", "reef/strng"], 'no world "reef/strng". Did you mean "reef/string"?'),
+        (
+            ["oracle", "--world", "reef/string", "--start", "9"],
+            "start: expected 0 to 3 for reef/string, got 9",
+        ),
+        (["oracle", "--budget", "nan"], "--budget: expected 0 to 1000000 seconds, got nan"),
+        (["oracle", "--picture", "tour.txt"], "--picture: expected a name that ends in .png"),
+        (["oracle", "--check"], "--check: expected a suite, got none. Say: dream oracle paper --check"),
+        (["oracle", "papre"], 'no suite "papre". Did you mean "paper"?'),
+        (["oracle", "paper", "--jobs", "0"], "--jobs: expected at least 1, got 0"),
+        (
+            ["oracle", "paper", "--world", "reef/L"],
+            "--world: expected a world or a suite, got reef/L and paper",
+        ),
+        (["oracle", "paper", "--picture", "tour.png"], "--picture: expected one world"),
+        (["oracle", "paper", "--check", "--out", "nowhere.jsonl"], "nowhere.jsonl"),
+        (["oracle", "--traces", "nowhere"], "nowhere"),
         (["report", "nowhere"], "nowhere"),
         (["run", "lawnmowr"], 'no planner "lawnmowr". Did you mean "lawnmower"?'),
         (["run", "lawnmower", "--swath", "nan"], "swath: expected 0.1 to 4, got nan"),
         (["run", "random", "--walk-seed", "-1"], "walk_seed: expected 0 to"),
         (["run", "--protocol", "pool-v1"], "reef/string is made for dream-v1"),
-        (["bench", "paper", "--workers", "0"], "--workers: expected at least 1, got 0"),
+        (["bench", "paper", "--jobs", "0"], "--jobs: expected at least 1, got 0"),
+        (["bench", "paper", "--max-steps", "0"], "--max-steps: expected at least 1, got 0"),
+        (["bench", "paper", "--planners"], "--planners: expected one or more of"),
+        (["bench", "paper", "--planners", "random", "random"], "--planners: expected each once"),
+        (["bench", "paper", "--world", "reef/L"], "expected a suite or --world, got both: paper and --world"),
+        (["bench", "--world", "reef/mixd"], 'no world "reef/mixd". Did you mean "reef/mixed"?'),
+        (["bench", "--world", "reef/L", "--seeds", "5..1"], "got 5..1. Did you mean 1..5?"),
+        (
+            ["bench", "--world", "reef/L", "--seeds", "1-5"],
+            "--seeds: expected a number or A..B such as 1..5, got 1-5",
+        ),
+        (
+            ["bench", "--world", "reef/L", "--seeds", "0..99999"],
+            "--seeds: expected at most 10000 seeds, got 100000",
+        ),
+        (["bench", "--seeds", "1..5"], "--seeds: expected --world with it"),
+        (["bench", "paper", "--address", "auto"], "--address: expected --engine ray with it"),
+        (["bench", "paper", "--engine", "slurm"], "--engine"),
+        (["bench", "paper", "--protocol", "pool-v1"], "reef/fringing is made for dream-v1, got pool-v1"),
+        (["bench", "paper", "--protocol", "dream-v1-reach5"], 'Did you mean "dream-v1-reach'),
+        (["sweep", "paepr"], 'no suite "paepr". Did you mean "paper"?'),
+        (["sweep", "paper", "--reach", "5"], 'no protocol "dream-v1-reach5"'),
+        (["sweep", "paper", "--reach"], "--reach: expected one or more of 4, 6, 8, 10, got none"),
+        (["sweep", "paper", "--reach", "8", "nan"], 'no protocol "dream-v1-reachnan"'),
         (["draw", "--out", "reef.xyz"], "--out: expected a name that ends in .png"),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(
     arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    out = ["--out", str(tmp_path)] if arguments[0] == "run" else []
+    out = ["--out", str(tmp_path)] if arguments[0] in ("run", "bench", "sweep") else []
     assert run_command([*arguments, *out]) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
@@ -133,6 +174,52 @@ def test_a_mission_that_breaks_off_keeps_its_steps_and_says_why(
     (folder,) = (path for path in tmp_path.iterdir() if path.is_dir() and not path.is_symlink())
     assert len((folder / "steps.jsonl").read_text().splitlines()) == summary["steps"] + 1
     assert (folder / "report.html").stat().st_size > 0
+
+
+def test_oracle_prints_both_ends_as_one_json_object_and_draws_the_tour(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    picture = tmp_path / "tour.png"
+    options = ["--world", "flat/empty", "--budget", "0", "--picture", str(picture)]
+    assert run_command(["oracle", "--json", *options]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert (printed["lower_bound"], printed["best_tour"], printed["status"]) == (0, 0, "optimal")
+    assert set(printed) == {
+        *("protocol", "world", "seed", "start", "world_hash", "countable", "lower_bound", "lower_bound_t98"),
+        *("best_tour", "best_tour_t98", "status", "status_t98", "cpu_s"),
+    }
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert run_command(["oracle", *options]) == 0
+    assert "0 steps, and no fewer: optimal" in capsys.readouterr().out
+
+
+def test_oracle_keeps_the_bounds_of_a_suite_and_checks_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(SUITES, "empty", (Case("flat/empty", 1), Case("flat/empty", 2)))
+    out = tmp_path / "empty.jsonl"
+    search = ["oracle", "empty", "--out", str(out), "--json", "--budget", "0"]
+    assert run_command(search) == 0
+    assert [world["status"] for world in json.loads(capsys.readouterr().out)["worlds"]] == ["optimal"] * 2
+    lines = out.read_text().splitlines()
+    assert [json.loads(line)["seed"] for line in lines] == [1, 2]
+
+    out.write_text(lines[0] + "\n")
+    assert run_command(search) == 0
+    assert out.read_text().splitlines()[0] == lines[0]
+    assert len(out.read_text().splitlines()) == 2
+    written = out.stat().st_ino
+    assert run_command([*search, "--again"]) == 0
+    assert out.stat().st_ino == written, "nothing was left to search"
+
+    capsys.readouterr()
+    assert run_command(["oracle", "empty", "--check", "--out", str(out)]) == 0
+    assert capsys.readouterr().out == "flat/empty 1: holds\nflat/empty 2: holds\n"
+    wrong = json.loads(lines[0]) | {"countable": 7}
+    out.write_text(json.dumps(wrong) + "\n")
+    assert run_command(["oracle", "empty", "--check", "--out", str(out)]) == 1
+    printed = capsys.readouterr().out
+    assert printed == "flat/empty 1: countable: expected 0, got 7\nflat/empty 2: not known\n"
 
 
 @pytest.mark.slow

@@ -19,13 +19,16 @@ An underwater robot that finds and maps a habitat without knowing where it is.
 
   run      one mission in a simulated world, with its recording and its report
   bench    many missions side by side: planners over the worlds of a suite
+  sweep    the same missions with one reach after another
+  results  the documentation's page of results, from benchmark folders
+  oracle   the fewest steps that see a world: certified bound and best tour
   worlds   list the worlds
   draw     draw a world as a picture
   report   write the HTML page of a recorded run again
 
 `dream COMMAND --help` explains a command. To begin with: dream run --world reef/string
 """
-COMMANDS = ("run", "bench", "worlds", "draw", "report")
+COMMANDS = ("run", "bench", "sweep", "results", "oracle", "worlds", "draw", "report")
 
 FAILED, BAD_INPUT = 1, 2
 

@@ -1,0 +1,320 @@
+"""`dream oracle`: what a mission could have achieved by one who knows the world."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import tyro
+
+from dream.commands.console import open_world, print_json, with_progress
+from dream.errors import MissionAborted
+from dream.protocol import SurveyProtocol, protocol_named
+
+if TYPE_CHECKING:
+    from dream.evaluation.oracle.bounds import Bounds
+    from dream.evaluation.results import Results
+    from dream.evaluation.suites import Case
+    from dream.sim.world import World
+
+DEFAULT_WORLD = "reef/string"
+
+
+@dataclass(frozen=True, slots=True)
+class Oracle:
+    """The fewest steps that see a world: a certified lower bound, and the best tour of one who knows it.
+
+    No mission without a collision sees 100 % (or 98.26 %) of the instances in fewer steps than the lower
+    bound: an exact search has shown that no shorter walk sees even a few chosen individuals. The best tour
+    is a walk that does see them, flown in the simulator. Where both numbers meet, the tour is optimal. All
+    steps count the look-around. Bounds that come with the package are where the search begins.
+
+    With a suite, all its worlds are searched side by side and kept in a file (`--out`): interrupted, the same
+    command goes on where it was.
+    """
+
+    suite: tyro.conf.Positional[str | None] = None
+    """Search all worlds of this suite instead of one: `paper`, `dev` or `test`."""
+    world: str | None = None
+    """A name from `dream worlds`, or a folder that holds a saved world; reef/string unless given."""
+    seed: int = 1
+    """Which world of that name."""
+    start: int = 0
+    """Which of the world's start poses."""
+    protocol: str | None = None
+    """Survey protocol; the one that the world is made for unless given."""
+    budget: float = 60.0
+    """Seconds of processor time to search a world; 0 only tells what is known."""
+    picture: Path | None = None
+    """Draw the best tour over the world's chart; a name that ends in .png, .jpg or .webp."""
+    out: Path | None = None
+    """File that the bounds of a suite are kept in, a line a world; `SUITE.jsonl` unless given."""
+    jobs: int = 1
+    """Worlds of a suite at a time."""
+    traces: Path | None = None
+    """A folder of `dream bench`, whose missions are where the search for tours begins."""
+    again: bool = False
+    """Search on also where a suite's world has bounds with a gap already."""
+    check: bool = False
+    """Do not search: fly all kept tours and certify all kept bounds of the suite again."""
+    json: bool = False
+    """Print one JSON object and nothing else."""
+
+    def __call__(self) -> int:
+        """Exit status 0; 1 where a check failed."""
+        if not 0.0 <= self.budget <= 1e6:
+            raise ValueError(f"--budget: expected 0 to 1000000 seconds, got {self.budget:g}")
+        if self.jobs < 1:
+            raise ValueError(f"--jobs: expected at least 1, got {self.jobs}")
+        if self.suite is None:
+            return self._one()
+        if self.world is not None:
+            raise ValueError(f"--world: expected a world or a suite, got {self.world} and {self.suite}")
+        if self.picture is not None:
+            raise ValueError("--picture: expected one world; a suite has many. Say --world instead")
+        return self._check_all() if self.check else self._all()
+
+    def _one(self) -> int:
+        from dream.evaluation.oracle.bounds import known_bounds, tighten, walks_of
+        from dream.sim.files import world_hash
+
+        for name in ("out", "check", "again"):
+            if getattr(self, name):
+                raise ValueError(f"--{name}: expected a suite, got none. Say: dream oracle paper --{name}")
+        _check_picture(self.picture)
+        world = open_world(self.world or DEFAULT_WORLD, self.seed)
+        protocol = protocol_named(self.protocol or world.protocol)
+        known = known_bounds(protocol.name, world.name, world.seed, self.start, world_hash(world))
+        results = _results(self.traces)
+        key = (protocol.name, world.name, world.seed, self.start)
+        found = _last(
+            tighten(
+                world,
+                protocol,
+                start=self.start,
+                budget_s=self.budget,
+                known=known,
+                hints=None if results is None else walks_of(results, key),
+            )
+        )
+        if self.picture is not None:
+            _draw(found, world, protocol, self.picture)
+        if self.json:
+            print_json(found.summary())
+        else:
+            _print_one(found, self.picture)
+        return 0
+
+    def _all(self) -> int:
+        from dream.evaluation.oracle.bounds import read_bounds, write_bounds
+        from dream.evaluation.suites import suite_named
+
+        cases = suite_named(self.suite or "")
+        out = self.out or Path(f"{self.suite}.jsonl")
+        kept = {bounds.key: bounds for bounds in read_bounds(out)} if out.is_file() else {}
+        keys = {self._key(case): case for case in cases}
+        due = [case for key, case in keys.items() if self._is_due(kept.get(key))]
+        for case, bounds in with_progress(self._search(due, kept), str(self.suite), len(due)):
+            kept[self._key(case)] = bounds
+            ordered = [kept[key] for key in keys if key in kept]
+            write_bounds(out, ordered + [kept[key] for key in kept if key not in keys])
+        found = [kept[key] for key in keys]
+        if self.json:
+            print_json(
+                {"suite": self.suite, "out": str(out), "worlds": [bounds.summary() for bounds in found]}
+            )
+        else:
+            _print_table(found)
+            print(out)
+        return 0
+
+    def _key(self, case: Case) -> tuple[str, str, int, int]:
+        return self.protocol or "dream-v1", case.world, case.seed, case.start
+
+    def _is_due(self, bounds: Bounds | None) -> bool:
+        if bounds is None:
+            return True
+        return self.again and "gap" in (bounds.full.status, bounds.t98.status)
+
+    def _search(
+        self, cases: Sequence[Case], kept: dict[tuple[str, str, int, int], Bounds]
+    ) -> Iterator[tuple[Case, Bounds]]:
+        if not cases:
+            return
+        protocol = protocol_named(self.protocol or "dream-v1")
+        results = _results(self.traces)
+        # Spawned, not forked: forking a process that holds numba's threads is not safe.
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(min(self.jobs, len(cases)), mp_context=context) as pool:
+            running = {
+                pool.submit(
+                    _search_case, case, protocol.name, self.budget, kept.get(self._key(case)), results
+                ): case
+                for case in cases
+            }
+            try:
+                for future in as_completed(running):
+                    yield running[future], future.result()
+            except BrokenProcessPool as error:
+                raise MissionAborted(
+                    "a search was killed, perhaps for want of memory; what others found is kept. "
+                    "Try fewer --jobs"
+                ) from error
+            finally:
+                pool.shutdown(wait=True, cancel_futures=True)
+
+    def _check_all(self) -> int:
+        from dream.evaluation.oracle.bounds import check, known_bounds, read_bounds
+        from dream.evaluation.suites import suite_named
+        from dream.sim.files import world_hash
+        from dream.sim.worlds import make_world
+
+        cases = suite_named(self.suite or "")
+        kept = None if self.out is None else {bounds.key: bounds for bounds in read_bounds(self.out)}
+        outcomes: list[dict[str, Any]] = []
+        for case in with_progress(iter(cases), f"checking {self.suite}", len(cases)):
+            world = make_world(case.world, case.seed)
+            key = self._key(case)
+            bounds = known_bounds(*key, world_hash(world)) if kept is None else kept.get(key)
+            wrong = ""
+            if bounds is not None:
+                try:
+                    check(bounds, world)
+                except ValueError as error:
+                    wrong = str(error)
+            outcomes.append(
+                {"world": case.world, "seed": case.seed, "start": case.start}
+                | {"known": bounds is not None, "wrong": wrong}
+            )
+        failed = [outcome for outcome in outcomes if outcome["wrong"]]
+        if self.json:
+            print_json({"suite": self.suite, "failed": len(failed), "worlds": outcomes})
+        else:
+            for outcome in outcomes:
+                verdict = outcome["wrong"] or ("holds" if outcome["known"] else "not known")
+                print(f"{outcome['world']} {outcome['seed']}: {verdict}")
+        return 1 if failed else 0
+
+
+def _search_case(
+    case: Case, protocol: str, budget_s: float, kept: Bounds | None, results: Results | None
+) -> Bounds:
+    from dream.evaluation.oracle.bounds import bound, known_bounds, walks_of
+    from dream.sim.files import world_hash
+    from dream.sim.worlds import make_world
+
+    world = make_world(case.world, case.seed)
+    key = (protocol, case.world, case.seed, case.start)
+    digest = world_hash(world)
+    if kept is None or kept.world_hash != digest:
+        kept = known_bounds(*key, digest)
+    return bound(
+        world,
+        protocol_named(protocol),
+        start=case.start,
+        budget_s=budget_s,
+        known=kept,
+        hints=None if results is None else walks_of(results, key),
+        # A search that goes on must not try the same again.
+        seed=0 if kept is None else round(10.0 * kept.cpu_s),
+    )
+
+
+def _results(folder: Path | None) -> Results | None:
+    from dream.evaluation.results import read_results
+
+    return None if folder is None else read_results(folder)
+
+
+def _last(states: Iterator[Bounds]) -> Bounds:
+    """The last of some bounds; what is known so far stands on standard error where that is a terminal."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    found = next(states)
+    if not console.is_terminal:
+        *_, found = found, *states
+        return found
+    with console.status(_line(found)) as status:
+        for found in states:
+            status.update(_line(found))
+    return found
+
+
+def _line(bounds: Bounds) -> str:
+    return f"{bounds.world} {bounds.seed}: {_ends(bounds)}, {bounds.cpu_s:.0f} s"
+
+
+def _ends(bounds: Bounds) -> str:
+    return (
+        f"100 % in {bounds.full.lower_bound} to {bounds.full.best_tour or '?'} steps, "
+        f"98.26 % in {bounds.t98.lower_bound} to {bounds.t98.best_tour or '?'}"
+    )
+
+
+def _print_one(bounds: Bounds, picture: Path | None) -> None:
+    print(f"{bounds.world} {bounds.seed} · start {bounds.start} · {bounds.protocol}")
+    for name, limit in (("100 %   ", bounds.full), ("98.26 % ", bounds.t98)):
+        if limit.status == "optimal":
+            print(f"  {name} {limit.best_tour} steps, and no fewer: optimal")
+        else:
+            best = "no tour known" if limit.best_tour is None else f"best tour {limit.best_tour} steps"
+            print(f"  {name} {best}, no fewer than {limit.lower_bound}")
+    print(f"  {bounds.countable} individuals count; {bounds.cpu_s:.1f} s of processor time")
+    if picture is not None:
+        print(f"  picture: {picture}")
+
+
+def _print_table(found: Sequence[Bounds]) -> None:
+    import sys
+
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title="steps, the look-around counted")
+    for heading in ("world", "seed", "100 %: at least", "best tour", "98.26 %: at least", "best tour", "s"):
+        table.add_column(heading, justify="left" if heading == "world" else "right")
+    for bounds in found:
+        ends = [
+            str(number) if number is not None else "–"
+            for limit in (bounds.full, bounds.t98)
+            for number in (limit.lower_bound, limit.best_tour)
+        ]
+        table.add_row(bounds.world, str(bounds.seed), *ends, f"{bounds.cpu_s:.0f}")
+    Console(width=None if sys.stdout.isatty() else 120).print(table)
+
+
+def _check_picture(path: Path | None) -> None:
+    if path is not None and path.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
+        raise ValueError(f"--picture: expected a name that ends in .png, .jpg or .webp, got {path}")
+
+
+def _draw(bounds: Bounds, world: World, protocol: SurveyProtocol, path: Path) -> None:
+    """Save the chart with the best tour over it: a line, and at every step where it looks."""
+    import numpy as np
+    from PIL import ImageDraw
+
+    from dream.evaluation.oracle.bounds import tour_poses
+    from dream.sim.chart import START, chart
+
+    pixels = 900
+    page = chart(world, pixels=pixels)
+    draw = ImageDraw.Draw(page)
+    # As the chart itself lays the world out.
+    pad = 0.04 * max(world.bounds.width, world.bounds.depth)
+    scale = pixels / (max(world.bounds.width, world.bounds.depth) + 2.0 * pad)
+    x, y, yaw = tour_poses(bounds, world, protocol).T
+    across, down = (x - world.bounds.x_min + pad) * scale, (world.bounds.y_max + pad - y) * scale
+    track = list(zip(across.tolist(), down.tolist(), strict=True))
+    draw.line(track, fill=(255, 255, 255), width=6, joint="curve")
+    draw.line(track, fill=START, width=3, joint="curve")
+    looks = zip(track, (across + 14 * np.cos(yaw)).tolist(), (down - 14 * np.sin(yaw)).tolist(), strict=True)
+    for (u, v), to_u, to_v in looks:
+        draw.line([(u, v), (to_u, to_v)], fill=START, width=2)
+        draw.ellipse([u - 4, v - 4, u + 4, v + 4], fill=(255, 255, 255), outline=START, width=2)
+    page.save(path)

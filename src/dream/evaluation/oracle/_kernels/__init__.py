@@ -1,0 +1,1 @@
+"""Compiled searches over the poses of a graph. Plain arrays and numbers in, arrays out."""

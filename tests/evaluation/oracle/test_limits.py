@@ -1,0 +1,394 @@
+from __future__ import annotations
+
+from itertools import combinations
+from math import comb
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from dream.evaluation.oracle import limits
+from dream.evaluation.oracle.graph import PoseGraph, UInt64Array
+from dream.evaluation.oracle.limits import Certificate, certify, verify
+
+Successors = list[list[int]]
+Views = list[set[int]]
+
+
+def graph_of(
+    successors: Successors, views: Views, individuals: int, shown: set[int] | None = None
+) -> PoseGraph:
+    """Poses in a plane that play no part; action k leads to the k-th successor. Starts at pose 0."""
+    widest = max(map(len, successors), default=1)
+    arcs = np.full((len(successors), widest), -1, np.int32)
+    for pose, after in enumerate(successors):
+        arcs[pose, : len(after)] = after
+    words = max(1, -(-individuals // 64))
+    bits = np.zeros((len(views), words), np.uint64)
+    for pose, seen in enumerate(views):
+        for i in seen:
+            bits[pose, i // 64] |= np.uint64(1 << (i % 64))
+    first = bits[0].copy()
+    for i in shown or ():
+        first[i // 64] |= np.uint64(1 << (i % 64))
+    return PoseGraph(
+        poses=np.zeros((len(successors), 3)),
+        arcs=arcs,
+        actions=tuple((k, 1.0) for k in range(widest)),
+        views=bits,
+        individuals=np.arange(individuals, dtype=np.intp),
+        start=0,
+        shown=first,
+    )
+
+
+def members(bits: UInt64Array) -> frozenset[int]:
+    return frozenset(i for i in range(64 * len(bits)) if int(bits[i // 64]) >> (i % 64) & 1)
+
+
+def by_brute_force(graph: PoseGraph, may_miss: int) -> int | None:
+    """Breadth first over (pose, all that was seen), nothing left out."""
+    views = [members(row) for row in graph.views]
+    states = {(graph.start, members(graph.shown) | views[graph.start])}
+    reached = set(states)
+    for steps in range(200):
+        if any(len(graph.individuals) - len(seen) <= may_miss for _, seen in states):
+            return steps
+        states = {
+            (int(after), seen | views[after])
+            for pose, seen in states
+            for after in graph.arcs[pose]
+            if after >= 0
+        } - reached
+        reached |= states
+    return None
+
+
+def past_all(graph: PoseGraph, witnesses: tuple[tuple[int, ...], ...]) -> int:
+    """Fewest actions to see one of each witness, likewise."""
+    touched = [frozenset(k for k, w in enumerate(witnesses) if members(row) & set(w)) for row in graph.views]
+    states = {(graph.start, touched[graph.start])}
+    reached = set(states)
+    for steps in range(200):
+        if any(len(seen) == len(witnesses) for _, seen in states):
+            return steps
+        states = {
+            (int(after), seen | touched[after])
+            for pose, seen in states
+            for after in graph.arcs[pose]
+            if after >= 0
+        } - reached
+        reached |= states
+    raise AssertionError("no walk sees one of each witness")
+
+
+def line(length: int, *, spacing: int = 1) -> PoseGraph:
+    """A corridor that is walked both ways from its middle, an individual at every `spacing`-th pose."""
+    half = length // 2
+    place = [half, *(i for i in range(length) if i != half)]
+    pose_of = {where: pose for pose, where in enumerate(place)}
+    successors = [[pose_of[x] for x in (where - 1, where + 1) if 0 <= x < length] for where in place]
+    views: Views = [{where // spacing} if where % spacing == 0 else set() for where in place]
+    return graph_of(successors, views, -(-length // spacing))
+
+
+@st.composite
+def random_graphs(draw: st.DrawFn) -> PoseGraph:
+    poses = draw(st.integers(2, 12))
+    # A ring, so that everything is reached, and some arcs across it.
+    across = draw(st.lists(st.tuples(st.integers(0, poses - 1), st.integers(0, poses - 1)), max_size=12))
+    successors = [[(p + 1) % poses] for p in range(poses)]
+    for a, b in across:
+        if b not in successors[a]:
+            successors[a].append(b)
+    individuals = draw(st.integers(1, 12))
+    views: Views = [set() for _ in range(poses)]
+    for i in range(individuals):
+        for p in draw(st.sets(st.integers(0, poses - 1), min_size=1, max_size=3)):
+            views[p].add(i)
+    return graph_of(successors, views, individuals)
+
+
+def solve(graph: PoseGraph, may_miss: int, **options: object) -> Certificate:
+    return certify(graph, may_miss, tour=None, budget_s=60.0, **options)  # type: ignore[arg-type]
+
+
+def missed(graph: PoseGraph, actions: tuple[int, ...]) -> int:
+    return len(graph.individuals) - len(members(graph.seen(graph.walk(actions))))
+
+
+@st.composite
+def random_floors(draw: st.DrawFn) -> PoseGraph:
+    """Squares side by side, some of them walls, each with few individuals that are seen next door too."""
+    rows, cols = draw(st.integers(2, 5)), draw(st.integers(3, 5))
+    walls = draw(st.sets(st.integers(1, rows * cols - 1), max_size=3))
+    around = [
+        [
+            r * cols + c
+            for r, c in (
+                (p // cols, p % cols + 1),
+                (p // cols, p % cols - 1),
+                (p // cols + 1, p % cols),
+                (p // cols - 1, p % cols),
+            )
+            if 0 <= r < rows and 0 <= c < cols and r * cols + c not in walls
+        ]
+        for p in range(rows * cols)
+    ]
+    reached = [0]
+    for p in reached:
+        reached += [q for q in around[p] if q not in reached]
+    pose_of = {p: k for k, p in enumerate(reached)}
+    homes = draw(st.lists(st.sampled_from(reached), min_size=1, max_size=8))
+    views: Views = [set() for _ in reached]
+    nearby = draw(st.lists(st.booleans(), min_size=len(homes), max_size=len(homes)))
+    for i, home in enumerate(homes):
+        views[pose_of[home]].add(i)
+        if around[home] and nearby[i]:
+            views[pose_of[draw(st.sampled_from(around[home]))]].add(i)
+    return graph_of([[pose_of[q] for q in around[p]] for p in reached], views, len(homes))
+
+
+@given(random_graphs() | random_floors(), st.integers(0, 3), st.sampled_from([1, 2, 9]))
+def test_the_bound_is_the_optimum_of_a_small_graph(graph: PoseGraph, may_miss: int, core: int) -> None:
+    # With more sets than witnesses, the bound may be lower.
+    assume(comb(len(graph.individuals), may_miss + 1) <= limits.MOST)
+    optimum = by_brute_force(graph, may_miss)
+    # With a small core, the witnesses are added to searches that know others.
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(limits, "CORE", core)
+        certificate = solve(graph, may_miss)
+    assert certificate.length == optimum
+    if optimum:
+        assert len(certificate.walks[-1]) == optimum
+        assert missed(graph, certificate.walks[-1]) <= may_miss
+
+
+@given(random_graphs(), st.integers(0, 2))
+def test_the_witnesses_alone_carry_the_bound(graph: PoseGraph, may_miss: int) -> None:
+    certificate = solve(graph, may_miss)
+    unseen = set(range(len(graph.individuals))) - members(graph.shown)
+    assert all(len(w) == may_miss + 1 and unseen.issuperset(w) for w in certificate.witnesses)
+    if certificate.length:
+        enough = past_all(graph, certificate.witnesses)
+        assert certificate.length <= enough
+        assert verify(graph, may_miss, certificate.witnesses, certificate.length)
+        assert verify(graph, may_miss, certificate.witnesses, enough)
+        assert not verify(graph, may_miss, certificate.witnesses, enough + 1)
+
+
+@given(random_graphs() | random_floors(), st.integers(0, 2), st.data())
+def test_verify_agrees_with_brute_force_on_any_witnesses(
+    graph: PoseGraph, may_miss: int, data: st.DataObject
+) -> None:
+    unseen = sorted(set(range(len(graph.individuals))) - members(graph.shown))
+    sets = list(combinations(unseen, may_miss + 1))
+    if not sets:
+        return
+    # More of them than the core holds, so that some are added to a search that knows others.
+    witnesses = tuple(data.draw(st.lists(st.sampled_from(sets), min_size=1, max_size=14)))
+    enough = past_all(graph, witnesses)
+    for core in (2, 9):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(limits, "CORE", core)
+            answers = [verify(graph, may_miss, witnesses, n) for n in range(enough + 3)]
+        assert answers == [n <= enough for n in range(enough + 3)]
+
+
+@given(random_graphs(), st.integers(1, 4))
+def test_the_table_is_the_fewest_actions_from_every_pose(graph: PoseGraph, count: int) -> None:
+    product = limits._Product(graph, 0, float("inf"))
+    individuals = range(min(count, len(graph.individuals)))
+    for i in individuals:
+        product.add((i,))
+    for chosen in range(1, 1 << len(individuals)):
+        witnesses = tuple((i,) for i in individuals if chosen >> i & 1)
+        for pose in range(len(graph.arcs)):
+            elsewhere = PoseGraph(
+                graph.poses, graph.arcs, graph.actions, graph.views, graph.individuals, pose, graph.shown
+            )
+            assert product.table[chosen, pose] == past_all(elsewhere, witnesses)
+
+
+def test_a_swapped_core_has_the_table_of_its_witnesses() -> None:
+    graph = line(31)
+    product = limits._Product(graph, 0, float("inf"))
+    for i in (3, 5, 7, 9, 11, 19, 21, 23, 25, 13, 30):
+        product.add((i,))
+    before = product.core_length()
+    assert product.swap()
+    assert (30,) in product.witnesses
+    assert len(product.witnesses) == limits.CORE
+    assert product.core_length() > before
+    fresh = limits._Product(graph, 0, float("inf"))
+    for witness in product.witnesses:
+        fresh.add(witness)
+    rows = 1 << limits.CORE
+    assert (product.table[:rows] == fresh.table[:rows]).all()
+    assert (product.seen == fresh.seen).all()
+
+
+def test_states_to_go_never_promise_too_much() -> None:
+    graph = line(13)
+    product = limits._Product(graph, 0, float("inf"))
+    for i in (0, 4, 9, 12):
+        product.add((i,))
+    known = product.search(20, limits.NOTHING)
+    assert known is not None
+    exact = product.table[: 1 << 4]
+    for pose in range(len(graph.arcs)):
+        for j in range(known.first[pose], known.first[pose + 1]):
+            lacking = 15 & ~int(known.mask[j])
+            assert known.steps[j] <= exact[lacking, pose]
+            assert known.since[j] + known.steps[j] <= 20
+
+
+def test_more_witnesses_than_the_core_holds_are_found_and_used() -> None:
+    # A star: every ray must be gone out and back, but for the last.
+    rays = 12
+    successors = [[1 + r for r in range(rays)], *[[0]] * rays]
+    views: Views = [set(), *({r} for r in range(rays))]
+    graph = graph_of(successors, views, rays)
+    certificate = solve(graph, 0)
+    assert certificate.length == 2 * rays - 1
+    assert len(certificate.witnesses) > limits.CORE
+    assert verify(graph, 0, certificate.witnesses, 2 * rays - 1)
+
+
+def test_the_bound_holds_where_the_witnesses_run_out() -> None:
+    # Any six of the rays are a witness: 924 of them.
+    rays = 12
+    graph = graph_of(
+        [[1 + r for r in range(rays)], *[[0]] * rays], [set(), *({r} for r in range(rays))], rays
+    )
+    certificate = solve(graph, 5)
+    assert 3 <= certificate.length <= 2 * (rays - 5) - 1
+    assert verify(graph, 5, certificate.witnesses, certificate.length)
+
+
+def test_a_line_is_walked_to_both_ends() -> None:
+    graph = line(21)
+    assert solve(graph, 0).length == 10 + 20
+    # The end with the four missed comes first.
+    assert solve(graph, 4).length == 6 + 16
+
+
+def test_what_the_look_around_showed_needs_no_walk() -> None:
+    graph = graph_of([[1], [0]], [set(), {0, 1}], 2, shown={0, 1})
+    assert solve(graph, 0) == Certificate(0, (), ())
+    assert verify(graph, 0, (), 0)
+    assert not verify(graph, 0, (), 1)
+
+
+def test_a_good_tour_ends_the_search() -> None:
+    graph = line(21)
+    best = solve(graph, 0)
+    tour = best.walks[-1]
+    again = certify(graph, 0, tour=tour, budget_s=60.0, witnesses=best.witnesses)
+    assert again.length == len(tour)
+
+
+def test_a_search_goes_on_from_earlier_witnesses() -> None:
+    graph = line(21)
+    first = solve(graph, 0)
+    assert solve(graph, 0, witnesses=first.witnesses).length == first.length
+    with pytest.raises(ValueError, match="witness 0: expected 1 individuals"):
+        solve(graph, 0, witnesses=[[99]])
+
+
+def test_equal_arguments_give_equal_certificates() -> None:
+    graph = line(31, spacing=3)
+    assert solve(graph, 1) == solve(graph, 1)
+
+
+def test_an_individual_that_no_walk_sees_is_refused() -> None:
+    graph = graph_of([[1], [0], [2]], [set(), {0}, {1}], 2)
+    with pytest.raises(ValueError, match="at most 0 individuals that no walk from the start sees, got 1"):
+        solve(graph, 0)
+    assert solve(graph, 1).length == 1
+
+
+def test_a_tour_that_misses_too_much_is_refused() -> None:
+    with pytest.raises(ValueError, match="tour: expected a walk that misses at most 0"):
+        certify(line(9), 0, tour=[0], budget_s=1.0)
+
+
+def test_without_a_budget_the_bound_is_still_one() -> None:
+    graph = line(41)
+    certificate = certify(graph, 0, tour=None, budget_s=0.0)
+    assert 0 <= certificate.length <= 60
+    assert certificate.length == 0 or verify(graph, 0, certificate.witnesses, certificate.length)
+
+
+@pytest.mark.parametrize("witnesses", [[[0]], [[0, 0]], [[0, 99]], [[10, 11]]])
+def test_verify_refuses_what_is_no_witness(witnesses: list[list[int]]) -> None:
+    graph = line(21)
+    with pytest.raises(ValueError, match="witness 0: expected 2 individuals"):
+        verify(graph, 1, witnesses, 3)
+
+
+def test_no_room_for_the_states_is_no_wrong_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    optimum = solve(line(41), 0).length
+    monkeypatch.setattr(limits, "ROOM", 60)
+    assert solve(line(41), 0).length <= optimum
+
+
+def random_floor(seed: int, *, side: int, witnesses: int) -> PoseGraph:
+    """A square floor with walls and one-way doors, an individual in every so many squares."""
+    rng = np.random.default_rng(seed)
+    squares = [(r, c) for r in range(side) for c in range(side)]
+    successors = [
+        [
+            side * (r + dr) + c + dc
+            for dr, dc in ((0, 1), (0, -1), (1, 0), (-1, 0))
+            if 0 <= r + dr < side and 0 <= c + dc < side and rng.random() < 0.85
+        ]
+        for r, c in squares
+    ]
+    views: Views = [set() for _ in squares]
+    for i in range(witnesses):
+        for square in rng.choice(np.arange(1, len(squares)), 3, replace=False).tolist():
+            views[square].add(i)
+    return graph_of(successors, views, witnesses)
+
+
+# From three floors some individuals cannot be reached one after the other.
+@pytest.mark.parametrize("seed", [seed for seed in range(40) if seed not in (4, 13, 28)])
+def test_what_one_search_knows_never_misleads_the_next(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "CORE", 1)
+    graph = random_floor(seed, side=6, witnesses=7)
+    witnesses = tuple((i,) for i in range(7))
+    enough = past_all(graph, witnesses)
+    assert verify(graph, 0, witnesses, enough)
+    for spare in range(1, 5):
+        assert not verify(graph, 0, witnesses, enough + spare)
+    assert solve(graph, 0).length == enough
+
+
+@pytest.mark.parametrize("core", [1, 2])
+@pytest.mark.parametrize("seed", [8, 98, 110, 181, *range(200, 240)])
+def test_a_state_that_has_seen_all_stands_for_those_it_dominates(
+    seed: int, core: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Walks that complete the first witnesses early have actions to spare for the others.
+    monkeypatch.setattr(limits, "CORE", core)
+    rng = np.random.default_rng(seed)
+    rows, cols = int(rng.integers(2, 6)), int(rng.integers(3, 6))
+    squares = [(r, c) for r in range(rows) for c in range(cols)]
+    successors = [
+        [
+            cols * (r + dr) + c + dc
+            for dr, dc in ((0, 1), (0, -1), (1, 0), (-1, 0))
+            if 0 <= r + dr < rows and 0 <= c + dc < cols
+        ]
+        for r, c in squares
+    ]
+    views: Views = [set() for _ in squares]
+    individuals = int(rng.integers(3, 8))
+    for i in range(individuals):
+        views[int(rng.integers(0, len(squares)))].add(i)
+    graph = graph_of(successors, views, individuals)
+    certificate = solve(graph, 0)
+    assert certificate.length == by_brute_force(graph, 0)
+    assert certificate.length <= past_all(graph, certificate.witnesses)
