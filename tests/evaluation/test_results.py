@@ -88,6 +88,8 @@ MANIFEST: dict[str, Any] = {
     "planners": {"sweep-and-graze": {"spacing": 2.5}, "random": {}},
     "protocol": {"name": "dream-v1"},
     "max_steps": None,
+    "later": [],
+    "failed": [],
     "version": "0.1.0",
     "commit": None,
     "source": "00",

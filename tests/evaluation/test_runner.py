@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from dream.cli import run_command
-from dream.evaluation import runner
+from dream.evaluation import machine, runner
 from dream.evaluation.engines import Engine, Failure, Processes
 from dream.evaluation.metrics import curve
 from dream.evaluation.results import TIMES, Flown, MissionKey, mission_path, read_manifest, read_results
@@ -247,6 +247,7 @@ def test_a_damaged_mission_is_named_and_flown_again(tmp_path: Path, caplog: pyte
     [
         (("version",), "0.0.9", r"version: expected 0\.0\.9 as for the missions in it, got "),
         (("source",), "0" * 64, "source: expected 0{64} "),
+        (("numpy",), "1.0", r"numpy: expected 1\.0 as for the missions in it, got "),
         (("protocol", "reach"), 4.0, r"protocol\.reach: expected 4\.0 as for the missions in it, got 8\.0"),
         (("protocol", "camera", "width"), 99, r"protocol\.camera\.width: expected 99 .* got 320"),
         (("max_steps",), None, f"max_steps: expected None .* got {STEPS}"),
@@ -302,7 +303,8 @@ def test_two_benchmarks_do_not_share_a_folder(tmp_path: Path) -> None:
         ({"cases": ()}, "cases: expected at least one world"),
         ({"cases": (FLAT[0], FLAT[0])}, "cases: expected each once"),
         ({"planners": {}}, "planners: expected one or more of"),
-        ({"max_steps": 0}, "--max-steps: expected at least 1, got 0"),
+        ({"max_steps": 0}, "--max-steps: expected 1 to 200, the cap of dream-v1, got 0"),
+        ({"max_steps": 201}, "--max-steps: expected 1 to 200, the cap of dream-v1, got 201"),
     ],
 )
 def test_a_plan_that_flies_nothing_is_refused(changes: dict[str, Any], complaint: str) -> None:
@@ -319,6 +321,32 @@ def test_a_mission_that_fails_costs_only_itself(tmp_path: Path) -> None:
     assert isinstance(outcomes["random"], Flown)
     assert [row.planner for row in read_results(tmp_path).rows] == ["random"]
     assert read_manifest(tmp_path)["finished"] is None
+
+
+def test_a_folder_is_finished_when_nothing_of_it_is_missing(tmp_path: Path) -> None:
+    both = {"random": PLANNERS["random"], "broken": Broken()}
+    bench(plan(FLAT[:1], planners=both), tmp_path, Processes(1))
+    told = read_manifest(tmp_path)
+    assert told["finished"] is None
+    (failed,) = told["failed"]
+    assert failed == {**asdict(FLAT[0]), "planner": "broken", "error": "RuntimeError: the planner burnt"}
+    bench(plan(FLAT[:1], planners={"random": PLANNERS["random"]}), tmp_path, Processes(1))
+    assert read_manifest(tmp_path)["finished"] is None, "the other planner's mission is still missing"
+
+
+def test_every_machine_that_flew_is_told(
+    flown: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "bench"
+    shutil.copytree(flown, folder)
+    first = read_manifest(folder)
+    assert first["later"] == []
+    monkeypatch.setattr(machine, "machine", lambda: {"cpu": "another"})
+    for _ in range(2):
+        bench(plan((Case("reef/L", 1), FLAT[0])), folder)
+        told = read_manifest(folder)
+        assert told["machine"] == first["machine"]
+        assert [entry["machine"] for entry in told["later"]] == [{"cpu": "another"}]
 
 
 def test_a_worker_with_other_code_flies_nothing() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import re
 import sys
 from dataclasses import asdict, dataclass
@@ -57,13 +56,13 @@ class Flying:
 
     def chosen_engine(self) -> Engine:
         """A ValueError where its options contradict each other."""
-        from dream.evaluation.engines import Processes, Ray
+        from dream.evaluation.engines import Processes, Ray, processors
 
         if self.engine == "ray":
             return Ray(self.jobs, self.address)
         if self.address is not None:
             raise ValueError(f"--address: expected --engine ray with it, got --engine {self.engine}")
-        return Processes(os.cpu_count() if self.jobs is None else self.jobs)
+        return Processes(processors() if self.jobs is None else self.jobs)
 
 
 @dataclass(frozen=True, slots=True)

@@ -73,7 +73,7 @@ class Processes:
         self, task: Callable[[T], R], groups: Sequence[Sequence[T]]
     ) -> Generator[tuple[T, R | Failure], None, None]:
         """See `Engine.run`. Workers stop by themselves when this process is killed."""
-        return _drive(_LocalCrew(task), groups, self.jobs or os.cpu_count() or 1)
+        return _drive(_LocalCrew(task), groups, self.jobs or processors())
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +110,12 @@ class Ray:
         finally:
             if not joined:
                 ray.shutdown()
+
+
+def processors() -> int:
+    """How many processors this process may use."""
+    # A container or a job queue may grant fewer than the machine has; not every system tells.
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _check_jobs(jobs: int | None) -> None:

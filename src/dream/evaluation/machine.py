@@ -14,21 +14,25 @@ import dream
 from dream.versions import commit
 
 LIBRARIES = ("numpy", "numba", "scipy")
-_SHOWS_ONLY = ("cli.py", "commands", "recording.py", "report.py", "versions.py")
+_SHOWS_ONLY = ("cli.py", "commands", "recording.py", "report.py", "report_page", "versions.py")
 _SCORES = ("metrics.py", "runner.py")
 
 
 @cache
 def source() -> str:
-    """SHA-256 of the code that a mission's outcome can depend on; where it is equal, results are.
+    """SHA-256 of the code, and the data with it, that a mission's outcome can depend on.
+
+    Where it is equal, results are.
 
     A commit says nothing of changes that were not committed, and an installed package has none.
     """
     root = Path(dream.__file__).parent
     digest = hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
+    for path in sorted(root.rglob("*")):
         parts = path.relative_to(root).parts
-        if parts[0] in _SHOWS_ONLY or (parts[0] == "evaluation" and parts[1:] not in [(n,) for n in _SCORES]):
+        if "__pycache__" in parts or not path.is_file() or parts[0] in _SHOWS_ONLY:
+            continue
+        if parts[0] == "evaluation" and parts[1:] not in [(name,) for name in _SCORES]:
             continue
         digest.update("/".join(parts).encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()

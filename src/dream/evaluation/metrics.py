@@ -171,7 +171,10 @@ class Scorer:
                 "p99": round(float(np.percentile(planner_ms, 99)), 2),
             },
             "vlm": None,
-            "success": ended == "done" and coverage.instances >= COMPLETE and collisions == 0,
+            "success": ended == "done"
+            and steps <= self._protocol.cap
+            and coverage.instances >= COMPLETE
+            and collisions == 0,
         }
 
     def _time_to(self, share: float) -> int | None:

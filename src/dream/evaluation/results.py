@@ -29,15 +29,16 @@ BoolArray = npt.NDArray[np.bool_]
 MissionKey = tuple[str, str, int, int, str]
 """Protocol, world, seed, start, planner."""
 
-MAX_STEPS = 100_000
+MAX_STEPS = 10_000
 """A longer mission is refused when it is read."""
-MAX_MISSION_BYTES = 64 << 20
-"""A larger file of one mission is refused."""
+MAX_FILE_BYTES = 64 << 20
+"""A larger file of one mission, or manifest, is refused."""
 MAX_TABLE_BYTES = 1 << 30
 """A larger `results.csv` is refused."""
 MAX_LINE_BYTES = 1 << 16
 
-_Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._/+-]{0,99}$")]
+_Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]{0,99}$")]
+_WorldName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._/+-]{0,99}$")]
 _Count = Annotated[int, Field(ge=0)]
 _Step = Annotated[int, Field(ge=0, le=MAX_STEPS)]
 _Share = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -54,7 +55,7 @@ class Row:
     __pydantic_config__ = ConfigDict(allow_inf_nan=False, extra="forbid")
 
     protocol: _Name
-    world: _Name
+    world: _WorldName
     seed: _Count
     start: _Count
     world_hash: _Name
@@ -149,9 +150,16 @@ class Flown:
 class CaseEntry(BaseModel):
     """A case in a manifest."""
 
-    world: _Name
+    world: _WorldName
     seed: _Count
     start: _Count
+
+
+class FailedEntry(CaseEntry):
+    """A mission that has no result, in a manifest."""
+
+    planner: _Name
+    error: str
 
 
 class Manifest(BaseModel):
@@ -171,9 +179,13 @@ class Manifest(BaseModel):
     """SHA-256 of the code; see `dream.evaluation.machine`."""
     engine: str
     machine: dict[str, Any]
+    later: list[dict[str, Any]] = []
+    """Other engines and machines that went on with it, where there were any."""
     started: str
     finished: str | None
     """None while missions are missing."""
+    failed: list[FailedEntry] = []
+    """Missions that failed when it was last flown, and why."""
     wall_s: float
 
 
@@ -212,8 +224,6 @@ def read_mission(path: Path) -> Flown:
         FileNotFoundError: There is none.
         ValueError: The file is damaged, or it is another mission's; the message names it.
     """
-    if path.stat().st_size > MAX_MISSION_BYTES:
-        raise ValueError(f"{path}: expected a mission of at most {MAX_MISSION_BYTES} bytes, got more")
     content = _json(path)
     if not isinstance(content, dict) or set(content) != {"row", "trace"}:
         raise ValueError(f"{path}: expected an object with row and trace, got something else")
@@ -395,6 +405,8 @@ def _first(error: ValidationError) -> str:
 
 
 def _json(path: Path) -> Any:
+    if path.stat().st_size > MAX_FILE_BYTES:
+        raise ValueError(f"{path}: expected at most {MAX_FILE_BYTES} bytes, got more")
     try:
         return from_json(path.read_bytes(), allow_inf_nan=False)
     except ValueError as error:

@@ -287,8 +287,11 @@ class Plan:
             raise ValueError(f"cases: expected each once, got one twice in {self.suite}")
         if not self.planners:
             raise ValueError(f"planners: expected one or more of {', '.join(PLANNERS)}, got none")
-        if self.max_steps is not None and self.max_steps < 1:
-            raise ValueError(f"--max-steps: expected at least 1, got {self.max_steps}")
+        if self.max_steps is not None and not 1 <= self.max_steps <= self.protocol.cap:
+            raise ValueError(
+                f"--max-steps: expected 1 to {self.protocol.cap}, the cap of {self.protocol.name}, "
+                f"got {self.max_steps}"
+            )
 
     def __len__(self) -> int:
         return len(self.cases) * len(self.planners)
@@ -334,18 +337,23 @@ def fly_plan(plan: Plan, folder: Path, engine: Engine) -> Generator[Ended, None,
                 missing.append(flight)
             else:
                 yield Ended(flight.key, flown, kept=True)
-        left = len(missing)
+        failed = []
         try:
             groups = [list(flights) for _, flights in groupby(missing, key=lambda flight: flight.case)]
             with contextlib.closing(engine.run(fly, groups)) as ended:
                 for flight, outcome in ended:
                     if isinstance(outcome, Flown):
                         write_mission(folder, outcome)
-                        left -= 1
+                    else:
+                        named = {**asdict(flight.case), "planner": flight.planner_name}
+                        failed.append({**named, "error": outcome.message})
                     yield Ended(flight.key, outcome, kept=False)
         finally:
-            write_tables(folder, _all_kept(folder, manifest))
-            manifest["finished"] = None if left else _now()
+            missions = _all_kept(folder, manifest)
+            write_tables(folder, missions)
+            manifest["failed"] = failed
+            every = len(missions) == len(manifest["cases"]) * len(manifest["planners"])
+            manifest["finished"] = _now() if every else None
             manifest["wall_s"] = round(manifest["wall_s"] + time.perf_counter() - began, 3)
             write_manifest(folder, manifest)
 
@@ -395,18 +403,20 @@ def _manifest(plan: Plan, folder: Path, engine: Engine) -> dict[str, Any]:
         "planners": {name: _as_json(planner) for name, planner in plan.planners.items()},
         "protocol": _as_json(plan.protocol),
         "max_steps": plan.max_steps,
-        "engine": repr(engine),
         **machine.code(),
         **machine.libraries(),
+        "engine": repr(engine),
         "machine": machine.machine(),
+        "later": [],
         "started": _now(),
         "finished": None,
+        "failed": [],
         "wall_s": 0.0,
     }
     if (folder / "manifest.json").exists():
         before = read_manifest(folder)
         # Not the commit: one that changes a page must not end a benchmark, and the source says what counts.
-        for name in ("version", "source", "protocol", "max_steps"):
+        for name in ("version", "source", *machine.libraries(), "protocol", "max_steps"):
             _check_same(folder, name, before[name], now[name])
         for name in before["planners"].keys() & now["planners"].keys():
             _check_same(folder, name, before["planners"][name], now["planners"][name])
@@ -415,6 +425,11 @@ def _manifest(plan: Plan, folder: Path, engine: Engine) -> dict[str, Any]:
         now["cases"] += [case for case in before["cases"] if case not in now["cases"]]
         now["planners"] |= before["planners"]
         now["started"], now["wall_s"] = before["started"], before["wall_s"]
+        # Results are the same elsewhere, times are not: every other engine and machine is told.
+        here = {name: now[name] for name in ("engine", "machine")}
+        now |= {name: before[name] for name in ("engine", "machine")}
+        others = [entry for entry in before["later"] if entry != here]
+        now["later"] = others + [here] * (here != {name: now[name] for name in here})
     elif (folder / "missions").exists():
         raise ValueError(
             f"{folder}: expected a manifest.json that tells how its missions were flown, got none. "
