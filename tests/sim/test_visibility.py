@@ -7,13 +7,16 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dream.geometry import SE3
+from dream.control import setpoint
+from dream.geometry import SE2, SE3
 from dream.protocol import DREAM_V1, POOL_V1, PROTOCOLS, SurveyProtocol
+from dream.sim import visibility as visibility_module
 from dream.sim.render import Renderer
 from dream.sim.solids import Solids
 from dream.sim.visibility import OPEN, STANDOFF, Visibility, hull_points
 from dream.sim.world import Instances, Mesh, World
 from dream.sim.worlds import make_world
+from dream.types import Decision
 from tests.sim.arenas import EYE, FLOOR, HALF, NOTHING, arena, flat, placed
 
 Array = npt.NDArray[np.float64]
@@ -142,6 +145,34 @@ def test_countable_is_what_some_reachable_lattice_pose_sees() -> None:
     assert (visibility.countable == visibility.seen(np.concatenate(poses)).any(axis=0)).all()
     assert not visibility.countable[-2:].any()
     assert visibility.countable.mean() > 0.8
+
+
+@pytest.mark.parametrize("protocol", [DREAM_V1, POOL_V1])
+def test_countable_looks_from_the_very_poses_that_a_vehicle_has(
+    protocol: SurveyProtocol, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # At the edge of the view, an individual may be seen at one yaw and not an ulp beside it.
+    flown = {0.0}
+    pose = SE2(0.0, 0.0, 0.0)
+    for _ in range(protocol.headings - 1):
+        goal = setpoint(pose, Decision(turn=protocol.heading_step), protocol)
+        pose = SE2(goal.x, goal.y, goal.yaw)
+        flown.add(pose.yaw)
+    looked: list[Array] = []
+
+    def lattice_kernel(*arguments: object) -> Array:
+        looked.append(np.asarray(arguments[-1]))
+        return np.zeros(1, np.bool_)
+
+    def in_the_pool(_point: Array, poses: Array, _protocol: SurveyProtocol) -> Array:
+        looked.append(np.column_stack([[f(yaw) for yaw in poses[:, 2]] for f in (math.cos, math.sin)]))
+        return np.zeros(len(poses), np.bool_)
+
+    monkeypatch.setattr(visibility_module._kernels, "seen_from_lattice", lattice_kernel)
+    monkeypatch.setattr(visibility_module, "traversed", in_the_pool)
+    assert watch([[1.0, 0.0, FLOOR + 0.05]], protocol=protocol).countable.shape == (1,)
+    expected = {(math.cos(yaw), math.sin(yaw)) for yaw in flown}
+    assert set(map(tuple, np.concatenate(looked).tolist())) == expected
 
 
 def test_in_the_pool_a_shell_counts_when_it_passed_under_or_in_front() -> None:

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from dream.geometry import wrap_angle
 from dream.protocol import SurveyProtocol
 from dream.sim import _kernels
 from dream.sim.solids import Lattice, Solids, checked, corners
@@ -172,14 +173,14 @@ class Visibility:
 
         Reachable, not merely free: the hold of a wreck may hold a vehicle, but none gets there.
         """
-        angles = np.arange(self.protocol.headings) * self.protocol.heading_step
+        yaws = lattice_yaws(self.protocol)
         lattice = self.lattice
         if self.protocol.traversal is not None:
             nodes = lattice.positions[lattice.reachable]
             counts = np.zeros(len(self), np.bool_)
             for i, point in enumerate(self.points):
                 near = nodes[np.hypot(*(nodes - point[:2]).T) <= self.protocol.traversal]
-                poses = np.column_stack([np.repeat(near, len(angles), axis=0), np.tile(angles, len(near))])
+                poses = np.column_stack([np.repeat(near, len(yaws), axis=0), np.tile(yaws, len(near))])
                 counts[i] = traversed(point, poses, self.protocol).any()
             return counts
         span = math.ceil(self.protocol.reach / lattice.spacing) + 1
@@ -196,7 +197,8 @@ class Visibility:
             float(lattice.first[1]),
             lattice.spacing,
             nearest_first.astype(np.intp),
-            np.stack([np.cos(angles), np.sin(angles)], axis=-1),
+            # As `seen` takes them: another library's cosine may differ in the last bit.
+            np.array([(math.cos(yaw), math.sin(yaw)) for yaw in yaws]),
         )
 
     @property
@@ -215,6 +217,11 @@ class Visibility:
             reach=float(protocol.reach),
             altitude=float(protocol.altitude),
         )
+
+
+def lattice_yaws(protocol: SurveyProtocol) -> Float64Array:
+    """(headings,) radians in (−π, π]: the very numbers that a vehicle on the lattice has for its yaw."""
+    return np.array([wrap_angle(k * protocol.heading_step) for k in range(protocol.headings)])
 
 
 def traversed(point: Float64Array, poses: Float64Array, protocol: SurveyProtocol) -> BoolArray:

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dream.geometry import wrap_angle
 from dream.mission import LOOK_AROUND
 from dream.protocol import SurveyProtocol
-from dream.sim.visibility import Visibility
+from dream.sim.visibility import Visibility, lattice_yaws
 from dream.sim.world import World
 
 Int32Array = npt.NDArray[np.int32]
@@ -82,9 +81,9 @@ def pose_graph(
     node_of = np.full(lattice.reachable.shape, -1, np.int64)
     node_of[rows, cols] = np.arange(len(rows))
     headings = protocol.headings
-    yaws = np.array([wrap_angle(k * protocol.heading_step) for k in range(headings)])
     positions = lattice.positions[rows, cols]
-    poses = np.column_stack([np.repeat(positions, headings, axis=0), np.tile(yaws, len(rows))])
+    yaws = np.tile(lattice_yaws(protocol), len(rows))
+    poses = np.column_stack([np.repeat(positions, headings, axis=0), yaws])
 
     individuals = np.flatnonzero(visibility.countable)
     home = world.starts[start]
