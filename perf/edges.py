@@ -149,7 +149,7 @@ def with_scikit_image(world: World) -> Result:
     labels = label(frontier, connectivity=2)
     table = regionprops_table(labels, properties=("area", "centroid"))
     centroids = np.stack([table["centroid-0"], table["centroid-1"]], axis=1)
-    inflated = dilation(world.solid, _body(world.needed_room), decomposition=None)
+    inflated = dilation(world.solid, _body(world.needed_room))
     return Result(frontier, inflated, np.asarray(table["area"], np.int64), centroids)
 
 
