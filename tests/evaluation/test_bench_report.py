@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import io
 import json
 import re
 import subprocess
@@ -14,14 +15,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
 from dream.cli import run_command
+from dream.commands.console import _Scores
+from dream.evaluation import tables
 from dream.evaluation.figures import shown_cases
 from dream.evaluation.oracle.bounds import Bounds
-from dream.evaluation.report import repeating_command, write_report, write_results
-from dream.evaluation.results import Results
+from dream.evaluation.report import repeating_command, sections, write_report, write_results
+from dream.evaluation.results import Results, read_results
+from dream.evaluation.runner import Ended, Plan
 from dream.evaluation.suites import SUITES, Case
 from dream.evaluation.tables import compare, family
+from dream.planning import PLANNERS
+from dream.protocol import protocol_named
 from dream.sim.files import world_hash
 from dream.sim.worlds import make_world
 from tests.evaluation.benches import PACES, PAPER, Made, bounds, flown, manifest, paper_missions, write_bench
@@ -142,10 +149,99 @@ def test_equal_folders_give_equal_bytes(tmp_path: Path) -> None:
     assert (one.parent / "tables.md").read_bytes() == (two.parent / "tables.md").read_bytes()
 
 
-def test_an_unfinished_benchmark_says_what_is_missing(tmp_path: Path) -> None:
-    page = Page(write_report(few(tmp_path, missing=3, finished=None)))
-    assert "Unfinished: 3 of 8 missions are missing" in page.text
-    assert "not yet" in page.text
+def test_an_unfinished_benchmark_says_what_is_missing_and_has_no_verdict(tmp_path: Path) -> None:
+    failed = [{"world": "wreck/3", "seed": 1, "start": 0, "planner": "lawnmower", "error": f"E: {HOSTILE}"}]
+    page = Page(write_report(few(tmp_path, missing=3, finished=None, failed=failed)))
+    missing = "3 of 8 missions are missing (1 failed, 2 not yet flown)"
+    assert f"Unfinished: {missing}" in page.text
+    assert f"No verdict: {missing}" in page.text
+    assert "the 2 cases that all of them have flown" in page.text
+    assert "fastest here" not in page.text
+    assert "Every planner flew the same worlds" not in page.text
+    assert "Missions that failed" in page.text
+    assert f"E: {HOSTILE}" in page.text
+
+
+def verdict(tmp_path: Path, planners: dict[str, Made], cases: tuple[Case, ...] = FEW[:3]) -> str:
+    missions = [flown(case, name, made) for case in cases for name, made in planners.items()]
+    results = read_results(write_bench(tmp_path, missions, cases, list(planners)))
+    return sections(results, compare(results))[0].lead
+
+
+def test_where_nobody_got_there_the_verdict_is_by_coverage(tmp_path: Path) -> None:
+    text = verdict(tmp_path, {"random": Made(500), "lawnmower": Made(400), "sixsteps": Made(250)})
+    assert "fastest here" not in text
+    assert text.startswith("None reached 98.26 % of the instances in any mission")
+    assert "Judged by coverage at the end instead, sixsteps is the best here: it saw 80.00 %" in text
+    assert "The best baseline, lawnmower, saw 50.00 %" in text
+    assert "the difference is 30.00 points over 3 worlds" in text
+
+
+def test_equal_planners_share_the_first_place(tmp_path: Path) -> None:
+    text = verdict(tmp_path / "1", {"lawnmower": Made(60, 59), "sixsteps": Made(60, 70), "random": Made(90)})
+    assert "lawnmower and sixsteps are equally fast here" not in text  # 98.26 % of 60 is 58.96: 59.
+    assert "sixsteps and lawnmower are equally fast here: 59.0 steps" in text
+    assert (
+        "Of these, sixsteps saw the most by the end, 100.00 % of the instances, and so stands first" in text
+    )
+    assert "best baseline" not in text
+    text = verdict(tmp_path / "2", {"lawnmower": Made(60, 70), "sixsteps": Made(60, 70), "random": Made(90)})
+    assert "lawnmower and sixsteps are equally fast here" in text
+    assert "stand in the order of the benchmark" in text
+    text = verdict(tmp_path / "3", {"random": Made(400), "lawnmower": Made(400)})
+    assert "random and lawnmower are equal: each saw 50.00 %" in text
+
+
+def test_one_planner_alone_is_not_called_the_fastest(tmp_path: Path) -> None:
+    text = verdict(tmp_path, {"sixsteps": Made(60, 70)})
+    assert text.startswith("sixsteps, the only planner here, reached 98.26 % of the instances in 3 of 3")
+
+
+def test_worlds_without_a_tour_and_later_machines_are_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "dream.evaluation.oracle.bounds.known_bounds",
+        lambda protocol, world, seed, start, digest: bounds(
+            Case(world, seed, start), (20, None if world == "wreck/3" else 24), (22, 26)
+        ),
+    )
+    later = [{"engine": "Ray(jobs=4)", "machine": {"cpu": "Another", "cores": None}}]
+    page = Page(write_report(few(tmp_path, later=later)))
+    assert "No tour to 98.26 % is known for 1 of 4 cases" in page.text
+    assert "No certified bound" not in page.text
+    assert "Ray(jobs=4) on cpu Another" in page.text
+
+
+def test_a_world_that_the_first_look_shows_is_not_called_never(tmp_path: Path) -> None:
+    missions = [
+        flown(FEW[0], name, Made(60, 70), t90=0, t95=0, t98=0, t100=0) for name in ("sixsteps", "random")
+    ]
+    text = write_report(write_bench(tmp_path, missions, FEW[:1], ["sixsteps", "random"])).read_text()
+    assert "98.26 % never" not in text
+    assert "<span>sixsteps, random 0</span>" in text
+
+
+def test_the_live_table_counts_what_was_never_reached_as_the_tables_do(tmp_path: Path) -> None:
+    planners = {name: PLANNERS[name] for name in ("sixsteps", "random")}
+    plan = Plan("paper", FEW[:2], planners, protocol_named("dream-v1"), max_steps=80)
+    missions = [
+        flown(case, name, made, cap=80)
+        for case in FEW[:2]
+        for name, made in (("sixsteps", Made(60, 70)), ("random", Made(400)))
+    ]
+    scores = _Scores(plan)
+    for mission in missions:
+        scores.add(Ended(mission.row.key, mission, kept=False))
+    console = Console(file=io.StringIO(), width=100)
+    console.print(scores.table())
+    printed = console.file.getvalue()  # type: ignore[attr-defined]
+    line = next(line for line in printed.splitlines() if "random" in line)
+    assert "80.0" in line
+    assert "200" not in line
+    results = read_results(write_bench(tmp_path, missions, FEW[:2], list(planners), max_steps=80))
+    tables.print_summary(results, console)
+    assert "80.0" in console.file.getvalue().split("random")[-1]  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(

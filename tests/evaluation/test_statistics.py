@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dream.evaluation.oracle.bounds import Limit
 from dream.evaluation.statistics import (
     FloatArray,
     Statistic,
@@ -311,13 +312,32 @@ def test_ratios_to_the_bound_and_to_the_best_tour() -> None:
     assert ratio(row(t98=None), 180, 40, 160) == 4.0
 
 
-def test_what_the_look_around_showed_counts_as_its_end() -> None:
-    assert ratio(row(t98=1), 1, 3, 200) == 1.0
+@pytest.mark.parametrize("step", [0, 1, 2, 3])
+def test_what_the_look_around_shows_takes_as_long_as_its_bound(step: int) -> None:
+    # As `oracle.bounds.tighten` writes it down.
+    looked = Limit(step, step, (), ())
+    assert ratio(row(t98=step), step, looked.lower_bound, 200) == 1.0
+    assert spl(row(t98=step), looked, 200) == 1.0
+    assert soft_spl(row(t98=step, steps=step), looked) == 1.0
 
 
-def test_no_ratio_without_a_bound_or_with_a_collision() -> None:
-    assert math.isnan(ratio(row(t98=80), 80, None, 200))
+def test_a_bound_of_no_step_divides_nothing() -> None:
+    none = Limit(0, 0, (), ())
+    assert math.isnan(ratio(row(t98=4), 4, 0, 200))
+    assert spl(row(t98=4), none, 200) == 0.0
+    assert soft_spl(row(t98=0, steps=5), none) == 0.0
+
+
+def test_no_ratio_with_a_collision() -> None:
     assert math.isnan(ratio(row(t98=80, collisions=1), 80, 40, 200))
+
+
+def test_no_ratio_where_the_mission_was_cut_before_anyone_could_have_reached_the_mark() -> None:
+    assert math.isnan(ratio(row(t98=None), None, 40, 30))
+    assert math.isnan(ratio(row(t98=None), 35, 40, 30))
+    assert ratio(row(t98=None), None, 30, 30) == 1.0
+    # Reached before the bound: a contradiction, which is told elsewhere and not hidden here.
+    assert ratio(row(t98=20), 20, 40, 30) == 0.5
 
 
 @pytest.mark.parametrize(

@@ -83,7 +83,7 @@ class _Score:
     failed: int = 0
     successes: int = 0
     t98: int = 0
-    """Summed; one never reached counts as the cap."""
+    """Summed; one never reached counts as all the steps that a mission has."""
     collisions: int = 0
 
 
@@ -92,6 +92,8 @@ class _Scores:
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
+        cap = plan.protocol.cap
+        self._horizon = cap if plan.max_steps is None else min(cap, plan.max_steps)
         self._of = {name: _Score() for name in plan.planners}
         self._kept = 0
         self._began = time.monotonic()
@@ -107,7 +109,7 @@ class _Scores:
             row = mission.outcome.row
             score.flown += 1
             score.successes += row.success
-            score.t98 += self._plan.protocol.cap if row.t98 is None else row.t98
+            score.t98 += self._horizon if row.t98 is None else row.t98
             score.collisions += row.collisions
         else:
             score.failed += 1

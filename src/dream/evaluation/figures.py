@@ -13,9 +13,9 @@ import numpy as np
 from PIL import Image
 
 from dream.evaluation.results import Results
-from dream.evaluation.statistics import FloatArray, kaplan_meier, mean_band
+from dream.evaluation.statistics import FloatArray, kaplan_meier, mean_band, ratio
 from dream.evaluation.suites import Case
-from dream.evaluation.tables import FAMILIES, Comparison, family, groups, label
+from dream.evaluation.tables import FAMILIES, Comparison, coverage_at_end, family, groups, label
 from dream.protocol import protocol_named
 
 if TYPE_CHECKING:
@@ -233,14 +233,14 @@ def survival_curves(comparison: Comparison, cases: Sequence[Case], name: str, ti
 
     def draw(theme: Theme) -> Figure:
         figure, axes = _axes(theme, f"{title}: missions that have not yet seen 98.26 %")
-        fastest = comparison.ranked[:2]
+        first = comparison.ranked[:2]
         for planner in comparison.planners:
             times = [row.t98 for _, row in comparison.flown(planner, cases)]
             if not times:
                 continue
             style = look(theme, comparison.planners, planner)
             curve = kaplan_meier(times, comparison.horizon)
-            if planner in fastest:
+            if planner in first:
                 axes.fill_between(
                     curve.time,
                     100 * curve.low,
@@ -251,6 +251,16 @@ def survival_curves(comparison: Comparison, cases: Sequence[Case], name: str, ti
                     linewidth=0,
                 )
             axes.step(curve.time, 100 * curve.share, where="post", label=planner, **style)
+        if not any(comparison.reached(planner, cases, "t98")[0] for planner in comparison.planners):
+            # All curves are one line then.
+            axes.text(
+                0.5,
+                0.5,
+                "no planner did in any mission",
+                ha="center",
+                transform=axes.transAxes,
+                color=theme.soft,
+            )
         axes.set(xlim=(0, comparison.horizon), ylim=(0, 102), xlabel="steps", ylabel="%")
         _key(figure, axes, len(comparison.planners))
         return figure
@@ -259,14 +269,14 @@ def survival_curves(comparison: Comparison, cases: Sequence[Case], name: str, ti
         name,
         f"Time to 98.26 %, {title.lower()}",
         "Kaplan–Meier: share of missions that have not seen 98.26 % of the instances yet; what is left at "
-        "the right end never did. Bands, of the two fastest planners only: pointwise 95 % confidence.",
+        "the right end never did. Bands, of the two best ranked planners only: pointwise 95 % confidence.",
         draw,
     )
 
 
 def performance_profile(comparison: Comparison) -> Picture:
     """Share of missions within each ratio of the certified bound (Dolan and Moré 2002)."""
-    cases = [case for case in comparison.cases if comparison.limit(case, "t98")]
+    limits = {case: limit for case in comparison.cases if (limit := comparison.limit(case, "t98"))}
 
     def draw(theme: Theme) -> Figure:
         from matplotlib.ticker import FuncFormatter, NullFormatter
@@ -274,13 +284,13 @@ def performance_profile(comparison: Comparison) -> Picture:
         figure, axes = _axes(theme, "Missions within a multiple of the certified bound")
         most = 2.0
         for planner in comparison.planners:
-            flown = comparison.flown(planner, cases)
-            against = comparison.against("t98", "lower_bound")
-            ratios = sorted(
-                against(case, row)
+            flown = comparison.flown(planner, tuple(limits))
+            every = [
+                ratio(row, row.t98, limits[case].lower_bound, comparison.horizon)
                 for case, row in flown
-                if row.t98 is not None and row.t98 <= comparison.horizon and not row.collisions
-            )
+                if row.t98 is not None and row.t98 <= comparison.horizon
+            ]
+            ratios = sorted(value for value in every if not math.isnan(value))
             if not flown:
                 continue
             most = max([most, *ratios])
@@ -310,7 +320,7 @@ def performance_profile(comparison: Comparison) -> Picture:
         "profile",
         "Performance profile",
         "Share of missions that saw 98.26 % within x times the certified lower bound, over the "
-        f"{len(cases)} cases whose bound is known. A mission that never did, or that touched something, "
+        f"{len(limits)} cases whose bound is known. A mission that never did, or that touched something, "
         "stays out at every x. No planner can be left of 1.",
         draw,
     )
@@ -489,7 +499,7 @@ def sweep(comparisons: Mapping[float, Comparison]) -> Picture:
                 found = []
                 for reach in flown:
                     each = comparisons[reach]
-                    measure = each.time("t98") if mark == "t98" else _final
+                    measure = each.time("t98") if mark == "t98" else coverage_at_end
                     found.append(each.estimate(planner, each.cases, measure, limits=limits))
                 values = scale * np.array([each.value for each in found])
                 ends = scale * np.array([(each.value - each.low, each.high - each.value) for each in found]).T
@@ -517,7 +527,3 @@ def sweep(comparisons: Mapping[float, Comparison]) -> Picture:
         f"Mean over worlds with its 95 % interval; what was never reached counts as {horizon}.",
         draw,
     )
-
-
-def _final(case: Case, row: Any) -> float:
-    return float(row.instances)

@@ -24,7 +24,7 @@ from PIL import Image
 from dream.evaluation import figures, tables
 from dream.evaluation.figures import DARK, LIGHT, Picture, Scene
 from dream.evaluation.results import Results, read_results
-from dream.evaluation.tables import NONE, Comparison, Table, compare, label
+from dream.evaluation.tables import NONE, Comparison, Table, compare, label, number
 from dream.report import digest, fill
 
 JPEG_QUALITY = 72
@@ -108,8 +108,12 @@ def sections(results: Results, comparison: Comparison) -> list[Section]:
             Section(
                 "baselines",
                 "Against the best baseline",
-                "Every planner flew the same worlds from the same starts, so that planners are compared "
-                "world by world.",
+                (
+                    "Planners are compared world by world, over the cases that both of two have flown."
+                    if comparison.missing
+                    else "Every planner flew the same worlds from the same starts, so that planners are "
+                    "compared world by world."
+                ),
                 (against,),
             )
         )
@@ -137,7 +141,10 @@ def sections(results: Results, comparison: Comparison) -> list[Section]:
             "worlds",
             "World by world",
             "One world a line.",
-            (tables.world_table(comparison),),
+            (
+                tables.world_table(comparison),
+                *([tables.failure_table(comparison)] if comparison.failures else []),
+            ),
         )
     )
     return every
@@ -154,7 +161,6 @@ def details(comparison: Comparison) -> dict[str, list[Table]]:
 def run_table(results: Results, comparison: Comparison) -> Table:
     """What was flown, by which code, on which machine."""
     manifest = results.manifest
-    machine = manifest["machine"]
     libraries = [
         f"{name} {manifest[name]}" for name in ("python", "numpy", "numba", "scipy") if name in manifest
     ]
@@ -167,7 +173,10 @@ def run_table(results: Results, comparison: Comparison) -> Table:
     rows = [
         ("worlds", f"{manifest['suite']}: {len(comparison.cases)} cases"),
         ("protocol", ", ".join([comparison.protocol, *known, f"{comparison.horizon} steps at most"])),
-        ("missions", f"{len(comparison.rows)} of {len(comparison.rows) + comparison.missing}"),
+        (
+            "missions",
+            tables.what_is_missing(comparison) if comparison.missing else f"all {len(comparison.rows)}",
+        ),
         *(
             (
                 f"planner {name}",
@@ -179,9 +188,10 @@ def run_table(results: Results, comparison: Comparison) -> Table:
         ("source", str(manifest["source"])),
         ("libraries", ", ".join(libraries) or NONE),
         ("engine", str(manifest["engine"])),
-        (
-            "machine",
-            ", ".join(f"{key} {value}" for key, value in machine.items() if value is not None) or NONE,
+        ("machine", _machine(manifest["machine"])),
+        *(
+            ("later also", f"{later.get('engine')} on {_machine(later.get('machine'))}")
+            for later in manifest.get("later", [])
         ),
         ("started", str(manifest["started"])),
         ("finished", str(manifest["finished"] or "not yet")),
@@ -189,6 +199,11 @@ def run_table(results: Results, comparison: Comparison) -> Table:
         ("repeat with", repeating_command(manifest)),
     ]
     return Table("run", "What was run", ("", ""), tuple(rows), labels=2)
+
+
+def _machine(machine: Any) -> str:
+    known = machine.items() if isinstance(machine, dict) else ()
+    return ", ".join(f"{key} {value}" for key, value in known if value is not None) or NONE
 
 
 def _is_number(value: Any) -> bool:
@@ -213,10 +228,16 @@ def warnings(comparison: Comparison) -> list[str]:
     """What a reader must know before reading a number."""
     found = []
     if comparison.missing:
+        shared = len(comparison.shared(comparison.planners, comparison.cases))
+        order = (
+            f"Planners stand in order of the {shared} cases that all of them have flown"
+            if shared
+            else "No case was flown by all planners, so that they stand in no order"
+        )
         found.append(
-            f"Unfinished: {comparison.missing} of {comparison.missing + len(comparison.rows)} missions "
-            "are missing. Means of different planners are then over different worlds; only the paired "
-            "comparisons are not."
+            f"Unfinished: {tables.what_is_missing(comparison)}. Means of different planners are over "
+            f"different worlds and cannot be compared. {order}; a paired comparison is over the cases that "
+            "both have flown."
         )
     broken = tables.contradictions(comparison)
     if broken:
@@ -229,22 +250,47 @@ def warnings(comparison: Comparison) -> list[str]:
             f"No certified bound is known for {unknown} of {len(comparison.cases)} cases; ratios leave "
             "them out."
         )
+    limits = [comparison.limit(case, "t98") for case in comparison.cases]
+    tourless = sum(limit is not None and limit.best_tour is None for limit in limits)
+    if tourless:
+        found.append(
+            f"No tour to 98.26 % is known for {tourless} of {len(comparison.cases)} cases that have a bound; "
+            "ratios leave them out."
+        )
     return found
 
 
 def _verdict(comparison: Comparison) -> str:
     """The result in a few sentences, with what speaks against it."""
-    best, cases = comparison.ranked[0], comparison.cases
-    flown = comparison.flown(best, cases)
-    reached, count = comparison.reached(best, cases, "t98")
-    text = (
-        f"{best} is the fastest here: it reached 98.26 % of the instances in {reached} of {count} "
-        f"missions, after {_time(comparison, best)} steps on average where never counts as "
-        f"{comparison.horizon}, and succeeded in {sum(row.success for _, row in flown)}."
-    )
-    reference = tables.best_baseline(comparison, cases)
-    if reference is not None and reference != best:
-        difference = tables.difference(comparison, best, reference, cases)
+    if comparison.missing:
+        return (
+            f"No verdict: {tables.what_is_missing(comparison)}, and planners can only be ranked by what all "
+            "of them have flown."
+        )
+    standing = comparison.standing(comparison.planners, comparison.cases)
+    if not standing:
+        return "No verdict: nothing was to be flown."
+    if not any(comparison.reached(name, comparison.cases, "t98")[0] for name in standing):
+        return _verdict_by_coverage(comparison, standing)
+    best, (time, unseen) = next(iter(standing.items()))
+    equal = [name for name, (other, _) in standing.items() if other == time]
+    if len(equal) == 1:
+        flown = comparison.flown(best, comparison.cases)
+        reached, count = comparison.reached(best, comparison.cases, "t98")
+        what = f"{best} is the fastest here: it" if len(standing) > 1 else f"{best}, the only planner here,"
+        text = (
+            f"{what} reached 98.26 % of the instances in {reached} of {count} missions, after "
+            f"{_time(comparison, best)} steps on average where never counts as {comparison.horizon}, and "
+            f"succeeded in {sum(row.success for _, row in flown)}."
+        )
+    else:
+        text = (
+            f"{_listed(equal)} are equally fast here: {number(time)} steps to 98.26 % of the instances on "
+            f"average where never counts as {comparison.horizon}. {_tie(standing, equal, unseen)}"
+        )
+    reference = tables.best_baseline(comparison, comparison.cases)
+    if reference is not None and reference not in equal:
+        difference = tables.difference(comparison, best, reference, comparison.cases)
         text += (
             f" The best baseline, {reference}, takes {_time(comparison, reference)}; paired by world the "
             f"difference is {tables.with_interval(difference)} over {difference.count} worlds."
@@ -252,11 +298,57 @@ def _verdict(comparison: Comparison) -> str:
     return text
 
 
+def _tie(standing: Mapping[str, tuple[float, float]], equal: Sequence[str], unseen: float) -> str:
+    """How those that are equally fast are told apart."""
+    first = [name for name in equal if standing[name][1] == unseen]
+    if len(first) < len(equal):
+        saw = f"{number(1.0 - unseen, 2, scale=100)} % of the instances"
+        also = ", in the order of the benchmark" if len(first) > 1 else ""
+        stand = "stands" if len(first) == 1 else "stand"
+        return f"Of these, {_listed(first)} saw the most by the end, {saw}, and so {stand} first{also}."
+    return "They saw equally much by the end, so that they stand in the order of the benchmark."
+
+
+def _verdict_by_coverage(comparison: Comparison, standing: Mapping[str, tuple[float, float]]) -> str:
+    """The result where nobody reached the mark: how much was seen at the end instead."""
+    cases = comparison.cases
+    text = (
+        "None reached 98.26 % of the instances in any mission, so that none is the fastest. Judged by "
+        "coverage at the end instead, "
+    )
+    best, (_, unseen) = next(iter(standing.items()))
+    first = [name for name, (_, other) in standing.items() if other == unseen]
+    saw = f"{_coverage(comparison, best)} % of the instances on average"
+    if len(standing) == 1:
+        text += f"{best}, the only planner here, saw {saw}."
+    elif len(first) == 1:
+        text += f"{best} is the best here: it saw {saw}."
+    else:
+        text += f"{_listed(first)} are equal: each saw {saw}. They stand in the order of the benchmark."
+    reference = tables.best_baseline(comparison, cases)
+    if reference is not None and reference not in first:
+        found = tables.difference(comparison, best, reference, cases, measure=tables.coverage_at_end)
+        text += (
+            f" The best baseline, {reference}, saw {_coverage(comparison, reference)} %; paired by world the "
+            f"difference is {tables.with_interval(found, 2, scale=100)} points over {found.count} worlds."
+        )
+    return text
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
 def _time(comparison: Comparison, planner: str) -> str:
     limits = (0.0, float(comparison.horizon))
     return tables.with_interval(
         comparison.estimate(planner, comparison.cases, comparison.time("t98"), limits=limits)
     )
+
+
+def _coverage(comparison: Comparison, planner: str) -> str:
+    found = comparison.estimate(planner, comparison.cases, tables.coverage_at_end, limits=(0.0, 1.0))
+    return tables.with_interval(found, 2, scale=100)
 
 
 # ---- Markdown ----
@@ -424,17 +516,19 @@ def _details(comparison: Comparison) -> str:
 def _ways(scenes: Sequence[Scene], comparison: Comparison) -> str:
     """The ways of all planners over the worlds; each can be switched off, without a script."""
     names = [name for name in comparison.planners if any(name in scene.tracks for scene in scenes)]
-    switches, fastest = [], comparison.ranked[:SHOWN]
+    switches, first = [], comparison.ranked[:SHOWN]
     for name in names:
         k = comparison.planners.index(name)
-        switches.append(_switch(f"show{k}", _stroke(comparison, name), name, on=name in fastest))
+        switches.append(_switch(f"show{k}", _stroke(comparison, name), name, on=name in first))
     if any(scene.tour is not None for scene in scenes):
         switches.append(
             _switch("show-tour", ' stroke="currentColor" stroke-dasharray="5 4"', figures.TOUR, on=True)
         )
     cases = sum(any((case, name) in comparison.rows for name in names) for case in comparison.cases)
     some = f" {len(scenes)} of the {cases} cases, spread over the families." if len(scenes) < cases else ""
-    some += " Names switch planners on and off; at first the fastest are shown." if len(names) > SHOWN else ""
+    some += (
+        " Names switch planners on and off; at first the best ranked are shown." if len(names) > SHOWN else ""
+    )
     return (
         '<p class="lead">Where the planners went, seen from above: north is up, targets are coloured by '
         "group, obstacles grey. A ring where the mission began, a dot where it ended, a red cross where it "
@@ -474,8 +568,10 @@ def _map(scene: Scene, comparison: Comparison) -> str:
         'stroke-width="3"/>'
     )
     times = {name: comparison.rows[scene.case, name].t98 for name in scene.tracks}
-    fastest = min((t, name) for name, t in times.items() if t is not None) if any(times.values()) else None
-    outcome = f"{fastest[1]} {fastest[0]}" if fastest else "98.26 % never"
+    least = min((time for time in times.values() if time is not None), default=None)
+    fastest = [name for name, time in times.items() if time == least]
+    who = ", ".join(fastest) if len(fastest) <= 2 else f"{len(fastest)} planners"
+    outcome = "98.26 % never" if least is None else f"{who} {least}"
     name = html.escape(label(scene.case))
     return (
         f'<figure><svg viewBox="0 0 {size} {size}" role="img" aria-label="Trajectories in '

@@ -17,8 +17,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from dream.mission import LOOK_AROUND
-
 if TYPE_CHECKING:
     from dream.evaluation.oracle.bounds import Limit
     from dream.evaluation.results import Row
@@ -279,16 +277,21 @@ def holm(p_values: Sequence[float]) -> FloatArray:
     return adjusted
 
 
-def ratio(row: Row, time: int | None, steps: int | None, horizon: int) -> float:
-    """Steps to a mark over the steps of a bound or a tour; NaN where that is unknown or does not apply.
+def ratio(row: Row, time: int | None, steps: int, horizon: int) -> float:
+    """Steps to a mark over the steps of a bound or a tour; NaN where that does not apply.
 
-    A mark that was not reached counts as the horizon, so that the ratio is then a lower estimate; one that
-    was reached during the look-around counts as its end, as in the bounds. A mission that touched something
-    is left out: it was moved in a way that no tour may move.
+    Both count the look-around, and what it shows counts when it is seen: 0 to 3 steps, and 0 over 0 is 1. A
+    mark that was not reached counts as the horizon, so that the ratio is then a lower estimate; it has none
+    where the horizon comes before the bound or the tour ends, since then nobody could have reached it. A
+    mission that touched something is left out: it was moved in a way that no tour may move.
     """
-    if steps is None or row.collisions:
+    reached = time is not None and time <= horizon
+    if row.collisions or (not reached and horizon < steps):
         return math.nan
-    return (horizon if time is None else min(max(time, LOOK_AROUND), horizon)) / steps
+    taken = time if time is not None and reached else horizon
+    if steps == 0:
+        return 1.0 if taken == 0 else math.nan
+    return taken / steps
 
 
 def spl(row: Row, limit: Limit | None, horizon: int) -> float:
@@ -301,7 +304,7 @@ def spl(row: Row, limit: Limit | None, horizon: int) -> float:
         return math.nan
     if row.t98 is None or row.t98 > horizon or row.collisions:
         return 0.0
-    return limit.lower_bound / max(row.t98, limit.lower_bound)
+    return _of_bound(limit, row.t98)
 
 
 def soft_spl(row: Row, limit: Limit | None) -> float:
@@ -314,4 +317,9 @@ def soft_spl(row: Row, limit: Limit | None) -> float:
         return math.nan
     if row.collisions:
         return 0.0
-    return row.instances * limit.lower_bound / max(row.steps, limit.lower_bound)
+    return row.instances * _of_bound(limit, row.steps)
+
+
+def _of_bound(limit: Limit, steps: int) -> float:
+    """The bound over the steps, at most 1; 1 where the first look shows it all."""
+    return limit.lower_bound / max(steps, limit.lower_bound) if limit.lower_bound or steps else 1.0

@@ -29,7 +29,6 @@ from dream.evaluation.statistics import (
     spl,
 )
 from dream.evaluation.suites import REEF_FAMILIES, Case, family_of
-from dream.mission import LOOK_AROUND
 from dream.planning import PLANNERS
 
 if TYPE_CHECKING:
@@ -56,6 +55,11 @@ REEFS = (*REEF_FAMILIES, "letter")
 
 Measure = Callable[[Case, Row], float]
 """A number of one mission; NaN where it has none."""
+
+
+def coverage_at_end(_: Case, row: Row) -> float:
+    """Share of the instances that a mission has seen when it ends."""
+    return row.instances
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,17 +107,43 @@ class Comparison:
     protocol: str
     horizon: int
     """Steps that a mission had; an unreached mark counts as this many."""
+    failures: Mapping[tuple[Case, str], str]
+    """Missions that have no result because the last attempt failed, and why."""
 
     @property
     def missing(self) -> int:
-        """Missions that have not been flown yet."""
+        """Missions that have no result: those that failed, and those not yet flown."""
         return len(self.cases) * len(self.planners) - len(self.rows)
+
+    def shared(self, planners: Sequence[str], cases: Sequence[Case]) -> tuple[Case, ...]:
+        """The cases that all these planners have flown; one that has flown none of them is passed over."""
+        some = [name for name in planners if self.flown(name, cases)]
+        return tuple(case for case in cases if some and all((case, name) in self.rows for name in some))
+
+    def standing(self, planners: Sequence[str], cases: Sequence[Case]) -> dict[str, tuple[float, float]]:
+        """What planners are ranked by, the best first: mean time to 98.26 %, mean share unseen at the end.
+
+        Both are over those of the cases that all of them have flown, so that none gains by the worlds it
+        left out: empty where there is no such case. One that has flown none of the cases is not ranked.
+        What is equal stays in the order given.
+        """
+        shared = self.shared(planners, cases)
+        found = {}
+        for name in planners:
+            if not self.flown(name, shared):
+                continue
+            means = (
+                float(np.mean([*self.by_world(name, shared, measure).values()]))
+                for measure in (self.time("t98"), lambda case, row: 1.0 - coverage_at_end(case, row))
+            )
+            time, unseen = (round(value, 9) for value in means)  # Equal ones differ by rounding only.
+            found[name] = time, unseen
+        return dict(sorted(found.items(), key=lambda item: item[1]))
 
     @property
     def ranked(self) -> tuple[str, ...]:
-        """The planners, those with the shortest mean time to 98.26 % first."""
-        means = {name: self.estimate(name, self.cases, self.time("t98")).value for name in self.planners}
-        return tuple(sorted(self.planners, key=lambda name: (math.isnan(means[name]), means[name])))
+        """All planners, the fastest to 98.26 % first; see `standing`. Those that cannot be ranked last."""
+        return tuple(dict.fromkeys([*self.standing(self.planners, self.cases), *self.planners]))
 
     def flown(self, planner: str, cases: Sequence[Case]) -> list[tuple[Case, Row]]:
         """The finished missions of a planner, in the order of the cases."""
@@ -151,11 +181,20 @@ class Comparison:
         return steps
 
     def against(self, mark: str, which: str) -> Measure:
-        """Steps to `t98` or `t100` over the `lower_bound` or the `best_tour` for it."""
+        """Steps to `t98` or `t100` over the `lower_bound` or the `best_tour` for it.
+
+        Both ratios are of the same missions: of those that have both.
+        """
 
         def steps(case: Case, row: Row) -> float:
             limit = self.limit(case, mark)
-            return ratio(row, getattr(row, mark), getattr(limit, which) if limit else None, self.horizon)
+            if limit is None or limit.best_tour is None:
+                return math.nan
+            ratios = {
+                name: ratio(row, getattr(row, mark), length, self.horizon)
+                for name, length in (("lower_bound", limit.lower_bound), ("best_tour", limit.best_tour))
+            }
+            return math.nan if any(map(math.isnan, ratios.values())) else ratios[which]
 
         return steps
 
@@ -190,13 +229,25 @@ def compare(results: Results) -> Comparison:
     if type(cap) is not int or not 1 <= cap <= MAX_STEPS:
         raise ValueError(f"manifest.json: protocol.cap: expected 1 to {MAX_STEPS} steps, got {cap!r:.80}")
     asked = results.manifest["max_steps"]
+    planners = tuple(dict.fromkeys([*results.manifest["planners"], *(planner for _, planner in rows)]))
+    failures = {
+        (Case(str(entry["world"]), int(entry["seed"]), int(entry["start"])), str(entry["planner"])): str(
+            entry["error"]
+        )
+        for entry in results.manifest.get("failed", [])
+    }
     return Comparison(
-        planners=tuple(dict.fromkeys([*results.manifest["planners"], *(planner for _, planner in rows)])),
+        planners=planners,
         cases=tuple(cases),
         rows=rows,
         bounds=bounds,
         protocol=str(protocol.get("name")),
         horizon=cap if asked is None else min(cap, int(asked)),
+        failures={
+            (case, planner): error
+            for (case, planner), error in failures.items()
+            if case in cases and planner in planners and (case, planner) not in rows
+        },
     )
 
 
@@ -244,16 +295,20 @@ def baselines(planners: Iterable[str]) -> list[str]:
 
 
 def best_baseline(comparison: Comparison, cases: Sequence[Case]) -> str | None:
-    """The baseline with the shortest mean time to 98.26 % on these worlds.
+    """The first of the baselines on these cases; see `Comparison.standing`.
 
-    It is chosen on the same missions that it is then compared on, which favours it.
+    It is chosen on the same missions that it is then compared on, which favours it. None where there is no
+    baseline, or no case that all of them have flown.
     """
-    means = {
-        name: comparison.estimate(name, cases, comparison.time("t98")).value
-        for name in baselines(comparison.planners)
-    }
-    known = {name: value for name, value in means.items() if not math.isnan(value)}
-    return min(known, key=lambda name: known[name]) if known else None
+    return next(iter(comparison.standing(baselines(comparison.planners), cases)), None)
+
+
+def what_is_missing(comparison: Comparison) -> str:
+    """How many missions have no result, and why not."""
+    missing, failed = comparison.missing, len(comparison.failures)
+    every = missing + len(comparison.rows)
+    why = [f"{failed} failed"] * bool(failed) + [f"{missing - failed} not yet flown"] * (missing > failed)
+    return f"{missing} of {every} missions {'is' if missing == 1 else 'are'} missing ({', '.join(why)})"
 
 
 def contradictions(comparison: Comparison) -> list[str]:
@@ -262,7 +317,7 @@ def contradictions(comparison: Comparison) -> list[str]:
     for (case, planner), row in comparison.rows.items():
         for mark in ("t98", "t100"):
             limit, time = comparison.limit(case, mark), getattr(row, mark)
-            faster = limit and time is not None and max(time, LOOK_AROUND) < limit.lower_bound
+            faster = limit and time is not None and time < limit.lower_bound
             if limit and faster and not row.collisions:
                 found.append(
                     f"{planner} took {time} steps to {mark} in {label(case)}, below the bound "
@@ -325,6 +380,7 @@ def _time_cell(comparison: Comparison, planner: str, cases: Sequence[Case], mark
 def headline(comparison: Comparison, cases: Sequence[Case], title: str = "At a glance") -> Table:
     """The few numbers that matter most, best planner first."""
     reference = best_baseline(comparison, cases)
+    incomplete = any((case, name) not in comparison.rows for case in cases for name in comparison.planners)
     rows = []
     for planner in comparison.ranked:
         t98 = comparison.time("t98")
@@ -332,6 +388,7 @@ def headline(comparison: Comparison, cases: Sequence[Case], title: str = "At a g
         rows.append(
             (
                 planner,
+                *([f"{len(comparison.flown(planner, cases))}/{len(cases)}"] if incomplete else []),
                 _success(comparison, planner, cases),
                 with_interval(comparison.estimate(planner, cases, t98, limits=cap)),
                 with_interval(
@@ -350,6 +407,7 @@ def headline(comparison: Comparison, cases: Sequence[Case], title: str = "At a g
         f"{title}: {_worlds(cases)}",
         (
             "planner",
+            *(["flown"] if incomplete else []),
             "success",
             "t98, mean",
             "t98, IQM",
@@ -365,6 +423,7 @@ def headline(comparison: Comparison, cases: Sequence[Case], title: str = "At a g
             f"A time that was never reached counts as {comparison.horizon} steps. In parentheses: 95 % "
             "intervals over worlds (stratified by family, paired; Wilson's for shares). Success: stopped "
             "by itself with at least 98.26 % of the instances and no collision.",
+            _ratio_note(comparison),
         ),
     )
 
@@ -376,8 +435,27 @@ def _worlds(cases: Sequence[Case]) -> str:
 
 
 def _ratio_cell(comparison: Comparison, planner: str, cases: Sequence[Case], mark: str, which: str) -> str:
+    """A mean ratio, marked where missions in it never reached the mark, and how many did."""
     found = comparison.estimate(planner, cases, comparison.against(mark, which))
-    return f"{with_interval(found, 2)} · {found.count}" if found.count else NONE
+    reached, counted = _counted(comparison, planner, cases, mark)
+    least = "≥ " if reached < counted else ""
+    return f"{least}{with_interval(found, 2)} · {reached}/{counted}" if counted else NONE
+
+
+def _counted(comparison: Comparison, planner: str, cases: Sequence[Case], mark: str) -> tuple[int, int]:
+    """Of the missions that have ratios, those that reached the mark; and all."""
+    ratio_of = comparison.against(mark, "best_tour")
+    counted = [case for case, row in comparison.flown(planner, cases) if not math.isnan(ratio_of(case, row))]
+    return comparison.reached(planner, counted, mark)
+
+
+def _ratio_note(comparison: Comparison) -> str:
+    return (
+        "Ratios are means over the missions without a collision in worlds whose bound and tour are both "
+        "known; after the dot, how many of these reached the mark. ≥ stands where some did not: they count "
+        f"as {comparison.horizon} steps, so that the mean and its interval are too low. A mission that was "
+        "cut before even the tour ends, and did not reach the mark, is left out."
+    )
 
 
 def _improvement_cell(
@@ -394,32 +472,46 @@ def _improvement(ours: FloatArray, theirs: FloatArray) -> str:
 
 
 def _pairs(
-    comparison: Comparison, planner: str, reference: str, cases: Sequence[Case]
+    comparison: Comparison,
+    planner: str,
+    reference: str,
+    cases: Sequence[Case],
+    measure: Measure | None = None,
 ) -> tuple[FloatArray, FloatArray, list[str]]:
-    """Times to 98.26 % of two planners in the worlds that both have flown, and the families of these."""
-    ours = comparison.by_world(planner, cases, comparison.time("t98"))
-    theirs = comparison.by_world(reference, cases, comparison.time("t98"))
-    both = [world for world in ours if world in theirs]
-    return (
-        np.array([ours[world] for world in both]),
-        np.array([theirs[world] for world in both]),
-        list(map(_family, both)),
-    )
+    """A measure of two planners by world, over the cases that both have flown, and the worlds' families.
+
+    Of the time to 98.26 % unless another is given.
+    """
+    measure = comparison.time("t98") if measure is None else measure
+    both = [case for case in cases if all((case, name) in comparison.rows for name in (planner, reference))]
+    ours, theirs = (comparison.by_world(name, both, measure) for name in (planner, reference))
+    return np.array([*ours.values()]), np.array([*theirs.values()]), list(map(_family, ours))
 
 
-def difference(comparison: Comparison, planner: str, reference: str, cases: Sequence[Case]) -> Interval:
-    """Mean of the time to 98.26 % minus the other's, paired by world; below 0 where the planner is faster."""
-    ours, theirs, strata = _pairs(comparison, planner, reference, cases)
+def difference(
+    comparison: Comparison,
+    planner: str,
+    reference: str,
+    cases: Sequence[Case],
+    *,
+    measure: Measure | None = None,
+) -> Interval:
+    """Mean of a measure minus the other planner's, paired by world.
+
+    Of the time to 98.26 % unless another is given; then below 0 where the planner is faster.
+    """
+    ours, theirs, strata = _pairs(comparison, planner, reference, cases, measure)
     return interval(ours - theirs, strata, mean)
 
 
 def against_the_best_baseline(comparison: Comparison) -> Table:
-    """Paired by world: difference, probability of improvement, p-values with Holm's correction."""
-    lines: list[tuple[str, str, str, str, str, str]] = []
-    p_values: list[float] = []
+    """Paired by world: difference, probability of improvement, p-values with Holm's correction by block."""
+    rows: list[tuple[str, ...]] = []
     for title, cases in groups(comparison).items():
         if title not in ("All worlds", "Reefs together", FAMILIES["wreck"]):
             continue
+        lines: list[tuple[str, ...]] = []
+        p_values: list[float] = []
         reference = best_baseline(comparison, cases)
         for planner in comparison.ranked:
             if reference is None or planner == reference:
@@ -438,7 +530,7 @@ def against_the_best_baseline(comparison: Comparison) -> Table:
                 )
             )
             p_values.append(paired_p_value(ours, theirs))
-    adjusted = holm(p_values)
+        rows += [(*line, _p(p), _p(q)) for line, p, q in zip(lines, p_values, holm(p_values), strict=True)]
     return Table(
         "comparison",
         "Against the best baseline, world by world",
@@ -452,12 +544,14 @@ def against_the_best_baseline(comparison: Comparison) -> Table:
             "p",
             "p, Holm",
         ),
-        tuple((*line, _p(p), _p(q)) for line, p, q in zip(lines, p_values, adjusted, strict=True)),
+        tuple(rows),
         (
-            "The best baseline is the one with the shortest mean t98 on the same worlds, chosen "
-            "afterwards, which favours it. P(better): share of worlds with the smaller t98, ties count "
-            "half; Wilson's interval. p: two-sided exchange test of the paired mean difference; Holm's "
-            f"correction over the {len(lines)} lines.",
+            "The best baseline of a block is the one with the shortest mean t98 on the worlds that all "
+            "baselines have flown, the one that has seen more at the end where these are equal. It is chosen "
+            "afterwards, which favours it. P(better): share of worlds with the smaller t98, ties count half; "
+            "Wilson's interval. p: two-sided exchange test of the paired mean difference, with Holm's "
+            "correction over the planners of a block. The blocks are separate families of tests, though they "
+            "share worlds: nothing corrects for their number.",
         ),
         labels=3,
     )
@@ -551,9 +645,10 @@ def efficiency(comparison: Comparison, title: str, cases: Sequence[Case]) -> Tab
         ),
         tuple(rows),
         (
-            "The fewest steps possible lie between the certified lower bound and the best known tour, so "
-            "the true ratio lies between the two columns. Missions with a collision are left out (the "
-            "number after the dot counts the worlds that remain); a mark never reached counts as the cap. "
+            _ratio_note(comparison),
+            "The fewest steps possible lie between the certified lower bound and the best known tour. So the "
+            "ratio to them lies between the two columns where all reached the mark; where some did not, the "
+            "column of the tour is still a lower estimate of it, and nothing bounds it from above.",
             "SPL: mean of 1[98.26 % reached] · bound ÷ max(t98, bound). Soft SPL: final share · bound ÷ "
             "max(steps flown, bound). Both against the certified bound for 98.26 %, 0 with a collision.",
         ),
@@ -642,7 +737,12 @@ def by_family(comparison: Comparison) -> list[Table]:
             comparison.estimate(planner, cases, comparison.against("t98", which))
             for which in ("best_tour", "lower_bound")
         )
-        return f"{number(low.value, 2)} … {number(high.value, 2)} · {high.count}" if high.count else NONE
+        reached, counted = _counted(comparison, planner, cases, "t98")
+        if not counted:
+            return NONE
+        # Nothing bounds the ratio from above where a mark was not reached.
+        ends = [number(end.value, 2) for end in (low, high)]
+        return f"{' … '.join(ends) if reached == counted else f'≥ {ends[0]}'} · {reached}/{counted}"
 
     return [
         table(
@@ -668,7 +768,8 @@ def by_family(comparison: Comparison) -> list[Table]:
         table(
             "ratio-by-family",
             "Times the fewest possible steps to 98.26 %, by family",
-            "To the best known tour … to the certified lower bound · worlds; the truth lies between the two.",
+            "To the best known tour … to the certified lower bound; the truth lies between the two. "
+            "Where not all reached the mark, only the lower end is known. " + _ratio_note(comparison),
             far,
         ),
     ]
@@ -803,7 +904,7 @@ def world_table(comparison: Comparison) -> Table:
     def cell(case: Case, planner: str) -> str:
         row = comparison.rows.get((case, planner))
         if row is None:
-            return "missing"
+            return "failed" if (case, planner) in comparison.failures else "not yet flown"
         mark = f" ×{row.collisions}" if row.collisions else ""
         return (str(row.t98) if row.t98 is not None else f"never, {100 * row.instances:.1f} %") + mark
 
@@ -814,6 +915,33 @@ def world_table(comparison: Comparison) -> Table:
         tuple((label(case), *(cell(case, planner) for planner in planners)) for case in comparison.cases),
         ("Never: with the share of the instances seen at the end. ×n: n collisions.",),
     )
+
+
+def failure_table(comparison: Comparison) -> Table:
+    """Which missions failed, and why; equal errors of a planner together."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for (case, planner), error in comparison.failures.items():
+        found.setdefault((planner, error), []).append(label(case))
+    return Table(
+        "failures",
+        "Missions that failed",
+        ("planner", "error", "worlds", "missions"),
+        tuple(
+            (planner, _shortened(error), _some(worlds), str(len(worlds)))
+            for (planner, error), worlds in found.items()
+        ),
+        ("As of the last attempt. They have no result and count nowhere: neither as 0 nor as the cap.",),
+        labels=3,
+    )
+
+
+def _shortened(text: str, most: int = 300) -> str:
+    text = " ".join(text.split())
+    return text if len(text) <= most else f"{text[: most - 1]}…"
+
+
+def _some(names: Sequence[str], most: int = 5) -> str:
+    return ", ".join(names) if len(names) <= most else f"{', '.join(names[:most])} and others"
 
 
 def sweep_table(comparisons: Mapping[float, Comparison]) -> Table:
@@ -872,11 +1000,18 @@ def print_summary(results: Results, console: Console) -> None:
                 number(_share(comparison, planner, cases, "instances").value, 2, scale=100),
                 f"{sum(row.success for _, row in flown)}/{len(flown)}",
                 str(sum(row.collisions for _, row in flown)),
-                number(
-                    comparison.estimate(planner, cases, comparison.against("t98", "lower_bound")).value, 2
-                ),
+                _ratio_of_bound(comparison, planner, cases),
             )
         table.add_section()
     console.print(table)
     if comparison.missing:
-        console.print(f"{comparison.missing} missions are missing; the means are over those that were flown.")
+        console.print(
+            f"{what_is_missing(comparison)}; the means are over those that were flown, so that they "
+            "cannot be compared."
+        )
+
+
+def _ratio_of_bound(comparison: Comparison, planner: str, cases: Sequence[Case]) -> str:
+    value = comparison.estimate(planner, cases, comparison.against("t98", "lower_bound")).value
+    reached, counted = _counted(comparison, planner, cases, "t98")
+    return ("≥ " if reached < counted else "") + number(value, 2)
