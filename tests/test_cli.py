@@ -6,11 +6,17 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from dream.cli import COMMANDS, run_command
+from dream.evaluation.locks import alone_at
+from dream.evaluation.oracle import bounds as bounds_module
+from dream.evaluation.oracle.bounds import Bounds
 from dream.evaluation.suites import SUITES, Case
 from dream.robots import Teleport
 from dream.types import Arrival, Setpoint
@@ -20,6 +26,9 @@ SUMMARY_KEYS = {
     *("t90", "t95", "t98", "t100", "coverage", "collisions", "distance_m", "turns", "min_clearance_m"),
     *("planner_ms", "wall_s", "vlm", "success"),
 }
+
+MADE_UP = {"lower_bound": 4, "best_tour": 4, "status": "optimal", "tour": [0]}
+"""Of a world that shows all there is at the first look."""
 
 
 def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
@@ -73,6 +82,8 @@ def test_help_imports_nothing_heavy() -> None:
             "--world: expected a world or a suite, got reef/L and paper",
         ),
         (["oracle", "paper", "--picture", "tour.png"], "--picture: expected one world"),
+        (["oracle", "paper", "--out", "/dev/null/a"], "--out: expected a place that can be written, got"),
+        (["oracle", "paper", "--out", "/"], "--out: expected a file, got the folder /"),
         (["oracle", "paper", "--check", "--out", "nowhere.jsonl"], "nowhere.jsonl"),
         (["oracle", "--traces", "nowhere"], "nowhere"),
         (["report", "nowhere"], "nowhere"),
@@ -81,7 +92,7 @@ def test_help_imports_nothing_heavy() -> None:
         (["run", "random", "--walk-seed", "-1"], "walk_seed: expected 0 to"),
         (["run", "--protocol", "pool-v1"], "reef/string is made for dream-v1"),
         (["bench", "paper", "--jobs", "0"], "--jobs: expected at least 1, got 0"),
-        (["bench", "paper", "--max-steps", "0"], "--max-steps: expected at least 1, got 0"),
+        (["bench", "paper", "--max-steps", "0"], "--max-steps: expected 1 to 200"),
         (["bench", "paper", "--planners"], "--planners: expected one or more of"),
         (["bench", "paper", "--planners", "random", "random"], "--planners: expected each once"),
         (["bench", "paper", "--world", "reef/L"], "expected a suite or --world, got both: paper and --world"),
@@ -204,10 +215,14 @@ def test_oracle_keeps_the_bounds_of_a_suite_and_checks_them(
     lines = out.read_text().splitlines()
     assert [json.loads(line)["seed"] for line in lines] == [1, 2]
 
-    out.write_text(lines[0] + "\n")
+    # Of another world: it must be neither told nor kept.
+    stale = json.loads(lines[1]) | {"world_hash": "0" * 64} | MADE_UP
+    out.write_text(lines[0] + "\n" + json.dumps(stale) + "\n")
     assert run_command(search) == 0
-    assert out.read_text().splitlines()[0] == lines[0]
-    assert len(out.read_text().splitlines()) == 2
+    assert [world["best_tour"] for world in json.loads(capsys.readouterr().out)["worlds"]] == [0, 0]
+    after = out.read_text().splitlines()
+    assert after[0] == lines[0]
+    assert json.loads(after[1]) | {"cpu_s": 0.0} == json.loads(lines[1]) | {"cpu_s": 0.0}
     written = out.stat().st_ino
     assert run_command([*search, "--again"]) == 0
     assert out.stat().st_ino == written, "nothing was left to search"
@@ -215,11 +230,95 @@ def test_oracle_keeps_the_bounds_of_a_suite_and_checks_them(
     capsys.readouterr()
     assert run_command(["oracle", "empty", "--check", "--out", str(out)]) == 0
     assert capsys.readouterr().out == "flat/empty 1: holds\nflat/empty 2: holds\n"
-    wrong = json.loads(lines[0]) | {"countable": 7}
-    out.write_text(json.dumps(wrong) + "\n")
-    assert run_command(["oracle", "empty", "--check", "--out", str(out)]) == 1
+
+
+def test_oracle_names_the_worlds_of_a_suite_that_fail_and_searches_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(SUITES, "empty", (Case("flat/empty", 1),))
+    out = tmp_path / "new" / "empty.jsonl"
+    search = ["oracle", "empty", "--out", str(out), "--json", "--budget", "0"]
+    assert run_command(search) == 0
+    (line,) = out.read_text().splitlines()
+    wrong = json.dumps(json.loads(line) | MADE_UP)
+    out.write_text(wrong + "\n")
+    # A tour that cannot be flown, a start that is none, and one without a fault.
+    cases = (Case("flat/empty", 1), Case("flat/empty", 2, start=99), Case("flat/empty", 3))
+    monkeypatch.setitem(SUITES, "empty", cases)
+    capsys.readouterr()
+    assert run_command(search) == 1
+    printed = capsys.readouterr()
+    assert [world["seed"] for world in json.loads(printed.out)["worlds"]] == [3]
+    (complaint,) = printed.err.splitlines()
+    assert "2 of 3 worlds failed: flat/empty 1: tour to 100 %: expected it at step 4, got 0; " in complaint
+    assert "flat/empty 2: start: expected 0 to" in complaint
+    assert [json.loads(line)["seed"] for line in out.read_text().splitlines()] == [1, 3]
+
+
+def test_a_check_of_the_bounds_of_a_suite_fails_where_one_is_missing_or_does_not_hold(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(SUITES, "empty", (Case("flat/empty", 1), Case("flat/empty", 2)))
+    monkeypatch.setattr("dream.evaluation.oracle.bounds.every_known", dict)
+    assert run_command(["oracle", "empty", "--check"]) == 1
     printed = capsys.readouterr().out
-    assert printed == "flat/empty 1: countable: expected 0, got 7\nflat/empty 2: not known\n"
+    assert printed == "flat/empty 1: no bounds are known\nflat/empty 2: no bounds are known\n"
+
+    assert run_command(["oracle", "--world", "flat/empty", "--budget", "0", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    line = found | {"tour": [], "tour_t98": [], "witnesses": [], "witnesses_t98": []}
+    good = Bounds.from_dict(line)
+    stale = replace(good, seed=2, world_hash="0" * 64)
+    many = replace(good, countable=7)
+    for bounds, verdict in (good, "holds"), (many, "countable: expected 0, got 7"):
+        known = {b.key: b for b in (bounds, stale)}
+        monkeypatch.setattr("dream.evaluation.oracle.bounds.every_known", lambda known=known: known)
+        assert run_command(["oracle", "empty", "--check"]) == 1
+        first, second = capsys.readouterr().out.splitlines()
+        assert first == f"flat/empty 1: {verdict}"
+        assert second.startswith("flat/empty 2: world_hash: expected ")
+
+
+def test_oracle_flies_its_tours_before_it_tells_them(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tighten = bounds_module.tighten
+
+    def made_up(*arguments: Any, **options: Any) -> Iterator[Bounds]:
+        for found in tighten(*arguments, **options):
+            yield Bounds.from_dict(found.as_dict() | MADE_UP)
+
+    monkeypatch.setattr(bounds_module, "tighten", made_up)
+    assert run_command(["oracle", "--world", "flat/empty", "--budget", "0"]) == 1
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err == "dream: flat/empty 1: tour to 100 %: expected it at step 4, got 0\n"
+
+
+def test_an_interrupted_search_tells_what_it_found(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tighten = bounds_module.tighten
+
+    def interrupted(*arguments: Any, **options: Any) -> Iterator[Bounds]:
+        yield from tighten(*arguments, **options)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(bounds_module, "tighten", interrupted)
+    assert run_command(["oracle", "--world", "flat/empty", "--budget", "0", "--json"]) == 1
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["best_tour"] == 0
+    assert printed.err == "dream: interrupted\n"
+
+
+def test_two_searches_of_a_suite_do_not_share_a_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "paper.jsonl"
+    with alone_at(out, tmp_path / ".paper.jsonl.lock"):
+        assert run_command(["oracle", "paper", "--out", str(out), "--budget", "0"]) == 2
+    assert "expected that no other process writes here" in capsys.readouterr().err
+    assert not out.exists()
 
 
 @pytest.mark.slow

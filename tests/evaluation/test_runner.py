@@ -291,7 +291,7 @@ def test_missions_of_unknown_make_are_refused(tmp_path: Path) -> None:
 def test_two_benchmarks_do_not_share_a_folder(tmp_path: Path) -> None:
     first = fly_plan(plan(FLAT[:1]), tmp_path, Here())
     next(first)
-    with pytest.raises(ValueError, match="expected that no other benchmark writes here"):
+    with pytest.raises(ValueError, match="expected that no other process writes here"):
         bench(plan(FLAT[:1]), tmp_path)
     first.close()
     assert len(bench(plan(FLAT[:1]), tmp_path)) == 2

@@ -10,6 +10,7 @@ import pytest
 from dream.control import setpoint
 from dream.geometry import SE2, SE3
 from dream.protocol import DREAM_V1, POOL_V1, PROTOCOLS, SurveyProtocol
+from dream.sim import _kernels
 from dream.sim import visibility as visibility_module
 from dream.sim.render import Renderer
 from dream.sim.solids import Solids
@@ -168,7 +169,7 @@ def test_countable_looks_from_the_very_poses_that_a_vehicle_has(
         looked.append(np.column_stack([[f(yaw) for yaw in poses[:, 2]] for f in (math.cos, math.sin)]))
         return np.zeros(len(poses), np.bool_)
 
-    monkeypatch.setattr(visibility_module._kernels, "seen_from_lattice", lattice_kernel)
+    monkeypatch.setattr(_kernels, "seen_from_lattice", lattice_kernel)
     monkeypatch.setattr(visibility_module, "traversed", in_the_pool)
     assert watch([[1.0, 0.0, FLOOR + 0.05]], protocol=protocol).countable.shape == (1,)
     expected = {(math.cos(yaw), math.sin(yaw)) for yaw in flown}

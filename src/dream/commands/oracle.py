@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from dream.evaluation.suites import Case
     from dream.sim.world import World
 
+Key = tuple[str, str, int, int]
+"""What `Bounds.key` gives."""
 DEFAULT_WORLD = "reef/string"
 
 
@@ -61,12 +64,12 @@ class Oracle:
     again: bool = False
     """Search on also where a suite's world has bounds with a gap already."""
     check: bool = False
-    """Do not search: fly all kept tours and certify all kept bounds of the suite again."""
+    """Do not search: fly all kept tours and certify all kept bounds of the suite again. All must be there."""
     json: bool = False
     """Print one JSON object and nothing else."""
 
     def __call__(self) -> int:
-        """Exit status 0; 1 where a check failed."""
+        """Exit status 0; 1 where a search or a check failed."""
         if not 0.0 <= self.budget <= 1e6:
             raise ValueError(f"--budget: expected 0 to 1000000 seconds, got {self.budget:g}")
         if self.jobs < 1:
@@ -80,8 +83,9 @@ class Oracle:
         return self._check_all() if self.check else self._all()
 
     def _one(self) -> int:
-        from dream.evaluation.oracle.bounds import known_bounds, tighten, walks_of
+        from dream.evaluation.oracle.bounds import drive, known_bounds, tighten, walks_of
         from dream.sim.files import world_hash
+        from dream.sim.visibility import Visibility
 
         for name in ("out", "check", "again"):
             if getattr(self, name):
@@ -92,7 +96,8 @@ class Oracle:
         known = known_bounds(protocol.name, world.name, world.seed, self.start, world_hash(world))
         results = _results(self.traces)
         key = (protocol.name, world.name, world.seed, self.start)
-        found = _last(
+        visibility = Visibility(world, protocol)
+        found, interrupted = _last(
             tighten(
                 world,
                 protocol,
@@ -100,30 +105,45 @@ class Oracle:
                 budget_s=self.budget,
                 known=known,
                 hints=None if results is None else walks_of(results, key),
+                visibility=visibility,
             )
         )
+        try:
+            drive(found, world, visibility=visibility)
+        except ValueError as error:
+            raise MissionAborted(f"{world.name} {world.seed}: {error}") from error
         if self.picture is not None:
             _draw(found, world, protocol, self.picture)
         if self.json:
             print_json(found.summary())
         else:
             _print_one(found, self.picture)
+        if interrupted:
+            raise KeyboardInterrupt
         return 0
 
     def _all(self) -> int:
+        from dream.evaluation.locks import alone_at
         from dream.evaluation.oracle.bounds import read_bounds, write_bounds
         from dream.evaluation.suites import suite_named
 
         cases = suite_named(self.suite or "")
         out = self.out or Path(f"{self.suite}.jsonl")
-        kept = {bounds.key: bounds for bounds in read_bounds(out)} if out.is_file() else {}
-        keys = {self._key(case): case for case in cases}
-        due = [case for key, case in keys.items() if self._is_due(kept.get(key))]
-        for case, bounds in with_progress(self._search(due, kept), str(self.suite), len(due)):
-            kept[self._key(case)] = bounds
-            ordered = [kept[key] for key in keys if key in kept]
-            write_bounds(out, ordered + [kept[key] for key in kept if key not in keys])
-        found = [kept[key] for key in keys]
+        if out.is_dir():
+            raise ValueError(f"--out: expected a file, got the folder {out}")
+        failed: dict[Key, str] = {}
+        with alone_at(out, out.with_name(f".{out.name}.lock")):
+            kept = {bounds.key: bounds for bounds in read_bounds(out)} if out.is_file() else {}
+            keys = {self._key(case): case for case in cases}
+            for case, bounds in with_progress(self._search(cases, kept), str(self.suite), len(cases)):
+                key = self._key(case)
+                if isinstance(bounds, str):
+                    failed[key] = bounds
+                elif bounds != kept.get(key):
+                    kept[key] = bounds
+                    ordered = [kept[key] for key in keys if key in kept]
+                    write_bounds(out, ordered + [kept[key] for key in kept if key not in keys])
+        found = [kept[key] for key in keys if key not in failed]
         if self.json:
             print_json(
                 {"suite": self.suite, "out": str(out), "worlds": [bounds.summary() for bounds in found]}
@@ -131,19 +151,20 @@ class Oracle:
         else:
             _print_table(found)
             print(out)
+        if failed:
+            each = "; ".join(
+                f"{keys[key].world} {keys[key].seed}: {failed[key]}" for key in keys if key in failed
+            )
+            raise MissionAborted(f"{len(failed)} of {len(keys)} worlds failed: {each}")
         return 0
 
-    def _key(self, case: Case) -> tuple[str, str, int, int]:
+    def _key(self, case: Case) -> Key:
         return self.protocol or "dream-v1", case.world, case.seed, case.start
 
-    def _is_due(self, bounds: Bounds | None) -> bool:
-        if bounds is None:
-            return True
-        return self.again and "gap" in (bounds.full.status, bounds.t98.status)
-
     def _search(
-        self, cases: Sequence[Case], kept: dict[tuple[str, str, int, int], Bounds]
-    ) -> Iterator[tuple[Case, Bounds]]:
+        self, cases: Sequence[Case], kept: Mapping[Key, Bounds]
+    ) -> Iterator[tuple[Case, Bounds | str]]:
+        """Each case with its bounds, or with what was wrong, in the order in which they end."""
         if not cases:
             return
         protocol = protocol_named(self.protocol or "dream-v1")
@@ -153,13 +174,24 @@ class Oracle:
         with ProcessPoolExecutor(min(self.jobs, len(cases)), mp_context=context) as pool:
             running = {
                 pool.submit(
-                    _search_case, case, protocol.name, self.budget, kept.get(self._key(case)), results
+                    _search_case,
+                    case,
+                    protocol.name,
+                    self.budget,
+                    kept.get(self._key(case)),
+                    results,
+                    again=self.again,
                 ): case
                 for case in cases
             }
             try:
                 for future in as_completed(running):
-                    yield running[future], future.result()
+                    found: Bounds | str
+                    try:
+                        found = future.result()
+                    except ValueError as error:
+                        found = str(error)
+                    yield running[future], found
             except BrokenProcessPool as error:
                 raise MissionAborted(
                     "a search was killed, perhaps for want of memory; what others found is kept. "
@@ -169,22 +201,20 @@ class Oracle:
                 pool.shutdown(wait=True, cancel_futures=True)
 
     def _check_all(self) -> int:
-        from dream.evaluation.oracle.bounds import check, known_bounds, read_bounds
+        from dream.evaluation.oracle.bounds import check, every_known, read_bounds
         from dream.evaluation.suites import suite_named
-        from dream.sim.files import world_hash
         from dream.sim.worlds import make_world
 
         cases = suite_named(self.suite or "")
-        kept = None if self.out is None else {bounds.key: bounds for bounds in read_bounds(self.out)}
+        # Whether the world is today's is for the check to say, so the hash does not choose here.
+        kept = every_known() if self.out is None else {b.key: b for b in read_bounds(self.out)}
         outcomes: list[dict[str, Any]] = []
         for case in with_progress(iter(cases), f"checking {self.suite}", len(cases)):
-            world = make_world(case.world, case.seed)
-            key = self._key(case)
-            bounds = known_bounds(*key, world_hash(world)) if kept is None else kept.get(key)
-            wrong = ""
+            bounds = kept.get(self._key(case))
+            wrong = "" if bounds is not None else "no bounds are known"
             if bounds is not None:
                 try:
-                    check(bounds, world)
+                    check(bounds, make_world(case.world, case.seed))
                 except ValueError as error:
                     wrong = str(error)
             outcomes.append(
@@ -196,33 +226,50 @@ class Oracle:
             print_json({"suite": self.suite, "failed": len(failed), "worlds": outcomes})
         else:
             for outcome in outcomes:
-                verdict = outcome["wrong"] or ("holds" if outcome["known"] else "not known")
-                print(f"{outcome['world']} {outcome['seed']}: {verdict}")
+                print(f"{outcome['world']} {outcome['seed']}: {outcome['wrong'] or 'holds'}")
         return 1 if failed else 0
 
 
 def _search_case(
-    case: Case, protocol: str, budget_s: float, kept: Bounds | None, results: Results | None
+    case: Case,
+    protocol: str,
+    budget_s: float,
+    kept: Bounds | None,
+    results: Results | None,
+    *,
+    again: bool,
 ) -> Bounds:
-    from dream.evaluation.oracle.bounds import bound, known_bounds, walks_of
+    """The bounds of a case, its tours flown: those kept, where they are of this very world and will do."""
+    from dream.evaluation.oracle.bounds import bound, drive, known_bounds, walks_of
     from dream.sim.files import world_hash
+    from dream.sim.visibility import Visibility
     from dream.sim.worlds import make_world
 
     world = make_world(case.world, case.seed)
+    rules = protocol_named(protocol)
+    visibility = Visibility(world, rules)
     key = (protocol, case.world, case.seed, case.start)
     digest = world_hash(world)
-    if kept is None or kept.world_hash != digest:
-        kept = known_bounds(*key, digest)
-    return bound(
-        world,
-        protocol_named(protocol),
-        start=case.start,
-        budget_s=budget_s,
-        known=kept,
-        hints=None if results is None else walks_of(results, key),
-        # A search that goes on must not try the same again.
-        seed=0 if kept is None else round(10.0 * kept.cpu_s),
-    )
+    if kept is not None and kept.world_hash != digest:
+        kept = None
+    gap = kept is None or "gap" in (kept.full.status, kept.t98.status)
+    if kept is None or (again and gap):
+        kept = kept or known_bounds(*key, digest)
+        found = bound(
+            world,
+            rules,
+            start=case.start,
+            budget_s=budget_s,
+            known=kept,
+            hints=None if results is None else walks_of(results, key),
+            # A search that goes on must not try the same again.
+            seed=0 if kept is None else round(10.0 * kept.cpu_s),
+            visibility=visibility,
+        )
+    else:
+        found = kept
+    drive(found, world, visibility=visibility)
+    return found
 
 
 def _results(folder: Path | None) -> Results | None:
@@ -231,19 +278,23 @@ def _results(folder: Path | None) -> Results | None:
     return None if folder is None else read_results(folder)
 
 
-def _last(states: Iterator[Bounds]) -> Bounds:
-    """The last of some bounds; what is known so far stands on standard error where that is a terminal."""
+def _last(states: Iterator[Bounds]) -> tuple[Bounds, bool]:
+    """The last of some bounds, and whether the user ended them; they stand on standard error meanwhile.
+
+    Only where that is a terminal.
+    """
     from rich.console import Console
 
     console = Console(stderr=True)
     found = next(states)
-    if not console.is_terminal:
-        *_, found = found, *states
-        return found
-    with console.status(_line(found)) as status:
-        for found in states:
-            status.update(_line(found))
-    return found
+    with console.status(_line(found)) if console.is_terminal else contextlib.nullcontext() as status:
+        try:
+            for found in states:
+                if status is not None:
+                    status.update(_line(found))
+        except KeyboardInterrupt:
+            return found, True
+    return found, False
 
 
 def _line(bounds: Bounds) -> str:

@@ -21,6 +21,7 @@ import numpy as np
 from dream import __version__, recording
 from dream.evaluation import machine
 from dream.evaluation.engines import Engine, Failure
+from dream.evaluation.locks import alone_at
 from dream.evaluation.metrics import Scorer, curve
 from dream.evaluation.results import (
     Flown,
@@ -327,7 +328,7 @@ def fly_plan(plan: Plan, folder: Path, engine: Engine) -> Generator[Ended, None,
     """
     began = time.perf_counter()
     check_fits(make_world(plan.cases[0].world, plan.cases[0].seed), plan.protocol)
-    with _alone_in(folder):
+    with alone_at(folder, folder / ".lock"):
         manifest = _manifest(plan, folder, engine)
         write_manifest(folder, manifest)
         missing = []
@@ -468,30 +469,3 @@ def _rank_of_planner(name: str) -> tuple[int, str]:
 
 def _now() -> str:
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-
-
-@contextlib.contextmanager
-def _alone_in(folder: Path) -> Iterator[None]:
-    """Keep other processes from flying into the same folder. However this one ends, the folder is free."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = (folder / ".lock").open("w")
-    except OSError as error:
-        raise OSError(
-            f"benchmark folder: expected a place that can be written, got {folder} ({error.strerror}). "
-            "Choose another with --out"
-        ) from error
-    with lock:
-        try:
-            import fcntl
-
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as taken:
-            raise ValueError(
-                f"{folder}: expected that no other benchmark writes here, got one at work. "
-                "Wait for it, or choose another --out"
-            ) from taken
-        except (ImportError, OSError):
-            # Neither Windows nor every network disk has such locks; there the user takes care.
-            pass
-        yield

@@ -13,14 +13,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dream.control import setpoint
 from dream.evaluation.metrics import COMPLETE, Scorer
 from dream.evaluation.oracle import bounds as bounds_module
 from dream.evaluation.oracle.bounds import (
+    KNOWN,
     Bounds,
     Limit,
     bound,
     check,
     drive,
+    every_known,
     known_bounds,
     may_miss_t98,
     read_bounds,
@@ -30,13 +33,19 @@ from dream.evaluation.oracle.bounds import (
     write_bounds,
 )
 from dream.evaluation.oracle.graph import pose_graph
-from dream.evaluation.oracle.tours import missed
+from dream.evaluation.oracle.tours import best_tour, missed, trimmed
 from dream.evaluation.results import Results, Trace
+from dream.evaluation.suites import suite_named
+from dream.mapping import OccupancyMap
 from dream.mission import LOOK_AROUND
 from dream.protocol import DREAM_V1
+from dream.robots import Teleport
 from dream.sim.files import world_hash
+from dream.sim.render import Renderer
+from dream.sim.visibility import Visibility
 from dream.sim.world import World
 from dream.sim.worlds import make_world
+from dream.types import Arrival, Decision, Guarded, Step
 from tests.sim.arenas import FLOOR, arena, placed
 
 PLACES = [(-9.0, -9.0), (9.5, -9.5), (0.2, 10.5), (11.0, 4.0)]
@@ -93,6 +102,54 @@ def test_a_tour_flown_in_the_simulator_scores_its_share_at_its_step(world: World
     assert len(poses) + LOOK_AROUND - 1 == found.full.best_tour
     visible = Scorer(world, DREAM_V1)._visibility
     assert visible.seen(poses).any(axis=0).all()
+
+
+# A tour of a wreck is long, and every step is drawn: there, its beginning must do.
+@pytest.mark.parametrize(("name", "most"), [("reef/string", 1000), ("wreck/1", 30)])
+def test_a_mission_that_flies_a_tour_is_scored_as_the_tour_says(name: str, most: int) -> None:
+    world = make_world(name, 1)
+    visibility = Visibility(world, DREAM_V1)
+    graph = pose_graph(world, DREAM_V1, visibility=visibility)
+    count = len(graph.individuals)
+    shares = {"t98": may_miss_t98(count), "t100": 0}
+    tour = best_tour(graph, 0, budget_s=0.0)
+    assert tour is not None
+    parts = {share: trimmed(graph, may_miss, tour) for share, may_miss in shares.items()}
+    reached = {share: LOOK_AROUND + len(part) for share, part in parts.items() if part is not None}
+
+    renderer = Renderer(world)
+    robot = Teleport(world, DREAM_V1, renderer=renderer, solids=visibility.solids)
+    scorer = Scorer(world, DREAM_V1, visibility=visibility, renderer=renderer)
+    occupancy = OccupancyMap(world.bounds, DREAM_V1)
+    actions = [graph.actions[action] for action in tour[:most]]
+    moves = [Decision(turn=turn * DREAM_V1.heading_step, advance=advance) for turn, advance in actions]
+    arrival = Arrival(DREAM_V1.snap(world.starts[0]), collided=False, distance=0.0, clearance=math.inf)
+    for index, decision in enumerate([Decision(), *[Decision(turn=math.pi / 2)] * LOOK_AROUND, *moves]):
+        if index:
+            arrival = robot.go_to(setpoint(arrival.pose, decision, DREAM_V1))
+        step = Step(index, decision, Guarded(decision), arrival, robot.observe(), occupancy)
+        coverage = scorer.add(step)
+        if index >= LOOK_AROUND:
+            # What is seen, individual by individual, and not only how much.
+            flown = graph.seen(graph.walk(tour[: index - LOOK_AROUND]))
+            bits = np.unpackbits(flown.astype("<u8").view(np.uint8), bitorder="little")[:count]
+            assert (bits == scorer._seen[graph.individuals]).all()
+            assert coverage.instances == pytest.approx(bits.mean(), abs=1e-12)
+    summary = scorer.summary()
+    flown_to = LOOK_AROUND + len(moves)
+    for share, at in reached.items():
+        assert summary[share] == (at if at <= flown_to else None)
+    assert summary["collisions"] == 0
+
+    limits = {
+        share: Limit(LOOK_AROUND + 1, reached[share], (), part)
+        for share, part in parts.items()
+        if part is not None
+    }
+    told = Bounds(
+        name, 1, 0, "dream-v1", world_hash(world), count, limits["t100"], limits["t98"], cpu_s=0.0
+    )  # fmt: skip
+    drive(told, world, visibility=visibility)
 
 
 def _turned(found: Bounds) -> Bounds:
@@ -255,17 +312,32 @@ def test_bounds_of_another_mission_are_no_beginning(world: World, found: Bounds)
 
 
 def test_known_bounds_are_those_of_this_very_world(monkeypatch: pytest.MonkeyPatch, found: Bounds) -> None:
-    monkeypatch.setattr(bounds_module, "_known", lambda: {found.key: found})
+    monkeypatch.setattr(bounds_module, "every_known", lambda: {found.key: found})
     assert known_bounds(*found.key, found.world_hash) == found
     assert known_bounds(*found.key, "0" * 64) is None
     assert known_bounds("dream-v1", "reef/none", 1, 0, found.world_hash) is None
 
 
-@pytest.mark.parametrize(
-    "key", sorted(key for key, b in bounds_module._known().items() if b.full.status == "optimal")[:2]
-)
-def test_tours_that_come_with_the_package_are_flown(key: tuple[str, str, int, int]) -> None:
-    world = make_world(key[1], key[2])
-    bounds = known_bounds(*key, world_hash(world))
-    assert bounds is not None, "the world is another one than its bounds were found for"
-    drive(bounds, world)
+def test_every_world_of_the_two_suites_comes_with_its_bounds() -> None:
+    keys = {("dream-v1", case.world, case.seed, case.start) for suite in KNOWN for case in suite_named(suite)}
+    assert set(every_known()) == keys
+
+
+@pytest.mark.parametrize("suite", KNOWN)
+def test_bounds_that_come_with_the_package_are_of_the_worlds_of_today(suite: str) -> None:
+    cases = suite_named(suite)
+    # The worlds take a while: of the many, one of each four.
+    for case in cases if suite == "paper" else cases[::4]:
+        bounds = every_known()["dream-v1", case.world, case.seed, case.start]
+        assert bounds.world_hash == world_hash(make_world(case.world, case.seed)), case
+
+
+@pytest.mark.parametrize("suite", KNOWN)
+def test_bounds_that_come_with_the_package_hold(suite: str) -> None:
+    cases = suite_named(suite)
+    every = [every_known()["dream-v1", case.world, case.seed, case.start] for case in cases]
+    # What was found fast is searched again fast. Of the others, the tours of a few are flown.
+    cheap, *others = sorted(every, key=lambda bounds: bounds.cpu_s)
+    check(cheap, make_world(cheap.world, cheap.seed))
+    for bounds in others[:: -(-len(others) // 3)]:
+        drive(bounds, make_world(bounds.world, bounds.seed))

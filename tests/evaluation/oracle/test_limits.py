@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 from math import comb
 
@@ -295,6 +296,87 @@ def test_a_search_goes_on_from_earlier_witnesses() -> None:
     assert solve(graph, 0, witnesses=first.witnesses).length == first.length
     with pytest.raises(ValueError, match="witness 0: expected 1 individuals"):
         solve(graph, 0, witnesses=[[99]])
+
+
+def carried_on(
+    graph: PoseGraph, may_miss: int, witnesses: Sequence[tuple[int, ...]], length: int
+) -> Certificate:
+    return certify(graph, may_miss, tour=None, budget_s=60.0, witnesses=witnesses, length=length)
+
+
+@given(random_graphs() | random_floors(), st.integers(0, 2), st.sampled_from([1, 2, 9]), st.data())
+def test_a_search_that_goes_on_from_any_witnesses_and_any_length_is_as_right(
+    graph: PoseGraph, may_miss: int, core: int, data: st.DataObject
+) -> None:
+    unseen = sorted(set(range(len(graph.individuals))) - members(graph.shown))
+    sets = list(combinations(unseen, may_miss + 1))
+    assume(sets and comb(len(graph.individuals), may_miss + 1) <= limits.MOST)
+    # More of them than the core holds, and often a length that they do not certify.
+    witnesses = data.draw(st.lists(st.sampled_from(sets), max_size=14))
+    optimum = by_brute_force(graph, may_miss)
+    assert optimum is not None
+    claimed = data.draw(st.integers(0, optimum + 3))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(limits, "CORE", core)
+        certificate = carried_on(graph, may_miss, witnesses, claimed)
+        assert verify(graph, may_miss, certificate.witnesses, certificate.length)
+    # It could still draw many that are alike, and then run out of room for others.
+    assert certificate.length == optimum or len(set(witnesses)) < len(witnesses)
+    assert certificate.length <= min(optimum, past_all(graph, certificate.witnesses))
+
+
+@pytest.mark.parametrize("budget", [1, 2, 4, 8, 16, 32, 64])
+def test_what_a_search_leaves_behind_is_true_and_helps_the_next(
+    budget: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The clock ends each search after so many looks at it: broken off in every place.
+    monkeypatch.setattr(limits, "CORE", 2)
+    rays = 6
+    graph = graph_of(
+        [[1 + r for r in range(rays)], *[[0]] * rays], [set(), *({r} for r in range(rays))], rays
+    )
+    looks = 0
+
+    def check_time(product: limits._Product) -> None:
+        nonlocal looks
+        looks += 1
+        if looks > budget:
+            raise limits._SpentError
+
+    monkeypatch.setattr(limits._Product, "check_time", check_time)
+    first = carried_on(graph, 0, (), 0)
+    assert first.length <= past_all(graph, first.witnesses) if first.witnesses else first.length == 0
+    assert not set(first.unsettled) & set(first.witnesses)
+    looks = -1000
+    kept = (*first.witnesses, *first.unsettled)
+    again = carried_on(graph, 0, kept, first.length)
+    assert again.length == by_brute_force(graph, 0) == 2 * rays - 1
+    assert set(again.witnesses) >= set(kept)
+
+
+def test_a_search_goes_on_where_the_last_one_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A star: the core of nine rays certifies 17 actions, and the rest are found one length after the other.
+    rays = 13
+    graph = graph_of(
+        [[1 + r for r in range(rays)], *[[0]] * rays], [set(), *({r} for r in range(rays))], rays
+    )
+    best = solve(graph, 0)
+    searched: list[int] = []
+    search = limits._Product.search
+
+    def counted(product: limits._Product, limit: int, known: limits._Known) -> limits._Known | None:
+        searched.append(limit)
+        return search(product, limit, known)
+
+    monkeypatch.setattr(limits._Product, "search", counted)
+    again = carried_on(graph, 0, best.witnesses, best.length)
+    assert again.length == best.length == 2 * rays - 1
+    assert min(searched) >= best.length - 1
+
+
+def test_a_negative_length_is_refused() -> None:
+    with pytest.raises(ValueError, match="length: expected 0 or more, got -1"):
+        carried_on(line(9), 0, (), -1)
 
 
 def test_equal_arguments_give_equal_certificates() -> None:

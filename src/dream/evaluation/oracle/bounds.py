@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from dream.control import setpoint
 from dream.evaluation.metrics import COMPLETE
 from dream.evaluation.oracle.graph import PoseGraph, actions_of, pose_graph
-from dream.evaluation.oracle.limits import certify, verify
+from dream.evaluation.oracle.limits import MOST, certify, verify
 from dream.evaluation.oracle.tours import best_tour, follow, trimmed
 from dream.geometry import SE2, wrap_angle
 from dream.mission import LOOK_AROUND
@@ -216,6 +216,7 @@ def tighten(
     known: Bounds | None = None,
     hints: Callable[[PoseGraph], Iterable[Walk]] | None = None,
     seed: int = 0,
+    visibility: Visibility | None = None,
 ) -> Iterator[Bounds]:
     """Close in on the fewest steps from both sides, yielding what is known after every search.
 
@@ -230,6 +231,7 @@ def tighten(
         known: Bounds to begin with, of the same mission.
         hints: Gives walks to begin with, complete or not; see `walks_of`.
         seed: Of the search for tours.
+        visibility: Of this world, where it is made already.
 
     Raises:
         ValueError: There is no such start, or `known` is of another mission.
@@ -244,7 +246,6 @@ def tighten(
     if known is not None and (*known.key, known.world_hash) != mission:
         raise ValueError(f"known bounds: expected those of {mission}, got {(*known.key, known.world_hash)}")
 
-    visibility = Visibility(world, protocol)
     graph = pose_graph(world, protocol, start=start, visibility=visibility)
     count = len(graph.individuals)
     allowed = {"full": 0, "t98": may_miss_t98(count)}
@@ -300,9 +301,13 @@ def bound(
     known: Bounds | None = None,
     hints: Callable[[PoseGraph], Iterable[Walk]] | None = None,
     seed: int = 0,
+    visibility: Visibility | None = None,
 ) -> Bounds:
     """The last of `tighten`."""
-    steps = tighten(world, protocol, start=start, budget_s=budget_s, known=known, hints=hints, seed=seed)
+    steps = tighten(
+        world, protocol, start=start, budget_s=budget_s, known=known, hints=hints, seed=seed,
+        visibility=visibility,
+    )  # fmt: skip
     *_, last = steps
     return last
 
@@ -347,33 +352,51 @@ def _better_bound(
     own = [witness for witness in limit.witnesses if len(witness) == may_miss + 1]
     witnesses = [tuple(number[target] for target in witness) for witness in own]
     tour = limit.tour if limit.best_tour is not None else None
-    certificate = certify(graph, may_miss, tour=tour, budget_s=budget_s, witnesses=witnesses)
+    certificate = certify(
+        graph, may_miss, tour=tour, budget_s=budget_s, witnesses=witnesses,
+        length=max(limit.lower_bound - LOOK_AROUND, 0) if len(own) == len(limit.witnesses) else 0,
+    )  # fmt: skip
     walks.extend(certificate.walks)
     for walk in certificate.walks:
         limit = _with_tour(graph, may_miss, limit, walk)
+
+    def named(some: Iterable[Sequence[int]]) -> tuple[tuple[int, ...], ...]:
+        return tuple(tuple(int(graph.individuals[i]) for i in witness) for witness in some)
+
     lower = certificate.length + LOOK_AROUND
-    if lower <= limit.lower_bound:
+    if lower > limit.lower_bound:
+        certified = named(certificate.witnesses)
+    elif len(own) == len(limit.witnesses):
+        lower, certified = limit.lower_bound, limit.witnesses
+    else:
         return limit
-    named = tuple(tuple(int(graph.individuals[i]) for i in witness) for witness in certificate.witnesses)
-    return replace(limit, lower_bound=lower, witnesses=named)
+    # Those that certify it stand first: with more behind them, they still do.
+    every = (*certified, *named(certificate.unsettled))[:MOST]
+    return replace(limit, lower_bound=lower, witnesses=every)
 
 
-def drive(bounds: Bounds, world: World) -> None:
+def drive(bounds: Bounds, world: World, *, visibility: Visibility | None = None) -> None:
     """Fly both tours in the simulator: the look-around and every action, and score what they see.
+
+    What counts is what `metrics.Scorer` calls the instances, from the poses where the simulator arrives.
+
+    Args:
+        bounds: What claims to hold.
+        world: Where.
+        visibility: Of this world, where it is made already.
 
     Raises:
         ValueError: A tour touches something, leaves the arena, or reaches its share at another step.
     """
     protocol = protocol_named(bounds.protocol)
-    visibility = Visibility(world, protocol)
+    visibility = visibility or Visibility(world, protocol)
     _check_mission(bounds, world, int(visibility.countable.sum()))
     for name, limit, goal in (("100 %", bounds.full, 1.0), ("98.26 %", bounds.t98, COMPLETE)):
         if limit.best_tour is not None:
             reached = _drive(limit.tour, world, protocol, bounds.start, visibility, goal, name)
             if reached != limit.best_tour:
-                raise ValueError(
-                    f"tour to {name}: expected it at step {limit.best_tour}, got {reached or 'never'}"
-                )
+                got = "never" if reached is None else reached
+                raise ValueError(f"tour to {name}: expected it at step {limit.best_tour}, got {got}")
 
 
 def _check_mission(bounds: Bounds, world: World, countable: int) -> None:
@@ -445,9 +468,10 @@ def check(bounds: Bounds, world: World) -> None:
     Raises:
         ValueError: Something that the bounds claim does not hold.
     """
-    drive(bounds, world)
     protocol = protocol_named(bounds.protocol)
-    graph = pose_graph(world, protocol, start=bounds.start)
+    visibility = Visibility(world, protocol)
+    drive(bounds, world, visibility=visibility)
+    graph = pose_graph(world, protocol, start=bounds.start, visibility=visibility)
     number = {int(target): i for i, target in enumerate(graph.individuals)}
     looks = _shown_by_looking(graph, protocol)
     for name, limit, may_miss in (
@@ -525,12 +549,17 @@ def known_bounds(protocol: str, world: str, seed: int, start: int, world_hash: s
     Raises:
         ValueError: A file of the package is damaged; names file and line.
     """
-    bounds = _known().get((protocol, world, seed, start))
+    bounds = every_known().get((protocol, world, seed, start))
     return bounds if bounds is not None and bounds.world_hash == world_hash else None
 
 
 @functools.cache
-def _known() -> dict[tuple[str, str, int, int], Bounds]:
+def every_known() -> dict[tuple[str, str, int, int], Bounds]:
+    """All bounds that come with the package, by `Bounds.key`, be their worlds today's or not.
+
+    Raises:
+        ValueError: A file of the package is damaged; names file and line.
+    """
     folder = importlib.resources.files("dream.evaluation.oracle") / "known"
     found: dict[tuple[str, str, int, int], Bounds] = {}
     for suite in KNOWN:

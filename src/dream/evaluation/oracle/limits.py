@@ -58,7 +58,10 @@ class Certificate:
     leaves at most `may_miss` unseen sees one. No walk with fewer actions than `length` sees one of each."""
     walks: tuple[tuple[int, ...], ...]
     """Shortest walks past the witnesses of a round, as actions, those that see most; the last one is an
-    optimum where it leaves at most `may_miss` unseen."""
+    optimum where it has `length` actions and leaves at most `may_miss` unseen."""
+    unsettled: tuple[Witness, ...] = ()
+    """More witnesses: of the round that the end of the budget broke off. The bound does not need them; a
+    search that goes on does not have to find them again."""
 
 
 def certify(
@@ -68,6 +71,7 @@ def certify(
     tour: Sequence[int] | None,
     budget_s: float,
     witnesses: Sequence[Sequence[int]] = (),
+    length: int = 0,
 ) -> Certificate:
     """A lower bound on the actions of any walk that leaves at most `may_miss` individuals unseen.
 
@@ -79,11 +83,13 @@ def certify(
         may_miss: Individuals that may stay unseen.
         tour: A walk that is good enough, as actions; the search ends when it is proved to be shortest.
         budget_s: CPU seconds of the calling thread.
-        witnesses: Those of an earlier certificate, to begin with.
+        witnesses: Those of an earlier certificate, and its unsettled ones, to begin with.
+        length: Of that certificate. The search begins there, but it is not taken on trust: the new
+            certificate says only what this search has shown, which may be less where the budget ends early.
 
     Raises:
-        ValueError: `may_miss` is negative, more individuals than it can never be seen, the tour is not good
-            enough, or a witness is none.
+        ValueError: `may_miss` or `length` is negative, more individuals than may be missed can never be seen,
+            the tour is not good enough, or a witness is none.
     """
     unseen = _unseen(graph, may_miss)
     if (
@@ -94,6 +100,8 @@ def certify(
             f"tour: expected a walk that misses at most {may_miss} individuals, got one that misses {lacking}"
         )
     _check_witnesses(witnesses, may_miss, unseen)
+    if length < 0:
+        raise ValueError(f"length: expected 0 or more, got {length}")
     if len(unseen) <= may_miss:
         return Certificate(0, (), ())
     product = _Product(graph, may_miss, time.thread_time() + budget_s)
@@ -103,13 +111,13 @@ def certify(
             f"graph: expected at most {may_miss} individuals that no walk from the start sees, got {hopeless}"
         )
     proof = _Proof(product, LONGEST if tour is None else min(len(tour), LONGEST))
+    unsettled: list[Witness] = []
     try:
-        for witness in witnesses[:CORE]:
-            product.add(witness)
-        proof.lengthen()
+        proof.lengthen([tuple(witness) for witness in witnesses], length)
     except _SpentError:
-        pass
-    return Certificate(proof.length, proof.witnesses, tuple(proof.walks))
+        old = {*map(tuple, witnesses), *proof.witnesses}
+        unsettled = [witness for witness in product.witnesses if witness not in old]
+    return Certificate(proof.length, proof.witnesses, tuple(proof.walks), tuple(unsettled))
 
 
 def verify(graph: PoseGraph, may_miss: int, witnesses: Sequence[Sequence[int]], length: int) -> bool:
@@ -485,10 +493,19 @@ class _Proof:
         self.witnesses: tuple[Witness, ...] = ()
         self.walks: list[tuple[int, ...]] = []
 
-    def lengthen(self) -> None:
-        """Until the bound is that of a walk, or the budget is spent."""
+    def lengthen(self, witnesses: Sequence[Witness], length: int) -> None:
+        """Until the bound is that of a walk, or the budget is spent.
+
+        Args:
+            witnesses: To begin with; the first are the core.
+            length: That they are said to certify.
+        """
         product = self.product
+        for witness in witnesses[:CORE]:
+            product.add(witness)
         self._use_core()
+        if len(witnesses) > CORE and self._resume(witnesses[CORE:], length):
+            return
         walk = [product.graph.start]
         while product.core < CORE and self.length < self.most:
             missed = self._missed(product.graph.seen(walk))
@@ -503,16 +520,55 @@ class _Proof:
             if self._optimal(found, sight):
                 return
             walk = found[0]
-        while self.length < self.most and not self._settle():
-            self.length, self.witnesses = self.length + 1, tuple(product.witnesses)
-            self._improve_core()
+        while self.length < self.most and not self._settle(self.length):
+            self._use_all(self.length + 1)
 
-    def _settle(self) -> bool:
-        """Add witnesses to the core until a walk of `length` is an optimum: True, or there is none: False."""
+    def _resume(self, witnesses: Sequence[Witness], length: int) -> bool:
+        """Go on at a length that the core and these witnesses are said to certify; True at an optimum.
+
+        That there is no walk of `length` shows more than was said. Only where there is one has it to be shown
+        as well that none is shorter.
+        """
+        limit = min(max(length, self.length), self.most - 1)
+        if limit < self.length:
+            return True
+        if not self._settle(limit, witnesses):
+            self._use_all(limit + 1)
+            return False
+        if limit > self.length:
+            if self._past(limit - 1, self.product.witnesses[CORE:]) is not None:
+                return False
+            self._use_all(limit)
+        return True
+
+    def _past(self, limit: int, witnesses: Sequence[Witness]) -> _Known | None:
+        """What walks of at most `limit` actions past the core and then the witnesses pass; None: no walk."""
         product = self.product
         product.forget()
+        known = product.search(limit, NOTHING)
+        # Not all at once: what is known of the first ones keeps the search for the next ones small.
+        for k in range(0, len(witnesses), NEW):
+            if known is None:
+                return None
+            for witness in witnesses[k : k + NEW]:
+                product.add(witness)
+            known = product.search(limit, known)
+        return known
+
+    def _use_all(self, length: int) -> None:
+        """Take over a bound that all present witnesses certify, and improve the core for the next."""
+        product = self.product
+        # A core that was improved meanwhile may have shown more.
+        if length > self.length:
+            self.length, self.witnesses = length, tuple(product.witnesses)
+        if product.expanded > LARGE and len(product.witnesses) > CORE and product.swap():
+            self._use_core()
+
+    def _settle(self, limit: int, witnesses: Sequence[Witness] = ()) -> bool:
+        """Add witnesses until a walk of `limit` actions at most will do: True, or none is left: False."""
+        product = self.product
         product.expanded = 0
-        known = product.search(self.length, NOTHING)
+        known = self._past(limit, witnesses)
         while known is not None:
             found, sight = product.best_walks(known)
             if self._optimal(found, sight):
@@ -522,25 +578,20 @@ class _Proof:
                 if not product.swap():
                     raise _SpentError
                 self._use_core()
-                known = product.search(self.length, NOTHING)
+                known = product.search(limit, NOTHING)
                 continue
             for _ in range(NEW):
                 missed = self._missed(sight[0])
                 if len(missed) <= product.may_miss:
                     break
-                witness = product.bottleneck(missed, known, self.length)
+                witness = product.bottleneck(missed, known, limit)
                 product.add(witness)
                 # The next one is for the best of the walks that see this one.
                 sight = sight[(sight & _bits(witness, sight.shape[1])).any(axis=1)]
                 if not len(sight) or len(product.witnesses) == MOST:
                     break
-            known = product.search(self.length, known)
+            known = product.search(limit, known)
         return False
-
-    def _improve_core(self) -> None:
-        product = self.product
-        if product.expanded > LARGE and len(product.witnesses) > CORE and product.swap():
-            self._use_core()
 
     def _use_core(self) -> None:
         product = self.product
