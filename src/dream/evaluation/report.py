@@ -23,7 +23,7 @@ from PIL import Image
 
 from dream.evaluation import figures, tables
 from dream.evaluation.figures import DARK, LIGHT, Picture, Scene
-from dream.evaluation.results import Results, read_results
+from dream.evaluation.results import Results, read_results, write_whole
 from dream.evaluation.tables import NONE, Comparison, Table, compare, label, number
 from dream.report import digest, fill
 
@@ -71,9 +71,9 @@ def write_report(folder: Path) -> Path:
     """
     results = read_results(folder)
     comparison = compare(results)
-    _replace(folder / "tables.md", markdown(results, comparison))
+    write_whole(folder / "tables.md", markdown(results, comparison).encode())
     page = folder / "report.html"
-    _replace(page, _page(results, comparison))
+    write_whole(page, _page(results, comparison).encode())
     return page
 
 
@@ -610,12 +610,6 @@ def _part(package: str, name: str) -> str:
     return resources.files(package).joinpath(*name.split("/")).read_text(encoding="utf-8")
 
 
-def _replace(path: Path, text: str) -> None:
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)
-
-
 # ---- the documentation ----
 
 
@@ -650,7 +644,7 @@ def write_results(folders: Sequence[Path], page: Path, pictures: Path) -> list[P
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)
     page.parent.mkdir(parents=True, exist_ok=True)
-    _replace(page, "\n".join(parts))
+    write_whole(page, "\n".join(parts).encode())
     return list(files)
 
 

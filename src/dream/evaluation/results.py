@@ -213,7 +213,9 @@ def write_mission(folder: Path, flown: Flown) -> Path:
     trace = {name: getattr(flown.trace, name).tolist() for name in Trace.__slots__}
     path = mission_path(folder, flown.row.key)
     path.parent.mkdir(parents=True, exist_ok=True)
-    _replace(path, (json.dumps({"row": asdict(flown.row), "trace": trace}, allow_nan=False) + "\n").encode())
+    write_whole(
+        path, (json.dumps({"row": asdict(flown.row), "trace": trace}, allow_nan=False) + "\n").encode()
+    )
     return path
 
 
@@ -246,20 +248,20 @@ def write_tables(folder: Path, missions: Sequence[Flown]) -> None:
     lines = csv.writer(table, lineterminator="\n")
     lines.writerow(COLUMNS)
     lines.writerows([_cell(getattr(flown.row, name)) for name in COLUMNS] for flown in missions)
-    _replace(folder / "results.csv", table.getvalue().encode())
+    write_whole(folder / "results.csv", table.getvalue().encode())
     packed = io.BytesIO()
     with gzip.GzipFile(filename="", mode="wb", fileobj=packed, compresslevel=6, mtime=0) as file:
         file.write((",".join(TRACE_COLUMNS) + "\n").encode())
         for flown in missions:
             file.writelines(_trace_lines(flown))
-    _replace(folder / "traces.csv.gz", packed.getvalue())
+    write_whole(folder / "traces.csv.gz", packed.getvalue())
 
 
 def write_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
     """Check and write `manifest.json`: whole or not at all."""
     checked = _checked_manifest(manifest, "manifest")
     folder.mkdir(parents=True, exist_ok=True)
-    _replace(folder / "manifest.json", (json.dumps(checked, indent=2, allow_nan=False) + "\n").encode())
+    write_whole(folder / "manifest.json", (json.dumps(checked, indent=2, allow_nan=False) + "\n").encode())
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -422,7 +424,7 @@ def _file_of(folder: Path, name: str) -> Path:
     return path
 
 
-def _replace(path: Path, content: bytes) -> None:
+def write_whole(path: Path, content: bytes) -> None:
     """Write a file whole or not at all; it survives a loss of power once this returns."""
     partial = path.with_name(f".{path.name}.partial")
     with partial.open("wb") as file:

@@ -10,7 +10,6 @@ import functools
 import importlib.resources
 import json
 import math
-import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -26,6 +25,7 @@ from dream.evaluation.metrics import COMPLETE
 from dream.evaluation.oracle.graph import PoseGraph, actions_of, pose_graph
 from dream.evaluation.oracle.limits import MOST, certify, verify
 from dream.evaluation.oracle.tours import best_tour, follow, trimmed
+from dream.evaluation.results import write_whole
 from dream.geometry import SE2, wrap_angle
 from dream.mission import LOOK_AROUND
 from dream.protocol import SurveyProtocol, protocol_named
@@ -534,13 +534,8 @@ def _read(lines: Iterable[str], name: str) -> list[Bounds]:
 
 def write_bounds(path: Path, every: Sequence[Bounds]) -> None:
     """Write a file of bounds, whole or not at all."""
-    partial = path.with_name(f".{path.name}.partial")
-    with partial.open("w", encoding="utf-8") as file:
-        for bounds in every:
-            file.write(json.dumps(bounds.as_dict(), allow_nan=False, separators=(",", ":")) + "\n")
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(path)
+    lines = (json.dumps(bounds.as_dict(), allow_nan=False, separators=(",", ":")) for bounds in every)
+    write_whole(path, "".join(line + "\n" for line in lines).encode())
 
 
 def known_bounds(protocol: str, world: str, seed: int, start: int, world_hash: str) -> Bounds | None:

@@ -8,25 +8,17 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from dream.evaluation.oracle._kernels.search import ones_of
+
 FAR = 255
 CACHE = 1 << 15
 """Entries of the beam's memory of spanning trees."""
 
 
 @njit(cache=True, nogil=True)
-def population(word):  # type: ignore[no-untyped-def]
-    """Number of bits set."""
-    count = 0
-    while word:
-        word &= word - np.uint64(1)
-        count += 1
-    return count
-
-
-@njit(cache=True, nogil=True)
 def lowest(word):  # type: ignore[no-untyped-def]
     """Index of the lowest bit set; the word is not zero."""
-    return population((word & (~word + np.uint64(1))) - np.uint64(1))
+    return ones_of((word & (~word + np.uint64(1))) - np.uint64(1))
 
 
 @njit(cache=True, nogil=True)
@@ -217,7 +209,7 @@ def implied(watch):  # type: ignore[no-untyped-def]
     for i in range(count):
         for w in range(words):
             if watch[i, w]:
-                size[i] += population(watch[i, w])
+                size[i] += ones_of(watch[i, w])
                 begin[i] = min(begin[i], w)
     drop = np.zeros(count, np.bool_)
     for j in np.argsort(size, kind="mergesort"):
@@ -260,7 +252,7 @@ def members(row):  # type: ignore[no-untyped-def]
     """Indices of the bits set in a row of words, rising."""
     count = 0
     for word in row:
-        count += population(word)
+        count += ones_of(word)
     out = np.empty(count, np.int64)
     k = 0
     for w in range(len(row)):
