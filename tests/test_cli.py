@@ -144,6 +144,20 @@ def test_a_short_run_prints_one_json_object_and_leaves_a_complete_folder(
     assert len((folder / "steps.jsonl").read_text().splitlines()) == 6
 
 
+def test_a_run_with_a_sensor_that_errs_is_repeated_to_the_bit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--json", "--max-steps", "5", "--protocol", "dream-v1-noisy"]
+    pictures = []
+    for name in ("first", "again"):
+        assert run_command(["run", *options, "--out", str(tmp_path / name)]) == 0
+        assert json.loads(capsys.readouterr().out)["protocol"] == "dream-v1-noisy"
+        folder = (tmp_path / name / "latest").resolve()
+        assert json.loads((folder / "config.json").read_text())["protocol"] == "dream-v1-noisy"
+        pictures.append([path.read_bytes() for path in sorted((folder / "frames").iterdir())])
+    assert pictures[0] == pictures[1]
+
+
 def test_an_unwritable_folder_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("in the way")
@@ -202,6 +216,16 @@ def test_oracle_prints_both_ends_as_one_json_object_and_draws_the_tour(
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert run_command(["oracle", *options]) == 0
     assert "0 steps, and no fewer: optimal" in capsys.readouterr().out
+
+
+def test_oracle_knows_the_bounds_of_a_protocol_with_noise_too(capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["oracle", "--json", "--world", "reef/patch", "--seed", "101", "--budget", "0"]
+    assert run_command(options) == 0
+    truth = json.loads(capsys.readouterr().out)
+    assert run_command([*options, "--protocol", "dream-v1-noisy"]) == 0
+    noisy = json.loads(capsys.readouterr().out)
+    assert noisy | {"cpu_s": 0.0} == truth | {"protocol": "dream-v1-noisy", "cpu_s": 0.0}
+    assert noisy["best_tour"] is not None
 
 
 def test_oracle_keeps_the_bounds_of_a_suite_and_checks_them(

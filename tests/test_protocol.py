@@ -2,13 +2,23 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from dream.geometry import SE2
-from dream.protocol import DREAM_V1, POOL_V1, PROTOCOLS, SurveyProtocol, protocol_named
+from dream.protocol import (
+    DREAM_V1,
+    DREAM_V1_NOISY,
+    POOL_V1,
+    PROTOCOLS,
+    SensorNoise,
+    SurveyProtocol,
+    noisy_variants,
+    protocol_named,
+)
 
 
 def test_dream_v1_moves_are_the_published_table() -> None:
@@ -56,3 +66,40 @@ def test_snapping_is_idempotent_and_near(x: float, y: float, yaw: float) -> None
 def test_an_unknown_protocol_is_answered_with_the_nearest() -> None:
     with pytest.raises(ValueError, match=r'no protocol "dream-v2". Did you mean "dream-v1"\?'):
         protocol_named("dream-v2")
+
+
+def test_dream_v1_noisy_is_dream_v1_with_the_noise_of_the_design() -> None:
+    assert protocol_named("dream-v1-noisy") is DREAM_V1_NOISY
+    assert replace(DREAM_V1_NOISY, name="dream-v1", noise=None) == DREAM_V1
+    noise = DREAM_V1_NOISY.noise
+    assert noise is not None
+    assert (noise.depth, noise.missed) == (0.002, 0.1)
+    assert noise.false_targets > 0.0
+
+
+def test_only_noisy_protocols_declare_noise() -> None:
+    assert [p.name for p in PROTOCOLS.values() if p.noise is not None] == ["dream-v1-noisy"]
+
+
+def test_noisy_variants_differ_in_nothing_but_noise() -> None:
+    assert noisy_variants(DREAM_V1) == [DREAM_V1_NOISY]
+    assert noisy_variants(replace(DREAM_V1, reach=7.0)) == []
+    assert noisy_variants(POOL_V1) == []
+
+
+@pytest.mark.parametrize(
+    ("wrong", "complaint"),
+    [
+        ({"depth": -0.1}, "noise.depth: expected 0 or more per metre, got -0.1"),
+        ({"depth": math.nan}, "noise.depth: .* got nan"),
+        ({"missed": 1.1}, "noise.missed: expected a probability, got 1.1"),
+        ({"false_targets": -1.0}, "noise.false_targets: expected 0 to 100 in a frame, got -1"),
+        ({"false_targets": math.inf}, "noise.false_targets: .* got inf"),
+        ({"false_size": (0.0, 0.5)}, "noise.false_size: expected two widths above 0 m"),
+        ({"false_size": (0.5, 0.2)}, "the lesser first"),
+    ],
+)
+def test_noise_that_makes_no_sense_is_refused(wrong: dict[str, float], complaint: str) -> None:
+    right = {"depth": 0.002, "missed": 0.1, "false_targets": 0.3, "false_size": (0.15, 0.5)}
+    with pytest.raises(ValueError, match=complaint):
+        SensorNoise(**(right | wrong))  # type: ignore[arg-type]

@@ -13,6 +13,32 @@ from dream.names import look_up
 
 
 @dataclass(frozen=True, slots=True)
+class SensorNoise:
+    """What depth and labels get wrong, in each frame anew. Poses and colours stay true."""
+
+    depth: float
+    """Per metre: a depth z scatters by σ = `depth` z², as that of a stereo pair does."""
+    missed: float
+    """Probability that an individual in view is not recognised: all its pixels, in that frame."""
+    false_targets: float
+    """Mean number of spots of bare seabed in a frame that are taken for a target."""
+    false_size: tuple[float, float]
+    """Least and greatest width of such a spot on the ground, evenly between; metres."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.depth < math.inf:
+            raise ValueError(f"noise.depth: expected 0 or more per metre, got {self.depth}")
+        if not 0.0 <= self.missed <= 1.0:
+            raise ValueError(f"noise.missed: expected a probability, got {self.missed}")
+        if not 0.0 <= self.false_targets <= 100.0:
+            raise ValueError(f"noise.false_targets: expected 0 to 100 in a frame, got {self.false_targets}")
+        if not 0.0 < self.false_size[0] <= self.false_size[1] < math.inf:
+            raise ValueError(
+                f"noise.false_size: expected two widths above 0 m, the lesser first, got {self.false_size}"
+            )
+
+
+@dataclass(frozen=True, slots=True)
 class SurveyProtocol:
     """Vehicle, camera, map and moves of a survey. Metres and radians."""
 
@@ -51,6 +77,8 @@ class SurveyProtocol:
     """Steps after which a mission ends; an unfinished one counts as this many."""
     traversal: float | None = None
     """Where set, an individual counts when it passed under or in front of the vehicle this near."""
+    noise: SensorNoise | None = None
+    """What the sensor gets wrong; None where depth and labels are the truth."""
 
     def __post_init__(self) -> None:
         for name in ("altitude", "body_radius", "body_height", "max_depth", "reach", "cell", "lattice"):
@@ -154,6 +182,13 @@ POOL_V1 = SurveyProtocol(
     traversal=0.6,
 )
 
+DREAM_V1_NOISY = replace(
+    DREAM_V1,
+    name="dream-v1-noisy",
+    noise=SensorNoise(depth=0.002, missed=0.1, false_targets=0.3, false_size=(0.15, 0.5)),
+)
+"""`dream-v1` with a sensor that errs; a false target is about as large as one clump of shells."""
+
 REACHES = (4.0, 6.0, 8.0, 10.0)
 """Metres: the reaches that `dream-v1` is swept over; 8 is its own."""
 
@@ -166,9 +201,21 @@ def reach_variant(reach: float) -> str:
 _OTHER_REACHES = [
     replace(DREAM_V1, name=reach_variant(reach), reach=reach) for reach in REACHES if reach != DREAM_V1.reach
 ]
-PROTOCOLS = {protocol.name: protocol for protocol in (DREAM_V1, POOL_V1, *_OTHER_REACHES)}
+PROTOCOLS = {protocol.name: protocol for protocol in (DREAM_V1, POOL_V1, DREAM_V1_NOISY, *_OTHER_REACHES)}
 
 
 def protocol_named(name: str) -> SurveyProtocol:
     """The protocol of that name; a ValueError with the nearest one where there is none."""
     return look_up(PROTOCOLS, name, "protocol")
+
+
+def noisy_variants(protocol: SurveyProtocol) -> list[SurveyProtocol]:
+    """The protocols that differ from it in nothing but a sensor that errs.
+
+    Where a move leads and which individuals a pose sees is the same under all of them.
+    """
+    return [
+        other
+        for other in PROTOCOLS.values()
+        if other.noise is not None and replace(other, name=protocol.name, noise=protocol.noise) == protocol
+    ]

@@ -11,12 +11,15 @@ import pytest
 from dream.control import setpoint
 from dream.geometry import SE2
 from dream.mission import Robot
-from dream.protocol import DREAM_V1
+from dream.protocol import DREAM_V1, DREAM_V1_NOISY
 from dream.robots import Teleport
 from dream.sim.world import World
 from dream.types import Decision, Label
 
-ROBOTS: dict[str, Callable[[World], Robot]] = {"teleport": lambda world: Teleport(world, DREAM_V1)}
+ROBOTS: dict[str, Callable[[World], Robot]] = {
+    "teleport": lambda world: Teleport(world, DREAM_V1),
+    "teleport with noise": lambda world: Teleport(world, DREAM_V1_NOISY),
+}
 
 robots = pytest.mark.parametrize("make", ROBOTS.values(), ids=ROBOTS)
 
@@ -42,6 +45,16 @@ def test_observations_share_no_memory(make: Callable[[World], Robot], string_ree
     third = robot.observe()
     np.testing.assert_array_equal(second.rgb, third.rgb)
     np.testing.assert_array_equal(second.depth, third.depth)
+
+
+@robots
+def test_the_same_moves_show_the_same(make: Callable[[World], Robot], string_reef: World) -> None:
+    seen = []
+    for robot in (make(string_reef), make(string_reef)):
+        robot.go_to(setpoint(robot.observe().pose, Decision(math.pi / 2), DREAM_V1))
+        seen.append(robot.observe())
+    for name in ("rgb", "depth", "labels"):
+        assert getattr(seen[0], name).tobytes() == getattr(seen[1], name).tobytes()
 
 
 @robots

@@ -152,7 +152,10 @@ def test_the_curve_holds_what_a_mission_ended_with() -> None:
     assert curve([0.0] * 201 + [1.0] * 50, 200)["auc"] == 0.0, "the cap ends the mean"
 
 
-def test_a_world_that_is_used_again_gives_the_same_mission(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("protocol", ["dream-v1", "dream-v1-noisy"])
+def test_a_world_that_is_used_again_gives_the_same_mission(
+    protocol: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     made: list[str] = []
     renderer = Renderer
 
@@ -161,7 +164,7 @@ def test_a_world_that_is_used_again_gives_the_same_mission(monkeypatch: pytest.M
         return renderer(world)
 
     monkeypatch.setattr(runner, "Renderer", counting)
-    flights = [Flight(Case("reef/L", 2, start), "random", RandomWalk(), "dream-v1", 3) for start in (0, 1, 0)]
+    flights = [Flight(Case("reef/L", 2, start), "random", RandomWalk(), protocol, 3) for start in (0, 1, 0)]
     runner._stage.cache_clear()
     shared = [fly(flight) for flight in flights]
     assert made == ["reef/L"], "one renderer for three missions"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Any
 
@@ -15,7 +16,7 @@ from scipy import ndimage
 from dream.geometry import SE3, Bounds, Camera
 from dream.mapping import OccupancyMap
 from dream.perception import partition, valid_points
-from dream.protocol import DREAM_V1, POOL_V1
+from dream.protocol import DREAM_V1, DREAM_V1_NOISY, POOL_V1
 from dream.types import BoolArray, Label
 from tests.mapping.analytic import (
     CAMERA,
@@ -591,6 +592,22 @@ def test_a_map_comes_back_from_its_file_as_it_was_and_goes_on_alike(tmp_path: An
             look(occupancy, 1.0, 1.0, 2.0)
         for name in (*LAYERS, "target_probability", "ground", "distance_to_solid"):
             np.testing.assert_array_equal(getattr(back, name), getattr(occupancy, name))
+
+
+def test_a_map_remembers_the_noise_of_its_protocol(tmp_path: Any) -> None:
+    OccupancyMap(None, DREAM_V1_NOISY).save(tmp_path / "map.npz")
+    assert OccupancyMap.load(tmp_path / "map.npz").protocol == DREAM_V1_NOISY
+
+
+def test_a_file_from_before_protocols_could_declare_noise_is_read(tmp_path: Any) -> None:
+    empty_map().save(tmp_path / "map.npz")
+    with np.load(tmp_path / "map.npz") as file:
+        content = dict(file)
+    about = json.loads(str(content["about"]))
+    del about["protocol"]["noise"]
+    content["about"] = np.array(json.dumps(about))
+    np.savez_compressed(tmp_path / "old.npz", **content)
+    assert OccupancyMap.load(tmp_path / "old.npz").protocol == DREAM_V1
 
 
 def test_a_file_that_is_not_there_is_said_to_be_missing(tmp_path: Any) -> None:

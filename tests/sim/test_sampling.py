@@ -59,7 +59,7 @@ def test_nothing_that_makes_worlds_calls_what_differs_between_machines(path: Pat
 def test_what_differs_between_machines_is_recognised() -> None:
     # `random` alone is drawn from; sines and powers are there to be wrapped.
     wrapped = {entry.split()[0] for entry in inexact(ast.parse(inspect.getsource(sampling)))}
-    assert wrapped == {"sin", "cos", "exp", "power"}
+    assert wrapped == {"sin", "cos", "exp", "log", "power"}
     assert inexact(ast.parse("a @ b")) == ["MatMult 1"]
     assert inexact(ast.parse("np.linalg.norm(c)\n")) == ["linalg 1"]
     assert inexact(ast.parse("c ** 0.3")) == ["Pow 1"]
@@ -136,6 +136,29 @@ def test_products_and_lengths_are_those_of_linear_algebra(a: list[list[float]], 
     points, rows = np.array(a), np.array(b)
     np.testing.assert_allclose(sampling.products(points, rows), points @ rows.T, atol=1e-6)
     np.testing.assert_allclose(sampling.length(points), np.linalg.norm(points, axis=1), rtol=1e-12)
+
+
+def test_normal_numbers_have_the_moments_of_the_normal_distribution() -> None:
+    count = 300_000
+    drawn = sampling.normals(np.random.default_rng(0), (count,))
+    for power, moment, variance in ((1, 0.0, 1.0), (2, 1.0, 2.0), (3, 0.0, 15.0), (4, 3.0, 96.0)):
+        assert abs((drawn**power).mean() - moment) < 4.0 * math.sqrt(variance / count)
+    assert abs((drawn[::2] * drawn[1::2]).mean()) < 4.0 / math.sqrt(count / 2)
+    assert abs((drawn[: count // 2] * drawn[count // 2 :]).mean()) < 4.0 / math.sqrt(count / 2)
+
+
+@pytest.mark.parametrize("shape", [(), (0,), (1,), (7,), (3, 5), (2, 3, 4)])
+def test_normal_numbers_come_in_the_shape_that_was_asked_for(shape: tuple[int, ...]) -> None:
+    assert sampling.normals(np.random.default_rng(0), shape).shape == np.empty(shape).shape
+
+
+@pytest.mark.parametrize("mean", [0.0, 0.3, 2.0, 40.0])
+def test_rare_things_happen_as_often_as_poisson_says(mean: float) -> None:
+    rng, draws = np.random.default_rng(0), 4000
+    counts = np.array([sampling.poisson(rng, mean) for _ in range(draws)])
+    assert abs(counts.mean() - mean) <= 4.0 * math.sqrt(mean / draws)
+    assert abs(counts.var() - mean) <= 4.0 * math.sqrt((mean + 2.0 * mean * mean) / draws)
+    assert abs((counts == 0).mean() - math.exp(-mean)) <= 4.0 * math.sqrt(math.exp(-mean) / draws)
 
 
 @given(st.floats(-100.0, 100.0), st.floats(0.0, 5.0))

@@ -80,7 +80,7 @@ def travel_from(pose: SE2, occupancy: OccupancyMap, *, standoff: float = 0.0) ->
         occupancy: What is known.
         standoff: Least distance of a position from the middle of a solid cell, metres.
     """
-    from dream.planning._kernels import search
+    from dream.planning._kernels.search import search
 
     protocol = occupancy.protocol
     bounds, spacing = occupancy.bounds, protocol.lattice

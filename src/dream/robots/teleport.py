@@ -6,7 +6,8 @@ import math
 
 from dream.geometry import SE2, SE3, wrap_angle
 from dream.protocol import SurveyProtocol
-from dream.sim.render import Renderer
+from dream.sim.render import Frame, Renderer
+from dream.sim.sensors import noise_generator, with_noise
 from dream.sim.solids import Solids
 from dream.sim.world import World
 from dream.types import Arrival, Observation, Setpoint
@@ -22,7 +23,8 @@ class Teleport:
 
     What it does: turns, then follows the segment to the setpoint at the protocol's altitude above
     the bare seabed. At a contact it counts a collision and stays on the last lattice position of the
-    segment that is free. Poses, depth and labels are the truth.
+    segment that is free. Poses are the truth; so are depth and labels, but for the noise that the
+    protocol declares. That is drawn anew with every move, also one that goes nowhere.
 
     Assumes: setpoints on the protocol's lattice.
     """
@@ -52,16 +54,17 @@ class Teleport:
         self._protocol = protocol
         self._renderer = renderer or Renderer(world)
         self._solids = solids or Solids(world)
-        self._pose = protocol.snap(pose)
+        self._pose = self._start = protocol.snap(pose)
+        self._moves = 0
         self._time = 0.0
         if self._solids.clearance(self._pose.x, self._pose.y, protocol) <= 0.0:
             raise ValueError(f"start: ({self._pose.x}, {self._pose.y}) touches the world. See `dream draw`")
 
     def observe(self) -> Observation:
-        """One rendered frame from the present pose."""
+        """One frame from the present pose; the same again until it moves."""
         T_world_base = self._T_world_base()
         T_base_camera = self._protocol.T_base_camera
-        frame = self._renderer.render(self._protocol.camera, T_world_base @ T_base_camera)
+        frame = self._frame(T_world_base @ T_base_camera)
         return Observation(
             time=self._time,
             rgb=frame.rgb,
@@ -71,6 +74,15 @@ class Teleport:
             T_world_base=T_world_base,
             T_base_camera=T_base_camera,
         )
+
+    def _frame(self, T_world_camera: SE3) -> Frame:
+        camera, noise = self._protocol.camera, self._protocol.noise
+        frame = self._renderer.render(camera, T_world_camera)
+        if noise is None:
+            return frame
+        rng = noise_generator(self._world, self._start, self._moves)
+        hull = self._world.targets_are_hull
+        return with_noise(frame, camera, T_world_camera, noise, rng, targets_are_hull=hull)
 
     def go_to(self, setpoint: Setpoint) -> Arrival:
         """Turn, then advance; at contact, stop."""
@@ -82,6 +94,7 @@ class Teleport:
         travelled = start.distance(end)
         self._time += travelled / SPEED + abs(wrap_angle(goal.yaw - start.yaw)) / TURN_RATE
         self._pose = end
+        self._moves += 1
         return Arrival(end, collided, travelled, sweep.clearance)
 
     def _last_free_node(self, start: SE2, goal: SE2, free: float) -> SE2:

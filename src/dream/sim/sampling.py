@@ -83,6 +83,28 @@ def uniforms(rng: np.random.Generator, low: float, high: float, shape: int | tup
     return low + (high - low) * rng.random(shape)
 
 
+def gaps(rng: np.random.Generator, count: int) -> Float64Array:
+    """(count,) exponential numbers of mean 1: how long to wait for what happens once in a while."""
+    return steady(-np.log(1.0 - rng.random(count)))
+
+
+def normals(rng: np.random.Generator, shape: tuple[int, ...]) -> Float64Array:
+    """Normal numbers of mean 0 and deviation 1, by Box and Muller's transform."""
+    count = math.prod(shape)
+    half = -(-count // 2)
+    radius = np.sqrt(2.0 * gaps(rng, half))
+    angle = uniforms(rng, 0.0, 2.0 * math.pi, half)
+    return np.concatenate([radius * cosine(angle), radius * sine(angle)])[:count].reshape(shape)
+
+
+def poisson(rng: np.random.Generator, mean: float) -> int:
+    """How many of many rare things happen: the gaps between them that fit into the mean."""
+    spent, count = float(gaps(rng, 1)[0]), 0
+    while spent < mean:
+        spent, count = spent + float(gaps(rng, 1)[0]), count + 1
+    return count
+
+
 def index(rng: np.random.Generator, count: int) -> int:
     """One of 0 .. count − 1."""
     return int(rng.random() * count)

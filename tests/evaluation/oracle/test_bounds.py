@@ -319,8 +319,16 @@ def test_known_bounds_are_those_of_this_very_world(monkeypatch: pytest.MonkeyPat
 
 
 def test_every_world_of_the_two_suites_comes_with_its_bounds() -> None:
-    keys = {("dream-v1", case.world, case.seed, case.start) for suite in KNOWN for case in suite_named(suite)}
-    assert set(every_known()) == keys
+    cases = [case for suite in KNOWN for case in suite_named(suite)]
+    names = ("dream-v1", "dream-v1-noisy")
+    assert set(every_known()) == {(name, c.world, c.seed, c.start) for name in names for c in cases}
+
+
+def test_noise_changes_no_bounds() -> None:
+    for (name, *mission), bounds in every_known().items():
+        alike = every_known()["dream-v1", *mission]  # type: ignore[index]
+        assert replace(bounds, protocol="dream-v1") == alike
+        assert bounds.protocol == name
 
 
 @pytest.mark.parametrize("suite", KNOWN)

@@ -28,7 +28,7 @@ from dream.evaluation.oracle.tours import best_tour, follow, trimmed
 from dream.evaluation.results import write_whole
 from dream.geometry import SE2, wrap_angle
 from dream.mission import LOOK_AROUND
-from dream.protocol import SurveyProtocol, protocol_named
+from dream.protocol import SurveyProtocol, noisy_variants, protocol_named
 from dream.robots import Teleport
 from dream.sim.files import world_hash
 from dream.sim.visibility import Visibility
@@ -552,6 +552,8 @@ def known_bounds(protocol: str, world: str, seed: int, start: int, world_hash: s
 def every_known() -> dict[tuple[str, str, int, int], Bounds]:
     """All bounds that come with the package, by `Bounds.key`, be their worlds today's or not.
 
+    Those of a protocol hold under its noisy variants too.
+
     Raises:
         ValueError: A file of the package is damaged; names file and line.
     """
@@ -561,4 +563,8 @@ def every_known() -> dict[tuple[str, str, int, int], Bounds]:
         with contextlib.suppress(FileNotFoundError):
             lines = (folder / f"{suite}.jsonl").read_text(encoding="utf-8").splitlines()
             found.update({bounds.key: bounds for bounds in _read(lines, f"known/{suite}.jsonl")})
+    for bounds in list(found.values()):
+        for noisy in noisy_variants(protocol_named(bounds.protocol)):
+            alike = replace(bounds, protocol=noisy.name)
+            found.setdefault(alike.key, alike)
     return found

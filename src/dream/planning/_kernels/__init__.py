@@ -1,0 +1,1 @@
+"""Compiled inner loops of the planners; plain arrays in, plain arrays out."""
