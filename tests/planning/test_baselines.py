@@ -20,8 +20,8 @@ from dream.planning import (
     Spiral,
     SweepAndGraze,
 )
-from dream.planning.baselines.views import Remains, careful_travel, group_cells, views_from
-from dream.planning.travel import travel_from
+from dream.planning.baselines.views import Remains, group_cells, views_from
+from dream.planning.travel import careful_travel, travel_from
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
 from dream.types import Mission, Step

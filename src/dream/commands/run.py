@@ -27,7 +27,7 @@ else:
 class Run:
     """Fly one mission in a simulated world; leave its recording, its report and its summary."""
 
-    planner: ChosenPlanner = PLANNERS["sixsteps"]
+    planner: ChosenPlanner = PLANNERS["belief"]
     """Who decides."""
     world: str = "reef/string"
     """A name from `dream worlds`, or a folder that holds a saved world."""

@@ -8,11 +8,15 @@ from dream.planning.baselines import (
     Spiral,
     SweepAndGraze,
 )
+from dream.planning.belief import Belief
 from dream.planning.sixsteps import SixSteps
 
-AnyPlanner = SixSteps | Lawnmower | Spiral | NearestFrontier | NextBestView | SweepAndGraze | RandomWalk
+AnyPlanner = (
+    Belief | SixSteps | Lawnmower | Spiral | NearestFrontier | NextBestView | SweepAndGraze | RandomWalk
+)
 
 PLANNERS: dict[str, AnyPlanner] = {
+    "belief": Belief(),
     "sixsteps": SixSteps(),
     "lawnmower": Lawnmower(),
     "spiral": Spiral(),
@@ -26,6 +30,7 @@ PLANNERS: dict[str, AnyPlanner] = {
 __all__ = [
     "PLANNERS",
     "AnyPlanner",
+    "Belief",
     "Lawnmower",
     "NearestFrontier",
     "NextBestView",

@@ -13,6 +13,7 @@ from dream.planning.travel import Travel
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
     from dream.mapping.completion import Completion, Region
+    from dream.planning.lookahead import Plan
 
 COMPASS = ("east", "northeast", "north", "northwest")
 
@@ -29,6 +30,15 @@ def distribution(occupancy: OccupancyMap, completion: Completion) -> str:
     if len(completion.regions) == 1:
         return f"Targets cover {area:.1f} m² in one region, {shape}; {share}."
     return f"Targets cover {area:.1f} m² in {len(completion.regions)} regions, the largest {shape}; {share}."
+
+
+def expectations(beside: npt.NDArray[np.floating[Any]], groups: float, occupancy: OccupancyMap) -> str:
+    """Step 1 in figures: what is to be expected beside known targets and away from them."""
+    area = float(beside.sum()) * occupancy.protocol.cell**2
+    return (
+        f" Beside known targets {area:.1f} m² more are to be expected, "
+        f"and {groups:.2f} groups in ground not searched."
+    )
 
 
 def target_area(area: Region | None, completion: Completion) -> str:
@@ -49,6 +59,28 @@ def completeness(completion: Completion, hidden: npt.NDArray[np.bool_], group_ra
     if not hidden.any():
         return f"{regions}, and nowhere could a group of {group_radius:g} m radius still hide."
     return f"{regions}; a group of {group_radius:g} m radius could still hide in ground not explored."
+
+
+def certainty(completion: Completion, risk: float, accepted: float) -> str:
+    """Step 3, with the risk of stopping now."""
+    closed = sum(region.enclosed for region in completion.regions)
+    return (
+        f"{closed} of {len(completion.regions)} regions are enclosed by explored ground. "
+        f"To stop now would miss a group with a probability of {risk:.0%}; {accepted:.0%} is accepted."
+    )
+
+
+def plan(ahead: Plan, travel: Travel) -> str:
+    """Step 4: where the next actions lead."""
+    row, col, heading = ahead.path[-1]
+    steps = len(ahead.path) - 1
+    towards = math.degrees(heading * travel.protocol.heading_step)
+    count = "step leads" if steps == 1 else f"{steps} steps lead"
+    later = f"; what is left then takes about {ahead.later:.0f} more" if ahead.later >= 0.5 else ""
+    return (
+        f"The next {count} to {_place(travel.position(row, col))}, looking towards {towards:.0f}°, "
+        f"and are worth {ahead.rate:.2f} m² of targets each{later}."
+    )
 
 
 def next_target(

@@ -10,8 +10,9 @@ import numpy.typing as npt
 
 from dream.geometry import SE2
 from dream.planning import sentences
+from dream.planning.distribution import blurred, expectation
 from dream.planning.parameters import check_range
-from dream.planning.travel import Travel, travel_from
+from dream.planning.travel import Pose, Travel, nearest_open, travel_from
 from dream.types import Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
@@ -75,23 +76,16 @@ class SixSteps:
         return _SixStepsPilot(self, mission, surveyed)
 
     def expectation(self, occupancy: OccupancyMap) -> FloatArray:
-        """(rows, cols) probability of a target in every cell not explored, 0 elsewhere.
-
-        A kernel estimate: blurred targets over blurred explored ground, pulled to the prior where neither
-        says much.
-        """
+        """See `distribution.expectation`."""
         radius = self.kernel * occupancy.protocol.group_radius
-        targets = _blurred(occupancy.target, radius, occupancy)
-        explored = _blurred(occupancy.observed, radius, occupancy)
-        p = (targets + self.prior * self.prior_weight) / (explored + self.prior_weight)
-        return np.where(occupancy.observed, 0.0, np.clip(p, 0.0, 1.0)).astype(np.float32)
+        return expectation(occupancy, radius, self.prior, self.prior_weight)
 
 
 @dataclass(frozen=True, slots=True)
 class _Viewpoint:
     """A pose worth going to."""
 
-    pose: tuple[int, int, int]
+    pose: Pose
     """(row, col, heading) on the lattice."""
     steps: int
     gain: float
@@ -108,7 +102,7 @@ class _SixStepsPilot:
     mission: Mission
     surveyed: npt.NDArray[np.bool_]
     """(rows, cols) cells that were looked at from afar."""
-    heading_for: tuple[int, int, int] | None = None
+    heading_for: Pose | None = None
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         from dream.mapping import check_completion, hiding_places
@@ -123,7 +117,7 @@ class _SixStepsPilot:
         # 2 Current target area and 3 completion: what is still open, and the nearest of it.
         completion = check_completion(occupancy, pose)
         hidden = hiding_places(occupancy, pose, protocol.group_radius)
-        area = _nearest_open(completion, travel, occupancy)
+        area = nearest_open(completion, travel, occupancy)
         reasoning = Reasoning(
             distribution=sentences.distribution(occupancy, completion),
             target_area=sentences.target_area(area, completion),
@@ -185,7 +179,7 @@ class _SixStepsPilot:
         near_target = _within(occupancy.target, 2.0 * evidence / protocol.cell)
         # Where no target has been seen, only ground explored to the last cell is complete.
         search = could_hide if completion.regions else ~occupancy.observed
-        surrounded = _blurred(occupancy.observed, 2.0 * evidence, occupancy)
+        surrounded = blurred(occupancy.observed, 2.0 * evidence, occupancy)
         worth = np.where(search, self.planner.prior * (1.0 + self.planner.closing * surrounded), 0.0)
         worth = np.where(near_target, np.maximum(expected, worth), worth).astype(np.float32)
         for region in completion.regions:
@@ -237,38 +231,9 @@ class _SixStepsPilot:
         return chosen
 
 
-def _blurred(mask: npt.NDArray[np.bool_], radius: float, occupancy: OccupancyMap) -> FloatArray:
-    """(rows, cols) share of the cells around that are in the mask, weighted by a Gaussian of `radius` metres.
-
-    What lies outside the bounds is neither in the mask nor missing from it: it counts as the edge does.
-    """
-    from scipy.ndimage import gaussian_filter
-
-    sigma = radius / occupancy.protocol.cell
-    blurred = gaussian_filter(mask.astype(np.float32), sigma, mode="nearest", truncate=3.0)
-    return np.asarray(blurred)
-
-
 def _within(mask: npt.NDArray[np.bool_], radius_cells: float) -> npt.NDArray[np.bool_]:
     from scipy.ndimage import distance_transform_edt
 
     if not mask.any():
         return mask
     return np.asarray(distance_transform_edt(~mask) <= radius_cells)
-
-
-def _nearest_open(completion: Completion, travel: Travel, occupancy: OccupancyMap) -> Region | None:
-    """The open region whose edge is fewest steps away; None where all are enclosed."""
-    from scipy.spatial import cKDTree
-
-    open_regions = [region for region in completion.regions if not region.enclosed]
-    rows, cols = np.nonzero(travel.reached)
-    if not open_regions or not len(rows):
-        return None
-    nodes, steps = cKDTree(travel.position(rows, cols)), travel.nearest[rows, cols]
-
-    def steps_to(region: Region) -> int:
-        cells = np.stack(occupancy.center_of(*region.open_cells.T), axis=-1)
-        return int(steps[nodes.query(cells)[1]].min())
-
-    return min(open_regions, key=steps_to)

@@ -9,13 +9,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from dream.geometry import SE2, wrap_angle
+from dream.geometry import SE2, Bounds, wrap_angle
 from dream.protocol import SurveyProtocol
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
+    from dream.mapping.completion import Completion, Region
 
 IntArray = npt.NDArray[np.signedinteger[Any]]
+
+Pose = tuple[int, int, int]
+"""(row, col, heading) on the lattice of a `Travel`."""
+
+STANDOFF_CELLS = 1.5
+"""Map cells that the body keeps from the middle of any solid one, where there is another way: the map is no
+finer than that."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,6 +39,18 @@ class Travel:
     """(rows, cols, headings); −1 where it cannot be reached."""
     parent: IntArray
     """(rows, cols, headings) flat index of the pose before; −1 at the start."""
+    free: npt.NDArray[np.uint8]
+    """(rows, cols, headings, advances) 1 where an advance from a position along a heading is free."""
+
+    @property
+    def start(self) -> Pose:
+        """Where the search began."""
+        return self.pose(int(np.argmax(self.steps == 0)))
+
+    def pose(self, flat: int) -> Pose:
+        """The pose of a flat index."""
+        row, col, heading = np.unravel_index(flat, self.steps.shape)
+        return int(row), int(col), int(heading)
 
     @property
     def reached(self) -> npt.NDArray[np.bool_]:
@@ -48,20 +68,20 @@ class Travel:
         y = (np.asarray(rows) + self.south) * self.protocol.lattice
         return np.stack([x, y], axis=-1).astype(np.float64)
 
-    def path(self, pose: tuple[int, int, int]) -> list[tuple[int, int, int]]:
+    def path(self, pose: Pose) -> list[Pose]:
         """The poses (row, col, heading) on a shortest way to `pose`, the present one first."""
         flat = int(np.ravel_multi_index(pose, self.steps.shape))
         found = [flat]
         while (flat := int(self.parent.flat[flat])) >= 0:
             found.append(flat)
-        return [tuple(map(int, np.unravel_index(f, self.steps.shape))) for f in reversed(found)]  # type: ignore[misc]
+        return [self.pose(flat) for flat in reversed(found)]
 
-    def path_to_position(self, row: int, col: int) -> list[tuple[int, int, int]]:
+    def path_to_position(self, row: int, col: int) -> list[Pose]:
         """A shortest way to a reachable position, arriving with whatever heading."""
         steps = np.where(self.steps[row, col] >= 0, self.steps[row, col], np.iinfo(np.int32).max)
         return self.path((row, col, int(steps.argmin())))
 
-    def move(self, before: tuple[int, int, int], after: tuple[int, int, int]) -> tuple[float, float]:
+    def move(self, before: Pose, after: Pose) -> tuple[float, float]:
         """Turn (radians) and nominal advance (metres) that lead from one pose of a path to the next."""
         headings = self.protocol.headings
         turn = wrap_angle((after[2] - before[2]) % headings * self.protocol.heading_step)
@@ -70,6 +90,21 @@ class Travel:
             (a for a in self.protocol.advances if self.protocol.offset(after[2], a) == offset), 0.0
         )
         return turn, advance
+
+
+def lattice_in(bounds: Bounds, protocol: SurveyProtocol) -> tuple[int, int, int, int]:
+    """West, south, columns and rows of the nodes in bounds; see `Travel`."""
+    spacing = protocol.lattice
+    west, south = math.ceil(bounds.x_min / spacing - 1e-9), math.ceil(bounds.y_min / spacing - 1e-9)
+    cols = math.floor(bounds.x_max / spacing + 1e-9) - west + 1
+    rows = math.floor(bounds.y_max / spacing + 1e-9) - south + 1
+    return west, south, cols, rows
+
+
+def offsets_of(protocol: SurveyProtocol) -> npt.NDArray[np.int64]:
+    """(headings, advances, 2) lattice steps (east, north)."""
+    offsets = [[protocol.offset(h, a) for a in protocol.advances] for h in range(protocol.headings)]
+    return np.array(offsets, np.int64)
 
 
 def travel_from(pose: SE2, occupancy: OccupancyMap, *, standoff: float = 0.0) -> Travel:
@@ -84,12 +119,8 @@ def travel_from(pose: SE2, occupancy: OccupancyMap, *, standoff: float = 0.0) ->
 
     protocol = occupancy.protocol
     bounds, spacing = occupancy.bounds, protocol.lattice
-    west, south = math.ceil(bounds.x_min / spacing - 1e-9), math.ceil(bounds.y_min / spacing - 1e-9)
-    cols = math.floor(bounds.x_max / spacing + 1e-9) - west + 1
-    rows = math.floor(bounds.y_max / spacing + 1e-9) - south + 1
-    offsets = np.array(
-        [[protocol.offset(h, a) for a in protocol.advances] for h in range(protocol.headings)], dtype=np.int64
-    )
+    west, south, cols, rows = lattice_in(bounds, protocol)
+    offsets = offsets_of(protocol)
     row, col = round(pose.y / spacing) - south, round(pose.x / spacing) - west
     if not (0 <= row < rows and 0 <= col < cols):
         raise ValueError(f"pose: expected a position inside {bounds}, got ({pose.x}, {pose.y})")
@@ -97,7 +128,17 @@ def travel_from(pose: SE2, occupancy: OccupancyMap, *, standoff: float = 0.0) ->
     allowed = occupancy.standable & (occupancy.distance_to_solid >= standoff)
     edges = _free_moves(occupancy, allowed, offsets, (rows, cols), (west, south), (row, col))
     steps, parent = search(edges, offsets, turns, row, col, protocol.heading_index(pose.yaw))
-    return Travel(protocol, west, south, steps, parent)
+    return Travel(protocol, west, south, steps, parent, edges)
+
+
+def careful_standoff(protocol: SurveyProtocol) -> float:
+    """Metres of a position from the middle of a solid cell, a little more than the guard asks."""
+    return protocol.body_radius + STANDOFF_CELLS * protocol.cell
+
+
+def careful_travel(pose: SE2, occupancy: OccupancyMap) -> Travel:
+    """The search from `pose` that keeps that distance."""
+    return travel_from(pose, occupancy, standoff=careful_standoff(occupancy.protocol))
 
 
 def _free_moves(
@@ -131,3 +172,20 @@ def _free_moves(
     free = np.zeros((rows, cols, *offsets.shape[:2]), dtype=np.uint8)
     free[r[node], c[node], heading, advance] = occupancy.passable(np.stack(begin, -1), np.stack(end, -1))
     return free
+
+
+def nearest_open(completion: Completion, travel: Travel, occupancy: OccupancyMap) -> Region | None:
+    """The open region whose edge is fewest steps away; None where all are enclosed."""
+    from scipy.spatial import cKDTree
+
+    open_regions = [region for region in completion.regions if not region.enclosed]
+    rows, cols = np.nonzero(travel.reached)
+    if not open_regions or not len(rows):
+        return None
+    nodes, steps = cKDTree(travel.position(rows, cols)), travel.nearest[rows, cols]
+
+    def steps_to(region: Region) -> int:
+        cells = np.stack(occupancy.center_of(*region.open_cells.T), axis=-1)
+        return int(steps[nodes.query(cells)[1]].min())
+
+    return min(open_regions, key=steps_to)

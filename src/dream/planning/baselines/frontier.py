@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dream.planning.baselines.views import FloatArray, Remains, View, careful_travel, views_from
+from dream.planning.baselines.views import FloatArray, Remains, View, views_from
 from dream.planning.parameters import check_range
-from dream.planning.travel import Travel
+from dream.planning.travel import Travel, careful_travel
 from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:

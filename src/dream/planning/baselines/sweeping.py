@@ -11,15 +11,8 @@ import numpy as np
 
 from dream.geometry import SE2
 from dream.planning.baselines.lanes import Points, densified
-from dream.planning.baselines.views import (
-    FloatArray,
-    Pose,
-    Remains,
-    View,
-    careful_travel,
-    views_from,
-)
-from dream.planning.travel import IntArray, Travel
+from dream.planning.baselines.views import FloatArray, Remains, View, views_from
+from dream.planning.travel import IntArray, Pose, Travel, careful_travel
 from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:

@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import SE2
-from dream.planning.travel import IntArray, Travel, travel_from
+from dream.planning.travel import IntArray, Pose, Travel, travel_from
+from dream.planning.vain import VainLooks
 from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, Decision, Mission, Reasoning
 
@@ -19,12 +20,6 @@ if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
 
 FloatArray = npt.NDArray[np.floating[Any]]
-Pose = tuple[int, int, int]
-"""(row, col, heading) on the lattice of a `Travel`."""
-
-STANDOFF_CELLS = 1.5
-"""Map cells that the body keeps from the middle of any solid one, where there is another way: the map is no
-finer than that."""
 MOST_PATIENCE = 8
 """Looks in vain after which a cell is given up for good."""
 
@@ -85,12 +80,6 @@ class Views:
         return View(pose, int(self.steps[k, heading]), float(self.gains[k, heading]))
 
 
-def careful_travel(pose: SE2, occupancy: OccupancyMap) -> Travel:
-    """The search from `pose` that keeps a little more distance from all that is solid than the guard asks."""
-    protocol = occupancy.protocol
-    return travel_from(pose, occupancy, standoff=protocol.body_radius + STANDOFF_CELLS * protocol.cell)
-
-
 def views_from(
     travel: Travel, occupancy: OccupancyMap, weights: FloatArray, *, keep: Pose | None = None
 ) -> Views:
@@ -132,9 +121,8 @@ def _views(
 class Remains:
     """What is left to look at, as one mission remembers it.
 
-    The map's view of a pose is flat; what stands on the ground may hide a cell that it promises. Without a
-    memory of looks in vain a planner would look there for ever. And a rest too small to go for may be what a
-    refused `done` is about, so that a refusal makes smaller rests count.
+    Cells that were looked at in vain are given up. And a rest too small to go for may be what a refused
+    `done` is about, so that a refusal makes smaller rests count.
     """
 
     mission: Mission
@@ -148,31 +136,18 @@ class Remains:
     """The last decision was `done`."""
     claims: int = 0
     """How often `done` was said."""
-    vain: npt.NDArray[np.uint16] = field(init=False)
-    """(rows, cols) looks in vain since anything beside the cell was observed."""
-    observed: BoolArray = field(init=False)
-    """(rows, cols) what was observed at the last look."""
+    vain: VainLooks = field(init=False)
 
     def __post_init__(self) -> None:
-        cell, bounds = self.mission.protocol.cell, self.mission.bounds
-        shape = round(bounds.depth / cell), round(bounds.width / cell)
-        self.vain = np.zeros(shape, np.uint16)
-        self.observed = np.zeros(shape, np.bool_)
+        self.vain = VainLooks(self.mission)
 
     def look(self, pose: SE2, occupancy: OccupancyMap) -> None:
         """Take in the observation that was made at `pose` and is in the map."""
-        from scipy.ndimage import binary_dilation
-
-        from dream.mapping import view
-
-        changed = occupancy.observed & ~self.observed
-        self.vain[binary_dilation(changed, np.ones((3, 3), np.bool_))] = 0
-        self.vain[view(occupancy, pose.x, pose.y, pose.yaw) & ~occupancy.observed] += 1
-        self.observed = occupancy.observed
+        self.vain.note(pose, occupancy)
 
     def worth_looking(self, occupancy: OccupancyMap) -> BoolArray:
         """(rows, cols) cells that were not observed and are not given up."""
-        return np.asarray(~occupancy.observed & (self.vain < self.patience))
+        return np.asarray(~occupancy.observed & (self.vain.count < self.patience))
 
     def go(
         self, pose: SE2, travel: Travel, occupancy: OccupancyMap, choose: Callable[[Travel], View | None]

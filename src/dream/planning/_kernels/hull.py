@@ -1,0 +1,393 @@
+"""Voxels of a hull: what returns mark, what rays carve, what is left to see, and from where.
+
+Grids are (levels, rows, cols); level grows with z, row with y, col with x.
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+FREE, HULL, SEEN, OTHER = 1, 2, 4, 8
+"""Bits of a voxel: a ray passed through; the target returned from it, and did so within reach; something else
+returned from it."""
+BLOCK = 2
+"""Voxels along a block: what is left in a block is one element of each kind."""
+SURFACE, EDGE = 0, 1
+"""Kinds of elements: hull that was only seen from beyond reach; unknown voxels into which hull may go on."""
+POST = 16
+"""Voxels along a post of the seabed."""
+
+
+@njit(cache=True, nogil=True)
+def _part(x, y, z):
+    """The bit, of a voxel's eight, of the octant that a point lies in; in voxels."""
+    up, north = int(2.0 * (z - math.floor(z))), int(2.0 * (y - math.floor(y)))
+    east = int(2.0 * (x - math.floor(x)))
+    return np.uint8(1 << (4 * up + 2 * north + east))
+
+
+@njit(cache=True, nogil=True)
+def mark(
+    voxels,
+    solid,
+    near,
+    posts,
+    box,
+    depth,
+    labels,
+    target,
+    seabed,
+    rotation,
+    camera,
+    lens,
+    limits,
+    reach,
+    push,
+    corner,
+    side,
+):
+    """Mark the voxels that the returns of a frame fall into.
+
+    Args:
+        voxels: Grid of uint8 bits, changed.
+        solid: Grid of uint8, a bit for each octant that something returned from; changed.
+        near: Grid of blocks, uint8: does hull lie in or beside the block? Changed.
+        posts: (2, n, m) sum of the heights of the seabed's returns and their number; changed.
+        box: (6,) int64 first level, row and column of the hull, and past the last; changed.
+        depth: (H, W) float32 metres along the optical axis; NaN where there is no return.
+        labels: (H, W) uint8.
+        target: Label of the hull.
+        seabed: Label of the seabed.
+        rotation: (3, 3) of `T_world_camera`.
+        camera: (3,) metres in the world.
+        lens: fx, fy, cx and cy in pixels.
+        limits: Least and greatest valid depth.
+        reach: Metres over ground within which a return counts as seen.
+        push: Metres behind a return at which its octant is taken, so that what is solid does not stand out.
+        corner: (3,) x, y and z of the grid's low corner.
+        side: Metres along a voxel.
+
+    Returns:
+        How many voxels were seen for the first time.
+    """
+    levels, rows, cols = voxels.shape
+    fx, fy, cx, cy = lens
+    new = 0
+    for i in range(depth.shape[0]):
+        b = (i + 0.5 - cy) / fy
+        for j in range(depth.shape[1]):
+            z = depth[i, j]
+            if not (limits[0] <= z <= limits[1]):
+                continue
+            a = (j + 0.5 - cx) / fx
+            dx = (rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2]) * z
+            dy = (rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2]) * z
+            dz = (rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2]) * z
+            col = math.floor((camera[0] + dx - corner[0]) / side)
+            row = math.floor((camera[1] + dy - corner[1]) / side)
+            level = math.floor((camera[2] + dz - corner[2]) / side)
+            # Elements have neighbours on all sides.
+            if not (0 < level < levels - 1 and 0 < row < rows - 1 and 0 < col < cols - 1):
+                continue
+            far = 1.0 + push / math.sqrt(dx * dx + dy * dy + dz * dz)
+            x = (camera[0] + dx * far - corner[0]) / side
+            y = (camera[1] + dy * far - corner[1]) / side
+            h = (camera[2] + dz * far - corner[2]) / side
+            if 0.0 <= h < levels and 0.0 <= y < rows and 0.0 <= x < cols:
+                solid[int(h), int(y), int(x)] |= _part(x, y, h)
+            if labels[i, j] == target:
+                bits = HULL | SEEN if dx * dx + dy * dy <= reach * reach else HULL
+                new += (bits & ~voxels[level, row, col] & SEEN) != 0
+                if not voxels[level, row, col] & HULL:
+                    for h in range((level - 1) // BLOCK, (level + 1) // BLOCK + 1):
+                        for r in range((row - 1) // BLOCK, (row + 1) // BLOCK + 1):
+                            for c in range((col - 1) // BLOCK, (col + 1) // BLOCK + 1):
+                                near[h, r, c] = 1
+                voxels[level, row, col] |= bits
+                box[0], box[3] = min(box[0], level), max(box[3], level + 1)
+                box[1], box[4] = min(box[1], row), max(box[4], row + 1)
+                box[2], box[5] = min(box[2], col), max(box[5], col + 1)
+            else:
+                voxels[level, row, col] |= OTHER
+                if labels[i, j] == seabed:
+                    posts[0, row // POST, col // POST] += camera[2] + dz
+                    posts[1, row // POST, col // POST] += 1.0
+    return new
+
+
+@njit(cache=True, nogil=True)
+def carve(voxels, depth, rotation, camera, lens, farthest, slack, corner, side):
+    """Mark as free every voxel whose middle is in the image and nearer than what returns there.
+
+    Args:
+        farthest: Metres along the optical axis up to which it is done, and up to which all is free where
+            nothing returns.
+        slack: Metres that a middle must be nearer than the return: a voxel that a surface cuts is not free.
+
+    The other arguments are those of `mark`.
+    """
+    levels, rows, cols = voxels.shape
+    height, width = depth.shape
+    fx, fy, cx, cy = lens
+    # The box around the view: the camera and the corners of the image at the farthest depth.
+    low, high = camera.copy(), camera.copy()
+    for u in (0.0, float(width)):
+        for v in (0.0, float(height)):
+            a, b = (u - cx) / fx, (v - cy) / fy
+            for k in range(3):
+                at = camera[k] + (rotation[k, 0] * a + rotation[k, 1] * b + rotation[k, 2]) * farthest
+                low[k], high[k] = min(low[k], at), max(high[k], at)
+    first, past = np.empty(3, np.int64), np.empty(3, np.int64)
+    for k, size in enumerate((cols, rows, levels)):
+        first[k] = max(math.floor((low[k] - corner[k]) / side), 0)
+        past[k] = min(math.floor((high[k] - corner[k]) / side) + 1, size)
+    for level in range(first[2], past[2]):
+        dz = corner[2] + (level + 0.5) * side - camera[2]
+        for row in range(first[1], past[1]):
+            dy = corner[1] + (row + 0.5) * side - camera[1]
+            for col in range(first[0], past[0]):
+                if voxels[level, row, col] & FREE:
+                    continue
+                dx = corner[0] + (col + 0.5) * side - camera[0]
+                z = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
+                if not (0.0 < z <= farthest):
+                    continue
+                u = fx * (rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz) / z + cx
+                v = fy * (rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz) / z + cy
+                if not (0.0 <= u < width and 0.0 <= v < height):
+                    continue
+                # Not `>=`: where nothing returns, the depth is NaN.
+                if not depth[int(v), int(u)] < z + slack:
+                    voxels[level, row, col] |= FREE
+
+
+@njit(cache=True, nogil=True)
+def _kind(voxels, level, row, col):
+    """Of what kind of element a voxel is, -1 if of none."""
+    bits = voxels[level, row, col]
+    if bits & HULL:
+        return -1 if bits & SEEN else SURFACE
+    if bits:
+        return -1
+    # Free alone: looks along a surface carve voxels that it cuts.
+    if not (
+        voxels[level + 1, row, col] == FREE
+        or voxels[level - 1, row, col] == FREE
+        or voxels[level, row + 1, col] == FREE
+        or voxels[level, row - 1, col] == FREE
+        or voxels[level, row, col + 1] == FREE
+        or voxels[level, row, col - 1] == FREE
+    ):
+        return -1
+    around = 0
+    for i in range(-1, 2):
+        for j in range(-1, 2):
+            for k in range(-1, 2):
+                around |= voxels[level + i, row + j, col + k]
+    return EDGE if around & HULL else -1
+
+
+@njit(cache=True, nogil=True)
+def list_elements(voxels, near, looks, worth, box, lowest, highest):
+    """What is left to see, block by block.
+
+    Args:
+        voxels: Grid of uint8 bits.
+        near: Grid of blocks, uint8: does hull lie in or beside the block?
+        looks: Grid of uint8: how often a voxel was looked at in vain.
+        worth: (2, n) of a voxel, by its kind and how often it was looked at in vain; nothing after that.
+        box: (6,) first level, row and column of blocks, and past the last.
+        lowest: (box's rows, box's cols) level of the lowest voxels that count.
+        highest: Likewise, past the highest.
+
+    Returns:
+        elements: (n, 4) int32 level, row and column of the block, and kind.
+        middles: (n, 3) int32 level, row and column of the voxel that stands for it: the one nearest to the
+            mean.
+        weights: (n,) float64.
+    """
+    elements = np.empty((1024, 4), np.int32)
+    middles = np.empty((1024, 3), np.int32)
+    weights = np.empty(1024)
+    members = np.empty((2, BLOCK**3, 3), np.int64)
+    number, total = np.zeros(2, np.int64), np.zeros(2)
+    most = worth.shape[1]
+    count = 0
+    levels, rows, cols = voxels.shape
+    for level in range(box[0], box[3]):
+        for row in range(box[1], box[4]):
+            for col in range(box[2], box[5]):
+                if not near[level, row, col]:
+                    continue
+                number[:] = 0
+                total[:] = 0.0
+                low, high = lowest[row - box[1], col - box[2]], highest[row - box[1], col - box[2]]
+                for h in range(max(level * BLOCK, low, 1), min((level + 1) * BLOCK, high, levels - 1)):
+                    for r in range(max(row * BLOCK, 1), min((row + 1) * BLOCK, rows - 1)):
+                        for c in range(max(col * BLOCK, 1), min((col + 1) * BLOCK, cols - 1)):
+                            kind = _kind(voxels, h, r, c)
+                            if kind < 0 or looks[h, r, c] >= most or worth[kind, looks[h, r, c]] <= 0.0:
+                                continue
+                            members[kind, number[kind]] = h, r, c
+                            number[kind] += 1
+                            total[kind] += worth[kind, looks[h, r, c]]
+                for kind in range(2):
+                    n = number[kind]
+                    if n == 0:
+                        continue
+                    if count == len(elements):
+                        elements = np.concatenate((elements, np.empty_like(elements)))
+                        middles = np.concatenate((middles, np.empty_like(middles)))
+                        weights = np.concatenate((weights, np.empty_like(weights)))
+                    elements[count] = level, row, col, kind
+                    weights[count] = total[kind]
+                    sums = members[kind, :n].sum(axis=0)
+                    nearest = np.iinfo(np.int64).max
+                    for m in range(n):
+                        away = ((n * members[kind, m] - sums) ** 2).sum()
+                        if away < nearest:
+                            nearest = away
+                            middles[count] = members[kind, m]
+                    count += 1
+    return elements[:count].copy(), middles[:count].copy(), weights[:count].copy()
+
+
+@njit(cache=True, nogil=True)
+def doubt(voxels, looks, elements):
+    """Count a look in vain at each voxel, of elements (n, 4) that were looked at, that stayed what it was."""
+    for e in range(len(elements)):
+        level, row, col, kind = elements[e]
+        for h in range(level * BLOCK, (level + 1) * BLOCK):
+            for r in range(row * BLOCK, (row + 1) * BLOCK):
+                for c in range(col * BLOCK, (col + 1) * BLOCK):
+                    bits = voxels[h, r, c]
+                    same = (bits & (HULL | SEEN)) == HULL if kind == SURFACE else bits == 0
+                    if same and looks[h, r, c] < 255:
+                        looks[h, r, c] += 1
+
+
+@njit(cache=True, nogil=True)
+def _is_clear(solid, x, y, z, to_x, to_y, to_z, last):
+    """Does nothing solid lie on a segment, up to `last` before its end? All in voxels.
+
+    From voxel to voxel; only in one that holds something is the segment followed from octant to octant.
+    """
+    levels, rows, cols = solid.shape
+    dx, dy, dz = to_x - x, to_y - y, to_z - z
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    if length <= last:
+        return True
+    past = 1.0 - last / length
+    col, row, level = math.floor(x), math.floor(y), math.floor(z)
+    step_x, step_y, step_z = (1 if dx > 0 else -1), (1 if dy > 0 else -1), (1 if dz > 0 else -1)
+    slope_x = abs(1.0 / dx) if dx != 0.0 else math.inf
+    slope_y = abs(1.0 / dy) if dy != 0.0 else math.inf
+    slope_z = abs(1.0 / dz) if dz != 0.0 else math.inf
+    next_x = slope_x * ((col + 1 - x) if dx > 0 else (x - col)) if dx != 0.0 else math.inf
+    next_y = slope_y * ((row + 1 - y) if dy > 0 else (y - row)) if dy != 0.0 else math.inf
+    next_z = slope_z * ((level + 1 - z) if dz > 0 else (z - level)) if dz != 0.0 else math.inf
+    stride = 0.25 / length
+    entered = 0.0
+    while entered < past:
+        left = min(next_x, next_y, next_z, past)
+        if 0 <= level < levels and 0 <= row < rows and 0 <= col < cols and solid[level, row, col]:
+            parts = solid[level, row, col]
+            along = entered + 0.5 * stride
+            while along < left:
+                if parts & _part(x + along * dx, y + along * dy, z + along * dz):
+                    return False
+                along += stride
+        entered = left
+        if next_x <= left:
+            col += step_x
+            next_x += slope_x
+        elif next_y <= left:
+            row += step_y
+            next_y += slope_y
+        elif next_z <= left:
+            level += step_z
+            next_z += slope_z
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _in_image(dx, dy, dz, cos, sin, pitch, lens, size, limits):
+    """Is a point, metres from the camera in the world, in the image of a level vehicle heading there?"""
+    ahead, right = cos * dx + sin * dy, sin * dx - cos * dy
+    z = pitch[0] * ahead - pitch[1] * dz
+    if not (limits[0] <= z <= limits[1]):
+        return False
+    down = -pitch[1] * ahead - pitch[0] * dz
+    u = lens[0] * right + lens[2] * z
+    v = lens[1] * down + lens[3] * z
+    return 0.0 <= u < size[0] * z and 0.0 <= v < size[1] * z
+
+
+@njit(cache=True, nogil=True)
+def visible(solid, middles, cameras, headings, pitch, lens, size, limits, reach, last, corner, side):
+    """Which elements each camera sees under each heading; what is not known to be solid hides nothing.
+
+    Args:
+        solid: Grid of uint8, a bit for each octant.
+        middles: (n, 3) metres in the world.
+        cameras: (P, 3) metres in the world.
+        headings: (K, 2) cosine and sine.
+        pitch: Cosine and sine of the angle that the camera looks down by.
+        lens: fx, fy, cx and cy in pixels.
+        size: Width and height of the image in pixels.
+        limits: Least and greatest valid depth.
+        reach: Metres over ground.
+        last: Voxels before an element's middle in which nothing hides it.
+        corner: (3,) x, y and z of the grid's low corner.
+        side: Metres along a voxel.
+
+    Returns:
+        starts: (P * K + 1,) int64.
+        elements: (m,) int32; those of camera p and heading k from starts[p * K + k] on.
+    """
+    count = len(headings)
+    starts = np.zeros(len(cameras) * count + 1, np.int64)
+    elements = np.empty(4096, np.int32)
+    clear = np.empty(len(middles), np.int32)
+    total = 0
+    for p in range(len(cameras)):
+        x, y, z = cameras[p]
+        found = 0
+        for e in range(len(middles)):
+            dx, dy, dz = middles[e, 0] - x, middles[e, 1] - y, middles[e, 2] - z
+            squared = dx * dx + dy * dy
+            if squared > reach * reach or squared == 0.0:
+                continue
+            # Looked at straight, a point is in the image if it ever is.
+            over = 1.0 / math.sqrt(squared)
+            if not _in_image(dx, dy, dz, dx * over, dy * over, pitch, lens, size, limits):
+                continue
+            if _is_clear(
+                solid,
+                (x - corner[0]) / side,
+                (y - corner[1]) / side,
+                (z - corner[2]) / side,
+                (middles[e, 0] - corner[0]) / side,
+                (middles[e, 1] - corner[1]) / side,
+                (middles[e, 2] - corner[2]) / side,
+                last,
+            ):
+                clear[found] = e
+                found += 1
+        if total + found * count > len(elements):
+            larger = np.empty(2 * (total + found * count), np.int32)
+            larger[:total] = elements[:total]
+            elements = larger
+        for k in range(count):
+            for e in clear[:found]:
+                dx, dy, dz = middles[e, 0] - x, middles[e, 1] - y, middles[e, 2] - z
+                if _in_image(dx, dy, dz, headings[k, 0], headings[k, 1], pitch, lens, size, limits):
+                    elements[total] = e
+                    total += 1
+            starts[p * count + k + 1] = total
+    return starts, elements[:total].copy()

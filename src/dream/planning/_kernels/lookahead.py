@@ -1,0 +1,352 @@
+"""Search over the real actions, several steps deep, and what is left to do after them.
+
+Elements are what can be looked at, once each: tiles of ground, tiles as places where a group may hide, and
+whatever else a caller lists pose by pose. A tile is a square between four nodes of the lattice.
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+BEARINGS = 256
+"""Rays in a full turn: at 32 cells they are closer than a cell."""
+FREE, UNKNOWN = 1, 2
+"""A move over ground known to be free, and one against which nothing is known."""
+
+
+class Views(NamedTuple):
+    """Which elements each pose shows."""
+
+    first: npt.NDArray[np.int64]
+    """(headings + 1,) where the list of each heading begins in the next three."""
+    offset: npt.NDArray[np.int32]
+    """(n,) elements from that of the node."""
+    bearing: npt.NDArray[np.uint8]
+    """(n,) the ray that must get there."""
+    far: npt.NDArray[np.uint8]
+    """(n,) how far, in cells."""
+    depth: npt.NDArray[np.uint8]
+    """(nodes, BEARINGS) how far rays get, in cells."""
+    cols: int
+    """Of the lattice."""
+    pad: int
+    """Tiles around the lattice, so that no view leaves the grid of tiles."""
+    stride: int
+    """Tiles in a row of that grid."""
+    listed: npt.NDArray[np.int64]
+    """(nodes,) row in the list of further elements; −1 without."""
+    listed_first: npt.NDArray[np.int64]
+    """(rows · headings + 1,) where each pose's begin."""
+    listed_element: npt.NDArray[np.int32]
+    """(m,) the elements."""
+
+
+@njit(cache=True, nogil=True)
+def sight_lines(solid, cols, x0, y0, scale, limit, depth, which):
+    """Write how far each bearing is open from lattice nodes, in cells.
+
+    Args:
+        solid: (R, C) bool, cells.
+        cols: Of the lattice.
+        x0: Column of lattice node (0, 0), in cells.
+        y0: Row of it.
+        scale: Cells between nodes.
+        limit: Cells beyond which nothing is looked at.
+        depth: (nodes, BEARINGS) uint8 to write.
+        which: (n,) flat indices of the nodes.
+    """
+    height, width = solid.shape
+    for b in range(BEARINGS):
+        angle = 2.0 * math.pi * (b + 0.5) / BEARINGS
+        dx, dy = 0.5 * math.cos(angle), 0.5 * math.sin(angle)
+        for node in which:
+            x, y = x0 + (node % cols) * scale, y0 + (node // cols) * scale
+            reached = 2 * limit
+            for s in range(1, 2 * limit + 1):
+                i, j = math.floor(y + s * dy), math.floor(x + s * dx)
+                if i < 0 or i >= height or j < 0 or j >= width:
+                    continue
+                if solid[i, j]:
+                    reached = s
+                    break
+            depth[node, b] = (reached + 1) // 2
+
+
+@njit(cache=True, nogil=True)
+def possible_moves(room, needed, x0, y0, scale, offsets, known, moves):
+    """Write FREE for moves that are known to be, UNKNOWN for those that nothing solid is known to block.
+
+    Args:
+        room: (R, C) float32 metres between a cell and the nearest solid one or the bounds.
+        needed: Metres of it.
+        x0: See `sight_lines`.
+        y0: See `sight_lines`.
+        scale: See `sight_lines`.
+        offsets: (headings, advances, 2) lattice steps (east, north).
+        known: (rows, cols, headings, advances) uint8, 1 where free.
+        moves: Of the same shape, to write.
+    """
+    height, width = room.shape
+    rows, cols, headings, advances = known.shape
+    good = np.zeros((rows, cols), np.bool_)
+    for r in range(rows):
+        for c in range(cols):
+            i, j = math.floor(y0 + r * scale), math.floor(x0 + c * scale)
+            good[r, c] = 0 <= i < height and 0 <= j < width and room[i, j] >= needed
+    for r in range(rows):
+        for c in range(cols):
+            for h in range(headings):
+                for a in range(advances):
+                    moves[r, c, h, a] = known[r, c, h, a]
+                    r_to, c_to = r + offsets[h, a, 1], c + offsets[h, a, 0]
+                    outside = r_to < 0 or r_to >= rows or c_to < 0 or c_to >= cols
+                    if known[r, c, h, a] or not good[r, c] or outside or not good[r_to, c_to]:
+                        continue
+                    clear = True
+                    for s in range(1, 4):
+                        i = math.floor(y0 + (r + 0.25 * s * (r_to - r)) * scale)
+                        j = math.floor(x0 + (c + 0.25 * s * (c_to - c)) * scale)
+                        clear = clear and room[i, j] >= needed
+                    if clear:
+                        moves[r, c, h, a] = UNKNOWN
+
+
+@njit(cache=True, nogil=True)
+def is_in(seen, element):
+    """Is the element's bit set?"""
+    return (seen[element >> 6] >> np.uint64(element & 63)) & np.uint64(1) != 0
+
+
+@njit(cache=True, nogil=True)
+def gain(weights, seen, views, row, col, heading):
+    """Weight of what a pose shows, without what was seen."""
+    total = 0.0
+    node = row * views.cols + col
+    base = (row + views.pad) * views.stride + col + views.pad
+    for k in range(views.first[heading], views.first[heading + 1]):
+        element = base + views.offset[k]
+        weight = weights[element]
+        if weight > 0.0 and views.far[k] <= views.depth[node, views.bearing[k]] and not is_in(seen, element):
+            total += weight
+    if views.listed[node] >= 0:
+        pose = views.listed[node] * (len(views.first) - 1) + heading
+        for k in range(views.listed_first[pose], views.listed_first[pose + 1]):
+            element = views.listed_element[k]
+            if not is_in(seen, element):
+                total += weights[element]
+    return total
+
+
+@njit(cache=True, nogil=True)
+def look(weights, seen, views, row, col, heading):
+    """Set the bits of what a pose shows that has any weight."""
+    node = row * views.cols + col
+    base = (row + views.pad) * views.stride + col + views.pad
+    for k in range(views.first[heading], views.first[heading + 1]):
+        element = base + views.offset[k]
+        if weights[element] > 0.0 and views.far[k] <= views.depth[node, views.bearing[k]]:
+            seen[element >> 6] |= np.uint64(1) << np.uint64(element & 63)
+    if views.listed[node] >= 0:
+        pose = views.listed[node] * (len(views.first) - 1) + heading
+        for k in range(views.listed_first[pose], views.listed_first[pose + 1]):
+            element = views.listed_element[k]
+            seen[element >> 6] |= np.uint64(1) << np.uint64(element & 63)
+
+
+@njit(cache=True, nogil=True)
+def gains(weights, views, rows, cols):
+    """(n, headings) weight that a view from each node shows."""
+    headings = len(views.first) - 1
+    nothing = np.zeros((len(weights) + 63) // 64, np.uint64)
+    shown = np.zeros((len(rows), headings), np.float32)
+    for n in range(len(rows)):
+        for h in range(headings):
+            shown[n, h] = gain(weights, nothing, views, rows[n], cols[n], h)
+    return shown
+
+
+@njit(cache=True, nogil=True)
+def tour(mass, x_of, y_of, service, x, y, pace, standoff, discount, keep, left):
+    """The yield of a tour over areas, and its steps: always on to the one of most mass for its time.
+
+    Args:
+        mass: (n,) what is left in each area.
+        x_of: (n,) metres.
+        y_of: (n,) metres.
+        service: (n,) steps to look at all of it.
+        x: Where the tour begins.
+        y: Likewise.
+        pace: Metres a step.
+        standoff: Metres from which an area is looked at.
+        discount: What a step later is worth.
+        keep: Mass that may be left.
+        left: (n,) int64 scratch.
+
+    Returns:
+        The yield with its discount, and the steps.
+    """
+    n, remains = 0, 0.0
+    for k in range(len(mass)):
+        if mass[k] > 0.0:
+            left[n] = k
+            n += 1
+            remains += mass[k]
+    worth, steps = 0.0, 0.0
+    while remains > keep and n > 0:
+        best, best_rate, best_time = 0, -1.0, 0.0
+        for i in range(n):
+            k = left[i]
+            away = math.hypot(x_of[k] - x, y_of[k] - y) - standoff
+            time = max(away, 0.0) / pace + service[k]
+            rate = mass[k] / time
+            if rate > best_rate:
+                best, best_rate, best_time = i, rate, time
+        k = left[best]
+        steps += best_time
+        worth += mass[k] * discount**steps
+        remains -= mass[k]
+        x, y = x_of[k], y_of[k]
+        n -= 1
+        left[best] = left[n]
+    return worth, steps
+
+
+@njit(cache=True, nogil=True)
+def beam(weights, views, moves, offsets, turns, start, known, width, horizon, discount):
+    """The best sequences of actions, level by level, by the discounted weight of all that they show.
+
+    Sequences of a level differ in their pose, positions taken to pairs of nodes. The first move leads over
+    ground that is known to be free; later ones also over ground that the sequence has seen by then.
+
+    Args:
+        weights: (elements,) float32.
+        views: Which of them a pose shows.
+        moves: (rows, cols, headings, advances) 0, FREE or UNKNOWN.
+        offsets: (headings, advances, 2) lattice steps (east, north).
+        turns: (turns,) in heading steps.
+        start: Row, column and heading.
+        known: (tiles,) bool, ground that is known.
+        width: Sequences to keep at each level.
+        horizon: Levels.
+        discount: What a step later is worth.
+
+    Returns:
+        pose: (n,) flat (row, col, heading) of each sequence's end.
+        parent: (n,) the sequence that it goes on from; −1 for the start.
+        score: (n,) discounted weight.
+        level: (n,) its steps.
+        seen: (n, words) bits of what it has seen.
+        first: The first of the last level.
+    """
+    rows, cols, headings, advances = moves.shape
+    words = (len(weights) + 63) // 64
+    branches = len(turns) * (advances + 1)
+    most = 1 + width * horizon
+    pose, parent = np.zeros(most, np.int32), np.full(most, -1, np.int32)
+    score, level = np.zeros(most), np.zeros(most, np.int32)
+    seen = np.zeros((most, words), np.uint64)
+    pose[0] = (start[0] * cols + start[1]) * headings + start[2]
+    first, past = 0, 1
+    next_score = np.empty(width * branches)
+    next_parent, next_pose = np.empty((2, width * branches), np.int32)
+    taken = np.zeros(rows * cols * headings, np.int32)
+    for d in range(1, horizon + 1):
+        n, factor = 0, discount**d
+        for node in range(first, past):
+            h = pose[node] % headings
+            c = pose[node] // headings % cols
+            r = pose[node] // (headings * cols)
+            for turn in turns:
+                to = (h + turn) % headings
+                for a in range(-1, advances):
+                    r_to, c_to = r, c
+                    if a >= 0:
+                        kind = moves[r, c, to, a]
+                        r_to, c_to = r + offsets[to, a, 1], c + offsets[to, a, 0]
+                        tile = (r_to + views.pad) * views.stride + c_to + views.pad
+                        if kind == 0 or (
+                            kind == UNKNOWN and (d == 1 or not (known[tile] or is_in(seen[node], tile)))
+                        ):
+                            continue
+                    elif turn == 0:
+                        continue
+                    next_score[n] = score[node] + factor * gain(weights, seen[node], views, r_to, c_to, to)
+                    next_parent[n] = node
+                    next_pose[n] = (r_to * cols + c_to) * headings + to
+                    n += 1
+        if n == 0:
+            break
+        first = past
+        for k in np.argsort(-next_score[:n], kind="mergesort"):
+            h = next_pose[k] % headings
+            c = next_pose[k] // headings % cols
+            r = next_pose[k] // (headings * cols)
+            place = (r // 2 * cols + c // 2) * headings + h
+            if taken[place] == d:
+                continue
+            taken[place] = d
+            pose[past], parent[past], score[past] = next_pose[k], next_parent[k], next_score[k]
+            level[past] = d
+            seen[past] = seen[next_parent[k]]
+            look(weights, seen[past], views, r, c, h)
+            past += 1
+            if past - first == width:
+                break
+    return pose[:past], parent[:past], score[:past], level[:past], seen[:past], first
+
+
+@njit(cache=True, nogil=True)
+def tours(
+    weights, views, seen, pose, x_of, y_of, area_of, areas, spacing, service, pace, standoff, discount, keep
+):
+    """The tour over what is left after each of some sequences; see `tour`.
+
+    Args:
+        weights: (elements,) float32.
+        views: Their headings and columns.
+        seen: (n, words) what each sequence has seen.
+        pose: (n,) where it ends.
+        x_of: (elements,) float32 metres east of node (0, 0).
+        y_of: (elements,) float32 metres north of it.
+        area_of: (elements,) int32 the area of each element.
+        areas: How many there are.
+        spacing: Metres between nodes.
+        service: Elements that a step shows.
+        pace: See `tour`.
+        standoff: See `tour`.
+        discount: See `tour`.
+        keep: See `tour`.
+
+    Returns:
+        worth: (n,) with its discount from where the tour begins.
+        steps: (n,)
+    """
+    n, headings = len(pose), len(views.first) - 1
+    worth, steps = np.zeros(n), np.zeros(n)
+    left = np.empty(areas, np.int64)
+    for s in range(n):
+        mass, x, y, rest = np.zeros(areas), np.zeros(areas), np.zeros(areas), np.full(areas, 0.3)
+        for element in range(len(weights)):
+            weight = weights[element]
+            if weight > 1e-6 and not is_in(seen[s], element):
+                k = area_of[element]
+                mass[k] += weight
+                rest[k] += 1.0 / service
+                x[k] += weight * x_of[element]
+                y[k] += weight * y_of[element]
+        for k in range(areas):
+            if mass[k] > 0.0:
+                x[k] /= mass[k]
+                y[k] /= mass[k]
+        c, r = pose[s] // headings % views.cols, pose[s] // (headings * views.cols)
+        worth[s], steps[s] = tour(
+            mass, x, y, rest, c * spacing, r * spacing, pace, standoff, discount, keep, left
+        )
+    return worth, steps

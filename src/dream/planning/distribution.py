@@ -1,0 +1,97 @@
+"""Where targets are to be expected: beside those that were seen, and where a whole group could hide."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.planning.parameters import check_range
+from dream.types import BoolArray
+
+if TYPE_CHECKING:
+    from dream.mapping import OccupancyMap
+
+FloatArray = npt.NDArray[np.floating[Any]]
+
+
+def expectation(
+    occupancy: OccupancyMap, radius: float, prior: float, prior_weight: float
+) -> npt.NDArray[np.float32]:
+    """(rows, cols) probability of a target in every cell not observed, 0 elsewhere.
+
+    A kernel estimate (Nadaraya-Watson): blurred targets over blurred observed ground, pulled to the prior
+    where neither says much.
+
+    Args:
+        occupancy: What is known.
+        radius: Standard deviation of the blur, metres.
+        prior: Probability in a cell about which nothing is known.
+        prior_weight: How much blurred evidence the prior is worth.
+    """
+    targets = blurred(occupancy.target, radius, occupancy)
+    observed = blurred(occupancy.observed, radius, occupancy)
+    p = (targets + prior * prior_weight) / (observed + prior_weight)
+    return np.where(occupancy.observed, 0.0, np.clip(p, 0.0, 1.0)).astype(np.float32)
+
+
+def blurred(mask: BoolArray, radius: float, occupancy: OccupancyMap) -> FloatArray:
+    """(rows, cols) share of the cells around that are in the mask, weighted by a Gaussian of `radius` metres.
+
+    What lies outside the bounds is neither in the mask nor missing from it: it counts as the edge does.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    sigma = radius / occupancy.protocol.cell
+    return np.asarray(gaussian_filter(mask.astype(np.float32), sigma, mode="nearest", truncate=3.0))
+
+
+def could_hide(occupancy: OccupancyMap, radius: float, hopeless: BoolArray) -> BoolArray:
+    """(rows, cols) middles of discs in bounds of which nothing was observed.
+
+    Args:
+        occupancy: What is known.
+        radius: Of the discs, metres.
+        hopeless: (rows, cols) cells that count as observed.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    rows, cols = np.indices(occupancy.shape, sparse=True)
+    x, y = occupancy.center_of(rows, cols)
+    bounds = occupancy.bounds
+    inside = np.minimum(
+        np.minimum(x - bounds.x_min, bounds.x_max - x), np.minimum(y - bounds.y_min, bounds.y_max - y)
+    )
+    known = occupancy.observed | hopeless
+    if not known.any():
+        return np.asarray(inside >= radius)
+    return np.asarray((inside >= radius) & (distance_transform_edt(~known, occupancy.protocol.cell) > radius))
+
+
+@dataclass(frozen=True, slots=True)
+class Groups:
+    """How many groups of targets there are: a Poisson process whose intensity is learnt on the way.
+
+    The intensity has a Gamma prior. After n groups in a searched area A the number in a hidden area H has a
+    negative binomial distribution; that it is not zero is the risk of stopping now.
+    """
+
+    shape: float
+    """Groups that the prior is worth."""
+    area: float
+    """Square metres of ground that the prior is worth."""
+
+    def __post_init__(self) -> None:
+        check_range("shape", self.shape, 1e-3, 1e3)
+        check_range("area", self.area, 1e-3, 1e6)
+
+    def intensity(self, found: int, searched: float) -> float:
+        """Groups to be expected per square metre, after `found` of them on `searched` square metres."""
+        return (self.shape + found) / (self.area + searched)
+
+    def risk(self, found: int, searched: float, hidden: float) -> float:
+        """Probability of at least one group on `hidden` square metres."""
+        known = self.area + searched
+        return float(1.0 - (known / (known + hidden)) ** (self.shape + found))

@@ -1,0 +1,260 @@
+"""What of a hull is still unseen: a belief in three dimensions, made from observations alone."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.geometry import Bounds, FloatArray
+from dream.protocol import SurveyProtocol
+from dream.types import IntArray, Label, Observation
+
+PATCH = 0.5
+"""Metres along a patch of hull: an individual of a wreck."""
+SLANT = 1.125
+"""Voxels that a surface cuts for each that its area would fill; on average over its directions."""
+WORTH = np.stack([0.77 * 0.75 ** np.arange(8), 0.18 * 0.8 ** np.arange(8)])
+"""(2, looks) probability that one more look shows hull, by how many were in vain: where hull was seen from
+beyond reach, and where it may go on into the unknown. After the last one a voxel is given up. Fitted, within
+0.06, to 42,000 looks at wrecks of the suite `dev`; from the fifth look into the unknown on, continued."""
+CARVED = 1.5
+"""Times the reach: how far the water is taken for free where nothing returned."""
+OVERLAP = 3.0
+"""Voxels before an element in which nothing hides it: at a slant, its own surface would."""
+PUSH = 0.25
+"""Voxels behind a return at which the surface is taken to be, so that looks along it are not blocked."""
+
+
+class Hull:
+    """A belief over a hull's surface: seen, known but not seen within reach, or to be expected.
+
+    What it does: keeps voxels of half a map cell that are free, hull, or anything else that returned. What
+    counts as unseen is hull that was only seen from beyond reach, and unknown voxels at its edges: those
+    that touch both hull and free water. Both are worth what looks at their like have shown; each look in
+    vain makes them worth less, until they are given up.
+
+    Assumes: depths, labels and poses that are true to half a voxel; a level vehicle at its altitude.
+
+    Fails when: a patch is seen only through a gap finer than a voxel, or over the edge of a deck above
+    the camera. Noisy depth makes walls thicker and hides what is behind their edges.
+    """
+
+    def __init__(self, bounds: Bounds, protocol: SurveyProtocol) -> None:
+        """Nothing is known yet.
+
+        Args:
+            bounds: The survey area; nothing outside is ever known.
+            protocol: Camera, reach and altitude.
+        """
+        from dream.planning._kernels import hull as kernels
+
+        self.protocol = protocol
+        self._side = 0.5 * protocol.cell
+        # Up to the seabed an altitude lower than at the start, and to hull as high above the camera again.
+        heights = 4.0 * protocol.altitude
+        shape = [
+            math.ceil(length / self._side / kernels.BLOCK) * kernels.BLOCK
+            for length in (heights, bounds.depth + protocol.cell, bounds.width + protocol.cell)
+        ]
+        self._voxels = np.zeros(shape, np.uint8)
+        self._solid = np.zeros(shape, np.uint8)
+        self._looks = np.zeros(shape, np.uint8)
+        self._near = np.zeros([n // kernels.BLOCK for n in shape], np.uint8)
+        self._posts = np.zeros((2, *(-(-n // kernels.POST) for n in shape[1:])))
+        self._ground: FloatArray = np.zeros(self._posts.shape[1:])
+        margin = 0.5 * protocol.cell
+        self._corner: FloatArray = np.array([bounds.x_min - margin, bounds.y_min - margin, np.nan])
+        self._box = np.array([*shape, 0, 0, 0], np.int64)
+        self._seen = 0
+        self._elements = np.zeros((0, 4), np.int32)
+        self._middles: FloatArray = np.zeros((0, 3))
+        self._weights: FloatArray = np.zeros(0)
+
+    @property
+    def found(self) -> float:
+        """Patches of hull seen so far, about."""
+        return self._seen / self._voxels_of_patch
+
+    @property
+    def weights(self) -> FloatArray:
+        """(n,) expected unseen patches of each element; `integrate` makes new ones."""
+        return self._weights
+
+    @property
+    def middles(self) -> FloatArray:
+        """(n, 3) where the elements are, metres in the world."""
+        return self._middles
+
+    @property
+    def unseen(self) -> float:
+        """Expected unseen patches, whether or not any place is left to see them from."""
+        return float(self._weights.sum())
+
+    def integrate(self, observation: Observation) -> None:
+        """Add what an observation shows, and count it as a look at what it should have shown and did not."""
+        from dream.planning._kernels import hull as kernels
+
+        protocol, camera = self.protocol, observation.camera
+        T_world_camera = observation.T_world_camera
+        place, rotation = T_world_camera.translation, np.ascontiguousarray(T_world_camera.rotation)
+        if math.isnan(self._corner[2]):
+            self._corner[2] = place[2] - 2.0 * protocol.altitude
+        looked_at = self._elements[self._in_view(observation)]
+        lens = (camera.fx, camera.fy, camera.cx, camera.cy)
+        self._seen += kernels.mark(
+            self._voxels,
+            self._solid,
+            self._near,
+            self._posts,
+            self._box,
+            observation.depth,
+            observation.labels,
+            int(Label.TARGET),
+            int(Label.SEABED),
+            rotation,
+            place,
+            lens,
+            (protocol.min_depth, protocol.max_depth),
+            protocol.reach,
+            PUSH * self._side,
+            self._corner,
+            self._side,
+        )
+        kernels.carve(
+            self._voxels,
+            observation.depth,
+            rotation,
+            place,
+            lens,
+            min(CARVED * protocol.reach, protocol.max_depth),
+            0.5 * self._side,
+            self._corner,
+            self._side,
+        )
+        kernels.doubt(self._voxels, self._looks, looked_at)
+        self._ground = self._smooth_ground()
+        self._list_elements()
+
+    def visible(self, positions: npt.ArrayLike) -> tuple[IntArray, IntArray]:
+        """Which elements a view from each position would show, for all headings of the lattice.
+
+        An element is shown where it is within reach over ground, in the image, and not behind anything known
+        to be solid; the unknown hides nothing.
+
+        Args:
+            positions: (P, 2) metres in the world.
+
+        Returns:
+            starts: (P * headings + 1,) and elements: (m,). With heading k, position p shows the elements
+            numbered elements[starts[n]:starts[n + 1]], n = p * headings + k; they index `weights`.
+        """
+        points = np.asarray(positions, np.float64)
+        if points.ndim != 2 or points.shape[1] != 2:
+            raise ValueError(f"positions: expected (P, 2) metres, got {points.shape}")
+        if not np.isfinite(points).all():
+            raise ValueError("positions: expected finite numbers, got NaN or infinity")
+        angles = np.arange(self.protocol.headings) * self.protocol.heading_step
+        heights = self._ground_at(points) + self.protocol.altitude
+        return self._shown(np.column_stack([points, heights]), angles)
+
+    # ------------------------------------------------------------------------------------------------------
+
+    @property
+    def _voxels_of_patch(self) -> float:
+        return SLANT * (PATCH / self._side) ** 2
+
+    def _in_view(self, observation: Observation) -> IntArray:
+        """Elements that the observation should show, by its camera or as `visible` foretold it.
+
+        The two differ by how well the seabed is known. Counting only one of them, a planner that goes by the
+        other could wait for ever.
+        """
+        place, yaw = observation.T_world_camera.translation, np.array([observation.pose.yaw])
+        foretold = np.append(place[:2], self._ground_at(place[None, :2]) + self.protocol.altitude)
+        return np.unique(self._shown(np.stack([place, foretold]), yaw)[1])
+
+    def _shown(self, cameras: FloatArray, yaws: FloatArray) -> tuple[IntArray, IntArray]:
+        """CSR over cameras (P, 3) and yaws (K,)."""
+        from dream.planning._kernels import hull as kernels
+
+        protocol, camera = self.protocol, self.protocol.camera
+        if not len(self._weights):
+            return np.zeros(len(cameras) * len(yaws) + 1, np.int64), np.zeros(0, np.int32)
+        starts, elements = kernels.visible(
+            self._solid,
+            self._middles,
+            np.ascontiguousarray(cameras),
+            np.stack([np.cos(yaws), np.sin(yaws)], axis=1),
+            (math.cos(protocol.camera_pitch), math.sin(protocol.camera_pitch)),
+            (camera.fx, camera.fy, camera.cx, camera.cy),
+            (camera.width, camera.height),
+            (protocol.min_depth, protocol.max_depth),
+            protocol.reach,
+            OVERLAP,
+            self._corner,
+            self._side,
+        )
+        return starts, elements
+
+    def _list_elements(self) -> None:
+        from dream.planning._kernels import hull as kernels
+
+        low, past = (self._box[:3] - 1) // kernels.BLOCK, self._box[3:] // kernels.BLOCK + 1
+        low, past = np.maximum(low, 0), np.minimum(past, np.array(self._voxels.shape) // kernels.BLOCK)
+        if (low >= past).any():
+            return
+        rows, cols = np.mgrid[low[1] : past[1], low[2] : past[2]]
+        block = kernels.BLOCK * self._side
+        columns = self._corner[:2] + (np.stack([cols, rows], axis=-1).reshape(-1, 2) + 0.5) * block
+        ground = self._ground_at(columns).reshape(rows.shape) - self._corner[2]
+        lowest, highest = (
+            np.rint((ground + height) / self._side).astype(np.int64) for height in (0.0, self._top)
+        )
+        self._elements, voxel, weights = kernels.list_elements(
+            self._voxels,
+            self._near,
+            self._looks,
+            WORTH,
+            np.concatenate([low, past]),
+            lowest,
+            highest,
+        )
+        self._middles = self._corner + (voxel[:, ::-1] + 0.5) * self._side
+        self._weights = weights / self._voxels_of_patch
+
+    @property
+    def _top(self) -> float:
+        """Metres above the seabed below which hull can be in the image and within reach at once."""
+        protocol, camera = self.protocol, self.protocol.camera
+        above = math.atan(camera.cy / camera.fy) - protocol.camera_pitch
+        return protocol.altitude + protocol.reach * math.tan(above)
+
+    def _smooth_ground(self) -> FloatArray:
+        """World z of the seabed at each post: from returns where there are any, else from those around."""
+        from scipy.ndimage import gaussian_filter
+
+        count = np.minimum(self._posts[1], 20.0)
+        mean = self._posts[0] / np.maximum(self._posts[1], 1.0) - self._datum
+        total, weight = np.zeros_like(mean), np.full_like(mean, 1e-9)
+        # Each wider blur counts only where the narrower ones say nothing.
+        for sigma, share in ((0.6, 1.0), (2.0, 1e-2), (6.0, 1e-4)):
+            total += share * gaussian_filter(count * mean, sigma)
+            weight += share * gaussian_filter(count, sigma)
+        return np.asarray(self._datum + total / weight)
+
+    @property
+    def _datum(self) -> float:
+        """World z of the seabed at the start, by the vehicle's altitude."""
+        return float(self._corner[2] + self.protocol.altitude)
+
+    def _ground_at(self, positions: npt.NDArray[Any]) -> FloatArray:
+        """(n,) world z of the seabed below positions (n, 2)."""
+        from scipy.ndimage import map_coordinates
+
+        from dream.planning._kernels import hull as kernels
+
+        at = (positions - self._corner[:2]) / (kernels.POST * self._side) - 0.5
+        return np.asarray(map_coordinates(self._ground, at[:, ::-1].T, order=1, mode="nearest"))

@@ -1,0 +1,171 @@
+"""The way to go: a search over the real actions, and a tour over what is left after them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.planning.outlook import Listed, Outlook
+from dream.planning.travel import Pose, Travel, offsets_of
+from dream.types import BoolArray, Float32Array
+
+if TYPE_CHECKING:
+    from dream.planning._kernels.lookahead import Views
+
+SERVICE = 480.0
+"""Tiles, of ground and of hiding places together, that a step shows on its way through unseen ground."""
+NEAR = 16
+"""Steps within which every second node is a view to go to; every fourth beyond."""
+NOTHING = 1e-6
+"""Square metres of targets a step from which on it is not worth going."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Where to go."""
+
+    path: list[Pose]
+    """The poses, the present one first; at least two."""
+    rate: float
+    """Weight that a step of it is expected to show."""
+    later: float
+    """Steps that what is left would take after it, about."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prospect:
+    """What is worth looking at, and what can be seen of it from where."""
+
+    outlook: Outlook
+    weights: Float32Array
+    """(elements,) of the ground to see, of the places where a group could hide, and of what is listed; the
+    tiles of `outlook` twice, then the list."""
+    views: Views
+    listed: Listed | None = None
+
+    @staticmethod
+    def of(
+        outlook: Outlook,
+        ground: npt.NDArray[Any],
+        hiding: npt.NDArray[Any],
+        listed: Listed | None = None,
+    ) -> Prospect:
+        """From (map rows, map cols) weights of both kinds, and a list of further elements."""
+        parts = [outlook.on_tiles(ground), outlook.on_tiles(hiding)]
+        if listed is not None:
+            parts.append(np.asarray(listed.weights, np.float32))
+        return Prospect(outlook, np.concatenate(parts), outlook.views(listed), listed)
+
+
+@dataclass(frozen=True, slots=True)
+class LookAhead:
+    """A beam search over the real actions, whose ends are judged by a tour over what they leave.
+
+    What it does: keeps the sequences that show most, sooner rather than later; of those of the last level it
+    takes the one whose gain, with that of a greedy tour over the remaining areas, is greatest after the cost
+    of all steps. Where another view far off gains much more a step than the sequence, it goes there.
+
+    Reference: beam search; the tour is a heuristic for orienteering with rewards that fade.
+    """
+
+    width: int
+    """Sequences kept at each level."""
+    horizon: int
+    """Actions of a sequence."""
+    discount: float
+    """What a gain is worth a step later."""
+    step_cost: float
+    """What a step costs, as a share of all that is worth looking at."""
+    keep: float
+    """Share of it that a tour may leave."""
+    jump: float
+    """Share of the best rate of going straight to one view below which the sequence is given up for that."""
+
+    def plan(
+        self, prospect: Prospect, travel: Travel, moves: npt.NDArray[np.uint8], known: BoolArray
+    ) -> Plan | None:
+        """The best way; None where nothing is in sight.
+
+        Args:
+            prospect: What is worth looking at.
+            travel: Ways over known free ground.
+            moves: See `Outlook.moves`.
+            known: (tiles,) where ground is known.
+        """
+        plan = self._sequence(prospect, travel, moves, known)
+        view = self._view(prospect, travel)
+        if view is not None and (plan is None or plan.rate < self.jump * view.rate):
+            return view
+        return plan
+
+    def _sequence(
+        self, prospect: Prospect, travel: Travel, moves: npt.NDArray[np.uint8], known: BoolArray
+    ) -> Plan | None:
+        from dream.planning._kernels import lookahead
+
+        protocol, outlook, weights = travel.protocol, prospect.outlook, prospect.weights
+        total = float(weights.sum())
+        pose, parent, score, level, seen, first = lookahead.beam(
+            weights,
+            prospect.views,
+            moves,
+            offsets_of(protocol),
+            np.array(protocol.turns, np.int64),
+            travel.start,
+            known,
+            self.width,
+            self.horizon,
+            self.discount,
+        )
+        if score.max() <= NOTHING:
+            return None
+        worth, steps = lookahead.tours(
+            weights,
+            prospect.views,
+            seen[first:],
+            pose[first:],
+            *outlook.places(prospect.listed),
+            outlook.areas,
+            protocol.lattice,
+            SERVICE,
+            max(protocol.advances),
+            0.5 * protocol.reach,
+            self.discount,
+            self.keep * total,
+        )
+        ends = slice(first, None)
+        value = score[ends] + self.discount ** level[ends] * worth
+        value -= self.step_cost * total * (level[ends] + steps)
+        # Rounded, so that a tie is a tie on every machine.
+        end = first + int(value.round(6).argmax())
+        indices = [end]
+        while parent[indices[-1]] >= 0:
+            indices.append(int(parent[indices[-1]]))
+        length = len(indices) - 1
+        rate = float(score[end]) / sum(self.discount**k for k in range(1, length + 1))
+        if rate <= NOTHING:
+            return None
+        path = [travel.pose(int(pose[k])) for k in reversed(indices)]
+        return Plan(path, rate, float(steps[end - first]))
+
+    def _view(self, prospect: Prospect, travel: Travel) -> Plan | None:
+        """The way to the view of the best rate."""
+        from dream.planning._kernels import lookahead
+
+        rows, cols = np.nonzero(travel.reached)
+        near = travel.nearest[rows, cols] <= NEAR
+        chosen = (rows % 2 == 0) & (cols % 2 == 0) & (near | (rows % 4 == 0) & (cols % 4 == 0))
+        rows, cols = rows[chosen], cols[chosen]
+        steps = travel.steps[rows, cols]
+        if not (steps > 0).any():
+            return None
+        gains = lookahead.gains(prospect.weights, prospect.views, rows, cols)
+        rates = np.where(steps > 0, gains / np.maximum(steps, 1), 0.0).round(6)
+        k, heading = np.unravel_index(int(rates.argmax()), rates.shape)
+        if rates[k, heading] <= NOTHING:
+            return None
+        path = travel.path((int(rows[k]), int(cols[k]), int(heading)))
+        return Plan(path, float(rates[k, heading]), 0.0)

@@ -1,0 +1,247 @@
+"""What every pose of the lattice would show, kept up to date where the map changes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.planning.travel import IntArray, lattice_in, offsets_of
+from dream.types import BoolArray, Float32Array, Mission
+
+if TYPE_CHECKING:
+    from dream.mapping import OccupancyMap
+    from dream.planning._kernels.lookahead import Views
+
+FloatArray = npt.NDArray[np.floating[Any]]
+
+AREA = 4.0
+"""Metres a side of the areas that a tour visits; more where there would be too many."""
+MOST_AREAS = 13
+"""Along a side."""
+
+
+_Lists = tuple[npt.NDArray[np.int64], npt.NDArray[np.int32], npt.NDArray[np.uint8], npt.NDArray[np.uint8]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Listed:
+    """Elements that are listed pose by pose, beside those of the ground."""
+
+    weights: FloatArray
+    """(m,) of the elements."""
+    positions: FloatArray
+    """(m, 2) metres in the world."""
+    nodes: IntArray
+    """(n,) flat indices of lattice nodes."""
+    starts: IntArray
+    """(n · headings + 1,) where the elements of each node and heading begin."""
+    elements: IntArray
+    """(k,) indices into `weights`."""
+
+
+@dataclass(slots=True, eq=False)
+class Outlook:
+    """What each pose of the lattice would show of the ground.
+
+    Ground is taken in tiles, squares between four nodes of the lattice. Each tile is there twice: as ground
+    to see, and as the middle of a group of targets that would be noticed when some of it is seen. What a
+    pose shows is a fixed list for each heading, less what lies behind something solid. How far each bearing
+    is open from a node is kept, and found anew only where something solid near it came or went.
+    """
+
+    mission: Mission
+    notice: float
+    """Metres from the middle of a group within which ground is seen when the group is noticed."""
+    west: int = field(init=False)
+    """Lattice column 0 lies at x = west · lattice."""
+    south: int = field(init=False)
+    rows: int = field(init=False)
+    cols: int = field(init=False)
+    tiles: int = field(init=False)
+    """In the grid of tiles, the padding around the lattice included."""
+    _pad: int = field(init=False)
+    _stride: int = field(init=False)
+    _tile_of: IntArray = field(init=False)
+    """(map rows, map cols) tile of each map cell."""
+    _corner: tuple[float, float] = field(init=False)
+    """Column and row of lattice node (0, 0), in map cells."""
+    _lists: _Lists = field(init=False)
+    _depth: npt.NDArray[np.uint8] = field(init=False)
+    _solid: BoolArray = field(init=False)
+    _place: FloatArray = field(init=False)
+    """(2, tiles) metres east and north of node (0, 0) of each tile's middle."""
+    _area_of: npt.NDArray[np.int32] = field(init=False)
+    areas: int = field(init=False)
+    """Number of areas that a tour may visit."""
+
+    def __post_init__(self) -> None:
+        from dream.planning._kernels.lookahead import BEARINGS
+
+        protocol, bounds = self.mission.protocol, self.mission.bounds
+        lattice, cell = protocol.lattice, protocol.cell
+        self.west, self.south, self.cols, self.rows = lattice_in(bounds, protocol)
+        self._pad = math.ceil((protocol.reach + self.notice) / lattice) + 2
+        self._stride = self.cols + 2 * self._pad
+        self.tiles = self._stride * (self.rows + 2 * self._pad)
+
+        shape = round(bounds.depth / cell), round(bounds.width / cell)
+        y = bounds.y_min + (np.arange(shape[0]) + 0.5) * cell
+        x = bounds.x_min + (np.arange(shape[1]) + 0.5) * cell
+        tile_row = np.floor(y / lattice + 1e-9).astype(np.int64) - self.south + self._pad
+        tile_col = np.floor(x / lattice + 1e-9).astype(np.int64) - self.west + self._pad
+        self._tile_of = tile_row[:, None] * self._stride + tile_col
+        self._corner = (
+            (self.west * lattice - bounds.x_min) / cell,
+            (self.south * lattice - bounds.y_min) / cell,
+        )
+        self._lists = self._footprints()
+        self._depth = np.full((self.rows * self.cols, BEARINGS), self._limit, np.uint8)
+        self._solid = np.zeros(shape, np.bool_)
+
+        row, col = np.divmod(np.arange(self.tiles), self._stride)
+        self._place = np.stack([(k - self._pad + 0.5) * lattice for k in (col, row)]).astype(np.float32)
+        side = max(AREA, max(bounds.width, bounds.depth) / MOST_AREAS)
+        east, north = np.floor((self._place + self._pad * lattice) / side).astype(np.int32)
+        self._area_of = north * (east.max() + 1) + east
+        self.areas = int(self._area_of.max()) + 1
+
+    @property
+    def _limit(self) -> int:
+        return math.ceil(self.mission.protocol.reach / self.mission.protocol.cell) + 2
+
+    def _footprints(self) -> _Lists:
+        """`Views.first`, `offset`, `bearing` and `far`: near tiles first."""
+        from scipy.spatial import cKDTree
+
+        from dream.planning._kernels.lookahead import BEARINGS
+
+        protocol = self.mission.protocol
+        lattice, half_angle = protocol.lattice, 0.5 * protocol.camera.horizontal_fov
+        span = self._pad - 1
+        row, col = (k.ravel() for k in np.mgrid[-span:span, -span:span])
+        x, y = (col + 0.5) * lattice, (row + 0.5) * lattice
+        away = np.hypot(x, y)
+        bearing = np.floor(np.arctan2(y, x) % (2.0 * math.pi) / (2.0 * math.pi) * BEARINGS) % BEARINGS
+        in_row_of_tiles = row * self._stride + col
+        first, offsets, bearings, fars = [0], [], [], []
+        for heading in range(protocol.headings):
+            angle = heading * protocol.heading_step
+            ahead = x * math.cos(angle) + y * math.sin(angle)
+            seen = (away <= protocol.reach) & (ahead >= away * math.cos(half_angle) - 1e-6)
+            seen &= ahead >= protocol.blind
+            # A group is noticed when some tile of it is seen; half a tile is lost to rounding.
+            noticed = cKDTree(np.stack([x[seen], y[seen]], axis=1)).query(np.stack([x, y], axis=1))[0]
+            for layer, shown, slack in (
+                (0, seen, 0.0),
+                (1, noticed <= self.notice - 0.5 * lattice, self.notice),
+            ):
+                k = np.flatnonzero(shown)
+                k = k[np.argsort(away[k], kind="stable")]
+                offsets.append(layer * self.tiles + in_row_of_tiles[k])
+                bearings.append(bearing[k])
+                fars.append(np.maximum(np.ceil((away[k] - slack) / protocol.cell - 1.0), 0.0))
+            first.append(sum(map(len, offsets)))
+        return (
+            np.array(first, np.int64),
+            np.concatenate(offsets).astype(np.int32),
+            np.concatenate(bearings).astype(np.uint8),
+            np.minimum(np.concatenate(fars), 255).astype(np.uint8),
+        )
+
+    def update(self, occupancy: OccupancyMap) -> None:
+        """Take in what is solid now."""
+        from scipy.ndimage import distance_transform_edt
+
+        from dream.planning._kernels.lookahead import sight_lines
+
+        protocol, changed = self.mission.protocol, occupancy.solid != self._solid
+        if not changed.any():
+            return
+        self._solid = occupancy.solid
+        away = distance_transform_edt(~changed, protocol.cell)[self.cells_of_nodes()]
+        which = np.flatnonzero(away <= protocol.reach + 2.0 * protocol.cell)
+        scale = protocol.lattice / protocol.cell
+        sight_lines(self._solid, self.cols, *self._corner, scale, self._limit, self._depth, which)
+
+    def cells_of_nodes(self) -> tuple[IntArray, IntArray]:
+        """(rows · cols,) map row and column of each node; the last one for nodes on the far edge."""
+        scale = self.mission.protocol.lattice / self.mission.protocol.cell
+        row, col = np.divmod(np.arange(self.rows * self.cols), self.cols)
+        i = np.clip(np.floor(self._corner[1] + row * scale).astype(np.int64), 0, self._solid.shape[0] - 1)
+        j = np.clip(np.floor(self._corner[0] + col * scale).astype(np.int64), 0, self._solid.shape[1] - 1)
+        return i, j
+
+    def node(self, x: float, y: float) -> tuple[int, int]:
+        """Lattice row and column of a position."""
+        lattice = self.mission.protocol.lattice
+        return round(y / lattice) - self.south, round(x / lattice) - self.west
+
+    def moves(
+        self, known: npt.NDArray[np.uint8], occupancy: OccupancyMap, standoff: float
+    ) -> npt.NDArray[np.uint8]:
+        """(rows, cols, headings, advances) FREE: known to be so; UNKNOWN: nothing is known against it; or 0.
+
+        Args:
+            known: Likewise, 1 where the guard would let it pass.
+            occupancy: What is known.
+            standoff: Metres to keep from the middle of solid cells.
+        """
+        from dream.planning._kernels.lookahead import possible_moves
+
+        protocol, bounds = self.mission.protocol, occupancy.bounds
+        rows, cols = np.indices(occupancy.shape, sparse=True)
+        x, y = occupancy.center_of(rows, cols)
+        edge = np.minimum(
+            np.minimum(x - bounds.x_min, bounds.x_max - x), np.minimum(y - bounds.y_min, bounds.y_max - y)
+        )
+        # From the bounds the body keeps off, no more.
+        room = np.minimum(occupancy.distance_to_solid, edge + standoff - protocol.body_radius - protocol.cell)
+        scale = protocol.lattice / protocol.cell
+        moves = np.zeros_like(known)
+        possible_moves(
+            room.astype(np.float32), standoff, *self._corner, scale, offsets_of(protocol), known, moves
+        )
+        return moves
+
+    def on_tiles(self, cells: FloatArray) -> Float32Array:
+        """(tiles,) the sums of (map rows, map cols)."""
+        sums: Float32Array = np.bincount(self._tile_of.ravel(), cells.ravel(), self.tiles).astype(np.float32)
+        return sums
+
+    def known_tiles(self, occupancy: OccupancyMap) -> BoolArray:
+        """(tiles,) those with traversable ground."""
+        known = np.zeros(self.tiles, np.bool_)
+        known[self._tile_of[occupancy.traversable]] = True
+        return known
+
+    def views(self, listed: Listed | None = None) -> Views:
+        """Which elements each pose shows: tiles as ground, tiles as hiding places, then what is listed."""
+        from dream.planning._kernels.lookahead import Views
+
+        row_of = np.full(self.rows * self.cols, -1, np.int64)
+        starts, elements = np.zeros(1, np.int64), np.zeros(0, np.int32)
+        if listed is not None:
+            row_of[listed.nodes] = np.arange(len(listed.nodes))
+            starts = np.asarray(listed.starts, np.int64)
+            elements = np.asarray(listed.elements + 2 * self.tiles, np.int32)
+        return Views(*self._lists, self._depth, self.cols, self._pad, self._stride, row_of, starts, elements)
+
+    def places(
+        self, listed: Listed | None = None
+    ) -> tuple[Float32Array, Float32Array, npt.NDArray[np.int32]]:
+        """(elements,) metres east and north of node (0, 0), and the area, of each element."""
+        x, y = (np.concatenate([k, k]) for k in self._place)
+        area = np.concatenate([self._area_of, self._area_of])
+        if listed is not None:
+            lattice = self.mission.protocol.lattice
+            east = listed.positions[:, 0] - self.west * lattice
+            north = listed.positions[:, 1] - self.south * lattice
+            tile = (np.floor(north / lattice).astype(np.int64) + self._pad) * self._stride
+            tile += np.floor(east / lattice).astype(np.int64) + self._pad
+            x, y = np.concatenate([x, east]), np.concatenate([y, north])
+            area = np.concatenate([area, self._area_of[tile]])
+        return x.astype(np.float32), y.astype(np.float32), area.astype(np.int32)

@@ -1,0 +1,56 @@
+"""Ground that was looked at in vain, as one mission remembers it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.geometry import SE2
+from dream.types import BoolArray, Mission
+
+if TYPE_CHECKING:
+    from dream.mapping import OccupancyMap
+
+
+@dataclass(slots=True, eq=False)
+class VainLooks:
+    """How often each cell should have been seen and was not.
+
+    The map's view of a pose is flat; what stands on the ground may hide a cell that it promises. Without a
+    memory of that a planner would look there for ever.
+    """
+
+    mission: Mission
+    count: npt.NDArray[np.uint16] = field(init=False)
+    """(rows, cols) looks in vain since anything beside the cell was observed."""
+    observed: BoolArray = field(init=False)
+    """(rows, cols) what was observed at the last look."""
+
+    def __post_init__(self) -> None:
+        cell, bounds = self.mission.protocol.cell, self.mission.bounds
+        shape = round(bounds.depth / cell), round(bounds.width / cell)
+        self.count = np.zeros(shape, np.uint16)
+        self.observed = np.zeros(shape, np.bool_)
+
+    def note(self, pose: SE2, occupancy: OccupancyMap, promised: BoolArray | None = None) -> None:
+        """Take in the observation that was made at `pose` and is in the map.
+
+        Args:
+            pose: Where it was made.
+            occupancy: With it.
+            promised: (rows, cols) cells that it was hoped to show, beside those of the map's view.
+        """
+        from scipy.ndimage import binary_dilation
+
+        from dream.mapping import view
+
+        changed = occupancy.observed & ~self.observed
+        self.count[binary_dilation(changed, np.ones((3, 3), np.bool_))] = 0
+        shown = view(occupancy, pose.x, pose.y, pose.yaw)
+        if promised is not None:
+            shown |= promised
+        self.count[shown & ~occupancy.observed] += 1
+        self.observed = occupancy.observed

@@ -1,0 +1,258 @@
+"""The belief over a hull: boxes on a flat seabed, whose views are known on paper, and slow twins."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from dream.geometry import SE3, Bounds
+from dream.planning._kernels import hull as kernels
+from dream.planning.hull import OVERLAP, WORTH, Hull
+from dream.protocol import DREAM_V1
+from dream.types import Label, Observation
+
+SEABED = -10.0
+BOUNDS = Bounds(-20.0, -20.0, 20.0, 20.0)
+NORTH, SOUTH = math.pi / 2, -math.pi / 2
+Box = tuple[tuple[float, float, float], tuple[float, float, float]]
+"""Low and high corner, metres; z above the seabed. Sides lie within voxels, not between two."""
+CRATE: Box = ((-1.44, -0.94, 0.0), (1.56, 1.06, 1.56))
+TOWER: Box = ((-0.94, -0.94, 0.0), (1.06, 1.06, 4.2))
+
+
+def _view(x: float, y: float, yaw: float, *boxes: Box) -> Observation:
+    """What a vehicle there sees of boxes of target on a flat seabed."""
+    camera, T_world_base = DREAM_V1.camera, SE3.level(x, y, SEABED + DREAM_V1.altitude, yaw)
+    T_world_camera = T_world_base @ DREAM_V1.T_base_camera
+    place = T_world_camera.translation
+    rays = camera.back_project(np.ones((camera.height, camera.width)), T_world_camera) - place
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = np.where(rays[..., 2] < 0.0, (SEABED - place[2]) / rays[..., 2], np.inf)
+        labels = np.full(depth.shape, int(Label.SEABED), np.uint8)
+        for box in boxes:
+            low, high = (np.add(corner, (0.0, 0.0, SEABED)) for corner in box)
+            first, last = (low - place) / rays, (high - place) / rays
+            enter = np.minimum(first, last).max(axis=-1)
+            leave = np.maximum(first, last).min(axis=-1)
+            hit = (enter > 0.0) & (enter < leave) & (enter < depth)
+            depth, labels[hit] = np.where(hit, enter, depth), int(Label.TARGET)
+    far = depth > DREAM_V1.max_depth
+    depth[far], labels[far] = np.nan, int(Label.WATER)
+    return Observation(
+        time=0.0,
+        rgb=np.zeros((*depth.shape, 3), np.uint8),
+        depth=depth.astype(np.float32),
+        labels=labels,
+        camera=camera,
+        T_world_base=T_world_base,
+        T_base_camera=DREAM_V1.T_base_camera,
+    )
+
+
+def _after(*observations: Observation) -> Hull:
+    hull = Hull(BOUNDS, DREAM_V1)
+    for observation in observations:
+        hull.integrate(observation)
+    return hull
+
+
+def _shown(hull: Hull, x: float, y: float, yaw: float) -> npt.NDArray[np.signedinteger]:
+    starts, elements = hull.visible([[x, y]])
+    heading = DREAM_V1.heading_index(yaw)
+    return elements[starts[heading] : starts[heading + 1]]
+
+
+def _round(distance: float, *boxes: Box) -> list[Observation]:
+    """Views of the origin from all twelve directions."""
+    angles = np.arange(12) * DREAM_V1.heading_step
+    return [_view(distance * math.cos(a), distance * math.sin(a), a + math.pi, *boxes) for a in angles]
+
+
+def test_bare_seabed_holds_nothing_to_see() -> None:
+    hull = _after(*_round(5.0))
+    assert hull.found == 0.0
+    assert hull.unseen == 0.0
+    starts, elements = hull.visible([[0.0, 0.0], [1.0, 2.0]])
+    assert len(starts) == 2 * DREAM_V1.headings + 1
+    assert not starts.any()
+    assert len(elements) == 0
+
+
+def test_what_is_seen_of_a_crate_all_around_is_its_surface() -> None:
+    hull = _after(*_round(5.0, CRATE))
+    patches = (3.0 * 2.0 + 2 * (3.0 + 2.0) * 1.56) / 0.5**2
+    assert hull.found == pytest.approx(patches, rel=0.2)
+    assert hull.unseen < 0.01 * hull.found
+
+
+def test_the_far_side_of_a_crate_stays_unseen() -> None:
+    hull = _after(_view(0.0, -5.0, NORTH, CRATE))
+    far = _shown(hull, 0.0, 5.0, SOUTH)
+    assert hull.weights[far].sum() > 0.5
+    assert (hull.middles[:, 1] > 0.7).any()
+    before = hull.found
+    hull.integrate(_view(0.0, 5.0, SOUTH, CRATE))
+    # The side of 3 m by 1.5 m, but not the top, which both views show.
+    assert hull.found - before == pytest.approx(3.0 * 1.56 / 0.5**2, rel=0.3)
+
+
+def test_hull_seen_from_beyond_reach_is_known_and_unseen() -> None:
+    hull = _after(_view(0.0, -12.0, NORTH, CRATE))
+    assert hull.found == 0.0
+    side = (
+        (hull.middles[:, 1] < -0.9)
+        & (hull.middles[:, 2] > SEABED + 0.2)
+        & (hull.middles[:, 2] < SEABED + 1.3)
+    )
+    # The near side of 3 m by 1.1 m, at the probability that it will be seen.
+    assert hull.weights[side].sum() == pytest.approx(WORTH[0, 0] * 3.0 * 1.1 / 0.5**2, rel=0.25)
+    assert len(_shown(hull, 0.0, -6.0, NORTH)) > 0
+    assert len(_shown(hull, 0.0, -9.5, NORTH)) == 0
+    assert len(_shown(hull, 0.0, -6.0, SOUTH)) == 0
+
+
+def test_what_is_high_is_only_in_the_image_from_afar() -> None:
+    hull = _after(_view(0.0, -14.0, NORTH, TOWER))
+    height = hull.middles[:, 2] - SEABED
+    front = np.flatnonzero((hull.middles[:, 1] < -0.8) & (np.abs(hull.middles[:, 0]) < 0.8))
+    assert height[front].max() > 3.5
+    top = math.tan(math.radians(0.5 * 73.7398) - DREAM_V1.camera_pitch)
+    for distance in (3.0, 5.0, 7.0):
+        shown = np.intersect1d(_shown(hull, 0.0, -1.0 - distance, NORTH), front)
+        assert height[shown].max() == pytest.approx(2.0 + distance * top, abs=0.3)
+
+
+def test_nothing_counts_that_is_too_high_to_be_seen_within_reach() -> None:
+    mast: Box = ((-1.0, -1.0, 0.0), (1.0, 1.0, 5.8))
+    hull = _after(_view(0.0, -18.0, NORTH, mast))
+    assert hull.middles[:, 2].max() - SEABED < 4.6
+
+
+def test_a_wall_hides_what_is_behind_it() -> None:
+    wall: Box = ((-4.0, -4.0, 0.0), (4.0, -3.5, 3.5))
+    hull = _after(_view(12.0, 0.0, math.pi, CRATE), _view(0.0, -12.0, NORTH, wall, CRATE))
+    crate = np.flatnonzero(hull.middles[:, 1] > -1.2)
+    assert len(np.intersect1d(_shown(hull, 4.0, 0.0, math.pi), crate)) > 0
+    assert len(np.intersect1d(_shown(hull, 0.0, -7.0, NORTH), crate)) == 0
+
+
+def test_what_is_looked_at_in_vain_is_given_up() -> None:
+    hull = _after(_view(0.0, -12.0, NORTH, CRATE))
+    nothing = _view(0.0, -6.0, NORTH)
+    nothing = replace(nothing, depth=np.full_like(nothing.depth, np.nan))
+    worth = []
+    for _ in range(10):
+        worth.append(hull.weights[_shown(hull, 0.0, -6.0, NORTH)].sum())
+        hull.integrate(nothing)
+    assert worth[0] > 5.0
+    assert all(b < a for a, b in pairwise(worth[:8]))
+    assert worth[-1] == 0.0
+
+
+def test_a_look_elsewhere_is_no_look() -> None:
+    hull = _after(_view(0.0, -12.0, NORTH, CRATE))
+    before = hull.unseen
+    for _ in range(10):
+        hull.integrate(_view(0.0, -12.0, SOUTH, CRATE))
+    assert hull.unseen == before
+
+
+def test_visible_agrees_with_a_slow_twin() -> None:
+    wall: Box = ((2.0, -4.0, 0.0), (2.3, 3.0, 2.8))
+    hull = _after(_view(0.0, -12.0, NORTH, CRATE, wall), _view(-10.0, 3.0, 0.0, CRATE, wall))
+    positions = np.array([[0.5, -6.0], [6.0, 0.0], [-4.0, 3.5]])
+    starts, elements = hull.visible(positions)
+    agree = total = seen = 0
+    for p, (x, y) in enumerate(positions):
+        place = np.array([x, y, SEABED + DREAM_V1.altitude])
+        clear = np.array([_is_clear(hull, place, middle) for middle in hull.middles])
+        near = np.hypot(*(hull.middles[:, :2] - place[:2]).T) <= DREAM_V1.reach
+        for k in range(DREAM_V1.headings):
+            T_world_camera = SE3.level(x, y, place[2], k * DREAM_V1.heading_step) @ DREAM_V1.T_base_camera
+            pixel, depth = DREAM_V1.camera.project(T_world_camera.inverse @ hull.middles)
+            inside = (pixel >= 0.0).all(axis=1) & (pixel < (320, 240)).all(axis=1) & (depth > 0.1)
+            slow = inside & near & clear
+            n = p * DREAM_V1.headings + k
+            fast = np.isin(np.arange(len(slow)), elements[starts[n] : starts[n + 1]])
+            agree, total, seen = agree + (slow == fast).sum(), total + len(slow), seen + slow.sum()
+    assert seen > 500
+    # The seabed's height, as learnt, is off by a hair, and a ray may graze the corner of an octant.
+    assert agree >= 0.995 * total
+
+
+def _is_clear(hull: Hull, place: npt.NDArray[np.float64], middle: npt.NDArray[np.float64]) -> bool:
+    length = np.linalg.norm(middle - place)
+    along = np.arange(0.0, 1.0 - OVERLAP * hull._side / length, 0.002)
+    octants = (place + along[:, None] * (middle - place) - hull._corner) / hull._side
+    col, row, level = np.floor(octants).astype(int).T
+    up = np.floor(2.0 * (octants % 1.0)).astype(int) @ (1, 2, 4)
+    return not ((hull._solid[level, row, col] >> up) & 1).any()
+
+
+def test_carving_agrees_with_a_slow_twin() -> None:
+    observation = _view(0.3, -4.2, 1.2, CRATE)
+    voxels = np.zeros((40, 60, 60), np.uint8)
+    corner, side = np.array([-6.0, -6.0, SEABED - 1.0]), 0.2
+    camera, T_world_camera = observation.camera, observation.T_world_camera
+    lens = (camera.fx, camera.fy, camera.cx, camera.cy)
+    place, rotation = T_world_camera.translation, np.ascontiguousarray(T_world_camera.rotation)
+    kernels.carve(voxels, observation.depth, rotation, place, lens, 7.0, 0.1, corner, side)
+
+    level, row, col = np.mgrid[0:40, 0:60, 0:60]
+    middles = corner + (np.stack([col, row, level], axis=-1) + 0.5) * side
+    pixel, depth = camera.project(T_world_camera.inverse @ middles)
+    with np.errstate(invalid="ignore"):
+        inside = ((pixel >= 0.0) & (pixel < (320, 240))).all(axis=-1) & (depth > 0.0) & (depth <= 7.0)
+    j, i = np.where(inside[..., None], pixel, 0.0).astype(int).transpose(3, 0, 1, 2)
+    there = observation.depth[i, j]
+    free = inside & (np.isnan(there) | (there >= depth + 0.1))
+    assert 1000 < free.sum() < free.size // 2
+    np.testing.assert_array_equal(voxels, np.where(free, kernels.FREE, 0))
+
+
+def test_elements_agree_with_a_slow_twin() -> None:
+    rng = np.random.default_rng(3)
+    kinds = [0, kernels.FREE, kernels.HULL, kernels.HULL | kernels.SEEN, kernels.OTHER | kernels.FREE]
+    voxels = rng.choice(np.array(kinds, np.uint8), (12, 16, 14), p=(0.6, 0.3, 0.02, 0.03, 0.05))
+    looks = rng.integers(0, 4, voxels.shape).astype(np.uint8)
+    worth = np.array([[0.9, 0.5, 0.2], [0.3, 0.1, 0.0]])
+    near = np.ones((6, 8, 7), np.uint8)
+    low, high = np.full((8, 7), 3), np.full((8, 7), 10)
+    elements, middles, weights = kernels.list_elements(
+        voxels, near, looks, worth, np.array([0, 0, 0, 6, 8, 7]), low, high
+    )
+
+    slow: dict[tuple[int, ...], float] = {}
+    for h, r, c in np.ndindex(10, 14, 12):
+        h, r, c = h + 1, r + 1, c + 1
+        around = voxels[h - 1 : h + 2, r - 1 : r + 2, c - 1 : c + 2]
+        beside = (
+            around[0, 1, 1],
+            around[2, 1, 1],
+            around[1, 0, 1],
+            around[1, 2, 1],
+            around[1, 1, 0],
+            around[1, 1, 2],
+        )
+        kind = -1
+        if voxels[h, r, c] == kernels.HULL:
+            kind = kernels.SURFACE
+        elif voxels[h, r, c] == 0 and (around & kernels.HULL).any() and kernels.FREE in beside:
+            kind = kernels.EDGE
+        if kind >= 0 and looks[h, r, c] < 3 and worth[kind, looks[h, r, c]] > 0.0 and 3 <= h < 10:
+            key = (h // 2, r // 2, c // 2, kind)
+            slow[key] = slow.get(key, 0.0) + worth[kind, looks[h, r, c]]
+    assert {tuple(element) for element in elements.tolist()} == set(slow)
+    np.testing.assert_allclose(weights, [slow[tuple(element)] for element in elements.tolist()])
+    np.testing.assert_array_equal(middles // 2, elements[:, :3])
+
+
+@pytest.mark.parametrize("positions", [[1.0, 2.0], [[1.0, 2.0, 3.0]], [[math.nan, 0.0]]])
+def test_bad_positions_are_refused(positions: list[float]) -> None:
+    with pytest.raises(ValueError, match="positions: expected"):
+        Hull(BOUNDS, DREAM_V1).visible(positions)
