@@ -18,7 +18,7 @@ from dream.planning.outlook import Listed, Outlook
 from dream.planning.parameters import check_range
 from dream.planning.travel import Pose, Travel, careful_standoff, careful_travel, nearest_open, travel_from
 from dream.planning.vain import VainLooks
-from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
+from dream.types import BoolArray, Decision, IntArray, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
@@ -31,6 +31,8 @@ NEGLIGIBLE = 1e-9
 sequence of actions shows it, and can then be crossed."""
 ADJOINING = 1.5
 """Metres from hull within reach up to which more hull is believed in."""
+BENEATH = 0.02
+"""What ground beside and beneath a hull counts: what is to be seen there is the hull itself."""
 NEAR = 6
 """Steps within which the hull's views are worked out for every second node; for every fourth beyond."""
 MOST_VISITS = 3
@@ -79,6 +81,8 @@ class Belief:
     measured on `dev`, the truth is then at most three times as much."""
     search: float = 0.05
     """Square metres of targets to be expected for a square metre on which the middle of a group could lie."""
+    alone: float = 0.05
+    """How many times as many groups are to be expected once a hull was found: a wreck lies alone."""
     eager: float = 3.0
     """How many times more targets count that are expected beside known ones: these are there or not, but a
     region left open must be come back to."""
@@ -109,6 +113,7 @@ class Belief:
         check_range("open_edge", self.open_edge, 0.0, 1.0)
         check_range("hull_left", self.hull_left, 0.0, 1.0)
         check_range("search", self.search, 1e-6, 1.0)
+        check_range("alone", self.alone, 0.0, 1.0)
         check_range("eager", self.eager, 0.0, 1000.0)
         check_range("closing", self.closing, 0.0, 1000.0)
         check_range("patience", self.patience, 1, 100)
@@ -152,6 +157,8 @@ class _BeliefPilot:
     """Grows with every `done` that was refused."""
     claimed: bool = False
     """The last decision was `done`."""
+    tried: dict[int, IntArray] = field(default_factory=dict)
+    """By node, what of the hull it was foretold to show and did not: from there nothing of it ever will."""
     visits: Counter[Pose] = field(default_factory=Counter)
     """How often a pose was returned to since anything was new."""
     news: int = 0
@@ -175,10 +182,13 @@ class _BeliefPilot:
         if self.claimed:
             self.patience += 1
         self.claimed = False
-        self.vain.note(pose, occupancy)
+        # What it had foretold, with the solids that it knew of then.
+        self.vain.note(pose, occupancy, promised=self.outlook.shown(pose))
         self.outlook.update(occupancy)
         self.hull.integrate(observation)
-        travel = careful_travel(pose, occupancy)
+        self._note_hull(pose)
+        stands = bool((occupancy.target & occupancy.solid).any())
+        travel = travel_from(pose, occupancy) if stands else careful_travel(pose, occupancy)
         moves = self.outlook.moves(travel.free, occupancy, careful_standoff(protocol))
 
         # 1 Distribution: where targets are to be expected.
@@ -237,10 +247,12 @@ class _BeliefPilot:
         beside = np.zeros(occupancy.shape, np.float32)
         if completion.regions:
             beside = expectation(occupancy, evidence, planner.prior, planner.prior_weight)
-            for region in completion.regions:
-                row, col = region.open_cells.T
-                beside[row, col] = np.maximum(beside[row, col], planner.open_edge)
-            beside[distance_transform_edt(~occupancy.target, cell) > 2.0 * evidence] = 0.0
+            far = distance_transform_edt(~occupancy.target, cell) > 2.0 * evidence
+            beside[far] = 0.0
+            row, col = completion.open_cells.T
+            # A hole far from all targets must be closed, but holds none more likely than other ground does.
+            least = np.where(far[row, col], planner.search, planner.open_edge)
+            beside[row, col] = np.maximum(beside[row, col], least)
         hopeless = ~self._in_sight(moves, pose) | (self.vain.count >= self.patience)
         hiding = could_hide(occupancy, self.size, hopeless)
         if completion.complete:
@@ -250,10 +262,12 @@ class _BeliefPilot:
         hidden = float(hiding.sum()) * cell**2
         searched = occupancy.observed.size * cell**2 - hidden
         found = len(completion.regions)
+        hull = self._expected_hull(occupancy)
+        if hull.any():
+            hidden *= planner.alone
         risk = groups.risk(found, searched, hidden)
         if planner.certify:
             risk = float(hiding.any())
-        hull = self._expected_hull(occupancy)
         left = float(hull.sum())
         return _Expected(
             beside,
@@ -269,17 +283,20 @@ class _BeliefPilot:
 
         Farther away labels are not trusted, and where no target stands up there is no hull.
         """
-        from scipy.ndimage import distance_transform_edt
-
-        stands = occupancy.target & occupancy.solid
-        if not stands.any() or not len(self.hull.weights):
+        if not (occupancy.target & occupancy.solid).any() or not len(self.hull.weights):
             return np.zeros(len(self.hull.weights))
         x, y = self.hull.middles[:, :2].T
         inside = occupancy.contains(x, y)
         away = np.full(len(x), np.inf)
-        distance = distance_transform_edt(~stands, self.mission.protocol.cell)
-        away[inside] = distance[occupancy.cell_of(x[inside], y[inside])]
+        away[inside] = self._away_from_hull(occupancy)[occupancy.cell_of(x[inside], y[inside])]
         return np.where(away <= ADJOINING, self.hull.weights, 0.0)
+
+    def _away_from_hull(self, occupancy: OccupancyMap) -> FloatArray:
+        """(rows, cols) metres to the nearest target that stands up."""
+        from scipy.ndimage import distance_transform_edt
+
+        stands = occupancy.target & occupancy.solid
+        return np.asarray(distance_transform_edt(~stands, self.mission.protocol.cell))
 
     def _in_sight(self, moves: npt.NDArray[np.uint8], pose: SE2) -> BoolArray:
         """(rows, cols) cells within reach of a node that the vehicle might get to."""
@@ -310,8 +327,12 @@ class _BeliefPilot:
         square, evidence = protocol.cell**2, planner.kernel * protocol.group_radius
         todo = ~occupancy.observed & (self.vain.count < self.patience)
         surrounded = 1.0 + planner.closing * blurred(occupancy.observed, 2.0 * evidence, occupancy)
-        ground = np.where(todo, planner.eager * expected.beside * square * surrounded + NEGLIGIBLE, 0.0)
-        hiding = np.where(expected.hiding, planner.search * square * surrounded, 0.0)
+        ground = planner.eager * expected.beside * square * surrounded
+        if expected.hull.any():
+            ground[self._away_from_hull(occupancy) <= ADJOINING] *= BENEATH
+        ground = np.where(todo, ground + NEGLIGIBLE, 0.0)
+        search = planner.search * (planner.alone if expected.hull.any() else 1.0)
+        hiding = np.where(expected.hiding, search * square * surrounded, 0.0)
         ahead = LookAhead(
             planner.width, planner.horizon, planner.discount, planner.step_cost, keep=0.01, jump=planner.jump
         )
@@ -332,8 +353,33 @@ class _BeliefPilot:
         chosen = np.where(near, (rows + cols) % 2 == 0, (rows % 2 == 0) & (cols % 2 == 0))
         chosen &= cKDTree(left).query(positions)[0] <= self.mission.protocol.reach
         rows, cols, positions = rows[chosen], cols[chosen], positions[chosen]
+        nodes = rows * self.outlook.cols + cols
         starts, elements = self.hull.visible(positions)
-        return Listed(weights, self.hull.middles[:, :2], rows * self.outlook.cols + cols, starts, elements)
+        worth = weights[elements] > 0.0
+        for k in np.flatnonzero(np.isin(nodes, list(self.tried))):
+            headings = self.mission.protocol.headings
+            mine = slice(starts[k * headings], starts[(k + 1) * headings])
+            worth[mine] &= ~np.isin(self._hull_blocks()[elements[mine]], self.tried[int(nodes[k])])
+        starts = np.concatenate([[0], np.cumsum(worth)])[starts]
+        return Listed(weights, self.hull.middles[:, :2], nodes, starts, elements[worth])
+
+    def _hull_blocks(self) -> IntArray:
+        """(n,) a number for the place of each element of the hull."""
+        place = np.floor(self.hull.middles / self.mission.protocol.cell).astype(np.int64)
+        number: IntArray = (place[:, 2] * 2**20 + place[:, 1]) * 2**20 + place[:, 0]
+        return number
+
+    def _note_hull(self, pose: SE2) -> None:
+        """What of the hull should be in view and is still to be seen."""
+        if not len(self.hull.weights):
+            return
+        protocol = self.mission.protocol
+        row, col = self.outlook.node(pose.x, pose.y)
+        starts, elements = self.hull.visible(np.array([[pose.x, pose.y]]))
+        heading = protocol.heading_index(pose.yaw)
+        blocks = self._hull_blocks()[elements[starts[heading] : starts[heading + 1]]]
+        node = row * self.outlook.cols + col
+        self.tried[node] = np.union1d(self.tried.get(node, blocks), blocks)
 
     def _leftover(
         self, completion: Completion, expected: _Expected, pose: SE2, occupancy: OccupancyMap

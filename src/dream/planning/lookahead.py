@@ -30,7 +30,7 @@ class Plan:
     path: list[Pose]
     """The poses, the present one first; at least two."""
     rate: float
-    """Weight that a step of it is expected to show."""
+    """Weight that a step shows up to where the path shows most a step, the discount taken out."""
     later: float
     """Steps that what is left would take after it, about."""
 
@@ -144,12 +144,13 @@ class LookAhead:
         indices = [end]
         while parent[indices[-1]] >= 0:
             indices.append(int(parent[indices[-1]]))
-        length = len(indices) - 1
-        rate = float(score[end]) / sum(self.discount**k for k in range(1, length + 1))
+        indices.reverse()
+        # The rate up to where it is best: a view is compared with what the sequence shows on the way there.
+        weight_of_steps = np.cumsum(self.discount ** np.arange(1, len(indices)))
+        rate = float((score[indices[1:]] / weight_of_steps).max())
         if rate <= NOTHING:
             return None
-        path = [travel.pose(int(pose[k])) for k in reversed(indices)]
-        return Plan(path, rate, float(steps[end - first]))
+        return Plan([travel.pose(int(pose[k])) for k in indices], rate, float(steps[end - first]))
 
     def _view(self, prospect: Prospect, travel: Travel) -> Plan | None:
         """The way to the view of the best rate."""

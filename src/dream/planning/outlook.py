@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from dream.geometry import SE2
 from dream.planning.travel import IntArray, lattice_in, offsets_of
 from dream.types import BoolArray, Float32Array, Mission
 
@@ -206,6 +207,17 @@ class Outlook:
             room.astype(np.float32), standoff, *self._corner, scale, offsets_of(protocol), known, moves
         )
         return moves
+
+    def shown(self, pose: SE2) -> BoolArray:
+        """(map rows, map cols) the cells of the tiles that a pose was foretold to show."""
+        from dream.planning._kernels.lookahead import look
+
+        row, col = self.node(pose.x, pose.y)
+        bits = np.zeros((2 * self.tiles + 63) // 64, np.uint64)
+        everything = np.ones(2 * self.tiles, np.float32)
+        look(everything, bits, self.views(), row, col, self.mission.protocol.heading_index(pose.yaw))
+        tiles = np.unpackbits(bits.view(np.uint8), bitorder="little")[: self.tiles].astype(np.bool_)
+        return np.asarray(tiles[self._tile_of])
 
     def on_tiles(self, cells: FloatArray) -> Float32Array:
         """(tiles,) the sums of (map rows, map cols)."""
