@@ -31,6 +31,8 @@ NEGLIGIBLE = 1e-9
 sequence of actions shows it, and can then be crossed."""
 ADJOINING = 1.5
 """Metres from hull within reach up to which more hull is believed in."""
+KEEP = 0.01
+"""Share of all that is worth looking at that a tour may leave."""
 BENEATH = 0.02
 """What ground beside and beneath a hull counts: what is to be seen there is the hull itself."""
 NEAR = 6
@@ -98,6 +100,8 @@ class Belief:
     """What a target is worth that is seen a step later."""
     step_cost: float = 0.004
     """What a step costs, as a share of all that is expected."""
+    tour: float = 1.0
+    """What the tour over what is left counts, beside what the sequence itself shows."""
     jump: float = 0.6
     """How much worse than the best single view, for its distance, the sequence may be."""
 
@@ -121,6 +125,7 @@ class Belief:
         check_range("horizon", self.horizon, 1, 100)
         check_range("discount", self.discount, 0.5, 1.0)
         check_range("step_cost", self.step_cost, 0.0, 1.0)
+        check_range("tour", self.tour, 0.0, 10.0)
         check_range("jump", self.jump, 0.0, 1000.0)
 
     def begin(self, mission: Mission) -> _BeliefPilot:
@@ -334,7 +339,13 @@ class _BeliefPilot:
         search = planner.search * (planner.alone if expected.hull.any() else 1.0)
         hiding = np.where(expected.hiding, search * square * surrounded, 0.0)
         ahead = LookAhead(
-            planner.width, planner.horizon, planner.discount, planner.step_cost, keep=0.01, jump=planner.jump
+            planner.width,
+            planner.horizon,
+            planner.discount,
+            planner.step_cost,
+            planner.tour,
+            keep=KEEP,
+            jump=planner.jump,
         )
         prospect = Prospect.of(self.outlook, ground, hiding, self._hull_views(expected, travel, occupancy))
         return ahead.plan(prospect, travel, moves, self.outlook.known_tiles(occupancy))

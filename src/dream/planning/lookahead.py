@@ -79,6 +79,8 @@ class LookAhead:
     """What a gain is worth a step later."""
     step_cost: float
     """What a step costs, as a share of all that is worth looking at."""
+    tour: float
+    """What the tour counts, with its steps, beside the sequence's own gain."""
     keep: float
     """Share of it that a tour may leave."""
     jump: float
@@ -137,8 +139,8 @@ class LookAhead:
             self.keep * total,
         )
         ends = slice(first, None)
-        value = score[ends] + self.discount ** level[ends] * worth
-        value -= self.step_cost * total * (level[ends] + steps)
+        worth = self.discount ** level[ends] * worth - self.step_cost * total * (level[ends] + steps)
+        value = score[ends] + self.tour * worth
         # Rounded, so that a tie is a tie on every machine.
         end = first + int(value.round(6).argmax())
         indices = [end]
