@@ -1,7 +1,7 @@
 """What each ingredient of the planner `belief` is worth: the reefs of the suite `dev` without it, paired.
 
     python perf/ablation.py --out ablation          goes on where it was broken off; 40 minutes on two cores
-    python perf/ablation.py --out ablation --only "greedy" "no tour"
+    python perf/ablation.py --out ablation --only "greedy" "no-tour"
 
 Differences are over the same worlds from the same starts; intervals at 95 % resample worlds within families.
 """
@@ -26,21 +26,21 @@ from dream.protocol import DREAM_V1
 WHOLE = Belief()
 VARIANTS: dict[str, tuple[str, AnyPlanner]] = {
     "belief": ("all of it", WHOLE),
-    "no expectation": (
+    "no-expectation": (
         "targets are expected beside known ones only at open edges",
         replace(WHOLE, kernel=0.1),
     ),
-    "not eager": (
+    "not-eager": (
         "what is expected beside known targets counts once, not three times",
         replace(WHOLE, eager=1.0),
     ),
-    "no closing": ("surrounded ground counts as other ground does", replace(WHOLE, closing=0.0)),
+    "no-closing": ("surrounded ground counts as other ground does", replace(WHOLE, closing=0.0)),
     "greedy": ("one action ahead", replace(WHOLE, horizon=1)),
     "short": ("six actions ahead", replace(WHOLE, horizon=6)),
-    "no tour": ("sequences are judged by their own gain alone", replace(WHOLE, tour=0.0)),
-    "no cost": ("a step costs nothing", replace(WHOLE, step_cost=0.0)),
-    "no jump": ("never straight to one far view while the sequence shows anything", replace(WHOLE, jump=0.0)),
-    "protocol's groups": ("groups of 1.5 m radius hide, as the protocol promises", replace(WHOLE, size=1.5)),
+    "no-tour": ("sequences are judged by their own gain alone", replace(WHOLE, tour=0.0)),
+    "no-cost": ("a step costs nothing", replace(WHOLE, step_cost=0.0)),
+    "no-jump": ("never straight to one far view while the sequence shows anything", replace(WHOLE, jump=0.0)),
+    "small-groups": ("groups of 1.5 m radius hide, as the protocol promises", replace(WHOLE, size=1.5)),
 }
 """Name → what is different, and the planner."""
 
