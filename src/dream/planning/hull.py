@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from dream.geometry import Bounds, FloatArray
 from dream.protocol import SurveyProtocol
-from dream.types import IntArray, Label, Observation
+from dream.types import BoolArray, IntArray, Label, Observation
 
 PATCH = 0.5
 """Metres along a patch of hull: an individual of a wreck."""
@@ -138,7 +138,7 @@ class Hull:
         self._ground = self._smooth_ground()
         self._list_elements()
 
-    def visible(self, positions: npt.ArrayLike) -> tuple[IntArray, IntArray]:
+    def visible(self, positions: npt.ArrayLike, among: BoolArray | None = None) -> tuple[IntArray, IntArray]:
         """Which elements a view from each position would show, for all headings of the lattice.
 
         An element is shown where it is within reach over ground, in the image, and not behind anything known
@@ -146,6 +146,7 @@ class Hull:
 
         Args:
             positions: (P, 2) metres in the world.
+            among: (n,) only these elements; all unless given.
 
         Returns:
             starts: (P * headings + 1,) and elements: (m,). With heading k, position p shows the elements
@@ -158,7 +159,7 @@ class Hull:
             raise ValueError("positions: expected finite numbers, got NaN or infinity")
         angles = np.arange(self.protocol.headings) * self.protocol.heading_step
         heights = self._ground_at(points) + self.protocol.altitude
-        return self._shown(np.column_stack([points, heights]), angles)
+        return self._shown(np.column_stack([points, heights]), angles, among)
 
     # ------------------------------------------------------------------------------------------------------
 
@@ -176,16 +177,19 @@ class Hull:
         foretold = np.append(place[:2], self._ground_at(place[None, :2]) + self.protocol.altitude)
         return np.unique(self._shown(np.stack([place, foretold]), yaw)[1])
 
-    def _shown(self, cameras: FloatArray, yaws: FloatArray) -> tuple[IntArray, IntArray]:
+    def _shown(
+        self, cameras: FloatArray, yaws: FloatArray, among: BoolArray | None = None
+    ) -> tuple[IntArray, IntArray]:
         """CSR over cameras (P, 3) and yaws (K,)."""
         from dream.planning._kernels import hull as kernels
 
         protocol, camera = self.protocol, self.protocol.camera
-        if not len(self._weights):
+        which = np.arange(len(self._weights)) if among is None else np.flatnonzero(among)
+        if not len(which):
             return np.zeros(len(cameras) * len(yaws) + 1, np.int64), np.zeros(0, np.int32)
         starts, elements = kernels.visible(
             self._solid,
-            self._middles,
+            self._middles[which],
             np.ascontiguousarray(cameras),
             np.stack([np.cos(yaws), np.sin(yaws)], axis=1),
             (math.cos(protocol.camera_pitch), math.sin(protocol.camera_pitch)),
@@ -197,7 +201,7 @@ class Hull:
             self._corner,
             self._side,
         )
-        return starts, elements
+        return starts, which[elements]
 
     def _list_elements(self) -> None:
         from dream.planning._kernels import hull as kernels

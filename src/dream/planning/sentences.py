@@ -66,7 +66,7 @@ def certainty(completion: Completion, risk: float, accepted: float) -> str:
     closed = sum(region.enclosed for region in completion.regions)
     return (
         f"{closed} of {len(completion.regions)} regions are enclosed by explored ground. "
-        f"To stop now would miss a group with a probability of {risk:.0%}; {accepted:.0%} is accepted."
+        f"To stop now would miss a group with a probability of {risk:.1%}; {accepted:.1%} is accepted."
     )
 
 

@@ -1,0 +1,120 @@
+"""How often the stop of the planner `belief` is right, and how soon it comes: the reefs of the suite `dev`.
+
+    python perf/stop.py                          some 10 minutes on two cores
+    python perf/stop.py --bench bench/dev        with the planners of a benchmark beside it
+
+Until it ends a mission does not depend on the risk that is accepted. So each world is flown once, to the end
+of all doubt, and what the planner said of the risk step by step tells where it would have ended for another.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dream.evaluation.engines import Failure, Processes, processors
+from dream.evaluation.metrics import COMPLETE, Scorer
+from dream.evaluation.results import read_results
+from dream.evaluation.runner import simulate
+from dream.evaluation.statistics import share_interval
+from dream.evaluation.suites import Case, family_of, suite_named
+from dream.planning import Belief
+from dream.protocol import protocol_named
+from dream.sim.render import Renderer
+from dream.sim.visibility import Visibility
+from dream.sim.worlds import make_world
+
+RISKS = (0.5, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 0.001)
+CLOSED = re.compile(r"(\d+) of (\d+) regions are enclosed.* with a probability of ([\d.]+)%")
+
+
+@dataclass(frozen=True)
+class Mission:
+    """One mission to the end of all doubt; one entry a step."""
+
+    coverage: tuple[float, ...]
+    closed: tuple[bool, ...]
+    """Were there regions, and all of them enclosed?"""
+    risk: tuple[float, ...]
+    """As the planner put it."""
+
+
+def flown(task: tuple[Case, str]) -> Mission:
+    """Fly it."""
+    case, name = task
+    protocol, world = protocol_named(name), make_world(case.world, case.seed)
+    visibility, renderer = Visibility(world, protocol), Renderer(world)
+    scorer = Scorer(world, protocol, visibility=visibility, renderer=renderer)
+    coverage, closed, risk = [], [], []
+    steps = simulate(
+        world, Belief(risk=0.0), protocol, start=case.start, renderer=renderer, solids=visibility.solids
+    )
+    before = 0.0
+    for step in steps:
+        found = CLOSED.search(step.decision.reasoning.completion)
+        if found:  # Decided before this step's move, by what was seen until then.
+            coverage.append(before)
+            closed.append(found[1] == found[2] != "0")
+            risk.append(float(found[3]) / 100.0)
+        before = scorer.add(step).instances
+    coverage.append(before)
+    closed.append(step.ended == "done")
+    risk.append(0.0)
+    return Mission(tuple(coverage), tuple(closed), tuple(risk))
+
+
+def main() -> int:
+    """Fly all and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--bench", type=Path, help="folder of a benchmark of the same worlds")
+    parser.add_argument("--protocol", default="dream-v1")
+    parser.add_argument("--jobs", type=int, default=processors(), help="missions at a time")
+    options = parser.parse_args()
+    protocol = protocol_named(options.protocol)
+    cases = [case for case in suite_named("dev") if family_of(case.world) != "wreck"]
+    missions: list[Mission] = []
+    groups = [[(case, protocol.name)] for case in cases]
+    for task, outcome in Processes(options.jobs).run(flown, groups):
+        if isinstance(outcome, Failure):
+            print(f"failed: {task}: {outcome}", file=sys.stderr)
+            continue
+        missions.append(outcome)
+        print(f"\r{len(missions)}/{len(cases)} missions", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+
+    print("| stop | promised risk | missed 98.26 % | mean step | mean coverage |")
+    print("|---|--:|--:|--:|--:|")
+    look_around = 3
+    for accepted in RISKS:
+        steps, promised, coverage = [], [], []
+        for mission in missions:
+            ends = np.flatnonzero(np.array(mission.closed) & (np.array(mission.risk) <= accepted))
+            end = int(ends[0]) if len(ends) else len(mission.risk) - 1
+            done = len(ends) > 0
+            steps.append(min(end + look_around + 1, protocol.cap) if done else protocol.cap)
+            promised.append(mission.risk[end])
+            coverage.append(mission.coverage[end])
+        missed = [share < COMPLETE for share in coverage]
+        interval = share_interval(sum(missed), len(missed))
+        print(
+            f"| belief, risk {accepted:g} | {np.mean(promised):.1%} | {np.mean(missed):.1%} "
+            f"[{interval.low:.1%}, {interval.high:.1%}] | {np.mean(steps):.1f} | {np.mean(coverage):.2%} |"
+        )
+    if options.bench is not None:
+        rows = [row for row in read_results(options.bench).rows if family_of(row.world) != "wreck"]
+        for name in dict.fromkeys(row.planner for row in rows):
+            these = [row for row in rows if row.planner == name]
+            ended = [protocol.cap if row.t_stop is None else row.t_stop for row in these]
+            missed_share = np.mean([row.instances < COMPLETE for row in these])
+            covered = np.mean([row.instances for row in these])
+            print(f"| {name} | – | {missed_share:.1%} | {np.mean(ended):.1f} | {covered:.2%} |")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
