@@ -17,6 +17,10 @@ from numba import njit
 
 BEARINGS = 256
 """Rays in a full turn: at 32 cells they are closer than a cell."""
+NEGLIGIBLE = 1e-6
+"""Weight of an element for which a tour goes nowhere."""
+DETOUR = 0.3
+"""Steps that an area costs a tour beside the way there and the looking."""
 FREE, UNKNOWN = 1, 2
 """A move over ground known to be free, and one against which nothing is known."""
 
@@ -331,11 +335,12 @@ def tours(
     n, headings = len(pose), len(views.first) - 1
     worth, steps = np.zeros(n), np.zeros(n)
     left = np.empty(areas, np.int64)
+    counted = np.flatnonzero(weights > NEGLIGIBLE)
     for s in range(n):
-        mass, x, y, rest = np.zeros(areas), np.zeros(areas), np.zeros(areas), np.full(areas, 0.3)
-        for element in range(len(weights)):
+        mass, x, y, rest = np.zeros(areas), np.zeros(areas), np.zeros(areas), np.full(areas, DETOUR)
+        for element in counted:
             weight = weights[element]
-            if weight > 1e-6 and not is_in(seen[s], element):
+            if not is_in(seen[s], element):
                 k = area_of[element]
                 mass[k] += weight
                 rest[k] += 1.0 / service
