@@ -80,17 +80,17 @@ class Belief:
     open_edge: float = 0.5
     """Least probability of a target in a cell that keeps a region open."""
     hull_left: float = 0.005
-    """Share of a hull that may be unseen when the mission ends, by the planner's own estimate, which is low:
-    measured on `dev`, the truth is then at most three times as much."""
+    """Share of a hull that may be unseen when the mission ends, by the planner's own estimate. It does not
+    foresee what can be seen from a few places only, so that this must be well below what is aimed at."""
     search: float = 0.05
     """Square metres of targets to be expected for a square metre on which the middle of a group could lie."""
     alone: float = 0.05
     """How many times as many groups are to be expected once a hull was found: a wreck lies alone."""
     eager: float = 3.0
-    """How many times more targets count that are expected beside known ones: these are there or not, but a
-    region left open must be come back to."""
+    """How many times as much targets count that are expected beside known ones: a region that is left open
+    must be come back to."""
     closing: float = 3.0
-    """How many times more ground counts that observed ground surrounds, for the same reason."""
+    """How many times more ground counts that observed ground surrounds: so must a hole."""
     patience: int = 3
     """Looks in vain after which a cell is given up."""
     width: int = 48
@@ -348,7 +348,14 @@ class _BeliefPilot:
             keep=KEEP,
             jump=planner.jump,
         )
-        prospect = Prospect.of(self.outlook, ground, hiding, self._hull_views(expected, travel, occupancy))
+        prospect = Prospect(
+            self.outlook,
+            ground=self.outlook.on_tiles(ground),
+            hiding=self.outlook.on_tiles(hiding),
+            targets=self.outlook.on_tiles(np.where(todo, expected.beside * square, 0.0)),
+            hidden=self.outlook.on_tiles(expected.hiding * square),
+            listed=self._hull_views(expected, travel, occupancy),
+        )
         return ahead.plan(prospect, travel, moves, self.outlook.known_tiles(occupancy))
 
     def _hull_views(self, expected: _Expected, travel: Travel, occupancy: OccupancyMap) -> Listed | None:
@@ -375,7 +382,8 @@ class _BeliefPilot:
             mine = slice(starts[k * headings], starts[(k + 1) * headings])
             worth[mine] &= ~np.isin(self._hull_blocks()[elements[mine]], self.tried[int(nodes[k])])
         starts = np.concatenate([[0], np.cumsum(worth)])[starts]
-        return Listed(weights, self.hull.middles[:, :2], nodes, starts, elements[worth])
+        middles = self.hull.middles[:, :2]
+        return Listed(weights, expected.hull, middles, nodes, starts, elements[worth])
 
     def _hull_blocks(self) -> IntArray:
         """(n,) a number for the place of each element of the hull."""
@@ -419,7 +427,7 @@ class _BeliefPilot:
             if rates.max(initial=0.0) > 0.0:
                 k, heading = np.unravel_index(int(rates.argmax()), rates.shape)
                 path = way.path((int(rows[k]), int(cols[k]), int(heading)))
-                return way, Plan(path, float(rates[k, heading]) * self.mission.protocol.cell**2, 0.0)
+                return way, Plan(path, rate=0.0, later=0.0, cells=float(gains[k, heading]))
         return travel, None
 
     # ----------------------------------------------------------------------------------------- watchdog

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -25,14 +25,22 @@ NOTHING = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Where to go."""
+    """Where to go, and what that is expected to show."""
 
     path: list[Pose]
     """The poses, the present one first; at least two."""
     rate: float
     """Weight that a step shows up to where the path shows most a step, the discount taken out."""
     later: float
-    """Steps that what is left would take after it, about."""
+    """Steps that what is left would take after it, about; 0 where nobody asked."""
+    targets: float = 0.0
+    """Square metres of targets beside known ones."""
+    cleared: float = 0.0
+    """Square metres on which the middle of a group could lie."""
+    patches: float = 0.0
+    """Further elements, by what is expected in each."""
+    cells: float = 0.0
+    """Cells that only the map's own view of a pose still promises."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,24 +48,34 @@ class Prospect:
     """What is worth looking at, and what can be seen of it from where."""
 
     outlook: Outlook
-    weights: Float32Array
-    """(elements,) of the ground to see, of the places where a group could hide, and of what is listed; the
-    tiles of `outlook` twice, then the list."""
-    views: Views
+    ground: Float32Array
+    """(tiles,) weight of seeing it."""
+    hiding: Float32Array
+    """(tiles,) weight of knowing that no group has its middle there."""
+    targets: Float32Array
+    """(tiles,) square metres of targets to be expected."""
+    hidden: Float32Array
+    """(tiles,) square metres on which the middle of a group could lie."""
     listed: Listed | None = None
 
-    @staticmethod
-    def of(
-        outlook: Outlook,
-        ground: npt.NDArray[Any],
-        hiding: npt.NDArray[Any],
-        listed: Listed | None = None,
-    ) -> Prospect:
-        """From (map rows, map cols) weights of both kinds, and a list of further elements."""
-        parts = [outlook.on_tiles(ground), outlook.on_tiles(hiding)]
-        if listed is not None:
-            parts.append(np.asarray(listed.weights, np.float32))
-        return Prospect(outlook, np.concatenate(parts), outlook.views(listed), listed)
+    @property
+    def weights(self) -> Float32Array:
+        """(elements,) of the ground, of the hiding places and of what is listed."""
+        parts = [self.ground, self.hiding]
+        if self.listed is not None:
+            parts.append(np.asarray(self.listed.weights, np.float32))
+        return np.concatenate(parts)
+
+    def plan(self, path: list[Pose], rate: float, later: float, seen: npt.NDArray[np.uint64]) -> Plan:
+        """A plan by the bits of what it shows; see `_kernels.lookahead.look`."""
+        shown = np.unpackbits(seen.view(np.uint8), bitorder="little").astype(np.bool_)
+        tiles, patches = self.outlook.tiles, 0.0
+        if self.listed is not None:
+            patches = float(
+                self.listed.expected[shown[2 * tiles : 2 * tiles + len(self.listed.expected)]].sum()
+            )
+        targets = float(self.targets[shown[:tiles]].sum())
+        return Plan(path, rate, later, targets, float(self.hidden[shown[tiles : 2 * tiles]].sum()), patches)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,22 +115,29 @@ class LookAhead:
             moves: See `Outlook.moves`.
             known: (tiles,) where ground is known.
         """
-        plan = self._sequence(prospect, travel, moves, known)
-        view = self._view(prospect, travel)
+        weights, views = prospect.weights, prospect.outlook.views(prospect.listed)
+        plan = self._sequence(prospect, weights, views, travel, moves, known)
+        view = self._view(prospect, weights, views, travel)
         if view is not None and (plan is None or plan.rate < self.jump * view.rate):
             return view
         return plan
 
     def _sequence(
-        self, prospect: Prospect, travel: Travel, moves: npt.NDArray[np.uint8], known: BoolArray
+        self,
+        prospect: Prospect,
+        weights: Float32Array,
+        views: Views,
+        travel: Travel,
+        moves: npt.NDArray[np.uint8],
+        known: BoolArray,
     ) -> Plan | None:
         from dream.planning._kernels import lookahead
 
-        protocol, outlook, weights = travel.protocol, prospect.outlook, prospect.weights
+        protocol, outlook = travel.protocol, prospect.outlook
         total = float(weights.sum())
         pose, parent, score, level, seen, first = lookahead.beam(
             weights,
-            prospect.views,
+            views,
             moves,
             offsets_of(protocol),
             np.array(protocol.turns, np.int64),
@@ -126,7 +151,7 @@ class LookAhead:
             return None
         worth, steps = lookahead.tours(
             weights,
-            prospect.views,
+            views,
             seen[first:],
             pose[first:],
             *outlook.places(prospect.listed),
@@ -152,9 +177,10 @@ class LookAhead:
         rate = float((score[indices[1:]] / weight_of_steps).max())
         if rate <= NOTHING:
             return None
-        return Plan([travel.pose(int(pose[k])) for k in indices], rate, float(steps[end - first]))
+        path = [travel.pose(int(pose[k])) for k in indices]
+        return prospect.plan(path, rate, float(steps[end - first]), seen[end])
 
-    def _view(self, prospect: Prospect, travel: Travel) -> Plan | None:
+    def _view(self, prospect: Prospect, weights: Float32Array, views: Views, travel: Travel) -> Plan | None:
         """The way to the view of the best rate."""
         from dream.planning._kernels import lookahead
 
@@ -165,10 +191,12 @@ class LookAhead:
         steps = travel.steps[rows, cols]
         if not (steps > 0).any():
             return None
-        gains = lookahead.gains(prospect.weights, prospect.views, rows, cols)
+        gains = lookahead.gains(weights, views, rows, cols)
         rates = np.where(steps > 0, gains / np.maximum(steps, 1), 0.0).round(6)
         k, heading = np.unravel_index(int(rates.argmax()), rates.shape)
         if rates[k, heading] <= NOTHING:
             return None
-        path = travel.path((int(rows[k]), int(cols[k]), int(heading)))
-        return Plan(path, float(rates[k, heading]), 0.0)
+        row, col = int(rows[k]), int(cols[k])
+        seen = np.zeros((len(weights) + 63) // 64, np.uint64)
+        lookahead.look(weights, seen, views, row, col, int(heading))
+        return prospect.plan(travel.path((row, col, int(heading))), float(rates[k, heading]), 0.0, seen)

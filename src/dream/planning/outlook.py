@@ -34,6 +34,8 @@ class Listed:
 
     weights: FloatArray
     """(m,) of the elements."""
+    expected: FloatArray
+    """(m,) what is to be expected in each."""
     positions: FloatArray
     """(m, 2) metres in the world."""
     nodes: IntArray

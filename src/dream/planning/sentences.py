@@ -71,16 +71,23 @@ def certainty(completion: Completion, risk: float, accepted: float) -> str:
 
 
 def plan(ahead: Plan, travel: Travel) -> str:
-    """Step 4: where the next actions lead."""
+    """Step 4: where the next actions lead, and what they are expected to show."""
     row, col, heading = ahead.path[-1]
     steps = len(ahead.path) - 1
     towards = math.degrees(heading * travel.protocol.heading_step)
-    count = "step leads" if steps == 1 else f"{steps} steps lead"
-    later = f"; what is left then takes about {ahead.later:.0f} more" if ahead.later >= 0.5 else ""
-    return (
-        f"The next {count} to {_place(travel.position(row, col))}, looking towards {towards:.0f}°, "
-        f"and are worth {ahead.rate:.2f} m² of targets each{later}."
-    )
+    lead = "The next step leads" if steps == 1 else f"The next {steps} steps lead"
+    shown = []
+    if ahead.targets >= 0.05:
+        shown.append(f"{ahead.targets:.1f} m² of targets")
+    if ahead.patches >= 0.05:
+        shown.append(f"{ahead.patches:.1f} patches of hull")
+    if ahead.cleared >= 0.5:
+        shown.append(f"{ahead.cleared:.0f} m² on which the middle of a group could lie")
+    if ahead.cells:
+        shown.append(f"{ahead.cells:.0f} of the cells that keep the map open")
+    what = f", and may show {' and '.join(shown)}" if shown else ""
+    later = f" What is left then takes about {ahead.later:.0f} more." if ahead.later >= 0.5 else ""
+    return f"{lead} to {_place(travel.position(row, col))}, looking towards {towards:.0f}°{what}.{later}"
 
 
 def next_target(
