@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
+from scipy.optimize import minimize_scalar
 
 from dream.evaluation.engines import Failure, Processes, processors
 from dream.evaluation.metrics import COMPLETE, Scorer
@@ -24,12 +26,15 @@ from dream.evaluation.runner import simulate
 from dream.evaluation.statistics import share_interval
 from dream.evaluation.suites import Case, family_of, suite_named
 from dream.planning import Belief
+from dream.planning.distribution import could_hide
 from dream.protocol import protocol_named
 from dream.sim.render import Renderer
 from dream.sim.visibility import Visibility
 from dream.sim.worlds import make_world
 
 RISKS = (0.5, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 0.001)
+RADII = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
+"""Metres."""
 CLOSED = re.compile(r"(\d+) of (\d+) regions are enclosed.* with a probability of ([\d.]+)%")
 
 
@@ -42,6 +47,8 @@ class Mission:
     """Were there regions, and all of them enclosed?"""
     risk: tuple[float, ...]
     """As the planner put it."""
+    hidden: tuple[tuple[float, ...], ...]
+    """Square metres where the middle of a group of each of `RADII` would not have been noticed."""
 
 
 def flown(task: tuple[Case, str]) -> Mission:
@@ -50,22 +57,44 @@ def flown(task: tuple[Case, str]) -> Mission:
     protocol, world = protocol_named(name), make_world(case.world, case.seed)
     visibility, renderer = Visibility(world, protocol), Renderer(world)
     scorer = Scorer(world, protocol, visibility=visibility, renderer=renderer)
-    coverage, closed, risk = [], [], []
+    coverage, closed, risk, hidden = [], [], [], []
     steps = simulate(
         world, Belief(risk=0.0), protocol, start=case.start, renderer=renderer, solids=visibility.solids
     )
-    before = 0.0
+    before, area = 0.0, (0.0,) * len(RADII)
     for step in steps:
         found = CLOSED.search(step.decision.reasoning.completion)
         if found:  # Decided before this step's move, by what was seen until then.
             coverage.append(before)
             closed.append(found[1] == found[2] != "0")
             risk.append(float(found[3]) / 100.0)
+            hidden.append(area)
         before = scorer.add(step).instances
+        nothing = np.zeros(step.occupancy.shape, np.bool_)
+        area = tuple(
+            float(could_hide(step.occupancy, radius, nothing).sum()) * protocol.cell**2 for radius in RADII
+        )
     coverage.append(before)
     closed.append(step.ended == "done")
     risk.append(0.0)
-    return Mission(tuple(coverage), tuple(closed), tuple(risk))
+    hidden.append(area)
+    return Mission(tuple(coverage), tuple(closed), tuple(risk), tuple(hidden))
+
+
+def intensity(area: npt.NDArray[np.float64], missed: npt.NDArray[np.bool_]) -> tuple[float, float]:
+    """Groups per square metre of hidden ground that are likeliest, and the log-likelihood.
+
+    Args:
+        area: (n,) hidden ground at a step at which all regions were enclosed.
+        missed: (n,) was anything missed that the mission needed?
+    """
+
+    def unlikely(log_intensity: float) -> float:
+        none = np.exp(-np.exp(log_intensity) * area)
+        return float(-np.log(np.clip(np.where(missed, 1.0 - none, none), 1e-12, 1.0)).sum())
+
+    best = minimize_scalar(unlikely, bounds=(-14.0, -1.0), method="bounded")
+    return float(np.exp(best.x)), -float(best.fun)
 
 
 def main() -> int:
@@ -105,14 +134,27 @@ def main() -> int:
             f"| belief, risk {accepted:g} | {np.mean(promised):.1%} | {np.mean(missed):.1%} "
             f"[{interval.low:.1%}, {interval.high:.1%}] | {np.mean(steps):.1f} | {np.mean(coverage):.2%} |"
         )
+    steps_of = [
+        (areas, share < COMPLETE)
+        for mission in missions
+        for areas, share, closed in zip(mission.hidden, mission.coverage, mission.closed, strict=True)
+        if closed
+    ]
+    areas, missed_at = np.array([a for a, _ in steps_of]), np.array([m for _, m in steps_of])
+    print(f"\n{len(areas)} steps at which all regions were enclosed, {missed_at.mean():.1%} too early")
+    print("\n| radius of a group | groups per 1000 m² hidden | log-likelihood |\n|--:|--:|--:|")
+    for k, radius in enumerate(RADII):
+        found, likelihood = intensity(areas[:, k], missed_at)
+        print(f"| {radius:g} m | {1000.0 * found:.2f} | {likelihood:.0f} |")
     if options.bench is not None:
+        print("\n| stop | missed 98.26 % | mean step | mean coverage |\n|---|--:|--:|--:|")
         rows = [row for row in read_results(options.bench).rows if family_of(row.world) != "wreck"]
         for name in dict.fromkeys(row.planner for row in rows):
             these = [row for row in rows if row.planner == name]
             ended = [protocol.cap if row.t_stop is None else row.t_stop for row in these]
             missed_share = np.mean([row.instances < COMPLETE for row in these])
             covered = np.mean([row.instances for row in these])
-            print(f"| {name} | – | {missed_share:.1%} | {np.mean(ended):.1f} | {covered:.2%} |")
+            print(f"| {name} | {missed_share:.1%} | {np.mean(ended):.1f} | {covered:.2%} |")
     return 0
 
 
