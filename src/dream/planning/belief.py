@@ -39,7 +39,9 @@ NEAR = 5
 """Steps within which the hull's views are worked out for every second node; within twice as many for every
 fourth, for every sixteenth beyond."""
 MOST_VISITS = 3
-"""Of a pose without anything new: then what was headed for is given up."""
+"""Of a pose without anything new: then what it headed for is given up; after twice as many, leftovers too."""
+GIVEN_UP = np.iinfo(np.uint16).max // 2
+"""Looks in vain at a cell of which nothing is hoped for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,11 +187,15 @@ class _BeliefPilot:
         from dream.mapping import check_completion
 
         pose, protocol = observation.pose, self.mission.protocol
-        if self.claimed:
+        refused, self.claimed = self.claimed, False
+        if refused:
+            # It stood still, so that there was no new look; what was given up is worth one more.
             self.patience += 1
-        self.claimed = False
-        # What it had foretold, with the solids that it knew of then.
-        self.vain.note(pose, occupancy, promised=self.outlook.shown(pose))
+            np.minimum(self.vain.count, self.patience + 1, out=self.vain.count)
+        else:
+            # What it had foretold, with the solids that it knew of then, counts as looked at too.
+            here = (*self.outlook.node(pose.x, pose.y), protocol.heading_index(pose.yaw))
+            self.vain.note(pose, occupancy, self.outlook.shown(here)[0] if self.news else None)
         self.outlook.update(occupancy)
         self.hull.integrate(observation)
         self._note_hull(pose)
@@ -214,11 +220,14 @@ class _BeliefPilot:
             return self._done(reasoning, "Every region is enclosed and little can have been missed: done.")
         # 4 Next target: what shows most soonest, with the tour over what is left.
         plan = self._plan(expected, completion, travel, moves, occupancy)
-        if plan is not None and self._goes_round(travel.start, occupancy):
+        visits = self._visits(travel.start, occupancy)
+        if plan is not None and visits >= MOST_VISITS:
             self._give_up(plan, occupancy)
             plan = None
         if plan is None:
             travel, plan = self._leftover(completion, expected, pose, occupancy)
+            if plan is not None and visits >= 2 * MOST_VISITS:
+                self._give_up(plan, occupancy)
         if plan is None:
             return self._done(reasoning, "Nothing is left that any known way leads to a view of: done.")
         # 5 Safety is in the search: its first move is one that the guard lets pass.
@@ -334,6 +343,10 @@ class _BeliefPilot:
         todo = ~occupancy.observed & (self.vain.count < self.patience)
         surrounded = 1.0 + planner.closing * blurred(occupancy.observed, 2.0 * evidence, occupancy)
         ground = planner.eager * expected.beside * square * surrounded
+        if not completion.regions and not expected.hiding.any():
+            # Where no target was seen, all ground must be.
+            row, col = completion.open_cells.T
+            ground[row, col] = planner.search * square * surrounded[row, col]
         if expected.hull.any():
             ground[self._away_from_hull(occupancy) <= ADJOINING] *= BENEATH
         ground = np.where(todo, ground + NEGLIGIBLE, 0.0)
@@ -432,14 +445,14 @@ class _BeliefPilot:
 
     # ----------------------------------------------------------------------------------------- watchdog
 
-    def _goes_round(self, pose: Pose, occupancy: OccupancyMap) -> bool:
-        """Does it come to the same pose again and again without anything new?"""
-        observed = int(np.count_nonzero(occupancy.observed)) + int(self.hull.found)
-        if observed > self.news:
-            self.news = observed
+    def _visits(self, pose: Pose, occupancy: OccupancyMap) -> int:
+        """How often it has come to this pose since anything was new."""
+        seen = int(np.count_nonzero(occupancy.observed)) + int(self.hull.found)
+        if seen != self.news:
+            self.news = seen
             self.visits.clear()
         self.visits[pose] += 1
-        return self.visits[pose] >= MOST_VISITS
+        return self.visits[pose]
 
     def _give_up(self, plan: Plan, occupancy: OccupancyMap) -> None:
         """Hope for nothing more from the views of a plan."""
@@ -448,5 +461,6 @@ class _BeliefPilot:
         protocol = self.mission.protocol
         for row, col, heading in plan.path:
             x, y = (col + self.outlook.west) * protocol.lattice, (row + self.outlook.south) * protocol.lattice
-            shown = view(occupancy, x, y, heading * protocol.heading_step)
-            self.vain.count[shown & ~occupancy.observed] = np.iinfo(np.uint16).max // 2
+            ground, middles = self.outlook.shown((row, col, heading))
+            shown = view(occupancy, x, y, heading * protocol.heading_step) | ground | middles
+            self.vain.count[shown & ~occupancy.observed] = GIVEN_UP

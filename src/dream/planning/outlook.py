@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from dream.geometry import SE2
-from dream.planning.travel import IntArray, lattice_in, offsets_of
+from dream.planning.travel import IntArray, Pose, lattice_in, offsets_of
 from dream.types import BoolArray, Float32Array, Mission
 
 if TYPE_CHECKING:
@@ -140,7 +139,7 @@ class Outlook:
             noticed = cKDTree(np.stack([x[seen], y[seen]], axis=1)).query(np.stack([x, y], axis=1))[0]
             for layer, shown, slack in (
                 (0, seen, 0.0),
-                (1, noticed <= self.notice - 0.5 * lattice, self.notice),
+                (1, noticed <= max(self.notice - 0.5 * lattice, 0.0), max(self.notice - lattice, 0.0)),
             ):
                 k = np.flatnonzero(shown)
                 k = k[np.argsort(away[k], kind="stable")]
@@ -210,16 +209,15 @@ class Outlook:
         )
         return moves
 
-    def shown(self, pose: SE2) -> BoolArray:
-        """(map rows, map cols) the cells of the tiles that a pose was foretold to show."""
-        from dream.planning._kernels.lookahead import look
-
-        row, col = self.node(pose.x, pose.y)
-        bits = np.zeros((2 * self.tiles + 63) // 64, np.uint64)
-        everything = np.ones(2 * self.tiles, np.float32)
-        look(everything, bits, self.views(), row, col, self.mission.protocol.heading_index(pose.yaw))
-        tiles = np.unpackbits(bits.view(np.uint8), bitorder="little")[: self.tiles].astype(np.bool_)
-        return np.asarray(tiles[self._tile_of])
+    def shown(self, pose: Pose) -> tuple[BoolArray, BoolArray]:
+        """(map rows, map cols) ground that a pose should show, and middles of groups it should notice."""
+        row, col, heading = pose
+        first, offset, bearing, far = self._lists
+        here = slice(first[heading], first[heading + 1])
+        clear = far[here] <= self._depth[row * self.cols + col][bearing[here]]
+        shown = np.zeros(2 * self.tiles, np.bool_)
+        shown[(row + self._pad) * self._stride + col + self._pad + offset[here][clear]] = True
+        return shown[: self.tiles][self._tile_of], shown[self.tiles :][self._tile_of]
 
     def on_tiles(self, cells: FloatArray) -> Float32Array:
         """(tiles,) the sums of (map rows, map cols)."""

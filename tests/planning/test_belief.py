@@ -1,0 +1,620 @@
+"""The default planner in worlds and on maps made by hand: where it goes, when it stops, what it says."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from dream.control import guard, setpoint
+from dream.evaluation.runner import simulate
+from dream.geometry import SE2, Bounds
+from dream.mapping import OccupancyMap, check_completion, hiding_places, reachable, view, visible_weight
+from dream.planning import Belief, sentences
+from dream.planning.belief import MOST_VISITS, _BeliefPilot
+from dream.planning.distribution import Groups, could_hide, expectation
+from dream.planning.lookahead import Plan
+from dream.planning.travel import careful_travel, nearest_open
+from dream.protocol import DREAM_V1
+from dream.sim.world import World
+from dream.types import BoolArray, Decision, Mission, Observation, Step
+from tests.mapping.analytic import AREA, map_with
+from tests.planning.flights import SIDE, all_but, observed_at
+from tests.sim.arenas import FLOOR, arena, placed
+
+MISSION = Mission(DREAM_V1, AREA, DREAM_V1.cap)
+SLIT = np.s_[70:72, 20:22]
+"""Four cells that no observation ever shows."""
+NOTHING = np.zeros((SIDE, SIDE), np.bool_)
+
+
+# -------------------------------------------------------------------------------------------------- worlds
+
+
+def _ring(x: float, y: float, radius: float, count: int) -> list[tuple[float, float, float]]:
+    angles = 2.0 * math.pi / count * np.arange(count)
+    return [(x + radius * math.cos(a), y + radius * math.sin(a), FLOOR) for a in angles]
+
+
+def _clumps(x: float, y: float, spread: float, count: int) -> list[tuple[float, float, float]]:
+    places = np.random.default_rng(0).normal((x, y), spread, (count, 2))
+    return [(float(east), float(north), FLOOR) for east, north in places]
+
+
+SHELLS, BLOCK = (0.3, 0.3, 0.15), (1.2, 1.2, 4.0)
+REEF = arena(
+    placed(0, [(5.0, 3.0, FLOOR), (-6.0, -2.0, FLOOR)], (1.5, 1.5, 3.0)),
+    placed(0, _clumps(5.0, -4.0, 1.2, 40), SHELLS),
+)
+WRECK = replace(
+    arena(targets=placed(0, [(5.0, 0.0, FLOOR)], (2.0, 4.0, 2.2))),
+    targets_are_hull=True,
+    starts=(SE2(-6.0, 0.0, 0.0),),
+)
+WORLDS = {
+    "empty": replace(arena(), bounds=Bounds(-8.0, -8.0, 8.0, 8.0)),
+    "walled in": arena(placed(0, _ring(0.0, 0.0, 4.0, 27), BLOCK)),
+    "out of reach": arena(
+        placed(0, _ring(6.0, 0.0, 3.0, 11), BLOCK), placed(0, _clumps(6.0, 0.0, 0.5, 9), SHELLS)
+    ),
+    "reef": REEF,
+    "wreck": WRECK,
+}
+
+
+@dataclass
+class Flown:
+    """A mission, and what its pilot was given before each decision."""
+
+    planner: Belief
+    steps: list[Step] = field(default_factory=list)
+    asked: list[tuple[Observation, OccupancyMap, Decision]] = field(default_factory=list)
+    pilots: list[_BeliefPilot] = field(default_factory=list)
+
+    def begin(self, mission: Mission) -> Flown:
+        self.pilots.append(self.planner.begin(mission))
+        return self
+
+    def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
+        decision = self.pilots[-1].decide(observation, occupancy)
+        self.asked.append((observation, occupancy.copy(), decision))
+        return decision
+
+    @property
+    def last(self) -> Step:
+        return self.steps[-1]
+
+
+def _fly(world: World, planner: Belief | None = None, max_steps: int | None = None) -> Flown:
+    flown = Flown(planner or Belief())
+    flown.steps = list(simulate(world, flown, DREAM_V1, max_steps=max_steps))
+    return flown
+
+
+@cache
+def _mission(name: str) -> Flown:
+    """In one of the worlds, with the default parameters; flown once."""
+    return _fly(WORLDS[name])
+
+
+@pytest.fixture(scope="module", params=list(WORLDS))
+def flown(request: pytest.FixtureRequest) -> Flown:
+    return _mission(request.param)
+
+
+@pytest.fixture(scope="module")
+def over_the_reef() -> Flown:
+    """From where it does not see all of the reef at once."""
+    return _fly(replace(REEF, starts=(SE2(-8.0, 7.0, 0.0),)))
+
+
+# ------------------------------------------------------------------------------------------------ missions
+
+
+def test_a_mission_ends_by_itself_and_says_why(flown: Flown) -> None:
+    assert flown.last.ended == "done"
+    assert flown.last.index < DREAM_V1.cap
+    why = flown.last.decision.reasoning
+    assert "done" in why.action
+    assert "risk" in why.completion or "%" in why.completion
+    assert not why.next_target, "there is none"
+
+
+def test_it_never_touches_anything_and_the_guard_has_nothing_to_change(flown: Flown) -> None:
+    assert not any(step.arrival.collided for step in flown.steps)
+    assert not any(step.guarded.note for step in flown.steps)
+
+
+def test_it_never_stands_still_but_to_be_done(flown: Flown) -> None:
+    assert not any(decision.stops and not decision.done for _, _, decision in flown.asked)
+
+
+def test_it_comes_back_to_a_pose_only_so_often_while_nothing_is_new(flown: Flown) -> None:
+    visits: Counter[SE2] = Counter()
+    observed = 0
+    for observation, occupancy, _ in flown.asked:
+        if (now := int(occupancy.observed.sum())) > observed:
+            observed = now
+            visits.clear()
+        visits[DREAM_V1.snap(observation.pose)] += 1
+        assert max(visits.values()) <= 3 * MOST_VISITS
+
+
+def test_the_same_world_gets_the_same_decisions_word_for_word() -> None:
+    world = WORLDS["out of reach"]
+    first, second = ([decision for *_, decision in _fly(world, max_steps=25).asked] for _ in range(2))
+    assert first == second
+    assert len(first) > 10
+
+
+def test_where_there_is_nothing_all_ground_is_seen_before_it_ends() -> None:
+    flown = _mission("empty")
+    assert flown.last.occupancy.observed.all()
+    assert check_completion(flown.last.occupancy, flown.last.observation.pose).complete
+    assert "No target has been seen" in flown.last.decision.reasoning.distribution
+
+
+@pytest.mark.slow
+def test_a_larger_empty_arena_is_seen_to_the_last_cell_within_the_cap(empty_world: World) -> None:
+    world = replace(empty_world, bounds=Bounds(-14.0, -14.0, 14.0, 14.0))
+    *_, last = simulate(world, Belief(), DREAM_V1)
+    assert last.ended == "done"
+    assert last.index < DREAM_V1.cap
+    assert check_completion(last.occupancy, last.observation.pose).complete
+    assert last.occupancy.observed.all()
+
+
+def test_walled_in_it_ends_when_all_that_can_be_seen_from_inside_was_looked_at() -> None:
+    flown = _mission("walled in")
+    x, y = np.array([(p.observation.pose.x, p.observation.pose.y) for p in flown.steps]).T
+    assert np.hypot(x, y).max() < 4.0, "it never left"
+    assert "Nothing is left" in flown.last.decision.reasoning.action
+    assert flown.last.occupancy.observed.mean() < 0.3
+
+
+def test_targets_that_it_sees_but_cannot_get_to_do_not_hold_it() -> None:
+    flown = _mission("out of reach")
+    occupancy, pose = flown.last.occupancy, flown.last.observation.pose
+    row, col = np.nonzero(occupancy.target)
+    targets = np.stack(occupancy.center_of(row, col), axis=1)
+    assert len(targets) >= 4
+    away = np.hypot(*(targets[:, None] - reachable(occupancy, pose)[None]).transpose(2, 0, 1)).min()
+    assert away > 1.0, "it cannot get there"
+    assert not check_completion(occupancy, pose).open_region
+
+
+# ------------------------------------------------------------------------------------------- maps that change
+
+
+@dataclass
+class Toy:
+    """A vehicle on a map: a view shows what the map says that it shows."""
+
+    pose: SE2
+    explored: BoolArray
+    solid: BoolArray = field(default_factory=NOTHING.copy)
+    target: BoolArray = field(default_factory=NOTHING.copy)
+    never: BoolArray = field(default_factory=NOTHING.copy)
+    """Cells that no view shows, whatever the map says."""
+
+    @property
+    def map(self) -> OccupancyMap:
+        return map_with(solid=self.solid, explored=self.explored | self.solid, target=self.target)
+
+    def step(self, pilot: _BeliefPilot) -> Decision:
+        """Decide, let the guard look at it, go there and look."""
+        occupancy, here = self.map, self.pose
+        self.explored = self.explored | (view(occupancy, here.x, here.y, here.yaw) & ~self.never)
+        occupancy = self.map
+        decision = pilot.decide(observed_at(here.x, here.y, here.yaw), occupancy)
+        assert not guard(decision, here, occupancy, DREAM_V1).note
+        end = setpoint(here, decision, DREAM_V1)
+        self.pose = DREAM_V1.snap(SE2(end.x, end.y, end.yaw))
+        return decision
+
+    def fly(self, pilot: _BeliefPilot, change: Callable[[int], None], most: int) -> int:
+        """Steps until it is done; `change` may change the map before each."""
+        for step in range(most):
+            change(step)
+            if self.step(pilot).done:
+                return step
+        raise AssertionError(f"not done after {most} steps")
+
+
+def _half_known() -> BoolArray:
+    return all_but(np.s_[:, 56:])
+
+
+def test_ground_that_becomes_solid_under_way_is_gone_round() -> None:
+    toy = Toy(SE2(-6.0, 0.0, 0.0), _half_known())
+
+    def change(step: int) -> None:
+        if step == 3:
+            toy.solid[20:76, 60:62] = True  # Across the way east.
+            x, y = toy.pose.x, toy.pose.y
+            row, col = toy.map.cell_of(x, y)
+            assert not toy.solid[row - 4 : row + 5, col - 4 : col + 5].any()
+        if step == 12:
+            toy.solid[:20, 60:62] = True
+        if step == 20:
+            toy.solid[:] = False
+            toy.solid[60:64, 20:40] = True
+
+    steps = toy.fly(Belief().begin(MISSION), change, 120)
+    assert steps > 12
+    assert toy.explored[40:56, 70:90].all(), "it saw what lay behind"
+
+
+def test_a_false_target_is_looked_round_and_forgotten_when_it_goes() -> None:
+    toy = Toy(SE2(-6.0, 0.0, 0.0), _half_known())
+
+    def change(step: int) -> None:
+        toy.target[46:49, 54:56] = 4 <= step < 12
+
+    steps = toy.fly(Belief(certify=True).begin(MISSION), change, 120)
+    assert steps > 12
+    assert not check_completion(toy.map, toy.pose).open_region
+
+
+def test_new_ground_after_done_is_looked_at() -> None:
+    toy = Toy(SE2(-6.0, 0.0, 0.0), all_but())
+    pilot = Belief().begin(MISSION)
+    assert toy.step(pilot).done
+    toy.explored = _half_known()
+    decision = toy.step(pilot)
+    assert not decision.done
+    toy.fly(pilot, lambda _: None, 120)
+    assert toy.explored.all()
+
+
+# ---------------------------------------------------------------------------------------- refusals, watchdog
+
+
+def test_a_refused_done_raises_its_patience_and_only_that_does() -> None:
+    pilot = Belief().begin(MISSION)
+    before = pilot.patience
+    observation, complete = observed_at(3.0, -4.0, 0.0), map_with(explored=all_but())
+    for refused in range(4):
+        assert pilot.decide(observation, complete).done
+        assert pilot.patience == before + refused
+    assert not pilot.decide(observation, map_with(explored=_half_known())).done
+    assert pilot.patience == before + 4
+    pilot.decide(observation, map_with(explored=_half_known()))
+    assert pilot.patience == before + 4
+
+
+def test_ground_that_never_shows_is_given_up_then_tried_again_when_refused() -> None:
+    never = ~all_but(SLIT)
+    toy = Toy(SE2(-3.0, 2.0, 0.0), ~never, never=never)
+    pilot = Belief().begin(MISSION)
+    claims = [toy.step(pilot).done for _ in range(30)]
+    assert not claims[0], "the map promises that the slit can be seen"
+    first = claims.index(True)
+    assert not all(claims[first:]), "once refused it looks again"
+    assert sum(claims) >= 2, "and gives up again"
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "empty",
+        "reef",
+        "wreck",
+    ],
+)
+def test_asked_the_same_for_ever_it_does_not_answer_the_same_for_ever(name: str) -> None:
+    """As when the vehicle does not move, whatever it is told."""
+    planner, world = Belief(), replace(WORLDS[name], starts=(SE2(-5.0, 5.0, 0.0),))
+    *_, last = simulate(world, planner, DREAM_V1, max_steps=5)
+    pilot = planner.begin(Mission(DREAM_V1, world.bounds, DREAM_V1.cap))
+    aims: Counter[str] = Counter()
+    for _ in range(40):
+        decision = pilot.decide(last.observation, last.occupancy)
+        if decision.done:
+            return
+        aims[decision.reasoning.next_target.split(", and are worth")[0]] += 1
+    assert max(aims.values()) <= 4 * MOST_VISITS, "its aim changes again and again"
+
+
+# ------------------------------------------------------------------------------------------ certify, risk
+
+
+def _could_still_be_seen(step: Step) -> float:
+    """Cells not observed that the best view of any pose within reach would show."""
+    unobserved = (~step.occupancy.observed).astype(np.float32)
+    places = reachable(step.occupancy, step.observation.pose)
+    return float(visible_weight(step.occupancy, places, unobserved).max(initial=0.0))
+
+
+def test_certify_ends_an_empty_world_only_when_nothing_is_left_to_see() -> None:
+    flown = _fly(WORLDS["empty"], Belief(certify=True))
+    assert flown.last.ended == "done"
+    assert _could_still_be_seen(flown.last) == 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "start",
+    [
+        SE2(-8.0, 7.0, 0.0),
+        SE2(0.0, 0.0, 0.0),
+    ],
+)
+def test_certify_sees_all_that_the_default_leaves(start: SE2) -> None:
+    world = replace(REEF, starts=(start,))
+    by_default, certified = _fly(world), _fly(world, Belief(certify=True))
+    assert certified.last.ended == "done"
+    assert certified.last.index < DREAM_V1.cap
+    assert not any(step.arrival.collided for step in certified.steps)
+    last, before = certified.last, by_default.last.occupancy.observed
+    assert last.occupancy.observed.sum() >= before.sum()
+    assert last.occupancy.observed.mean() > 0.98
+    # What the map still promises was looked at in vain.
+    pilot = certified.pilots[-1]
+    for x, y in reachable(last.occupancy, last.observation.pose)[::7]:
+        for heading in range(DREAM_V1.headings):
+            promised = view(last.occupancy, x, y, heading * DREAM_V1.heading_step) & ~last.occupancy.observed
+            assert (pilot.vain.count[promised] >= Belief().patience).all()
+
+
+def _with_a_reef(*unknown: tuple[slice, slice]) -> OccupancyMap:
+    """All is explored but some boxes, with an enclosed region of targets in the west."""
+    target = NOTHING.copy()
+    target[60:64, 8:12] = True
+    return map_with(explored=all_but(*unknown), target=target)
+
+
+def test_certify_is_not_done_while_a_single_cell_can_be_seen() -> None:
+    observation = observed_at(3.0, -4.0, 0.0)
+    for unknown, by_default, certified in (((SLIT,), True, False), ((), True, True)):
+        occupancy = _with_a_reef(*unknown)
+        assert check_completion(occupancy, observation.pose).complete
+        for planner, done in ((Belief(), by_default), (Belief(certify=True), certified)):
+            assert planner.begin(MISSION).decide(observation, occupancy).done == done
+
+
+def _behind_a_wall() -> OccupancyMap:
+    """The same reef, and a wall across the arena east of which nothing is known."""
+    reef, solid = _with_a_reef(), NOTHING.copy()
+    solid[:, 40:42] = True
+    return map_with(solid=solid, explored=all_but(np.s_[:, 41:]), target=reef.target)
+
+
+def test_ground_that_cannot_be_seen_is_no_risk() -> None:
+    observation = observed_at(-6.0, -4.0, 0.0)
+    decision = Belief(risk=0.0).begin(MISSION).decide(observation, _behind_a_wall())
+    assert could_hide(_behind_a_wall(), Belief().size, NOTHING).sum() > 1000
+    assert decision.done
+    assert "with a probability of 0.0%; 0.0% is accepted" in decision.reasoning.completion
+    assert "and 0.00 groups in ground not searched" in decision.reasoning.distribution
+
+
+def test_while_a_region_is_open_no_group_is_expected_farther_than_any_view_reaches() -> None:
+    occupancy, observation = _behind_a_wall(), observed_at(-6.0, -4.0, 0.0)
+    explored = occupancy.explored.copy()
+    explored[58:66, 4:7] = False
+    opened = map_with(solid=occupancy.solid, explored=explored, target=occupancy.target)
+    assert not check_completion(opened, observation.pose).complete
+    planner = Belief()
+    said = planner.begin(MISSION).decide(observation, opened).reasoning.distribution
+    match = re.search(r"and (\S+) groups", said)
+    assert match
+    everywhere = could_hide(opened, planner.size, NOTHING).sum() * DREAM_V1.cell**2
+    most = Groups(planner.groups, planner.searched).intensity(1, AREA.width * AREA.depth) * everywhere
+    assert float(match[1]) < 0.3 * most
+
+
+def test_ground_looked_at_in_vain_often_enough_is_no_risk() -> None:
+    pilot, observation = Belief(risk=0.0).begin(MISSION), observed_at(-6.0, 0.0, 0.0)
+    occupancy = map_with(explored=_half_known())
+    assert not pilot.decide(observation, occupancy).done
+    pilot.vain.count[~occupancy.observed] = pilot.patience + 2
+    decision = pilot.decide(observation, occupancy)
+    assert "with a probability of 0.0%;" in decision.reasoning.completion
+    assert decision.done
+
+
+def test_who_is_done_at_some_risk_is_done_at_any_greater_one(over_the_reef: Flown) -> None:
+    risks = (0.0, 0.002, 0.01, 0.05, 0.2, 0.5, 1.0)
+    verdicts = []
+    for observation, occupancy, _ in over_the_reef.asked[::4]:
+        done = [Belief(risk=risk).begin(MISSION).decide(observation, occupancy).done for risk in risks]
+        assert done == sorted(done), "never done at a risk and not at a greater one"
+        verdicts += done
+    assert any(verdicts)
+    assert not all(verdicts)
+
+
+def test_a_smaller_risk_sees_at_least_as_much(over_the_reef: Flown) -> None:
+    world = replace(REEF, starts=(SE2(-8.0, 7.0, 0.0),))
+    careless, careful = (_fly(world, Belief(risk=risk)).last for risk in (1.0, 0.001))
+    assert careless.index <= over_the_reef.last.index <= careful.index
+    assert careless.occupancy.observed.sum() < careful.occupancy.observed.sum()
+
+
+# -------------------------------------------------------------------------------------------------- hulls
+
+
+def test_on_a_reef_no_hull_is_believed_in(over_the_reef: Flown) -> None:
+    (pilot,) = over_the_reef.pilots
+    occupancy = over_the_reef.last.occupancy
+    assert occupancy.target.any()
+    assert not (occupancy.target & occupancy.solid).any()
+    assert not pilot._expected_hull(occupancy).any()
+
+
+def test_on_a_wreck_what_is_left_of_the_hull_keeps_it_going() -> None:
+    thorough, hasty = (_fly(WRECK, Belief(hull_left=left)) for left in (0.0, 1.0))
+    assert thorough.last.index > hasty.last.index
+    assert thorough.pilots[-1].hull.found > hasty.pilots[-1].hull.found > 0.0
+    assert thorough.last.ended == hasty.last.ended == "done"
+
+
+def test_with_all_else_seen_it_goes_to_the_side_of_a_hull_that_it_has_not_seen() -> None:
+    """A crate of target seen from the west; the ground round it is known, its other sides are not."""
+    first = _fly(WRECK, max_steps=6)
+    observation, occupancy, _ = first.asked[-1]
+    explored = np.ones((SIDE, SIDE), np.bool_)
+    known = map_with(solid=occupancy.solid, explored=explored, target=occupancy.target)
+    pilot = first.pilots[-1]
+    assert check_completion(known, observation.pose).complete
+    left = pilot.hull.middles[pilot._expected_hull(known) > 0.0]
+    assert len(left)
+    decision = pilot.decide(observation, known)
+    assert not decision.done
+    (patches,) = _numbers(r"(\S+) patches of hull", decision)
+    assert 0.0 < patches <= pilot.hull.unseen + 0.05  # As it is rounded.
+    unbelieving = Belief(hull_left=1.0).begin(MISSION)
+    assert unbelieving.decide(observation, known).done
+
+
+# ------------------------------------------------------------------------------------------------ sentences
+
+
+def _numbers(pattern: str, decision: Decision) -> list[float]:
+    """Numbers of the sentence about the next target."""
+    match = re.search(pattern, decision.reasoning.next_target)
+    assert match, decision.reasoning.next_target
+    return [float(group) for group in match.groups()]
+
+
+def test_it_says_how_much_is_explored_and_how_much_of_it_is_target(flown: Flown) -> None:
+    for _, occupancy, decision in flown.asked:
+        said = decision.reasoning.distribution
+        assert f"{occupancy.explored.mean():.0%} of the area is explored" in said
+        area = re.search(r"Targets cover (\S+) m²", said)
+        assert (area is not None) == bool(occupancy.target.any())
+        if area:
+            assert float(area[1]) == pytest.approx(occupancy.target.sum() * DREAM_V1.cell**2, abs=0.051)
+
+
+def test_it_says_which_regions_are_enclosed_and_which_is_worked_on(flown: Flown) -> None:
+    worked_on = 0
+    for observation, occupancy, decision in flown.asked[::3]:
+        completion = check_completion(occupancy, observation.pose)
+        closed = sum(region.enclosed for region in completion.regions)
+        said = decision.reasoning
+        assert f"{closed} of {len(completion.regions)} regions are enclosed" in said.completion
+        match = re.search(r"around \((\S+), (\S+)\), with (\d+) unknown cells", said.target_area)
+        assert (match is None) == completion.complete or not completion.regions
+        if match:
+            region = nearest_open(completion, careful_travel(observation.pose, occupancy), occupancy)
+            assert region is not None
+            assert int(match[3]) == len(region.open_cells)
+            assert (float(match[1]), float(match[2])) == pytest.approx(region.centroid, abs=0.051)
+            worked_on += 1
+    assert worked_on or not flown.last.occupancy.target.any() or len(flown.asked) < 6
+
+
+def test_it_says_what_it_expects_beside_targets(over_the_reef: Flown) -> None:
+    planner, some = over_the_reef.planner, 0
+    evidence = planner.kernel * DREAM_V1.group_radius
+    for observation, occupancy, decision in over_the_reef.asked[::2]:
+        match = re.search(r"Beside known targets (\S+) m² more", decision.reasoning.distribution)
+        assert match
+        regions = check_completion(occupancy, observation.pose).regions
+        expected = np.zeros(occupancy.shape)
+        if regions:
+            expected += expectation(occupancy, evidence, planner.prior, planner.prior_weight)
+            for row, col in np.concatenate([region.open_cells for region in regions]):
+                expected[row, col] = max(expected[row, col], planner.open_edge)
+            targets = np.argwhere(occupancy.target)
+            for row, col in np.argwhere(expected > 0.0):
+                if np.hypot(*(targets - (row, col)).T).min() * DREAM_V1.cell > 2.0 * evidence:
+                    expected[row, col] = 0.0
+        assert float(match[1]) == pytest.approx(expected.sum() * DREAM_V1.cell**2, abs=0.051)
+        some += float(match[1]) > 0.0
+    assert some
+
+
+def test_it_says_the_risk_and_the_groups_that_its_model_gives(over_the_reef: Flown) -> None:
+    """Asked afresh, with nothing looked at in vain; every place in this arena may come into view."""
+    planner, risks = over_the_reef.planner, set()
+    groups = Groups(planner.groups, planner.searched)
+    for observation, occupancy, _ in over_the_reef.asked[::3]:
+        said = planner.begin(MISSION).decide(observation, occupancy).reasoning
+        completion = check_completion(occupancy, observation.pose)
+        hiding = could_hide(occupancy, planner.size, NOTHING)
+        if completion.complete:
+            hiding &= hiding_places(occupancy, observation.pose, planner.size)
+        hidden, whole = hiding.sum() * DREAM_V1.cell**2, AREA.width * AREA.depth
+        found = len(completion.regions)
+        risk = groups.risk(found, whole - hidden, hidden)
+        assert f"with a probability of {risk:.1%}; {planner.risk:.1%} is accepted" in said.completion
+        expected = groups.intensity(found, whole - hidden) * hidden
+        assert f"and {expected:.2f} groups in ground not searched" in said.distribution
+        risks.add(round(risk, 2))
+    assert len(risks) > 2
+
+
+def test_it_says_how_many_steps_lead_where_and_what_they_show() -> None:
+    travel = careful_travel(SE2(-3.0, 2.0, 0.0), map_with(explored=all_but()))
+    row, col, _ = travel.start
+    path = [travel.start, (row, col + 4, 0), (row, col + 4, 3)]
+    said = sentences.plan(Plan(path, 1.0, later=7.4, targets=1.23, cleared=45.6, patches=7.89), travel)
+    assert said == (
+        "The next 2 steps lead to (-1.0, 2.0), looking towards 90°, and may show 1.2 m² of targets and "
+        "7.9 patches of hull and 46 m² on which the middle of a group could lie. "
+        "What is left then takes about 7 more."
+    )
+    single = sentences.plan(Plan(path[:2], 0.0, 0.0, cells=12.0), travel)
+    assert single == (
+        "The next step leads to (-1.0, 2.0), looking towards 0°, "
+        "and may show 12 of the cells that keep the map open."
+    )
+    assert "may show" not in sentences.plan(Plan(path, 1.0, 0.2), travel)
+
+
+def test_the_way_that_it_announces_begins_with_its_move_and_can_be_gone(flown: Flown) -> None:
+    longest = max(DREAM_V1.advances) + DREAM_V1.lattice
+    for observation, occupancy, decision in flown.asked:
+        if decision.done:
+            continue
+        match = re.search(r"The next (?:(\d+) steps|step) lead", decision.reasoning.next_target)
+        assert match
+        steps = int(match[1] or 1)
+        x, y, degrees = _numbers(r"to \((\S+), (\S+)\), looking towards (\d+)°", decision)
+        end = setpoint(observation.pose, decision, DREAM_V1)
+        assert math.hypot(x - end.x, y - end.y) <= (steps - 1) * longest + 0.05
+        assert occupancy.bounds.contains(x, y)
+        if steps == 1:
+            assert (x, y) == pytest.approx((end.x, end.y), abs=0.05)
+            assert degrees == pytest.approx(math.degrees(end.yaw) % 360.0)
+
+
+def test_its_words_about_the_move_are_the_move(flown: Flown) -> None:
+    for _, _, decision in flown.asked:
+        if decision.done:
+            continue
+        said = decision.reasoning.action.lower()
+        half_turn = abs(abs(decision.turn) - math.pi) < 1e-6
+        assert ("turn round" in said) == half_turn
+        assert ("left" in said) == (decision.turn > 0.0 and not half_turn)
+        assert ("right" in said) == (decision.turn < 0.0 and not half_turn)
+        turned = re.search(r"by (\d+)°", said)
+        if turned:
+            assert float(turned[1]) == pytest.approx(abs(math.degrees(decision.turn)))
+        assert (f"advance {decision.advance:g} m" in said) == (decision.advance > 0.0)
+
+
+def test_it_keeps_as_clear_of_solids_as_it_says(flown: Flown) -> None:
+    for observation, occupancy, decision in flown.asked:
+        said = decision.reasoning.safety
+        if decision.done:
+            continue
+        assert "crosses only ground known to be free" in said
+        match = re.search(r"keeps the body (\S+) m or more from solids", said)
+        solids = np.stack(occupancy.center_of(*np.nonzero(occupancy.solid)), axis=-1)
+        assert ("nothing solid has been seen" in said) == (len(solids) == 0)
+        if not match:
+            continue
+        start, end = observation.pose, setpoint(observation.pose, decision, DREAM_V1)
+        way = np.linspace([start.x, start.y], [end.x, end.y], 9)
+        gap = np.maximum(np.abs(solids[None] - way[:, None]) - DREAM_V1.cell / 2.0, 0.0)
+        assert np.hypot(gap[..., 0], gap[..., 1]).min() - DREAM_V1.body_radius >= float(match[1]) - 1e-6
