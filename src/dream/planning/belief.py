@@ -29,6 +29,9 @@ FloatArray = npt.NDArray[np.floating[Any]]
 NEGLIGIBLE = 1e-9
 """Square metres of targets in ground from which none are expected: what has a weight becomes known when a
 sequence of actions shows it, and can then be crossed."""
+STANDS = 0.5
+"""Square metres of targets that stand up from which on they are a hull. On the reefs of `dev` boulders among
+the targets make up to 0.2 m² seem so; a wreck shows more in the first frame that has it in reach."""
 ADJOINING = 1.5
 """Metres from hull within reach up to which more hull is believed in."""
 KEEP = 0.01
@@ -61,7 +64,7 @@ class Belief:
     then it stops too early, which `--certify` never does.
     """
 
-    risk: float = 0.05
+    risk: float = 0.02
     """Probability of having missed a group with which the mission may end."""
     certify: bool = False
     """Be done only when all ground that can be seen was seen."""
@@ -70,7 +73,7 @@ class Belief:
     still missed; the protocol promises only a radius of 1.5 m."""
     groups: float = 0.5
     """Prior of the number of groups: as if so many had been found ..."""
-    searched: float = 650.0
+    searched: float = 500.0
     """... on so many square metres."""
     kernel: float = 4.0 / 3.0
     """How far a seen target makes its surroundings likely: standard deviation of the blur, in radii of the
@@ -199,13 +202,13 @@ class _BeliefPilot:
         self.outlook.update(occupancy)
         self.hull.integrate(observation)
         self._note_hull(pose)
-        stands = bool((occupancy.target & occupancy.solid).any())
-        travel = travel_from(pose, occupancy) if stands else careful_travel(pose, occupancy)
+        # Beside a hull every place counts that the guard allows.
+        travel = travel_from(pose, occupancy) if _is_wreck(occupancy) else careful_travel(pose, occupancy)
         moves = self.outlook.moves(travel.free, occupancy, careful_standoff(protocol))
 
         # 1 Distribution: where targets are to be expected.
         completion = check_completion(occupancy, pose)
-        expected = self._expected(occupancy, completion, moves, pose)
+        expected = self._expected(occupancy, completion, pose)
         # 2 Current target area and 3 completion: what is still open.
         area = nearest_open(completion, travel, occupancy)
         reasoning = Reasoning(
@@ -250,9 +253,7 @@ class _BeliefPilot:
 
     # ------------------------------------------------------------------------------------- distribution
 
-    def _expected(
-        self, occupancy: OccupancyMap, completion: Completion, moves: npt.NDArray[np.uint8], pose: SE2
-    ) -> _Expected:
+    def _expected(self, occupancy: OccupancyMap, completion: Completion, pose: SE2) -> _Expected:
         from scipy.ndimage import distance_transform_edt
 
         from dream.mapping import hiding_places
@@ -268,17 +269,21 @@ class _BeliefPilot:
             # A hole far from all targets must be closed, but holds none more likely than other ground does.
             least = np.where(far[row, col], planner.search, planner.open_edge)
             beside[row, col] = np.maximum(beside[row, col], least)
-        hopeless = ~self._in_sight(moves, pose) | (self.vain.count >= self.patience)
+        places = self._places(occupancy, pose)
+        hopeless = ~self._in_reach(places) | (self.vain.count >= self.patience)
         hiding = could_hide(occupancy, self.size, hopeless)
         if completion.complete:
-            # Slower, and exact about what can still be seen: this is where the mission may end.
-            hiding &= hiding_places(occupancy, pose, self.size)
+            # Here the mission may end, so that what no known place can see is left out: behind a wall, say.
+            # But places that the vehicle might yet get to may see more than that.
+            hiding &= hiding_places(occupancy, pose, self.size) | self._in_reach(
+                places & ~occupancy.standable
+            )
         groups = Groups(planner.groups, planner.searched)
         hidden = float(hiding.sum()) * cell**2
         searched = occupancy.observed.size * cell**2 - hidden
         found = len(completion.regions)
         hull = self._expected_hull(occupancy)
-        if hull.any():
+        if _is_wreck(occupancy):
             hidden *= planner.alone
         risk = groups.risk(found, searched, hidden)
         if planner.certify:
@@ -298,7 +303,7 @@ class _BeliefPilot:
 
         Farther away labels are not trusted, and where no target stands up there is no hull.
         """
-        if not (occupancy.target & occupancy.solid).any() or not len(self.hull.weights):
+        if not _is_wreck(occupancy) or not len(self.hull.weights):
             return np.zeros(len(self.hull.weights))
         x, y = self.hull.middles[:, :2].T
         inside = occupancy.contains(x, y)
@@ -313,20 +318,25 @@ class _BeliefPilot:
         stands = occupancy.target & occupancy.solid
         return np.asarray(distance_transform_edt(~stands, self.mission.protocol.cell))
 
-    def _in_sight(self, moves: npt.NDArray[np.uint8], pose: SE2) -> BoolArray:
-        """(rows, cols) cells within reach of a node that the vehicle might get to."""
-        from scipy.ndimage import distance_transform_edt, label
+    def _places(self, occupancy: OccupancyMap, pose: SE2) -> BoolArray:
+        """(rows, cols) cells that the vehicle might get to, for all that is known."""
+        from scipy.ndimage import label
 
         protocol = self.mission.protocol
-        row, col = self.outlook.node(pose.x, pose.y)
-        leave: BoolArray = np.asarray(moves.any(axis=(2, 3)))
-        leave[row, col] = True
-        parts, _ = label(leave, np.ones((3, 3)))
-        i, j = self.outlook.cells_of_nodes()
-        reached = (parts == parts[row, col]).ravel()
-        away = np.ones(self.vain.count.shape, np.bool_)
-        away[i[reached], j[reached]] = False
-        return np.asarray(distance_transform_edt(away, protocol.cell) <= protocol.reach)
+        room = occupancy.distance_to_solid >= protocol.body_radius + 0.5 * protocol.cell
+        row, col = occupancy.cell_of(pose.x, pose.y)
+        room[max(row - 1, 0) : row + 2, max(col - 1, 0) : col + 2] = True
+        parts, _ = label(room, np.ones((3, 3)))
+        return np.asarray(parts == parts[row, col])
+
+    def _in_reach(self, places: BoolArray) -> BoolArray:
+        """(rows, cols) cells within reach of some places."""
+        from scipy.ndimage import distance_transform_edt
+
+        if not places.any():
+            return places
+        protocol = self.mission.protocol
+        return np.asarray(distance_transform_edt(~places, protocol.cell) <= protocol.reach)
 
     # -------------------------------------------------------------------------------------- next target
 
@@ -347,10 +357,10 @@ class _BeliefPilot:
             # Where no target was seen, all ground must be.
             row, col = completion.open_cells.T
             ground[row, col] = planner.search * square * surrounded[row, col]
-        if expected.hull.any():
+        if _is_wreck(occupancy):
             ground[self._away_from_hull(occupancy) <= ADJOINING] *= BENEATH
         ground = np.where(todo, ground + NEGLIGIBLE, 0.0)
-        search = planner.search * (planner.alone if expected.hull.any() else 1.0)
+        search = planner.search * (planner.alone if _is_wreck(occupancy) else 1.0)
         hiding = np.where(expected.hiding, search * square * surrounded, 0.0)
         ahead = LookAhead(
             planner.width,
@@ -464,3 +474,9 @@ class _BeliefPilot:
             ground, middles = self.outlook.shown((row, col, heading))
             shown = view(occupancy, x, y, heading * protocol.heading_step) | ground | middles
             self.vain.count[shown & ~occupancy.observed] = GIVEN_UP
+
+
+def _is_wreck(occupancy: OccupancyMap) -> bool:
+    """Do targets stand up from the seabed, more than a boulder among them would make it seem?"""
+    stands = np.count_nonzero(occupancy.target & occupancy.solid)
+    return bool(stands * occupancy.protocol.cell**2 >= STANDS)
