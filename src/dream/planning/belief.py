@@ -275,9 +275,7 @@ class _BeliefPilot:
         if completion.complete:
             # Here the mission may end, so that what no known place can see is left out: behind a wall, say.
             # But places that the vehicle might yet get to may see more than that.
-            hiding &= hiding_places(occupancy, pose, self.size) | self._in_reach(
-                places & ~occupancy.standable
-            )
+            hiding &= hiding_places(occupancy, pose, self.size) | self._in_reach(places & ~occupancy.observed)
         groups = Groups(planner.groups, planner.searched)
         hidden = float(hiding.sum()) * cell**2
         searched = occupancy.observed.size * cell**2 - hidden
