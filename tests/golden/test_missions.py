@@ -20,7 +20,13 @@ from dream.sim.worlds import make_world
 
 FOLDER = Path(__file__).parent
 STEPS = 30
-MISSIONS = [("sixsteps", "reef/string", 1), ("lawnmower", "reef/K", 1), ("sixsteps", "wreck/5", 1)]
+MISSIONS = [
+    ("belief", "reef/string", 1),
+    ("belief", "wreck/5", 1),
+    ("sixsteps", "reef/string", 1),
+    ("sixsteps", "wreck/5", 1),
+    ("lawnmower", "reef/K", 1),
+]
 
 
 def mission(planner: str, name: str, seed: int) -> dict[str, Any]:
