@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,6 +16,7 @@ from typing import Any
 import pytest
 
 from dream.cli import COMMANDS, run_command
+from dream.commands.console import kept_interrupts
 from dream.evaluation.locks import alone_at
 from dream.evaluation.oracle import bounds as bounds_module
 from dream.evaluation.oracle.bounds import Bounds
@@ -343,6 +346,16 @@ def test_two_searches_of_a_suite_do_not_share_a_file(
         assert run_command(["oracle", "paper", "--out", str(out), "--budget", "0"]) == 2
     assert "expected that no other process writes here" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_an_interrupt_that_somebody_swallowed_is_not_lost() -> None:
+    with kept_interrupts() as check:
+        check()
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            check()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 @pytest.mark.slow

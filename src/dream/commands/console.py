@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import json as json_format
+import signal
+import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
@@ -152,6 +156,33 @@ class _Scores:
         progress.add_row(ProgressBar(len(self._plan), self.ended, width=60))
         progress.add_row(Text(self.line()))
         return Group(table, progress)
+
+
+@contextlib.contextmanager
+def kept_interrupts() -> Iterator[Callable[[], None]]:
+    """A check to call between steps: it raises the KeyboardInterrupt that compiled code swallowed.
+
+    An interrupt that comes while a kernel is compiled, or in a callback from C, is printed and forgotten.
+    """
+    came = False
+
+    def note(number: int, frame: FrameType | None) -> None:
+        nonlocal came
+        came = True
+        signal.default_int_handler(number, frame)
+
+    def check() -> None:
+        if came:
+            raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield check  # Only the main thread is ever interrupted, and only it may say what happens then.
+        return
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def print_json(record: Mapping[str, Any]) -> None:

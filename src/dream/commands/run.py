@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from dream.commands.console import open_world, print_json, with_progress
+from dream.commands.console import kept_interrupts, open_world, print_json, with_progress
 from dream.errors import MissionAborted
 from dream.planning import PLANNERS, AnyPlanner
 from dream.protocol import protocol_named
@@ -74,14 +74,19 @@ class Run:
 
         scorer = Scorer(world, protocol)
         stopped: BaseException | None = None
-        with contextlib.closing(
-            recording.record(steps, folder, annotate=lambda step: {"coverage": scorer.add(step).as_dict()})
-        ) as recorded:
+        with (
+            contextlib.closing(
+                recording.record(
+                    steps, folder, annotate=lambda step: {"coverage": scorer.add(step).as_dict()}
+                )
+            ) as recorded,
+            kept_interrupts() as check,
+        ):
             try:
                 for _ in with_progress(
                     recorded, f"{name} · {world.name} {world.seed}", self.max_steps or protocol.cap
                 ):
-                    pass
+                    check()
             except KeyboardInterrupt as interrupt:
                 stopped = interrupt
             except Exception as failure:  # noqa: BLE001 - whatever stopped it, what was flown is kept.
