@@ -25,8 +25,9 @@ from dream.evaluation.results import read_results
 from dream.evaluation.runner import simulate
 from dream.evaluation.statistics import share_interval
 from dream.evaluation.suites import Case, family_of, suite_named
+from dream.mapping import could_hide
+from dream.mission import LOOK_AROUND
 from dream.planning import Belief
-from dream.planning.distribution import could_hide
 from dream.protocol import protocol_named
 from dream.sim.render import Renderer
 from dream.sim.visibility import Visibility
@@ -118,14 +119,13 @@ def main() -> int:
 
     print("| stop | promised risk | missed 98.26 % | mean step | mean coverage |")
     print("|---|--:|--:|--:|--:|")
-    look_around = 3
     for accepted in RISKS:
         steps, promised, coverage = [], [], []
         for mission in missions:
             ends = np.flatnonzero(np.array(mission.closed) & (np.array(mission.risk) <= accepted))
             end = int(ends[0]) if len(ends) else len(mission.risk) - 1
             done = len(ends) > 0
-            steps.append(min(end + look_around + 1, protocol.cap) if done else protocol.cap)
+            steps.append(min(end + LOOK_AROUND + 1, protocol.cap) if done else protocol.cap)
             promised.append(mission.risk[end])
             coverage.append(mission.coverage[end])
         missed = [share < COMPLETE for share in coverage]

@@ -20,8 +20,9 @@ from dream.planning import (
     Spiral,
     SweepAndGraze,
 )
-from dream.planning.baselines.views import Remains, group_cells, views_from
+from dream.planning.baselines.remains import Remains, group_cells
 from dream.planning.travel import careful_travel, travel_from
+from dream.planning.views import views_from
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
 from dream.types import Mission, Step

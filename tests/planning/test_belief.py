@@ -15,10 +15,18 @@ import pytest
 from dream.control import guard, setpoint
 from dream.evaluation.runner import simulate
 from dream.geometry import SE2, Bounds
-from dream.mapping import OccupancyMap, check_completion, hiding_places, reachable, view, visible_weight
+from dream.mapping import (
+    OccupancyMap,
+    check_completion,
+    could_hide,
+    hiding_places,
+    reachable,
+    view,
+    visible_weight,
+)
 from dream.planning import Belief, sentences
-from dream.planning.belief import MOST_VISITS, _BeliefPilot
-from dream.planning.distribution import Groups, could_hide, expectation
+from dream.planning.belief import MOST_VISITS, _away_from_hull, _BeliefPilot
+from dream.planning.distribution import Groups, expectation
 from dream.planning.lookahead import Plan
 from dream.planning.travel import careful_travel, nearest_open
 from dream.protocol import DREAM_V1
@@ -446,7 +454,7 @@ def test_on_a_reef_no_hull_is_believed_in(over_the_reef: Flown) -> None:
     occupancy = over_the_reef.last.occupancy
     assert occupancy.target.any()
     assert not (occupancy.target & occupancy.solid).any()
-    assert not pilot._expected_hull(occupancy).any()
+    assert not pilot._expected_hull(occupancy, _away_from_hull(occupancy)).any()
 
 
 def test_on_a_wreck_what_is_left_of_the_hull_keeps_it_going() -> None:
@@ -464,7 +472,7 @@ def test_with_all_else_seen_it_goes_to_the_side_of_a_hull_that_it_has_not_seen()
     known = map_with(solid=occupancy.solid, explored=explored, target=occupancy.target)
     pilot = first.pilots[-1]
     assert check_completion(known, observation.pose).complete
-    left = pilot.hull.middles[pilot._expected_hull(known) > 0.0]
+    left = pilot.hull.middles[pilot._expected_hull(known, _away_from_hull(known)) > 0.0]
     assert len(left)
     decision = pilot.decide(observation, known)
     assert not decision.done

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dream.mapping import OccupancyMap
-from dream.planning.distribution import Groups, could_hide, expectation
+from dream.mapping import OccupancyMap, could_hide
+from dream.planning.distribution import Groups, expectation
 from dream.protocol import DREAM_V1
 from dream.types import BoolArray
 from tests.mapping.analytic import AREA, empty_map, map_with

@@ -1,6 +1,13 @@
 """Observation → Map."""
 
-from dream.mapping.completion import Completion, Region, check_completion, hiding_places, reachable
+from dream.mapping.completion import (
+    Completion,
+    Region,
+    check_completion,
+    could_hide,
+    hiding_places,
+    reachable,
+)
 from dream.mapping.drawing import draw_map
 from dream.mapping.frontiers import Frontier, frontiers
 from dream.mapping.gain import gain, visible_weight
@@ -17,6 +24,7 @@ __all__ = [
     "Region",
     "State",
     "check_completion",
+    "could_hide",
     "draw_map",
     "frontiers",
     "gain",

@@ -88,15 +88,7 @@ def hiding_places(occupancy: OccupancyMap, pose: SE2, radius: float) -> BoolArra
     if not radius > 0.0:
         raise ValueError(f"radius: expected a positive length in metres, got {radius}")
     cell = occupancy.protocol.cell
-    rows, cols = np.indices(occupancy.shape, sparse=True)
-    x, y = occupancy.center_of(rows, cols)
-    bounds = occupancy.bounds
-    inside = np.minimum(
-        np.minimum(x - bounds.x_min, bounds.x_max - x), np.minimum(y - bounds.y_min, bounds.y_max - y)
-    )
-    places: BoolArray = inside >= radius
-    if occupancy.observed.any():
-        places &= ndimage.distance_transform_edt(~occupancy.observed, cell) > radius
+    places = could_hide(occupancy, radius, occupancy.observed)
     if not places.any():
         return places
     in_a_disc = ndimage.distance_transform_edt(~places, cell) <= radius
@@ -108,6 +100,26 @@ def hiding_places(occupancy: OccupancyMap, pose: SE2, radius: float) -> BoolArra
     could_be_seen[tuple(seen.T)] = True
     near: BoolArray = ndimage.distance_transform_edt(~could_be_seen, cell) <= radius
     return places & near
+
+
+def could_hide(occupancy: OccupancyMap, radius: float, hopeless: BoolArray) -> BoolArray:
+    """Where a whole group would not have been noticed, whether or not it can ever be seen.
+
+    Args:
+        occupancy: What is known.
+        radius: Of the group; metres.
+        hopeless: (rows, cols) cells that count as observed.
+
+    Returns:
+        (rows, cols), true at the centres of discs in bounds that hold no such cell's centre.
+    """
+    from scipy import ndimage
+
+    places: BoolArray = occupancy.distance_to_bounds >= radius
+    known = occupancy.observed | hopeless
+    if known.any():
+        places &= ndimage.distance_transform_edt(~known, occupancy.protocol.cell) > radius
+    return places
 
 
 def reachable(occupancy: OccupancyMap, pose: SE2) -> Float64Array:

@@ -378,6 +378,17 @@ class Layers:
         """Metres between each cell's centre and the nearest solid cell's, float32; inf without one."""
         return self._layer("distance_to_solid", self._distance_to_solid)
 
+    @property
+    def distance_to_bounds(self) -> npt.NDArray[np.float64]:
+        """(rows, cols) metres between each cell's centre and the nearest side of the bounds."""
+        rows, cols = np.indices(self.shape, sparse=True)
+        x, y = self.center_of(rows, cols)
+        bounds = self.bounds
+        away: npt.NDArray[np.float64] = np.minimum(
+            np.minimum(x - bounds.x_min, bounds.x_max - x), np.minimum(y - bounds.y_min, bounds.y_max - y)
+        )
+        return away
+
     def _distance_to_solid(self) -> npt.NDArray[Any]:
         from scipy import ndimage
 

@@ -11,13 +11,14 @@ import numpy.typing as npt
 
 from dream.geometry import SE2
 from dream.planning import sentences
-from dream.planning.distribution import Groups, blurred, could_hide, expectation
+from dream.planning.distribution import Groups, blurred, expectation
 from dream.planning.hull import PATCH, Hull
-from dream.planning.lookahead import LookAhead, Plan, Prospect
+from dream.planning.lookahead import NOTHING, LookAhead, Plan, Prospect
 from dream.planning.outlook import Listed, Outlook
 from dream.planning.parameters import check_range
 from dream.planning.travel import Pose, Travel, careful_standoff, careful_travel, nearest_open, travel_from
 from dream.planning.vain import VainLooks
+from dream.planning.views import all_views_from
 from dream.types import BoolArray, Decision, IntArray, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
@@ -155,6 +156,8 @@ class _Expected:
     """(n,) patches to be expected in each element of the hull."""
     hull_left: float
     """Share of the hull that is still unseen."""
+    away_from_hull: FloatArray | None
+    """(rows, cols) metres to the nearest target that stands up; None where there is no hull."""
 
 
 @dataclass(slots=True)
@@ -203,12 +206,13 @@ class _BeliefPilot:
         self.hull.integrate(observation)
         self._note_hull(pose)
         # Beside a hull every place counts that the guard allows.
-        travel = travel_from(pose, occupancy) if _is_wreck(occupancy) else careful_travel(pose, occupancy)
+        away_from_hull = _away_from_hull(occupancy)
+        travel = careful_travel(pose, occupancy) if away_from_hull is None else travel_from(pose, occupancy)
         moves = self.outlook.moves(travel.free, occupancy, careful_standoff(protocol))
 
         # 1 Distribution: where targets are to be expected.
         completion = check_completion(occupancy, pose)
-        expected = self._expected(occupancy, completion, pose)
+        expected = self._expected(occupancy, completion, pose, away_from_hull)
         # 2 Current target area and 3 completion: what is still open.
         area = nearest_open(completion, travel, occupancy)
         reasoning = Reasoning(
@@ -253,10 +257,16 @@ class _BeliefPilot:
 
     # ------------------------------------------------------------------------------------- distribution
 
-    def _expected(self, occupancy: OccupancyMap, completion: Completion, pose: SE2) -> _Expected:
+    def _expected(
+        self,
+        occupancy: OccupancyMap,
+        completion: Completion,
+        pose: SE2,
+        away_from_hull: FloatArray | None,
+    ) -> _Expected:
         from scipy.ndimage import distance_transform_edt
 
-        from dream.mapping import hiding_places
+        from dream.mapping import could_hide, hiding_places
 
         planner, protocol = self.planner, self.mission.protocol
         cell, evidence = protocol.cell, planner.kernel * protocol.group_radius
@@ -280,8 +290,8 @@ class _BeliefPilot:
         hidden = float(hiding.sum()) * cell**2
         searched = occupancy.observed.size * cell**2 - hidden
         found = len(completion.regions)
-        hull = self._expected_hull(occupancy)
-        if _is_wreck(occupancy):
+        hull = self._expected_hull(occupancy, away_from_hull)
+        if away_from_hull is not None:
             hidden *= planner.alone
         risk = groups.risk(found, searched, hidden)
         if planner.certify:
@@ -294,27 +304,21 @@ class _BeliefPilot:
             groups.intensity(found, searched) * hidden,
             hull,
             left / (self.hull.found + left) if left else 0.0,
+            away_from_hull,
         )
 
-    def _expected_hull(self, occupancy: OccupancyMap) -> FloatArray:
+    def _expected_hull(self, occupancy: OccupancyMap, away_from_hull: FloatArray | None) -> FloatArray:
         """The belief about the hull, as far as it adjoins hull that was within reach.
 
         Farther away labels are not trusted, and where no target stands up there is no hull.
         """
-        if not _is_wreck(occupancy) or not len(self.hull.weights):
+        if away_from_hull is None or not len(self.hull.weights):
             return np.zeros(len(self.hull.weights))
         x, y = self.hull.middles[:, :2].T
         inside = occupancy.contains(x, y)
         away = np.full(len(x), np.inf)
-        away[inside] = self._away_from_hull(occupancy)[occupancy.cell_of(x[inside], y[inside])]
+        away[inside] = away_from_hull[occupancy.cell_of(x[inside], y[inside])]
         return np.where(away <= ADJOINING, self.hull.weights, 0.0)
-
-    def _away_from_hull(self, occupancy: OccupancyMap) -> FloatArray:
-        """(rows, cols) metres to the nearest target that stands up."""
-        from scipy.ndimage import distance_transform_edt
-
-        stands = occupancy.target & occupancy.solid
-        return np.asarray(distance_transform_edt(~stands, self.mission.protocol.cell))
 
     def _places(self, occupancy: OccupancyMap, pose: SE2) -> BoolArray:
         """(rows, cols) cells that the vehicle might get to, for all that is known."""
@@ -355,10 +359,11 @@ class _BeliefPilot:
             # Where no target was seen, all ground must be.
             row, col = completion.open_cells.T
             ground[row, col] = planner.search * square * surrounded[row, col]
-        if _is_wreck(occupancy):
-            ground[self._away_from_hull(occupancy) <= ADJOINING] *= BENEATH
+        search = planner.search
+        if expected.away_from_hull is not None:
+            ground[expected.away_from_hull <= ADJOINING] *= BENEATH
+            search *= planner.alone
         ground = np.where(todo, ground + NEGLIGIBLE, 0.0)
-        search = planner.search * (planner.alone if _is_wreck(occupancy) else 1.0)
         hiding = np.where(expected.hiding, search * square * surrounded, 0.0)
         ahead = LookAhead(
             planner.width,
@@ -397,11 +402,11 @@ class _BeliefPilot:
         rows, cols, positions = rows[chosen], cols[chosen], positions[chosen]
         nodes = rows * self.outlook.cols + cols
         starts, elements = self.hull.visible(positions, weights > 0.0)
-        worth = np.ones(len(elements), np.bool_)
+        blocks, worth = self._hull_blocks()[elements], np.ones(len(elements), np.bool_)
         for k in np.flatnonzero(np.isin(nodes, list(self.tried))):
             headings = self.mission.protocol.headings
             mine = slice(starts[k * headings], starts[(k + 1) * headings])
-            worth[mine] &= ~np.isin(self._hull_blocks()[elements[mine]], self.tried[int(nodes[k])])
+            worth[mine] &= ~np.isin(blocks[mine], self.tried[int(nodes[k])])
         starts = np.concatenate([[0], np.cumsum(worth)])[starts]
         middles = self.hull.middles[:, :2]
         return Listed(weights, expected.hull, middles, nodes, starts, elements[worth])
@@ -430,8 +435,6 @@ class _BeliefPilot:
         """The way to what only the map's own view of some pose still shows, near solid ground if need be."""
         from scipy.ndimage import distance_transform_edt
 
-        from dream.mapping import gain
-
         weights = np.zeros(occupancy.shape, np.float32)
         row, col = completion.open_cells.T
         weights[row, col] = 1.0
@@ -439,16 +442,12 @@ class _BeliefPilot:
             away = distance_transform_edt(~expected.hiding, self.mission.protocol.cell)
             weights[(away <= self.size) & ~occupancy.observed] = 1.0
         weights[self.vain.count >= self.patience + 2] = 0.0
-        travel = careful_travel(pose, occupancy)
-        for way in (travel, travel_from(pose, occupancy)):
-            rows, cols = np.nonzero(way.reached)
-            gains = gain(occupancy, way.position(rows, cols), weights)
-            steps = way.steps[rows, cols]
-            rates = np.where(steps > 0, gains / np.maximum(steps, 1), 0.0).round(6)
-            if rates.max(initial=0.0) > 0.0:
-                k, heading = np.unravel_index(int(rates.argmax()), rates.shape)
-                path = way.path((int(rows[k]), int(cols[k]), int(heading)))
-                return way, Plan(path, rate=0.0, later=0.0, cells=float(gains[k, heading]))
+        for search in (careful_travel, travel_from):
+            travel = search(pose, occupancy)
+            views = all_views_from(travel, occupancy, weights)
+            best = views.best(views.rates)
+            if best is not None and best.rate > NOTHING:
+                return travel, Plan(travel.path(best.pose), rate=0.0, later=0.0, cells=best.gain)
         return travel, None
 
     # ----------------------------------------------------------------------------------------- watchdog
@@ -474,7 +473,14 @@ class _BeliefPilot:
             self.vain.count[shown & ~occupancy.observed] = GIVEN_UP
 
 
-def _is_wreck(occupancy: OccupancyMap) -> bool:
-    """Do targets stand up from the seabed, more than a boulder among them would make it seem?"""
-    stands = np.count_nonzero(occupancy.target & occupancy.solid)
-    return bool(stands * occupancy.protocol.cell**2 >= STANDS)
+def _away_from_hull(occupancy: OccupancyMap) -> FloatArray | None:
+    """(rows, cols) metres to the nearest target that stands up from the seabed.
+
+    None where no more of them do than a boulder among targets would make it seem.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    cell, stands = occupancy.protocol.cell, occupancy.target & occupancy.solid
+    if np.count_nonzero(stands) * cell**2 < STANDS:
+        return None
+    return np.asarray(distance_transform_edt(~stands, cell))

@@ -48,28 +48,6 @@ def blurred(mask: BoolArray, radius: float, occupancy: OccupancyMap) -> FloatArr
     return np.asarray(gaussian_filter(mask.astype(np.float32), sigma, mode="nearest", truncate=3.0))
 
 
-def could_hide(occupancy: OccupancyMap, radius: float, hopeless: BoolArray) -> BoolArray:
-    """(rows, cols) middles of discs in bounds of which nothing was observed.
-
-    Args:
-        occupancy: What is known.
-        radius: Of the discs, metres.
-        hopeless: (rows, cols) cells that count as observed.
-    """
-    from scipy.ndimage import distance_transform_edt
-
-    rows, cols = np.indices(occupancy.shape, sparse=True)
-    x, y = occupancy.center_of(rows, cols)
-    bounds = occupancy.bounds
-    inside = np.minimum(
-        np.minimum(x - bounds.x_min, bounds.x_max - x), np.minimum(y - bounds.y_min, bounds.y_max - y)
-    )
-    known = occupancy.observed | hopeless
-    if not known.any():
-        return np.asarray(inside >= radius)
-    return np.asarray((inside >= radius) & (distance_transform_edt(~known, occupancy.protocol.cell) > radius))
-
-
 @dataclass(frozen=True, slots=True)
 class Groups:
     """How many groups of targets there are: a Poisson process whose intensity is learnt on the way.

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from dream.planning.outlook import Listed, Outlook
 from dream.planning.travel import Pose, Travel, offsets_of
+from dream.planning.views import Views as PoseViews
 from dream.types import BoolArray, Float32Array
 
 if TYPE_CHECKING:
@@ -189,14 +190,12 @@ class LookAhead:
         chosen = (rows % 2 == 0) & (cols % 2 == 0) & (near | (rows % 4 == 0) & (cols % 4 == 0))
         rows, cols = rows[chosen], cols[chosen]
         steps = travel.steps[rows, cols]
-        if not (steps > 0).any():
-            return None
         gains = lookahead.gains(weights, views, rows, cols)
-        rates = np.where(steps > 0, gains / np.maximum(steps, 1), 0.0).round(6)
-        k, heading = np.unravel_index(int(rates.argmax()), rates.shape)
-        if rates[k, heading] <= NOTHING:
+        shown = PoseViews(rows, cols, steps, gains)
+        best = shown.best(shown.rates)
+        if best is None or best.rate <= NOTHING:
             return None
-        row, col = int(rows[k]), int(cols[k])
+        row, col, heading = best.pose
         seen = np.zeros((len(weights) + 63) // 64, np.uint64)
-        lookahead.look(weights, seen, views, row, col, int(heading))
-        return prospect.plan(travel.path((row, col, int(heading))), float(rates[k, heading]), 0.0, seen)
+        lookahead.look(weights, seen, views, row, col, heading)
+        return prospect.plan(travel.path(best.pose), best.rate, 0.0, seen)

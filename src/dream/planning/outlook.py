@@ -194,12 +194,8 @@ class Outlook:
         """
         from dream.planning._kernels.lookahead import possible_moves
 
-        protocol, bounds = self.mission.protocol, occupancy.bounds
-        rows, cols = np.indices(occupancy.shape, sparse=True)
-        x, y = occupancy.center_of(rows, cols)
-        edge = np.minimum(
-            np.minimum(x - bounds.x_min, bounds.x_max - x), np.minimum(y - bounds.y_min, bounds.y_max - y)
-        )
+        protocol = self.mission.protocol
+        edge = occupancy.distance_to_bounds
         # From the bounds the body keeps off, no more.
         room = np.minimum(occupancy.distance_to_solid, edge + standoff - protocol.body_radius - protocol.cell)
         scale = protocol.lattice / protocol.cell

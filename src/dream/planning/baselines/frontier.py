@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dream.planning.baselines.views import FloatArray, Remains, View, views_from
+from dream.planning.baselines.remains import Remains
 from dream.planning.parameters import check_range
 from dream.planning.travel import Travel, careful_travel
+from dream.planning.views import FloatArray, View, views_from
 from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:

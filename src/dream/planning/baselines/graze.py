@@ -10,9 +10,9 @@ import numpy as np
 from dream.geometry import SE2
 from dream.planning.baselines.lawnmower import Lawnmower
 from dream.planning.baselines.sweeping import Sweeping
-from dream.planning.baselines.views import views_from
 from dream.planning.parameters import check_range
 from dream.planning.travel import Pose, careful_travel
+from dream.planning.views import views_from
 from dream.types import Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:

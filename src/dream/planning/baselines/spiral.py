@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from dream.geometry import SE2
 from dream.planning.baselines.lanes import Points, across, mirrored, seen_to_both_sides, shortest, spiral
+from dream.planning.baselines.remains import Remains, group_cells
 from dream.planning.baselines.sweeping import Sweeping
-from dream.planning.baselines.views import Remains, group_cells
 from dream.planning.parameters import check_range
 from dream.types import Mission
 

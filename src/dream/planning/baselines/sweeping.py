@@ -11,8 +11,9 @@ import numpy as np
 
 from dream.geometry import SE2
 from dream.planning.baselines.lanes import Points, densified
-from dream.planning.baselines.views import FloatArray, Remains, View, views_from
+from dream.planning.baselines.remains import Remains
 from dream.planning.travel import IntArray, Pose, Travel, careful_travel
+from dream.planning.views import FloatArray, View, views_from
 from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:

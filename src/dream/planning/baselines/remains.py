@@ -1,0 +1,97 @@
+"""What is left to look at, and which ground never shows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dream.geometry import SE2
+from dream.planning.travel import Pose, Travel, travel_from
+from dream.planning.vain import VainLooks
+from dream.planning.views import View
+from dream.protocol import SurveyProtocol
+from dream.types import BoolArray, Decision, Mission, Reasoning
+
+if TYPE_CHECKING:
+    from dream.mapping import OccupancyMap
+
+MOST_PATIENCE = 8
+"""Looks in vain after which a cell is given up for good."""
+
+
+@dataclass(slots=True)
+class Remains:
+    """What is left to look at, as one mission remembers it.
+
+    Cells that were looked at in vain are given up. And a rest too small to go for may be what a refused
+    `done` is about, so that a refusal makes smaller rests count.
+    """
+
+    mission: Mission
+    least: float
+    """Cells that a view must show to be worth going to."""
+    patience: int = 2
+    """Looks in vain after which a cell is given up."""
+    goal: Pose | None = None
+    """The pose that was headed for last."""
+    refused: bool = False
+    """The last decision was `done`."""
+    claims: int = 0
+    """How often `done` was said."""
+    vain: VainLooks = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.vain = VainLooks(self.mission)
+
+    def look(self, pose: SE2, occupancy: OccupancyMap) -> None:
+        """Take in the observation that was made at `pose` and is in the map."""
+        self.vain.note(pose, occupancy)
+
+    def worth_looking(self, occupancy: OccupancyMap) -> BoolArray:
+        """(rows, cols) cells that were not observed and are not given up."""
+        return np.asarray(~occupancy.observed & (self.vain.count < self.patience))
+
+    def go(
+        self, pose: SE2, travel: Travel, occupancy: OccupancyMap, choose: Callable[[Travel], View | None]
+    ) -> tuple[View, Decision] | None:
+        """The first move to the view that `choose` chooses; None where it finds none.
+
+        It may have to come nearer to something solid than `travel` does. After a refused `done` it is asked
+        again with a smaller `least`, and then with more patience; from then on a complete map ends it.
+        """
+        from dream.mapping import check_completion
+
+        if self.claims and check_completion(occupancy, pose).complete:
+            return None
+        ways = [travel]
+        while True:
+            for way in ways:
+                view = choose(way)
+                if view is not None:
+                    self.goal, self.refused = view.pose, False
+                    path = way.path(view.pose)
+                    return view, Decision(*way.move(path[0], path[1]))
+            if len(ways) == 1:
+                ways.append(travel_from(pose, occupancy))
+            elif not self.refused or (self.least <= 1.0 and self.patience >= MOST_PATIENCE):
+                self.goal = None
+                return None
+            elif self.least > 1.0:
+                self.least = max(1.0, self.least / 2.0)
+            else:
+                self.patience += 1
+
+    def done(self, why: str) -> Decision:
+        """Say so."""
+        self.refused = True
+        self.claims += 1
+        return Decision(done=True, reasoning=Reasoning(action=why))
+
+
+def group_cells(protocol: SurveyProtocol) -> float:
+    """Map cells that the smallest group of targets covers."""
+    return math.pi * (protocol.group_radius / protocol.cell) ** 2
