@@ -27,20 +27,20 @@ WHOLE = Belief()
 VARIANTS: dict[str, tuple[str, AnyPlanner]] = {
     "belief": ("all of it", WHOLE),
     "no-expectation": (
-        "targets are expected beside known ones only at open edges",
+        "targets are expected in the cells next to known ones, not up to 4 m away",
         replace(WHOLE, kernel=0.1),
     ),
     "not-eager": (
         "what is expected beside known targets counts once, not three times",
         replace(WHOLE, eager=1.0),
     ),
-    "no-closing": ("surrounded ground counts as other ground does", replace(WHOLE, closing=0.0)),
     "greedy": ("one action ahead", replace(WHOLE, horizon=1)),
     "short": ("six actions ahead", replace(WHOLE, horizon=6)),
+    "narrow": ("eight sequences kept, not 48", replace(WHOLE, width=8)),
     "no-tour": ("sequences are judged by their own gain alone", replace(WHOLE, tour=0.0)),
     "no-cost": ("a step costs nothing", replace(WHOLE, step_cost=0.0)),
     "no-jump": ("never straight to one far view while the sequence shows anything", replace(WHOLE, jump=0.0)),
-    "small-groups": ("groups of 1.5 m radius hide, as the protocol promises", replace(WHOLE, size=1.5)),
+    "small-groups": ("groups of 1.5 m radius hide, as the protocol promises", replace(WHOLE, size=1.0)),
 }
 """Name → what is different, and the planner."""
 

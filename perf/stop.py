@@ -4,16 +4,16 @@
     python perf/stop.py --bench bench/dev        with the planners of a benchmark beside it
 
 Until it ends a mission does not depend on the risk that is accepted. So each world is flown once, to the end
-of all doubt, and what the planner said of the risk step by step tells where it would have ended for another.
+of all doubt, and what the planner believed step by step tells where it would have ended for another risk.
 """
 
 from __future__ import annotations
 
 import argparse
-import re
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,21 +22,24 @@ from scipy.optimize import minimize_scalar
 from dream.evaluation.engines import Failure, Processes, processors
 from dream.evaluation.metrics import COMPLETE, Scorer
 from dream.evaluation.results import read_results
-from dream.evaluation.runner import simulate
 from dream.evaluation.statistics import share_interval
 from dream.evaluation.suites import Case, family_of, suite_named
-from dream.mapping import could_hide
-from dream.mission import LOOK_AROUND
+from dream.geometry import SE2
+from dream.mapping import OccupancyMap, could_hide
+from dream.mapping.completion import Completion
+from dream.mission import LOOK_AROUND, explore
 from dream.planning import Belief
+from dream.planning.belief import _BeliefPilot, _Expected
 from dream.protocol import protocol_named
+from dream.robots import Teleport
 from dream.sim.render import Renderer
 from dream.sim.visibility import Visibility
 from dream.sim.worlds import make_world
+from dream.types import Mission as MissionBrief
 
 RISKS = (0.5, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 0.001)
 RADII = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
 """Metres."""
-CLOSED = re.compile(r"(\d+) of (\d+) regions are enclosed.* with a probability of ([\d.]+)%")
 
 
 @dataclass(frozen=True)
@@ -47,9 +50,35 @@ class Mission:
     closed: tuple[bool, ...]
     """Were there regions, and all of them enclosed?"""
     risk: tuple[float, ...]
-    """As the planner put it."""
+    """As the planner believed it."""
     hidden: tuple[tuple[float, ...], ...]
     """Square metres where the middle of a group of each of `RADII` would not have been noticed."""
+
+
+@dataclass(slots=True)
+class _WatchedPilot(_BeliefPilot):
+    said: list[tuple[bool, float]] = field(kw_only=True)
+
+    def _expected(
+        self,
+        occupancy: OccupancyMap,
+        completion: Completion,
+        pose: SE2,
+        away_from_hull: npt.NDArray[np.floating[Any]] | None,
+    ) -> _Expected:
+        expected = _BeliefPilot._expected(self, occupancy, completion, pose, away_from_hull)
+        self.said.append((completion.complete and bool(completion.regions), expected.risk))
+        return expected
+
+
+@dataclass(frozen=True, slots=True)
+class _Watched:
+    """The planner, and what it believed at each decision: is all enclosed, and the risk."""
+
+    said: list[tuple[bool, float]] = field(default_factory=list)
+
+    def begin(self, mission: MissionBrief) -> _WatchedPilot:
+        return _WatchedPilot(Belief(risk=0.0), mission, said=self.said)
 
 
 def flown(task: tuple[Case, str]) -> Mission:
@@ -58,27 +87,24 @@ def flown(task: tuple[Case, str]) -> Mission:
     protocol, world = protocol_named(name), make_world(case.world, case.seed)
     visibility, renderer = Visibility(world, protocol), Renderer(world)
     scorer = Scorer(world, protocol, visibility=visibility, renderer=renderer)
-    coverage, closed, risk, hidden = [], [], [], []
-    steps = simulate(
-        world, Belief(risk=0.0), protocol, start=case.start, renderer=renderer, solids=visibility.solids
-    )
+    coverage: list[float] = []
+    closed: list[bool] = []
+    risk: list[float] = []
+    hidden: list[tuple[float, ...]] = []
+    planner = _Watched()
+    robot = Teleport(world, protocol, world.starts[case.start], renderer=renderer, solids=visibility.solids)
     before, area = 0.0, (0.0,) * len(RADII)
-    for step in steps:
-        found = CLOSED.search(step.decision.reasoning.completion)
-        if found:  # Decided before this step's move, by what was seen until then.
+    for step in explore(robot, planner, OccupancyMap(world.bounds, protocol)):
+        if len(planner.said) > len(risk):  # Decided before this step's move, by what was seen until then.
             coverage.append(before)
-            closed.append(found[1] == found[2] != "0")
-            risk.append(float(found[3]) / 100.0)
+            closed.append(planner.said[-1][0])
+            risk.append(planner.said[-1][1])
             hidden.append(area)
         before = scorer.add(step).instances
         nothing = np.zeros(step.occupancy.shape, np.bool_)
         area = tuple(
             float(could_hide(step.occupancy, radius, nothing).sum()) * protocol.cell**2 for radius in RADII
         )
-    coverage.append(before)
-    closed.append(step.ended == "done")
-    risk.append(0.0)
-    hidden.append(area)
     return Mission(tuple(coverage), tuple(closed), tuple(risk), tuple(hidden))
 
 
@@ -125,7 +151,7 @@ def main() -> int:
             ends = np.flatnonzero(np.array(mission.closed) & (np.array(mission.risk) <= accepted))
             end = int(ends[0]) if len(ends) else len(mission.risk) - 1
             done = len(ends) > 0
-            steps.append(min(end + LOOK_AROUND + 1, protocol.cap) if done else protocol.cap)
+            steps.append(end + LOOK_AROUND + 1 if done else protocol.cap)
             promised.append(mission.risk[end])
             coverage.append(mission.coverage[end])
         missed = [share < COMPLETE for share in coverage]

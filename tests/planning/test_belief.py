@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ from dream.planning import Belief, sentences
 from dream.planning.belief import MOST_VISITS, _away_from_hull, _BeliefPilot
 from dream.planning.distribution import Groups, expectation
 from dream.planning.lookahead import Plan
-from dream.planning.travel import careful_travel, nearest_open
+from dream.planning.travel import careful_travel, nearest_open, travel_from
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
 from dream.types import BoolArray, Decision, Mission, Observation, Step
@@ -130,7 +131,8 @@ def test_a_mission_ends_by_itself_and_says_why(flown: Flown) -> None:
     assert flown.last.index < DREAM_V1.cap
     why = flown.last.decision.reasoning
     assert "done" in why.action
-    assert "risk" in why.completion or "%" in why.completion
+    risk, accepted = re.findall(r"([\d.]+)%", why.completion)
+    assert float(risk) <= float(accepted) == 2.0
     assert not why.next_target, "there is none"
 
 
@@ -326,8 +328,33 @@ def test_asked_the_same_for_ever_it_does_not_answer_the_same_for_ever(name: str)
         decision = pilot.decide(last.observation, last.occupancy)
         if decision.done:
             return
-        aims[decision.reasoning.next_target.split(", and are worth")[0]] += 1
+        aims[decision.reasoning.next_target.split(", and may show")[0]] += 1
     assert max(aims.values()) <= 4 * MOST_VISITS, "its aim changes again and again"
+
+
+def test_what_it_gives_up_of_a_hull_is_not_hoped_for_again_from_there() -> None:
+    flown = _fly(WRECK, max_steps=16)
+    pilot, (observation, occupancy, _) = flown.pilots[-1], flown.asked[-1]
+    away, travel = _away_from_hull(occupancy), travel_from(observation.pose, occupancy)
+    completion = check_completion(occupancy, observation.pose)
+    expected = pilot._expected(occupancy, completion, observation.pose, away)
+
+    def shown() -> tuple[list[int], list[int]]:
+        listed = pilot._hull_views(expected, travel, occupancy)
+        assert listed is not None
+        return listed.nodes.tolist(), np.diff(listed.starts).tolist()
+
+    nodes, before = shown()
+    most = int(np.argmax(before))
+    node, heading = divmod(most, DREAM_V1.headings)
+    pose = (*divmod(nodes[node], pilot.outlook.cols), heading)
+    pilot._give_up(Plan([pose, pose], rate=1.0, later=0.0), occupancy)
+    again, after = shown()
+    assert again == nodes
+    assert before[most] > 0
+    assert after[most] == 0
+    others = [k for k in range(len(before)) if k // DREAM_V1.headings != node]
+    assert [after[k] for k in others] == [before[k] for k in others], "from elsewhere it may show"
 
 
 # ------------------------------------------------------------------------------------------ certify, risk
@@ -376,6 +403,25 @@ def _with_a_reef(*unknown: tuple[slice, slice]) -> OccupancyMap:
     target = NOTHING.copy()
     target[60:64, 8:12] = True
     return map_with(explored=all_but(*unknown), target=target)
+
+
+def test_certify_says_what_is_left_to_see_and_no_probability() -> None:
+    observation = observed_at(3.0, -4.0, 0.0)
+    said = Belief(certify=True).begin(MISSION).decide(observation, _with_a_reef(SLIT)).reasoning.completion
+    assert f"{NOTHING[SLIT].size * DREAM_V1.cell**2:.1f} m² that can be seen were not yet" in said
+    assert "probability" not in said
+
+
+def test_in_a_narrow_arena_it_does_not_end_beside_the_first_group() -> None:
+    """Narrower than the groups that it searches for are wide."""
+    shells = placed(0, _clumps(0.0, -16.0, 0.8, 20), SHELLS)
+    start = SE2(0.0, -12.0, math.pi / 2)
+    world = replace(arena(targets=shells), bounds=Bounds(-3.0, -20.0, 3.0, 20.0), starts=(start,))
+    flown = _fly(world)
+    assert flown.last.ended == "done"
+    assert flown.last.occupancy.observed.mean() > 0.7
+    early = flown.asked[1][2].reasoning.completion
+    assert "with a probability of 0.0%" not in early
 
 
 def test_certify_is_not_done_while_a_single_cell_can_be_seen() -> None:
@@ -447,6 +493,13 @@ def test_a_smaller_risk_sees_at_least_as_much(over_the_reef: Flown) -> None:
 
 
 # -------------------------------------------------------------------------------------------------- hulls
+
+
+@pytest.mark.parametrize("wrong", [{"width": 1.5}, {"horizon": 2.5}, {"patience": 0}, {"size": 0.0}])
+def test_a_parameter_that_makes_no_sense_is_named(wrong: dict[str, Any]) -> None:
+    (name,) = wrong
+    with pytest.raises(ValueError, match=f"^{name}: expected .*, got {wrong[name]:g}"):
+        Belief(**wrong)
 
 
 def test_on_a_reef_no_hull_is_believed_in(over_the_reef: Flown) -> None:
@@ -530,12 +583,13 @@ def test_it_says_what_it_expects_beside_targets(over_the_reef: Flown) -> None:
         expected = np.zeros(occupancy.shape)
         if regions:
             expected += expectation(occupancy, evidence, planner.prior, planner.prior_weight)
-            for row, col in np.concatenate([region.open_cells for region in regions]):
-                expected[row, col] = max(expected[row, col], planner.open_edge)
             targets = np.argwhere(occupancy.target)
             for row, col in np.argwhere(expected > 0.0):
                 if np.hypot(*(targets - (row, col)).T).min() * DREAM_V1.cell > 2.0 * evidence:
                     expected[row, col] = 0.0
+            for row, col in np.concatenate([region.open_cells for region in regions]):
+                far = np.hypot(*(targets - (row, col)).T).min() * DREAM_V1.cell > 2.0 * evidence
+                expected[row, col] = max(expected[row, col], planner.search if far else planner.open_edge)
         assert float(match[1]) == pytest.approx(expected.sum() * DREAM_V1.cell**2, abs=0.051)
         some += float(match[1]) > 0.0
     assert some
@@ -548,9 +602,9 @@ def test_it_says_the_risk_and_the_groups_that_its_model_gives(over_the_reef: Flo
     for observation, occupancy, _ in over_the_reef.asked[::3]:
         said = planner.begin(MISSION).decide(observation, occupancy).reasoning
         completion = check_completion(occupancy, observation.pose)
-        hiding = could_hide(occupancy, planner.size, NOTHING)
+        hiding = could_hide(occupancy, planner.size * DREAM_V1.group_radius, NOTHING)
         if completion.complete:
-            hiding &= hiding_places(occupancy, observation.pose, planner.size)
+            hiding &= hiding_places(occupancy, observation.pose, planner.size * DREAM_V1.group_radius)
         hidden, whole = hiding.sum() * DREAM_V1.cell**2, AREA.width * AREA.depth
         found = len(completion.regions)
         risk = groups.risk(found, whole - hidden, hidden)

@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dream.geometry import Bounds
 from dream.mapping import OccupancyMap, could_hide
 from dream.planning.distribution import Groups, expectation
-from dream.protocol import DREAM_V1
+from dream.protocol import DREAM_V1, POOL_V1, SurveyProtocol
 from dream.types import BoolArray
 from tests.mapping.analytic import AREA, empty_map, map_with
 from tests.planning.flights import SIDE
@@ -103,7 +104,8 @@ def _patches(seed: int) -> BoolArray:
 def _slow_could_hide(occupancy: OccupancyMap, radius: float, hopeless: BoolArray) -> BoolArray:
     """Every cell of the map against every known one."""
     y, x = (np.indices(occupancy.shape) + 0.5) * DREAM_V1.cell
-    free = (x >= radius) & (x <= AREA.width - radius) & (y >= radius) & (y <= AREA.depth - radius)
+    fits = min(radius, DREAM_V1.group_radius)
+    free = (x >= fits) & (x <= AREA.width - fits) & (y >= fits) & (y <= AREA.depth - fits)
     for row, col in np.argwhere(occupancy.observed | hopeless):
         # In whole cells, so that rounding cannot decide.
         away = (np.arange(SIDE)[:, None] - row) ** 2 + (np.arange(SIDE)[None, :] - col) ** 2
@@ -121,13 +123,24 @@ def test_a_group_could_hide_where_no_cell_of_its_disc_is_known(seed: int, radius
     np.testing.assert_array_equal(found, _slow_could_hide(occupancy, radius, hopeless))
 
 
-def test_with_nothing_known_a_group_could_hide_wherever_it_fits_in_the_bounds() -> None:
+def test_with_nothing_known_a_group_could_hide_wherever_the_smallest_fits_in_the_bounds() -> None:
     nothing = np.zeros((SIDE, SIDE), np.bool_)
     found = could_hide(empty_map(), 3.0, nothing)
     np.testing.assert_array_equal(found, _slow_could_hide(empty_map(), 3.0, nothing))
     assert found.any()
-    assert not could_hide(empty_map(), 13.0, nothing).any(), "no disc of 26 m fits in 24 m"
-    assert not could_hide(empty_map(), 3.0, ~nothing).any(), "nor where all is hopeless"
+    assert could_hide(empty_map(), 13.0, nothing).any(), "a large group may reach past the bounds"
+    assert not could_hide(empty_map(), 3.0, ~nothing).any(), "but not where all is hopeless"
+
+
+def test_in_an_arena_that_is_narrower_than_a_large_group_one_could_hide() -> None:
+    narrow = OccupancyMap(Bounds(0.0, 0.0, 5.5, 40.0), DREAM_V1)
+    assert could_hide(narrow, 3.0, np.zeros(narrow.shape, np.bool_)).any()
+
+
+@pytest.mark.parametrize("protocol", [DREAM_V1, POOL_V1])
+def test_where_all_must_be_seen_every_cell_could_hide_something(protocol: SurveyProtocol) -> None:
+    occupancy = OccupancyMap(Bounds(0.0, 0.0, 20.0 * protocol.cell, 30.0 * protocol.cell), protocol)
+    assert could_hide(occupancy, 0.5 * protocol.cell, np.zeros(occupancy.shape, np.bool_)).all()
 
 
 # -------------------------------------------------------------------------------------------------- groups

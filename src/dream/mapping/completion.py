@@ -80,8 +80,7 @@ def hiding_places(occupancy: OccupancyMap, pose: SE2, radius: float) -> BoolArra
         radius: Of the group; metres.
 
     Returns:
-        (rows, cols), true at the centres of discs in bounds that hold no observed cell's centre and at least
-        one cell that a reachable pose could see.
+        (rows, cols), true where `could_hide` is and the disc holds a cell that a reachable pose could see.
     """
     from scipy import ndimage
 
@@ -111,11 +110,14 @@ def could_hide(occupancy: OccupancyMap, radius: float, hopeless: BoolArray) -> B
         hopeless: (rows, cols) cells that count as observed.
 
     Returns:
-        (rows, cols), true at the centres of discs in bounds that hold no such cell's centre.
+        (rows, cols), true at the centres of discs that hold no such cell's centre. The smallest group that
+        the protocol promises must fit into the bounds there; a larger one may reach past them.
     """
     from scipy import ndimage
 
-    places: BoolArray = occupancy.distance_to_bounds >= radius
+    # Half a cell from the bounds is half a cell whatever the last digits say.
+    inside = min(radius, occupancy.protocol.group_radius) - 1e-6
+    places: BoolArray = occupancy.distance_to_bounds >= inside
     known = occupancy.observed | hopeless
     if known.any():
         places &= ndimage.distance_transform_edt(~known, occupancy.protocol.cell) > radius

@@ -11,11 +11,11 @@ import numpy.typing as npt
 
 from dream.geometry import SE2
 from dream.planning import sentences
-from dream.planning.distribution import Groups, blurred, expectation
+from dream.planning.distribution import Groups, expectation
 from dream.planning.hull import PATCH, Hull
 from dream.planning.lookahead import NOTHING, LookAhead, Plan, Prospect
 from dream.planning.outlook import Listed, Outlook
-from dream.planning.parameters import check_range
+from dream.planning.parameters import check_count, check_range
 from dream.planning.travel import Pose, Travel, careful_standoff, careful_travel, nearest_open, travel_from
 from dream.planning.vain import VainLooks
 from dream.planning.views import all_views_from
@@ -69,9 +69,9 @@ class Belief:
     """Probability of having missed a group with which the mission may end."""
     certify: bool = False
     """Be done only when all ground that can be seen was seen."""
-    size: float = 3.0
-    """Radius of a group that could hide, metres. Measured on the suite `dev`, where it predicts best what was
-    still missed; the protocol promises only a radius of 1.5 m."""
+    size: float = 2.0
+    """Radius of a group that could hide, in radii of the smallest that the protocol promises. Measured on the
+    suite `dev`, where it predicts best what was still missed; only 1 is promised."""
     groups: float = 0.5
     """Prior of the number of groups: as if so many had been found ..."""
     searched: float = 500.0
@@ -95,8 +95,6 @@ class Belief:
     eager: float = 3.0
     """How many times as much targets count that are expected beside known ones: a region that is left open
     must be come back to."""
-    closing: float = 3.0
-    """How many times more ground counts that observed ground surrounds: so must a hole."""
     patience: int = 3
     """Looks in vain after which a cell is given up."""
     width: int = 48
@@ -126,10 +124,9 @@ class Belief:
         check_range("search", self.search, 1e-6, 1.0)
         check_range("alone", self.alone, 0.0, 1.0)
         check_range("eager", self.eager, 0.0, 1000.0)
-        check_range("closing", self.closing, 0.0, 1000.0)
-        check_range("patience", self.patience, 1, 100)
-        check_range("width", self.width, 1, 10_000)
-        check_range("horizon", self.horizon, 1, 100)
+        check_count("patience", self.patience, 1, 100)
+        check_count("width", self.width, 1, 10_000)
+        check_count("horizon", self.horizon, 1, 100)
         check_range("discount", self.discount, 0.5, 1.0)
         check_range("step_cost", self.step_cost, 0.0, 1.0)
         check_range("tour", self.tour, 0.0, 10.0)
@@ -186,13 +183,15 @@ class _BeliefPilot:
 
     @property
     def size(self) -> float:
-        """Radius of the groups that are searched for; a cell's where everything must be seen."""
-        return 0.5 * self.mission.protocol.cell if self.planner.certify else self.planner.size
+        """Radius of the groups that are searched for, metres; a cell's where everything must be seen."""
+        protocol = self.mission.protocol
+        return 0.5 * protocol.cell if self.planner.certify else self.planner.size * protocol.group_radius
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         from dream.mapping import check_completion
 
         pose, protocol = observation.pose, self.mission.protocol
+        here = (*self.outlook.node(pose.x, pose.y), protocol.heading_index(pose.yaw))
         refused, self.claimed = self.claimed, False
         if refused:
             # It stood still, so that there was no new look; what was given up is worth one more.
@@ -200,11 +199,10 @@ class _BeliefPilot:
             np.minimum(self.vain.count, self.patience + 1, out=self.vain.count)
         else:
             # What it had foretold, with the solids that it knew of then, counts as looked at too.
-            here = (*self.outlook.node(pose.x, pose.y), protocol.heading_index(pose.yaw))
             self.vain.note(pose, occupancy, self.outlook.shown(here)[0] if self.news else None)
         self.outlook.update(occupancy)
         self.hull.integrate(observation)
-        self._note_hull(pose)
+        self._try_hull(here)
         # Beside a hull every place counts that the guard allows.
         away_from_hull = _away_from_hull(occupancy)
         travel = careful_travel(pose, occupancy) if away_from_hull is None else travel_from(pose, occupancy)
@@ -219,7 +217,7 @@ class _BeliefPilot:
             distribution=sentences.distribution(occupancy, completion)
             + sentences.expectations(expected.beside, expected.groups, occupancy),
             target_area=sentences.target_area(area, completion),
-            completion=sentences.certainty(completion, expected.risk, self.planner.risk),
+            completion=self._certainty(completion, expected),
         )
         enclosed = completion.complete and bool(completion.regions)
         looked_over = expected.hull_left <= self.planner.hull_left
@@ -250,6 +248,12 @@ class _BeliefPilot:
                 action=sentences.action(turn, advance),
             ),
         )
+
+    def _certainty(self, completion: Completion, expected: _Expected) -> str:
+        if self.planner.certify:
+            unseen = float(expected.hiding.sum()) * self.mission.protocol.cell**2
+            return sentences.certificate(completion, unseen)
+        return sentences.certainty(completion, expected.risk, self.planner.risk)
 
     def _done(self, reasoning: Reasoning, why: str) -> Decision:
         self.claimed = True
@@ -350,21 +354,19 @@ class _BeliefPilot:
         moves: npt.NDArray[np.uint8],
         occupancy: OccupancyMap,
     ) -> Plan | None:
-        planner, protocol = self.planner, self.mission.protocol
-        square, evidence = protocol.cell**2, planner.kernel * protocol.group_radius
+        planner, square = self.planner, self.mission.protocol.cell**2
         todo = ~occupancy.observed & (self.vain.count < self.patience)
-        surrounded = 1.0 + planner.closing * blurred(occupancy.observed, 2.0 * evidence, occupancy)
-        ground = planner.eager * expected.beside * square * surrounded
+        ground = planner.eager * expected.beside * square
         if not completion.regions and not expected.hiding.any():
             # Where no target was seen, all ground must be.
             row, col = completion.open_cells.T
-            ground[row, col] = planner.search * square * surrounded[row, col]
+            ground[row, col] = planner.search * square
         search = planner.search
         if expected.away_from_hull is not None:
             ground[expected.away_from_hull <= ADJOINING] *= BENEATH
             search *= planner.alone
         ground = np.where(todo, ground + NEGLIGIBLE, 0.0)
-        hiding = np.where(expected.hiding, search * square * surrounded, 0.0)
+        hiding = np.where(expected.hiding, search * square, 0.0)
         ahead = LookAhead(
             planner.width,
             planner.horizon,
@@ -402,7 +404,7 @@ class _BeliefPilot:
         rows, cols, positions = rows[chosen], cols[chosen], positions[chosen]
         nodes = rows * self.outlook.cols + cols
         starts, elements = self.hull.visible(positions, weights > 0.0)
-        blocks, worth = self._hull_blocks()[elements], np.ones(len(elements), np.bool_)
+        blocks, worth = self.hull.blocks[elements], np.ones(len(elements), np.bool_)
         for k in np.flatnonzero(np.isin(nodes, list(self.tried))):
             headings = self.mission.protocol.headings
             mine = slice(starts[k * headings], starts[(k + 1) * headings])
@@ -411,21 +413,13 @@ class _BeliefPilot:
         middles = self.hull.middles[:, :2]
         return Listed(weights, expected.hull, middles, nodes, starts, elements[worth])
 
-    def _hull_blocks(self) -> IntArray:
-        """(n,) a number for the place of each element of the hull."""
-        place = np.floor(self.hull.middles / self.mission.protocol.cell).astype(np.int64)
-        number: IntArray = (place[:, 2] * 2**20 + place[:, 1]) * 2**20 + place[:, 0]
-        return number
-
-    def _note_hull(self, pose: SE2) -> None:
-        """What of the hull should be in view and is still to be seen."""
+    def _try_hull(self, pose: Pose) -> None:
+        """From there, hope no more for what of the hull should be in view and is still to be seen."""
         if not len(self.hull.weights):
             return
-        protocol = self.mission.protocol
-        row, col = self.outlook.node(pose.x, pose.y)
-        starts, elements = self.hull.visible(np.array([[pose.x, pose.y]]))
-        heading = protocol.heading_index(pose.yaw)
-        blocks = self._hull_blocks()[elements[starts[heading] : starts[heading + 1]]]
+        row, col, heading = pose
+        starts, elements = self.hull.visible([self.outlook.position(row, col)])
+        blocks = self.hull.blocks[elements[starts[heading] : starts[heading + 1]]]
         node = row * self.outlook.cols + col
         self.tried[node] = np.union1d(self.tried.get(node, blocks), blocks)
 
@@ -465,12 +459,12 @@ class _BeliefPilot:
         """Hope for nothing more from the views of a plan."""
         from dream.mapping import view
 
-        protocol = self.mission.protocol
-        for row, col, heading in plan.path:
-            x, y = (col + self.outlook.west) * protocol.lattice, (row + self.outlook.south) * protocol.lattice
-            ground, middles = self.outlook.shown((row, col, heading))
-            shown = view(occupancy, x, y, heading * protocol.heading_step) | ground | middles
+        for pose in plan.path:
+            ground, middles = self.outlook.shown(pose)
+            yaw = pose[2] * self.mission.protocol.heading_step
+            shown = view(occupancy, *self.outlook.position(*pose[:2]), yaw) | ground | middles
             self.vain.count[shown & ~occupancy.observed] = GIVEN_UP
+            self._try_hull(pose)
 
 
 def _away_from_hull(occupancy: OccupancyMap) -> FloatArray | None:

@@ -89,6 +89,13 @@ class Hull:
         return self._middles
 
     @property
+    def blocks(self) -> IntArray:
+        """(n,) a number for the place and kind of each element; the same whenever that is listed."""
+        level, row, col, kind = self._elements.T.astype(np.int64)
+        number: IntArray = ((level * 2**20 + row) * 2**20 + col) * 2 + kind
+        return number
+
+    @property
     def unseen(self) -> float:
         """Expected unseen patches, whether or not any place is left to see them from."""
         return float(self._weights.sum())

@@ -16,8 +16,9 @@ from dream.types import BoolArray, Float32Array
 if TYPE_CHECKING:
     from dream.planning._kernels.lookahead import Views
 
-SERVICE = 480.0
-"""Tiles, of ground and of hiding places together, that a step shows on its way through unseen ground."""
+SERVICE = 0.63
+"""Share of what its view could hold, of ground and of hiding places together, that a step shows on its way
+through unseen ground."""
 NEAR = 16
 """Steps within which every second node is a view to go to; every fourth beyond."""
 NOTHING = 1e-6
@@ -158,7 +159,7 @@ class LookAhead:
             *outlook.places(prospect.listed),
             outlook.areas,
             protocol.lattice,
-            SERVICE,
+            SERVICE * views.first[1],
             max(protocol.advances),
             0.5 * protocol.reach,
             self.discount,
@@ -167,7 +168,7 @@ class LookAhead:
         ends = slice(first, None)
         worth = self.discount ** level[ends] * worth - self.step_cost * total * (level[ends] + steps)
         value = score[ends] + self.tour * worth
-        # Rounded, so that a tie is a tie on every machine.
+        # Rounded, so that the last digits decide nothing.
         end = first + int(value.round(6).argmax())
         indices = [end]
         while parent[indices[-1]] >= 0:

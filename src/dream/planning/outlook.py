@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 FloatArray = npt.NDArray[np.floating[Any]]
 
-AREA = 4.0
-"""Metres a side of the areas that a tour visits; more where there would be too many."""
+AREA = 0.5
+"""Side of the areas that a tour visits, in reaches; longer where there would be too many."""
 MOST_AREAS = 13
-"""Along a side."""
+"""Along a side of the survey area; there are more in the padding around it, where nothing is to be seen."""
 
 
 _Lists = tuple[npt.NDArray[np.int64], npt.NDArray[np.int32], npt.NDArray[np.uint8], npt.NDArray[np.uint8]]
@@ -106,7 +106,7 @@ class Outlook:
 
         row, col = np.divmod(np.arange(self.tiles), self._stride)
         self._place = np.stack([(k - self._pad + 0.5) * lattice for k in (col, row)]).astype(np.float32)
-        side = max(AREA, max(bounds.width, bounds.depth) / MOST_AREAS)
+        side = max(AREA * protocol.reach, max(bounds.width, bounds.depth) / MOST_AREAS)
         east, north = np.floor((self._place + self._pad * lattice) / side).astype(np.int32)
         self._area_of = north * (east.max() + 1) + east
         self.areas = int(self._area_of.max()) + 1
@@ -181,6 +181,11 @@ class Outlook:
         """Lattice row and column of a position."""
         lattice = self.mission.protocol.lattice
         return round(y / lattice) - self.south, round(x / lattice) - self.west
+
+    def position(self, row: int, col: int) -> tuple[float, float]:
+        """x and y of a node, metres."""
+        lattice = self.mission.protocol.lattice
+        return (col + self.west) * lattice, (row + self.south) * lattice
 
     def moves(
         self, known: npt.NDArray[np.uint8], occupancy: OccupancyMap, standoff: float

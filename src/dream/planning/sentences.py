@@ -42,7 +42,7 @@ def expectations(beside: npt.NDArray[np.floating[Any]], groups: float, occupancy
 
 
 def target_area(area: Region | None, completion: Completion) -> str:
-    """Step 2: what is worked on now."""
+    """Step 2: the nearest region that is open."""
     if area is None:
         return "None: " + (
             "every known region is enclosed." if completion.regions else "nothing to work on yet."
@@ -67,6 +67,15 @@ def certainty(completion: Completion, risk: float, accepted: float) -> str:
     return (
         f"{closed} of {len(completion.regions)} regions are enclosed by explored ground. "
         f"To stop now would miss a group with a probability of {risk:.1%}; {accepted:.1%} is accepted."
+    )
+
+
+def certificate(completion: Completion, unseen: float) -> str:
+    """Step 3, where all must be seen."""
+    closed = sum(region.enclosed for region in completion.regions)
+    return (
+        f"{closed} of {len(completion.regions)} regions are enclosed by explored ground. "
+        f"{unseen:.1f} m² that can be seen were not yet, and all must be."
     )
 
 
@@ -116,7 +125,7 @@ def next_target(
 
 
 def safety(occupancy: OccupancyMap, travel: Travel, path: list[tuple[int, int, int]]) -> str:
-    """Step 5: what the body keeps clear of on its way."""
+    """Step 5: what the body keeps clear of on a way."""
     protocol = travel.protocol
     rows, cols, _ = np.array(path).T
     nodes = travel.position(rows, cols)
@@ -124,15 +133,14 @@ def safety(occupancy: OccupancyMap, travel: Travel, path: list[tuple[int, int, i
     along = np.linspace(0.0, 1.0, samples)[:, None, None]
     points = (nodes[:-1] + along * (nodes[1:] - nodes[:-1])).reshape(-1, 2)
     distance = float(occupancy.distance_to_solid[occupancy.cell_of(*points.T)].min())
+    free = f"The {'next move' if len(path) == 2 else 'way'} crosses only ground known to be free"
     if not math.isfinite(distance):
-        return "The way crosses only ground known to be free; nothing solid has been seen."
+        return f"{free}; nothing solid has been seen."
     # Between the middles of two cells; their corners may be half a diagonal nearer each.
     clear = math.floor(10.0 * (distance - math.sqrt(2.0) * protocol.cell - protocol.body_radius)) / 10.0
     if clear <= 0.0:
-        return "The way crosses only ground known to be free, close by something solid."
-    return (
-        f"The way crosses only ground known to be free and keeps the body {clear:.1f} m or more from solids."
-    )
+        return f"{free}, close by something solid."
+    return f"{free} and keeps the body {clear:.1f} m or more from solids."
 
 
 def action(turn: float, advance: float) -> str:
