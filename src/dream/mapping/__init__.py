@@ -12,6 +12,7 @@ from dream.mapping.drawing import draw_map
 from dream.mapping.frontiers import Frontier, frontiers
 from dream.mapping.gain import gain, visible_weight
 from dream.mapping.layers import Evidence, Layers, State
+from dream.mapping.nearness import within
 from dream.mapping.occupancy import OccupancyMap
 from dream.mapping.visibility import view
 
@@ -32,4 +33,5 @@ __all__ = [
     "reachable",
     "view",
     "visible_weight",
+    "within",
 ]

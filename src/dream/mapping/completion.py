@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import SE2, Bounds
+from dream.mapping.nearness import within
 from dream.types import BoolArray, IntArray
 
 if TYPE_CHECKING:
@@ -82,23 +83,19 @@ def hiding_places(occupancy: OccupancyMap, pose: SE2, radius: float) -> BoolArra
     Returns:
         (rows, cols), true where `could_hide` is and the disc holds a cell that a reachable pose could see.
     """
-    from scipy import ndimage
-
     if not radius > 0.0:
         raise ValueError(f"radius: expected a positive length in metres, got {radius}")
     cell = occupancy.protocol.cell
     places = could_hide(occupancy, radius, occupancy.observed)
     if not places.any():
         return places
-    in_a_disc = ndimage.distance_transform_edt(~places, cell) <= radius
-    unobserved = np.argwhere(in_a_disc & ~occupancy.observed)
+    unobserved = np.argwhere(within(places, radius, cell) & ~occupancy.observed)
     seen = occupancy.progress.seeable(pose, _window(occupancy), unobserved)
     if not len(seen):
         return np.zeros(occupancy.shape, np.bool_)
     could_be_seen = np.zeros(occupancy.shape, np.bool_)
     could_be_seen[tuple(seen.T)] = True
-    near: BoolArray = ndimage.distance_transform_edt(~could_be_seen, cell) <= radius
-    return places & near
+    return places & within(could_be_seen, radius, cell)
 
 
 def could_hide(occupancy: OccupancyMap, radius: float, hopeless: BoolArray) -> BoolArray:
@@ -113,15 +110,10 @@ def could_hide(occupancy: OccupancyMap, radius: float, hopeless: BoolArray) -> B
         (rows, cols), true at the centres of discs that hold no such cell's centre. The smallest group that
         the protocol promises must fit into the bounds there; a larger one may reach past them.
     """
-    from scipy import ndimage
-
     # Half a cell from the bounds is half a cell whatever the last digits say.
     inside = min(radius, occupancy.protocol.group_radius) - 1e-6
     places: BoolArray = occupancy.distance_to_bounds >= inside
-    known = occupancy.observed | hopeless
-    if known.any():
-        places &= ndimage.distance_transform_edt(~known, occupancy.protocol.cell) > radius
-    return places
+    return places & ~within(occupancy.observed | hopeless, radius, occupancy.protocol.cell)
 
 
 def reachable(occupancy: OccupancyMap, pose: SE2) -> Float64Array:

@@ -268,28 +268,28 @@ class _BeliefPilot:
         pose: SE2,
         away_from_hull: FloatArray | None,
     ) -> _Expected:
-        from scipy.ndimage import distance_transform_edt
-
-        from dream.mapping import could_hide, hiding_places
+        from dream.mapping import could_hide, hiding_places, within
 
         planner, protocol = self.planner, self.mission.protocol
         cell, evidence = protocol.cell, planner.kernel * protocol.group_radius
         beside = np.zeros(occupancy.shape, np.float32)
         if completion.regions:
             beside = expectation(occupancy, evidence, planner.prior, planner.prior_weight)
-            far = distance_transform_edt(~occupancy.target, cell) > 2.0 * evidence
+            far = ~within(occupancy.target, 2.0 * evidence, cell)
             beside[far] = 0.0
             row, col = completion.open_cells.T
             # A hole far from all targets must be closed, but holds none more likely than other ground does.
             least = np.where(far[row, col], planner.search, planner.open_edge)
             beside[row, col] = np.maximum(beside[row, col], least)
         places = self._places(occupancy, pose)
-        hopeless = ~self._in_reach(places) | (self.vain.count >= self.patience)
+        hopeless = ~within(places, protocol.reach, cell) | (self.vain.count >= self.patience)
         hiding = could_hide(occupancy, self.size, hopeless)
         if completion.complete:
             # Here the mission may end, so that what no known place can see is left out: behind a wall, say.
             # But places that the vehicle might yet get to may see more than that.
-            hiding &= hiding_places(occupancy, pose, self.size) | self._in_reach(places & ~occupancy.observed)
+            hiding &= hiding_places(occupancy, pose, self.size) | within(
+                places & ~occupancy.observed, protocol.reach, cell
+            )
         groups = Groups(planner.groups, planner.searched)
         hidden = float(hiding.sum()) * cell**2
         searched = occupancy.observed.size * cell**2 - hidden
@@ -334,15 +334,6 @@ class _BeliefPilot:
         room[max(row - 1, 0) : row + 2, max(col - 1, 0) : col + 2] = True
         parts, _ = label(room, np.ones((3, 3)))
         return np.asarray(parts == parts[row, col])
-
-    def _in_reach(self, places: BoolArray) -> BoolArray:
-        """(rows, cols) cells within reach of some places."""
-        from scipy.ndimage import distance_transform_edt
-
-        if not places.any():
-            return places
-        protocol = self.mission.protocol
-        return np.asarray(distance_transform_edt(~places, protocol.cell) <= protocol.reach)
 
     # -------------------------------------------------------------------------------------- next target
 
@@ -427,14 +418,13 @@ class _BeliefPilot:
         self, completion: Completion, expected: _Expected, pose: SE2, occupancy: OccupancyMap
     ) -> tuple[Travel, Plan | None]:
         """The way to what only the map's own view of some pose still shows, near solid ground if need be."""
-        from scipy.ndimage import distance_transform_edt
+        from dream.mapping import within
 
         weights = np.zeros(occupancy.shape, np.float32)
         row, col = completion.open_cells.T
         weights[row, col] = 1.0
-        if expected.hiding.any():
-            away = distance_transform_edt(~expected.hiding, self.mission.protocol.cell)
-            weights[(away <= self.size) & ~occupancy.observed] = 1.0
+        could_hold = within(expected.hiding, self.size, self.mission.protocol.cell)
+        weights[could_hold & ~occupancy.observed] = 1.0
         weights[self.vain.count >= self.patience + 2] = 0.0
         for search in (careful_travel, travel_from):
             travel = search(pose, occupancy)

@@ -156,16 +156,15 @@ class Outlook:
 
     def update(self, occupancy: OccupancyMap) -> None:
         """Take in what is solid now."""
-        from scipy.ndimage import distance_transform_edt
-
+        from dream.mapping import within
         from dream.planning._kernels.lookahead import sight_lines
 
         protocol, changed = self.mission.protocol, occupancy.solid != self._solid
         if not changed.any():
             return
         self._solid = occupancy.solid
-        away = distance_transform_edt(~changed, protocol.cell)[self.cells_of_nodes()]
-        which = np.flatnonzero(away <= protocol.reach + 2.0 * protocol.cell)
+        near = within(changed, protocol.reach + 2.0 * protocol.cell, protocol.cell)
+        which = np.flatnonzero(near[self.cells_of_nodes()])
         scale = protocol.lattice / protocol.cell
         sight_lines(self._solid, self.cols, *self._corner, scale, self._limit, self._depth, which)
 

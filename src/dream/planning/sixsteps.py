@@ -173,10 +173,12 @@ class _SixStepsPilot:
         hidden: npt.NDArray[np.bool_],
     ) -> FloatArray:
         """(rows, cols) what discovering a cell is worth: its expectation, more where it closes a region."""
+        from dream.mapping import within
+
         protocol = self.mission.protocol
-        could_hide = _within(hidden, protocol.group_radius / protocol.cell)
+        could_hide = within(hidden, protocol.group_radius, protocol.cell)
         evidence = self.planner.kernel * protocol.group_radius
-        near_target = _within(occupancy.target, 2.0 * evidence / protocol.cell)
+        near_target = within(occupancy.target, 2.0 * evidence, protocol.cell)
         # Where no target has been seen, only ground explored to the last cell is complete.
         search = could_hide if completion.regions else ~occupancy.observed
         surrounded = blurred(occupancy.observed, 2.0 * evidence, occupancy)
@@ -229,11 +231,3 @@ class _SixStepsPilot:
                 chosen = _Viewpoint(self.heading_for, int(steps[k[0], heading]), float(gains[k[0], heading]))
         self.heading_for = chosen.pose if chosen.steps > 1 else None
         return chosen
-
-
-def _within(mask: npt.NDArray[np.bool_], radius_cells: float) -> npt.NDArray[np.bool_]:
-    from scipy.ndimage import distance_transform_edt
-
-    if not mask.any():
-        return mask
-    return np.asarray(distance_transform_edt(~mask) <= radius_cells)

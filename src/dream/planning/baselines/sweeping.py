@@ -14,7 +14,7 @@ from dream.planning.baselines.lanes import Points, densified
 from dream.planning.baselines.remains import Remains
 from dream.planning.travel import IntArray, Pose, Travel, careful_travel
 from dream.planning.views import FloatArray, View, views_from
-from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
+from dream.types import Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
@@ -146,22 +146,13 @@ class Sweeping:
 
     def _missed(self, pose: SE2, travel: Travel, occupancy: OccupancyMap) -> View | None:
         """The nearest view of ground that was missed; None where none is left."""
-        from dream.mapping import hiding_places
+        from dream.mapping import hiding_places, within
 
         remains = self.remains
         worth = remains.worth_looking(occupancy)
         if remains.claims == 0:
             radius = remains.mission.protocol.group_radius
-            worth &= within(hiding_places(occupancy, pose, radius), radius, occupancy)
+            worth &= within(hiding_places(occupancy, pose, radius), radius, occupancy.protocol.cell)
         views = views_from(travel, occupancy, worth.astype(np.float32), keep=remains.goal)
         kept = None if remains.goal is None else views.at(remains.goal)
         return kept if kept is not None and kept.gain >= remains.least else views.nearest(remains.least)
-
-
-def within(places: BoolArray, radius: float, occupancy: OccupancyMap) -> BoolArray:
-    """(rows, cols) cells no farther than `radius` metres from one of the places."""
-    from scipy.ndimage import distance_transform_edt
-
-    if not places.any():
-        return places
-    return np.asarray(distance_transform_edt(~places, occupancy.protocol.cell) <= radius)

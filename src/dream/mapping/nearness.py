@@ -1,0 +1,30 @@
+"""What lies near some cells."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dream.types import BoolArray
+
+
+def within(cells: BoolArray, distance: float, cell: float) -> BoolArray:
+    """(rows, cols) cells whose middle is no farther than `distance` metres from that of one of the cells.
+
+    Args:
+        cells: (rows, cols).
+        distance: Metres.
+        cell: Side of a cell, metres.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    near = np.zeros(cells.shape, np.bool_)
+    rows, cols = (np.flatnonzero(cells.any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return near
+    # Of a large map only what could be near is looked at.
+    margin = math.ceil(distance / cell)
+    window = tuple(slice(max(k[0] - margin, 0), k[-1] + margin + 1) for k in (rows, cols))
+    near[window] = distance_transform_edt(~cells[window], cell) <= distance
+    return near
