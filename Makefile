@@ -41,7 +41,7 @@ check: setup ## Lint, types and format
 	@$(BIN)/mypy
 
 results: setup ## Write docs/results.md from the released results
-	@$(BIN)/dream results results/paper results/sweep --out docs/results.md
+	@$(BIN)/dream results results/test results/paper results/sweep --out docs/results.md
 
 perf: setup ## Measure speed and accuracy beside named peers; some forty minutes
 	@$(UV) sync --quiet --locked --compile-bytecode --inexact --group perf

@@ -15,14 +15,13 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from scipy import stats
 
 from dream.evaluation import statistics
 from dream.evaluation.oracle.bounds import known_bounds
 from dream.evaluation.results import Row, read_results
 from dream.evaluation.suites import family_of
 from dream.protocol import protocol_named
-
-PERCENT = (2.5, 97.5)
 
 
 def times(rows: Sequence[Row], mark: str) -> npt.NDArray[np.float64]:
@@ -71,8 +70,13 @@ def main() -> int:
             continue
         mine, other = [ours[key] for key in keys], [theirs[key] for key in keys]
         a, b = times(mine, "t98"), times(other, "t98")
-        weights = statistics.resampling_weights([family_of(key[0]) for key in keys], np.random.default_rng(0))
-        low, high = np.percentile((weights @ a) / (weights @ b), PERCENT)
+        strata = [family_of(key[0]) for key in keys]
+        weights = statistics.resampling_weights(strata, np.random.default_rng(0))
+        ratio = a.mean() / b.mean()
+        # On a logarithmic scale, so that it is the same whichever of the two is above the line.
+        error = np.log((weights @ a) / (weights @ b)).std(ddof=1)
+        margin = error * stats.t.ppf(0.5 + 0.5 * statistics.LEVEL, len(keys) - len(members))
+        low, high = ratio * np.exp([-margin, margin])
         ratios = over_bound(mine)
         bound = f"{np.median(ratios):.2f} · {len(ratios)}" if ratios else "–"
         won = statistics.share_interval(sum(row.success for row in mine), len(mine))
@@ -80,7 +84,7 @@ def main() -> int:
             f"{title} ({len(keys)})",
             f"{a.mean():.1f}",
             f"{b.mean():.1f}",
-            f"{a.mean() / b.mean():.2f} [{low:.2f}, {high:.2f}]",
+            f"{ratio:.2f} [{low:.2f}, {high:.2f}]",
             bound,
             f"{sum(row.success for row in mine)} [{won.low:.0%}, {won.high:.0%}]",
             f"{sum(row.success for row in other)}",

@@ -46,7 +46,7 @@ TOUR_SLICE, BOUND_SLICE = 0.15, 0.25
 """Shares of the budget left that one search for a tour, and one for a bound, get."""
 LEAST_SLICE = 0.5
 """Seconds that a search gets at least, while they last."""
-KNOWN = ("paper", "dev")
+KNOWN = ("paper", "dev", "test")
 """Suites whose bounds come with the package."""
 
 
