@@ -82,18 +82,15 @@ class _FrontierPilot:
 
     def _frontiers(self, occupancy: OccupancyMap) -> tuple[BoolArray, FloatArray]:
         """(rows, cols) what is near a cluster, and 1 in the unknown cells beside one that are worth it."""
-        from scipy.ndimage import binary_dilation, distance_transform_edt
+        from scipy.ndimage import binary_dilation
 
-        from dream.mapping import frontiers
+        from dream.mapping import frontiers, within
 
         edge = np.zeros(occupancy.shape, np.bool_)
         for frontier in frontiers(occupancy):
             if frontier.size >= self.remains.least:
                 edge[tuple(frontier.cells.T)] = True
         beyond = binary_dilation(edge) & self.remains.worth_looking(occupancy)
-        if not edge.any():
-            return edge, beyond.astype(np.float32)
-        distance = distance_transform_edt(~edge, self.remains.mission.protocol.cell)
-        return distance <= self.planner.approach * self.remains.mission.protocol.reach, beyond.astype(
-            np.float32
-        )
+        protocol = self.remains.mission.protocol
+        near = within(edge, self.planner.approach * protocol.reach, protocol.cell)
+        return near, beyond.astype(np.float32)
