@@ -70,8 +70,8 @@ class Belief:
     certify: bool = False
     """Be done only when all ground that can be seen was seen."""
     size: float = 2.0
-    """Radius of a group that could hide, in radii of the smallest that the protocol promises. Only 1 is promised;
-    on the suite `dev` 2 predicts far better what was still missed."""
+    """Radius of a group that could hide, in radii of the smallest that the protocol promises. Only 1
+    is promised; on the suite `dev` 2 predicts far better what was still missed."""
     groups: float = 0.5
     """Prior of the number of groups: as if so many had been found ..."""
     searched: float = 500.0
