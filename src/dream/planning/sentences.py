@@ -54,8 +54,7 @@ def target_area(area: Region | None, completion: Completion) -> str:
 
 def completeness(completion: Completion, hidden: npt.NDArray[np.bool_], group_radius: float) -> str:
     """Step 3: what is still open."""
-    closed = sum(region.enclosed for region in completion.regions)
-    regions = f"{closed} of {len(completion.regions)} regions are enclosed by explored ground"
+    regions = _enclosed(completion)
     if not hidden.any():
         return f"{regions}, and nowhere could a group of {group_radius:g} m radius still hide."
     return f"{regions}; a group of {group_radius:g} m radius could still hide in ground not explored."
@@ -63,20 +62,15 @@ def completeness(completion: Completion, hidden: npt.NDArray[np.bool_], group_ra
 
 def certainty(completion: Completion, risk: float, accepted: float) -> str:
     """Step 3, with the risk of stopping now."""
-    closed = sum(region.enclosed for region in completion.regions)
     return (
-        f"{closed} of {len(completion.regions)} regions are enclosed by explored ground. "
+        f"{_enclosed(completion)}. "
         f"To stop now would miss a group with a probability of {risk:.1%}; {accepted:.1%} is accepted."
     )
 
 
 def certificate(completion: Completion, unseen: float) -> str:
     """Step 3, where all must be seen."""
-    closed = sum(region.enclosed for region in completion.regions)
-    return (
-        f"{closed} of {len(completion.regions)} regions are enclosed by explored ground. "
-        f"{unseen:.1f} m² that can be seen were not yet, and all must be."
-    )
+    return f"{_enclosed(completion)}. {unseen:.1f} m² that can be seen were not yet, and all must be."
 
 
 def plan(ahead: Plan, travel: Travel) -> str:
@@ -152,6 +146,11 @@ def action(turn: float, advance: float) -> str:
     if advance:
         parts.append(f"advance {advance:g} m")
     return (", ".join(parts) or "hold and look again").capitalize() + "."
+
+
+def _enclosed(completion: Completion) -> str:
+    closed = sum(region.enclosed for region in completion.regions)
+    return f"{closed} of {len(completion.regions)} regions are enclosed by explored ground"
 
 
 def _place(point: npt.ArrayLike) -> str:

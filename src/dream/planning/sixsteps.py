@@ -13,6 +13,7 @@ from dream.planning import sentences
 from dream.planning.distribution import blurred, expectation
 from dream.planning.parameters import check_range
 from dream.planning.travel import Pose, Travel, nearest_open, travel_from
+from dream.planning.views import View
 from dream.types import Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
@@ -79,21 +80,6 @@ class SixSteps:
         """See `distribution.expectation`."""
         radius = self.kernel * occupancy.protocol.group_radius
         return expectation(occupancy, radius, self.prior, self.prior_weight)
-
-
-@dataclass(frozen=True, slots=True)
-class _Viewpoint:
-    """A pose worth going to."""
-
-    pose: Pose
-    """(row, col, heading) on the lattice."""
-    steps: int
-    gain: float
-    """What is discovered there is worth this much; see `_worth`."""
-
-    @property
-    def rate(self) -> float:
-        return self.gain / self.steps
 
 
 @dataclass(slots=True)
@@ -191,9 +177,7 @@ class _SixStepsPilot:
         worth[occupancy.observed] = 0.0
         return worth
 
-    def _best_viewpoint(
-        self, worth: FloatArray, travel: Travel, occupancy: OccupancyMap
-    ) -> _Viewpoint | None:
+    def _best_viewpoint(self, worth: FloatArray, travel: Travel, occupancy: OccupancyMap) -> View | None:
         from dream.mapping import gain, visible_weight
 
         rows, cols = np.nonzero(travel.reached)
@@ -221,13 +205,13 @@ class _SixStepsPilot:
         if rates[best] <= 0.0:
             self.heading_for = None
             return None
-        chosen = _Viewpoint(
+        chosen = View(
             (int(rows[best[0]]), int(cols[best[0]]), int(best[1])), int(steps[best]), float(gains[best])
         )
         if self.heading_for is not None:
             row, col, heading = self.heading_for
             (k,) = np.nonzero((rows == row) & (cols == col))
             if len(k) and rates[k[0], heading] * self.planner.patience >= chosen.rate:
-                chosen = _Viewpoint(self.heading_for, int(steps[k[0], heading]), float(gains[k[0], heading]))
+                chosen = View(self.heading_for, int(steps[k[0], heading]), float(gains[k[0], heading]))
         self.heading_for = chosen.pose if chosen.steps > 1 else None
         return chosen
