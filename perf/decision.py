@@ -16,13 +16,14 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.mapping import OccupancyMap
-from dream.mission import LOOK_AROUND, explore
+from dream.mission import explore
 from dream.planning import PLANNERS
 from dream.protocol import DREAM_V1
 from dream.robots import Teleport
 from dream.sim import worlds
 from dream.sim.render import Renderer
 from dream.sim.world import World
+from dream.types import LOOK_AROUND
 
 LARGE, CAP = 100.0, 800
 """Metres along the large arena, and its steps at most."""

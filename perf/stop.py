@@ -27,14 +27,15 @@ from dream.evaluation.suites import Case, family_of, suite_named
 from dream.geometry import SE2
 from dream.mapping import OccupancyMap, could_hide
 from dream.mapping.completion import Completion
-from dream.mission import LOOK_AROUND, explore
+from dream.mission import explore
 from dream.planning import Belief
-from dream.planning.belief import _BeliefPilot, _Expected
+from dream.planning.belief import BeliefPilot, _Expected
 from dream.protocol import protocol_named
 from dream.robots import Teleport
 from dream.sim.render import Renderer
 from dream.sim.visibility import Visibility
 from dream.sim.worlds import make_world
+from dream.types import LOOK_AROUND
 from dream.types import Mission as MissionBrief
 
 RISKS = (0.5, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 0.001)
@@ -56,7 +57,7 @@ class Mission:
 
 
 @dataclass(slots=True)
-class _WatchedPilot(_BeliefPilot):
+class _WatchedPilot(BeliefPilot):
     said: list[tuple[bool, float]] = field(kw_only=True)
 
     def _expected(
@@ -66,7 +67,7 @@ class _WatchedPilot(_BeliefPilot):
         pose: SE2,
         away_from_hull: npt.NDArray[np.floating[Any]] | None,
     ) -> _Expected:
-        expected = _BeliefPilot._expected(self, occupancy, completion, pose, away_from_hull)
+        expected = BeliefPilot._expected(self, occupancy, completion, pose, away_from_hull)
         self.said.append((completion.complete and bool(completion.regions), expected.risk))
         return expected
 

@@ -27,7 +27,7 @@ from dream.evaluation.suites import Case, family_of, suite_named
 from dream.mapping import OccupancyMap
 from dream.mission import explore
 from dream.planning import Belief
-from dream.planning.belief import _BeliefPilot, _Expected
+from dream.planning.belief import BeliefPilot, _Expected
 from dream.planning.hull import PATCH
 from dream.planning.outlook import Listed
 from dream.planning.travel import Travel
@@ -44,20 +44,20 @@ NEAR = 10
 
 
 @dataclass(slots=True)
-class _ToldPilot(_BeliefPilot):
+class _ToldPilot(BeliefPilot):
     visibility: Visibility = field(kw_only=True)
     shows: dict[int, list[IntArray]] = field(default_factory=dict)
     """By node, the patches that each heading shows."""
     seen: BoolArray = field(init=False)
 
     def __post_init__(self) -> None:
-        _BeliefPilot.__post_init__(self)
+        BeliefPilot.__post_init__(self)
         self.seen = np.zeros(len(self.visibility), np.bool_)
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         pose = observation.pose
         self.seen |= self.visibility.seen([[pose.x, pose.y, pose.yaw]])[0]
-        return _BeliefPilot.decide(self, observation, occupancy)
+        return BeliefPilot.decide(self, observation, occupancy)
 
     def _hull_views(self, expected: _Expected, travel: Travel, occupancy: OccupancyMap) -> Listed | None:
         left = np.flatnonzero(self.visibility.countable & ~self.seen)

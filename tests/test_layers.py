@@ -7,7 +7,7 @@ import dream
 
 ROOT = Path(dream.__file__).parent
 LAYERS = [
-    {"errors", "geometry", "names", "versions"},
+    {"errors", "geometry", "names", "standin", "versions"},
     {"protocol"},
     {"types"},
     {"perception", "mapping"},

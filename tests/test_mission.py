@@ -11,11 +11,11 @@ import pytest
 
 from dream.evaluation.runner import simulate
 from dream.mapping import OccupancyMap
-from dream.mission import LOOK_AROUND, explore
+from dream.mission import explore
 from dream.protocol import DREAM_V1
 from dream.robots import Teleport
 from dream.sim.world import World
-from dream.types import Decision, Mission, Observation
+from dream.types import LOOK_AROUND, Decision, Mission, Observation
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,10 +13,18 @@ from typing import Protocol
 
 from dream.control import guard, setpoint
 from dream.mapping import OccupancyMap, check_completion
-from dream.types import Arrival, Decision, Guarded, Mission, Observation, Reasoning, Setpoint, Step
-
-LOOK_AROUND = 3
-"""Quarter turns of the in-place rotation that every mission begins with; they count as steps."""
+from dream.types import (
+    LOOK_AROUND,
+    Arrival,
+    Decision,
+    Guarded,
+    Mission,
+    Observation,
+    Reasoning,
+    Setpoint,
+    Step,
+    Target,
+)
 
 
 class Robot(Protocol):
@@ -48,7 +56,12 @@ class Planner(Protocol):
 
 
 def explore(
-    robot: Robot, planner: Planner, occupancy: OccupancyMap, *, max_steps: int | None = None
+    robot: Robot,
+    planner: Planner,
+    occupancy: OccupancyMap,
+    *,
+    max_steps: int | None = None,
+    target: Target = Target.ANY,
 ) -> Iterator[Step]:
     """Run one mission, yielding after every decision.
 
@@ -61,13 +74,14 @@ def explore(
         planner: Decides after the look-around.
         occupancy: An empty map of the survey area; changed as the mission goes.
         max_steps: Decisions at most; the protocol's cap unless given.
+        target: What the operator looks for.
 
     Yields:
         A `Step`; its map is the live one.
     """
     protocol = occupancy.protocol
     cap = protocol.cap if max_steps is None else max_steps
-    pilot = planner.begin(Mission(protocol, occupancy.bounds, cap))
+    pilot = planner.begin(Mission(protocol, occupancy.bounds, cap, target))
 
     observation = robot.observe()
     occupancy.clear_launch(observation.pose.x, observation.pose.y)

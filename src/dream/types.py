@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import enum
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,10 @@ UInt8Array = npt.NDArray[np.uint8]
 Float32Array = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.signedinteger[Any]]
+
+
+LOOK_AROUND = 3
+"""Quarter turns of the in-place rotation that every mission begins with; they count as steps."""
 
 
 class Label(enum.IntEnum):
@@ -67,13 +72,24 @@ class Observation:
         return self.T_world_base.se2
 
 
+class Target(enum.StrEnum):
+    """What a mission looks for."""
+
+    ANY = "any"
+    OYSTERS = "oysters"
+    WRECK = "wreck"
+
+
 @dataclass(frozen=True, slots=True)
 class Mission:
-    """What a planner is told before it starts: the rules and the operator's box, nothing of the world."""
+    """What a planner is told before it starts: the rules and the operator's orders, nothing of the world."""
 
     protocol: SurveyProtocol
     bounds: Bounds
+    """The operator's box."""
     max_steps: int
+    target: Target = Target.ANY
+    """What the operator looks for: the labels of the camera know one kind of target."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +104,31 @@ class Reasoning:
     action: str = ""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Exchange:
+    """One question to a model, and what came of it."""
+
+    prompt: str
+    """Name and version of the prompt."""
+    model: str
+    question: str
+    """The text as it was sent; a picture's name in brackets where it stood."""
+    pictures: Mapping[str, bytes]
+    """PNG files by name."""
+    replies: tuple[str, ...]
+    """The text of each reply as it came. The last is the one that counted; those before were asked again."""
+    fallback: str
+    """Why no reply counted, and the offline planner decided; empty where one did."""
+    requests: int
+    """Messages that were sent to the model."""
+    tokens_in: int
+    tokens_out: int
+    cost_usd: float | None
+    """None where the price of the model is not known."""
+    seconds: float
+    """Wall time."""
+
+
 @dataclass(frozen=True, slots=True)
 class Decision:
     """What a planner says: turn, then advance. Both zero means stop: hold and look again. Or done."""
@@ -99,6 +140,10 @@ class Decision:
     done: bool = False
     """The planner holds the mission to be complete."""
     reasoning: Reasoning = field(default_factory=Reasoning)
+    exchanges: tuple[Exchange, ...] = ()
+    """What was asked of a model for it, and came back since the last decision."""
+    waited: float = 0.0
+    """Seconds of the mission that the vehicle stood still for it."""
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.turn) and math.isfinite(self.advance)) or self.advance < 0.0:

@@ -14,7 +14,7 @@ from dream.evaluation.metrics import MILESTONES, curve
 from dream.evaluation.oracle.bounds import Bounds, Limit
 from dream.evaluation.results import Flown, Row, Trace, write_manifest, write_tables
 from dream.evaluation.suites import SUITES, Case
-from dream.mission import LOOK_AROUND
+from dream.types import LOOK_AROUND
 
 CAP = 200
 PAPER = SUITES["paper"]

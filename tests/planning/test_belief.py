@@ -26,7 +26,7 @@ from dream.mapping import (
     visible_weight,
 )
 from dream.planning import Belief, sentences
-from dream.planning.belief import MOST_VISITS, _away_from_hull, _BeliefPilot
+from dream.planning.belief import MOST_VISITS, BeliefPilot, _away_from_hull
 from dream.planning.distribution import Groups, expectation
 from dream.planning.lookahead import Plan
 from dream.planning.travel import careful_travel, nearest_open, travel_from
@@ -84,7 +84,7 @@ class Flown:
     planner: Belief
     steps: list[Step] = field(default_factory=list)
     asked: list[tuple[Observation, OccupancyMap, Decision]] = field(default_factory=list)
-    pilots: list[_BeliefPilot] = field(default_factory=list)
+    pilots: list[BeliefPilot] = field(default_factory=list)
 
     def begin(self, mission: Mission) -> Flown:
         self.pilots.append(self.planner.begin(mission))
@@ -217,7 +217,7 @@ class Toy:
     def map(self) -> OccupancyMap:
         return map_with(solid=self.solid, explored=self.explored | self.solid, target=self.target)
 
-    def step(self, pilot: _BeliefPilot) -> Decision:
+    def step(self, pilot: BeliefPilot) -> Decision:
         """Decide, let the guard look at it, go there and look."""
         occupancy, here = self.map, self.pose
         self.explored = self.explored | (view(occupancy, here.x, here.y, here.yaw) & ~self.never)
@@ -228,7 +228,7 @@ class Toy:
         self.pose = DREAM_V1.snap(SE2(end.x, end.y, end.yaw))
         return decision
 
-    def fly(self, pilot: _BeliefPilot, change: Callable[[int], None], most: int) -> int:
+    def fly(self, pilot: BeliefPilot, change: Callable[[int], None], most: int) -> int:
         """Steps until it is done; `change` may change the map before each."""
         for step in range(most):
             change(step)

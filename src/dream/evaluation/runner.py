@@ -47,7 +47,7 @@ from dream.sim.solids import Solids
 from dream.sim.visibility import Visibility
 from dream.sim.world import World
 from dream.sim.worlds import WORLDS, make_world
-from dream.types import Step
+from dream.types import Step, Target
 from dream.versions import commit
 
 logger = logging.getLogger(__name__)
@@ -88,7 +88,9 @@ def simulate(
         raise ValueError(f"start: expected 0 to {len(world.starts) - 1} for {world.name}, got {start}")
     check_fits(world, protocol)
     robot = Teleport(world, protocol, world.starts[start], renderer=renderer, solids=solids)
-    return explore(robot, planner, OccupancyMap(world.bounds, protocol), max_steps=max_steps)
+    target = Target.WRECK if world.targets_are_hull else Target.OYSTERS
+    occupancy = OccupancyMap(world.bounds, protocol)
+    return explore(robot, planner, occupancy, max_steps=max_steps, target=target)
 
 
 def summarize(

@@ -32,29 +32,49 @@ SOLID_TARGET: Color = (0, 95, 0)
 """A wreck's wall: target, and yet not to be run into."""
 VEHICLE: Color = (0, 70, 255)
 TRAIL: Color = (0, 150, 255)
+MARK: Color = (255, 201, 14)
 GRID_LINE: Color = (90, 90, 120)
 INK: Color = (40, 40, 40)
 PAPER: Color = (244, 244, 240)
 
 GRID = 5.0
 """Metres between the lines of the grid, where the area is large enough for some."""
+DISC = 9
+"""Radius of a mark's disc, pixels."""
+DIGIT = 14
+"""Height of its number, pixels."""
 FINER = 3
 """Lines are drawn so many times larger and scaled down, which makes them smooth."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Mark:
+    """A numbered place on the map, and the way there."""
+
+    number: int
+    path: npt.NDArray[np.float64]
+    """(N, 2) metres in the world; the mark is drawn at the last."""
+
+
 def draw_map(
-    occupancy: OccupancyMap, pose: SE2 | None = None, trail: npt.ArrayLike = (), *, scale: int = 4
+    occupancy: OccupancyMap,
+    pose: SE2 | None = None,
+    trail: npt.ArrayLike = (),
+    marks: Sequence[Mark] = (),
+    *,
+    scale: int = 4,
 ) -> Image.Image:
     """A picture of the map, north up, with a grid in metres, a scale bar and a legend.
 
     Cells keep their exact colours, save under the thin lines: unknown white, explored grey, target green,
     solid black, solid target dark green; the vehicle, its field of view out to the reach, and where it came
-    from in blue.
+    from in blue; marks in yellow, with a thin line along the way there.
 
     Args:
         occupancy: What is known; only read.
         pose: The vehicle; nothing is drawn for it without one.
         trail: (N, 2) positions in the world, oldest first; or (N, 3) with headings, which are not used.
+        marks: Drawn over everything else, the first uppermost.
         scale: Pixels per cell.
 
     Returns:
@@ -76,7 +96,41 @@ def draw_map(
     _draw_trail(picture, sheet, points[:, :2])
     if pose is not None:
         _draw_vehicle(picture, sheet, pose)
+    for mark in reversed(marks):
+        _draw_way(picture, sheet, mark)
+    for mark in reversed(marks):
+        draw_disc(picture, _on_picture(sheet, mark), mark.number)
     return picture
+
+
+def draw_disc(picture: Image.Image, center: tuple[float, float], number: int) -> None:
+    """A numbered disc on any picture.
+
+    Args:
+        picture: Changed.
+        center: Column and row, pixels.
+        number: Of one or two digits.
+    """
+    from PIL import Image, ImageDraw, ImageFont
+
+    half = DISC + 2
+    column, row = math.floor(center[0]), math.floor(center[1])
+    mask = Image.new("L", (2 * half * FINER, 2 * half * FINER), 0)
+    middle = half * FINER
+    for radius, color in ((DISC + 1, INK), (DISC, MARK)):
+        mask.paste(0, (0, 0, *mask.size))
+        r = radius * FINER
+        ImageDraw.Draw(mask).ellipse((middle - r, middle - r, middle + r, middle + r), fill=255)
+        picture.paste(color, (column - half, row - half), mask.reduce(FINER))
+    pen = ImageDraw.Draw(picture)
+    pen.fontmode = "1"
+    pen.text((column, row), str(number), fill=INK, font=ImageFont.load_default(DIGIT), anchor="mm")
+
+
+def grid_spacing(bounds: Bounds) -> float:
+    """Metres between the lines."""
+    side = min(bounds.width, bounds.depth)
+    return GRID if side >= 2.0 * GRID else 0.5 if side < 5.0 else 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,9 +177,7 @@ class _Sheet:
 
     @property
     def grid(self) -> float:
-        """Metres between the lines."""
-        side = min(self.bounds.width, self.bounds.depth)
-        return GRID if side >= 2.0 * GRID else 0.5 if side < 5.0 else 1.0
+        return grid_spacing(self.bounds)
 
     def at(self, x: float, y: float) -> tuple[float, float]:
         """Pixels from the upper left corner of the map."""
@@ -170,6 +222,26 @@ def _draw_trail(picture: Image.Image, sheet: _Sheet, points: npt.NDArray[np.floa
 
     if way:
         _paste(picture, sheet, way, TRAIL, draw)
+
+
+def _draw_way(picture: Image.Image, sheet: _Sheet, mark: Mark) -> None:
+    way = [sheet.at(x, y) for x, y in mark.path]
+
+    def draw(pen: ImageDraw.ImageDraw, at: Callable[[Point], Point]) -> None:
+        pen.line([at(point) for point in way], fill=255, width=2 * FINER, joint="curve")
+
+    if len(way) > 1:
+        _paste(picture, sheet, way, MARK, draw)
+
+
+def _on_picture(sheet: _Sheet, mark: Mark) -> Point:
+    """Where its disc stands, pixels of the picture: wholly on the map."""
+    column, row = sheet.at(*mark.path[-1])
+    edge = DISC + 1
+    return (
+        sheet.left + min(max(column, edge), sheet.width - edge),
+        sheet.top + min(max(row, edge), sheet.height - edge),
+    )
 
 
 def _draw_vehicle(picture: Image.Image, sheet: _Sheet, pose: SE2) -> None:

@@ -132,9 +132,9 @@ class Belief:
         check_range("tour", self.tour, 0.0, 10.0)
         check_range("jump", self.jump, 0.0, 1000.0)
 
-    def begin(self, mission: Mission) -> _BeliefPilot:
+    def begin(self, mission: Mission) -> BeliefPilot:
         """A fresh pilot; it remembers what it looked at in vain and where it has been."""
-        return _BeliefPilot(self, mission)
+        return BeliefPilot(self, mission)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,8 +157,30 @@ class _Expected:
     """(rows, cols) metres to the nearest target that stands up; None where there is no hull."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Thought:
+    """What the planner holds of the situation, and what it would do."""
+
+    pose: SE2
+    travel: Travel
+    moves: npt.NDArray[np.uint8]
+    """See `Outlook.moves`."""
+    completion: Completion
+    expected: _Expected
+    reasoning: Reasoning
+    """The first three steps."""
+    plan: Plan | None = None
+    """Where to go; None where the mission should end."""
+    why: str = ""
+    """Why it should end; empty while it should not."""
+    prospect: Prospect | None = None
+    """What the plan was chosen by; None where only leftovers are looked for."""
+
+
 @dataclass(slots=True)
-class _BeliefPilot:
+class BeliefPilot:
+    """`Belief` during one mission."""
+
     planner: Belief
     mission: Mission
     outlook: Outlook = field(init=False)
@@ -166,8 +188,8 @@ class _BeliefPilot:
     vain: VainLooks = field(init=False)
     patience: int = field(init=False)
     """Grows with every `done` that was refused."""
-    claimed: bool = False
-    """The last decision was `done`."""
+    claimed: SE2 | None = None
+    """Where the last decision was `done`."""
     tried: dict[int, IntArray] = field(default_factory=dict)
     """By node, what of the hull it was foretold to show and did not: from there nothing of it ever will."""
     visits: Counter[Pose] = field(default_factory=Counter)
@@ -188,11 +210,18 @@ class _BeliefPilot:
         return 0.5 * protocol.cell if self.planner.certify else self.planner.size * protocol.group_radius
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
+        """All six steps."""
+        thought = self.consider(observation, occupancy)
+        return self.act(thought, thought.plan, occupancy)
+
+    def consider(self, observation: Observation, occupancy: OccupancyMap) -> Thought:
+        """Take in what is new, and think the first four steps."""
         from dream.mapping import check_completion
 
         pose, protocol = observation.pose, self.mission.protocol
         here = (*self.outlook.node(pose.x, pose.y), protocol.heading_index(pose.yaw))
-        refused, self.claimed = self.claimed, False
+        # Still there: it was refused. Whoever flies it may also have gone on without it.
+        refused, self.claimed = self.claimed == pose, None
         if refused:
             # It stood still, so that there was no new look; what was given up is worth one more.
             self.patience += 1
@@ -219,32 +248,41 @@ class _BeliefPilot:
             target_area=sentences.target_area(area, completion),
             completion=self._certainty(completion, expected),
         )
+        thought = Thought(pose, travel, moves, completion, expected, reasoning)
         enclosed = completion.complete and bool(completion.regions)
         looked_over = expected.hull_left <= self.planner.hull_left
         if enclosed and looked_over and expected.risk <= self.planner.risk:
-            return self._done(reasoning, "Every region is enclosed and little can have been missed: done.")
+            return replace(thought, why="Every region is enclosed and little can have been missed: done.")
         # 4 Next target: what shows most soonest, with the tour over what is left.
-        plan = self._plan(expected, completion, travel, moves, occupancy)
+        prospect = self._prospect(expected, completion, travel, occupancy)
+        plan = self._look_ahead().plan(prospect, travel, moves, self.outlook.known_tiles(occupancy))
         visits = self._visits(travel.start, occupancy)
         if plan is not None and visits >= MOST_VISITS:
             self._give_up(plan, occupancy)
             plan = None
+        if plan is not None:
+            return replace(thought, plan=plan, prospect=prospect)
+        travel, plan = self._leftover(completion, expected, pose, occupancy)
+        if plan is not None and visits >= 2 * MOST_VISITS:
+            self._give_up(plan, occupancy)
+        why = "" if plan else "Nothing is left that any known way leads to a view of: done."
+        return replace(thought, travel=travel, plan=plan, why=why)
+
+    def act(self, thought: Thought, plan: Plan | None, occupancy: OccupancyMap) -> Decision:
+        """The first move of a plan; done without one."""
         if plan is None:
-            travel, plan = self._leftover(completion, expected, pose, occupancy)
-            if plan is not None and visits >= 2 * MOST_VISITS:
-                self._give_up(plan, occupancy)
-        if plan is None:
-            return self._done(reasoning, "Nothing is left that any known way leads to a view of: done.")
+            self.claimed = thought.pose
+            return Decision(done=True, reasoning=replace(thought.reasoning, action=thought.why))
         # 5 Safety is in the search: its first move is one that the guard lets pass.
         # 6 Action: the first of the sequence.
-        turn, advance = travel.move(plan.path[0], plan.path[1])
+        turn, advance = thought.travel.move(plan.path[0], plan.path[1])
         return Decision(
             turn,
             advance,
             reasoning=replace(
-                reasoning,
-                next_target=sentences.plan(plan, travel),
-                safety=sentences.safety(occupancy, travel, plan.path[:2]),
+                thought.reasoning,
+                next_target=sentences.plan(plan, thought.travel),
+                safety=sentences.safety(occupancy, thought.travel, plan.path[:2]),
                 action=sentences.action(turn, advance),
             ),
         )
@@ -254,10 +292,6 @@ class _BeliefPilot:
             unseen = float(expected.hiding.sum()) * self.mission.protocol.cell**2
             return sentences.certificate(completion, unseen)
         return sentences.certainty(completion, expected.risk, self.planner.risk)
-
-    def _done(self, reasoning: Reasoning, why: str) -> Decision:
-        self.claimed = True
-        return Decision(done=True, reasoning=replace(reasoning, action=why))
 
     # ------------------------------------------------------------------------------------- distribution
 
@@ -337,14 +371,9 @@ class _BeliefPilot:
 
     # -------------------------------------------------------------------------------------- next target
 
-    def _plan(
-        self,
-        expected: _Expected,
-        completion: Completion,
-        travel: Travel,
-        moves: npt.NDArray[np.uint8],
-        occupancy: OccupancyMap,
-    ) -> Plan | None:
+    def _prospect(
+        self, expected: _Expected, completion: Completion, travel: Travel, occupancy: OccupancyMap
+    ) -> Prospect:
         planner, square = self.planner, self.mission.protocol.cell**2
         todo = ~occupancy.observed & (self.vain.count < self.patience)
         ground = planner.eager * expected.beside * square
@@ -358,7 +387,18 @@ class _BeliefPilot:
             search *= planner.alone
         ground = np.where(todo, ground + NEGLIGIBLE, 0.0)
         hiding = np.where(expected.hiding, search * square, 0.0)
-        ahead = LookAhead(
+        return Prospect(
+            self.outlook,
+            ground=self.outlook.on_tiles(ground),
+            hiding=self.outlook.on_tiles(hiding),
+            targets=self.outlook.on_tiles(np.where(todo, expected.beside * square, 0.0)),
+            hidden=self.outlook.on_tiles(expected.hiding * square),
+            listed=self._hull_views(expected, travel, occupancy),
+        )
+
+    def _look_ahead(self) -> LookAhead:
+        planner = self.planner
+        return LookAhead(
             planner.width,
             planner.horizon,
             planner.discount,
@@ -367,15 +407,6 @@ class _BeliefPilot:
             keep=KEEP,
             jump=planner.jump,
         )
-        prospect = Prospect(
-            self.outlook,
-            ground=self.outlook.on_tiles(ground),
-            hiding=self.outlook.on_tiles(hiding),
-            targets=self.outlook.on_tiles(np.where(todo, expected.beside * square, 0.0)),
-            hidden=self.outlook.on_tiles(expected.hiding * square),
-            listed=self._hull_views(expected, travel, occupancy),
-        )
-        return ahead.plan(prospect, travel, moves, self.outlook.known_tiles(occupancy))
 
     def _hull_views(self, expected: _Expected, travel: Travel, occupancy: OccupancyMap) -> Listed | None:
         """What of the hull is seen from the nodes around it."""

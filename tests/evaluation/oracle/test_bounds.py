@@ -37,7 +37,6 @@ from dream.evaluation.oracle.tours import best_tour, missed, trimmed
 from dream.evaluation.results import Results, Trace
 from dream.evaluation.suites import Case, suite_named
 from dream.mapping import OccupancyMap
-from dream.mission import LOOK_AROUND
 from dream.protocol import DREAM_V1
 from dream.robots import Teleport
 from dream.sim.files import world_hash
@@ -45,7 +44,7 @@ from dream.sim.render import Renderer
 from dream.sim.visibility import Visibility
 from dream.sim.world import World
 from dream.sim.worlds import make_world
-from dream.types import Arrival, Decision, Guarded, Step
+from dream.types import LOOK_AROUND, Arrival, Decision, Guarded, Step
 from tests.sim.arenas import FLOOR, arena, placed
 
 PLACES = [(-9.0, -9.0), (9.5, -9.5), (0.2, 10.5), (11.0, 4.0)]

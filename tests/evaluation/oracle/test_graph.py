@@ -5,11 +5,11 @@ import pytest
 
 from dream.evaluation.oracle.graph import PoseGraph, actions_of, pose_graph
 from dream.geometry import SE2
-from dream.mission import LOOK_AROUND
 from dream.protocol import DREAM_V1
 from dream.sim.solids import Solids
 from dream.sim.visibility import Visibility
 from dream.sim.world import World
+from dream.types import LOOK_AROUND
 
 
 @pytest.fixture(scope="module")

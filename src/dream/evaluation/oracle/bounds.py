@@ -27,13 +27,12 @@ from dream.evaluation.oracle.limits import MOST, certify, verify
 from dream.evaluation.oracle.tours import best_tour, follow, trimmed
 from dream.evaluation.results import write_whole
 from dream.geometry import SE2, wrap_angle
-from dream.mission import LOOK_AROUND
 from dream.protocol import SurveyProtocol, noisy_variants, protocol_named
 from dream.robots import Teleport
 from dream.sim.files import world_hash
 from dream.sim.visibility import Visibility
 from dream.sim.world import World
-from dream.types import Decision
+from dream.types import LOOK_AROUND, Decision
 
 if TYPE_CHECKING:
     from dream.evaluation.results import Results

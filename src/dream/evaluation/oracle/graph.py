@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dream.mission import LOOK_AROUND
 from dream.protocol import SurveyProtocol
 from dream.sim.visibility import Visibility, lattice_yaws
 from dream.sim.world import World
+from dream.types import LOOK_AROUND
 
 Int32Array = npt.NDArray[np.int32]
 UInt64Array = npt.NDArray[np.uint64]

@@ -1,0 +1,439 @@
+"""Which model is asked, and how: options, limits, and an open line to it."""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+import os
+import threading
+import time
+from collections import Counter
+from collections.abc import AsyncIterator, Mapping
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from urllib.parse import urlsplit
+
+from pydantic import BaseModel, ValidationError
+
+from dream.planning.parameters import check_count, check_range
+from dream.planning.vlm import cassette
+from dream.planning.vlm.cassette import Outcome
+from dream.types import Exchange
+
+if TYPE_CHECKING:
+    import httpx2
+    from pydantic_ai import Agent
+    from pydantic_ai.models import Model
+
+R = TypeVar("R", bound=BaseModel)
+
+OFFLINE = "DREAM_OFFLINE"
+"""Environment variable: while it is set, to ask a model that is not on this machine is an error."""
+WIRE = "wire"
+"""Name of the stand-in that comes with the package; `wire:FAULT` is one that errs."""
+MOST_REPLY_BYTES = 1 << 20
+"""A longer reply is not read to its end."""
+MOST_TRIES = 3
+"""Requests for one message, where the server is busy or the connection breaks."""
+KEY = "DREAM_API_KEY"
+"""Environment variable with the key for a server that is given by its address. No other key is sent there."""
+EXTRA = 'needs pydantic-ai: pip install "dream-auv[vlm]"'
+
+
+@dataclass(frozen=True, slots=True)
+class Asking:
+    """Options of every planner that asks a model."""
+
+    model: str = ""
+    """Which model: `openai:NAME`, `anthropic:NAME`, `google:NAME`, the address of a server that speaks
+    OpenAI's interface, such as http://localhost:8000/v1, or `wire`, the stand-in that answers by rule."""
+    model_name: str = ""
+    """What the server at that address calls the model."""
+    timeout: float = 60.0
+    """Seconds for an answer, all tries included; then the offline planner decides."""
+    max_calls: int | None = None
+    """Requests at most in a mission; from then on the offline planner decides."""
+    max_usd: float | None = None
+    """US dollars at most in a mission, likewise."""
+    latency: float = 12.0
+    """Seconds that an answer takes on the clock of a simulated mission; the paper's model took about 12."""
+    record: str | None = None
+    """Folder in which to keep every exchange by the hash of its content."""
+    replay_replies: str | None = None
+    """Folder of kept exchanges to answer from: no model is asked."""
+
+    def __post_init__(self) -> None:
+        for name in ("model", "model_name"):
+            if not isinstance(getattr(self, name), str):
+                raise ValueError(f"{name}: expected a name, got {getattr(self, name)}")
+        for name in ("record", "replay_replies"):
+            if not isinstance(getattr(self, name), str | None):
+                raise ValueError(f"{name}: expected a folder, got {getattr(self, name)}")
+        check_range("timeout", self.timeout, 0.1, 3600.0)
+        check_range("latency", self.latency, 0.0, 3600.0)
+        if self.max_calls is not None:
+            check_count("max_calls", self.max_calls, 0, 1_000_000)
+        if self.max_usd is not None:
+            check_range("max_usd", self.max_usd, 0.0, 1e6)
+
+    def line(self) -> Line:
+        """An open line to the model, for one mission.
+
+        Raises:
+            ValueError: There is no such model, its key is not in the environment, or asking it is forbidden.
+        """
+        return Line(self)
+
+    @property
+    def label(self) -> str:
+        """What the model is called in results."""
+        return f"{self.model_name} at {self.model}" if self.model_name else self.model
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Question(Generic[R]):
+    """What is asked."""
+
+    prompt: str
+    """Name and version of the prompt."""
+    instructions: str
+    text: str
+    pictures: Mapping[str, bytes]
+    """PNG files by name, in the order in which they are shown."""
+    reply: type[R]
+    """What an answer must be."""
+
+    @property
+    def sent(self) -> str:
+        """All that is sent as text."""
+        shown = "".join(f"[{name}]\n" for name in self.pictures)
+        return f"{self.instructions}\n\n{shown}\n{self.text}"
+
+    def key(self, model: str) -> str:
+        """Hash of all that an answer may depend on."""
+        schema = self.reply.model_json_schema()
+        return cassette.key_of([model, self.instructions, self.text, schema], self.pictures)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer(Generic[R]):
+    """What came of a question."""
+
+    reply: R | None
+    """None where the exchange says why there is none."""
+    exchange: Exchange
+
+
+@dataclass(slots=True, eq=False)
+class Pending(Generic[R]):
+    """A question that is being answered."""
+
+    line: Line
+    question: Question[R]
+    outcome: Future[Outcome]
+
+    def done(self) -> bool:
+        """Would `answer` return at once?"""
+        return self.outcome.done()
+
+    def answer(self) -> Answer[R]:
+        """Wait for the answer, no longer than the line's limit."""
+        return self.line.receive(self.question, self.outcome.result())
+
+
+@dataclass(slots=True, eq=False)
+class Line:
+    """A line to a model during one mission: it keeps to the limits and counts what was spent.
+
+    It answers every question, with a reply that is valid or with the reason why there is none.
+
+    Raises:
+        ValueError: Only as long as the model never answered: it cannot be asked like this at all.
+    """
+
+    asking: Asking
+    calls: int = 0
+    usd: float = 0.0
+    _model: Model | None = None
+    _native: bool = True
+    _answered: bool = False
+    _asked: Counter[str] = field(default_factory=Counter)
+
+    def __post_init__(self) -> None:
+        if self.asking.replay_replies is None:
+            self._model = _connect(self.asking.model, self.asking.model_name)
+
+    def ask(self, question: Question[R]) -> Pending[R]:
+        """Send a question; its answer comes later."""
+        key = question.key(self.asking.label)
+        key = f"{key}-{self._asked[key]}"
+        self._asked[question.key(self.asking.label)] += 1
+        outcome: Future[Outcome]
+        if self.asking.replay_replies is not None:
+            outcome = Future()
+            outcome.set_result(cassette.play(Path(self.asking.replay_replies), key, question.prompt))
+        elif spent := self._spent():
+            outcome = Future()
+            outcome.set_result(Outcome(fallback=f"budget: {spent}"))
+        else:
+            outcome = asyncio.run_coroutine_threadsafe(self._converse(question, key), _loop())
+        return Pending(self, question, outcome)
+
+    def receive(self, question: Question[R], outcome: Outcome) -> Answer[R]:
+        """Check what came, and count it."""
+        self.calls += outcome.requests
+        self.usd += outcome.cost_usd or 0.0
+        reply, fallback = None, outcome.fallback
+        if not fallback:
+            try:
+                reply = question.reply.model_validate_json(outcome.replies[-1])
+            except ValidationError as error:
+                fallback = f"invalid: {_first(error)}"
+        exchange = Exchange(
+            prompt=question.prompt,
+            model=self.asking.label,
+            question=question.sent,
+            pictures=question.pictures,
+            replies=outcome.replies,
+            fallback=fallback,
+            requests=outcome.requests,
+            tokens_in=outcome.tokens_in,
+            tokens_out=outcome.tokens_out,
+            cost_usd=outcome.cost_usd,
+            seconds=outcome.seconds,
+        )
+        return Answer(reply, exchange)
+
+    def _spent(self) -> str:
+        """Which limit is reached; empty where none is."""
+        asking = self.asking
+        if asking.max_calls is not None and self.calls >= asking.max_calls:
+            return f"all {asking.max_calls} calls are made"
+        if asking.max_usd is not None and self.usd >= asking.max_usd:
+            return f"all {asking.max_usd:g} USD are spent"
+        return ""
+
+    # ------------------------------------------------------------------------------------- conversation
+
+    async def _converse(self, question: Question[R], key: str) -> Outcome:
+        began = time.perf_counter()
+        outcome = await self._exchange(question)
+        outcome = outcome.lasting(time.perf_counter() - began)
+        if self.asking.record is not None:
+            cassette.keep(
+                Path(self.asking.record), key, outcome, question.prompt, question.sent, question.pictures
+            )
+        return outcome
+
+    async def _exchange(self, question: Question[R]) -> Outcome:
+        from pydantic_ai import capture_run_messages
+        from pydantic_ai.exceptions import AgentRunError, ModelHTTPError
+
+        fallback = ""
+        with capture_run_messages() as messages:
+            try:
+                async with asyncio.timeout(self.asking.timeout):
+                    await self._run(question)
+                self._answered = True
+            except (AgentRunError, TimeoutError, OSError, ValueError) as error:
+                if self._native and isinstance(error, ModelHTTPError) and error.status_code in (400, 422):
+                    # It may know of no JSON schema: the prompt can say what is wanted, too.
+                    self._native = False
+                    return await self._exchange(question)
+                if (
+                    not self._answered
+                    and isinstance(error, ModelHTTPError)
+                    and error.status_code in (401, 403, 404)
+                ):
+                    raise ValueError(
+                        f"model: expected {self.asking.label} to answer, got HTTP {_status(error)}. "
+                        "Is its name right, and its key in the environment?"
+                    ) from None
+                fallback = _reason(error, self.asking.timeout)
+        return _outcome(messages, fallback)
+
+    async def _run(self, question: Question[R]) -> None:
+        from pydantic_ai import BinaryContent
+        from pydantic_ai.settings import ModelSettings
+
+        parts: list[Any] = []
+        for name, png in question.pictures.items():
+            parts += [f"[{name}]", BinaryContent(png, media_type="image/png")]
+        settings = ModelSettings(max_retries=MOST_TRIES - 1, timeout=self.asking.timeout)
+        await self._agent(question).run([*parts, question.text], model_settings=settings)
+
+    def _agent(self, question: Question[R]) -> Agent[None, R]:
+        from pydantic_ai import Agent, NativeOutput, PromptedOutput
+
+        assert self._model is not None
+        wanted = NativeOutput if self._native else PromptedOutput
+        return Agent(
+            self._model, output_type=wanted(question.reply), instructions=question.instructions, retries=1
+        )
+
+
+def _status(error: Exception) -> int:
+    return int(getattr(error, "status_code", 0))
+
+
+def _first(error: ValidationError) -> str:
+    first = error.errors(include_url=False, include_input=False)[0]
+    return f"{'.'.join(map(str, first['loc'])) or 'the whole'}: {first['msg']}"
+
+
+def _reason(error: Exception, timeout: float) -> str:
+    """Why there is no answer. Nothing that a server wrote is in it: that might hold a key."""
+    from pydantic_ai import exceptions
+
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, _TooLongError):
+            return f"too large: a reply of more than {MOST_REPLY_BYTES} bytes"
+        cause = cause.__cause__ or cause.__context__
+    if isinstance(error, TimeoutError | exceptions.ModelTimeoutError):
+        return f"timeout: no answer within {timeout:g} s"
+    if isinstance(error, exceptions.ModelRateLimitError | exceptions.ModelQuotaExceededError):
+        return "rate limit: the server asks to wait"
+    if isinstance(error, exceptions.ModelHTTPError):
+        return f"server: HTTP {error.status_code}"
+    if isinstance(error, exceptions.ModelConnectionError | OSError):
+        return "connection: none, or it broke"
+    if isinstance(error, exceptions.ContentFilterError):
+        return "refused: the model declined to answer"
+    if isinstance(error, exceptions.ModelAPIError):
+        return "server: what it sent is no reply"
+    return "invalid: no reply that fits, asked twice"
+
+
+def _outcome(messages: list[Any], fallback: str) -> Outcome:
+    from pydantic_ai.messages import ModelRequest, ModelResponse
+
+    responses = [message for message in messages if isinstance(message, ModelResponse)]
+    costs = [_cost(response) for response in responses]
+    return Outcome(
+        replies=tuple(response.text or "" for response in responses),
+        fallback=fallback,
+        requests=sum(isinstance(message, ModelRequest) for message in messages),
+        tokens_in=sum(response.usage.input_tokens for response in responses),
+        tokens_out=sum(response.usage.output_tokens for response in responses),
+        cost_usd=None if None in costs else float(sum(cost for cost in costs if cost is not None)),
+    )
+
+
+def _cost(response: Any) -> float | None:
+    """US dollars; None where the price of the model is not known."""
+    try:
+        return float(response.cost().total_price)
+    except LookupError:
+        return None
+
+
+# ------------------------------------------------------------------------------------------- the way there
+
+
+@lru_cache(maxsize=1)
+def _loop() -> asyncio.AbstractEventLoop:
+    """Where all conversations of this process go on."""
+    loop = asyncio.new_event_loop()
+    threading.Thread(target=loop.run_forever, name="models", daemon=True).start()
+    return loop
+
+
+class _TooLongError(ValueError):
+    """A reply that is not read to its end."""
+
+
+@lru_cache(maxsize=2)
+def _http(*, near: bool) -> httpx2.AsyncClient:
+    """The client of this process for servers on this machine, which no proxy stands before, or elsewhere."""
+    import httpx2
+    from pydantic_ai.models import get_user_agent
+
+    class Bounded(httpx2.AsyncByteStream):
+        def __init__(self, stream: httpx2.AsyncByteStream) -> None:
+            self.stream = stream
+
+        async def __aiter__(self) -> AsyncIterator[bytes]:
+            length = 0
+            async for chunk in self.stream:
+                length += len(chunk)
+                if length > MOST_REPLY_BYTES:
+                    raise _TooLongError(f"reply: expected at most {MOST_REPLY_BYTES} bytes, got more")
+                yield chunk
+
+        async def aclose(self) -> None:
+            await self.stream.aclose()
+
+    async def bound(response: httpx2.Response) -> None:
+        if response.headers.get("content-encoding", "identity") != "identity":
+            raise _TooLongError("reply: expected it as it is, got it packed, of unknown length")
+        assert isinstance(response.stream, httpx2.AsyncByteStream)
+        response.stream = Bounded(response.stream)
+
+    return httpx2.AsyncClient(
+        timeout=httpx2.Timeout(600.0, connect=5.0),
+        headers={"User-Agent": get_user_agent(), "Accept-Encoding": "identity"},
+        event_hooks={"response": [bound]},
+        trust_env=not near,
+    )
+
+
+def _connect(model: str, name: str) -> Model:
+    """The model, ready to be asked."""
+    try:
+        import pydantic_ai.exceptions
+        from pydantic_ai.models import infer_model
+        from pydantic_ai.models.openai import OpenAIChatModel
+        from pydantic_ai.providers import infer_provider_class
+        from pydantic_ai.providers.openai_compatible import OpenAICompatibleProvider
+    except ImportError as error:
+        raise ValueError(f"a planner that asks a model {EXTRA}") from error
+    if not model:
+        raise ValueError(
+            "model: expected which model to ask, got none. Say --model openai:NAME, anthropic:NAME, "
+            "google:NAME, the address of a server such as http://localhost:8000/v1, or wire, which is none"
+        )
+    if model == WIRE or model.startswith(f"{WIRE}:"):
+        from dream.standin import address
+
+        model, name = address(model.partition(":")[2]), name or WIRE
+    if "://" in model:
+        near = _is_near(model)
+        _check_allowed(model, near=near)
+        if not name:
+            raise ValueError(
+                f"model_name: expected what {model} calls the model, got none. Say --model-name NAME"
+            )
+        server = OpenAICompatibleProvider(
+            "server", base_url=model, api_key=os.environ.get(KEY, "none"), http_client=_http(near=near)
+        )
+        return OpenAIChatModel(name, provider=server, profile={"supports_json_schema_output": True})
+    if name:
+        raise ValueError(f"model_name: expected only beside an address, got {name} with {model}")
+    _check_allowed(model, near=False)
+
+    def provider(called: str) -> Any:
+        maker: Any = infer_provider_class(called)
+        return maker(http_client=_http(near=False))
+
+    try:
+        return infer_model(model, provider)
+    except (pydantic_ai.exceptions.UserError, TypeError) as error:
+        raise ValueError(f"model: expected one that can be asked, got {model}: {error}") from error
+
+
+def _is_near(address: str) -> bool:
+    """Is the server on this machine?"""
+    try:
+        host = urlsplit(address).hostname or ""
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def _check_allowed(model: str, *, near: bool) -> None:
+    if os.environ.get(OFFLINE) and not near:
+        raise ValueError(f"model: expected one on this machine while {OFFLINE} is set, got {model}")

@@ -1,0 +1,124 @@
+"""Exchanges with a model on disk, by the hash of what was asked: kept, and answered from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+FORMAT = "dream-exchange-1"
+MOST_BYTES = 16 << 20
+"""A larger file is refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of a question, before it was checked."""
+
+    replies: tuple[str, ...] = ()
+    fallback: str = ""
+    requests: int = 0
+    tokens_in: int = 0
+    tokens_out: int = 0
+    cost_usd: float | None = 0.0
+    seconds: float = 0.0
+
+    def lasting(self, seconds: float) -> Outcome:
+        """The same, with the time that it took."""
+        return replace(self, seconds=round(seconds, 3))
+
+
+class _Kept(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    format: str = Field(pattern=f"^{FORMAT}$")
+    prompt: str
+    question: str
+    pictures: dict[str, str]
+    """SHA-256 of each by name; the files lie in `pictures`."""
+    replies: tuple[str, ...]
+    fallback: str
+    requests: int = Field(ge=0)
+    tokens_in: int = Field(ge=0)
+    tokens_out: int = Field(ge=0)
+    cost_usd: float | None
+    seconds: float = Field(ge=0.0)
+
+
+def key_of(texts: list[Any], pictures: Mapping[str, bytes]) -> str:
+    """Hash of a question: texts and schemas as JSON, and pictures."""
+    whole = hashlib.sha256(json.dumps(texts, sort_keys=True).encode())
+    for name, png in pictures.items():
+        whole.update(f"\n{name}:{_sha(png)}".encode())
+    return whole.hexdigest()[:32]
+
+
+def keep(
+    folder: Path, key: str, outcome: Outcome, prompt: str, question: str, pictures: Mapping[str, bytes]
+) -> None:
+    """Write an exchange, whole or not at all. The key of a model is in none of what is written."""
+    (folder / "pictures").mkdir(parents=True, exist_ok=True)
+    for png in pictures.values():
+        path = folder / "pictures" / f"{_sha(png)}.png"
+        if not path.exists():
+            _replace(path, png)
+    kept = _Kept(
+        format=FORMAT,
+        prompt=prompt,
+        question=question,
+        pictures={name: _sha(png) for name, png in pictures.items()},
+        replies=outcome.replies,
+        fallback=outcome.fallback,
+        requests=outcome.requests,
+        tokens_in=outcome.tokens_in,
+        tokens_out=outcome.tokens_out,
+        cost_usd=outcome.cost_usd,
+        seconds=outcome.seconds,
+    )
+    _replace(folder / f"{key}.json", (kept.model_dump_json(indent=1) + "\n").encode())
+
+
+def play(folder: Path, key: str, prompt: str) -> Outcome:
+    """An exchange that was kept.
+
+    Raises:
+        FileNotFoundError: There is none of that key.
+        ValueError: It is damaged.
+    """
+    path = folder / f"{key}.json"
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{folder}: expected a kept reply to this question of the prompt {prompt}, got no {path.name}. "
+            "Other world, seed, planner or code than it was recorded with? Record again with --record"
+        )
+    if path.stat().st_size > MOST_BYTES:
+        raise ValueError(f"{path}: expected at most {MOST_BYTES} bytes, got more")
+    try:
+        kept = _Kept.model_validate_json(path.read_bytes())
+    except ValidationError as error:
+        raise ValueError(f"{path}: expected a kept exchange, got {error.errors()[0]['msg']}") from error
+    return Outcome(
+        kept.replies,
+        kept.fallback,
+        kept.requests,
+        kept.tokens_in,
+        kept.tokens_out,
+        kept.cost_usd,
+        kept.seconds,
+    )
+
+
+def _sha(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _replace(path: Path, content: bytes) -> None:
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    partial.write_bytes(content)
+    partial.replace(path)

@@ -1,0 +1,68 @@
+"""The prompts: versioned files in `planning/prompts`, filled in for a mission."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from string import Template
+
+from dream.planning.travel import careful_standoff
+from dream.planning.vlm.pictures import FAR
+from dream.types import Mission
+
+
+@dataclass(frozen=True, slots=True)
+class Prompt:
+    """A file of `planning/prompts`: heads such as `version: 1`, an empty line, the text."""
+
+    name: str
+    heads: Mapping[str, str]
+    text: str
+
+    @property
+    def label(self) -> str:
+        """Name and version."""
+        return f"{self.name} {self.heads['version']}"
+
+
+@cache
+def load(name: str) -> Prompt:
+    """The prompt of that name."""
+    file = resources.files("dream").joinpath("planning", "prompts", f"{name}.md")
+    top, _, text = file.read_text(encoding="utf-8").partition("\n\n")
+    heads = dict(line.split(": ", 1) for line in top.splitlines())
+    if not heads.get("version", "").isdigit():
+        raise ValueError(f"prompt {name}: expected a first line such as version: 1, got {top[:40]!r}")
+    return Prompt(name, heads, text.strip())
+
+
+def instructions(
+    name: str, mission: Mission, *, pixels: float, grid: float, **further: str
+) -> tuple[str, str]:
+    """The prompt of that name for a mission; and what it is made of, with versions.
+
+    Args:
+        name: Of the file.
+        mission: What is looked for, and by which rules.
+        pixels: Of a metre on the map that is shown.
+        grid: Metres between its lines.
+        further: What else the prompt names.
+    """
+    prompt, knowledge, legend = load(name), load(mission.target.value), load("legend")
+    protocol = mission.protocol
+    values = {
+        "mission": knowledge.heads["mission"],
+        "knowledge": knowledge.text,
+        "legend": Template(legend.text).substitute(grid=f"{grid:g}", pixels=f"{pixels:g}", far=f"{FAR:g}"),
+        "group": f"{2.0 * protocol.group_radius:g}",
+        "fov": f"{math.degrees(protocol.camera.horizontal_fov):.0f}",
+        "reach": f"{protocol.reach:g}",
+        "blind": f"{protocol.blind:.1f}",
+        "standoff": f"{careful_standoff(protocol):.1f}",
+        **further,
+    }
+    parts = [prompt, legend, *([knowledge] if "$knowledge" in prompt.text else [])]
+    return Template(prompt.text).substitute(values), ", ".join(part.label for part in parts)

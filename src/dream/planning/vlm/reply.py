@@ -1,0 +1,124 @@
+"""What a model's reply must be, and the decision that it makes."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model, model_validator
+
+from dream.protocol import SurveyProtocol
+from dream.types import Decision, Reasoning
+
+MOST_WORDS = 1200
+"""Characters of one field of reasoning; longer ones are refused."""
+
+Sentences = Annotated[str, Field(max_length=MOST_WORDS)]
+STEPS = ("distribution", "target_area", "completion", "next_target", "safety", "action")
+
+
+class Reply(BaseModel):
+    """Text from a stranger: bounded, and nothing in it that was not asked for."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Reasoned(Reply):
+    """The six reasoning steps, which come before the answer."""
+
+    distribution: Sentences
+    target_area: Sentences
+    completion: Sentences
+    next_target: Sentences
+    safety: Sentences
+    action: Sentences
+
+    @property
+    def reasoning(self) -> Reasoning:
+        """In the words of the model."""
+        return Reasoning(**{step: getattr(self, step) for step in STEPS})
+
+
+class Acting(Reply):
+    """A reply that gives an action; `actions` adds the fields of a protocol."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Acting:
+        action: Any = self
+        if (action.direction == "forward") != (action.turn_deg == 0):
+            raise ValueError("direction forward goes with turn_deg 0, left and right with another")
+        return self
+
+    @property
+    def decision(self) -> Decision:
+        """What the robot is asked to do."""
+        action: Any = self
+        reasoning = self.reasoning if isinstance(self, Reasoned) else Reasoning()
+        if action.done:
+            return Decision(done=True, reasoning=reasoning)
+        turn = math.radians(action.turn_deg) * (-1.0 if action.direction == "right" else 1.0)
+        return Decision(turn, float(action.step_m), reasoning=reasoning)
+
+
+class _ReasonedActing(Reasoned, Acting):
+    pass
+
+
+def vanilla_reply(protocol: SurveyProtocol) -> type[Acting]:
+    """An action of the protocol, without reasons."""
+    return create_model("Action", __base__=Acting, **_action_fields(protocol))
+
+
+def dream_reply(protocol: SurveyProtocol) -> type[Acting]:
+    """The six reasoning steps, then an action of the protocol."""
+    return create_model("ReasonedAction", __base__=_ReasonedActing, **_action_fields(protocol))
+
+
+def ranked_reply(numbers: Sequence[int]) -> type[Ranking]:
+    """The six reasoning steps, then an order of numbered places.
+
+    Args:
+        numbers: Of the places.
+    """
+    allowed = sorted(numbers)
+
+    def check(ranking: list[int]) -> list[int]:
+        if sorted(ranking) != allowed:
+            raise ValueError(f"expected each of the numbers {', '.join(map(str, allowed))} once")
+        return ranking
+
+    # Servers that hold to a schema know enumerations, but not every limit on lists.
+    number: Any = Literal[tuple(allowed)]
+    kind = Annotated[list[number], AfterValidator(check), Field(description="all numbers, the best first")]
+    return create_model("RankedPlaces", __base__=Ranking, ranking=(kind, ...))
+
+
+class Ranking(Reasoned):
+    """A reply that puts numbered places in order; `ranked_reply` adds the numbers."""
+
+    ranking: list[int]
+    confidence: Annotated[float, Field(ge=0.0, le=1.0, description="from 0 to 1, that the first is the best")]
+    mission_complete: bool
+
+
+def _action_fields(protocol: SurveyProtocol) -> dict[str, Any]:
+    angles = tuple(sorted({round(math.degrees(abs(turn)), 3) for turn in protocol.turn_angles}))
+    turns = tuple(int(angle) if angle == int(angle) else angle for angle in angles)
+    lengths = tuple(int(a) if a == int(a) else a for a in (0.0, *sorted(protocol.advances)))
+    return {
+        "direction": (Literal["left", "forward", "right"], Field(description="which way to turn first")),
+        "turn_deg": (_one_of(turns), Field(description="degrees")),
+        "step_m": (_one_of(lengths), Field(description="metres forward after the turn")),
+        "done": (bool, Field(description="the mission is complete")),
+    }
+
+
+def _one_of(values: tuple[float, ...]) -> Any:
+    """A number of a fixed set; in JSON 2 and 2.0 are the same."""
+
+    def check(value: float) -> float:
+        if value not in values:
+            raise ValueError(f"expected one of {', '.join(map(str, values))}")
+        return value
+
+    return Annotated[float, AfterValidator(check), Field(json_schema_extra={"enum": list(values)})]
