@@ -173,8 +173,6 @@ class Thought:
     """Where to go; None where the mission should end."""
     why: str = ""
     """Why it should end; empty while it should not."""
-    prospect: Prospect | None = None
-    """What the plan was chosen by; None where only leftovers are looked for."""
 
 
 @dataclass(slots=True)
@@ -254,14 +252,14 @@ class BeliefPilot:
         if enclosed and looked_over and expected.risk <= self.planner.risk:
             return replace(thought, why="Every region is enclosed and little can have been missed: done.")
         # 4 Next target: what shows most soonest, with the tour over what is left.
-        prospect = self._prospect(expected, completion, travel, occupancy)
-        plan = self._look_ahead().plan(prospect, travel, moves, self.outlook.known_tiles(occupancy))
+        prospect = self.prospect(thought, occupancy)
+        plan = self.look_ahead.plan(prospect, travel, moves, self.outlook.known_tiles(occupancy))
         visits = self._visits(travel.start, occupancy)
         if plan is not None and visits >= MOST_VISITS:
             self._give_up(plan, occupancy)
             plan = None
         if plan is not None:
-            return replace(thought, plan=plan, prospect=prospect)
+            return replace(thought, plan=plan)
         travel, plan = self._leftover(completion, expected, pose, occupancy)
         if plan is not None and visits >= 2 * MOST_VISITS:
             self._give_up(plan, occupancy)
@@ -371,9 +369,9 @@ class BeliefPilot:
 
     # -------------------------------------------------------------------------------------- next target
 
-    def _prospect(
-        self, expected: _Expected, completion: Completion, travel: Travel, occupancy: OccupancyMap
-    ) -> Prospect:
+    def prospect(self, thought: Thought, occupancy: OccupancyMap) -> Prospect:
+        """What is worth looking at, by which plans are chosen."""
+        expected, completion, travel = thought.expected, thought.completion, thought.travel
         planner, square = self.planner, self.mission.protocol.cell**2
         todo = ~occupancy.observed & (self.vain.count < self.patience)
         ground = planner.eager * expected.beside * square
@@ -396,7 +394,9 @@ class BeliefPilot:
             listed=self._hull_views(expected, travel, occupancy),
         )
 
-    def _look_ahead(self) -> LookAhead:
+    @property
+    def look_ahead(self) -> LookAhead:
+        """How plans are chosen."""
         planner = self.planner
         return LookAhead(
             planner.width,

@@ -45,6 +45,15 @@ class Plan:
     """Cells that only the map's own view of a pose still promises."""
 
 
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """A way, and what it is worth."""
+
+    plan: Plan
+    value: float
+    """In steps: what would be lost by doing the best of them that much later. Only differences count."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Prospect:
     """What is worth looking at, and what can be seen of it from where."""
@@ -135,8 +144,7 @@ class LookAhead:
     ) -> Plan | None:
         from dream.planning._kernels import lookahead
 
-        protocol, outlook = travel.protocol, prospect.outlook
-        total = float(weights.sum())
+        protocol = travel.protocol
         pose, parent, score, level, seen, first = lookahead.beam(
             weights,
             views,
@@ -151,22 +159,8 @@ class LookAhead:
         )
         if score.max() <= NOTHING:
             return None
-        worth, steps = lookahead.tours(
-            weights,
-            views,
-            seen[first:],
-            pose[first:],
-            *outlook.places(prospect.listed),
-            outlook.areas,
-            protocol.lattice,
-            SERVICE * views.first[1],
-            max(protocol.advances),
-            0.5 * protocol.reach,
-            self.discount,
-            self.keep * total,
-        )
         ends = slice(first, None)
-        worth = self.discount ** level[ends] * worth - self.step_cost * total * (level[ends] + steps)
+        worth, steps = self._later(prospect, weights, views, travel, seen[ends], pose[ends], level[ends])
         value = score[ends] + self.tour * worth
         # Rounded, so that the last digits decide nothing.
         end = first + int(value.round(6).argmax())
@@ -182,17 +176,77 @@ class LookAhead:
         path = [travel.pose(int(pose[k])) for k in indices]
         return prospect.plan(path, rate, float(steps[end - first]), seen[end])
 
+    def _later(
+        self,
+        prospect: Prospect,
+        weights: Float32Array,
+        views: Views,
+        travel: Travel,
+        seen: npt.NDArray[np.uint64],
+        pose: npt.NDArray[np.int32],
+        level: npt.NDArray[np.int32],
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """What a tour after each sequence is worth, all of its steps paid for; and the steps of the tour."""
+        from dream.planning._kernels import lookahead
+
+        protocol, total = travel.protocol, float(weights.sum())
+        worth, steps = lookahead.tours(
+            weights,
+            views,
+            seen,
+            pose,
+            *prospect.outlook.places(prospect.listed),
+            prospect.outlook.areas,
+            protocol.lattice,
+            SERVICE * views.first[1],
+            max(protocol.advances),
+            0.5 * protocol.reach,
+            self.discount,
+            self.keep * total,
+        )
+        return self.discount**level * worth - self.step_cost * total * (level + steps), steps
+
+    def judge(self, prospect: Prospect, travel: Travel, paths: list[list[Pose]]) -> list[Judged]:
+        """What given ways are worth, all by the measure by which a plan is chosen.
+
+        Args:
+            prospect: What is worth looking at.
+            travel: The poses of the ways are on its lattice.
+            paths: At least one; the present pose first.
+        """
+        from dream.planning._kernels import lookahead
+
+        weights, views = prospect.weights, prospect.outlook.views(prospect.listed)
+        seen = np.zeros((len(paths), (len(weights) + 63) // 64), np.uint64)
+        score = np.zeros(len(paths))
+        for k, path in enumerate(paths):
+            for step, pose in enumerate(path[1:], start=1):
+                score[k] += self.discount**step * lookahead.gain(weights, seen[k], views, *pose)
+                lookahead.look(weights, seen[k], views, *pose)
+        ends = np.array([np.ravel_multi_index(path[-1], travel.steps.shape) for path in paths], np.int32)
+        level = np.array([len(path) - 1 for path in paths], np.int32)
+        worth, steps = self._later(prospect, weights, views, travel, seen, ends, level)
+        # A step later, all is worth less and one more step is paid for.
+        paid = self.step_cost * float(weights.sum())
+        gross = score[0] + worth[0] + paid * (level[0] + steps[0])
+        step = paid + (1.0 - self.discount) * gross
+        value = (score + self.tour * worth) / max(step, NOTHING)
+        rates = score / np.maximum(level, 1)
+        return [
+            Judged(prospect.plan(path, float(rate), float(later), bits), float(v))
+            for path, rate, later, bits, v in zip(paths, rates, steps, seen, value, strict=True)
+        ]
+
+    def views(self, prospect: Prospect, travel: Travel) -> PoseViews:
+        """What single poses within reach would show: every second node near by, every fourth beyond."""
+        weights, views = prospect.weights, prospect.outlook.views(prospect.listed)
+        return self._views(weights, views, travel)
+
     def _view(self, prospect: Prospect, weights: Float32Array, views: Views, travel: Travel) -> Plan | None:
         """The way to the view of the best rate."""
         from dream.planning._kernels import lookahead
 
-        rows, cols = np.nonzero(travel.reached)
-        near = travel.nearest[rows, cols] <= NEAR
-        chosen = (rows % 2 == 0) & (cols % 2 == 0) & (near | (rows % 4 == 0) & (cols % 4 == 0))
-        rows, cols = rows[chosen], cols[chosen]
-        steps = travel.steps[rows, cols]
-        gains = lookahead.gains(weights, views, rows, cols)
-        shown = PoseViews(rows, cols, steps, gains)
+        shown = self._views(weights, views, travel)
         best = shown.best(shown.rates)
         if best is None or best.rate <= NOTHING:
             return None
@@ -200,3 +254,12 @@ class LookAhead:
         seen = np.zeros((len(weights) + 63) // 64, np.uint64)
         lookahead.look(weights, seen, views, row, col, heading)
         return prospect.plan(travel.path(best.pose), best.rate, 0.0, seen)
+
+    def _views(self, weights: Float32Array, views: Views, travel: Travel) -> PoseViews:
+        from dream.planning._kernels import lookahead
+
+        rows, cols = np.nonzero(travel.reached)
+        near = travel.nearest[rows, cols] <= NEAR
+        chosen = (rows % 2 == 0) & (cols % 2 == 0) & (near | (rows % 4 == 0) & (cols % 4 == 0))
+        rows, cols = rows[chosen], cols[chosen]
+        return PoseViews(rows, cols, travel.steps[rows, cols], lookahead.gains(weights, views, rows, cols))

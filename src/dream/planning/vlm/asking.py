@@ -134,6 +134,7 @@ class Pending(Generic[R]):
     line: Line
     question: Question[R]
     outcome: Future[Outcome]
+    _answer: Answer[R] | None = None
 
     def done(self) -> bool:
         """Would `answer` return at once?"""
@@ -141,7 +142,9 @@ class Pending(Generic[R]):
 
     def answer(self) -> Answer[R]:
         """Wait for the answer, no longer than the line's limit."""
-        return self.line.receive(self.question, self.outcome.result())
+        if self._answer is None:
+            self._answer = self.line.receive(self.question, self.outcome.result())
+        return self._answer
 
 
 @dataclass(slots=True, eq=False)

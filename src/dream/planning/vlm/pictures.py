@@ -25,6 +25,8 @@ MAP_SIDE = 800
 """Pixels along the map, about: not larger, so that no model scales it down."""
 FAR = 12.0
 """Metres that are black in the picture of the depth."""
+HIDDEN = 1.0
+"""Metres by which a return must be nearer than a place to hide it: the seabed is not quite level."""
 WATER: Color = (60, 110, 190)
 
 
@@ -57,6 +59,35 @@ def map_picture(
     from dream.mapping.drawing import draw_map
 
     return draw_map(occupancy, pose, trail, marks, scale=scale_of(occupancy))
+
+
+def mark_in_view(picture: Image.Image, observation: Observation, mark: Mark, altitude: float) -> None:
+    """Draw a mark's number where its place is in the camera's picture, if it can be seen there.
+
+    Args:
+        picture: Of that observation, of any size; changed.
+        observation: What the camera saw.
+        mark: Its place is marked on the ground below.
+        altitude: Metres of the vehicle above that ground.
+    """
+    from dream.mapping.drawing import DISC, draw_disc
+
+    x, y = mark.path[-1]
+    ground = np.array([x, y, observation.T_world_base.translation[2] - altitude])
+    point = observation.T_world_camera.inverse @ ground
+    if point[2] <= 0.0:
+        return
+    camera = observation.camera
+    u, v = camera.project(point[None])[0][0]
+    if not (0.0 <= u < camera.width and 0.0 <= v < camera.height):
+        return
+    # A nearer return hides it; a comparison with none is false.
+    if observation.depth[int(v), int(u)] < point[2] - HIDDEN:
+        return
+    scale, edge = picture.width / camera.width, DISC + 1
+    column = min(max(scale * u, edge), picture.width - edge)
+    row = min(max(scale * v, edge), picture.height - edge)
+    draw_disc(picture, (float(column), float(row)), mark.number)
 
 
 def png(picture: Image.Image) -> bytes:

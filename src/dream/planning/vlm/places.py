@@ -1,0 +1,120 @@
+"""Places to go next: the offline planner's own, and what else it could do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.planning.lookahead import NOTHING, Plan
+from dream.planning.travel import Pose
+
+if TYPE_CHECKING:
+    from dream.mapping import OccupancyMap
+    from dream.planning.belief import BeliefPilot, Thought
+
+MOST = 9
+"""Places of one question."""
+APART = 0.5
+"""Between two places, and between a place and the offline planner's way, in reaches."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """Somewhere to go next. All of it is safe as far as the map goes: the guard lets every move pass."""
+
+    plan: Plan
+    loss: float
+    """Steps that going there first is expected to cost, against the best of them."""
+    path: npt.NDArray[np.float64]
+    """(N, 2) metres in the world, where the vehicle is first."""
+    yaw: float
+    """Radians, where the camera looks there."""
+    closes: tuple[int, ...]
+    """Numbers of the regions that have nothing open left then."""
+
+    @property
+    def pose(self) -> Pose:
+        """On the planner's lattice."""
+        return self.plan.path[-1]
+
+    @property
+    def steps(self) -> int:
+        """To get there."""
+        return len(self.plan.path) - 1
+
+
+def places(pilot: BeliefPilot, thought: Thought, occupancy: OccupancyMap) -> list[Place]:
+    """The end of the offline planner's plan, where it has one, and the best views elsewhere.
+
+    Args:
+        pilot: Who thought it.
+        thought: Of this moment.
+        occupancy: What is known.
+
+    Returns:
+        The offline planner's own first; at most `MOST`.
+    """
+    travel, prospect, ahead = thought.travel, pilot.prospect(thought, occupancy), pilot.look_ahead
+    apart = APART * pilot.mission.protocol.reach
+    ways = [] if thought.plan is None else [thought.plan.path]
+    taken = [travel.position(row, col) for way in ways for row, col, _ in way]
+    views = ahead.views(prospect, travel)
+    rates = views.rates
+    at = travel.position(views.rows, views.cols)
+    # Rounded, so that a tie is a tie on every machine.
+    for k in np.argsort(-rates.max(axis=1, initial=0.0).round(6), kind="stable"):
+        heading = int(rates[k].argmax())
+        if len(ways) == MOST or rates[k, heading] <= NOTHING:
+            break
+        if all(np.hypot(*(at[k] - other)) >= apart for other in taken):
+            ways.append(travel.path((int(views.rows[k]), int(views.cols[k]), heading)))
+            taken.append(at[k])
+    if not ways:
+        return []
+    judged = ahead.judge(prospect, travel, ways)
+    own = judged[0].value if thought.plan is not None else max(one.value for one in judged)
+    return [
+        Place(
+            one.plan,
+            # Where the simple tour behind the values rates another place higher, the search knew better.
+            max(own - one.value, 0.0),
+            np.array([travel.position(row, col) for row, col, _ in one.plan.path]),
+            one.plan.path[-1][2] * pilot.mission.protocol.heading_step,
+            _closes(pilot, thought, one.plan.path),
+        )
+        for one in judged
+    ]
+
+
+def again(
+    pilot: BeliefPilot, thought: Thought, occupancy: OccupancyMap, pose: Pose
+) -> tuple[Plan, float] | None:
+    """The way from here to a place that was chosen before, and the steps that it costs now.
+
+    None where no way leads there any more, where the vehicle is there, and where nothing is left to see.
+    """
+    travel = thought.travel
+    if travel.steps[pose] <= 0:
+        return None
+    ways = [travel.path(pose)] if thought.plan is None else [thought.plan.path, travel.path(pose)]
+    judged = pilot.look_ahead.judge(pilot.prospect(thought, occupancy), travel, ways)
+    if judged[-1].plan.rate <= NOTHING:
+        return None
+    return judged[-1].plan, max(judged[0].value - judged[-1].value, 0.0)
+
+
+def _closes(pilot: BeliefPilot, thought: Thought, path: list[Pose]) -> tuple[int, ...]:
+    regions = thought.completion.regions
+    if all(region.enclosed for region in regions):
+        return ()
+    shown = np.zeros_like(pilot.outlook.shown(path[-1])[0])
+    for pose in path[1:]:
+        shown |= pilot.outlook.shown(pose)[0]
+    return tuple(
+        number
+        for number, region in enumerate(regions, start=1)
+        if not region.enclosed and shown[tuple(region.open_cells.T)].all()
+    )

@@ -1,0 +1,368 @@
+"""Our own planner with a model: it ranks safe places, and geometry keeps the last word."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dream.geometry import SE2
+from dream.planning.belief import Belief
+from dream.planning.lookahead import Plan
+from dream.planning.parameters import check_count, check_range
+from dream.planning.travel import Pose
+from dream.planning.vlm import pictures, prompts
+from dream.planning.vlm.asking import Answer, Asking, Line, Pending, Question
+from dream.planning.vlm.places import Place, again, places
+from dream.planning.vlm.reply import Ranking, ranked_reply
+from dream.types import LOOK_AROUND, Decision, Exchange, Mission, Observation
+
+if TYPE_CHECKING:
+    from dream.mapping import OccupancyMap
+    from dream.planning.belief import BeliefPilot, Thought
+
+FEWEST = 2
+"""Places that make a choice."""
+ARRIVED = 0.25
+"""Reaches from a place at which it counts as reached."""
+STUCK = 6
+"""Steps without anything new after which the model is not followed, nor asked, for `REST` steps."""
+REST = 10
+AGREED = 2.0 / 3.0
+"""Share of the votes that must have the same place first."""
+HISTORY = 8
+"""Past positions in the text."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ranked(Asking):
+    """Asks a vision-language model to rank safe places when the choice is close; `belief` does all else.
+
+    What it does: `belief` works out where it could go next. When something has changed (it arrived, a region
+    was closed, it found nothing new for a while) and some other place is expected to cost no more than
+    `margin` steps, a model is shown the map with these places as numbers, the camera's picture, and a table
+    of what each would cost and show, and ranks them. Its ranking moves the choice within the margin only,
+    and all that it cost by `belief`'s own measure must stay below a share of the steps flown. Before the
+    mission ends the model is asked, too. While it thinks, the vehicle takes `belief`'s next steps.
+
+    Reference: set-of-mark prompting (2310.11441); ranking instead of scoring (2503.20241); events as in CORAL
+    (2603.14786); a choice among proposals with a fading bonus (2606.20458).
+
+    Assumes: a model that reads pictures. Fails when: never worse than `belief` by much, whatever the model
+    says; better only where the model knows more about how targets lie than geometry does.
+    """
+
+    margin: float = 3.0
+    """Steps that a place may cost more than the best one, by expectation, to be chosen at all."""
+    weight: float = 3.0
+    """Steps that being ranked first is worth, with full confidence; half that being second, and so on."""
+    allowance: float = 0.1
+    """Share of the steps flown that the model's choices may have cost, by expectation, in all."""
+    votes: int = 1
+    """Times that each question is asked, each with other numbers; without two thirds of agreement the offline
+    planner decides."""
+    wait: bool = False
+    """Stand still until the answer is there, as the paper's vehicle does."""
+
+    def __post_init__(self) -> None:
+        Asking.__post_init__(self)
+        check_range("margin", self.margin, 0.0, 1000.0)
+        check_range("weight", self.weight, 0.0, 1000.0)
+        check_range("allowance", self.allowance, 0.0, 10.0)
+        check_count("votes", self.votes, 1, 15)
+        check_range("wait", self.wait, False, True)
+
+    def begin(self, mission: Mission) -> RankedPilot:
+        """A fresh pilot with a line to the model."""
+        return RankedPilot(self, mission)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Asked:
+    """A question on its way: the same places once for each vote, under other numbers each time."""
+
+    at: float
+    """Seconds on the mission's clock."""
+    places: list[Place]
+    votes: list[tuple[dict[int, int], Pending[Ranking]]]
+    """Index of the place for each number, and the answer to come."""
+    to_end: bool
+    """Whether the offline planner would have ended the mission."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Chosen:
+    """A place that the vehicle goes to on the model's advice."""
+
+    pose: Pose
+    why: str
+
+
+@dataclass(slots=True)
+class RankedPilot:
+    """`Ranked` during one mission."""
+
+    planner: Ranked
+    mission: Mission
+    line: Line = field(init=False)
+    offline: BeliefPilot = field(init=False)
+    trail: list[SE2] = field(default_factory=list)
+    """Where it decided."""
+    asked: _Asked | None = None
+    chosen: _Chosen | None = None
+    spent: float = 0.0
+    """Steps that the model's choices have cost, by expectation."""
+    heading_for: SE2 | None = None
+    """What was decided at the last event: until it is reached, or another comes, nobody is asked again."""
+    enclosed: int = 0
+    """Regions at the last event."""
+    observed: int = 0
+    """Cells."""
+    idle: int = 0
+    """Steps since more of them were."""
+    resting: int = 0
+    """Steps for which the offline planner flies alone."""
+
+    def __post_init__(self) -> None:
+        self.line = self.planner.line()
+        self.offline = Belief().begin(self.mission)
+
+    def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
+        """What the model chose, where that holds; else what `belief` does."""
+        thought = self.offline.consider(observation, occupancy)
+        self._watch(occupancy)
+        exchanges: list[Exchange] = []
+        waited = 0.0
+        if self.asked is None and not self.resting and self._event(thought):
+            self._ask(observation, thought, occupancy)
+        if self.asked is not None and (answers := self._answers(observation.time, thought)):
+            exchanges = [answer.exchange for answer in answers]
+            waited = max(self._due(answers) - observation.time, 0.0)
+            self._choose(answers, thought, occupancy)
+            self.asked = None
+        plan, why = self._follow(thought, occupancy)
+        self.trail.append(observation.pose)
+        decision = self.offline.act(thought, plan, occupancy)
+        if why:
+            reasoning = decision.reasoning
+            reasoning = replace(reasoning, next_target=f"{reasoning.next_target} {why}")
+            decision = replace(decision, reasoning=reasoning)
+        return replace(decision, exchanges=tuple(exchanges), waited=waited)
+
+    # -------------------------------------------------------------------------------------------- events
+
+    def _watch(self, occupancy: OccupancyMap) -> None:
+        """Who goes round in circles on advice goes on without it."""
+        observed = int(np.count_nonzero(occupancy.observed))
+        self.idle = 0 if observed > self.observed else self.idle + 1
+        self.observed = max(observed, self.observed)
+        self.resting = max(self.resting - 1, 0)
+        if self.idle >= STUCK and self.chosen is not None:
+            self.chosen, self.resting = None, REST
+
+    def _event(self, thought: Thought) -> bool:
+        """Has something changed that makes the choice a new one?"""
+        closed = sum(region.enclosed for region in thought.completion.regions)
+        more, self.enclosed = closed > self.enclosed, closed
+        if thought.plan is None:
+            # The mission would end: worth a question, once for all that is known.
+            return self.chosen is None and self.heading_for != thought.pose
+        if self.chosen is not None:
+            return more
+        end = self._position(thought, thought.plan.path[-1])
+        near = ARRIVED * self.mission.protocol.reach
+        there = self.heading_for is None or self.heading_for.distance(thought.pose) <= near
+        elsewhere = (
+            self.heading_for is not None and self.heading_for.distance(end) > self.mission.protocol.reach
+        )
+        stuck = self.idle == STUCK
+        return there or more or elsewhere or stuck
+
+    def _position(self, thought: Thought, pose: Pose) -> SE2:
+        x, y = thought.travel.position(pose[0], pose[1])
+        return SE2(float(x), float(y), 0.0)
+
+    # ------------------------------------------------------------------------------------------- question
+
+    def _ask(self, observation: Observation, thought: Thought, occupancy: OccupancyMap) -> None:
+        """Ask where the choice is close; remember that it was looked at in any case."""
+        self.heading_for = (
+            thought.pose if thought.plan is None else self._position(thought, thought.plan.path[-1])
+        )
+        choice = [
+            place for place in places(self.offline, thought, occupancy) if place.loss <= self._affordable()
+        ]
+        to_end = thought.plan is None
+        if len(choice) < (1 if to_end else FEWEST):
+            return
+        votes = []
+        for vote in range(self.planner.votes):
+            # Other numbers each time, so that a liking for one of them decides nothing.
+            rng = np.random.default_rng([len(self.trail), vote])
+            numbers = (1 + rng.permutation(len(choice))).tolist()
+            question = self._question(
+                observation, thought, occupancy, dict(zip(numbers, choice, strict=True))
+            )
+            votes.append(({number: k for k, number in enumerate(numbers)}, self.line.ask(question)))
+        self.asked = _Asked(observation.time, choice, votes, to_end)
+
+    def _answers(self, now: float, thought: Thought) -> list[Answer[Ranking]]:
+        """All answers, once they are due; earlier where the vehicle waits for them. Empty before."""
+        assert self.asked is not None
+        waits = self.planner.wait or thought.plan is None
+        if not waits and now < self.asked.at + self.planner.latency:
+            return []
+        answers = [pending.answer() for _, pending in self.asked.votes]
+        return answers if waits or now >= self._due(answers) else []
+
+    def _due(self, answers: list[Answer[Ranking]]) -> float:
+        """When the last of them has come, on the mission's clock; they are asked side by side."""
+        assert self.asked is not None
+        return self.asked.at + self.planner.latency * max(answer.exchange.requests for answer in answers)
+
+    def _affordable(self) -> float:
+        """Steps that a choice may cost now."""
+        flown = LOOK_AROUND + len(self.trail)
+        return min(self.planner.margin, self.planner.allowance * flown + 1.0 - self.spent)
+
+    def _question(
+        self,
+        observation: Observation,
+        thought: Thought,
+        occupancy: OccupancyMap,
+        numbered: dict[int, Place],
+    ) -> Question[Ranking]:
+        from dream.mapping.drawing import Mark, grid_spacing
+
+        pose, protocol = observation.pose, self.mission.protocol
+        instructions, version = prompts.instructions(
+            "ranked",
+            self.mission,
+            pixels=pictures.scale_of(occupancy) / protocol.cell,
+            grid=grid_spacing(occupancy.bounds),
+            count=str(len(numbered)),
+        )
+        marks = [Mark(number, place.path) for number, place in sorted(numbered.items())]
+        trail = [(past.x, past.y) for past in (*self.trail, pose)]
+        camera = pictures.camera_picture(observation)
+        for mark in marks:
+            pictures.mark_in_view(camera, observation, mark, protocol.altitude)
+        return Question(
+            version,
+            instructions,
+            self._situation(observation, thought, numbered),
+            {
+                "map": pictures.png(pictures.map_picture(occupancy, pose, trail, marks)),
+                "camera": pictures.png(camera),
+            },
+            ranked_reply(list(numbered)),
+        )
+
+    def _situation(self, observation: Observation, thought: Thought, numbered: dict[int, Place]) -> str:
+        pose = observation.pose
+        flown = LOOK_AROUND + len(self.trail)
+        past = "; ".join(f"({p.x:g}, {p.y:g})" for p in self.trail[-HISTORY:]) or "only the start"
+        lines = [
+            f"The robot is at x = {pose.x:g} m, y = {pose.y:g} m and heads towards {pictures.bearing(pose)}.",
+            f"{flown} steps are done; {self.mission.max_steps - flown} are left at most.",
+            f"It came by way of: {past}.",
+            thought.reasoning.distribution,
+            thought.reasoning.completion,
+        ]
+        if thought.plan is None:
+            lines.append(
+                "By the program's own judgement the mission is complete. These places would be left unseen."
+            )
+        return "\n".join([*lines, "", *_table(numbered)])
+
+    # -------------------------------------------------------------------------------------------- choice
+
+    def _choose(self, answers: list[Answer[Ranking]], thought: Thought, occupancy: OccupancyMap) -> None:
+        """Fuse the ranking with what the offline planner holds of the places now."""
+        assert self.asked is not None
+        heard = [
+            (numbers, answer.reply)
+            for (numbers, _), answer in zip(self.asked.votes, answers, strict=True)
+            if answer.reply is not None
+        ]
+        if not heard:
+            return
+        firsts = [numbers[reply.ranking[0]] for numbers, reply in heard]
+        if max(map(firsts.count, firsts)) < AGREED * len(self.asked.votes):
+            return
+        if self.asked.to_end and sum(reply.mission_complete for _, reply in heard) > 0.5 * len(heard):
+            return
+        bonus: dict[int, float] = defaultdict(float)
+        for numbers, reply in heard:
+            for rank, number in enumerate(reply.ranking, start=1):
+                bonus[numbers[number]] += (
+                    self.planner.weight * reply.confidence / rank / len(self.asked.votes)
+                )
+        standing = []
+        for k, place in enumerate(self.asked.places):
+            now = again(self.offline, thought, occupancy, place.pose)
+            if now is not None and now[1] <= self._affordable():
+                standing.append((round(bonus[k] - now[1], 6), -k, place, now[1]))
+        own = 0.0 if thought.plan is not None else -math.inf
+        if not standing or max(standing)[0] <= own:
+            return
+        _, k, place, loss = max(standing)
+        numbers, reply = heard[0]
+        number = next(n for n, index in numbers.items() if index == -k)
+        self.spent += loss
+        self.chosen = _Chosen(
+            place.pose,
+            f"The model ranked place {number} of {len(self.asked.places)} "
+            f"{_ordinal(1 + reply.ranking.index(number))}; it costs {loss:.1f} steps by expectation.",
+        )
+        x, y = place.path[-1]
+        self.heading_for = SE2(float(x), float(y), 0.0)
+
+    def _follow(self, thought: Thought, occupancy: OccupancyMap) -> tuple[Plan | None, str]:
+        """The plan to carry out, and why it is not the offline planner's own."""
+        if self.chosen is None:
+            return thought.plan, ""
+        now = again(self.offline, thought, occupancy, self.chosen.pose)
+        # What was affordable when it was chosen may grow dear on the way, when something better comes up.
+        if now is None or now[1] > 2.0 * self.planner.margin:
+            self.chosen = None
+            return thought.plan, ""
+        return now[0], self.chosen.why
+
+
+def _table(numbered: dict[int, Place]) -> list[str]:
+    """What the program has calculated of each place, as lines of Markdown."""
+    columns = (
+        "number",
+        "position",
+        "steps away",
+        "looks towards",
+        "targets expected, m2",
+        "search area cleared, m2",
+        "hull patches expected",
+        "closes",
+    )
+    lines = [" | ".join(columns), " | ".join("---" for _ in columns)]
+    for number, place in sorted(numbered.items()):
+        x, y = place.path[-1]
+        plan = place.plan
+        cells = (
+            str(number),
+            f"({x:g}, {y:g})",
+            str(place.steps),
+            pictures.bearing(SE2(0.0, 0.0, place.yaw)),
+            f"{plan.targets:.1f}",
+            f"{plan.cleared:.0f}",
+            f"{plan.patches:.1f}",
+            ", ".join(f"region {k}" for k in place.closes) or "none",
+        )
+        lines.append(" | ".join(cells))
+    return [f"| {line} |" for line in lines]
+
+
+def _ordinal(rank: int) -> str:
+    names = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth")
+    return names[rank - 1]
