@@ -7,10 +7,16 @@ import io
 import logging
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from dream.errors import MissionAborted
 from dream.names import look_up
+
+if TYPE_CHECKING:
+    from tyro.constructors import ConstructorRegistry
+
+N = TypeVar("N", int, float)
 
 USAGE = """\
 usage: dream COMMAND [OPTIONS]
@@ -66,7 +72,6 @@ def _dispatch(name: str, arguments: list[str]) -> int:
     import tyro
 
     from dream import commands
-    from dream.planning import PLANNERS
 
     complaints = io.StringIO()
     try:
@@ -75,6 +80,7 @@ def _dispatch(name: str, arguments: list[str]) -> int:
                 getattr(commands, name.capitalize()),
                 prog=f"dream {name}",
                 args=arguments,
+                registry=_numbers(),
                 config=(
                     tyro.conf.CascadeSubcommandArgs,
                     tyro.conf.OmitSubcommandPrefixes,
@@ -85,13 +91,73 @@ def _dispatch(name: str, arguments: list[str]) -> int:
     except SystemExit as end:
         if end.code:
             complaint = _one_line(complaints.getvalue())
-            stray = re.search(r"Unrecognized options: (\w[\w-]*)", complaint)
-            if stray and name == "run":
-                look_up(PLANNERS, stray[1], "planner")
+            if name == "run":
+                _check_planner(complaint)
             return _fail(complaint, BAD_INPUT)
         return 0
     status: int = command()
     return status
+
+
+def _numbers() -> ConstructorRegistry:
+    """How numbers are read from the command line, and that a default is shown with six digits at most."""
+    from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
+
+    registry = ConstructorRegistry()
+
+    @registry.primitive_rule
+    def number(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+        if info.type is int:
+            return PrimitiveConstructorSpec(
+                nargs=1,
+                metavar="INT",
+                instance_from_str=lambda words: _read(int, words[0], "a whole number"),
+                is_instance=lambda value: type(value) is int,
+                str_from_instance=lambda value: [str(value)],
+            )
+        if info.type is float:
+            return PrimitiveConstructorSpec(
+                nargs=1,
+                metavar="FLOAT",
+                instance_from_str=lambda words: _read(float, words[0], "a number"),
+                is_instance=lambda value: isinstance(value, int | float),
+                str_from_instance=lambda value: [f"{value:g}"],
+            )
+        return None
+
+    return registry
+
+
+def _read(kind: Callable[[str], N], word: str, what: str) -> N:
+    try:
+        return kind(word)
+    except ValueError:
+        raise ValueError(f"expected {what}, got {word}") from None
+
+
+def _check_planner(complaint: str) -> None:
+    """Raise a ValueError where `dream run` was given no planner's name, or an option of another planner."""
+    from dream.planning import PLANNERS
+
+    stray = re.match(r"Unrecognized options: (\w[\w-]*)", complaint)
+    if stray:
+        look_up(PLANNERS, stray[1], "planner")
+    # Behind another planner's name, before any, and before one that is not the default.
+    misplaced = re.search(r"(?P<option>--[\w-]+) \(applied to dream run ?(?P<planner>[\w-]*)\)", complaint)
+    before = re.search(r"subcommand '(?P<planner>[\w-]+)' because .* flag '(?P<option>--[\w-]+)'", complaint)
+    if found := misplaced or before:
+        option, planner = found["option"], found["planner"]
+        field = option[2:].replace("-", "_")
+        owners = [name for name, default in PLANNERS.items() if hasattr(default, field)]
+        if planner and planner not in owners:
+            raise ValueError(
+                f"{option}: expected an option of {planner}, got one of {', '.join(owners)}. "
+                f"See dream run {planner} --help"
+            )
+        raise ValueError(
+            f"{option}: expected the planner's name before it, got none. "
+            f"Say: dream run {planner or owners[0]} {option} ..."
+        )
 
 
 def _fail(message: str, status: int) -> int:
@@ -110,9 +176,22 @@ def _one_line(panel: str) -> str:
             blocks[-1].append(words)
     # Where the box has no border to hold it, the title is a block of its own: a few plain words.
     blocks = [block for block in blocks if not re.fullmatch(r"[A-Za-z ]*", " ".join(block))]
-    wrong = " ".join(blocks[0]) if blocks else "cannot read the arguments"
+    wrong = _value_error(" ".join(blocks[0])).rstrip(".") if blocks else "cannot read the arguments"
     guess = next((block[1].split()[0] for block in blocks if block[0] == "Perhaps you meant:"), "")
     return wrong + (f". Did you mean {guess}?" if guess else ".") + " Add --help to see the options."
+
+
+def _value_error(wrong: str) -> str:
+    """A complaint about a value, under the name of the option that was typed.
+
+    What a planner refuses is told as an error of `planner`, and of an option that may also be None there
+    is a complaint for each of its types.
+    """
+    found = re.match(r"Error parsing (\S+): (?:.*<class '\w+'>: )?(?:(\w+): )?(expected .*)", wrong)
+    if not found:
+        return wrong
+    option, field, rest = found.groups()
+    return f"{'--' + field.replace('_', '-') if field else option}: {rest}"
 
 
 if __name__ == "__main__":

@@ -53,7 +53,7 @@ def is_name(text: str) -> bool:
 def check_seed(seed: int) -> None:
     """Raise a ValueError unless the seed is one that a world can have."""
     if not 0 <= seed <= MOST_SEED:
-        raise ValueError(f"seed: expected 0 to {MOST_SEED}, got {seed}. Choose a smaller whole number")
+        raise ValueError(f"seed: expected 0 to {MOST_SEED}, got {seed}. Choose a whole number between them")
 
 
 def _check_box(world: World, protocol: SurveyProtocol) -> None:
