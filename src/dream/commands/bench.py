@@ -74,8 +74,7 @@ class Bench(Flying):
     """
 
     suite: tyro.conf.Positional[str | None] = None
-    """A suite: `paper` (ten reefs, five wrecks; the default), `dev` (60 worlds to tune on) or `test` (200
-    worlds that nothing is tuned on)."""
+    """`paper` (15 worlds; the default), `dev` (60, to tune on) or `test` (200 that nothing is tuned on)."""
     world: str | None = None
     """One world instead of a suite: a name from `dream worlds`."""
     seeds: str | None = None
@@ -207,7 +206,7 @@ def fly(plan: Plan, folder: Path, engine: Engine) -> Outcome:
                     failures.append((Case(world, seed, start), planner, mission.outcome.message))
     except KeyboardInterrupt:
         raise MissionAborted(
-            f"interrupted; {len(flown)} of {len(plan)} missions are kept in {folder}, "
+            f"aborted: interrupted; {len(flown)} of {len(plan)} missions are kept in {folder}, "
             "and the same command goes on from there"
         ) from None
     rows = [flown[c, p].row for c in plan.cases for p in plan.planners if (c, p) in flown]

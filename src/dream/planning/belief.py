@@ -61,8 +61,9 @@ class Belief:
     front-loaded orienteering as in FIG-OP (2203.06316); a statistical stop for Poisson intensities after
     Reverdy and Koditschek (IROS 2016).
 
-    Assumes: groups of targets of about `size`. Fails when: groups are much smaller than that and stand alone;
-    then it stops too early, which `--certify` never does.
+    Assumes: groups of targets of about `size`. The protocol promises only 1; on the suite `dev` 2 predicts
+    far better what was still missed. Fails when: groups are much smaller than that and stand alone; then it
+    stops too early, which `--certify` never does.
     """
 
     risk: float = 0.02
@@ -70,31 +71,28 @@ class Belief:
     certify: bool = False
     """Be done only when all ground that can be seen was seen."""
     size: float = 2.0
-    """Radius of a group that could hide, in radii of the smallest that the protocol promises. Only 1
-    is promised; on the suite `dev` 2 predicts far better what was still missed."""
+    """Radius of a group that could hide, in radii of the protocol's smallest (1.5 m under dream-v1)."""
     groups: float = 0.5
     """Prior of the number of groups: as if so many had been found ..."""
     searched: float = 500.0
     """... on so many square metres."""
     kernel: float = 4.0 / 3.0
-    """How far a seen target makes its surroundings likely: standard deviation of the blur, in radii of the
-    protocol's smallest group."""
+    """Blur around targets: standard deviation in radii of the smallest group (1.5 m under dream-v1)."""
     prior: float = 0.02
     """Probability of a target in a cell about which nothing is known."""
     prior_weight: float = 0.15
     """How much blurred evidence the prior is worth."""
     open_edge: float = 0.5
     """Least probability of a target in a cell that keeps a region open."""
+    # Well below what is aimed at: the estimate does not foresee what can be seen from a few places only.
     hull_left: float = 0.005
-    """Share of a hull that may be unseen when the mission ends, by the planner's own estimate. It does not
-    foresee what can be seen from a few places only, so that this must be well below what is aimed at."""
+    """Share of a hull that may be unseen when the mission ends, by the planner's own estimate."""
     search: float = 0.05
     """Square metres of targets to be expected for a square metre on which the middle of a group could lie."""
     alone: float = 0.05
     """How many times as many groups are to be expected once a hull was found: a wreck lies alone."""
     eager: float = 3.0
-    """How many times as much targets count that are expected beside known ones: a region that is left open
-    must be come back to."""
+    """How many times as much targets count beside known ones: an open region must be come back to."""
     patience: int = 3
     """Looks in vain after which a cell is given up."""
     width: int = 48

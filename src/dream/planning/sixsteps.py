@@ -39,8 +39,7 @@ class SixSteps:
     """
 
     kernel: float = 4.0 / 3.0
-    """How far a seen target makes its surroundings likely: standard deviation of the blur, in radii of the
-    protocol's smallest group."""
+    """Blur around targets: standard deviation in radii of the smallest group (1.5 m under dream-v1)."""
     prior: float = 0.02
     """Probability of a target in a cell about which nothing is known."""
     prior_weight: float = 0.15
@@ -50,8 +49,7 @@ class SixSteps:
     standoff_cells: float = 1.5
     """Map cells that the body keeps from the middle of any solid one: the map is no finer than that."""
     closing: float = 3.0
-    """How many times more ground counts that explored ground surrounds: a hole left behind must be come back
-    for."""
+    """How many times more ground counts that explored ground surrounds: a hole must be come back for."""
     hull: float = 1.0
     """What it is worth to look at a cell of hull, target and solid at once, from afar."""
     afar: float = 0.6

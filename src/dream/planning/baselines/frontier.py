@@ -35,8 +35,7 @@ class NearestFrontier:
     approach: float = 0.5
     """Distance at most from a frontier to the pose that looks beyond it, as a share of the reach."""
     smallest: float = 0.3
-    """Frontier cells of the least cluster, and unknown cells beside it that must be in view, as a share of
-    the cells along a line as long as the reach."""
+    """Least frontier cells in a cluster, and unknown ones seen beside it, as a share of a reach in cells."""
 
     def __post_init__(self) -> None:
         check_range("approach", self.approach, 0.05, 1.0)

@@ -35,9 +35,9 @@ class SweepAndGraze:
     follow.
     """
 
+    # Wider than the lawnmower's: gaps at targets are closed on the way.
     swath: float = 1.0
-    """Lane spacing at most, as a share of the ground seen to both sides, 2 · reach · sin(fov / 2). Wider than
-    the lawnmower's by default: gaps at targets are closed on the way."""
+    """Lane spacing at most, as a share of the ground seen to both sides, 2 · reach · sin(fov / 2)."""
     inset: float = 0.5
     """Distance of the lanes' ends from the area's edge, as a share of the reach."""
     least: float = 0.25

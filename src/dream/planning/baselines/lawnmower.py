@@ -28,9 +28,9 @@ class Lawnmower:
     the rest.
     """
 
+    # With this, views 2 m apart leave no gap.
     swath: float = 0.81
-    """Lane spacing at most, as a share of the ground seen to both sides, 2 · reach · sin(fov / 2). By default
-    views 2 m apart leave no gap."""
+    """Lane spacing at most, as a share of the ground seen to both sides, 2 · reach · sin(fov / 2)."""
     inset: float = 0.5
     """Distance of the lanes' ends from the area's edge, as a share of the reach."""
     least: float = 0.25
