@@ -212,4 +212,4 @@ class Step:
     ended: str = ""
     """`done` or `cap` on the last step, else empty."""
     planner_s: float = 0.0
-    """Wall seconds that the planner took to decide."""
+    """Wall seconds that the planner took to decide, without those in which its code was compiled."""

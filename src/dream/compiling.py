@@ -1,0 +1,40 @@
+"""When numba compiles: in the first run on a machine, and after a change; then it loads what it kept."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+
+from numba.core.event import Event, Listener, TimingListener, install_listener, register
+
+COMPILES = "numba:compile"
+"""The event that numba sends around each compilation; loading what was compiled before is none."""
+
+_compiled = TimingListener()  # type: ignore[no-untyped-call]
+register(COMPILES, _compiled)  # type: ignore[no-untyped-call]
+
+
+def working_time() -> float:
+    """Seconds on a clock that stands still while numba compiles."""
+    return time.perf_counter() - (_compiled.duration if _compiled.done else 0.0)
+
+
+@contextlib.contextmanager
+def when_compiling(tell: Callable[[], None]) -> Iterator[None]:
+    """Call `tell` before the first compilation within the block, if there is one."""
+    with install_listener(COMPILES, _Once(tell)):
+        yield
+
+
+class _Once(Listener):
+    def __init__(self, tell: Callable[[], None]) -> None:
+        self._tell: Callable[[], None] | None = tell
+
+    def on_start(self, event: Event) -> None:
+        if self._tell is not None:
+            tell, self._tell = self._tell, None
+            tell()
+
+    def on_end(self, event: Event) -> None:
+        pass
