@@ -225,7 +225,7 @@ def test_a_planner_that_is_not_known_here_is_named_with_all_its_parameters() -> 
     assert repeating_command(config).endswith(" --far-off 3 --how 'a b'")
 
 
-def browse(page: Path, step: int, profile: Path, *options: str) -> subprocess.CompletedProcess[str]:
+def browse(page: Path, step: int | None, profile: Path, *options: str) -> subprocess.CompletedProcess[str]:
     if CHROMIUM is None:
         pytest.skip("no Chromium on this machine to open the page with")
     quiet = (
@@ -233,8 +233,9 @@ def browse(page: Path, step: int, profile: Path, *options: str) -> subprocess.Co
         "--disable-component-update --disable-sync --hide-scrollbars --enable-logging=stderr "
         "--virtual-time-budget=4000 --window-size=1400,900"
     )
+    address = page.as_uri() + ("" if step is None else f"#step={step}")
     return subprocess.run(
-        [CHROMIUM, *quiet.split(), f"--user-data-dir={profile}", *options, f"{page.as_uri()}#step={step}"],
+        [CHROMIUM, *quiet.split(), f"--user-data-dir={profile}", *options, address],
         capture_output=True,
         text=True,
         timeout=60,
@@ -263,6 +264,12 @@ def test_a_link_to_a_step_opens_it(finished: Path, tmp_path: Path) -> None:
     assert 'data-ready="12"' in shown
     assert re.search(r'id="counter"[^>]*>Step 7 <small>of 11', shown)
     assert "Success" in shown
+
+
+@pytest.mark.slow
+def test_the_page_opens_at_the_last_step(finished: Path, tmp_path: Path) -> None:
+    shown = browse(finished / "report.html", None, tmp_path / "profile", "--dump-dom").stdout
+    assert re.search(r'id="counter"[^>]*>Step 11 <small>of 11', shown)
 
 
 @pytest.mark.slow

@@ -384,7 +384,7 @@ def read_config(folder: Path) -> RunConfig:
 
 
 def read_summary(folder: Path) -> RunSummary | None:
-    """How the run ended; None where it was interrupted before it could say."""
+    """How the run ended; None where it was aborted before it could say."""
     path = folder / "summary.json"
     return _checked(RunSummary, _json(path), str(path)) if path.exists() else None
 

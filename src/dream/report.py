@@ -46,7 +46,7 @@ _BOMBS = (Image.DecompressionBombError, Image.DecompressionBombWarning)
 def write_report(folder: Path) -> Path:
     """Make `report.html` in a run folder, from what lies in that folder alone.
 
-    An interrupted run, which has no summary, is shown as far as it went.
+    An aborted run, which may have no summary, is shown as far as it went.
 
     Raises:
         FileNotFoundError: It is no run folder.

@@ -12,7 +12,7 @@ from dream.commands.console import print_json
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Write the HTML page of a recorded run again, also of one that was interrupted."""
+    """Write the HTML page of a recorded run again, also of one that was aborted."""
 
     run: tyro.conf.Positional[Path]
     """Folder of the run."""

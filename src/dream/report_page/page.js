@@ -65,7 +65,7 @@ function carried(step) {
   const how = step.distance_m > 0.005 ? `${metres(step.distance_m, 2)} to` : "On the spot at";
   rows.push(...row("Moved", `${how} ${place(step.pose)}${room}`));
   if (step.collided) rows.push(...row("Contact", "Touched something and stopped", "bad"));
-  if (step.ended) rows.push(...row("Ended", step.ended === "done" ? "The planner is done and the map agrees" : "All steps are used", step.ended === "done" ? "good" : "warn"));
+  if (step.ended) rows.push(...row("Ended", step.ended === "done" ? "The planner is done and the map agrees" : "Out of steps", step.ended === "done" ? "good" : "warn"));
   return rows;
 }
 
@@ -262,5 +262,6 @@ at("provenance").textContent =
 
 slider.max = Math.max(0, steps.length - 1);
 document.body.classList.toggle("empty", steps.length === 0);
-if (!follow()) show(0);
+// A reader first wants to see what came of it; the way there is a press of Home and play away.
+if (!follow()) show(steps.length - 1);
 document.documentElement.dataset.ready = String(steps.length);

@@ -31,9 +31,9 @@ function outcome(run) {
   const { summary, steps } = run;
   const last = steps.at(-1);
   if (!summary) {
-    if (!last) return { badge: "Interrupted", tone: "warn", text: "It was interrupted before its first step; nothing was recorded." };
+    if (!last) return { badge: "Aborted", tone: "bad", text: "It was aborted before its first step; nothing was recorded." };
     if (last.ended) return { badge: "Not scored", tone: "", text: `It ended after step ${last.step}, but left no summary.` };
-    return { badge: "Interrupted", tone: "warn", text: `It was interrupted after step ${last.step}. Everything recorded until then is shown.` };
+    return { badge: "Aborted", tone: "bad", text: `It was aborted after step ${last.step}. Everything recorded until then is shown.` };
   }
   const seen = known(summary.coverage.instances) ? `${percent(summary.coverage.instances)} of the targets seen` : "coverage not measured";
   const hits = summary.collisions ? plural(summary.collisions, "collision") : "no collision";
@@ -41,5 +41,5 @@ function outcome(run) {
     return { badge: summary.success ? "Success" : "Done", tone: summary.success ? "good" : "warn", text: `It stopped by itself at step ${summary.t_stop ?? summary.steps}, with ${seen} and ${hits}.` };
   if (summary.ended === "cap")
     return { badge: "Out of steps", tone: "warn", text: `It used all ${summary.steps} steps without calling the mission complete, with ${seen} and ${hits}.` };
-  return { badge: "Aborted", tone: "bad", text: `It was stopped from outside after ${plural(summary.steps, "step")}, with ${seen} and ${hits}.` };
+  return { badge: "Aborted", tone: "bad", text: `It was aborted after ${plural(summary.steps, "step")}, with ${seen} and ${hits}.` };
 }
