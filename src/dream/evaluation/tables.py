@@ -982,7 +982,17 @@ def print_summary(results: Results, console: Console) -> None:
         title=f"mean over worlds; what was never reached counts as {comparison.horizon}",
         title_justify="left",
     )
-    headings = ("worlds", "planner", "t90", "t98", "own stop", "seen, %", "success", "collisions", "÷ bound")
+    headings = (
+        "worlds",
+        "planner",
+        "to 90 %",
+        "to 98.26 %",
+        "own stop",
+        "seen, %",
+        "success",
+        "collisions",
+        "÷ bound",
+    )
     for heading in headings:
         table.add_column(heading, justify="left" if heading in ("worlds", "planner") else "right")
     titles = ("All worlds", "Reefs together", FAMILIES["wreck"])
