@@ -5,24 +5,30 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from numba.core.event import trigger_event
 
 from dream.cli import COMMANDS, run_command
 from dream.commands.console import kept_interrupts
+from dream.compiling import COMPILES
 from dream.evaluation.locks import alone_at
 from dream.evaluation.oracle import bounds as bounds_module
 from dream.evaluation.oracle.bounds import Bounds
 from dream.evaluation.suites import SUITES, Case
+from dream.planning import PLANNERS
+from dream.recording import read_steps
 from dream.robots import Teleport
-from dream.types import Arrival, Setpoint
+from dream.types import Arrival, Observation, Setpoint
 
 SUMMARY_KEYS = {
     *("protocol", "world", "seed", "world_hash", "planner", "ended", "steps", "t_stop", "t_claimed"),
@@ -47,6 +53,27 @@ def test_every_command_explains_its_options(command: str, capsys: pytest.Capture
     assert "--json" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("words", [*([command] for command in COMMANDS), *(["run", p] for p in PLANNERS)])
+def test_no_explanation_is_broken_where_its_source_was(
+    words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "1000")
+    assert run_command([*words, "--help"]) == 0
+    boxes = [line.strip("│ ") for line in capsys.readouterr().out.splitlines() if line.startswith("│")]
+    beginnings = ("-", "[", "(source", "─", "•", "Who decides")
+    assert [line for line in boxes if line and not line.startswith(beginnings)] == []
+
+
+def test_a_default_that_is_shown_short_is_not_rounded(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command(["run", "--help"]) == 0
+    assert "1.33333)" in capsys.readouterr().out
+    assert run_command(["run", "--max-steps", "1", "--world", "flat/empty", "--out", str(tmp_path)]) == 0
+    config = json.loads((tmp_path / "latest" / "config.json").read_text())
+    assert config["planner_parameters"] == asdict(PLANNERS["belief"])
+
+
 def test_help_imports_nothing_heavy() -> None:
     code = (
         "import sys; from dream.cli import run_command; run_command(['--help']); "
@@ -64,7 +91,22 @@ def test_help_imports_nothing_heavy() -> None:
         (["run", "--world", "reef/fringe"], 'no world "reef/fringe". Did you mean "reef/fringing"?'),
         (["run", "--protocol", "dream-v9"], 'no protocol "dream-v9". Did you mean "dream-v1"?'),
         (["run", "--wrold", "reef/L"], "Did you mean --world?"),
-        (["run", "--seed", "many"], "--seed"),
+        (["run", "--seed", "many"], "dream: --seed: expected a whole number, got many. Add --help"),
+        (["run", "--seed", "-1"], "got -1. Choose a whole number between them"),
+        (["run", "--max-steps", "1.5"], "dream: --max-steps: expected a whole number, got 1.5. Add --help"),
+        (["run", "belief", "--width", "1.5"], "dream: --width: expected a whole number, got 1.5. Add --help"),
+        (["run", "belief", "--risk", "2"], "dream: --risk: expected 0 to 1, got 2. Add --help"),
+        (["run", "random", "--turn-rate", "x"], "dream: --turn-rate: expected a number, got x. Add --help"),
+        (
+            ["run", "lawnmower", "--risk", "0.1"],
+            "dream: --risk: expected an option of lawnmower, got one of belief. See dream run lawnmower",
+        ),
+        (
+            ["run", "--risk", "0.1", "lawnmower"],
+            "--risk: expected an option of lawnmower, got one of belief.",
+        ),
+        (["run", "--swath", "1", "spiral"], "--swath: expected the planner's name before it, got none."),
+        (["run", "--patience", "3", "sixsteps"], "Say: dream run sixsteps --patience ..."),
         (["run", "--max-steps", "0"], "--max-steps: expected at least 1, got 0"),
         (["run", "--start", "99"], "start: expected 0 to"),
         (["draw", "--world", "wreck/9"], 'no world "wreck/9". Did you mean "wreck/'),
@@ -91,8 +133,8 @@ def test_help_imports_nothing_heavy() -> None:
         (["oracle", "--traces", "nowhere"], "nowhere"),
         (["report", "nowhere"], "nowhere"),
         (["run", "lawnmowr"], 'no planner "lawnmowr". Did you mean "lawnmower"?'),
-        (["run", "lawnmower", "--swath", "nan"], "swath: expected 0.1 to 4, got nan"),
-        (["run", "random", "--walk-seed", "-1"], "walk_seed: expected 0 to"),
+        (["run", "lawnmower", "--swath", "nan"], "--swath: expected 0.1 to 4, got nan"),
+        (["run", "random", "--walk-seed", "-1"], "--walk-seed: expected 0 to"),
         (["run", "--protocol", "pool-v1"], "reef/string is made for dream-v1"),
         (["bench", "paper", "--jobs", "0"], "--jobs: expected at least 1, got 0"),
         (["bench", "paper", "--max-steps", "0"], "--max-steps: expected 1 to 200"),
@@ -129,6 +171,7 @@ def test_bad_input_is_one_line_and_status_2(
     printed = capsys.readouterr()
     assert printed.out == ""
     assert complaint in printed.err
+    assert not re.search(r"[^.]\.\.\s", printed.err), "two full stops"
     assert len(printed.err.strip().splitlines()) == 1
 
 
@@ -195,13 +238,60 @@ def test_a_mission_that_breaks_off_keeps_its_steps_and_says_why(
     monkeypatch.setattr(Teleport, "go_to", burns)
     assert run_command(["run", "--json", "--world", "flat/empty", "--out", str(tmp_path)]) == 1
     printed = capsys.readouterr()
-    assert "the thruster burns" in printed.err
-    assert len(printed.err.strip().splitlines()) == 1
+    assert printed.err.splitlines()[-1].startswith("dream: aborted: the thruster burns; ")
     summary = json.loads(printed.out)
     assert summary["ended"] == "aborted"
     (folder,) = (path for path in tmp_path.iterdir() if path.is_dir() and not path.is_symlink())
     assert len((folder / "steps.jsonl").read_text().splitlines()) == summary["steps"] + 1
     assert (folder / "report.html").stat().st_size > 0
+
+
+def compiles(seconds: float = 0.0) -> None:
+    """As if numba had compiled for so long."""
+    with trigger_event(COMPILES):
+        time.sleep(seconds)
+
+
+def test_a_run_says_once_that_it_compiles(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    observe = Teleport.observe
+
+    def compiles_and_observes(self: Teleport) -> Observation:
+        compiles()
+        return observe(self)
+
+    fly = ["run", "--json", "--world", "flat/empty", "--max-steps", "2", "--out", str(tmp_path)]
+    assert run_command(fly) == 0  # Whatever it really compiles, it compiles here.
+    capsys.readouterr()
+    assert run_command(fly) == 0
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(Teleport, "observe", compiles_and_observes)
+    assert run_command(fly) == 0
+    printed = capsys.readouterr()
+    assert printed.err == "dream: compiling, which takes up to a minute; later runs find it done\n"
+    assert json.loads(printed.out)["steps"] == 2
+
+
+@pytest.mark.parametrize("planner", ["belief", "lawnmower"])
+def test_a_run_prints_how_it_ended_and_what_its_planner_said_last(
+    planner: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command(["run", planner, "--max-steps", "5", "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "\n  out of steps after 5 steps\n" in printed
+    last = read_steps(tmp_path / "latest")[-1].reasoning
+    assert f"\n  its last word: {last.completion if planner == 'belief' else last.action}\n" in printed
+    assert (planner == "belief") == ("To stop now would miss a group with a probability of" in printed)
+
+
+def test_a_run_prints_the_shares_that_its_steps_are_told_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # Where there is nothing to see, all of it is seen at the first look.
+    assert run_command(["run", "--world", "flat/empty", "--max-steps", "1", "--out", str(tmp_path)]) == 0
+    shares = "90 % at 0, 95 % at 0, 98.26 % at 0, 100 % at 0"
+    assert f"steps to a share of the instances: {shares}\n" in capsys.readouterr().out
 
 
 def test_oracle_prints_both_ends_as_one_json_object_and_draws_the_tour(
@@ -356,6 +446,62 @@ def test_an_interrupt_that_somebody_swallowed_is_not_lost() -> None:
         with pytest.raises(KeyboardInterrupt):
             check()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def interrupts(*_: object, **__: object) -> None:
+    """As Ctrl-C within a kernel does."""
+    with contextlib.suppress(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    raise SystemError("CPUDispatcher returned a result with an exception set")
+
+
+def test_what_fails_after_an_interrupt_was_interrupted() -> None:
+    with pytest.raises(KeyboardInterrupt), kept_interrupts():
+        interrupts()
+    with pytest.raises(SystemError), kept_interrupts():
+        raise SystemError("nobody interrupted this")
+
+
+def test_an_interrupt_within_a_kernel_ends_a_run_as_interrupted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Teleport, "go_to", interrupts)
+    assert run_command(["run", "--json", "--world", "flat/empty", "--out", str(tmp_path)]) == 1
+    printed = capsys.readouterr()
+    folder = tmp_path / (tmp_path / "latest").readlink()
+    assert printed.err.splitlines()[-1] == f"dream: aborted: interrupted; 0 steps are kept in {folder}"
+    assert json.loads(printed.out)["ended"] == "aborted"
+    assert [step.step for step in read_steps(folder)] == [0]
+
+
+def test_a_run_interrupted_before_it_can_fly_leaves_no_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dream.evaluation.metrics.Scorer", interrupts)
+    assert run_command(["run", "--world", "flat/empty", "--out", str(tmp_path)]) == 1
+    assert capsys.readouterr().err.splitlines()[-1] == "dream: interrupted"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("where", "steps"), [("dream.robots.Teleport.observe", 0), ("dream.report.write_report", 2)]
+)
+def test_a_run_interrupted_after_that_names_its_folder(
+    where: str,
+    steps: int,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def interrupt(*_: object) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(where, interrupt)
+    fly = ["run", "--world", "flat/empty", "--max-steps", "2", "--out", str(tmp_path)]
+    assert run_command(fly) == 1
+    folder = tmp_path / (tmp_path / "latest").readlink()
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last == f"dream: aborted: interrupted; {steps} steps are kept in {folder}"
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json as json_format
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -141,7 +142,7 @@ class _Scores:
         from rich.text import Text
 
         table = Table()
-        for heading in ("planner", "missions", "success", "t98", "collisions", "failed"):
+        for heading in ("planner", "missions", "success", "to 98.26 %", "collisions", "failed"):
             table.add_column(heading, justify="left" if heading == "planner" else "right")
         for name, score in self._of.items():
             table.add_row(
@@ -162,7 +163,8 @@ class _Scores:
 def kept_interrupts() -> Iterator[Callable[[], None]]:
     """A check to call between steps: it raises the KeyboardInterrupt that compiled code swallowed.
 
-    An interrupt that comes while a kernel is compiled, or in a callback from C, is printed and forgotten.
+    An interrupt that comes while a kernel is compiled, or in a callback from C, is printed and forgotten; one
+    that comes within a kernel may end as another error. Whatever fails after an interrupt was interrupted.
     """
     came = False
 
@@ -181,8 +183,21 @@ def kept_interrupts() -> Iterator[Callable[[], None]]:
     before = signal.signal(signal.SIGINT, note)
     try:
         yield check
+    except Exception:
+        check()
+        raise
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextlib.contextmanager
+def compiling_told() -> Iterator[None]:
+    """Say on standard error, once, where code is compiled within the block: that takes a while."""
+    from dream.compiling import when_compiling
+
+    told = "dream: compiling, which takes up to a minute; later runs find it done"
+    with when_compiling(lambda: print(told, file=sys.stderr)):
+        yield
 
 
 def print_json(record: Mapping[str, Any]) -> None:

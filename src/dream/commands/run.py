@@ -5,19 +5,22 @@ from __future__ import annotations
 import contextlib
 import datetime
 import time
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from dream.commands.console import kept_interrupts, open_world, print_json, with_progress
+from dream.commands.console import compiling_told, kept_interrupts, open_world, print_json, with_progress
 from dream.errors import MissionAborted
 from dream.planning import PLANNERS, AnyPlanner
 from dream.protocol import protocol_named
 
 if TYPE_CHECKING:
+    from dream.recording import RecordedStep
+    from dream.types import Step
+
     ChosenPlanner = AnyPlanner
 else:
     ChosenPlanner = tyro.extras.subcommand_type_from_defaults(PLANNERS, sort_subcommands=False)
@@ -54,53 +57,43 @@ class Run:
         if self.max_steps is not None and self.max_steps < 1:
             raise ValueError(f"--max-steps: expected at least 1, got {self.max_steps}")
         began = time.perf_counter()
-        world = open_world(self.world, self.seed)
-        protocol = protocol_named(self.protocol or world.protocol)
-        name = planner_name(self.planner)
-        steps = simulate(world, self.planner, protocol, start=self.start, max_steps=self.max_steps)
-        folder = recording.new_run_folder(
-            self.out, world.name, world.seed, name, datetime.datetime.now(datetime.UTC)
-        )
-        config = run_config(
-            world,
-            name,
-            self.planner,
-            protocol,
-            world_from=self.world,
-            start=self.start,
-            max_steps=self.max_steps,
-        )
-        recording.write_config(folder, config)
-
-        scorer = Scorer(world, protocol)
-        stopped: BaseException | None = None
-        with (
-            contextlib.closing(
-                recording.record(
-                    steps, folder, annotate=lambda step: {"coverage": scorer.add(step).as_dict()}
+        with compiling_told():
+            with kept_interrupts() as check:
+                world = open_world(self.world, self.seed)
+                protocol = protocol_named(self.protocol or world.protocol)
+                name = planner_name(self.planner)
+                steps = simulate(world, self.planner, protocol, start=self.start, max_steps=self.max_steps)
+                config = run_config(
+                    world,
+                    name,
+                    self.planner,
+                    protocol,
+                    world_from=self.world,
+                    start=self.start,
+                    max_steps=self.max_steps,
                 )
-            ) as recorded,
-            kept_interrupts() as check,
-        ):
-            try:
-                for _ in with_progress(
-                    recorded, f"{name} · {world.name} {world.seed}", self.max_steps or protocol.cap
-                ):
-                    check()
-            except KeyboardInterrupt as interrupt:
-                stopped = interrupt
-            except Exception as failure:  # noqa: BLE001 - whatever stopped it, what was flown is kept.
-                stopped = failure
+                scorer = Scorer(world, protocol)
+                check()
+            # Only now: what is interrupted before it can fly leaves no folder.
+            now = datetime.datetime.now(datetime.UTC)
+            folder = recording.new_run_folder(self.out, world.name, world.seed, name, now)
+            recording.write_config(folder, config)
+            recorded = recording.record(
+                steps, folder, annotate=lambda step: {"coverage": scorer.add(step).as_dict()}
+            )
+            stopped = _fly(recorded, f"{name} · {world.name} {world.seed}", self.max_steps or protocol.cap)
         summary = summarize(world, name, protocol, scorer, time.perf_counter() - began)
-        recording.write_summary(folder, summary)
-        page = write_report(folder)
+        try:
+            recording.write_summary(folder, summary)
+            page = write_report(folder)
+        except KeyboardInterrupt as interrupt:
+            raise _aborted(interrupt, summary, folder) from interrupt
         if self.json:
             print_json(summary)
         else:
-            _print_outcome(summary, page)
+            _print_outcome(summary, recording.read_steps(folder), page)
         if stopped is not None:
-            why = "interrupted" if isinstance(stopped, KeyboardInterrupt) else f"aborted: {stopped}"
-            raise MissionAborted(f"{why}; {summary['steps']} steps are kept in {folder}") from stopped
+            raise _aborted(stopped, summary, folder) from stopped
         return 0
 
 
@@ -109,16 +102,38 @@ def planner_name(planner: AnyPlanner) -> str:
     return next(name for name, default in PLANNERS.items() if type(default) is type(planner))
 
 
-def _print_outcome(summary: Mapping[str, Any], page: Path) -> None:
+def _fly(recorded: Generator[Step, None, None], title: str, total: int) -> BaseException | None:
+    """Fly a mission to its end; returns what stopped it before, since what was flown is kept then too."""
+    try:
+        with contextlib.closing(recorded), kept_interrupts() as check:
+            for _ in with_progress(recorded, title, total):
+                check()
+    except (KeyboardInterrupt, Exception) as stopped:  # noqa: BLE001 - whatever it was.
+        return stopped
+    return None
+
+
+def _aborted(why: BaseException, summary: Mapping[str, Any], folder: Path) -> MissionAborted:
+    what = "interrupted" if isinstance(why, KeyboardInterrupt) else str(why)
+    return MissionAborted(f"aborted: {what}; {summary['steps']} steps are kept in {folder}")
+
+
+def _print_outcome(summary: Mapping[str, Any], steps: Sequence[RecordedStep], page: Path) -> None:
+    from dream.evaluation.metrics import MILESTONES
+
     coverage = summary["coverage"]
-    ended = {"done": "done", "cap": "steps spent", "aborted": "interrupted"}[summary["ended"]]
+    ended = {"done": "done", "cap": "out of steps", "aborted": "aborted"}[summary["ended"]]
     times = ", ".join(
-        f"{name[1:]} % at {summary[name]}"
-        for name in ("t90", "t95", "t98", "t100")
-        if summary[name] is not None
+        f"{100 * share:g} % at {summary[mark]}"
+        for mark, share in MILESTONES.items()
+        if summary[mark] is not None
     )
     print(f"{summary['world']} {summary['seed']} · {summary['planner']} · {summary['protocol']}")
     print(f"  {ended} after {summary['steps']} steps" + (", a success" if summary["success"] else ""))
+    if steps:
+        # What it holds to be complete, and with which risk; some planners only say what they do.
+        reasoning = steps[-1].reasoning
+        print(f"  its last word: {reasoning.completion or reasoning.action}")
     print("  seen: " + ", ".join(f"{coverage[k]:.1%} of the {k}" for k in ("instances", "clusters", "area")))
     if times:
         print(f"  steps to a share of the instances: {times}")
