@@ -1,0 +1,42 @@
+"""The page of results can be made from what a clone holds, and the documentation has the one that is made."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from dream.cli import run_command
+from dream.sim.world import World
+
+ROOT = Path(__file__).parents[2]
+
+
+def blank(world: World, *, pixels: int) -> Image.Image:
+    """As large as the world's chart, whose drawing takes most of the time and needs no released file."""
+    return Image.new("RGB", (pixels, pixels), "white")
+
+
+@pytest.mark.slow
+def test_the_page_of_results_is_made_from_the_files_that_are_tracked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not (ROOT / ".git").exists():
+        pytest.skip("no git checkout, so that nothing says which files are tracked")
+    listing = subprocess.run(
+        ["git", "ls-files", "-z", "results"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    tracked = [name for name in listing.stdout.split("\0") if name]
+    for name in tracked:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
+    folders = [str(tmp_path / "results" / name) for name in ("test", "paper", "sweep")]
+    page = tmp_path / "docs/results.md"
+    monkeypatch.setattr("dream.sim.chart.chart", blank)
+    assert run_command(["results", *folders, "--out", str(page)]) == 0
+    assert page.read_text(encoding="utf-8") == (ROOT / "docs/results.md").read_text(encoding="utf-8")
+    made = {path.name for path in (tmp_path / "docs/results").iterdir()}
+    assert made == {path.name for path in (ROOT / "docs/results").iterdir()}
