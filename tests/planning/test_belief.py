@@ -6,8 +6,9 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -680,3 +681,11 @@ def test_it_keeps_as_clear_of_solids_as_it_says(flown: Flown) -> None:
         way = np.linspace([start.x, start.y], [end.x, end.y], 9)
         gap = np.maximum(np.abs(solids[None] - way[:, None]) - DREAM_V1.cell / 2.0, 0.0)
         assert np.hypot(gap[..., 0], gap[..., 1]).min() - DREAM_V1.body_radius >= float(match[1]) - 1e-6
+
+
+def test_its_page_has_every_option() -> None:
+    page = (Path(__file__).parents[2] / "docs/planner.md").read_text(encoding="utf-8")
+    table = set(
+        re.findall(r"`--([a-z-]+)`", page[page.index("| option |") : page.index("## 1 Distribution")])
+    )
+    assert table == {option.name.replace("_", "-") for option in fields(Belief)}
