@@ -273,6 +273,18 @@ def test_the_page_opens_at_the_last_step(finished: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("summarized", [True, False])
+def test_a_mission_that_did_not_end_is_called_aborted(summarized: bool, tmp_path: Path) -> None:
+    (folder := tmp_path / "run").mkdir()
+    recorded(folder, 9, kept=3)
+    if summarized:
+        write_summary(folder, {**SUMMARY, "ended": "aborted", "steps": 2, "t_stop": None, "success": False})
+    shown = browse(write_report(folder), None, tmp_path / "profile", "--dump-dom").stdout
+    assert re.search(r'id="badge"[^>]*>Aborted<', shown)
+    assert "It was aborted after " in shown
+
+
+@pytest.mark.slow
 def test_a_browser_runs_nothing_that_a_run_says(tmp_path: Path) -> None:
     folder = recorded(tmp_path, 2, said=HOSTILE)
     seen = browse(write_report(folder), 1, tmp_path / "profile", "--dump-dom")
