@@ -160,6 +160,8 @@ class Line:
     asking: Asking
     calls: int = 0
     usd: float = 0.0
+    unpriced: bool = False
+    """Something was asked whose price is not known."""
     _model: Model | None = None
     _native: bool = True
     _answered: bool = False
@@ -189,6 +191,7 @@ class Line:
         """Check what came, and count it."""
         self.calls += outcome.requests
         self.usd += outcome.cost_usd or 0.0
+        self.unpriced |= outcome.cost_usd is None
         reply, fallback = None, outcome.fallback
         if not fallback:
             try:
@@ -217,6 +220,8 @@ class Line:
             return f"all {asking.max_calls} calls are made"
         if asking.max_usd is not None and self.usd >= asking.max_usd:
             return f"all {asking.max_usd:g} USD are spent"
+        if asking.max_usd is not None and self.unpriced:
+            return f"the price of {asking.label} is not known; limit it with --max-calls"
         return ""
 
     # ------------------------------------------------------------------------------------- conversation
@@ -272,10 +277,9 @@ class Line:
         from pydantic_ai import Agent, NativeOutput, PromptedOutput
 
         assert self._model is not None
-        wanted = NativeOutput if self._native else PromptedOutput
-        return Agent(
-            self._model, output_type=wanted(question.reply), instructions=question.instructions, retries=1
-        )
+        reply = question.reply
+        wanted = NativeOutput(reply, strict=True) if self._native else PromptedOutput(reply)
+        return Agent(self._model, output_type=wanted, instructions=question.instructions, retries=1)
 
 
 def _status(error: Exception) -> int:
@@ -424,7 +428,7 @@ def _connect(model: str, name: str) -> Model:
 
     try:
         return infer_model(model, provider)
-    except (pydantic_ai.exceptions.UserError, TypeError) as error:
+    except (pydantic_ai.exceptions.UserError, TypeError, ValueError) as error:
         raise ValueError(f"model: expected one that can be asked, got {model}: {error}") from error
 
 

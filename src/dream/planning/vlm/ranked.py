@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -301,17 +300,20 @@ class RankedPilot:
                 bonus[numbers[number]] += (
                     self.planner.weight * reply.confidence / rank / len(self.asked.votes)
                 )
+        # Where it had one, the offline planner's own way is the first: it needs no advice to go there.
+        others = 0 if self.asked.to_end else 1
+        own = 0.0 if self.asked.to_end else bonus[0]
         standing = []
-        for k, place in enumerate(self.asked.places):
-            now = again(self.offline, thought, occupancy, place.pose)
+        for k in range(others, len(self.asked.places)):
+            now = again(self.offline, thought, occupancy, self.asked.places[k].pose)
             if now is not None and now[1] <= self._affordable():
-                standing.append((round(bonus[k] - now[1], 6), -k, place, now[1]))
-        own = 0.0 if thought.plan is not None else -math.inf
+                standing.append((round(bonus[k] - now[1], 6), -k, now[1]))
         if not standing or max(standing)[0] <= own:
             return
-        _, k, place, loss = max(standing)
+        _, behind, loss = max(standing)
+        place = self.asked.places[-behind]
         numbers, reply = heard[0]
-        number = next(n for n, index in numbers.items() if index == -k)
+        number = next(n for n, index in numbers.items() if index == -behind)
         self.spent += loss
         self.chosen = _Chosen(
             place.pose,

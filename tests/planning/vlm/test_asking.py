@@ -1,0 +1,291 @@
+from __future__ import annotations
+
+import gzip
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import BaseModel, ConfigDict, Field
+
+from dream.planning.vlm import asking
+from dream.planning.vlm.asking import Answer, Asking, Line, Question
+from tests.planning.vlm.servers import (
+    SECRET,
+    Respond,
+    Scripted,
+    after,
+    dropped,
+    error,
+    raw,
+    serving,
+    text,
+)
+
+
+class Number(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    why: str = Field(max_length=20)
+    number: int
+
+
+GOOD = text('{"why": "so", "number": 3}')
+WRONG = text('{"why": "so", "number": "many"}')
+
+
+def question(words: str = "How many?") -> Question[Number]:
+    return Question("test 1", "Count.", words, {"map": b"a picture", "camera": b"another"}, Number)
+
+
+def line(server: Scripted, **options: Any) -> Line:
+    return Asking(model=server.address, model_name="scripted", timeout=5.0, **options).line()
+
+
+def ask(on: Line, words: str = "How many?") -> Answer[Number]:
+    return on.ask(question(words)).answer()
+
+
+def test_a_reply_that_fits_is_the_answer_and_all_of_the_exchange_is_kept() -> None:
+    with serving(GOOD) as server:
+        answer = ask(line(server))
+    assert answer.reply == Number(why="so", number=3)
+    exchange = answer.exchange
+    assert (exchange.fallback, exchange.requests) == ("", 1)
+    assert (exchange.tokens_in, exchange.tokens_out, exchange.cost_usd) == (100, 10, None)
+    assert exchange.replies == ('{"why": "so", "number": 3}',)
+    assert "Count." in exchange.question
+    assert "[map]\n[camera]" in exchange.question
+    assert exchange.pictures == {"map": b"a picture", "camera": b"another"}
+    assert exchange.model == f"scripted at {server.address}"
+
+
+def test_the_server_gets_instructions_pictures_text_and_the_schema() -> None:
+    with serving(GOOD) as server:
+        ask(line(server))
+        (body,) = server.requests
+    assert body["model"] == "scripted"
+    assert body["response_format"]["json_schema"]["strict"]
+    assert body["response_format"]["json_schema"]["name"] == "Number"
+    system, user = body["messages"]
+    assert system["content"] == "Count."
+    kinds = [part["type"] for part in user["content"]]
+    assert kinds == ["text", "image_url", "text", "image_url", "text"]
+    assert user["content"][0]["text"] == "[map]"
+    assert user["content"][-1]["text"] == "How many?"
+
+
+def test_a_reply_that_does_not_fit_is_asked_again_once_with_what_is_wrong() -> None:
+    with serving(WRONG, GOOD) as server:
+        answer = ask(line(server))
+        again = json.dumps(server.requests[1]["messages"])
+    assert answer.reply == Number(why="so", number=3)
+    assert answer.exchange.requests == 2
+    assert len(answer.exchange.replies) == 2
+    assert answer.exchange.tokens_in == 200
+    assert "valid integer" in again
+
+
+@pytest.mark.parametrize(
+    ("respond", "reason", "requests"),
+    [
+        (WRONG, "invalid", 2),
+        (text("no JSON at all"), "invalid", 2),
+        (text('{"why": "' + 21 * "x" + '", "number": 3}'), "invalid", 2),
+        (text('{"why": "so", "number": 3, "thrust": 9}'), "invalid", 2),
+        (text('{"why": "so", "num'), "invalid", 2),
+        (text(None, refusal="I would rather not."), "refused", 1),
+        (text("", finish_reason="content_filter"), "refused", 1),
+        (error(429, retry_after="0"), "rate limit", 1),
+        (error(500, retry_after="0"), "server: HTTP 500", 1),
+        (raw(b"<html>not a reply</html>"), "server", 1),
+        (dropped, "connection", 1),
+        (raw(b'"' + 10_000_000 * b"x" + b'"'), "too large", 1),
+        (raw(gzip.compress(10_000_000 * b" "), content_encoding="gzip"), "too large", 1),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_what_is_no_answer_becomes_a_named_fallback(respond: Respond, reason: str, requests: int) -> None:
+    with serving(respond) as server:
+        answer = ask(line(server))
+    assert answer.reply is None
+    assert answer.exchange.fallback.startswith(reason)
+    assert answer.exchange.requests == requests
+    assert SECRET not in repr(answer.exchange)
+
+
+def test_a_busy_server_is_tried_again_a_few_times() -> None:
+    with serving(error(429, retry_after="0"), error(503, retry_after="0"), GOOD) as server:
+        answer = ask(line(server))
+    assert answer.reply is not None
+    assert len(server.requests) == asking.MOST_TRIES
+
+
+def test_a_slow_server_is_not_waited_for() -> None:
+    with serving(after(3.0, GOOD)) as server:
+        on = Asking(model=server.address, model_name="scripted", timeout=0.3).line()
+        answer = ask(on)
+    assert answer.exchange.fallback == "timeout: no answer within 0.3 s"
+    assert answer.exchange.seconds < 2.0
+
+
+def test_a_server_without_schemas_is_told_in_words() -> None:
+    with serving(error(400), GOOD) as server:
+        on = line(server)
+        assert ask(on).reply is not None
+        assert ask(on).reply is not None
+    formats = [body["response_format"]["type"] for body in server.requests]
+    assert formats == ["json_schema", "json_object", "json_object"]
+    assert '"number"' in json.dumps(server.requests[1]["messages"]).replace("\\", "")
+
+
+def test_a_model_that_cannot_be_asked_at_all_is_an_error_of_the_operator() -> None:
+    with serving(error(401), GOOD, error(401)) as server:
+        on = line(server)
+        with pytest.raises(ValueError, match=r"model: expected scripted at .* to answer, got HTTP 401"):
+            ask(on)
+        assert ask(on).reply is not None
+        assert ask(on).exchange.fallback == "server: HTTP 401"
+
+
+def test_only_the_key_for_such_servers_is_sent_to_an_address(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OPENAI_API_KEY", SECRET)
+    with serving(GOOD) as server:
+        ask(line(server))
+        monkeypatch.setenv(asking.KEY, "mine")
+        ask(line(server))
+    assert server.keys == ["Bearer none", "Bearer mine"]
+
+
+# ------------------------------------------------------------------------------------------------ limits
+
+
+def test_the_budget_of_calls_ends_the_asking() -> None:
+    with serving(GOOD) as server:
+        on = line(server, max_calls=2)
+        kinds = [ask(on).exchange.fallback for _ in range(4)]
+    assert kinds == ["", "", "budget: all 2 calls are made", "budget: all 2 calls are made"]
+    assert len(server.requests) == 2
+
+
+def test_the_budget_of_dollars_ends_the_asking(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(asking, "_cost", lambda response: 0.4)
+    with serving(GOOD) as server:
+        on = line(server, max_usd=1.0)
+        kinds = [ask(on).exchange.fallback for _ in range(4)]
+    assert kinds == ["", "", "", "budget: all 1 USD are spent"]
+    assert on.usd == pytest.approx(1.2)
+
+
+def test_a_budget_of_dollars_needs_a_price() -> None:
+    with serving(GOOD) as server:
+        on = line(server, max_usd=1.0)
+        ask(on)
+        assert "price of scripted at" in ask(on).exchange.fallback
+        assert len(server.requests) == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({}, "model: expected which model to ask"),
+        ({"model": "http://127.0.0.1:1/v1"}, "model_name: expected what"),
+        ({"model": "openai:gpt-5", "model_name": "x"}, "model_name: expected only beside an address"),
+        ({"model": "nonsense"}, "model: expected one that can be asked, got nonsense"),
+        ({"model": "nobody:nothing"}, "model: expected one that can be asked, got nobody:nothing"),
+        ({"timeout": 0.0}, "timeout: expected"),
+        ({"latency": -1.0}, "latency: expected"),
+        ({"max_calls": -1}, "max_calls: expected"),
+        ({"max_calls": 1.5}, "max_calls: expected a whole number"),
+        ({"max_usd": float("nan")}, "max_usd: expected"),
+        ({"record": 3}, "record: expected a folder"),
+    ],
+)
+def test_options_that_cannot_work_are_refused_by_name(
+    options: dict[str, Any], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(asking.OFFLINE, raising=False)
+    with pytest.raises(ValueError, match=message):
+        Asking(**options).line()
+
+
+@pytest.mark.parametrize(
+    "model", ["openai:gpt-5", "anthropic:claude-sonnet-4-6", "google:gemini-3.5-flash-lite"]
+)
+def test_a_known_model_without_its_key_says_which_is_missing(
+    model: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(asking.OFFLINE, raising=False)
+    for name in ("OPENAI_API_KEY", "ANTHROPIC_API_KEY", "GOOGLE_API_KEY", "GEMINI_API_KEY"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(ValueError, match="API_KEY"):
+        Asking(model=model).line()
+
+
+@pytest.mark.parametrize("model", ["openai:gpt-5", "http://192.0.2.1:8000/v1", "http://example.org/v1"])
+def test_offline_no_model_elsewhere_can_be_asked(model: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(asking.OFFLINE, "1")
+    monkeypatch.setenv("OPENAI_API_KEY", SECRET)
+    with pytest.raises(ValueError, match="expected one on this machine while DREAM_OFFLINE is set"):
+        Asking(model=model, model_name="x" if "//" in model else "").line()
+
+
+# ------------------------------------------------------------------------------------- kept and played again
+
+
+def test_kept_exchanges_answer_without_a_model(tmp_path: Path) -> None:
+    script = [GOOD, text('{"why": "then", "number": 4}'), WRONG, WRONG, error(500, retry_after="0")]
+    with serving(*script) as server:
+        on = line(server, record=str(tmp_path))
+        first = [ask(on), ask(on), ask(on), ask(on, "And now?")]
+        model = server.address
+    played = Asking(model=model, model_name="scripted", replay_replies=str(tmp_path)).line()
+    again = [ask(played), ask(played), ask(played), ask(played, "And now?")]
+    assert [a.reply for a in again] == [a.reply for a in first]
+    assert [a.reply.number if a.reply else None for a in again] == [3, 4, None, None]
+    for one, other in zip(first, again, strict=True):
+        for name in ("question", "replies", "fallback", "requests", "tokens_in", "seconds"):
+            assert getattr(one.exchange, name) == getattr(other.exchange, name)
+    pictures = sorted(path.read_bytes() for path in (tmp_path / "pictures").iterdir())
+    assert pictures == [b"a picture", b"another"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda q: Question(q.prompt, "Count well.", q.text, q.pictures, q.reply),
+        lambda q: Question(q.prompt, q.instructions, "How few?", q.pictures, q.reply),
+        lambda q: Question(q.prompt, q.instructions, q.text, {**q.pictures, "map": b"other"}, q.reply),
+        lambda q: Question(q.prompt, q.instructions, q.text, dict(reversed(q.pictures.items())), q.reply),
+    ],
+)
+def test_a_question_that_was_never_asked_has_no_kept_answer(
+    change: Callable[[Question[Number]], Question[Number]], tmp_path: Path
+) -> None:
+    with serving(GOOD) as server:
+        ask(line(server, record=str(tmp_path)))
+        on = Asking(model=server.address, model_name="scripted", replay_replies=str(tmp_path)).line()
+    with pytest.raises(FileNotFoundError, match="expected a kept reply to this question"):
+        on.ask(change(question()))
+
+
+def test_a_damaged_exchange_is_refused(tmp_path: Path) -> None:
+    with serving(GOOD) as server:
+        ask(line(server, record=str(tmp_path)))
+        on = Asking(model=server.address, model_name="scripted", replay_replies=str(tmp_path)).line()
+    (path,) = tmp_path.glob("*.json")
+    path.write_text(path.read_text().replace('"requests": 1', '"requests": -1'))
+    with pytest.raises(ValueError, match=r"\.json: expected a kept exchange"):
+        ask(on)
+
+
+def test_no_key_is_in_what_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(asking.KEY, SECRET)
+    with serving(GOOD, error(500, retry_after="0")) as server:
+        on = line(server, record=str(tmp_path))
+        ask(on)
+        ask(on, "Another?")
+        assert server.keys[0] == f"Bearer {SECRET}"
+    for path in tmp_path.rglob("*"):
+        assert path.is_dir() or SECRET.encode() not in path.read_bytes()
