@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 from hypothesis import settings
 
@@ -11,6 +13,9 @@ from dream.protocol import DREAM_V1
 from dream.sim.world import World
 from dream.sim.worlds import make_world
 from dream.types import Step
+
+# No test may ask a model that is not on this machine.
+os.environ["DREAM_OFFLINE"] = "1"
 
 # The first call of a kernel compiles it or reads it from disk, which no deadline should judge.
 settings.register_profile("dream", deadline=None, max_examples=50)

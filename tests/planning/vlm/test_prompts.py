@@ -1,0 +1,81 @@
+from __future__ import annotations
+
+import re
+from importlib import resources
+
+import pytest
+
+from dream.geometry import Bounds
+from dream.planning.vlm import prompts
+from dream.planning.vlm.reply import STEPS
+from dream.protocol import DREAM_V1, POOL_V1
+from dream.types import Mission, Target
+
+FILES = sorted(
+    path.name.removesuffix(".md")
+    for path in resources.files("dream").joinpath("planning", "prompts").iterdir()
+    if path.name.endswith(".md")
+)
+ARENA = Bounds(-20.0, -20.0, 20.0, 20.0)
+
+
+def filled(name: str, mission: Mission) -> tuple[str, str]:
+    return prompts.instructions(name, mission, pixels=20.0, grid=5.0, count="7")
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_every_prompt_has_a_version_and_a_text(name: str) -> None:
+    prompt = prompts.load(name)
+    assert re.fullmatch(rf"{name} \d+", prompt.label)
+    assert len(prompt.text) > 100
+
+
+@pytest.mark.parametrize("target", Target)
+@pytest.mark.parametrize("name", ["vanilla", "dream", "ranked"])
+def test_nothing_is_left_to_be_filled_in(name: str, target: Target) -> None:
+    text, label = filled(name, Mission(DREAM_V1, ARENA, 200, target))
+    assert "$" not in text
+    assert prompts.load(target.value).heads["mission"] in text
+    assert label.startswith(f"{name} ")
+
+
+def test_the_papers_ablation_has_neither_guidance_nor_steps_nor_knowledge() -> None:
+    mission = Mission(DREAM_V1, ARENA, 200, Target.OYSTERS)
+    vanilla, label = filled("vanilla", mission)
+    dream, _ = filled("dream", mission)
+    knowledge = prompts.load("oysters").text
+    assert knowledge in dream
+    assert knowledge not in vanilla
+    assert "oysters" not in label
+    for step in STEPS:
+        assert f"`{step}`" in dream
+        assert f"`{step}`" not in vanilla
+    for name in ("camera", "depth", "labels", "map"):
+        assert f"[{name}]" in vanilla
+        assert f"[{name}]" in dream
+
+
+def test_what_is_said_of_the_robot_is_what_the_protocol_says() -> None:
+    for protocol, reach, group in ((DREAM_V1, "8 m", "3 m"), (POOL_V1, "1.5 m", "0.6 m")):
+        text, _ = filled("dream", Mission(protocol, ARENA, 200))
+        assert f"out to {reach}" in text
+        assert f"at least {group} across" in text
+        assert "a metre is 20 pixels" in text
+        assert "5 m apart" in text
+
+
+def test_a_prompt_without_a_version_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(prompts.resources, "files", lambda _: _Files("title: none\n\nText."))
+    with pytest.raises(ValueError, match="prompt other: expected a first line such as version: 1"):
+        prompts.load("other")
+
+
+class _Files:
+    def __init__(self, text: str) -> None:
+        self.text = text
+
+    def joinpath(self, *_: str) -> _Files:
+        return self
+
+    def read_text(self, encoding: str) -> str:
+        return self.text

@@ -1,0 +1,126 @@
+"""Every reply becomes a decision of the protocol, or is refused."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from dream.planning.vlm.reply import MOST_WORDS, STEPS, dream_reply, ranked_reply, vanilla_reply
+from dream.protocol import DREAM_V1, POOL_V1, SurveyProtocol
+
+SIX = dict.fromkeys(STEPS, "Because.")
+AHEAD = {"direction": "forward", "turn_deg": 0, "step_m": 2, "done": False}
+
+
+@pytest.mark.parametrize("protocol", [DREAM_V1, POOL_V1], ids=lambda protocol: protocol.name)
+def test_every_action_of_the_protocol_can_be_said_and_nothing_else(protocol: SurveyProtocol) -> None:
+    Action = vanilla_reply(protocol)
+    said = set()
+    schema = Action.model_json_schema()["properties"]
+    for turn in schema["turn_deg"]["enum"]:
+        for step in schema["step_m"]["enum"]:
+            for direction in ("forward",) if turn == 0 else ("left", "right"):
+                fields = {"direction": direction, "turn_deg": turn, "step_m": step, "done": False}
+                decision = Action.model_validate_json(json.dumps(fields)).decision
+                said.add((round(math.remainder(decision.turn, 2.0 * math.pi), 6), decision.advance))
+    turns = {round(math.remainder(turn, 2.0 * math.pi), 6) for turn in protocol.turn_angles}
+    turns |= {-turn for turn in turns if abs(abs(turn) - math.pi) < 1e-5}
+    assert said == {(turn, advance) for turn in turns for advance in (0.0, *protocol.advances)}
+
+
+def test_left_is_left() -> None:
+    Action = vanilla_reply(DREAM_V1)
+    left = Action.model_validate({**AHEAD, "direction": "left", "turn_deg": 30}).decision
+    assert (left.turn, left.advance) == (pytest.approx(math.radians(30.0)), 2.0)
+    right = Action.model_validate({**AHEAD, "direction": "right", "turn_deg": 30}).decision
+    assert right.turn == pytest.approx(-math.radians(30.0))
+
+
+def test_done_stays_where_it_is() -> None:
+    decision = vanilla_reply(DREAM_V1).model_validate({**AHEAD, "done": True}).decision
+    assert decision.done
+    assert decision.stops
+
+
+def test_the_six_steps_come_before_the_action_and_into_the_decision() -> None:
+    Action = dream_reply(DREAM_V1)
+    assert tuple(Action.model_fields)[:6] == STEPS
+    decision = Action.model_validate({**SIX, **AHEAD, "safety": "Nothing near."}).decision
+    assert decision.reasoning.safety == "Nothing near."
+    assert decision.reasoning.distribution == "Because."
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"turn_deg": 45},
+        {"turn_deg": 30},
+        {"direction": "left"},
+        {"direction": "up"},
+        {"step_m": 1.5},
+        {"step_m": -1},
+        {"step_m": 1e300},
+        {"done": "perhaps"},
+        {"thrust": 1},
+        {"safety": "x" * (MOST_WORDS + 1)},
+        {"action": None},
+        {"turn_deg": None},
+    ],
+    ids=str,
+)
+def test_an_action_outside_the_protocol_is_refused(change: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        dream_reply(DREAM_V1).model_validate({**SIX, **AHEAD, **change})
+
+
+@pytest.mark.parametrize("text", ["NaN", "Infinity", "-Infinity", "1e999"])
+def test_numbers_that_are_none_are_refused(text: str) -> None:
+    reply = json.dumps(AHEAD).replace('"step_m": 2', f'"step_m": {text}')
+    with pytest.raises(ValidationError):
+        vanilla_reply(DREAM_V1).model_validate_json(reply)
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20),
+    lambda inside: st.lists(inside, max_size=4) | st.dictionaries(st.text(max_size=10), inside, max_size=4),
+    max_leaves=10,
+)
+
+
+@given(st.dictionaries(st.sampled_from([*STEPS, *AHEAD, "other"]), JSON), st.booleans())
+def test_whatever_is_said_it_is_an_action_of_the_protocol_or_refused(
+    fields: dict[str, Any], complete: bool
+) -> None:
+    given = {**SIX, **AHEAD, **fields} if complete else fields
+    try:
+        decision = dream_reply(DREAM_V1).model_validate_json(json.dumps(given)).decision
+    except ValidationError:
+        return
+    assert min(abs(math.remainder(decision.turn - t, 2 * math.pi)) for t in DREAM_V1.turn_angles) < 1e-9
+    assert decision.advance in (0.0, *DREAM_V1.advances)
+
+
+@given(st.sets(st.integers(1, 9), min_size=1), st.data())
+def test_a_ranking_names_each_place_once(numbers: set[int], data: st.DataObject) -> None:
+    Places = ranked_reply(sorted(numbers))
+    rest: dict[str, Any] = {**SIX, "confidence": 0.5, "mission_complete": False}
+    order = data.draw(st.permutations(sorted(numbers)))
+    assert Places.model_validate({**rest, "ranking": order}).ranking == list(order)
+    assert set(Places.model_json_schema()["properties"]["ranking"]["items"].get("enum", numbers)) == numbers
+    for wrong in (order[:-1], [*order, order[0]], [0, *order[1:]], [10, *order[1:]]):
+        with pytest.raises(ValidationError):
+            Places.model_validate({**rest, "ranking": wrong})
+
+
+@pytest.mark.parametrize("confidence", [-0.1, 1.1, float("nan"), "high"])
+def test_confidence_is_a_share(confidence: Any) -> None:
+    with pytest.raises(ValidationError):
+        ranked_reply([1, 2]).model_validate(
+            {**SIX, "ranking": [2, 1], "confidence": confidence, "mission_complete": False}
+        )
