@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
+from dream.planning.vlm.reply import STEPS
+
 Body = dict[str, Any]
 Respond = Callable[["Handler"], None]
 
@@ -32,6 +34,26 @@ def text(content: str | None, **message: Any) -> Respond:
         "usage": {"prompt_tokens": 100, "completion_tokens": 10, "total_tokens": 110},
     }
     return raw(json.dumps(completion).encode())
+
+
+def ranking(
+    order: Callable[[list[int]], list[int]] = sorted, *, confidence: float = 1.0, complete: bool = False
+) -> Respond:
+    """A ranking of the places that are asked for, in the order that a function makes of their numbers."""
+
+    def respond(handler: Handler) -> None:
+        schema = handler.body["response_format"]["json_schema"]["schema"]
+        kind = schema["properties"]["ranking"]["items"]
+        numbers = kind["enum"] if "enum" in kind else [kind["const"]]
+        reply = {
+            **dict.fromkeys(STEPS, "Because."),
+            "ranking": order(numbers),
+            "confidence": confidence,
+            "mission_complete": complete,
+        }
+        text(json.dumps(reply))(handler)
+
+    return respond
 
 
 def raw(content: bytes, status: int = 200, **headers: str) -> Respond:
@@ -78,10 +100,11 @@ SECRET = "sk-secret-0123456789"
 
 class Handler(BaseHTTPRequestHandler):
     server: Scripted
+    body: Body
     protocol_version = "HTTP/1.1"
 
     def do_POST(self) -> None:
-        body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+        self.body = body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
         with self.server.lock:
             self.server.requests.append(body)
             self.server.keys.append(self.headers.get("Authorization", ""))

@@ -65,7 +65,7 @@ def test_what_is_said_of_the_robot_is_what_the_protocol_says() -> None:
 
 
 def test_a_prompt_without_a_version_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(prompts.resources, "files", lambda _: _Files("title: none\n\nText."))
+    monkeypatch.setattr(resources, "files", lambda _: _Files("title: none\n\nText."))
     with pytest.raises(ValueError, match="prompt other: expected a first line such as version: 1"):
         prompts.load("other")
 

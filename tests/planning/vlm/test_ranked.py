@@ -1,0 +1,279 @@
+"""A model ranks safe places: what it is asked, when, and how far its word goes."""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dream.control import guard
+from dream.evaluation.runner import simulate
+from dream.geometry import SE2, Bounds, wrap_angle
+from dream.mapping import OccupancyMap
+from dream.mapping.drawing import MARK
+from dream.planning import Belief
+from dream.planning.vlm import Ranked
+from dream.planning.vlm.places import APART, MOST, Place, again, places
+from dream.planning.vlm.ranked import RankedPilot
+from dream.protocol import DREAM_V1
+from dream.robots.teleport import SPEED, TURN_RATE
+from dream.sim.world import World
+from dream.types import LOOK_AROUND, Decision, Exchange, Mission, Observation, Step
+from tests.planning.vlm.servers import Respond, error, ranking, serving
+from tests.sim.arenas import arena
+
+LATENCY = 12.0
+
+
+@dataclass
+class Watched:
+    """`Ranked`, and what its pilot held after each decision."""
+
+    planner: Ranked
+    pilot: RankedPilot | None = None
+    spent: list[float] = field(default_factory=list)
+    flown: list[int] = field(default_factory=list)
+
+    def begin(self, mission: Mission) -> Watched:
+        self.pilot = self.planner.begin(mission)
+        return self
+
+    def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
+        assert self.pilot is not None
+        decision = self.pilot.decide(observation, occupancy)
+        self.spent.append(self.pilot.spent)
+        return decision
+
+
+@dataclass(frozen=True)
+class Flight:
+    """The steps after the look-around, and what was asked."""
+
+    steps: list[Step]
+    bodies: list[dict[str, Any]]
+    spent: list[float]
+
+    @property
+    def exchanges(self) -> list[Exchange]:
+        return [exchange for step in self.steps for exchange in step.decision.exchanges]
+
+
+def fly(respond: Respond, world: World, steps: int, **options: Any) -> Flight:
+    with serving(respond) as server:
+        watched = Watched(Ranked(model=server.address, model_name="scripted", timeout=5.0, **options))
+        flown = list(simulate(world, watched, DREAM_V1, max_steps=LOOK_AROUND + steps))
+    return Flight(flown[1 + LOOK_AROUND :], server.requests, watched.spent)
+
+
+def alone(world: World, steps: int) -> list[Step]:
+    """The same steps of the offline planner."""
+    return list(simulate(world, Belief(), DREAM_V1, max_steps=LOOK_AROUND + steps))[1 + LOOK_AROUND :]
+
+
+def moves(steps: list[Step]) -> list[tuple[float, float]]:
+    return [(step.decision.turn, step.decision.advance) for step in steps]
+
+
+@pytest.fixture(scope="module")
+def looked_around(string_reef: World) -> tuple[Observation, OccupancyMap]:
+    *_, last = simulate(string_reef, Belief(), DREAM_V1, max_steps=16)
+    return last.observation, last.occupancy
+
+
+@pytest.fixture(scope="module")
+def listed(looked_around: tuple[Observation, OccupancyMap]) -> tuple[list[Place], Any, Any]:
+    observation, occupancy = looked_around
+    pilot = Belief().begin(Mission(DREAM_V1, occupancy.bounds, 200))
+    thought = pilot.consider(observation, occupancy)
+    return places(pilot, thought, occupancy), pilot, thought
+
+
+# ------------------------------------------------------------------------------------------------- places
+
+
+def test_the_first_place_is_where_the_offline_planner_would_go(listed: tuple[list[Place], Any, Any]) -> None:
+    found, _, thought = listed
+    assert 2 <= len(found) <= MOST
+    assert found[0].plan.path == thought.plan.path
+    assert found[0].loss == 0.0
+    assert all(place.loss >= 0.0 for place in found)
+
+
+def test_every_move_to_every_place_is_one_that_the_guard_lets_pass(
+    listed: tuple[list[Place], Any, Any], looked_around: tuple[Observation, OccupancyMap]
+) -> None:
+    found, _, thought = listed
+    _, occupancy = looked_around
+    for place in found[1:]:
+        for before, after in pairwise(place.plan.path):
+            turn, advance = thought.travel.move(before, after)
+            pose = DREAM_V1.snap(_pose(thought, before))
+            assert not guard(Decision(turn, advance), pose, occupancy, DREAM_V1).note
+
+
+def _pose(thought: Any, node: tuple[int, int, int]) -> SE2:
+    x, y = thought.travel.position(node[0], node[1])
+    return SE2(float(x), float(y), wrap_angle(node[2] * DREAM_V1.heading_step))
+
+
+def test_places_stand_apart(listed: tuple[list[Place], Any, Any]) -> None:
+    found, _, _ = listed
+    ends = np.array([place.path[-1] for place in found])
+    gaps = np.hypot(*(ends[:, None] - ends[None, :]).transpose(2, 0, 1)) + 99.0 * np.eye(len(ends))
+    assert gaps.min() >= APART * DREAM_V1.reach
+    for place in found[1:]:
+        assert np.hypot(*(found[0].path - place.path[-1]).T).min() >= APART * DREAM_V1.reach
+
+
+def test_a_place_is_worth_the_same_when_it_is_asked_for_again(
+    listed: tuple[list[Place], Any, Any], looked_around: tuple[Observation, OccupancyMap]
+) -> None:
+    found, pilot, thought = listed
+    _, occupancy = looked_around
+    for place in found[1:]:
+        now = again(pilot, thought, occupancy, place.pose)
+        assert now is not None
+        assert now[0].path == place.plan.path
+        assert now[1] == pytest.approx(place.loss)
+    assert again(pilot, thought, occupancy, thought.travel.start) is None
+
+
+# ----------------------------------------------------------------------------------------------- question
+
+
+def last_first(numbers: list[int]) -> list[int]:
+    return sorted(numbers, reverse=True)
+
+
+@pytest.fixture(scope="module")
+def led(string_reef: World) -> Flight:
+    """Asked often, answered at once, and followed."""
+    return fly(ranking(last_first), string_reef, 30, margin=20.0, weight=50.0, allowance=10.0, latency=0.0)
+
+
+def test_schema_table_and_picture_have_the_same_places(led: Flight) -> None:
+    assert len(led.exchanges) >= 3
+    for body, exchange in zip(led.bodies, led.exchanges, strict=True):
+        schema = body["response_format"]["json_schema"]["schema"]
+        numbers = schema["properties"]["ranking"]["items"]["enum"]
+        assert sorted(numbers) == list(range(1, len(numbers) + 1))
+        table = re.findall(r"^\| (\d+) \|", exchange.question, re.MULTILINE)
+        assert [int(number) for number in table] == sorted(numbers)
+        assert f"worked out {len(numbers)} places" in exchange.question
+        picture = np.asarray(Image.open(io.BytesIO(exchange.pictures["map"])))
+        assert _discs(picture) == len(numbers)
+
+
+def _discs(picture: np.ndarray[Any, Any]) -> int:
+    """Patches of the marks' colour as large as a disc."""
+    from scipy.ndimage import binary_opening, label
+
+    solid = binary_opening((picture == MARK).all(axis=2), np.ones((3, 3), np.bool_))
+    parts, _ = label(solid, np.ones((3, 3)))
+    near = [np.argwhere(parts == k).mean(axis=0) for k in range(1, parts.max() + 1)]
+    groups: list[Any] = []
+    for center in near:
+        if all(np.hypot(*(center - other)) > 14.0 for other in groups):
+            groups.append(center)
+    return len(groups)
+
+
+def test_numbers_change_from_question_to_question(led: Flight) -> None:
+    # The offline planner's own place is the one with the longest way: a whole plan, not a single view.
+    own = []
+    for exchange in led.exchanges:
+        rows = re.findall(r"^\| (\d+) \| \(.*?\) \| (\d+) \|", exchange.question, re.MULTILINE)
+        own.append(max(rows, key=lambda row: int(row[1]))[0])
+    assert len(set(own)) > 1
+
+
+# -------------------------------------------------------------------------------------------------- choice
+
+
+def test_a_choice_is_followed_and_said(led: Flight, string_reef: World) -> None:
+    followed = [step for step in led.steps if "The model ranked place" in step.decision.reasoning.next_target]
+    assert followed
+    assert led.spent[-1] > 0.0
+    assert moves(led.steps) != moves(alone(string_reef, 30))
+    assert not any(step.guarded.note or step.arrival.collided for step in led.steps)
+
+
+def test_what_the_choices_cost_stays_within_the_allowance(string_reef: World) -> None:
+    allowance = 0.2
+    flight = fly(ranking(last_first), string_reef, 30, weight=50.0, allowance=allowance, latency=0.0)
+    assert flight.spent[-1] > 0.0
+    for k, spent in enumerate(flight.spent):
+        assert spent <= allowance * (LOOK_AROUND + k) + 1.0 + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("respond", "options"),
+    [
+        (error(418), {}),
+        (ranking(last_first, confidence=0.0), {}),
+        (ranking(last_first), {"margin": 0.0}),
+        # Always the lowest number, under other numbers each time, is another place each time.
+        (ranking(), {"votes": 5}),
+    ],
+    ids=["no answer", "no confidence", "no margin", "no agreement"],
+)
+def test_otherwise_it_flies_as_the_offline_planner_does(
+    respond: Respond, options: dict[str, Any], string_reef: World
+) -> None:
+    asked = {"margin": 20.0, "weight": 50.0, "latency": 0.0, **options}
+    flight = fly(respond, string_reef, 8, **asked)
+    assert moves(flight.steps) == moves(alone(string_reef, 8))
+    assert flight.spent[-1] == 0.0
+    assert bool(flight.exchanges) == (options.get("margin") != 0.0)
+
+
+def test_the_vehicle_does_not_wait_and_the_answer_counts_when_it_is_due(string_reef: World) -> None:
+    steps = fly(ranking(last_first), string_reef, 12, margin=20.0, weight=50.0).steps
+    assert all(step.decision.waited == 0.0 for step in steps)
+    heard = next(k for k, step in enumerate(steps) if step.decision.exchanges)
+    assert heard > 1
+    # It was asked before the first of these moves; the answer counts from the first decision after it is due.
+    clock = [step.observation.time for step in steps]
+    first = 2.0 / SPEED + math.pi / TURN_RATE
+    assert clock[heard - 1] - clock[0] + first >= LATENCY
+    assert clock[heard - 2] - clock[0] < LATENCY
+    assert moves(steps[:heard]) == moves(alone(string_reef, heard))
+
+
+def test_it_can_be_told_to_wait_as_the_papers_vehicle_does(string_reef: World) -> None:
+    steps = fly(ranking(), string_reef, 4, margin=20.0, wait=True).steps
+    waited = [step.decision.waited for step in steps if step.decision.exchanges]
+    assert steps[0].decision.exchanges
+    assert all(seconds == pytest.approx(LATENCY) for seconds in waited)
+
+
+def test_the_end_needs_the_model_too_but_it_cannot_put_it_off_for_long() -> None:
+    small = replace(arena(), bounds=Bounds(-8.0, -8.0, 8.0, 8.0))
+    agreeing = fly(ranking(complete=True), small, 60, latency=0.0)
+    doubting = fly(ranking(complete=False), small, 60, latency=0.0)
+    belief = alone(small, 60)
+    assert [flight.steps[-1].ended for flight in (agreeing, doubting)] == ["done", "done"]
+    assert len(belief) <= len(agreeing.steps) <= len(doubting.steps) <= 1.5 * len(belief) + 5
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("margin", -1.0),
+        ("weight", float("nan")),
+        ("allowance", -0.1),
+        ("votes", 0),
+        ("votes", 1.5),
+        ("wait", 2),
+    ],
+)
+def test_parameters_are_refused_by_name(name: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=f"{name}: expected"):
+        Ranked(**{name: value})
