@@ -13,7 +13,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dream.geometry import SE2, Bounds
-from dream.mapping import Completion, OccupancyMap, check_completion, hiding_places, reachable, view
+from dream.mapping import (
+    Completion,
+    OccupancyMap,
+    check_completion,
+    could_hide,
+    free_moves,
+    hiding_places,
+    reachable,
+    that_would_show,
+    view,
+)
 from dream.mapping._kernels.flags import BARE, CROSSED, EXPLORED, FRONTIER, INFLATED, RETURNED
 from dream.protocol import DREAM_V1, POOL_V1, SurveyProtocol
 from dream.types import BoolArray
@@ -173,6 +183,42 @@ def test_the_reachable_positions_are_those_to_which_passable_moves_lead(
     assert found[:, ::-1].tolist() == [list(position) for position in expected]
 
 
+@given(
+    seed=st.integers(0, 2**31),
+    protocol=st.sampled_from((DREAM_V1, POOL_V1)),
+    corner=st.sampled_from((None, (-1.55, -2.35), (0.3, -1.15))),
+)
+@settings(max_examples=8)
+def test_the_free_moves_are_those_that_are_passable_after_any_change(
+    seed: int, protocol: SurveyProtocol, corner: tuple[float, float] | None
+) -> None:
+    rng = np.random.default_rng(seed)
+    side, cell, lattice = 64, protocol.cell, protocol.lattice
+    west, south = corner or (-50 * cell, -40 * cell)
+    kept = Kept(Bounds(west, south, west + side * cell, south + side * cell) if corner else None, protocol)
+    low = (0, 0) if corner else (-40, -50)
+    kept.fill("flags", *low, (side, side), BARE_GROUND)
+    pose = SE2(west + 0.5 * side * cell, south + 0.5 * side * cell, 0.0)
+    first = round(south / lattice) - 2, round(west / lattice) - 3
+    shape = round(side * cell / lattice) + 5, round(side * cell / lattice) + 7
+    offsets = np.array([[protocol.offset(h, a) for a in protocol.advances] for h in range(protocol.headings)])
+    row, col = np.indices(shape)
+    begin = np.broadcast_to(
+        np.stack((col + first[1], row + first[0]), axis=-1)[:, :, None, None], (*shape, *offsets.shape)
+    )
+    seen = set()
+    for _ in range(3):
+        kept.write("log_odds", *low, np.where(rng.random((side, side)) < 0.004, SOLID, FREE))
+        starts, ends = ((k * lattice).reshape(-1, 2) for k in (begin, begin + offsets))
+        inside = kept.map.contains(*starts.T)
+        stands = np.zeros(len(starts), np.bool_)
+        stands[inside] = kept.map.standable[kept.map.cell_of(*starts[inside].T)]
+        expected = (kept.map.passable(starts, ends) & stands).reshape(begin.shape[:-1])
+        np.testing.assert_array_equal(free_moves(kept.map, pose, first, shape), expected)
+        seen |= set(np.unique(expected))
+    assert seen == {False, True}
+
+
 def test_from_outside_the_bounds_nothing_is_reachable() -> None:
     assert reachable(empty_map(), SE2(50.0, 0.0, 0.0)).shape == (0, 2)
 
@@ -182,6 +228,21 @@ def test_a_group_can_hide_only_in_a_disc_without_an_explored_cell() -> None:
     places = hiding_places(map_with(explored=~unknown), HERE, 1.5)
     assert places[disc(5.0, 5.0, 0.3)].all()
     assert not places[~disc(5.0, 5.0, 0.8)].any()
+
+
+@given(seed=st.integers(0, 1000))
+@settings(max_examples=8)
+def test_each_place_would_show_whatever_other_places_are_asked_about(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    behind = disc(6.0, 6.0, 3.0) & ~disc(6.0, 6.0, 2.0)
+    explored = (rng.random(behind.shape) < 0.01) | disc(0.0, 0.0, 5.0)
+    occupancy = map_with(explored=explored | behind, solid=behind)
+    all_of_them, some = hiding_places(occupancy, HERE, 1.0), rng.random(explored.shape) < 0.1
+    some &= could_hide(occupancy, 1.0, occupancy.observed)
+    np.testing.assert_array_equal(that_would_show(occupancy, HERE, 1.0, some), all_of_them & some)
+    assert (some & all_of_them).any()
+    assert (some & ~all_of_them).any()
+    assert not that_would_show(occupancy, HERE, 1.0, np.zeros_like(some)).any()
 
 
 def test_where_nothing_is_explored_every_disc_in_bounds_that_shows_is_a_hiding_place() -> None:

@@ -12,7 +12,8 @@ import pytest
 from dream.control import guard, setpoint
 from dream.geometry import SE2, Bounds
 from dream.mapping import OccupancyMap
-from dream.planning.travel import Travel, travel_from
+from dream.planning._kernels.search import keep_to, search
+from dream.planning.travel import Travel, offsets_of, travel_from
 from dream.protocol import DREAM_V1
 from dream.types import Decision
 
@@ -62,6 +63,44 @@ def test_steps_equal_a_slow_search_through_the_guard(occupancy: OccupancyMap, tr
         fast[pose] = int(travel.steps[row, col, heading])
     assert fast == slow
     assert max(slow.values()) >= 3
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_every_pose_is_reached_from_the_first_that_leads_there(seed: int) -> None:
+    """The queue by hand, over moves at random."""
+    generator = np.random.default_rng(seed)
+    rows, cols, headings, start = 7, 9, DREAM_V1.headings, (3, 4, 2)
+    offsets = offsets_of(DREAM_V1)
+    edges = generator.random((rows, cols, *offsets.shape[:2])) < 0.15
+    good = generator.random((rows, cols)) < 0.8
+    good[start[:2]] = seed % 2
+    free = edges.astype(np.uint8)
+    keep_to(free, offsets, good, *start[:2])
+    steps, parent = search(free, offsets, np.array(DREAM_V1.turns), *start)
+    came: dict[tuple[int, int, int], tuple[int, int, int] | None] = {start: None}
+    queue = deque([start])
+    while queue:
+        row, col, heading = here = queue.popleft()
+        for turn in DREAM_V1.turns:
+            to = (heading + turn) % headings
+            ends = [(row, col, to)]
+            for (east, north), is_free in zip(offsets[to], edges[row, col, to], strict=True):
+                end = row + int(north), col + int(east), to
+                inside = 0 <= end[0] < rows and 0 <= end[1] < cols
+                leaves = good[row, col] or (row, col) == start[:2]
+                if is_free and leaves and inside and good[end[:2]]:
+                    ends.append(end)
+            for end in ends:
+                if end not in came:
+                    came[end] = here
+                    queue.append(end)
+    assert len(came) > 100
+    for pose in np.ndindex(rows, cols, headings):
+        before = came.get(pose)
+        expected = -1 if before is None else int(np.ravel_multi_index(before, parent.shape))
+        assert parent[pose] == expected
+        assert (steps[pose] >= 0) == (pose in came)
+        assert before is None or steps[pose] == steps[before] + 1
 
 
 def test_following_a_path_by_its_moves_ends_where_it_says(travel: Travel) -> None:

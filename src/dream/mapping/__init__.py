@@ -5,8 +5,10 @@ from dream.mapping.completion import (
     Region,
     check_completion,
     could_hide,
+    free_moves,
     hiding_places,
     reachable,
+    that_would_show,
 )
 from dream.mapping.drawing import draw_map
 from dream.mapping.frontiers import Frontier, frontiers
@@ -27,10 +29,12 @@ __all__ = [
     "check_completion",
     "could_hide",
     "draw_map",
+    "free_moves",
     "frontiers",
     "gain",
     "hiding_places",
     "reachable",
+    "that_would_show",
     "view",
     "visible_weight",
     "within",

@@ -85,14 +85,21 @@ def hiding_places(occupancy: OccupancyMap, pose: SE2, radius: float) -> BoolArra
     """
     if not radius > 0.0:
         raise ValueError(f"radius: expected a positive length in metres, got {radius}")
+    return that_would_show(occupancy, pose, radius, could_hide(occupancy, radius, occupancy.observed))
+
+
+def that_would_show(occupancy: OccupancyMap, pose: SE2, radius: float, places: BoolArray) -> BoolArray:
+    """Those of the places around which a reachable pose could see a cell that is not observed.
+
+    Args:
+        occupancy: What is known.
+        pose: Where the vehicle is.
+        radius: Of what is around; metres.
+        places: (rows, cols). What it costs depends on how many there are.
+    """
     cell = occupancy.protocol.cell
-    places = could_hide(occupancy, radius, occupancy.observed)
-    if not places.any():
-        return places
     unobserved = np.argwhere(within(places, radius, cell) & ~occupancy.observed)
     seen = occupancy.progress.seeable(pose, _window(occupancy), unobserved)
-    if not len(seen):
-        return np.zeros(occupancy.shape, np.bool_)
     could_be_seen = np.zeros(occupancy.shape, np.bool_)
     could_be_seen[tuple(seen.T)] = True
     return places & within(could_be_seen, radius, cell)
@@ -127,6 +134,24 @@ def reachable(occupancy: OccupancyMap, pose: SE2) -> Float64Array:
         (P, 2) metres in the world, the snapped position among them; empty where that is out of bounds.
     """
     return occupancy.progress.reachable(pose, _window(occupancy))
+
+
+def free_moves(
+    occupancy: OccupancyMap, pose: SE2, corner: tuple[int, int], shape: tuple[int, int]
+) -> npt.NDArray[np.uint8]:
+    """Which of the protocol's advances are `passable` from the nodes of a part of the lattice.
+
+    Args:
+        occupancy: What is known.
+        pose: Where the vehicle is.
+        corner: Row and column of the first node, which lies at y = row · lattice, x = column · lattice.
+        shape: Rows and columns of nodes.
+
+    Returns:
+        (rows, cols, headings, advances) 1 or 0; 0 from nodes where the vehicle cannot stand.
+    """
+    nodes = (*corner, corner[0] + shape[0], corner[1] + shape[1])
+    return occupancy.progress.free_moves(pose, _window(occupancy), nodes)
 
 
 def _window(occupancy: OccupancyMap) -> tuple[int, int, int, int]:

@@ -67,6 +67,17 @@ class Lattice:
         self._opposite: IntArray = np.array(
             [moves.index((-a, -b)) if (-a, -b) in moves else -1 for a, b in moves], np.int64
         )
+        self._bit_of: IntArray = np.array(
+            [
+                [
+                    moves.index(move) if (move := protocol.offset(heading, advance)) in moves else len(moves)
+                    for advance in protocol.advances
+                ]
+                for heading in range(protocol.headings)
+            ],
+            np.int64,
+        )
+        """(headings, advances) the bit of each advance; to stay is free wherever the vehicle can stand."""
         self._stride = int(np.abs(self._moves).max(initial=1))
         if self._stride > NODES:
             raise ValueError(f"advances: expected at most {NODES} steps of the lattice, got {self._stride}")
@@ -174,6 +185,17 @@ class Lattice:
         self._stale, self._window = set(), window
         self._offsets, self._marks, self._extras = offsets, marks, extras
         return changed
+
+    def free(self, nodes: Rectangle) -> npt.NDArray[np.uint8]:
+        """(rows, cols, headings, advances) 1 where an advance from a node of a rectangle is free, else 0."""
+        from dream.mapping._kernels import progress
+
+        first, shape = blocks_of(nodes, NODES)
+        table = self._blocks.table(first, shape)
+        free: npt.NDArray[np.uint8] = progress.free_moves(
+            self._blocks.pools["free"], table, first, nodes, self._bit_of
+        )
+        return free
 
     def positions(self) -> Float64Array:
         """(n, 2) world x and y of the nodes that were reached, by row, then column."""

@@ -17,7 +17,7 @@ def within(cells: BoolArray, distance: float, cell: float) -> BoolArray:
         distance: Metres.
         cell: Side of a cell, metres.
     """
-    from scipy.ndimage import distance_transform_edt
+    from dream.mapping._kernels import nearness
 
     near = np.zeros(cells.shape, np.bool_)
     rows, cols = (np.flatnonzero(cells.any(axis=axis)) for axis in (1, 0))
@@ -26,5 +26,7 @@ def within(cells: BoolArray, distance: float, cell: float) -> BoolArray:
     # Of a large map only what could be near is looked at.
     margin = math.ceil(distance / cell)
     window = tuple(slice(max(k[0] - margin, 0), k[-1] + margin + 1) for k in (rows, cols))
-    near[window] = distance_transform_edt(~cells[window], cell) <= distance
+    steps = np.square(np.arange(min(margin, max(cells.shape)) + 1) * cell)
+    wide = (np.sqrt(steps[:, None] + steps) <= distance).sum(axis=1) - 1
+    near[window] = nearness.within(cells[window], wide[wide >= 0])
     return near

@@ -91,6 +91,11 @@ class Progress:
         self._renew(pose, window)
         return self._lattice.positions()
 
+    def free_moves(self, pose: SE2, window: Rectangle, nodes: Rectangle) -> npt.NDArray[np.uint8]:
+        """See `dream.mapping.free_moves`; `nodes` are first and past, rows and columns."""
+        self._renew(pose, window)
+        return self._lattice.free(nodes)
+
     def seeable(self, pose: SE2, window: Rectangle, cells: IntArray) -> IntArray:
         """Those of the window's cells (n, 2) that an observation from a reachable pose would explore."""
         self._renew(pose, window)

@@ -24,6 +24,7 @@ from dream.mapping._rectangles import (
 )
 from dream.mapping.completion import MARGIN_CELLS, Completion, Region, describe
 from dream.mapping.layers import BLOCK
+from dream.mapping.nearness import within
 from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, IntArray
 
@@ -258,7 +259,7 @@ def _outlined(group: _Group, window: Window) -> dict[Key, IntArray]:
     row, col, past_row, past_col = shared(_around(group.box), window.cells)
     mask = np.zeros((past_row - row, past_col - col), np.bool_)
     mask[tuple((group.cells - (row, col)).T)] = True
-    inside = progress.filled(progress.within(mask, MARGIN_CELLS**2))
+    inside = progress.filled(within(mask, MARGIN_CELLS, 1.0))
     cells: IntArray = np.argwhere(inside)
     cells += (row, col)
     return dict(by_block(cells, BLOCK))

@@ -126,7 +126,7 @@ def travel_from(pose: SE2, occupancy: OccupancyMap, *, standoff: float = 0.0) ->
         raise ValueError(f"pose: expected a position inside {bounds}, got ({pose.x}, {pose.y})")
     turns = np.array(protocol.turns, dtype=np.int64)
     allowed = occupancy.standable & (occupancy.distance_to_solid >= standoff)
-    edges = _free_moves(occupancy, allowed, offsets, (rows, cols), (west, south), (row, col))
+    edges = _free_moves(pose, occupancy, allowed, offsets, (rows, cols), (south, west), (row, col))
     steps, parent = search(edges, offsets, turns, row, col, protocol.heading_index(pose.yaw))
     return Travel(protocol, west, south, steps, parent, edges)
 
@@ -142,6 +142,7 @@ def careful_travel(pose: SE2, occupancy: OccupancyMap) -> Travel:
 
 
 def _free_moves(
+    pose: SE2,
     occupancy: OccupancyMap,
     allowed: npt.NDArray[np.bool_],
     offsets: IntArray,
@@ -150,27 +151,22 @@ def _free_moves(
     start: tuple[int, int],
 ) -> npt.NDArray[np.uint8]:
     """(rows, cols, headings, advances): is the whole move free, and its end allowed?"""
-    rows, cols = shape
-    spacing = occupancy.protocol.lattice
-    r, c = np.mgrid[0:rows, 0:cols]
-    x, y = (c + corner[0]) * spacing, (r + corner[1]) * spacing
-    good = np.zeros(shape, dtype=np.bool_)
-    inside = occupancy.contains(x, y)
-    good[inside] = allowed[occupancy.cell_of(x[inside], y[inside])]
-    # The vehicle may leave where it is, even where it could not go to now.
-    leave = good.copy()
-    leave[start] = True
+    from dream.mapping import free_moves
+    from dream.planning._kernels.search import keep_to
 
-    r, c = np.nonzero(leave)
-    end_r = r[:, None, None] + offsets[None, :, :, 1]
-    end_c = c[:, None, None] + offsets[None, :, :, 0]
-    ends_well = (end_r >= 0) & (end_r < rows) & (end_c >= 0) & (end_c < cols)
-    ends_well[ends_well] = good[end_r[ends_well], end_c[ends_well]]
-    node, heading, advance = np.nonzero(ends_well)
-    begin = x[r[node], c[node]], y[r[node], c[node]]
-    end = x[end_r[ends_well], end_c[ends_well]], y[end_r[ends_well], end_c[ends_well]]
-    free = np.zeros((rows, cols, *offsets.shape[:2]), dtype=np.uint8)
-    free[r[node], c[node], heading, advance] = occupancy.passable(np.stack(begin, -1), np.stack(end, -1))
+    spacing = occupancy.protocol.lattice
+    free = free_moves(occupancy, pose, corner, shape)
+    # The vehicle may leave where it is, even where it could not go to now.
+    ends = np.add(start[::-1], corner[::-1]) + offsets.reshape(-1, 2)
+    begin = np.broadcast_to(np.add(start[::-1], corner[::-1]), ends.shape)
+    free[start] = occupancy.passable(begin * spacing, ends * spacing).reshape(offsets.shape[:2])
+
+    y, x = ((np.arange(n) + first) * spacing for n, first in zip(shape, corner, strict=True))
+    row, col = occupancy.cell_of(x, y)
+    rows, cols = ((k >= 0) & (k < n) for k, n in zip((row, col), allowed.shape, strict=True))
+    good = np.zeros(shape, dtype=np.bool_)
+    good[np.ix_(rows, cols)] = allowed[np.ix_(row[rows], col[cols])]
+    keep_to(free, offsets, good, *start)
     return free
 
 

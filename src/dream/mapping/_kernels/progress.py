@@ -152,6 +152,30 @@ def _has(free, slot, i, j, k):
 
 
 @njit(cache=True, nogil=True)
+def free_moves(free, table, first, nodes, bit_of):
+    """(rows, cols, headings, advances) uint8 1 where a move is free from the nodes of a rectangle.
+
+    Args:
+        free: See `renew_moves`.
+        table: (n, m) slots of the blocks of nodes, from the block `first` on.
+        first: See `table`.
+        nodes: First and past, rows and columns.
+        bit_of: (headings, advances) the bit of each move.
+    """
+    headings, advances = bit_of.shape
+    moves = np.empty((nodes[2] - nodes[0], nodes[3] - nodes[1], headings, advances), np.uint8)
+    for i in range(nodes[0], nodes[2]):
+        for j in range(nodes[1], nodes[3]):
+            slot = table[i // NODES - first[0], j // NODES - first[1]]
+            for h in range(headings):
+                for a in range(advances):
+                    moves[i - nodes[0], j - nodes[1], h, a] = _has(
+                        free, slot, i & (NODES - 1), j & (NODES - 1), bit_of[h, a]
+                    )
+    return moves
+
+
+@njit(cache=True, nogil=True)
 def label_nodes(free, slot, moves, opposite, labels):
     """Parts of a block: nodes that moves lead between in both directions. Numbers from 1; how many?"""
     parent = np.arange(NODES * NODES)
@@ -600,23 +624,6 @@ def link_parts(labels, reach, squared_link):
     for n in range(len(pairs)):
         result[n, 0], result[n, 1], result[n, 2] = pairs[n]
     return result
-
-
-@njit(cache=True, nogil=True)
-def within(mask, squared_radius):
-    """Cells whose centre lies within a distance (squared, in cells) of that of a cell of the mask."""
-    rows, cols = mask.shape
-    near = np.zeros((rows, cols), dtype=np.bool_)
-    reach = math.floor(math.sqrt(squared_radius) + 1e-9)
-    for i in range(rows):
-        for j in range(cols):
-            if not mask[i, j]:
-                continue
-            for y in range(max(i - reach, 0), min(i + reach + 1, rows)):
-                for x in range(max(j - reach, 0), min(j + reach + 1, cols)):
-                    if (y - i) * (y - i) + (x - j) * (x - j) <= squared_radius + 1e-9:
-                        near[y, x] = True
-    return near
 
 
 @njit(cache=True, nogil=True)
