@@ -583,7 +583,8 @@ def test_it_says_what_it_expects_beside_targets(over_the_reef: Flown) -> None:
         regions = check_completion(occupancy, observation.pose).regions
         expected = np.zeros(occupancy.shape)
         if regions:
-            expected += expectation(occupancy, evidence, planner.prior, planner.prior_weight)
+            everywhere = ~occupancy.observed
+            expected += expectation(occupancy, evidence, planner.prior, planner.prior_weight, everywhere)
             targets = np.argwhere(occupancy.target)
             for row, col in np.argwhere(expected > 0.0):
                 if np.hypot(*(targets - (row, col)).T).min() * DREAM_V1.cell > 2.0 * evidence:

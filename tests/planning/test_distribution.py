@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter
 
 from dream.geometry import Bounds
 from dream.mapping import OccupancyMap, could_hide
-from dream.planning.distribution import Groups, expectation
+from dream.planning.distribution import Groups, blurred, expectation
 from dream.protocol import DREAM_V1, POOL_V1, SurveyProtocol
 from dream.types import BoolArray
 from tests.mapping.analytic import AREA, empty_map, map_with
@@ -36,9 +38,16 @@ def _normal(x: float) -> float:
 # --------------------------------------------------------------------------------------------- expectation
 
 
+def _expected(
+    occupancy: OccupancyMap, prior: float = PRIOR, weight: float = WEIGHT
+) -> npt.NDArray[np.float32]:
+    """Asked about everywhere."""
+    return expectation(occupancy, RADIUS, prior, weight, np.ones(occupancy.shape, np.bool_))
+
+
 def test_beside_a_half_plane_of_targets_it_falls_as_a_gaussian_says() -> None:
     occupancy = map_with(explored=_half_plane(), target=_half_plane())
-    expected = expectation(occupancy, RADIUS, PRIOR, WEIGHT)
+    expected = _expected(occupancy)
     for col in range(EDGE, EDGE + 24):
         known = _normal(-(col + 0.5 - EDGE) * DREAM_V1.cell / RADIUS)
         # The blur is cut off at three standard deviations.
@@ -47,7 +56,7 @@ def test_beside_a_half_plane_of_targets_it_falls_as_a_gaussian_says() -> None:
 
 
 def test_beside_a_half_plane_without_targets_it_is_the_prior_diluted() -> None:
-    expected = expectation(map_with(explored=_half_plane()), RADIUS, PRIOR, WEIGHT)
+    expected = _expected(map_with(explored=_half_plane()))
     for col in range(EDGE, EDGE + 24):
         known = _normal(-(col + 0.5 - EDGE) * DREAM_V1.cell / RADIUS)
         assert expected[EDGE, col] == pytest.approx(PRIOR * WEIGHT / (known + WEIGHT), rel=0.02)
@@ -55,27 +64,22 @@ def test_beside_a_half_plane_without_targets_it_is_the_prior_diluted() -> None:
 
 def test_where_observed_nothing_more_is_expected() -> None:
     occupancy = map_with(explored=_half_plane(), target=_half_plane())
-    assert not expectation(occupancy, RADIUS, PRIOR, WEIGHT)[:, :EDGE].any()
+    assert not _expected(occupancy)[:, :EDGE].any()
 
 
 def test_far_from_all_that_is_known_the_prior_holds() -> None:
     far = EDGE + math.ceil(3.0 * RADIUS / DREAM_V1.cell) + 1
     for target in (None, _half_plane()):
-        expected = expectation(map_with(explored=_half_plane(), target=target), RADIUS, PRIOR, WEIGHT)
+        expected = _expected(map_with(explored=_half_plane(), target=target))
         np.testing.assert_allclose(expected[:, far:], PRIOR, rtol=1e-5)
-    np.testing.assert_allclose(expectation(empty_map(), RADIUS, PRIOR, WEIGHT), PRIOR, rtol=1e-5)
+    np.testing.assert_allclose(_expected(empty_map()), PRIOR, rtol=1e-5)
 
 
 @given(seed=st.integers(0, 1000), quarters=st.integers(1, 3))
 def test_turning_the_map_by_quarters_turns_what_is_expected(seed: int, quarters: int) -> None:
     explored, target = _patches(seed), _patches(seed + 1)
     expected, turned = (
-        expectation(
-            map_with(explored=np.rot90(explored, k), target=np.rot90(explored & target, k)),
-            RADIUS,
-            PRIOR,
-            WEIGHT,
-        )
+        _expected(map_with(explored=np.rot90(explored, k), target=np.rot90(explored & target, k)))
         for k in (0, quarters)
     )
     np.testing.assert_allclose(turned, np.rot90(expected, quarters), atol=1e-6)
@@ -86,11 +90,32 @@ def test_it_is_a_probability_and_one_more_target_never_lowers_it(
     seed: int, prior: float, weight: float
 ) -> None:
     explored, target = _patches(seed), _patches(seed + 1)
-    fewer = expectation(map_with(explored=explored, target=target & explored), RADIUS, prior, weight)
-    more = expectation(map_with(explored=explored, target=explored), RADIUS, prior, weight)
+    fewer = _expected(map_with(explored=explored, target=target & explored), prior, weight)
+    more = _expected(map_with(explored=explored, target=explored), prior, weight)
     assert fewer.min() >= 0.0
     assert more.max() <= 1.0
     assert (more >= fewer - 1e-6).all()
+
+
+@given(seed=st.integers(0, 1000))
+def test_it_is_the_same_wherever_else_one_asks_and_nothing_where_nobody_does(seed: int) -> None:
+    explored, where = _patches(seed), _patches(seed + 2)
+    occupancy = map_with(explored=explored, target=explored & _patches(seed + 1))
+    found = expectation(occupancy, RADIUS, PRIOR, WEIGHT, where)
+    np.testing.assert_array_equal(found, np.where(where, _expected(occupancy), 0.0))
+
+
+@given(
+    seed=st.integers(0, 1000),
+    radius=st.sampled_from([0.1, 0.6, 1.5, 4.0]),
+    share=st.sampled_from([0.01, 0.5]),
+)
+def test_a_blur_is_that_of_scipy_where_it_is_asked_for(seed: int, radius: float, share: float) -> None:
+    generator = np.random.default_rng(seed)
+    mask, where = generator.random((2, SIDE, SIDE)) < np.array([0.3, share])[:, None, None]
+    slow = gaussian_filter(mask.astype(np.float32), radius / DREAM_V1.cell, mode="nearest", truncate=3.0)
+    found = blurred(mask, radius, empty_map(), where)
+    np.testing.assert_allclose(found, np.where(where, slow, 0.0), rtol=1e-6)
 
 
 def _patches(seed: int) -> BoolArray:

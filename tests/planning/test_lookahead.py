@@ -155,14 +155,43 @@ def test_what_was_looked_at_gains_nothing_again() -> None:
     assert lookahead.gain(puzzle.weights, seen, puzzle.views, 8, 8, 6) > 0.0
 
 
-def test_gains_are_those_of_each_node_and_heading() -> None:
-    puzzle = _puzzle(2)
-    rows, cols = np.array([0, 8, 16, 3]), np.array([16, 8, 0, 5])
-    gains = lookahead.gains(puzzle.weights, puzzle.views, rows, cols)
-    for k, (row, col) in enumerate(zip(rows, cols, strict=True)):
-        for heading in range(NEARSIGHTED.headings):
-            shown = shown_by(puzzle.views, int(row), int(col), heading)
-            assert gains[k, heading] == sum(puzzle.weights[list(shown)])
+@pytest.mark.parametrize("few", [False, True])
+@pytest.mark.parametrize("farthest", [1, 3, 40])
+@pytest.mark.parametrize("seed", range(8))
+def test_gains_are_those_of_each_pose_that_could_be_the_best_for_its_steps(
+    seed: int, farthest: int, few: bool
+) -> None:
+    puzzle, generator = _puzzle(seed), np.random.default_rng(seed)
+    if few:
+        puzzle.weights[generator.random(len(puzzle.weights)) < 0.99] = 0.0
+        puzzle.weights[-1] = 5.0
+    rows, cols = (k.ravel() for k in np.indices((17, 17)))
+    steps = generator.integers(-1, farthest + 1, (len(rows), NEARSIGHTED.headings))
+    gains = lookahead.best_gains(puzzle.weights, puzzle.views, rows, cols, steps)
+    slow = np.array(
+        [
+            [
+                sum(puzzle.weights[list(shown_by(puzzle.views, int(row), int(col), heading))])
+                for heading in range(NEARSIGHTED.headings)
+            ]
+            for row, col in zip(rows, cols, strict=True)
+        ]
+    )
+    rates = np.where(steps > 0, slow / np.maximum(steps, 1), 0.0)
+    assert (gains[rates == rates.max()] == slow[rates == rates.max()]).all()
+    assert ((gains == slow) | (gains == 0.0)).all()
+    assert not gains[steps <= 0].any()
+    if farthest == 40:
+        assert np.count_nonzero(gains) < 0.5 * np.count_nonzero(rates), "most promise too little"
+
+
+def test_where_nothing_is_worth_a_look_no_pose_gains() -> None:
+    puzzle = _puzzle(1)
+    node = np.array([8])
+    for steps in (1, 0, -1):
+        nothing = np.zeros_like(puzzle.weights)
+        assert not lookahead.best_gains(nothing, puzzle.views, node, node, np.full((1, 12), steps)).any()
+    assert not lookahead.best_gains(puzzle.weights, puzzle.views, node, node, np.zeros((1, 12), np.int64)).any()
 
 
 # ----------------------------------------------------------------------------------------------------- beam
@@ -352,14 +381,20 @@ def test_a_tour_equals_its_slow_twin(seed: int, count: int, keep: float) -> None
     assert found == pytest.approx((worth, steps))
 
 
-def test_the_tour_after_a_sequence_leaves_out_what_it_has_seen() -> None:
+@pytest.mark.parametrize("everywhere", [False, True])
+def test_the_tour_after_a_sequence_leaves_out_what_it_has_seen(everywhere: bool) -> None:
     puzzle = _puzzle(4)
     outlook, count = puzzle.outlook, len(puzzle.weights)
     none = np.zeros(0, np.int64)
     listed = Listed(np.ones(6), np.ones(6), np.zeros((6, 2)), none, np.zeros(1, np.int64), none)
     x, y, area = outlook.places(listed)
     ends = [(8, 8, 0), (2, 13, 5)]
-    seen = [frozenset(range(0, count, 3)), puzzle.shown((8, 8, 0))]
+    seen = [
+        frozenset(range(0, count, 3)) if everywhere else puzzle.shown((8, 10, 6)),
+        puzzle.shown((8, 8, 0)),
+    ]
+    alike = set(area[puzzle.weights > 0.0]) - set(area[list(seen[0] | seen[1])])
+    assert bool(alike) != everywhere, "areas that no sequence has seen any of"
     worth, steps = lookahead.tours(
         puzzle.weights,
         puzzle.views,

@@ -298,28 +298,26 @@ class BeliefPilot:
         pose: SE2,
         away_from_hull: FloatArray | None,
     ) -> _Expected:
-        from dream.mapping import could_hide, hiding_places, within
+        from dream.mapping import could_hide, that_would_show, within
 
         planner, protocol = self.planner, self.mission.protocol
         cell, evidence = protocol.cell, planner.kernel * protocol.group_radius
         beside = np.zeros(occupancy.shape, np.float32)
         if completion.regions:
-            beside = expectation(occupancy, evidence, planner.prior, planner.prior_weight)
-            far = ~within(occupancy.target, 2.0 * evidence, cell)
-            beside[far] = 0.0
+            near = within(occupancy.target, 2.0 * evidence, cell)
+            beside = expectation(occupancy, evidence, planner.prior, planner.prior_weight, near)
             row, col = completion.open_cells.T
             # A hole far from all targets must be closed, but holds none more likely than other ground does.
-            least = np.where(far[row, col], planner.search, planner.open_edge)
+            least = np.where(near[row, col], planner.open_edge, planner.search)
             beside[row, col] = np.maximum(beside[row, col], least)
         places = self._places(occupancy, pose)
         hopeless = ~within(places, protocol.reach, cell) | (self.vain.count >= self.patience)
         hiding = could_hide(occupancy, self.size, hopeless)
         if completion.complete:
             # Here the mission may end, so that what no known place can see is left out: behind a wall, say.
-            # But places that the vehicle might yet get to may see more than that.
-            hiding &= hiding_places(occupancy, pose, self.size) | within(
-                places & ~occupancy.observed, protocol.reach, cell
-            )
+            # But places that the vehicle might yet get to may see more than that; only elsewhere it is asked.
+            hopeful = within(places & ~occupancy.observed, protocol.reach, cell)
+            hiding &= hopeful | that_would_show(occupancy, pose, self.size, hiding & ~hopeful)
         groups = Groups(planner.groups, planner.searched)
         hidden = float(hiding.sum()) * cell**2
         searched = occupancy.observed.size * cell**2 - hidden

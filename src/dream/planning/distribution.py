@@ -18,9 +18,9 @@ FloatArray = npt.NDArray[np.floating[Any]]
 
 
 def expectation(
-    occupancy: OccupancyMap, radius: float, prior: float, prior_weight: float
+    occupancy: OccupancyMap, radius: float, prior: float, prior_weight: float, where: BoolArray
 ) -> npt.NDArray[np.float32]:
-    """(rows, cols) probability of a target in every cell not observed, 0 elsewhere.
+    """(rows, cols) probability of a target in every cell not observed that is asked about, 0 elsewhere.
 
     A kernel estimate (Nadaraya-Watson): blurred targets over blurred observed ground, pulled to the prior
     where neither says much.
@@ -30,22 +30,30 @@ def expectation(
         radius: Standard deviation of the blur, metres.
         prior: Probability in a cell about which nothing is known.
         prior_weight: How much blurred evidence the prior is worth.
+        where: (rows, cols) the cells asked about.
     """
-    targets = blurred(occupancy.target, radius, occupancy)
-    observed = blurred(occupancy.observed, radius, occupancy)
+    where = where & ~occupancy.observed
+    targets = blurred(occupancy.target, radius, occupancy, where)
+    observed = blurred(occupancy.observed, radius, occupancy, where)
     p = (targets + prior * prior_weight) / (observed + prior_weight)
-    return np.where(occupancy.observed, 0.0, np.clip(p, 0.0, 1.0)).astype(np.float32)
+    return np.where(where, np.clip(p, 0.0, 1.0), 0.0).astype(np.float32)
 
 
-def blurred(mask: BoolArray, radius: float, occupancy: OccupancyMap) -> FloatArray:
+def blurred(
+    mask: BoolArray, radius: float, occupancy: OccupancyMap, where: BoolArray
+) -> npt.NDArray[np.float32]:
     """(rows, cols) share of the cells around that are in the mask, weighted by a Gaussian of `radius` metres.
 
     What lies outside the bounds is neither in the mask nor missing from it: it counts as the edge does.
+    Cells not asked about have 0.
     """
-    from scipy.ndimage import gaussian_filter
+    from dream.planning._kernels.blur import blur
 
     sigma = radius / occupancy.protocol.cell
-    return np.asarray(gaussian_filter(mask.astype(np.float32), sigma, mode="nearest", truncate=3.0))
+    far = int(3.0 * sigma + 0.5)
+    weights = np.exp(-0.5 / sigma**2 * np.arange(-far, far + 1) ** 2)
+    shares: npt.NDArray[np.float32] = blur(mask, (weights / weights.sum())[far:], where)
+    return shares
 
 
 @dataclass(frozen=True, slots=True)

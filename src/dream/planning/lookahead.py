@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.planning.outlook import Listed, Outlook
-from dream.planning.travel import Pose, Travel, offsets_of
+from dream.planning.travel import IntArray, Pose, Travel, offsets_of
 from dream.planning.views import Views as PoseViews
 from dream.types import BoolArray, Float32Array
 
@@ -239,14 +239,18 @@ class LookAhead:
 
     def views(self, prospect: Prospect, travel: Travel) -> PoseViews:
         """What single poses within reach would show: every second node near by, every fourth beyond."""
+        from dream.planning._kernels import lookahead
+
         weights, views = prospect.weights, prospect.outlook.views(prospect.listed)
-        return self._views(weights, views, travel)
+        rows, cols, steps = _viewpoints(travel)
+        return PoseViews(rows, cols, steps, lookahead.gains(weights, views, rows, cols))
 
     def _view(self, prospect: Prospect, weights: Float32Array, views: Views, travel: Travel) -> Plan | None:
         """The way to the view of the best rate."""
         from dream.planning._kernels import lookahead
 
-        shown = self._views(weights, views, travel)
+        rows, cols, steps = _viewpoints(travel)
+        shown = PoseViews(rows, cols, steps, lookahead.best_gains(weights, views, rows, cols, steps))
         best = shown.best(shown.rates)
         if best is None or best.rate <= NOTHING:
             return None
@@ -255,11 +259,11 @@ class LookAhead:
         lookahead.look(weights, seen, views, row, col, heading)
         return prospect.plan(travel.path(best.pose), best.rate, 0.0, seen)
 
-    def _views(self, weights: Float32Array, views: Views, travel: Travel) -> PoseViews:
-        from dream.planning._kernels import lookahead
 
-        rows, cols = np.nonzero(travel.reached)
-        near = travel.nearest[rows, cols] <= NEAR
-        chosen = (rows % 2 == 0) & (cols % 2 == 0) & (near | (rows % 4 == 0) & (cols % 4 == 0))
-        rows, cols = rows[chosen], cols[chosen]
-        return PoseViews(rows, cols, travel.steps[rows, cols], lookahead.gains(weights, views, rows, cols))
+def _viewpoints(travel: Travel) -> tuple[IntArray, IntArray, IntArray]:
+    """Rows, columns and steps to every second node near by, and to every fourth beyond."""
+    rows, cols = np.nonzero(travel.reached)
+    near = travel.nearest[rows, cols] <= NEAR
+    chosen = (rows % 2 == 0) & (cols % 2 == 0) & (near | (rows % 4 == 0) & (cols % 4 == 0))
+    rows, cols = rows[chosen], cols[chosen]
+    return rows, cols, travel.steps[rows, cols]

@@ -77,7 +77,7 @@ class SixSteps:
     def expectation(self, occupancy: OccupancyMap) -> FloatArray:
         """See `distribution.expectation`."""
         radius = self.kernel * occupancy.protocol.group_radius
-        return expectation(occupancy, radius, self.prior, self.prior_weight)
+        return expectation(occupancy, radius, self.prior, self.prior_weight, ~occupancy.observed)
 
 
 @dataclass(slots=True)
@@ -165,7 +165,7 @@ class _SixStepsPilot:
         near_target = within(occupancy.target, 2.0 * evidence, protocol.cell)
         # Where no target has been seen, only ground explored to the last cell is complete.
         search = could_hide if completion.regions else ~occupancy.observed
-        surrounded = blurred(occupancy.observed, 2.0 * evidence, occupancy)
+        surrounded = blurred(occupancy.observed, 2.0 * evidence, occupancy, search)
         worth = np.where(search, self.planner.prior * (1.0 + self.planner.closing * surrounded), 0.0)
         worth = np.where(near_target, np.maximum(expected, worth), worth).astype(np.float32)
         for region in completion.regions:

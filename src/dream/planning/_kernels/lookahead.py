@@ -21,6 +21,8 @@ NEGLIGIBLE = 1e-6
 """Weight of an element for which a tour goes nowhere."""
 DETOUR = 0.3
 """Steps that an area costs a tour beside the way there and the looking."""
+ROUNDING = 1e-4
+"""Weight a step by which rounding may make a view better than another."""
 FREE, UNKNOWN = 1, 2
 """A move over ground known to be free, and one against which nothing is known."""
 
@@ -165,6 +167,37 @@ def look(weights, seen, views, row, col, heading):
 
 
 @njit(cache=True, nogil=True)
+def sums(weights, views):
+    """(2, rows + 1, cols + 1) sums of the tiles below and left of each corner of the grid of tiles."""
+    rows, cols = len(views.depth) // views.cols + 2 * views.pad, views.stride
+    total = np.zeros((2, rows + 1, cols + 1))
+    for layer in range(2):
+        for r in range(rows):
+            row = 0.0
+            for c in range(cols):
+                row += weights[(layer * rows + r) * cols + c]
+                total[layer, r + 1, c + 1] = total[layer, r, c + 1] + row
+    return total
+
+
+@njit(cache=True, nogil=True)
+def boxes(views):
+    """(headings, 2, 4) rows and columns, first and past, of the tiles of each view, from that of the node."""
+    headings, stride = len(views.first) - 1, views.stride
+    tiles = (len(views.depth) // views.cols + 2 * views.pad) * stride
+    box = np.zeros((headings, 2, 4), np.int64)
+    for h in range(headings):
+        for k in range(views.first[h], views.first[h + 1]):
+            # From the first node, so that no row or column is below 0.
+            layer, tile = divmod(views.offset[k] + views.pad * (stride + 1), tiles)
+            row, col = tile // stride - views.pad, tile % stride - views.pad
+            around = box[h, layer]
+            around[0], around[1] = min(around[0], row), max(around[1], row + 1)
+            around[2], around[3] = min(around[2], col), max(around[3], col + 1)
+    return box
+
+
+@njit(cache=True, nogil=True)
 def gains(weights, views, rows, cols):
     """(n, headings) weight that a view from each node shows."""
     headings = len(views.first) - 1
@@ -173,6 +206,41 @@ def gains(weights, views, rows, cols):
     for n in range(len(rows)):
         for h in range(headings):
             shown[n, h] = gain(weights, nothing, views, rows[n], cols[n], h)
+    return shown
+
+
+@njit(cache=True, nogil=True)
+def best_gains(weights, views, rows, cols, steps):
+    """(n, headings) weight that views from some nodes show.
+
+    No view shows more than there is in the box around it. So only those are worked out that could have the
+    best rate, their weight over the steps there, (n, headings); others have 0.
+    """
+    headings = len(views.first) - 1
+    nothing = np.zeros((len(weights) + 63) // 64, np.uint64)
+    total, box = sums(weights, views), boxes(views)
+    most = np.zeros((len(rows), headings))
+    for n in range(len(rows)):
+        r, c = rows[n] + views.pad, cols[n] + views.pad
+        for h in range(headings):
+            if steps[n, h] <= 0:
+                continue
+            for layer in range(2):
+                low, high, left, right = box[h, layer]
+                most[n, h] += total[layer, r + high, c + right] - total[layer, r + high, c + left]
+                most[n, h] -= total[layer, r + low, c + right] - total[layer, r + low, c + left]
+            pose = views.listed[rows[n] * views.cols + cols[n]] * headings + h
+            if pose >= 0:
+                for k in range(views.listed_first[pose], views.listed_first[pose + 1]):
+                    most[n, h] += weights[views.listed_element[k]]
+            most[n, h] /= steps[n, h]
+    shown, best = np.zeros((len(rows), headings), np.float32), 0.0
+    foremost = int(most.argmax())
+    for k in range(-1, most.size):
+        n, h = divmod(foremost if k < 0 else k, headings)
+        if steps[n, h] > 0 and most[n, h] >= best - ROUNDING:
+            shown[n, h] = gain(weights, nothing, views, rows[n], cols[n], h)
+            best = max(best, shown[n, h] / steps[n, h])
     return shown
 
 
@@ -207,6 +275,8 @@ def tour(mass, x_of, y_of, service, x, y, pace, standoff, discount, keep, left):
         best, best_rate, best_time = 0, -1.0, 0.0
         for i in range(n):
             k = left[i]
+            if mass[k] / service[k] <= best_rate:  # Not even if it were here.
+                continue
             away = math.hypot(x_of[k] - x, y_of[k] - y) - standoff
             time = max(away, 0.0) / pace + service[k]
             rate = mass[k] / time
@@ -307,6 +377,38 @@ def beam(weights, views, moves, offsets, turns, start, known, width, horizon, di
 
 
 @njit(cache=True, nogil=True)
+def add_up(weights, elements, seen, x_of, y_of, area_of, service, which, mass, x, y, rest):
+    """Write what is left in some areas: its weight, its middle, and the steps to look at all of it.
+
+    Args:
+        weights: See `tours`.
+        elements: (n,) all those of these areas that count.
+        seen: (words,) those that are not left.
+        x_of: See `tours`.
+        y_of: See `tours`.
+        area_of: See `tours`.
+        service: See `tours`.
+        which: (areas,) bool.
+        mass: (areas,) to write.
+        x: Likewise.
+        y: Likewise.
+        rest: Likewise.
+    """
+    for k in np.flatnonzero(which):
+        mass[k], x[k], y[k], rest[k] = 0.0, 0.0, 0.0, DETOUR
+    for element in elements:
+        if not is_in(seen, element):
+            k, weight = area_of[element], weights[element]
+            mass[k] += weight
+            rest[k] += 1.0 / service
+            x[k] += weight * x_of[element]
+            y[k] += weight * y_of[element]
+    for k in np.flatnonzero(which & (mass > 0.0)):
+        x[k] /= mass[k]
+        y[k] /= mass[k]
+
+
+@njit(cache=True, nogil=True)
 def tours(
     weights, views, seen, pose, x_of, y_of, area_of, areas, spacing, service, pace, standoff, discount, keep
 ):
@@ -336,20 +438,18 @@ def tours(
     worth, steps = np.zeros(n), np.zeros(n)
     left = np.empty(areas, np.int64)
     counted = np.flatnonzero(weights > NEGLIGIBLE)
+    # Most areas are left alike by all sequences.
+    by_any = np.zeros_like(seen[0])
     for s in range(n):
-        mass, x, y, rest = np.zeros(areas), np.zeros(areas), np.zeros(areas), np.full(areas, DETOUR)
-        for element in counted:
-            weight = weights[element]
-            if not is_in(seen[s], element):
-                k = area_of[element]
-                mass[k] += weight
-                rest[k] += 1.0 / service
-                x[k] += weight * x_of[element]
-                y[k] += weight * y_of[element]
-        for k in range(areas):
-            if mass[k] > 0.0:
-                x[k] /= mass[k]
-                y[k] /= mass[k]
+        by_any |= seen[s]
+    differs = np.zeros(areas, np.bool_)
+    for element in counted:
+        differs[area_of[element]] |= is_in(by_any, element)
+    mass, x, y, rest = np.zeros(areas), np.zeros(areas), np.zeros(areas), np.zeros(areas)
+    add_up(weights, counted, by_any, x_of, y_of, area_of, service, np.ones_like(differs), mass, x, y, rest)
+    counted = counted[differs[area_of[counted]]]
+    for s in range(n):
+        add_up(weights, counted, seen[s], x_of, y_of, area_of, service, differs, mass, x, y, rest)
         c, r = pose[s] // headings % views.cols, pose[s] // (headings * views.cols)
         worth[s], steps[s] = tour(
             mass, x, y, rest, c * spacing, r * spacing, pace, standoff, discount, keep, left
