@@ -177,6 +177,7 @@ def test_gains_are_those_of_each_pose_that_could_be_the_best_for_its_steps(
             for row, col in zip(rows, cols, strict=True)
         ]
     )
+    np.testing.assert_array_equal(lookahead.gains(puzzle.weights, puzzle.views, rows, cols), slow)
     rates = np.where(steps > 0, slow / np.maximum(steps, 1), 0.0)
     assert (gains[rates == rates.max()] == slow[rates == rates.max()]).all()
     assert ((gains == slow) | (gains == 0.0)).all()
