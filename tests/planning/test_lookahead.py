@@ -192,7 +192,9 @@ def test_where_nothing_is_worth_a_look_no_pose_gains() -> None:
     for steps in (1, 0, -1):
         nothing = np.zeros_like(puzzle.weights)
         assert not lookahead.best_gains(nothing, puzzle.views, node, node, np.full((1, 12), steps)).any()
-    assert not lookahead.best_gains(puzzle.weights, puzzle.views, node, node, np.zeros((1, 12), np.int64)).any()
+    assert not lookahead.best_gains(
+        puzzle.weights, puzzle.views, node, node, np.zeros((1, 12), np.int64)
+    ).any()
 
 
 # ----------------------------------------------------------------------------------------------------- beam

@@ -54,7 +54,7 @@ class Ranked(Asking):
     says; better only where the model knows more about how targets lie than geometry does.
     """
 
-    margin: float = 3.0
+    margin: float = 2.0
     """Steps that a place may cost more than the best one, by expectation, to be chosen at all."""
     weight: float = 3.0
     """Steps that being ranked first is worth, with full confidence; half that being second, and so on."""
