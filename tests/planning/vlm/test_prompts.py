@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import re
 from importlib import resources
+from pathlib import Path
 
 import pytest
 
@@ -79,3 +80,12 @@ class _Files:
 
     def read_text(self, encoding: str) -> str:
         return self.text
+
+
+@pytest.mark.parametrize("name", ["vanilla", "dream", "ranked", "legend", *Target])
+def test_the_documentation_shows_every_prompt_in_full(name: str) -> None:
+    page = Path(__file__).parents[3].joinpath("docs", "prompts.md").read_text(encoding="utf-8")
+    prompt = prompts.load(name)
+    assert f"## `{name}`, version {prompt.heads['version']}\n" in page
+    assert "\n".join(f"> {line}" if line else ">" for line in prompt.text.splitlines()) in page
+    assert prompt.heads.get("mission", "") in page
