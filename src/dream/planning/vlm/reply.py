@@ -6,7 +6,15 @@ import math
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    create_model,
+    model_validator,
+)
 
 from dream.protocol import SurveyProtocol
 from dream.types import Decision, Reasoning
@@ -92,6 +100,28 @@ def ranked_reply(numbers: Sequence[int]) -> type[Ranking]:
     number: Any = Literal[tuple(allowed)]
     kind = Annotated[list[number], AfterValidator(check), Field(description="all numbers, the best first")]
     return create_model("RankedPlaces", __base__=Ranking, ranking=(kind, ...))
+
+
+class Choice(Reply):
+    """A reply that picks one of the answers that are offered; `choice_reply` adds them."""
+
+    reason: Sentences
+    answer: str
+
+
+def choice_reply(choices: Sequence[str]) -> type[Choice]:
+    """A short reason, then one of the answers.
+
+    Args:
+        choices: The answers that are offered. A number may come as one.
+    """
+    answer: Any = Literal[tuple(choices)]
+    kind = Annotated[answer, BeforeValidator(_as_text)]
+    return create_model("Choice", __base__=Choice, answer=(kind, ...))
+
+
+def _as_text(value: Any) -> Any:
+    return str(value) if type(value) is int else value
 
 
 class Ranking(Reasoned):
