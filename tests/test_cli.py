@@ -160,6 +160,11 @@ def test_help_imports_nothing_heavy() -> None:
         (["sweep", "paper", "--reach", "5"], 'no protocol "dream-v1-reach5"'),
         (["sweep", "paper", "--reach"], "--reach: expected one or more of 4, 6, 8, 10, got none"),
         (["sweep", "paper", "--reach", "8", "nan"], 'no protocol "dream-v1-reachnan"'),
+        (["probe"], "model: expected which model to ask, got none"),
+        (["probe", "--questions", "0"], "--questions: expected 1 to 200, got 0"),
+        (["probe", "--at-once", "0"], "--at-once: expected 1 to 64, got 0"),
+        (["probe", "--limit", "nan"], "--limit: expected above 0 to 1000000 seconds, got nan"),
+        (["probe", "--timeout", "nan"], "timeout: expected 0.1 to 3600"),
         (["draw", "--out", "reef.xyz"], "--out: expected a name that ends in .png"),
     ],
 )

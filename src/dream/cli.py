@@ -28,13 +28,14 @@ An underwater robot that finds and maps a habitat without knowing where it is.
   sweep    the same missions with one reach after another
   results  the documentation's page of results, from benchmark folders
   oracle   the fewest steps that see a world: certified bound and best tour
+  probe    can a model read our map? questions with known answers
   worlds   list the worlds
   draw     draw a world as a picture
   report   write the HTML page of a recorded run again
 
 `dream COMMAND --help` explains a command. To begin with: dream run --world reef/string
 """
-COMMANDS = ("run", "bench", "sweep", "results", "oracle", "worlds", "draw", "report")
+COMMANDS = ("run", "bench", "sweep", "results", "oracle", "probe", "worlds", "draw", "report")
 
 FAILED, BAD_INPUT = 1, 2
 

@@ -2,10 +2,11 @@
 
 from dream.commands.bench import Bench
 from dream.commands.oracle import Oracle
+from dream.commands.probe import Probe
 from dream.commands.report import Report
 from dream.commands.results import Results
 from dream.commands.run import Run, planner_name
 from dream.commands.sweep import Sweep
 from dream.commands.worlds import Draw, Worlds
 
-__all__ = ["Bench", "Draw", "Oracle", "Report", "Results", "Run", "Sweep", "Worlds", "planner_name"]
+__all__ = ["Bench", "Draw", "Oracle", "Probe", "Report", "Results", "Run", "Sweep", "Worlds", "planner_name"]

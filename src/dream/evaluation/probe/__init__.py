@@ -23,6 +23,19 @@ The constants of `reading` say by how much an answer is right. Answers take turn
 word is right more often than another: who always gives the first one scores at chance.
 """  # noqa: E501 - a table's row cannot be broken.
 
+from dream.evaluation.probe.page import write_page
 from dream.evaluation.probe.questions import KINDS, QUESTIONS, MapQuestion, make_questions
+from dream.evaluation.probe.score import READS, READS_KIND, Reply, Score, Tally
 
-__all__ = ["KINDS", "QUESTIONS", "MapQuestion", "make_questions"]
+__all__ = [
+    "KINDS",
+    "QUESTIONS",
+    "READS",
+    "READS_KIND",
+    "MapQuestion",
+    "Reply",
+    "Score",
+    "Tally",
+    "make_questions",
+    "write_page",
+]

@@ -115,14 +115,16 @@ def make_questions(count: int = QUESTIONS) -> Iterator[MapQuestion]:
 
 
 def _make(number: int, kind: str, turn: int, known: Callable[[str, int], list[Scene]]) -> MapQuestion:
-    """Question `turn` of a kind, from the world whose turn it is, or from the next that has one."""
+    """Question `turn` of a kind, from the world whose turn it is, or from another that has one."""
     asked, which = KINDS[kind], list(KINDS).index(kind)
     marks = FEWEST_MARKS + turn % (MOST_MARKS - FEWEST_MARKS + 1)
     choices = asked.choices or tuple(str(k) for k in range(1, marks + 1))
     # Every answer is right equally often, as nearly as that goes; for marks also among as many marks.
     nth = turn + turn // len(WORLDS) if asked.choices else turn // 5 + 5 * which + 2
     wanted = choices[nth % len(choices)]
-    for world, seed in (*WORLDS[turn % len(WORLDS) :], *WORLDS[: turn % len(WORLDS)]):
+    first = turn % len(WORLDS)
+    others = np.random.default_rng(number).permutation(np.delete(np.arange(len(WORLDS)), first))
+    for world, seed in (WORLDS[k] for k in (first, *others.tolist())):
         maps = known(world, seed)
         for k in range(len(maps)):
             stage = (turn // len(WORLDS) + which + k) % len(maps)

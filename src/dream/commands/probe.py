@@ -1,0 +1,153 @@
+"""`dream probe`: can this model read our map?"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, wait
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dream.commands.console import print_json, with_progress
+from dream.planning.vlm.asking import Asking
+
+if TYPE_CHECKING:
+    from dream.evaluation.probe import MapQuestion, Reply, Score
+    from dream.planning.vlm.asking import Answer, Line, Pending
+    from dream.planning.vlm.reply import Choice
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """Ask a model questions about maps whose answers are known: can it read ours?
+
+    Eight kinds of multiple-choice questions, about maps drawn as the planners draw them: which mark is the
+    nearest, what is unexplored, where a target region is open, what blocks the way, where the robot heads and
+    more. A kind is no better than chance where the 95 % interval of its share of right answers reaches down
+    to what blind answers give; do not trust a model of which that is true. The map is read where the interval
+    of the whole lies above 80 %. No answer is a wrong one, and is counted apart.
+
+    With `--record`, an interrupted probe goes on where it was: what is kept there is not asked again.
+    """
+
+    asking: Asking = field(default_factory=Asking)
+    """Which model is asked, and how; where it gives no answer in time, nobody decides for it."""
+    questions: int = 200
+    """How many; fewer than 200 say little about each kind."""
+    at_once: int = 8
+    """Questions that may wait for an answer at a time."""
+    limit: float = 1800.0
+    """Seconds after which no further question is asked."""
+    out: Path | None = None
+    """Folder for a page with every question, and for all of it as JSON."""
+    json: bool = False
+    """Print one JSON object and nothing else."""
+
+    def __call__(self) -> int:
+        """Exit status 0 where all questions were asked, whatever the answers; else 1."""
+        from dream.evaluation.probe import QUESTIONS, Score, make_questions, write_page
+
+        if not 1 <= self.questions <= QUESTIONS:
+            raise ValueError(f"--questions: expected 1 to {QUESTIONS}, got {self.questions}")
+        if not 1 <= self.at_once <= 64:
+            raise ValueError(f"--at-once: expected 1 to 64, got {self.at_once}")
+        if not 0.0 < self.limit <= 1e6:
+            raise ValueError(f"--limit: expected above 0 to 1000000 seconds, got {self.limit:g}")
+        line = self.asking.line()
+        if self.out is not None:
+            self.out.mkdir(parents=True, exist_ok=True)
+        made = list(with_progress(make_questions(self.questions), "making maps", self.questions))
+        began = time.perf_counter()
+        answers = with_progress(self._ask(line, made), f"asking {self.asking.label}", len(made))
+        score = Score(tuple(sorted(answers, key=lambda reply: reply.question.number)), len(made))
+        summary = {
+            "model": self.asking.label,
+            "prompt": made[0].prompt,
+            **score.as_dict(),
+            "wall_s": round(time.perf_counter() - began, 3),
+        }
+        page = None if self.out is None else write_page(self.out, score, summary)
+        if self.json:
+            print_json(summary)
+        else:
+            _print(score, summary, page)
+        return 0 if score.complete else 1
+
+    def _ask(self, line: Line, questions: Sequence[MapQuestion]) -> Iterator[Reply]:
+        """Replies as they come, some questions at a time."""
+
+        kept = _kept(self.asking)
+        ends = time.monotonic() + self.limit
+        waiting: dict[int, tuple[MapQuestion, Pending[Choice]]] = {}
+        left = list(reversed(questions))
+        while left or waiting:
+            if time.monotonic() >= ends:
+                left.clear()
+            while left and len(waiting) < self.at_once:
+                question = left.pop()
+                answer = None if kept is None else _answer_of(kept, question)
+                if answer is None:
+                    waiting[question.number] = (question, line.ask(question.asked))
+                else:
+                    yield _reply(question, answer)
+            wait([pending.outcome for _, pending in waiting.values()], return_when=FIRST_COMPLETED)
+            for number in [number for number, (_, pending) in waiting.items() if pending.done()]:
+                question, pending = waiting.pop(number)
+                yield _reply(question, pending.answer())
+
+
+def _kept(asking: Asking) -> Line | None:
+    """A line that answers from what was recorded before; None where nothing is."""
+    if asking.record is None or asking.replay_replies is not None:
+        return None
+    return replace(asking, record=None, replay_replies=asking.record).line()
+
+
+def _answer_of(kept: Line, question: MapQuestion) -> Answer[Choice] | None:
+    """The answer that was kept; None where the question was not asked, or not answered."""
+    try:
+        answer = kept.ask(question.asked).answer()
+    except FileNotFoundError:
+        return None
+    return None if answer.reply is None else answer
+
+
+def _reply(question: MapQuestion, answer: Answer[Choice]) -> Reply:
+    from dream.evaluation.probe import Reply
+
+    given, reason = (None, "") if answer.reply is None else (answer.reply.answer, answer.reply.reason)
+    return Reply(question, given, reason, answer.exchange)
+
+
+def _print(score: Score, summary: Mapping[str, Any], page: Path | None) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from dream.evaluation.probe import KINDS
+
+    table = Table(title=f"{summary['model']}: {score.whole.right} of {score.whole.asked} right")
+    for heading in ("kind", "right", "95 % interval", "chance", "no answer", "verdict"):
+        table.add_column(heading, justify="left" if heading in ("kind", "verdict") else "right")
+    rows = {KINDS[kind].title: (tally, tally.verdict) for kind, tally in score.kinds.items()}
+    for title, (tally, verdict) in (rows | {"all": (score.whole, "")}).items():
+        interval = tally.interval
+        table.add_row(
+            title,
+            f"{tally.right}/{tally.asked}",
+            f"{interval.low:.0%} to {interval.high:.0%}" if tally.asked else "–",
+            f"{tally.chance:.0%}" if tally.asked else "–",
+            str(tally.unanswered) if tally.unanswered else "",
+            verdict,
+            end_section=title == list(rows)[-1],
+        )
+    Console(width=None if sys.stdout.isatty() else 120).print(table)
+    print(f"verdict: {score.verdict}")
+    if missing := score.questions - score.whole.asked:
+        print(f"  {missing} of {score.questions} questions were not asked")
+    for why, count in score.failures.items():
+        print(f"  {count} without an answer: {why}")
+    print(f"  {score.spent}")
+    if page is not None:
+        print(f"  page: {page}")
