@@ -27,7 +27,8 @@ def answering(answers: Answers) -> Iterator[tuple[str, list[list[str]]]]:
     class Handler(BaseHTTPRequestHandler):
         def do_POST(self) -> None:
             asked = json.loads(self.rfile.read(int(self.headers["content-length"])))
-            parts = asked["messages"][-1]["content"]
+            # Who is asked again is shown the reply that did not fit, too: the question stands before it.
+            parts = next(m["content"] for m in asked["messages"] if isinstance(m["content"], list))
             text = next(part["text"] for part in reversed(parts) if part["type"] == "text")
             url = next(part["image_url"]["url"] for part in parts if part["type"] == "image_url")
             picture = base64.b64decode(url.partition(",")[2])

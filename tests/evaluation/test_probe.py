@@ -363,7 +363,7 @@ def replied(questions: list[MapQuestion], given: Sequence[str | None]) -> Score:
 
 def test_all_right_reads_the_map(questions: list[MapQuestion]) -> None:
     score = replied(questions, [question.answer for question in questions])
-    assert (score.whole.right, score.whole.asked, score.complete, score.reads) == (200, 200, True, True)
+    assert (score.whole.right, score.whole.asked, score.complete, score.reads) == (200, 200, True, "yes")
     assert score.verdict.startswith("reads the map: ")
     assert {tally.verdict for tally in score.kinds.values()} == {"reads it"}
     assert score.as_dict()["cost_usd"] == pytest.approx(2.0)
@@ -374,7 +374,7 @@ def test_who_always_gives_the_first_answer_is_not_trusted(questions: list[MapQue
     low, high = score.whole.interval.low, score.whole.interval.high
     assert low < score.whole.chance < high
     assert {tally.verdict for tally in score.kinds.values()} == {"no better than chance"}
-    assert score.reads is False
+    assert score.reads == "no"
     assert score.verdict.startswith("do not trust it")
 
 
@@ -383,16 +383,20 @@ def test_no_answer_is_wrong_and_told_apart(questions: list[MapQuestion]) -> None
     score = replied(questions, given)
     assert (score.whole.right, score.whole.asked, score.whole.unanswered) == (150, 200, 50)
     assert score.failures == {"timeout: no answer within 60 s": 50}
-    assert score.kinds["blocked"].verdict == "no better than chance"
+    assert score.kinds["blocked"].verdict == "no answer"
+    assert score.verdict.endswith("no better than chance at blocked way and share explored")
 
 
 def test_a_weak_kind_is_named_and_few_questions_tell_nothing(questions: list[MapQuestion]) -> None:
     blind = [q.choices[0] if q.kind == "point" else q.answer for q in questions]
     assert replied(questions, blind).verdict.endswith("no better than chance at what is at a point")
+    most = ["none" if q.number // 8 % 4 == 0 else q.answer for q in questions]
+    assert replied(questions, most).reads == "in part"
     half = [q.answer if q.kind != "point" or q.number % 16 > 8 else "none" for q in questions]
     assert replied(questions, half).kinds["point"].verdict == "in part"
     few = replied(questions[:8], [question.answer for question in questions[:8]])
-    assert (few.reads, few.verdict) == (None, "too few questions to tell")
+    assert few.reads == "unknown"
+    assert few.verdict.startswith("too few questions to tell")
 
 
 # ------------------------------------------------------------------------------------- over the wire
@@ -419,7 +423,7 @@ def test_a_server_that_knows_all_has_200_of_200(
     first, again = map(json.loads, capsys.readouterr().out.splitlines())
     for summary in (first, again):
         assert (summary["right"], summary["asked"], summary["unanswered"]) == (200, 200, 0)
-        assert summary["reads"] is True
+        assert summary["reads"] == "yes"
         assert summary["tokens_in"] == 20000
         assert set(summary["kinds"]) == set(KINDS)
     assert again["latency_s"] == first["latency_s"]
@@ -440,6 +444,7 @@ def test_garbage_is_no_answer_and_is_told(
     summary = json.loads(capsys.readouterr().out)
     assert (summary["right"], summary["asked"], summary["unanswered"]) == (0, 24, 24)
     assert sum(summary["no_answer"].values()) == 24
+    assert summary["verdict"] == "gave no answer at all"
     kept = json.loads((tmp_path / "out" / "probe.json").read_text())
     assert [reply["given_answer"] for reply in kept["replies"]] == [None] * 24
     page = (tmp_path / "out" / "probe.html").read_text()

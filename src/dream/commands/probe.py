@@ -26,8 +26,8 @@ class Probe:
     Eight kinds of multiple-choice questions, about maps drawn as the planners draw them: which mark is the
     nearest, what is unexplored, where a target region is open, what blocks the way, where the robot heads and
     more. A kind is no better than chance where the 95 % interval of its share of right answers reaches down
-    to what blind answers give; do not trust a model of which that is true. The map is read where the interval
-    of the whole lies above 80 %. No answer is a wrong one, and is counted apart.
+    to what blind answers give; do not trust a model with such a kind. The map is read where no kind is like
+    that and the interval of the whole lies above 80 %. No answer is a wrong one, and is counted apart.
 
     With `--record`, an interrupted probe goes on where it was: what is kept there is not asked again.
     """
@@ -35,7 +35,7 @@ class Probe:
     asking: Asking = field(default_factory=Asking)
     """Which model is asked, and how; where it gives no answer in time, nobody decides for it."""
     questions: int = 200
-    """How many; fewer than 200 say little about each kind."""
+    """How many; fewer than 80, ten of every kind, tell nothing."""
     at_once: int = 8
     """Questions that may wait for an answer at a time."""
     limit: float = 1800.0

@@ -12,16 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from dream.evaluation.probe.questions import KINDS
-from dream.evaluation.probe.score import READS, READS_KIND, Reply, Score, Tally
+from dream.evaluation.probe.score import BLIND, READ, READS, READS_KIND, SILENT, Reply, Score, Tally
 from dream.evaluation.results import write_whole
 from dream.report import digest, fill
 
-MOODS = {
-    "reads it": "good",
-    "in part": "warn",
-    "no better than chance": "bad",
-    "too few to tell": "warn",
-}
+MOODS = {READ: "good", BLIND: "bad", SILENT: "bad"}
+"""Of verdicts; others are a warning."""
 BAR = 220
 """Pixels from 0 to 100 %."""
 
@@ -54,7 +50,6 @@ def _page(score: Score, model: str, prompt: str) -> str:
             "main:has(#only-mistakes:checked) .card.right { display: none; }",
         ]
     )
-    mood, badge = {True: ("good", "yes"), False: ("bad", "no"), None: ("warn", "open")}[score.reads]
     whole, record = score.whole, score.as_dict()
     latency = record["latency_s"]["p50"]
     cost = "–" if record["cost_usd"] is None else f"{record['cost_usd']:.2f} USD"
@@ -73,8 +68,8 @@ def _page(score: Score, model: str, prompt: str) -> str:
             "title": html.escape(f"{model} · DREAM map-reading probe"),
             "style": style,
             "heading": html.escape(model),
-            "mood": mood,
-            "badge": badge,
+            "mood": {"yes": "good", "no": "bad"}.get(score.reads, "warn"),
+            "badge": score.reads,
             "verdict": html.escape(score.verdict),
             "figures": "".join(
                 f"<div><dt>{name}</dt><dd>{value}</dd></div>" for name, value in figures.items()
@@ -114,7 +109,7 @@ def _table(score: Score) -> str:
         "<thead><tr>" + "".join(f'<th scope="col">{heading}</th>' for heading in headings) + "</tr></thead>"
     ]
     for kind, tally in score.kinds.items():
-        mood = MOODS[tally.verdict]
+        mood = MOODS.get(tally.verdict, "warn")
         rows.append(_row(KINDS[kind].title, tally, f'<td class="verdict {mood}">{tally.verdict}</td>', ""))
     rows.append(_row("all", score.whole, "<td></td>", ' class="whole"'))
     return f"<table>{''.join(rows)}</table>"

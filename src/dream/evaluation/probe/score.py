@@ -17,6 +17,11 @@ READS = 0.8
 """The map is read where the lower end of the interval of all questions is above this share."""
 READS_KIND = 0.6
 """A kind is read where that of its own questions is above this: from 20 of 25 on."""
+LEAST_ASKED = 10
+"""Questions of a kind without which nothing is said about it."""
+
+READ, IN_PART, BLIND = "reads it", "in part", "no better than chance"
+SILENT, TOO_FEW = "no answer", "too few to tell"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,11 +92,6 @@ class Tally:
         return share_interval(self.right, self.asked)
 
     @property
-    def tells(self) -> bool:
-        """Are there enough questions that right answers could not be luck?"""
-        return self.asked > 0 and share_interval(self.asked, self.asked).low > self.chance
-
-    @property
     def above_chance(self) -> bool:
         """Is the whole interval above what blind answers would give?"""
         return self.asked > 0 and self.interval.low > self.chance
@@ -99,11 +99,13 @@ class Tally:
     @property
     def verdict(self) -> str:
         """Of one kind, in words."""
-        if not self.tells:
-            return "too few to tell"
+        if self.asked < LEAST_ASKED:
+            return TOO_FEW
+        if self.unanswered == self.asked:
+            return SILENT
         if not self.above_chance:
-            return "no better than chance"
-        return "reads it" if self.interval.low > READS_KIND else "in part"
+            return BLIND
+        return READ if self.interval.low > READS_KIND else IN_PART
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -145,30 +147,30 @@ class Score:
         return self.whole.asked == self.questions
 
     @property
-    def reads(self) -> bool | None:
-        """Does the model read the map? None where too little was asked to tell."""
-        kinds = self.kinds.values()
-        if any(tally.tells and not tally.above_chance for tally in kinds):
-            return False
-        if len(kinds) < len(KINDS) or not all(tally.tells for tally in kinds):
-            return None
-        return self.whole.interval.low > READS
+    def reads(self) -> str:
+        """Does the model read the map? `yes`, `in part`, `no`, or `unknown` where it was not asked enough."""
+        verdicts = [tally.verdict for tally in self.kinds.values()]
+        if {BLIND, SILENT} & set(verdicts):
+            return "no"
+        if len(verdicts) < len(KINDS) or TOO_FEW in verdicts:
+            return "unknown"
+        return "yes" if self.whole.interval.low > READS else "in part"
 
     @property
     def verdict(self) -> str:
         """In words."""
-        blind = [
-            KINDS[kind].title for kind, tally in self.kinds.items() if tally.tells and not tally.above_chance
-        ]
-        if blind:
-            return f"do not trust it with a map: no better than chance at {_listed(blind)}"
-        if self.reads is None:
-            return "too few questions to tell"
-        if self.reads:
-            return f"reads the map: surely more than {READS:.0%} right, and every kind above chance"
-        weak = [KINDS[kind].title for kind, tally in self.kinds.items() if tally.verdict != "reads it"]
-        where = f", not well: {_listed(weak)}" if weak else ""
-        return f"reads the map in part: not surely more than {READS:.0%} right{where}"
+        whole, kinds = self.whole, self.kinds.items()
+        if whole.asked and whole.unanswered == whole.asked:
+            return "gave no answer at all"
+        blind = [KINDS[kind].title for kind, tally in kinds if tally.verdict in (BLIND, SILENT)]
+        weak = [KINDS[kind].title for kind, tally in kinds if tally.verdict != READ]
+        return {
+            "no": f"do not trust it with a map: no better than chance at {_listed(blind)}",
+            "unknown": f"too few questions to tell: {LEAST_ASKED} of every kind are the least",
+            "yes": f"reads the map: surely more than {READS:.0%} right, and every kind above chance",
+            "in part": f"reads the map in part: not surely more than {READS:.0%} right"
+            + (f"; weak at {_listed(weak)}" if weak else ""),
+        }[self.reads]
 
     @property
     def failures(self) -> dict[str, int]:
@@ -212,4 +214,4 @@ class Score:
 
 
 def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    return "".join(names) if len(names) < 2 else f"{', '.join(names[:-1])} and {names[-1]}"
