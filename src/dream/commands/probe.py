@@ -33,7 +33,8 @@ class Probe:
     """
 
     asking: Asking = field(default_factory=Asking)
-    """Which model is asked, and how; where it gives no answer in time, nobody decides for it."""
+    """Which model is asked, and how. What is said of a mission is true of the probe; but no offline planner
+    helps the model, and no clock of a mission runs."""
     questions: int = 200
     """How many; fewer than 80, ten of every kind, tell nothing."""
     at_once: int = 8

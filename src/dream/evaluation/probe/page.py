@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from dream.evaluation.probe.questions import KINDS
-from dream.evaluation.probe.score import BLIND, READ, READS, READS_KIND, SILENT, Reply, Score, Tally
+from dream.evaluation.probe.score import BLIND, READ, READS, READS_KIND, SILENT, Reply, Score, Tally, duration
 from dream.evaluation.results import write_whole
 from dream.report import digest, fill
 
@@ -56,7 +56,7 @@ def _page(score: Score, model: str, prompt: str) -> str:
     figures = {
         "right": f"{whole.right} <small>of {whole.asked}</small>",
         "by chance": f"{whole.chance * whole.asked:.0f}",
-        "an answer takes": "–" if latency is None else f"{latency:.1f} s",
+        "an answer takes": "–" if latency is None else duration(latency),
         "cost": cost,
     }
     wrong = sum(not reply.right for reply in score.replies)

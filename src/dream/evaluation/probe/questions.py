@@ -186,8 +186,8 @@ def _contest(
         others = _spread(places, first, np.flatnonzero(rivals)[np.argsort(order[rivals])], count - 1)
         if len(others) == count - 1:
             number = int(wanted)
-            order = rng.permutation(np.array(others, np.intp))
-            return _Draft(text, scene.pose, places[np.insert(order, number - 1, first)])
+            losers = rng.permutation(np.array(others, np.intp))
+            return _Draft(text, scene.pose, places[np.insert(losers, number - 1, first)])
     return None
 
 

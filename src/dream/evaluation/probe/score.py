@@ -187,7 +187,7 @@ class Score:
         cost = "cost unknown" if record["cost_usd"] is None else f"{record['cost_usd']:.2f} USD"
         latency = record["latency_s"]
         return (
-            f"{latency['p50']:.1f} s an answer (99 of 100 within {latency['p99']:.1f} s), "
+            f"{duration(latency['p50'])} an answer, 99 of 100 within {duration(latency['p99'])}; "
             f"{record['tokens_in']} tokens in, {record['tokens_out']} out, {cost}"
         )
 
@@ -211,6 +211,11 @@ class Score:
             "tokens_out": sum(exchange.tokens_out for exchange in asked),
             "cost_usd": None if None in costs else sum(cost for cost in costs if cost is not None),
         }
+
+
+def duration(seconds: float) -> str:
+    """In words."""
+    return f"{seconds:.1f} s" if seconds >= 1.0 else f"{1000.0 * seconds:.0f} ms"
 
 
 def _listed(names: Sequence[str]) -> str:
