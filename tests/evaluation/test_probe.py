@@ -191,10 +191,10 @@ def away(points: npt.NDArray[np.float64], place: tuple[float, float]) -> npt.NDA
     return np.hypot(points[:, 0] - place[0], points[:, 1] - place[1])
 
 
-def touching(question: MapQuestion) -> npt.NDArray[np.float64]:
-    """(n, 2) middles of the target cells that share a side with a white one."""
+def touching(question: MapQuestion, *codes: int) -> npt.NDArray[np.float64]:
+    """(n, 2) middles of the cells of these colours that share a side with a white one."""
     white = {(round(x / 0.125), round(y / 0.125)) for x, y in cells_of(question, WHITE).tolist()}
-    targets = cells_of(question, GREEN, DARK_GREEN).tolist()
+    targets = cells_of(question, *codes).tolist()
     found = [
         (x, y)
         for x, y in targets
@@ -229,10 +229,10 @@ def test_most_white_ground_lies_around_the_mark(questions: list[MapQuestion]) ->
 
 def test_one_mark_alone_has_green_that_touches_white_beside_it(questions: list[MapQuestion]) -> None:
     for question in of_kind(questions, "boundary"):
-        edge = touching(question)
+        green, edge = touching(question, GREEN), touching(question, GREEN, DARK_GREEN)
         for number, place in question.marks.items():
             if str(number) == question.answer:
-                assert np.count_nonzero((away(edge, place) > 0.6) & (away(edge, place) <= 1.6)) >= 5
+                assert np.count_nonzero((away(green, place) > 0.6) & (away(green, place) <= 1.6)) >= 5
             else:
                 assert np.count_nonzero(away(edge, place) <= 3.5) == 0
 
@@ -277,11 +277,9 @@ def test_regions_that_are_called_enclosed_are(questions: list[MapQuestion]) -> N
             new = set(np.concatenate(near).tolist()) if near else set()
             region |= new
         mine = {tuple(targets[k]) for k in region}
-        edge = sum(tuple(cell) in mine for cell in touching(question).tolist())
         if question.answer == "no":
-            assert edge >= 10
+            assert sum(tuple(cell) in mine for cell in touching(question, GREEN).tolist()) >= 10
         else:
-            assert edge == 0
             assert min(away(white, cell).min() for cell in mine) > 0.75
 
 

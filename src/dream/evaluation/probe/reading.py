@@ -55,12 +55,11 @@ class Ground:
         """Share of the cells that are not white."""
         return float(np.mean(self.cells != WHITE))
 
-    @property
-    def boundary(self) -> BoolArray:
-        """(rows, cols) target cells with a white one to the east, north, west or south."""
+    def boundary(self, *colors: int) -> BoolArray:
+        """(rows, cols) cells of these colours with a white one to the east, north, west or south."""
         white = np.pad(self.cells == WHITE, 1)
         beside = white[:-2, 1:-1] | white[2:, 1:-1] | white[1:-1, :-2] | white[1:-1, 2:]
-        return np.asarray(self.target & beside)
+        return np.asarray(np.isin(self.cells, colors) & beside)
 
     def centers(self, cells: BoolArray) -> FloatArray:
         """(n, 2) metres in the world, the middles of the cells that are set."""
@@ -89,15 +88,8 @@ class Ground:
 
     # ------------------------------------------------------------------------------- about places
 
-    def white_near(self, points: npt.ArrayLike, radius: float) -> FloatArray:
-        """(N,) square metres of white cells whose middle is within `radius` metres of points (N, 2)."""
-        return self._near(self.cells == WHITE, points, radius) * self.cell**2
-
-    def boundary_near(self, points: npt.ArrayLike, radius: float) -> FloatArray:
-        """(N,) cells of the boundary whose middle is within `radius` metres of points (N, 2)."""
-        return self._near(self.boundary, points, radius)
-
-    def _near(self, cells: BoolArray, points: npt.ArrayLike, radius: float) -> FloatArray:
+    def count_near(self, cells: BoolArray, points: npt.ArrayLike, radius: float) -> FloatArray:
+        """(N,) how many cells that are set have their middle within `radius` metres of points (N, 2)."""
         from scipy.spatial import cKDTree
 
         middles = self.centers(cells)
@@ -164,7 +156,7 @@ LEAST_REGION = 12
 SURROUNDED = 0.75
 """Metres around an enclosed region without a white cell."""
 LEAST_OPEN = 10
-"""Cells of an open region that touch white ones."""
+"""Green cells of an open region that touch white ones."""
 ALIKE = 0.6
 """Metres around a point in which all cells are what the point is."""
 INSIDE_BAND = 0.04
@@ -210,14 +202,16 @@ def nearest(ground: Ground, pose: SE2, points: FloatArray) -> Contest:
 
 def whitest(ground: Ground, pose: SE2, points: FloatArray) -> Contest:
     """Which place has the most white ground around it?"""
-    area = ground.white_near(points, AROUND)
+    area = ground.count_near(ground.cells == WHITE, points, AROUND) * ground.cell**2
     return Contest(area, WHITER, WHITER, math.inf, area > 0.0)
 
 
 def open_ended(ground: Ground, pose: SE2, points: FloatArray) -> Contest:
     """Which place is beside a boundary, where targets touch white ground?"""
-    seen = ground.boundary_near(points, SEEN_BESIDE) - ground.boundary_near(points, HIDDEN)
-    some = np.minimum(ground.boundary_near(points, NOT_BESIDE), 0.5)
+    # Right whether or not dark green is taken for green.
+    green = ground.boundary(GREEN)
+    seen = ground.count_near(green, points, SEEN_BESIDE) - ground.count_near(green, points, HIDDEN)
+    some = np.minimum(ground.count_near(ground.boundary(GREEN, DARK_GREEN), points, NOT_BESIDE), 0.5)
     beside_target = ground.distance_at(ground.target, points) <= BESIDE
     return Contest(np.maximum(seen, some), LEAST_BOUNDARY, 0.0, 0.0, beside_target)
 
@@ -278,12 +272,12 @@ class Regions:
     def of(ground: Ground) -> Regions:
         """All of them."""
         regions, pieces = ground.regions(MOST_GAP), ground.regions(LEAST_GAP)
-        boundary = ground.boundary
+        green = ground.boundary(GREEN)
         whole = {n: _is_enclosed(ground, regions == n) for n in np.unique(regions[regions > 0]).tolist()}
         middles, answers = [], []
         for number in np.unique(pieces[pieces > 0]).tolist():
             piece = pieces == number
-            is_open = np.count_nonzero(boundary & piece) >= LEAST_OPEN
+            is_open = np.count_nonzero(green & piece) >= LEAST_OPEN
             middles.append(ground.centers(piece))
             answers.append("no" if is_open else "yes" if whole[int(regions[piece][0])] else None)
         return Regions(tuple(middles), tuple(answers))
