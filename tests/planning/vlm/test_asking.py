@@ -169,6 +169,16 @@ def test_the_budget_of_calls_ends_the_asking() -> None:
     assert len(server.requests) == 2
 
 
+def test_questions_on_their_way_count_towards_the_budget() -> None:
+    with serving(GOOD) as server:
+        on = line(server, max_calls=3)
+        pending = [on.ask(question(str(k))) for k in range(5)]
+        answers = [one.answer() for one in pending]
+    assert [answer.reply is not None for answer in answers] == [True, True, True, False, False]
+    assert len(server.requests) == on.calls == 3
+    assert on.under_way == 0
+
+
 def test_the_budget_of_dollars_ends_the_asking(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(asking, "_cost", lambda response: 0.4)
     with serving(GOOD) as server:

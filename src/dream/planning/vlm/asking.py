@@ -134,6 +134,8 @@ class Pending(Generic[R]):
     line: Line
     question: Question[R]
     outcome: Future[Outcome]
+    sent: bool = False
+    """A model was asked, not a budget or what was kept."""
     _answer: Answer[R] | None = None
 
     def done(self) -> bool:
@@ -143,7 +145,9 @@ class Pending(Generic[R]):
     def answer(self) -> Answer[R]:
         """Wait for the answer, no longer than the line's limit."""
         if self._answer is None:
-            self._answer = self.line.receive(self.question, self.outcome.result())
+            outcome = self.outcome.result()
+            self.line.under_way -= self.sent
+            self._answer = self.line.receive(self.question, outcome)
         return self._answer
 
 
@@ -159,6 +163,8 @@ class Line:
 
     asking: Asking
     calls: int = 0
+    under_way: int = 0
+    """Questions whose answer was not received yet; each is at least a call."""
     usd: float = 0.0
     unpriced: bool = False
     """Something was asked whose price is not known."""
@@ -176,16 +182,16 @@ class Line:
         key = question.key(self.asking.label)
         key = f"{key}-{self._asked[key]}"
         self._asked[question.key(self.asking.label)] += 1
-        outcome: Future[Outcome]
+        known: Future[Outcome] = Future()
         if self.asking.replay_replies is not None:
-            outcome = Future()
-            outcome.set_result(cassette.play(Path(self.asking.replay_replies), key, question.prompt))
+            known.set_result(cassette.play(Path(self.asking.replay_replies), key, question.prompt))
         elif spent := self._spent():
-            outcome = Future()
-            outcome.set_result(Outcome(fallback=f"budget: {spent}"))
+            known.set_result(Outcome(fallback=f"budget: {spent}"))
         else:
-            outcome = asyncio.run_coroutine_threadsafe(self._converse(question, key), _loop())
-        return Pending(self, question, outcome)
+            self.under_way += 1
+            coming = asyncio.run_coroutine_threadsafe(self._converse(question, key), _loop())
+            return Pending(self, question, coming, sent=True)
+        return Pending(self, question, known)
 
     def receive(self, question: Question[R], outcome: Outcome) -> Answer[R]:
         """Check what came, and count it."""
@@ -216,7 +222,7 @@ class Line:
     def _spent(self) -> str:
         """Which limit is reached; empty where none is."""
         asking = self.asking
-        if asking.max_calls is not None and self.calls >= asking.max_calls:
+        if asking.max_calls is not None and self.calls + self.under_way >= asking.max_calls:
             return f"all {asking.max_calls} calls are made"
         if asking.max_usd is not None and self.usd >= asking.max_usd:
             return f"all {asking.max_usd:g} USD are spent"
