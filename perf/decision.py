@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from dream.mapping import OccupancyMap
 from dream.mission import explore
-from dream.planning import PLANNERS
+from dream.planning import OFFLINE, PLANNERS
 from dream.protocol import DREAM_V1
 from dream.robots import Teleport
 from dream.sim import worlds
@@ -47,9 +47,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--world", default="reef/mixed", help="a reef")
     parser.add_argument("--seed", type=int, default=101)
-    parser.add_argument(
-        "--planners", nargs="+", default=["belief", "sixsteps", "nbv"], choices=list(PLANNERS)
-    )
+    parser.add_argument("--planners", nargs="+", default=["belief", "sixsteps", "nbv"], choices=OFFLINE)
     options = parser.parse_args()
     usual = worlds.make_world(options.world, options.seed)
     # The same recipe on a larger sea floor.

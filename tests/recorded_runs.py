@@ -5,16 +5,19 @@ The images, the map and the steps are real; no planner decides and nothing is in
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from dream.geometry import SE2, SE3, Bounds
 from dream.mapping import OccupancyMap
+from dream.planning.vlm import pictures
 from dream.protocol import DREAM_V1
-from dream.types import Arrival, Decision, Guarded, Label, Observation, Reasoning, Step
+from dream.types import LOOK_AROUND, Arrival, Decision, Exchange, Guarded, Label, Observation, Reasoning, Step
 
 SEABED = -10.0
 REEFS = ((6.0, 1.0, 2.0), (8.5, 5.0, 1.8), (-5.0, 7.0, 2.6), (-9.0, -3.0, 1.7), (2.0, -9.0, 2.2))
@@ -121,6 +124,48 @@ def painted_coverage(step: Step) -> dict[str, Any]:
     """A curve that saturates."""
     share = 1.0 - math.exp(-step.index / 22.0)
     return {"coverage": {"instances": min(1.0, 1.02 * share), "clusters": share**2, "area": 0.97 * share}}
+
+
+def exchange(**changes: Any) -> Exchange:
+    """A question that was answered at once; `changes` overwrite it."""
+    values: dict[str, Any] = {
+        "prompt": "dream 1, legend 1, oysters 1",
+        "model": "openai:painted",
+        "question": "You are the planner of an underwater robot.\n\n[map]\n\nThe robot is at x = 1 m.",
+        "pictures": {},
+        "replies": ('{"direction": "left", "turn_deg": 30, "step_m": 2, "done": false}',),
+        "fallback": "",
+        "requests": 1,
+        "tokens_in": 2500,
+        "tokens_out": 210,
+        "cost_usd": 0.0075,
+        "seconds": 3.25,
+    }
+    return Exchange(**(values | changes))
+
+
+def painted_pictures(step: Step) -> dict[str, bytes]:
+    """What a planner that asks a model shows it."""
+    shown = pictures.map_picture(step.occupancy, step.arrival.pose, np.empty((0, 2)))
+    return {**pictures.camera_pictures(step.observation), "map": pictures.png(shown)}
+
+
+def asking_mission(count: int, *, said: str = "") -> Iterator[Step]:
+    """The same mission flown by a planner that asks a model; some replies do not count."""
+    for step in painted_mission(count, said=said):
+        if step.index <= LOOK_AROUND:
+            yield step
+            continue
+        reasoning = step.decision.reasoning
+        reply = {name: getattr(reasoning, name) for name in type(reasoning).__slots__}
+        good = json.dumps({**reply, "direction": "left", "turn_deg": 30, "step_m": 2, "done": False})
+        asked = exchange(pictures=painted_pictures(step), replies=(good,))
+        if step.index % 5 == 0:
+            why = "invalid: no reply that fits, asked twice"
+            bad = ("I would turn left. " + said, '{"direction": "up"}')
+            asked = replace(asked, replies=bad, fallback=why, requests=2, cost_usd=None)
+        decision = replace(step.decision, exchanges=(asked,), waited=12.0 * asked.requests)
+        yield replace(step, decision=decision)
 
 
 CONFIG: dict[str, Any] = {

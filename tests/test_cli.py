@@ -24,16 +24,18 @@ from dream.compiling import COMPILES
 from dream.evaluation.locks import alone_at
 from dream.evaluation.oracle import bounds as bounds_module
 from dream.evaluation.oracle.bounds import Bounds
+from dream.evaluation.results import read_results
 from dream.evaluation.suites import SUITES, Case
 from dream.planning import PLANNERS
-from dream.recording import read_steps
+from dream.recording import read_config, read_exchanges, read_steps
 from dream.robots import Teleport
 from dream.types import Arrival, Observation, Setpoint
+from tests.model_server import NAME, Answer, Request, fitting, serving
 
 SUMMARY_KEYS = {
     *("protocol", "world", "seed", "world_hash", "planner", "ended", "steps", "t_stop", "t_claimed"),
     *("t90", "t95", "t98", "t100", "coverage", "collisions", "distance_m", "turns", "min_clearance_m"),
-    *("planner_ms", "wall_s", "vlm", "success"),
+    *("planner_ms", "wall_s", "mission_s", "vlm", "success"),
 }
 
 MADE_UP = {"lower_bound": 4, "best_tour": 4, "status": "optimal", "tour": [0]}
@@ -82,6 +84,19 @@ def test_help_imports_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_planner_that_asks_a_model_is_chosen_and_explained_without_its_client() -> None:
+    code = (
+        "import sys; from dream import commands; from dream.cli import run_command; "
+        "commands.Run.__call__ = lambda run: print(run.planner.model) or 0; "
+        "assert run_command(['run', 'dream', '--model', 'wire']) == 0; "
+        "assert run_command(['run', 'vanilla', '--help']) == 0; "
+        "sys.exit(' '.join({'pydantic_ai', 'openai', 'httpx2'} & set(sys.modules)) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("wire\n")
 
 
 @pytest.mark.parametrize(
@@ -140,6 +155,21 @@ def test_help_imports_nothing_heavy() -> None:
         (["bench", "paper", "--max-steps", "0"], "--max-steps: expected 1 to 200"),
         (["bench", "paper", "--planners"], "--planners: expected one or more of"),
         (["bench", "paper", "--planners", "random", "random"], "--planners: expected each once"),
+        (
+            ["bench", "paper", "--planners", "vanilla", "belief", "dream"],
+            "--model: expected which model vanilla and dream should ask, got none",
+        ),
+        (["sweep", "paper", "--planners", "dream"], "--model: expected which model dream should ask"),
+        (
+            ["bench", "paper", "--model", "wire"],
+            "--planners: expected one that asks a model, such as dream, beside options for asking",
+        ),
+        (
+            ["bench", "paper", "--planners", "dream", "--replay-replies", "nowhere"],
+            "--replay-replies: expected a folder of kept replies, got nowhere",
+        ),
+        (["run", "dream", "--model", "http://me:secret@far/v1"], "model: expected a plain address"),
+        (["run", "dream"], "model: expected which model to ask, got none"),
         (["bench", "paper", "--world", "reef/L"], "expected a suite or --world, got both: paper and --world"),
         (["bench", "--world", "reef/mixd"], 'no world "reef/mixd". Did you mean "reef/mixed"?'),
         (["bench", "--world", "reef/L", "--seeds", "5..1"], "got 5..1. Did you mean 1..5?"),
@@ -528,3 +558,142 @@ def test_an_interrupted_run_keeps_its_steps(tmp_path: Path) -> None:
     assert len(kept) == json.loads(printed)["steps"] + 1
     assert all(json.loads(line) for line in kept)
     assert (folder / "report.html").stat().st_size > 10_000
+
+
+def ask(answer: Answer, out: Path, *options: str, planner: str = "vanilla") -> tuple[int, list[Request]]:
+    """Fly a few steps with a model that answers so; returns the exit status and what it was asked."""
+    with serving(answer) as server:
+        model = ["--model", server.address, "--model-name", NAME, "--timeout", "20"]
+        fly = ["run", planner, *model, "--max-steps", "6", "--out", str(out), *options]
+        return run_command(fly), server.asked
+
+
+def failing(status: int, *, after: int = 0) -> Answer:
+    """Answers that many questions, then only with an error."""
+    left = iter(range(after))
+    return lambda request: fitting(request) if next(left, None) is not None else status
+
+
+def test_a_run_tells_what_asking_came_to(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bad = iter(["no JSON", "still none"])
+    status, asked = ask(lambda request: next(bad, None) or fitting(request), tmp_path)
+    assert status == 0
+    assert [request.pictures for request in asked] == [4] * 4
+    printed = capsys.readouterr().out
+    address = read_config(tmp_path / "latest").planner_parameters["model"]
+    assert (
+        f"  asked {NAME} at {address}: 4 calls, 4200 tokens, at an unknown price, "
+        "1 fallbacks (invalid 1), waited 48 s of "
+    ) in printed
+    assert "wire test" not in printed
+    kept = [len(read_exchanges(tmp_path / "latest", step)) for step in range(7)]
+    assert kept == [0, 0, 0, 0, 1, 1, 1]
+    summary = json.loads((tmp_path / "latest" / "summary.json").read_text())
+    assert (summary["vlm"]["questions"], summary["vlm"]["fallbacks"]) == (3, 1)
+    assert summary["mission_s"] > 48.0
+
+
+def test_a_key_is_sent_but_never_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DREAM_API_KEY", "sk-hush")
+    status, asked = ask(failing(400, after=1), tmp_path, "--record", str(tmp_path / "kept"))
+    assert status == 0
+    assert {request.key for request in asked} == {"Bearer sk-hush"}
+    assert "sk-hush" not in "".join(capsys.readouterr())
+    files = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert any(path.parent.name == "kept" for path in files)
+    assert not [path for path in files if b"sk-hush" in path.read_bytes()]
+
+
+def test_a_planner_that_cannot_begin_leaves_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command(["run", "dream", "--model", "http://127.0.0.1:1/v1", "--out", str(tmp_path)]) == 2
+    complaint = capsys.readouterr().err
+    assert "Say --model-name NAME" in complaint
+    assert len(complaint.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_wrong_key_ends_the_run_at_its_first_question_and_says_what_to_do(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, asked = ask(failing(401), tmp_path)
+    assert (status, len(asked)) == (1, 1)
+    complaint = capsys.readouterr().err
+    assert "HTTP 401. Is its name right, and its key in the environment?; 3 steps are kept in" in complaint
+    assert len(complaint.splitlines()) == 1
+    assert [step.step for step in read_steps(tmp_path / "latest")] == [0, 1, 2, 3]
+    assert (tmp_path / "latest" / "report.html").is_file()
+
+
+def test_a_key_that_is_refused_later_is_a_fallback(tmp_path: Path) -> None:
+    assert ask(failing(401, after=1), tmp_path, "--json")[0] == 0
+    summary = json.loads((tmp_path / "latest" / "summary.json").read_text())
+    assert summary["vlm"]["reasons"] == {"server": 2}
+
+
+def test_replies_that_were_kept_fly_the_same_mission_without_a_model(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = str(tmp_path / "kept")
+    assert ask(fitting, tmp_path / "first", "--record", kept)[0] == 0
+    model = read_config(tmp_path / "first" / "latest").planner_parameters["model"]
+    again = ["run", "vanilla", "--model", model, "--model-name", NAME, "--replay-replies", kept]
+    assert run_command([*again, "--max-steps", "6", "--out", str(tmp_path / "again")]) == 0
+    first, second = (read_steps(tmp_path / name / "latest") for name in ("first", "again"))
+    assert [step.pose for step in first] == [step.pose for step in second]
+
+    capsys.readouterr()
+    assert run_command([*again, "--max-steps", "7", "--out", str(tmp_path / "longer")]) == 1
+    complaint = capsys.readouterr().err
+    assert "expected a kept reply to this question" in complaint
+    assert "Record again with --record; 3 steps are kept in" in complaint
+    assert len(complaint.splitlines()) == 1
+
+
+def test_a_benchmark_hands_its_model_to_those_that_ask_and_writes_it_down(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DREAM_API_KEY", "sk-hush")
+    with serving() as server:
+        options = ["--model", server.address, "--model-name", NAME, "--latency", "9", "--timeout", "20"]
+        command = ["bench", "--world", "flat/empty", "--planners", "vanilla", "random", *options]
+        limits = ["--max-steps", "5", "--jobs", "2", "--max-calls", "1", "--json"]
+        assert run_command([*command, *limits, "--out", str(tmp_path)]) == 0
+        assert len(server.asked) == 1
+    results = read_results(tmp_path)
+    asked = results.manifest["planners"]["vanilla"]
+    assert (asked["model"], asked["model_name"], asked["latency"]) == (server.address, NAME, 9.0)
+    assert asked["max_calls"] == 1
+    assert "model" not in results.manifest["planners"]["random"]
+    random, vanilla = results.rows
+    assert (vanilla.vlm_calls, vanilla.vlm_fallbacks, vanilla.vlm_waited_s) == (1, 1, 9.0)
+    assert (random.vlm_calls, random.vlm_waited_s) == (None, None)
+    assert vanilla.mission_s is not None
+    assert vanilla.mission_s > 9.0
+    assert not [path for path in tmp_path.rglob("*.*") if b"sk-hush" in path.read_bytes()]
+
+
+def test_a_benchmark_says_of_each_mission_that_its_key_was_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with serving(failing(401)) as server:
+        options = ["--model", server.address, "--model-name", NAME, "--max-steps", "5", "--jobs", "1"]
+        fly = ["bench", "--world", "flat/empty", "--planners", "dream", *options, "--out", str(tmp_path)]
+        assert run_command(fly) == 1
+    complaint = capsys.readouterr().err.splitlines()[-1]
+    assert "1 of 1 missions failed, first dream in flat/empty 1: " in complaint
+    assert "HTTP 401. Is its name right, and its key in the environment?" in complaint
+
+
+def test_a_model_that_cannot_be_asked_is_found_out_before_anything_is_flown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("OPENAI_API_KEY", "DREAM_OFFLINE"):
+        monkeypatch.delenv(name, raising=False)
+    out = tmp_path / "bench"
+    assert run_command(["bench", "--planners", "dream", "--model", "openai:x", "--out", str(out)]) == 2
+    assert "OPENAI_API_KEY" in capsys.readouterr().err
+    assert not out.exists()

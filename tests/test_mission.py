@@ -109,3 +109,15 @@ def test_the_planner_is_not_asked_during_the_look_around(empty_world: World, ste
             raise AssertionError("asked during the look-around")
 
     assert len(list(simulate(empty_world, Silent(), DREAM_V1, max_steps=steps))) == steps + 1
+
+
+class Cannot:
+    """A planner that lacks what it needs."""
+
+    def begin(self, mission: Mission) -> Reader:
+        raise ValueError("model: expected one, got none")
+
+
+def test_a_planner_that_cannot_begin_fails_before_the_first_step_is_asked_for(empty_world: World) -> None:
+    with pytest.raises(ValueError, match="expected one, got none"):
+        simulate(empty_world, Cannot(), DREAM_V1)

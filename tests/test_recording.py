@@ -7,6 +7,7 @@ import math
 import signal
 import threading
 from collections.abc import Iterator
+from dataclasses import fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -18,17 +19,27 @@ from PIL import Image
 from dream import recording
 from dream.mapping import OccupancyMap
 from dream.recording import (
+    MAX_EXCHANGE_BYTES,
     MAX_LINE_BYTES,
+    MAX_SHOWN_BYTES,
     new_run_folder,
     read_config,
+    read_exchanges,
     read_steps,
     read_summary,
     record,
     write_config,
     write_summary,
 )
-from dream.types import Step
-from tests.recorded_runs import CONFIG, SUMMARY, painted_coverage, painted_mission
+from dream.types import Decision, Exchange, Step
+from tests.recorded_runs import (
+    CONFIG,
+    SUMMARY,
+    asking_mission,
+    exchange,
+    painted_coverage,
+    painted_mission,
+)
 
 NOW = datetime(2026, 11, 21, 6, 1, tzinfo=UTC)
 
@@ -331,3 +342,115 @@ def test_a_damaged_config_is_named(tmp_path: Path) -> None:
     (tmp_path / "config.json").write_text('{"version": ')
     with pytest.raises(ValueError, match=r"config\.json: expected one JSON object"):
         read_config(tmp_path)
+
+
+def asking(*exchanges: Exchange, waited: float = 0.0) -> Iterator[Step]:
+    """Two steps; the second asked all that."""
+    first, second = painted_mission(2)
+    yield first
+    yield replace(second, decision=replace(second.decision, exchanges=exchanges, waited=waited))
+
+
+def same(one: Exchange, other: Exchange) -> bool:
+    return all(getattr(one, field.name) == getattr(other, field.name) for field in fields(Exchange))
+
+
+def test_what_a_model_was_shown_and_answered_is_read_back_to_the_byte(tmp_path: Path) -> None:
+    steps = list(record(asking_mission(7), tmp_path))
+    for step in steps:
+        kept = read_exchanges(tmp_path, step.index)
+        assert len(kept) == len(step.decision.exchanges) == (step.index > 3)
+        assert all(map(same, kept, step.decision.exchanges))
+    shown = steps[4].decision.exchanges[0].pictures
+    assert (tmp_path / "replies/0004_map.png").read_bytes() == shown["map"]
+    with Image.open(tmp_path / "replies/0004_camera.png") as picture:
+        assert picture.size == (640, 480)
+
+
+def test_a_line_says_in_short_what_was_asked(tmp_path: Path) -> None:
+    list(record(asking_mission(7), tmp_path))
+    lines = read_steps(tmp_path)
+    assert [line.asked is not None for line in lines] == [False] * 4 + [True] * 3
+    assert [line.waited_s for line in lines[3:]] == [0.0, 12.0, 24.0, 12.0]
+    assert lines[5].asked is not None
+    assert lines[5].asked.model_dump() == {
+        "prompt": "dream 1, legend 1, oysters 1",
+        "fallback": "invalid: no reply that fits, asked twice",
+        "requests": 2,
+    }
+
+
+def test_two_questions_of_a_step_are_kept_apart(tmp_path: Path) -> None:
+    one = exchange(pictures={"map": b"first"}, fallback="timeout: no answer within 60 s", replies=())
+    two = exchange(pictures={"map": b"second"}, requests=2)
+    list(record(asking(one, two), tmp_path))
+    assert all(map(same, read_exchanges(tmp_path, 1), (one, two)))
+    assert (tmp_path / "replies/0001-2_map.png").read_bytes() == b"second"
+    line = read_steps(tmp_path)[1]
+    assert line.asked is not None
+    assert (line.asked.fallback, line.asked.requests) == ("", 3)
+
+
+def test_a_run_that_asked_nothing_has_no_replies(run: tuple[Path, list[Step]]) -> None:
+    assert not (run[0] / "replies").exists()
+    assert read_exchanges(run[0], 3) == []
+
+
+def test_a_recording_from_before_anything_was_asked_is_read(
+    run: tuple[Path, list[Step]], tmp_path: Path
+) -> None:
+    older = [json.loads(line) for line in recorded_lines(run)]
+    for line in older:
+        del line["waited_s"], line["asked"]
+    steps = read_steps(lines_of(tmp_path, [json.dumps(line) + "\n" for line in older]))
+    assert [(step.waited_s, step.asked) for step in steps] == [(0.0, None)] * 7
+    write_summary(tmp_path, SUMMARY)
+    summary = read_summary(tmp_path)
+    assert summary is not None
+    assert summary.mission_s is None
+
+
+@pytest.mark.parametrize("name", ["../map", "a b", "", "x" * 41])
+def test_a_picture_whose_name_is_no_file_name_is_refused(name: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="pictures"):
+        list(record(asking(exchange(pictures={name: b"png"})), tmp_path))
+    assert len(read_steps(tmp_path)) == 1
+
+
+@pytest.mark.parametrize(
+    ("damage", "complaint"),
+    [
+        ({"requests": -1}, "requests"),
+        ({"pictures": ["../../frames/0000_rgb"]}, "pictures.0"),
+        ({"cost_usd": "much"}, "cost_usd"),
+        ({"replies": 3}, "replies"),
+        (None, "damaged text"),
+        ("x" * (MAX_EXCHANGE_BYTES + 1), f"expected at most {MAX_EXCHANGE_BYTES} bytes"),
+    ],
+)
+def test_a_damaged_exchange_is_named(damage: Any, complaint: str, tmp_path: Path) -> None:
+    list(record(asking(exchange()), tmp_path))
+    path = tmp_path / "replies/0001.json"
+    changed = json.dumps(json.loads(path.read_text()) | damage) if isinstance(damage, dict) else damage
+    path.write_text("{" if changed is None else changed)
+    with pytest.raises(ValueError, match=complaint) as caught:
+        read_exchanges(tmp_path, 1)
+    assert str(path) in str(caught.value)
+
+
+def test_a_picture_that_is_gone_or_too_large_is_left_out_with_a_warning(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    list(record(asking(exchange(pictures={"map": b"1", "camera": b"2", "depth": b"3"})), tmp_path))
+    (tmp_path / "replies/0001_map.png").unlink()
+    (tmp_path / "replies/0001_depth.png").write_bytes(b"0" * (MAX_SHOWN_BYTES + 1))
+    with caplog.at_level(logging.WARNING):
+        (kept,) = read_exchanges(tmp_path, 1)
+    assert kept.pictures == {"camera": b"2"}
+    assert "0001_map.png is left out" in caplog.text
+    assert "0001_depth.png is left out" in caplog.text
+
+
+def test_equal_decisions_may_have_been_asked_for_differently() -> None:
+    assert Decision(1.0, exchanges=(exchange(),)) == Decision(1.0)
+    assert Decision(1.0, waited=12.0) != Decision(1.0)

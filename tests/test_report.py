@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import base64
 import itertools
 import json
 import logging
@@ -9,7 +10,8 @@ import shutil
 import struct
 import subprocess
 import zlib
-from dataclasses import asdict
+from collections.abc import Iterable
+from dataclasses import asdict, replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -20,10 +22,19 @@ from PIL import Image
 
 from dream import commands
 from dream.cli import run_command
-from dream.planning import PLANNERS, AnyPlanner, Lawnmower, RandomWalk, SixSteps
+from dream.planning import PLANNERS, AnyPlanner, Dream, Lawnmower, RandomWalk, SixSteps, Vanilla
 from dream.recording import RunConfig, read_config, record, write_config, write_summary
 from dream.report import repeating_command, write_report
-from tests.recorded_runs import CONFIG, SUMMARY, painted_coverage, painted_mission
+from dream.types import Step
+from tests.recorded_runs import (
+    CONFIG,
+    SUMMARY,
+    asking_mission,
+    exchange,
+    painted_coverage,
+    painted_mission,
+    painted_pictures,
+)
 
 HOSTILE = (
     "</script ></script><script>document.title='owned'</script><img src=x onerror=alert(1)> & <!-- {{run}}"
@@ -60,8 +71,12 @@ class Page(HTMLParser):
 
 
 def recorded(folder: Path, count: int, *, kept: int | None = None, said: str = "") -> Path:
+    return kept_in(folder, painted_mission(count, said=said), kept)
+
+
+def kept_in(folder: Path, mission: Iterable[Step], kept: int | None = None) -> Path:
     write_config(folder, CONFIG)
-    steps = record(painted_mission(count, said=said), folder, annotate=painted_coverage)
+    steps = record(mission, folder, annotate=painted_coverage)
     for _ in itertools.islice(steps, kept):
         pass
     steps.close()
@@ -190,6 +205,12 @@ def test_the_command_of_the_footer_holds_what_is_not_the_default() -> None:
         (SixSteps(kernel=5.0 / 3.0, standoff_cells=2.0), {"start": 2, "max_steps": 40}),
         (Lawnmower(swath=0.8), {"world": "my reef; it's old", "protocol": "pool-v1"}),
         (RandomWalk(walk_seed=7), {"seed": 2**63 - 1}),
+        (Dream(model="openai:gpt-5", max_calls=0, max_usd=0.5, timeout=30.0), {}),
+        (
+            Vanilla(model="http://[::1]:8000/v1", model_name="my model", latency=0.0, record="kept; here"),
+            {"max_steps": 9},
+        ),
+        (Dream(model="wire:slow", replay_replies="kept"), {}),
     ],
 )
 def test_the_command_of_the_footer_parses_to_the_run_that_was_recorded(
@@ -291,3 +312,120 @@ def test_a_browser_runs_nothing_that_a_run_says(tmp_path: Path) -> None:
     assert 'data-ready="2"' in seen.stdout
     assert "<title>reef/string seed 3, sixsteps · DREAM</title>" in seen.stdout
     assert "CONSOLE" not in seen.stderr
+
+
+VLM: dict[str, Any] = {
+    "model": "openai:painted",
+    "prompts": ["dream 1"],
+    "calls": 1098,
+    "questions": 900,
+    "tokens": 1234567,
+    "tokens_in": 1200000,
+    "tokens_out": 34567,
+    "cost_usd": 3.275,
+    "fallbacks": 4,
+    "reasons": {"invalid": 1, "timeout": 3},
+    "waited_s": 1176.0,
+}
+
+
+@pytest.fixture(scope="module")
+def asked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = kept_in(tmp_path_factory.mktemp("asked"), asking_mission(7, said=HOSTILE))
+    write_summary(folder, {**SUMMARY, "mission_s": 1500.0, "vlm": VLM})
+    write_report(folder)
+    return folder
+
+
+def test_the_page_holds_what_a_model_was_shown_to_the_byte(asked: Path) -> None:
+    page = Page(asked / "report.html")
+    assert [name for name in page.scripts if name.startswith("asked-")] == ["asked-4", "asked-5", "asked-6"]
+    for step in (4, 5, 6):
+        (told,) = json.loads(page.scripts[f"asked-{step}"])
+        assert list(told["pictures"]) == ["camera", "depth", "labels", "map"]
+        for name, url in told["pictures"].items():
+            kind, _, content = url.partition(",")
+            assert kind == "data:image/png;base64"
+            assert base64.b64decode(content) == (asked / f"replies/{step:04d}_{name}.png").read_bytes()
+    (told,) = json.loads(page.scripts["asked-5"])
+    assert told["replies"][0] == "I would turn left. " + HOSTILE
+    assert (told["fallback"], told["requests"], told["cost_usd"]) == (
+        "invalid: no reply that fits, asked twice",
+        2,
+        None,
+    )
+
+
+def test_what_a_model_says_cannot_leave_its_place_in_the_page(asked: Path) -> None:
+    page = Page(asked / "report.html")
+    assert page.tags.count("script") == 2 + 7 + 3  # the run, the program, the pictures and what was asked
+    assert "img" not in page.tags
+    assert not any(set("<>&") & set(text) for name, text in page.scripts.items() if name != "module")
+    assert page.policy.startswith("default-src 'none'; img-src data:;")
+
+
+def test_a_picture_that_is_none_is_left_out_of_what_a_model_was_shown(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    first, second = painted_mission(2)
+    pngs = {**painted_pictures(second), "depth": b"GIF89a", "labels": promised(30000, 30000)}
+    decision = replace(second.decision, exchanges=(exchange(pictures=pngs),))
+    with caplog.at_level(logging.WARNING):
+        page = Page(write_report(kept_in(tmp_path, [first, replace(second, decision=decision)])))
+    (told,) = json.loads(page.scripts["asked-1"])
+    assert [name for name, url in told["pictures"].items() if url is None] == ["depth", "labels"]
+    assert "the picture depth of step 1 is left out" in caplog.text
+
+
+def test_a_damaged_exchange_is_named_by_the_report(asked: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(asked, tmp_path / "copy"))
+    (folder / "replies/0005.json").write_text("{}")
+    with pytest.raises(ValueError, match=r"0005\.json: .*Field required"):
+        write_report(folder)
+
+
+def text_of(dom: str, name: str) -> str:
+    """What an element with that id says, tags left out."""
+    found = re.search(rf'id="{name}"[^>]*>(.*?)</(?:p|section)>', dom, re.S)
+    assert found is not None
+    return re.sub(r"<[^>]+>", " ", found[1])
+
+
+@pytest.mark.slow
+def test_a_browser_shows_what_a_model_saw_and_said(asked: Path, tmp_path: Path) -> None:
+    seen = browse(asked / "report.html", 5, tmp_path / "profile", "--dump-dom")
+    assert "CONSOLE" not in seen.stderr
+    dom = re.sub(r"<script.*?</script>", "", seen.stdout, flags=re.S)
+    total = text_of(dom, "asked-total")
+    assert "openai:painted was asked: 1098 calls, 1,234,567 tokens, US$ 3.27" in total.replace(
+        "1,098", "1098"
+    )
+    assert "4 fallbacks (invalid 1, timeout 3), waited 19.6 min of 25.0 min" in total
+    panel = dom[dom.index('id="asked-panel"') : dom.index('id="curve-title"')]
+    assert panel.count("<img") == 4
+    assert panel.count('src="data:image/png;base64,') == 4
+    assert "No reply used" in panel
+    assert "invalid: no reply that fits, asked twice. The offline planner decided." in panel
+    assert "I would turn left. &lt;/script &gt;" in panel
+    assert '{\n  "direction": "up"\n}' in panel
+    assert "24 s on the mission's clock" in panel
+    assert "<title>reef/string seed 3, sixsteps · DREAM</title>" in dom
+
+
+@pytest.mark.slow
+def test_a_browser_shows_no_model_where_none_was_asked(asked: Path, finished: Path, tmp_path: Path) -> None:
+    early = browse(asked / "report.html", 2, tmp_path / "profile", "--dump-dom").stdout
+    assert "No model was asked at this step." in early
+    assert 'The one next: <a href="#step=4">step 4</a>.' in early
+    assert "The one before" not in re.sub(r"<script.*?</script>", "", early, flags=re.S)
+    never = browse(finished / "report.html", 2, tmp_path / "profile", "--dump-dom").stdout
+    assert re.search(r'id="asked-panel"[^>]*hidden', never)
+    assert "No model was asked at this step." not in re.sub(r"<script.*?</script>", "", never, flags=re.S)
+
+
+@pytest.mark.slow
+def test_a_run_with_the_stand_in_is_called_a_wire_test(asked: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(asked, tmp_path / "copy"))
+    write_config(folder, {**CONFIG, "planner": "dream", "planner_parameters": {"model": "wire:mute"}})
+    dom = browse(write_report(folder), 2, tmp_path / "profile", "--dump-dom").stdout
+    assert "A wire test" in text_of(dom, "asked-total")

@@ -63,7 +63,7 @@ def explore(
     max_steps: int | None = None,
     target: Target = Target.ANY,
 ) -> Iterator[Step]:
-    """Run one mission, yielding after every decision.
+    """Run one mission, yielding after every decision; the planner begins at once.
 
     The first step yielded, with index 0, is the first look, before anything was decided. The last
     one says how the mission ended: `done` when the planner said so and the map's completion check
@@ -76,13 +76,20 @@ def explore(
         max_steps: Decisions at most; the protocol's cap unless given.
         target: What the operator looks for.
 
-    Yields:
-        A `Step`; its map is the live one.
+    Returns:
+        The steps; the map of each is the live one.
+
+    Raises:
+        ValueError: The planner cannot begin; nothing has moved yet.
     """
     protocol = occupancy.protocol
     cap = protocol.cap if max_steps is None else max_steps
     pilot = planner.begin(Mission(protocol, occupancy.bounds, cap, target))
+    return _steps(robot, pilot, occupancy, cap)
 
+
+def _steps(robot: Robot, pilot: Pilot, occupancy: OccupancyMap, cap: int) -> Iterator[Step]:
+    protocol = occupancy.protocol
     observation = robot.observe()
     occupancy.clear_launch(observation.pose.x, observation.pose.y)
     _integrate(occupancy, observation)

@@ -13,18 +13,18 @@ import os
 import re
 import signal
 import threading
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from types import FrameType
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from PIL import Image
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import from_json
 
-from dream.types import Float32Array, Label, Step, UInt8Array
+from dream.types import Exchange, Float32Array, Label, Step, UInt8Array
 
 logger = logging.getLogger(__name__)
 
@@ -40,6 +40,10 @@ LABEL_COLORS: Mapping[Label, tuple[int, int, int]] = {
 
 MAX_LINE_BYTES = 1 << 20
 """A longer line of `steps.jsonl` is refused: an honest one takes a few kilobytes."""
+MAX_EXCHANGE_BYTES = 16 << 20
+"""A larger file of what a model answered is refused: one reply is at most 1 MiB."""
+MAX_SHOWN_BYTES = 8 << 20
+"""A larger picture of what a model was shown is left out."""
 
 # Pictures are written while the robot waits: little compression, done quickly.
 _PNG_LEVEL = 1
@@ -94,6 +98,36 @@ class Coverage(_Recorded):
     area: float | None = None
 
 
+class RecordedAsked(_Recorded):
+    """That a model was asked; all that was said lies in `replies/`."""
+
+    prompt: str
+    """Of the last question."""
+    fallback: str
+    """Why no reply to it counted; empty where one did."""
+    requests: int = Field(ge=0)
+    """In all questions of the step."""
+
+
+class RecordedExchange(_Recorded):
+    """`replies/NNNN.json`: one question to a model, and what came of it. See `types.Exchange`."""
+
+    prompt: str
+    model: str
+    question: str
+    pictures: tuple[Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9-]{0,39}$")], ...] = Field(
+        max_length=16
+    )
+    """Names; the files beside this one are called by them."""
+    replies: tuple[str, ...] = Field(max_length=16)
+    fallback: str
+    requests: int = Field(ge=0)
+    tokens_in: int = Field(ge=0)
+    tokens_out: int = Field(ge=0)
+    cost_usd: float | None
+    seconds: float = Field(ge=0.0)
+
+
 class RecordedStep(_Recorded):
     """One line of `steps.jsonl`. SI units and radians; annotations stand beside the fields."""
 
@@ -112,6 +146,10 @@ class RecordedStep(_Recorded):
     open_region: str
     ended: str = Field(pattern="^(done|cap)?$")
     planner_ms: float
+    waited_s: float = 0.0
+    """That the vehicle stood still for an answer, on the mission's clock."""
+    asked: RecordedAsked | None = None
+    """None where no model was asked."""
     coverage: Coverage | None = None
 
 
@@ -164,6 +202,8 @@ class RunSummary(_Recorded):
     min_clearance_m: float | None
     planner_ms: PlannerTimes
     wall_s: float
+    mission_s: float | None = None
+    """On the mission's clock, waiting for answers included; None in older files."""
     vlm: dict[str, Any] | None
     success: bool
 
@@ -245,6 +285,7 @@ def _recording(
                     line = _line(step, annotate(step) if annotate else {})
                     try:
                         _write_pictures(step, trail, folder)
+                        _write_exchanges(step, folder)
                         lines.write(line + "\n")
                         lines.flush()
                     except OSError as error:
@@ -306,9 +347,19 @@ def _line(step: Step, annotations: Mapping[str, Any]) -> str:
         open_region=step.open_region,
         ended=step.ended,
         planner_ms=1000.0 * step.planner_s,
+        waited_s=step.decision.waited,
+        asked=_asked(step.decision.exchanges),
         **annotations,
     )
     return recorded.model_dump_json(fallback=_plain)
+
+
+def _asked(exchanges: Sequence[Exchange]) -> RecordedAsked | None:
+    if not exchanges:
+        return None
+    last = exchanges[-1]
+    requests = sum(exchange.requests for exchange in exchanges)
+    return RecordedAsked(prompt=last.prompt, fallback=last.fallback, requests=requests)
 
 
 def _plain(value: Any) -> Any:
@@ -329,6 +380,38 @@ def _write_pictures(step: Step, trail: list[tuple[float, float]], folder: Path) 
     }
     for name, picture in pictures.items():
         picture.save(folder / name, compress_level=_PNG_LEVEL)
+
+
+def _write_exchanges(step: Step, folder: Path) -> None:
+    """The exact bytes that a model saw, then what was said."""
+    for number, exchange in enumerate(step.decision.exchanges, start=1):
+        recorded = RecordedExchange(
+            prompt=exchange.prompt,
+            model=exchange.model,
+            question=exchange.question,
+            pictures=tuple(exchange.pictures),
+            replies=exchange.replies,
+            fallback=exchange.fallback,
+            requests=exchange.requests,
+            tokens_in=exchange.tokens_in,
+            tokens_out=exchange.tokens_out,
+            cost_usd=exchange.cost_usd,
+            seconds=exchange.seconds,
+        )
+        path = _exchange_path(folder, step.index, number)
+        path.parent.mkdir(exist_ok=True)
+        for name, png in exchange.pictures.items():
+            _shown_path(path, name).write_bytes(png)
+        path.write_text(recorded.model_dump_json(indent=1) + "\n", encoding="utf-8")
+
+
+def _exchange_path(folder: Path, step: int, number: int) -> Path:
+    """Of the first, second … exchange of a step."""
+    return folder / "replies" / (f"{step:04d}.json" if number == 1 else f"{step:04d}-{number}.json")
+
+
+def _shown_path(exchange: Path, name: str) -> Path:
+    return exchange.with_name(f"{exchange.stem}_{name}.png")
 
 
 def _depth_image(depth: Float32Array) -> Image.Image:
@@ -375,6 +458,48 @@ def read_steps(folder: Path) -> list[RecordedStep]:
                 raise ValueError(f"{where}: expected a step after {steps[-1].step}, got {step.step}")
             steps.append(step)
     return steps
+
+
+def read_exchanges(folder: Path, step: int) -> list[Exchange]:
+    """What a model was asked and answered for a step, in order; empty where nothing is kept of it.
+
+    A picture that is missing or too large is left out with a warning.
+
+    Raises:
+        ValueError: A file is damaged; the message names it.
+    """
+    exchanges: list[Exchange] = []
+    while (path := _exchange_path(folder, step, len(exchanges) + 1)).is_file():
+        if path.stat().st_size > MAX_EXCHANGE_BYTES:
+            raise ValueError(f"{path}: expected at most {MAX_EXCHANGE_BYTES} bytes, got more")
+        recorded = _checked(RecordedExchange, _json(path), str(path))
+        shown = {name: _shown(_shown_path(path, name)) for name in recorded.pictures}
+        exchanges.append(
+            Exchange(
+                prompt=recorded.prompt,
+                model=recorded.model,
+                question=recorded.question,
+                pictures={name: png for name, png in shown.items() if png is not None},
+                replies=recorded.replies,
+                fallback=recorded.fallback,
+                requests=recorded.requests,
+                tokens_in=recorded.tokens_in,
+                tokens_out=recorded.tokens_out,
+                cost_usd=recorded.cost_usd,
+                seconds=recorded.seconds,
+            )
+        )
+    return exchanges
+
+
+def _shown(path: Path) -> bytes | None:
+    try:
+        if path.stat().st_size > MAX_SHOWN_BYTES:
+            raise ValueError(f"expected at most {MAX_SHOWN_BYTES} bytes, got more")
+        return path.read_bytes()
+    except (OSError, ValueError) as error:
+        logger.warning("%s is left out: %s", path, error)
+        return None
 
 
 def read_config(folder: Path) -> RunConfig:

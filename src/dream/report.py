@@ -26,7 +26,15 @@ import numpy as np
 from PIL import Image
 
 from dream.planning import PLANNERS
-from dream.recording import LABEL_COLORS, RunConfig, read_config, read_steps, read_summary
+from dream.recording import (
+    LABEL_COLORS,
+    RecordedStep,
+    RunConfig,
+    read_config,
+    read_exchanges,
+    read_steps,
+    read_summary,
+)
 from dream.types import Label, UInt8Array
 
 logger = logging.getLogger(__name__)
@@ -36,7 +44,7 @@ DEPTH_LEVEL = 0.1
 
 T = TypeVar("T")
 
-_SCRIPTS = ("words.js", "pictures.js", "chart.js", "page.js")
+_SCRIPTS = ("words.js", "pictures.js", "asked.js", "chart.js", "page.js")
 _JPEG_QUALITY = 80
 _MAX_SIDE = 4096
 # What Pillow says of a header that promises too much; the warning counts where warnings are errors.
@@ -56,13 +64,9 @@ def write_report(folder: Path) -> Path:
     farthest = 0
     blocks = []
     with ThreadPoolExecutor() as pool:
-        for step, (pictures, level) in zip(
-            steps, pool.map(lambda step: _pictures(folder, step.step), steps), strict=True
-        ):
+        for level, of_step in pool.map(lambda step: _blocks(folder, step), steps):
             farthest = max(farthest, level)
-            blocks.append(
-                f'<script type="application/json" id="pictures-{step.step}">{_json(pictures)}</script>'
-            )
+            blocks += of_step
     run = {
         "config": config.model_dump(),
         "summary": summary.model_dump() if summary else None,
@@ -116,6 +120,15 @@ def repeating_command(config: RunConfig) -> str:
     return shlex.join(words)
 
 
+def _blocks(folder: Path, step: RecordedStep) -> tuple[int, list[str]]:
+    """The highest level of a step's depth, and what the page holds of the step beside its line."""
+    pictures, level = _pictures(folder, step.step)
+    blocks = [_block(f"pictures-{step.step}", pictures)]
+    if step.asked is not None:
+        blocks.append(_block(f"asked-{step.step}", _asked(folder, step.step)))
+    return level, blocks
+
+
 def _pictures(folder: Path, step: int) -> tuple[dict[str, str | None], int]:
     """Data URLs of a step's pictures, None where one cannot be read, and the highest level of its depth."""
     depth = _open(folder / f"frames/{step:04d}_depth.png", _depth_levels)
@@ -128,14 +141,42 @@ def _pictures(folder: Path, step: int) -> tuple[dict[str, str | None], int]:
     return pictures, 0 if depth is None else int(depth.max(initial=0))
 
 
-def _open(path: Path, convert: Callable[[Image.Image], T]) -> T | None:
+def _asked(folder: Path, step: int) -> list[dict[str, Any]]:
+    """What a model was shown and answered; its pictures byte by byte, None where one cannot be read."""
+    return [
+        {
+            "prompt": exchange.prompt,
+            "model": exchange.model,
+            "question": exchange.question,
+            "pictures": {
+                name: _exact_url(png, f"the picture {name} of step {step}")
+                for name, png in exchange.pictures.items()
+            },
+            "replies": exchange.replies,
+            "fallback": exchange.fallback,
+            "requests": exchange.requests,
+            "tokens_in": exchange.tokens_in,
+            "tokens_out": exchange.tokens_out,
+            "cost_usd": exchange.cost_usd,
+            "seconds": exchange.seconds,
+        }
+        for exchange in read_exchanges(folder, step)
+    ]
+
+
+def _exact_url(png: bytes, what: str) -> str | None:
+    whole = _open(io.BytesIO(png), lambda image: image.load() is not None, what)
+    return f"data:image/png;base64,{base64.b64encode(png).decode()}" if whole else None
+
+
+def _open(file: Path | io.BytesIO, convert: Callable[[Image.Image], T], what: str = "") -> T | None:
     try:
-        with Image.open(path, formats=["PNG"]) as image:
+        with Image.open(file, formats=["PNG"]) as image:
             if max(image.size) > _MAX_SIDE:
                 raise ValueError(f"expected at most {_MAX_SIDE} pixels a side, got {image.size}")
             return convert(image)
     except (OSError, ValueError, SyntaxError, *_BOMBS) as error:
-        logger.warning("%s is left out of the report: %s", path, error)
+        logger.warning("%s is left out of the report: %s", what or file, error)
         return None
 
 
@@ -176,6 +217,10 @@ def _url(kind: str, image: Image.Image | None) -> str | None:
     buffer = io.BytesIO()
     image.save(buffer, kind, quality=_JPEG_QUALITY)
     return f"data:image/{kind};base64,{base64.b64encode(buffer.getvalue()).decode()}"
+
+
+def _block(name: str, value: Any) -> str:
+    return f'<script type="application/json" id="{name}">{_json(value)}</script>'
 
 
 def _json(value: Any) -> str:

@@ -140,8 +140,9 @@ class Decision:
     done: bool = False
     """The planner holds the mission to be complete."""
     reasoning: Reasoning = field(default_factory=Reasoning)
-    exchanges: tuple[Exchange, ...] = ()
-    """What was asked of a model for it, and came back since the last decision."""
+    exchanges: tuple[Exchange, ...] = field(default=(), compare=False)
+    """What was asked of a model for it, and came back since the last decision. Equal decisions may differ in
+    it: it tells how long an answer took."""
     waited: float = 0.0
     """Seconds of the mission that the vehicle stood still for it."""
 

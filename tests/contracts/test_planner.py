@@ -1,8 +1,9 @@
-"""What every planner must do."""
+"""What every planner must do. Those that ask a model ask one that is served on this machine."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import FrozenInstanceError, fields
 from typing import Any
 
@@ -11,19 +12,29 @@ import pytest
 
 from dream.evaluation.runner import simulate
 from dream.mapping import OccupancyMap
-from dream.planning import PLANNERS, AnyPlanner
+from dream.planning import OFFLINE, PLANNERS, AnyPlanner, Asking
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
 from dream.types import Decision, Mission, Observation, Step
+from tests.model_server import Server, serving
 
 STEPS = 14
 
-planners = pytest.mark.parametrize("planner", PLANNERS.values(), ids=PLANNERS)
+
+@pytest.fixture(scope="module")
+def model() -> Iterator[Server]:
+    with serving() as server:
+        yield server
 
 
 @pytest.fixture(scope="module", params=PLANNERS)
-def flown(request: pytest.FixtureRequest, string_reef: World) -> list[Step]:
-    return list(simulate(string_reef, PLANNERS[request.param], DREAM_V1, max_steps=STEPS))
+def planner(request: pytest.FixtureRequest, model: Server) -> AnyPlanner:
+    return Asking(**model.options).given_to(PLANNERS[request.param])
+
+
+@pytest.fixture(scope="module")
+def flown(planner: AnyPlanner, string_reef: World) -> list[Step]:
+    return list(simulate(string_reef, planner, DREAM_V1, max_steps=STEPS))
 
 
 def _looked_around(world: World) -> tuple[Observation, OccupancyMap]:
@@ -49,7 +60,6 @@ def test_it_gets_somewhere_without_contact(flown: list[Step]) -> None:
     assert not any(step.arrival.collided for step in flown)
 
 
-@planners
 def test_the_same_mission_gets_the_same_decisions(planner: AnyPlanner, string_reef: World) -> None:
     def decisions() -> list[Decision]:
         return [step.decision for step in simulate(string_reef, planner, DREAM_V1, max_steps=8)]
@@ -57,7 +67,6 @@ def test_the_same_mission_gets_the_same_decisions(planner: AnyPlanner, string_re
     assert decisions() == decisions()
 
 
-@planners
 def test_deciding_changes_neither_the_observation_nor_the_map(
     planner: AnyPlanner, string_reef: World
 ) -> None:
@@ -80,7 +89,6 @@ def test_deciding_changes_neither_the_observation_nor_the_map(
         np.testing.assert_array_equal(image, kept)
 
 
-@planners
 def test_two_missions_of_one_planner_do_not_disturb_each_other(
     planner: AnyPlanner, string_reef: World
 ) -> None:
@@ -93,7 +101,6 @@ def test_two_missions_of_one_planner_do_not_disturb_each_other(
     assert second.decide(observation, occupancy) == alone
 
 
-@planners
 def test_a_parameter_out_of_range_is_refused_by_name(planner: AnyPlanner) -> None:
     for parameter in fields(planner):
         wrong: dict[str, Any] = {parameter.name: math.nan}
@@ -101,10 +108,26 @@ def test_a_parameter_out_of_range_is_refused_by_name(planner: AnyPlanner) -> Non
             type(planner)(**wrong)
 
 
-@planners
 def test_its_parameters_are_frozen_and_documented(planner: AnyPlanner) -> None:
     parameter = fields(planner)[0].name
     with pytest.raises(FrozenInstanceError):
         setattr(planner, parameter, 0)
     for heading in ("What it does:", "Reference:", "Assumes:", "Fails when:"):
         assert heading in (planner.__doc__ or "")
+
+
+def test_only_those_that_ask_no_model_are_called_offline(planner: AnyPlanner) -> None:
+    name = next(name for name, default in PLANNERS.items() if type(default) is type(planner))
+    assert (name in OFFLINE) == (not isinstance(planner, Asking))
+
+
+def test_every_answer_of_a_model_is_told(planner: AnyPlanner, flown: list[Step]) -> None:
+    asked = [exchange for step in flown for exchange in step.decision.exchanges]
+    waited = sum(step.decision.waited for step in flown)
+    if not isinstance(planner, Asking):
+        assert (asked, waited) == ([], 0.0)
+        return
+    assert 0.0 <= waited <= planner.latency * sum(exchange.requests for exchange in asked)
+    for exchange in asked:
+        assert (exchange.model, exchange.fallback) == (planner.label, "")
+        assert all(png.startswith(b"\x89PNG") for png in exchange.pictures.values())

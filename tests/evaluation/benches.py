@@ -16,6 +16,8 @@ from dream.evaluation.results import Flown, Row, Trace, write_manifest, write_ta
 from dream.evaluation.suites import SUITES, Case
 from dream.types import LOOK_AROUND
 
+Planners = Sequence[str] | Mapping[str, Mapping[str, Any]]
+"""Names of planners, or their parameters by name."""
 CAP = 200
 PAPER = SUITES["paper"]
 
@@ -90,18 +92,21 @@ def flown(
         "vlm_tokens": None,
         "vlm_cost_usd": None,
         "vlm_fallbacks": None,
+        "vlm_waited_s": None,
+        "mission_s": 10.0 * steps,
         "success": done and marks["t98"] is not None and not collided.any(),
         "wall_s": 1.5,
     }
     return Flown(Row(**(values | changes)), trace)
 
 
-def manifest(cases: Sequence[Case], planners: Sequence[str], **changes: Any) -> dict[str, Any]:
+def manifest(cases: Sequence[Case], planners: Planners, **changes: Any) -> dict[str, Any]:
     """`manifest.json` of a benchmark."""
+    parameters = planners if isinstance(planners, Mapping) else {name: {"pace": 1.5} for name in planners}
     return {
         "suite": "paper",
         "cases": [{"world": case.world, "seed": case.seed, "start": case.start} for case in cases],
-        "planners": {name: {"pace": 1.5} for name in planners},
+        "planners": dict(parameters),
         "protocol": {"name": "dream-v1", "cap": CAP, "reach": 8.0, "cell": 0.25, "lattice": 0.5},
         "max_steps": None,
         "engine": "Processes(2)",
@@ -120,8 +125,21 @@ def manifest(cases: Sequence[Case], planners: Sequence[str], **changes: Any) -> 
     }
 
 
+GPT: Mapping[str, Any] = {"model": "openai:gpt", "model_name": "", "latency": 12.0, "max_calls": None}
+"""Parameters of a planner that asks a model."""
+ASKED: Mapping[str, Any] = {
+    "vlm_calls": 60,
+    "vlm_tokens": 90_000,
+    "vlm_cost_usd": 0.5,
+    "vlm_fallbacks": 2,
+    "vlm_waited_s": 720.0,
+    "mission_s": 960.0,
+}
+"""Of the row of a mission that asked a model."""
+
+
 def write_bench(
-    folder: Path, missions: Sequence[Flown], cases: Sequence[Case], planners: Sequence[str], **changes: Any
+    folder: Path, missions: Sequence[Flown], cases: Sequence[Case], planners: Planners, **changes: Any
 ) -> Path:
     """A benchmark folder."""
     write_manifest(folder, manifest(cases, planners, **changes))

@@ -7,9 +7,11 @@ import hashlib
 import io
 import json
 import re
+import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import asdict
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,7 @@ import pytest
 from rich.console import Console
 
 from dream.cli import run_command
+from dream.commands import Bench
 from dream.commands.console import _Scores
 from dream.evaluation import tables
 from dream.evaluation.figures import shown_cases
@@ -27,11 +30,22 @@ from dream.evaluation.results import Results, read_results
 from dream.evaluation.runner import Ended, Plan
 from dream.evaluation.suites import SUITES, Case
 from dream.evaluation.tables import compare, family
-from dream.planning import PLANNERS
+from dream.planning import PLANNERS, Asking
 from dream.protocol import protocol_named
 from dream.sim.files import world_hash
 from dream.sim.worlds import make_world
-from tests.evaluation.benches import PACES, PAPER, Made, bounds, flown, manifest, paper_missions, write_bench
+from tests.evaluation.benches import (
+    ASKED,
+    GPT,
+    PACES,
+    PAPER,
+    Made,
+    bounds,
+    flown,
+    manifest,
+    paper_missions,
+    write_bench,
+)
 
 FEW = (Case("reef/L", 1), Case("reef/L", 2), Case("reef/string", 1), Case("wreck/3", 1))
 HOSTILE = "</style><script>document.title='owned'</script><img src=x onerror=alert(1)> & {{style}} [a](b)|`c`"
@@ -349,6 +363,92 @@ def test_the_command_that_repeats_it(suite: str, commands: list[str]) -> None:
     rest = " --planners sixsteps random --protocol dream-v1 --max-steps 50"
     made = manifest(FEW, ["sixsteps", "random"], suite=suite, max_steps=50)
     assert repeating_command(made) == " && ".join(command + rest for command in commands)
+
+
+def test_the_command_that_repeats_it_asks_the_model_alike() -> None:
+    gpt = asdict(Asking(model="openai:gpt", max_calls=90, record="kept replies"))
+    small = asdict(Asking(model="http://localhost:8000/v1", model_name="small", latency=3.0))
+    planners = {"random": {"turn_rate": 0.1}, "dream": gpt, "vanilla": small, "ranked": {**gpt, "places": 4}}
+    made = manifest(FEW, planners)
+    first, second = repeating_command(made).split(" && ")
+    assert first == (
+        "dream bench paper --planners random dream ranked --protocol dream-v1 "
+        "--model openai:gpt --max-calls 90 --record 'kept replies'"
+    )
+    assert second == (
+        "dream bench paper --planners vanilla --protocol dream-v1 "
+        "--model http://localhost:8000/v1 --model-name small --latency 3.0"
+    )
+
+
+def test_the_command_that_repeats_it_parses_to_the_same_planners(monkeypatch: pytest.MonkeyPatch) -> None:
+    asking = Asking(model="openai:gpt", max_usd=0.25, timeout=9.0, replay_replies="kept; here")
+    planners = {name: asking.given_to(PLANNERS[name]) for name in ("belief", "dream", "vanilla")}
+    parsed: list[Bench] = []
+
+    def kept(bench: Bench) -> int:
+        parsed.append(bench)
+        return 0
+
+    monkeypatch.setattr(Bench, "__call__", kept)
+    made = manifest(FEW, {name: asdict(planner) for name, planner in planners.items()})
+    program, *arguments = shlex.split(repeating_command(made))
+    assert program == "dream"
+    assert run_command(arguments) == 0
+    (bench,) = parsed
+    assert (bench.planners, bench.asking) == (("belief", "dream", "vanilla"), asking)
+
+
+def asked_by(folder: Path, model: str, *others: str) -> Path:
+    """`dream` asked that model; the others none. It is the fastest of them."""
+    missions = [flown(case, "dream", Made(40, 50), **ASKED) for case in FEW]
+    missions += [flown(case, name, Made(60, 70)) for case in FEW for name in others]
+    planners = {"dream": {**GPT, "model": model}, **{name: {} for name in others}}
+    order = sorted(missions, key=lambda mission: FEW.index(Case(mission.row.world, mission.row.seed)))
+    return write_bench(folder, order, FEW, planners)
+
+
+def test_a_wire_test_is_never_called_the_fastest(tmp_path: Path) -> None:
+    page = Page(write_report(asked_by(tmp_path / "wire", "wire", "sixsteps", "random")))
+    assert "sixsteps, random are" not in page.text
+    assert "dream (wire test) is the fastest" not in page.text
+    assert "dream (wire test): flown with the stand-in for a model, which shows that the wire" in page.text
+    page = Page(write_report(asked_by(tmp_path / "gpt", "openai:gpt", "sixsteps", "random")))
+    assert "dream (openai:gpt) is the fastest here" in page.text
+    assert "wire" not in page.text
+    alone = Page(write_report(asked_by(tmp_path / "alone", "wire:slow")))
+    assert "No verdict. dream (wire test): flown with the stand-in" in alone.text
+
+
+def test_the_documentation_leaves_wire_tests_out_and_says_so(tmp_path: Path) -> None:
+    folder = asked_by(tmp_path / "mixed", "wire:slow", "sixsteps")
+    write_results([folder], tmp_path / "results.md", tmp_path / "pictures")
+    text = (tmp_path / "results.md").read_text()
+    said = "Left out: what dream flew with the stand-in for a model, which shows that the wire works"
+    assert said in text
+    assert text.count("dream ") == text.count("dream bench") + text.count("dream results") + 1
+    assert "(wire test)" not in text
+    assert "planners that ask a vision-language model | – | not yet measured here" in text
+    assert "--model" not in text
+
+
+def test_a_benchmark_of_wire_tests_alone_is_not_published(tmp_path: Path) -> None:
+    folder = asked_by(tmp_path / "wire", "wire")
+    with pytest.raises(ValueError, match="got only what dream flew with the stand-in"):
+        write_results([folder], tmp_path / "results.md", tmp_path / "pictures")
+    assert not (tmp_path / "results.md").exists()
+
+
+def test_a_sweep_leaves_wire_tests_out_and_says_so_once(tmp_path: Path) -> None:
+    for reach in (4.0, 8.0):
+        folder = asked_by(tmp_path / "sweep" / f"reach-{reach:g}", "wire", "sixsteps")
+        told = json.loads((folder / "manifest.json").read_text())
+        told["protocol"]["reach"] = reach
+        (folder / "manifest.json").write_text(json.dumps(told))
+    write_results([tmp_path / "sweep"], tmp_path / "results.md", tmp_path / "pictures")
+    text = (tmp_path / "results.md").read_text()
+    assert text.count("Left out: what dream flew") == 1
+    assert "(wire test)" not in text
 
 
 def contents(folder: Path) -> dict[str, bytes]:

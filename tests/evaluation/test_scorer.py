@@ -18,6 +18,7 @@ from dream.mapping import OccupancyMap
 from dream.protocol import DREAM_V1
 from dream.sim.world import Instances, Mesh, World
 from dream.types import Arrival, Decision, Guarded, Observation, Step
+from tests.recorded_runs import exchange
 from tests.sim.arenas import EYE, FLOOR, arena, placed
 
 NEAR = replace(DREAM_V1, reach=3.0)
@@ -358,3 +359,44 @@ def test_poses_are_where_the_vehicle_really_looked_from(reef: World) -> None:
     turned = replace(look(*SITES[0]), T_world_base=SE3.level(*SITES[0], EYE, math.pi))
     believed = replace(step(0, turned), arrival=Arrival(SE2(*SITES[0], 0.0), False, 0.0, math.inf))
     assert scorer.add(believed).instances == 0.0
+
+
+def asked(**changes: Any) -> dict[str, Any]:
+    """What the summary says of two questions, one of which `changes`."""
+    first = Decision(exchanges=(exchange(),), waited=12.0)
+    second = Decision(exchanges=(exchange(**changes),), waited=24.0)
+    scorer = Scorer(arena(), NEAR)
+    for k, decision in enumerate((STAYS, first, STAYS, second)):
+        scorer.add(step(k, replace(look(0.0, 0.0), time=2.5 * k), decision=decision))
+    return scorer.summary()
+
+
+def test_a_mission_that_asked_nothing_has_nothing_to_say_of_a_model(tour: Tour) -> None:
+    assert tour(*WHOLE)[0]["vlm"] is None
+
+
+def test_what_was_asked_of_a_model_is_summed_up() -> None:
+    said = asked(
+        prompt="dream 2", requests=2, tokens_in=100, tokens_out=11, fallback="timeout: none within 9 s"
+    )
+    assert said["vlm"] == {
+        "model": "openai:painted",
+        "prompts": ["dream 1, legend 1, oysters 1", "dream 2"],
+        "calls": 3,
+        "questions": 2,
+        "tokens": 2821,
+        "tokens_in": 2600,
+        "tokens_out": 221,
+        "cost_usd": 0.015,
+        "fallbacks": 1,
+        "reasons": {"timeout": 1},
+        "waited_s": 36.0,
+    }
+
+
+def test_waiting_counts_on_the_missions_clock() -> None:
+    assert asked()["mission_s"] == 3 * 2.5 + 36.0
+
+
+def test_a_price_that_is_not_known_makes_the_sum_unknown() -> None:
+    assert asked(cost_usd=None)["vlm"]["cost_usd"] is None

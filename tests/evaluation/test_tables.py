@@ -26,15 +26,23 @@ from dream.evaluation.tables import (
     escape_markdown,
     groups,
 )
-from tests.evaluation.benches import PAPER, Made, bounds, flown, manifest, paper_missions
+from tests.evaluation.benches import (
+    ASKED,
+    GPT,
+    PAPER,
+    Made,
+    Planners,
+    bounds,
+    flown,
+    manifest,
+    paper_missions,
+)
 
 L1, L2, W1 = Case("reef/L", 1), Case("reef/L", 2), Case("wreck/1", 1)
 FAST, SLOW = Made(50, 60), Made(100, 120)
 
 
-def results(
-    missions: Sequence[Flown], cases: Sequence[Case], planners: Sequence[str], **changes: Any
-) -> Results:
+def results(missions: Sequence[Flown], cases: Sequence[Case], planners: Planners, **changes: Any) -> Results:
     rows = tuple(mission.row for mission in missions)
     traces = {mission.row.key: mission.trace for mission in missions}
     return Results(manifest(cases, planners, **changes), rows, traces)
@@ -407,3 +415,101 @@ def test_the_summary_names_planners_and_what_is_missing() -> None:
     assert "sixsteps" in printed
     assert "Wrecks (1)" in printed
     assert "1 of 6 missions is missing (1 not yet flown)" in printed
+
+
+def asking(parameters: dict[str, Any], **changes: Any) -> Results:
+    """`dream` asked a model in two worlds, `sixsteps` asked none."""
+    missions = [
+        flown(L1, "dream", FAST, **ASKED),
+        flown(L2, "dream", FAST, **{**ASKED, "vlm_calls": 40, "mission_s": 600.0, **changes}),
+        flown(L1, "sixsteps", SLOW, mission_s=240.0),
+        flown(L2, "sixsteps", SLOW, mission_s=360.0),
+    ]
+    return results(missions, (L1, L2), {"dream": {**GPT, **parameters}, "sixsteps": {}})
+
+
+def test_the_papers_tables_say_what_asking_took() -> None:
+    (table,) = tables.paper_tables(compare(asking({})))
+    assert table.headings[-4:] == ("calls", "tokens", "US$", "minutes")
+    line = row(table, "dream (openai:gpt)")
+    assert (line["calls"], line["tokens"], line["US$"], line["minutes"]) == (
+        "50.0",
+        "90000",
+        "0.5000",
+        "13.0",
+    )
+    line = row(table, "sixsteps")
+    assert [line[name] for name in tables.ASKING] == [NONE, NONE, NONE, "5.0"]
+    assert "at 12 s a call." in " ".join(table.notes)
+    assert [line[0] for line in table.rows if UNMEASURED in line] == ["UIVNav (our re-implementation)"]
+    assert {len(line) for line in table.rows} == {len(table.headings)}
+
+
+def test_a_cost_that_one_mission_lacks_is_unknown_and_no_sum_of_the_others() -> None:
+    found = compare(asking({}, vlm_cost_usd=None))
+    assert row(tables.paper_tables(found)[0], "dream (openai:gpt)")["US$"] == "unknown"
+    assert row(tables.conduct(found, "All", (L1, L2)), "dream (openai:gpt)")["US$"] == "unknown"
+    assert row(tables.conduct(found, "All", (L1, L2)), "dream (openai:gpt)")["VLM calls"] == "100"
+
+
+def test_minutes_that_were_not_written_down_are_not_made_up() -> None:
+    (table,) = tables.paper_tables(compare(asking({}, mission_s=None)))
+    assert row(table, "dream (openai:gpt)")["minutes"] == NONE
+
+
+def test_where_no_model_was_asked_the_papers_tables_have_no_columns_for_it() -> None:
+    for table in tables.paper_tables(comparison(*three_each())):
+        assert table.headings == ("method", "worlds", "steps", "coverage, %")
+        assert len(table.notes) == 1
+
+
+def test_planners_asked_with_different_latency_are_told_apart() -> None:
+    made = asking({})
+    both = {**made.manifest["planners"], "vanilla": {**GPT, "model_name": "small", "latency": 3}}
+    found = compare(replace(made, manifest={**made.manifest, "planners": both}))
+    (table,) = tables.paper_tables(found)
+    assert "at 12 s a call for dream (openai:gpt); at 3 s a call for vanilla (small)." in " ".join(
+        table.notes
+    )
+
+
+@pytest.mark.parametrize("model", ["wire", "wire:slow"])
+def test_what_asked_the_stand_in_is_a_wire_test_and_measures_no_model(model: str) -> None:
+    found = compare(asking({"model": model}))
+    assert found.planners == ("dream (wire test)", "sixsteps")
+    (table,) = tables.paper_tables(found)
+    assert row(table, "dream (wire test)")["calls"] == "50.0"
+    assert "planners that ask a vision-language model" in [line[0] for line in table.rows]
+    assert "never what a model can do" in " ".join(table.notes)
+    assert "never what a model can do" in " ".join(tables.headline(found, (L1, L2)).notes)
+
+
+def test_a_model_that_is_only_called_like_the_stand_in_is_none() -> None:
+    assert compare(asking({"model": "wired:x"})).planners == ("dream (wired:x)", "sixsteps")
+
+
+def test_a_mission_that_failed_stands_under_the_title_of_its_planner() -> None:
+    made = asking({"model": "wire"})
+    failed = [{"world": "reef/L", "seed": 2, "start": 0, "planner": "dream", "error": "burnt"}]
+    rows = tuple(row for row in made.rows if (row.planner, row.seed) != ("dream", 2))
+    found = compare(replace(made, rows=rows, manifest={**made.manifest, "failed": failed}))
+    assert found.failures == {(L2, "dream (wire test)"): "burnt"}
+    assert row(tables.world_table(found), "reef/L 2")["dream (wire test)"] == "failed"
+
+
+def test_the_summary_says_what_asking_took_and_that_a_wire_test_is_one() -> None:
+    console = Console(file=io.StringIO(), width=160)
+    tables.print_summary(asking({"model": "wire"}), console)
+    printed = " ".join(console.file.getvalue().split())  # type: ignore[attr-defined]
+    for said in (
+        "dream (wire test)",
+        "minutes",
+        "50.0",
+        "13.0",
+        "at 12 s a call",
+        "never what a model can do",
+    ):
+        assert said in printed
+    console = Console(file=io.StringIO(), width=160)
+    tables.print_summary(results(three_each(), (L1, L2, W1), ["sixsteps", "lawnmower"]), console)
+    assert "minutes" not in console.file.getvalue()  # type: ignore[attr-defined]

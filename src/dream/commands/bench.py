@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -14,7 +14,7 @@ import tyro
 from dream.commands.console import print_json, with_scores
 from dream.errors import MissionAborted
 from dream.names import look_up
-from dream.planning import PLANNERS, AnyPlanner
+from dream.planning import OFFLINE, PLANNERS, AnyPlanner, Asking
 from dream.protocol import protocol_named
 
 if TYPE_CHECKING:
@@ -30,8 +30,10 @@ MAX_SEEDS = 10_000
 class Flying:
     """Options of every command that flies many missions."""
 
-    planners: tuple[str, ...] = tuple(PLANNERS)
-    """Which planners, with their default parameters."""
+    planners: tuple[str, ...] = OFFLINE
+    """Which planners, with their default parameters; all that ask no model unless given."""
+    asking: Asking = field(default_factory=Asking)
+    """For those of the planners that ask a model."""
     max_steps: int | None = None
     """Decisions at most; the protocol's cap unless given."""
     jobs: int | None = None
@@ -52,7 +54,30 @@ class Flying:
         chosen = {name: look_up(PLANNERS, name, "planner") for name in self.planners}
         if len(chosen) < len(self.planners):
             raise ValueError(f"--planners: expected each once, got {' '.join(self.planners)}")
-        return chosen
+        return self._with_their_model(chosen)
+
+    def _with_their_model(self, chosen: dict[str, AnyPlanner]) -> dict[str, AnyPlanner]:
+        """With the options for those that ask; a ValueError where these can reach no model."""
+        askers = [name for name, planner in chosen.items() if isinstance(planner, Asking)]
+        if not askers:
+            if self.asking != Asking():
+                every = [name for name in PLANNERS if name not in OFFLINE]
+                raise ValueError(
+                    f"--planners: expected one that asks a model, such as {every[0]}, beside options for "
+                    f"asking, got {' '.join(chosen)}"
+                )
+            return chosen
+        kept = self.asking.replay_replies
+        if kept is not None and not Path(kept).is_dir():
+            raise ValueError(f"--replay-replies: expected a folder of kept replies, got {kept}")
+        if not self.asking.model and kept is None:
+            raise ValueError(
+                f"--model: expected which model {' and '.join(askers)} should ask, got none. Say --model "
+                "openai:NAME, anthropic:NAME, google:NAME or the address of a server; or --replay-replies DIR"
+            )
+        # A model that cannot be asked at all is found out now, not once in every mission.
+        self.asking.line()
+        return {name: self.asking.given_to(planner) for name, planner in chosen.items()}
 
     def chosen_engine(self) -> Engine:
         """A ValueError where its options contradict each other."""

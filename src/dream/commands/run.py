@@ -15,6 +15,7 @@ import tyro
 from dream.commands.console import compiling_told, kept_interrupts, open_world, print_json, with_progress
 from dream.errors import MissionAborted
 from dream.planning import PLANNERS, AnyPlanner
+from dream.planning.vlm import WIRE_TEST, stands_in
 from dream.protocol import protocol_named
 
 if TYPE_CHECKING:
@@ -138,4 +139,19 @@ def _print_outcome(summary: Mapping[str, Any], steps: Sequence[RecordedStep], pa
     if times:
         print(f"  steps to a share of the instances: {times}")
     print(f"  {summary['collisions']} collisions, {summary['distance_m']:.0f} m, {summary['wall_s']:.1f} s")
+    if summary["vlm"] is not None:
+        print(f"  {_asked(summary)}")
     print(f"  report: {page}")
+
+
+def _asked(summary: Mapping[str, Any]) -> str:
+    """What asking a model came to, in a line."""
+    vlm = summary["vlm"]
+    cost = "at an unknown price" if vlm["cost_usd"] is None else f"{vlm['cost_usd']:.4f} US$"
+    reasons = ", ".join(f"{reason} {times}" for reason, times in vlm["reasons"].items())
+    return (
+        f"asked {vlm['model']}: {vlm['calls']} calls, {vlm['tokens']} tokens, {cost}, "
+        f"{vlm['fallbacks']} fallbacks{f' ({reasons})' if reasons else ''}, "
+        f"waited {vlm['waited_s']:.0f} s of {summary['mission_s']:.0f} s"
+        + (f"; a wire test, {WIRE_TEST}" if stands_in(vlm["model"]) else "")
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +15,7 @@ from dream.protocol import SurveyProtocol
 from dream.sim.render import Renderer
 from dream.sim.visibility import Visibility
 from dream.sim.world import Mesh, World
-from dream.types import Step
+from dream.types import Exchange, Step
 
 MILESTONES = {"t90": 0.90, "t95": 0.95, "t98": 0.9826, "t100": 1.0}
 """Shares of the instances whose step is reported; 98.26 % is the paper's own coverage."""
@@ -44,6 +45,20 @@ class Coverage:
 
 
 @dataclass(frozen=True, slots=True)
+class _Asked:
+    """What of a question to a model a summary needs: neither its words nor its pictures."""
+
+    model: str
+    prompt: str
+    requests: int
+    tokens_in: int
+    tokens_out: int
+    cost_usd: float | None
+    reason: str
+    """In a word, why no reply counted; empty where one did."""
+
+
+@dataclass(frozen=True, slots=True)
 class _Entry:
     """What of a step a summary needs: neither its images nor its map."""
 
@@ -56,6 +71,9 @@ class _Entry:
     guarded: bool
     claimed: bool
     planner_s: float
+    time: float
+    waited: float
+    asked: tuple[_Asked, ...]
     ended: str
 
 
@@ -101,6 +119,9 @@ class Scorer:
                 guarded=bool(step.guarded.note),
                 claimed=step.decision.done,
                 planner_s=step.planner_s,
+                time=step.observation.time,
+                waited=step.decision.waited,
+                asked=tuple(map(_digest, step.decision.exchanges)),
                 ended=step.ended,
             )
         )
@@ -170,15 +191,55 @@ class Scorer:
                 "p50": round(float(np.percentile(planner_ms, 50)), 2),
                 "p99": round(float(np.percentile(planner_ms, 99)), 2),
             },
-            "vlm": None,
+            "mission_s": round((self._log[-1].time if self._log else 0.0) + self._waited(), 3),
+            "vlm": self._vlm(),
             "success": ended == "done"
             and steps <= self._protocol.cap
             and coverage.instances >= COMPLETE
             and collisions == 0,
         }
 
+    def _waited(self) -> float:
+        return math.fsum(entry.waited for entry in self._log)
+
+    def _vlm(self) -> dict[str, Any] | None:
+        """What was asked of a model, all mission long; None where nothing was."""
+        asked = [question for entry in self._log for question in entry.asked]
+        if not asked:
+            return None
+        costs = [question.cost_usd for question in asked]
+        known = [cost for cost in costs if cost is not None]
+        tokens_in = sum(question.tokens_in for question in asked)
+        tokens_out = sum(question.tokens_out for question in asked)
+        reasons = Counter(question.reason for question in asked if question.reason)
+        return {
+            "model": ", ".join(dict.fromkeys(question.model for question in asked)),
+            "prompts": list(dict.fromkeys(question.prompt for question in asked)),
+            "calls": sum(question.requests for question in asked),
+            "questions": len(asked),
+            "tokens": tokens_in + tokens_out,
+            "tokens_in": tokens_in,
+            "tokens_out": tokens_out,
+            "cost_usd": round(math.fsum(known), 6) if len(known) == len(costs) else None,
+            "fallbacks": reasons.total(),
+            "reasons": dict(sorted(reasons.items())),
+            "waited_s": round(self._waited(), 3),
+        }
+
     def _time_to(self, share: float) -> int | None:
         return next((entry.index for entry in self._log if entry.instances >= share - 1e-12), None)
+
+
+def _digest(exchange: Exchange) -> _Asked:
+    return _Asked(
+        model=exchange.model,
+        prompt=exchange.prompt,
+        requests=exchange.requests,
+        tokens_in=exchange.tokens_in,
+        tokens_out=exchange.tokens_out,
+        cost_usd=exchange.cost_usd,
+        reason=exchange.fallback.partition(":")[0],
+    )
 
 
 CURVE = (50, 100, 137, 200)

@@ -13,7 +13,7 @@ import os
 import re
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,8 @@ from dream.evaluation import figures, tables
 from dream.evaluation.figures import DARK, LIGHT, Picture, Scene
 from dream.evaluation.results import Results, read_results, write_whole
 from dream.evaluation.tables import NONE, Comparison, Table, compare, label, number
+from dream.planning import Asking
+from dream.planning.vlm import WIRE_TEST
 from dream.report import digest, fill
 
 JPEG_QUALITY = 72
@@ -168,7 +170,7 @@ def run_table(results: Results, comparison: Comparison) -> Table:
     known = [
         f"{name} {protocol[name]:g} m"
         for name in ("reach", "cell", "lattice")
-        if _is_number(protocol.get(name))
+        if tables.is_number(protocol.get(name))
     ]
     rows = [
         ("worlds", f"{manifest['suite']}: {len(comparison.cases)} cases"),
@@ -206,22 +208,41 @@ def _machine(machine: Any) -> str:
     return ", ".join(f"{key} {value}" for key, value in known if value is not None) or NONE
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
 def repeating_command(manifest: Mapping[str, Any]) -> str:
-    """The command line, or lines, that fly the benchmark again."""
+    """The command line, or lines, that fly the benchmark again.
+
+    Planners that ask a model are flown by a line of their own where they were asked differently.
+    """
     found = []
     for suite in str(manifest["suite"]).split(", "):
-        world, _, seeds = suite.partition(" ")
-        words = ["dream", "bench"]
-        words += ["--world", world, "--seeds", seeds] if seeds else [world]
-        words += ["--planners", *manifest["planners"], "--protocol", str(manifest["protocol"]["name"])]
-        if manifest["max_steps"] is not None:
-            words += ["--max-steps", str(manifest["max_steps"])]
-        found.append(shlex.join(words))
+        for asking, planners in _asked_alike(manifest["planners"]).items():
+            world, _, seeds = suite.partition(" ")
+            words = ["dream", "bench"]
+            words += ["--world", world, "--seeds", seeds] if seeds else [world]
+            words += ["--planners", *planners, "--protocol", str(manifest["protocol"]["name"])]
+            if manifest["max_steps"] is not None:
+                words += ["--max-steps", str(manifest["max_steps"])]
+            found.append(shlex.join([*words, *asking]))
     return " && ".join(found)
+
+
+def _asked_alike(planners: Mapping[str, Mapping[str, Any]]) -> dict[tuple[str, ...], list[str]]:
+    """Planners by the options with which they ask a model; those that ask none join the first of these."""
+    defaults = asdict(Asking())
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for name, parameters in planners.items():
+        if "model" in parameters:
+            options = tuple(
+                word
+                for option, default in defaults.items()
+                if option in parameters and parameters[option] != default
+                for word in ("--" + option.replace("_", "-"), str(parameters[option]))
+            )
+            alike.setdefault(options, []).append(name)
+    others = [name for name, parameters in planners.items() if "model" not in parameters]
+    first = next(iter(alike), ())
+    together = [*others, *alike.pop(first, [])]
+    return {first: [name for name in planners if name in together], **alike}
 
 
 def warnings(comparison: Comparison) -> list[str]:
@@ -239,6 +260,8 @@ def warnings(comparison: Comparison) -> list[str]:
             f"different worlds and cannot be compared. {order}; a paired comparison is over the cases that "
             "both have flown."
         )
+    if comparison.wire_tests:
+        found.append(tables.about_wire_tests(comparison))
     broken = tables.contradictions(comparison)
     if broken:
         found.append(
@@ -267,7 +290,10 @@ def _verdict(comparison: Comparison) -> str:
             f"No verdict: {tables.what_is_missing(comparison)}, and planners can only be ranked by what all "
             "of them have flown."
         )
-    standing = comparison.standing(comparison.planners, comparison.cases)
+    judged = [name for name in comparison.planners if name not in comparison.wire_tests]
+    if not judged:
+        return f"No verdict. {tables.about_wire_tests(comparison)}"
+    standing = comparison.standing(judged, comparison.cases)
     if not standing:
         return "No verdict: nothing was to be flown."
     if not any(comparison.reached(name, comparison.cases, "t98")[0] for name in standing):
@@ -616,11 +642,12 @@ def _part(package: str, name: str) -> str:
 def write_results(folders: Sequence[Path], page: Path, pictures: Path) -> list[Path]:
     """Write the documentation's page of results, and its pictures as files; returns the paths of these.
 
-    A folder that holds benchmark folders of several reaches is shown as a sweep.
+    A folder that holds benchmark folders of several reaches is shown as a sweep. What was flown with the
+    stand-in for a model is left out, and the page says so.
 
     Raises:
         FileNotFoundError: A folder is neither a benchmark nor a sweep.
-        ValueError: A file is damaged.
+        ValueError: A file is damaged, or nothing was flown but with the stand-in.
     """
     parts = [_INTRODUCTION]
     files: dict[Path, bytes] = {}
@@ -629,7 +656,7 @@ def write_results(folders: Sequence[Path], page: Path, pictures: Path) -> list[P
         name = _slug(folder.resolve().name, taken)
         drawn: list[tuple[Picture, str]]
         if (folder / "manifest.json").is_file():
-            text, drawn = _chapter(read_results(folder), name)
+            text, drawn = _chapter(*_without_wire_tests(folder), name)
         else:
             text, drawn = _sweep_chapter(folder, name)
         for picture, kind in drawn:
@@ -662,7 +689,31 @@ def _place(picture: Picture) -> str:
     return f"<picture {picture.name}>"
 
 
-def _chapter(results: Results, name: str) -> tuple[str, list[tuple[Picture, str]]]:
+def _without_wire_tests(folder: Path) -> tuple[Results, list[str]]:
+    """A benchmark without what was flown with the stand-in, and what there is to say of that."""
+    results = read_results(folder)
+    planners = results.manifest["planners"]
+    others = {name: given for name, given in planners.items() if not tables.is_wire_test(given)}
+    tested = [name for name in planners if name not in others]
+    if not tested:
+        return results, []
+    if not others:
+        raise ValueError(
+            f"{folder}: expected something to publish, got only what {', '.join(tested)} flew with the "
+            f"stand-in for a model, {WIRE_TEST}"
+        )
+    manifest = {
+        **results.manifest,
+        "planners": others,
+        "failed": [entry for entry in results.manifest["failed"] if entry["planner"] in others],
+    }
+    rows = tuple(row for row in results.rows if row.planner in others)
+    traces = {row.key: results.traces[row.key] for row in rows}
+    said = f"Left out: what {', '.join(tested)} flew with the stand-in for a model, {WIRE_TEST}."
+    return Results(manifest, rows, traces), [said]
+
+
+def _chapter(results: Results, left_out: Sequence[str], name: str) -> tuple[str, list[tuple[Picture, str]]]:
     """A benchmark in Markdown, with the place of each picture, and these with the kind of file of each."""
     comparison = compare(results)
     escape = tables.escape_markdown
@@ -671,7 +722,7 @@ def _chapter(results: Results, name: str) -> tuple[str, list[tuple[Picture, str]
     shown = figures.shown_cases(comparison)
     parts = [
         f"## {escape(str(results.manifest['suite']))}\n",
-        *(f"> {escape(each)}\n" for each in warnings(comparison)),
+        *(f"> {escape(each)}\n" for each in (*left_out, *warnings(comparison))),
     ]
     parts.append(run_table(results, comparison).markdown())
     for section in every:
@@ -696,11 +747,13 @@ def _chapter(results: Results, name: str) -> tuple[str, list[tuple[Picture, str]
 def _sweep_chapter(folder: Path, name: str) -> tuple[str, list[tuple[Picture, str]]]:
     """A sweep in Markdown: one picture and one table over all reaches."""
     found: dict[float, tuple[Results, Comparison]] = {}
+    left_out: dict[str, None] = {}
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
         if (path / "manifest.json").is_file():
-            results = read_results(path)
+            results, said = _without_wire_tests(path)
+            left_out |= dict.fromkeys(said)
             reach = results.manifest["protocol"].get("reach")
-            if not _is_number(reach) or reach in found:
+            if not tables.is_number(reach) or reach in found:
                 raise ValueError(f"{path}: expected a benchmark with a reach of its own, got {reach}")
             found[float(reach)] = results, compare(results)
     if not found:
@@ -710,6 +763,7 @@ def _sweep_chapter(folder: Path, name: str) -> tuple[str, list[tuple[Picture, st
     first = found[min(found)][0]
     parts = [
         f"## Sweep over the reach: {tables.escape_markdown(str(first.manifest['suite']))}\n",
+        *(f"> {tables.escape_markdown(each)}\n" for each in left_out),
         _place(picture),
     ]
     parts.append(tables.sweep_table(comparisons).markdown())

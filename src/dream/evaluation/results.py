@@ -95,6 +95,11 @@ class Row:
     vlm_tokens: _Count | None
     vlm_cost_usd: _Amount | None
     vlm_fallbacks: _Count | None
+    """Questions to which no reply counted."""
+    vlm_waited_s: _Amount | None
+    """On the mission's clock."""
+    mission_s: _Amount | None
+    """On the mission's clock, waiting included; None where it was flown before that was written down."""
     success: bool
     wall_s: _Amount
 
@@ -107,6 +112,8 @@ class Row:
 COLUMNS: tuple[str, ...] = tuple(field.name for field in fields(Row))
 TIMES: tuple[str, ...] = ("planner_ms_p50", "planner_ms_p99", "wall_s")
 """Columns that depend on the machine; all others are the same each time a mission is flown."""
+LATER: tuple[str, ...] = ("vlm_waited_s", "mission_s")
+"""Columns that files may lack which were written before there were any."""
 TRACE_COLUMNS: tuple[str, ...] = (
     *("protocol", "world", "seed", "start", "planner", "step"),
     *("x", "y", "yaw_deg", "instances", "collided"),
@@ -302,6 +309,8 @@ def _trace_lines(flown: Flown) -> Iterator[bytes]:
 
 
 def _row(values: Any, where: str) -> Row:
+    if isinstance(values, dict):
+        values = {**dict.fromkeys(LATER), **values}
     try:
         return _ROW.validate_python(values)
     except ValidationError as error:
@@ -337,13 +346,13 @@ def _read_rows(path: Path) -> Iterator[Row]:
     with path.open(encoding="utf-8", newline="") as file:
         lines = csv.reader(file, strict=True)
         try:
-            header = next(lines, [])
-            if tuple(header) != COLUMNS:
+            header = tuple(next(lines, []))
+            if header not in (COLUMNS, tuple(name for name in COLUMNS if name not in LATER)):
                 raise ValueError(f"expected the columns {','.join(COLUMNS)}, got {','.join(header)[:200]}")
             for cells in lines:
-                if len(cells) != len(COLUMNS):
-                    raise ValueError(f"expected {len(COLUMNS)} cells, got {len(cells)}")
-                row = _row({name: cell or None for name, cell in zip(COLUMNS, cells, strict=True)}, "row")
+                if len(cells) != len(header):
+                    raise ValueError(f"expected {len(header)} cells, got {len(cells)}")
+                row = _row({name: cell or None for name, cell in zip(header, cells, strict=True)}, "row")
                 if row.key in known:
                     raise ValueError(f"expected each mission once, got {row.key} again")
                 known.add(row.key)

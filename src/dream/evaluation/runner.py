@@ -253,11 +253,11 @@ def _flown(
 ) -> Flown:
     """The row and the trace of a mission: the one place where they are put together."""
     x, y, yaw_deg, instances, collided = (np.array(column) for column in zip(*poses, strict=True))
-    vlm = summary["vlm"] or dict.fromkeys(("calls", "tokens", "cost_usd", "fallbacks"))
+    vlm = summary["vlm"] or {}
     same = (
         *("protocol", "world", "seed", "world_hash", "planner", "ended", "steps", "t_stop", "t_claimed"),
         *("t90", "t95", "t98", "t100", "countable", "collisions", "distance_m", "turns", "guarded"),
-        *("min_clearance_m", "success", "wall_s"),
+        *("min_clearance_m", "mission_s", "success", "wall_s"),
     )
     values: dict[str, Any] = {
         "start": start,
@@ -265,7 +265,7 @@ def _flown(
         **{name: summary["coverage"][name] for name in ("instances", "clusters", "area", "visible")},
         **{f"planner_ms_{name}": summary["planner_ms"][name] for name in ("p50", "p99")},
         **curve([pose[3] for pose in poses], cap),
-        **{f"vlm_{name}": vlm[name] for name in ("calls", "tokens", "cost_usd", "fallbacks")},
+        **{f"vlm_{name}": vlm.get(name) for name in ("calls", "tokens", "cost_usd", "fallbacks", "waited_s")},
     }
     return Flown(Row(**values), Trace(x, y, yaw_deg, instances, collided))
 

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from dream.evaluation.statistics import (
 )
 from dream.evaluation.suites import REEF_FAMILIES, Case, family_of
 from dream.planning import PLANNERS
+from dream.planning.vlm import WIRE_TEST, stands_in
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -109,6 +110,10 @@ class Comparison:
     """Steps that a mission had; an unreached mark counts as this many."""
     failures: Mapping[tuple[Case, str], str]
     """Missions that have no result because the last attempt failed, and why."""
+    latencies: Mapping[str, float]
+    """Of planners that ask a model: seconds that a call takes on the mission's clock."""
+    wire_tests: tuple[str, ...]
+    """Planners that asked the stand-in."""
 
     @property
     def missing(self) -> int:
@@ -216,12 +221,14 @@ def compare(results: Results) -> Comparison:
         Case(str(case["world"]), int(case["seed"]), int(case.get("start", 0)))
         for case in results.manifest["cases"]
     )
+    given = results.manifest["planners"]
+    titles = {name: title(name, parameters) for name, parameters in given.items()}
     rows: dict[tuple[Case, str], Row] = {}
     bounds: dict[Case, Bounds] = {}
     for row in results.rows:
         case = Case(row.world, row.seed, row.start)
         cases.setdefault(case)
-        rows[case, row.planner] = row
+        rows[case, titles.get(row.planner, row.planner)] = row
         if case not in bounds and (known := _bounds(row)) is not None:
             bounds[case] = known
     protocol = results.manifest["protocol"]
@@ -229,11 +236,12 @@ def compare(results: Results) -> Comparison:
     if type(cap) is not int or not 1 <= cap <= MAX_STEPS:
         raise ValueError(f"manifest.json: protocol.cap: expected 1 to {MAX_STEPS} steps, got {cap!r:.80}")
     asked = results.manifest["max_steps"]
-    planners = tuple(dict.fromkeys([*results.manifest["planners"], *(planner for _, planner in rows)]))
+    planners = tuple(dict.fromkeys([*titles.values(), *(planner for _, planner in rows)]))
     failures = {
-        (Case(str(entry["world"]), int(entry["seed"]), int(entry["start"])), str(entry["planner"])): str(
-            entry["error"]
-        )
+        (
+            Case(str(entry["world"]), int(entry["seed"]), int(entry["start"])),
+            titles.get(str(entry["planner"]), str(entry["planner"])),
+        ): str(entry["error"])
         for entry in results.manifest.get("failed", [])
     }
     return Comparison(
@@ -248,7 +256,38 @@ def compare(results: Results) -> Comparison:
             for (case, planner), error in failures.items()
             if case in cases and planner in planners and (case, planner) not in rows
         },
+        latencies={
+            titles[name]: float(parameters["latency"])
+            for name, parameters in given.items()
+            if is_number(parameters.get("latency"))
+        },
+        wire_tests=tuple(titles[name] for name, parameters in given.items() if is_wire_test(parameters)),
     )
+
+
+def title(planner: str, parameters: Mapping[str, Any]) -> str:
+    """What a planner is called in tables: one that asks a model together with that model."""
+    if is_wire_test(parameters):
+        return f"{planner} (wire test)"
+    model = str(parameters.get("model_name") or parameters.get("model") or "")
+    return f"{planner} ({model})" if model else planner
+
+
+def is_wire_test(parameters: Mapping[str, Any]) -> bool:
+    """Did a planner with these parameters ask the stand-in?"""
+    return stands_in(str(parameters.get("model", "")))
+
+
+def is_number(value: Any) -> bool:
+    """A finite number in a file that anybody may have written."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def about_wire_tests(comparison: Comparison) -> str:
+    """What must stand beside rows that were flown with the stand-in; empty where there are none."""
+    if not comparison.wire_tests:
+        return ""
+    return f"{', '.join(comparison.wire_tests)}: flown with the stand-in for a model, {WIRE_TEST}."
 
 
 def _bounds(row: Row) -> Bounds | None:
@@ -424,6 +463,7 @@ def headline(comparison: Comparison, cases: Sequence[Case], title: str = "At a g
             "intervals over worlds (stratified by family, paired; Wilson's for shares). Success: stopped "
             "by itself with at least 98.26 % of the instances and no collision.",
             _ratio_note(comparison),
+            *filter(None, [about_wire_tests(comparison)]),
         ),
     )
 
@@ -657,7 +697,7 @@ def efficiency(comparison: Comparison, title: str, cases: Sequence[Case]) -> Tab
 
 def conduct(comparison: Comparison, title: str, cases: Sequence[Case]) -> Table:
     """How the planners flew, and at what cost."""
-    asked = any(row.vlm_calls is not None for row in comparison.rows.values())
+    asked = _some_asked(comparison)
     rows = []
     for planner in comparison.ranked:
         flown = [row for _, row in comparison.flown(planner, cases)]
@@ -680,7 +720,7 @@ def conduct(comparison: Comparison, title: str, cases: Sequence[Case]) -> Table:
         ]
         if asked:
             cells += [
-                _total(flown, name, digits)
+                _of_asking(flown, name, digits, sum)
                 for name, digits in (
                     ("vlm_calls", 0),
                     ("vlm_tokens", 0),
@@ -710,9 +750,48 @@ def conduct(comparison: Comparison, title: str, cases: Sequence[Case]) -> Table:
     )
 
 
-def _total(rows: Sequence[Row], name: str, digits: int) -> str:
-    known = [getattr(row, name) for row in rows if getattr(row, name) is not None]
-    return number(float(sum(known)), digits) if known else NONE
+def _some_asked(comparison: Comparison) -> bool:
+    return any(row.vlm_calls is not None for row in comparison.rows.values())
+
+
+def _of_asking(
+    rows: Sequence[Row], name: str, digits: int, combine: Callable[[list[float]], float | np.floating[Any]]
+) -> str:
+    """A number of the missions that asked a model; a dash where none did, `unknown` where one has none."""
+    found = [getattr(row, name) for row in rows if row.vlm_calls is not None]
+    if None in found:
+        return "unknown"
+    return number(float(combine(found)), digits) if found else NONE
+
+
+ASKING = ("calls", "tokens", "US$", "minutes")
+"""Headings of what asking a model took; see `_asking_cells`."""
+
+
+def _asking_cells(rows: Sequence[Row]) -> tuple[str, ...]:
+    """Calls, tokens, cost and minutes on the mission's clock: means over missions."""
+    minutes = [row.mission_s / 60.0 for row in rows if row.mission_s is not None]
+    return (
+        _of_asking(rows, "vlm_calls", 1, np.mean),
+        _of_asking(rows, "vlm_tokens", 0, np.mean),
+        _of_asking(rows, "vlm_cost_usd", 4, np.mean),
+        number(float(np.mean(minutes)), 1) if rows and len(minutes) == len(rows) else NONE,
+    )
+
+
+def _asking_note(comparison: Comparison) -> str:
+    """What the columns `ASKING` mean."""
+    by_latency: dict[float, list[str]] = {}
+    for planner, latency in comparison.latencies.items():
+        by_latency.setdefault(latency, []).append(planner)
+    at = "; ".join(
+        f"at {latency:g} s a call" + (f" for {', '.join(planners)}" if len(by_latency) > 1 else "")
+        for latency, planners in by_latency.items()
+    )
+    return (
+        "Calls to a model, tokens, US$ and minutes are means over missions. Minutes are on the mission's "
+        f"clock, which goes on while the vehicle waits for an answer{f', {at}' if at else ''}."
+    )
 
 
 def by_family(comparison: Comparison) -> list[Table]:
@@ -778,6 +857,7 @@ def by_family(comparison: Comparison) -> list[Table]:
 def paper_tables(comparison: Comparison) -> list[Table]:
     """The paper's Tables I and II in its own form, with our missions in our simulator."""
     found = []
+    asked = _some_asked(comparison)
     kinds = (
         ("paper-1", "Table I", "reefs", REEFS, "instances"),
         ("paper-2", "Table II", "wrecks", ("wreck",), "area"),
@@ -792,24 +872,31 @@ def paper_tables(comparison: Comparison) -> list[Table]:
                 str(len(comparison.flown(planner, cases))),
                 number(comparison.estimate(planner, cases, comparison.time("t_stop")).value),
                 number(_share(comparison, planner, cases, column).value, 2, scale=100),
+                *(_asking_cells([row for _, row in comparison.flown(planner, cases)]) if asked else ()),
             )
             for planner in comparison.ranked
         ]
+        unmeasured = (NONE, UNMEASURED, *([NONE] * (1 + (len(ASKING) if asked else 0))))
         if not any("uivnav" in planner for planner in comparison.planners):
-            rows.append(("UIVNav (our re-implementation)", NONE, UNMEASURED, NONE))
-        if not any(row.vlm_calls is not None for row in comparison.rows.values()):
-            rows.append(("planners that ask a vision-language model", NONE, UNMEASURED, NONE))
+            rows.append(("UIVNav (our re-implementation)", *unmeasured))
+        if not any(
+            row.vlm_calls is not None and planner not in comparison.wire_tests
+            for (_, planner), row in comparison.rows.items()
+        ):
+            rows.append(("planners that ask a vision-language model", *unmeasured))
         meaning = "oysters" if what == "reefs" else "outer surface"
         found.append(
             Table(
                 name,
                 f"{title} of the paper in our simulator: {what}",
-                ("method", "worlds", "steps", "coverage, %"),
+                ("method", "worlds", "steps", "coverage, %", *(ASKING if asked else ())),
                 tuple(rows),
                 (
                     f"Steps: mean of the step at which the planner itself stopped; {comparison.horizon} "
                     f"where it did not. Coverage: mean share of the {meaning} seen at the end. Protocol "
                     f"{comparison.protocol}.",
+                    *([_asking_note(comparison)] if asked else []),
+                    *filter(None, [about_wire_tests(comparison)]),
                 ),
             )
         )
@@ -1014,11 +1101,29 @@ def print_summary(results: Results, console: Console) -> None:
             )
         table.add_section()
     console.print(table)
+    if _some_asked(comparison):
+        _print_asking(comparison, console)
     if comparison.missing:
         console.print(
             f"{what_is_missing(comparison)}; the means are over those that were flown, so that they "
             "cannot be compared."
         )
+
+
+def _print_asking(comparison: Comparison, console: Console) -> None:
+    """What asking a model took, in a table of its own: beside the steps there is no room."""
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    table = RichTable(title="what asking a model took, mean over missions", title_justify="left")
+    for heading in ("planner", "missions", *ASKING):
+        table.add_column(heading, justify="left" if heading == "planner" else "right")
+    for planner in comparison.ranked:
+        flown = [row for _, row in comparison.flown(planner, comparison.cases)]
+        table.add_row(Text(planner), str(len(flown)), *_asking_cells(flown))
+    console.print(table)
+    for note in filter(None, [_asking_note(comparison), about_wire_tests(comparison)]):
+        console.print(note, markup=False, highlight=False)
 
 
 def _ratio_of_bound(comparison: Comparison, planner: str, cases: Sequence[Case]) -> str:

@@ -24,6 +24,10 @@ at("badge").textContent = end.badge;
 at("badge").classList.add(...[end.tone].filter(Boolean));
 at("outcome").textContent = end.text;
 
+const inAll = askedInAll(run);
+at("asked-total").textContent = askedSentence(run);
+at("asked-panel").hidden = inAll === null;
+
 function figure(title, value, unit = "") {
   at("figures").append(element("div", {}, element("dt", { textContent: title }), element("dd", {}, value, element("small", { textContent: unit }))));
 }
@@ -64,6 +68,7 @@ function carried(step) {
   const room = known(step.clearance_m) ? `, ${metres(step.clearance_m)} clear` : "";
   const how = step.distance_m > 0.005 ? `${metres(step.distance_m, 2)} to` : "On the spot at";
   rows.push(...row("Moved", `${how} ${place(step.pose)}${room}`));
+  if (step.waited_s > 0) rows.push(...row("Waited", `${minutes(step.waited_s)} for the model`));
   if (step.collided) rows.push(...row("Contact", "Touched something and stopped", "bad"));
   if (step.ended) rows.push(...row("Ended", step.ended === "done" ? "The planner is done and the map agrees" : "Out of steps", step.ended === "done" ? "good" : "warn"));
   return rows;
@@ -79,6 +84,7 @@ function showShares() {
 }
 
 const pictures = new Pictures(run);
+const asked = new Asked(at("asked"), steps);
 const slider = at("slider");
 const values = [];
 let current = 0;
@@ -107,6 +113,7 @@ function show(index) {
     .join(" · ");
   at("map").setAttribute("aria-label", `The map after step ${step.step}`);
   at("carried").replaceChildren(...carried(step));
+  if (inAll) asked.show(step);
   chart?.show(current);
   for (const { node, of } of values) node.textContent = known(of(step)) ? chart.plot.say(of(step)) : "–";
   // Browsers limit how often an address may change, so it follows once the step has settled.
@@ -234,8 +241,18 @@ function tables() {
       ["Decision, median", known(summary.planner_ms.p50) ? `${summary.planner_ms.p50.toFixed(1)} ms` : "–", "time the planner took"],
       ["Decision, slowest 1 %", known(summary.planner_ms.p99) ? `${summary.planner_ms.p99.toFixed(1)} ms` : "–", ""],
       ["Whole run", `${summary.wall_s.toFixed(1)} s`, "on the clock, simulation and recording included"],
-      ...Object.entries(summary.vlm ?? {}).map(([name, value]) => [`Model: ${name}`, String(value), ""]),
+      ...(known(summary.mission_s) ? [["Mission", minutes(summary.mission_s), "on its own clock, waiting for answers included"]] : []),
     ]],
+    ...(summary.vlm ? [["The model", modelRows(summary.vlm)]] : []),
+  ];
+}
+function modelRows(vlm) {
+  return [
+    ["Calls", count(vlm.calls), known(vlm.questions) ? `messages sent, for ${plural(vlm.questions, "question")}` : "messages sent"],
+    ["Tokens", count(vlm.tokens), known(vlm.tokens_in) ? `${count(vlm.tokens_in)} in, ${count(vlm.tokens_out)} out` : ""],
+    ["Cost", dollars(vlm.cost_usd), "by the client's list of prices"],
+    ["Fallbacks", String(vlm.fallbacks), `questions without a usable reply${reasons(vlm)}`],
+    ...(known(vlm.waited_s) ? [["Waited", minutes(vlm.waited_s), "on the mission's clock, standing still"]] : []),
   ];
 }
 function tableOf([title, rows]) {
@@ -245,8 +262,8 @@ function tableOf([title, rows]) {
   return element("table", {}, element("caption", { textContent: title }), element("tbody", {}, ...lines));
 }
 if (summary) {
-  const [seen, steps, motion, computation] = tables().map(tableOf);
-  at("summary").append(element("div", { className: "tables" }, element("div", {}, seen, motion), element("div", {}, steps, computation)));
+  const [seen, steps, motion, computation, ...model] = tables().map(tableOf);
+  at("summary").append(element("div", { className: "tables" }, element("div", {}, seen, motion, ...model), element("div", {}, steps, computation)));
 } else at("summary").append(element("p", { textContent: "This run wrote no summary. What is shown here is all that was recorded." }));
 at("config").textContent = JSON.stringify(config, null, 2);
 

@@ -10,7 +10,7 @@ import time
 from collections import Counter
 from collections.abc import AsyncIterator, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -29,11 +29,14 @@ if TYPE_CHECKING:
     from pydantic_ai.models import Model
 
 R = TypeVar("R", bound=BaseModel)
+P = TypeVar("P")
 
 OFFLINE = "DREAM_OFFLINE"
 """Environment variable: while it is set, to ask a model that is not on this machine is an error."""
 WIRE = "wire"
 """Name of the stand-in that comes with the package; `wire:FAULT` is one that errs."""
+WIRE_TEST = "which shows that the wire works, never what a model can do"
+"""What is to be said of everything that was flown with the stand-in."""
 MOST_REPLY_BYTES = 1 << 20
 """A longer reply is not read to its end."""
 MOST_TRIES = 3
@@ -72,6 +75,11 @@ class Asking:
         for name in ("record", "replay_replies"):
             if not isinstance(getattr(self, name), str | None):
                 raise ValueError(f"{name}: expected a folder, got {getattr(self, name)}")
+        if "://" in self.model and set("@?#") & set(self.model):
+            raise ValueError(
+                "model: expected a plain address, since it is written into results, got one with a user or a "
+                f"query. A key belongs into the environment, as {KEY}"
+            )
         check_range("timeout", self.timeout, 0.1, 3600.0)
         check_range("latency", self.latency, 0.0, 3600.0)
         if self.max_calls is not None:
@@ -86,6 +94,12 @@ class Asking:
             ValueError: There is no such model, its key is not in the environment, or asking it is forbidden.
         """
         return Line(self)
+
+    def given_to(self, planner: P) -> P:
+        """The planner with these options where it is one that asks; as it is where it is none."""
+        if not isinstance(planner, Asking):
+            return planner
+        return replace(planner, **{option.name: getattr(self, option.name) for option in fields(Asking)})
 
     @property
     def label(self) -> str:
@@ -288,6 +302,11 @@ class Line:
         return Agent(self._model, output_type=wanted, instructions=question.instructions, retries=1)
 
 
+def stands_in(model: str) -> bool:
+    """Is it the stand-in? See `WIRE_TEST`."""
+    return model.partition(":")[0] == WIRE
+
+
 def _status(error: Exception) -> int:
     return int(getattr(error, "status_code", 0))
 
@@ -327,7 +346,8 @@ def _outcome(messages: list[Any], fallback: str) -> Outcome:
     responses = [message for message in messages if isinstance(message, ModelResponse)]
     costs = [_cost(response) for response in responses]
     return Outcome(
-        replies=tuple(response.text or "" for response in responses),
+        # Half of a surrogate pair, which JSON can name, is no text that a file or a page could hold.
+        replies=tuple((response.text or "").encode(errors="replace").decode() for response in responses),
         fallback=fallback,
         requests=sum(isinstance(message, ModelRequest) for message in messages),
         tokens_in=sum(response.usage.input_tokens for response in responses),
@@ -409,7 +429,7 @@ def _connect(model: str, name: str) -> Model:
             "model: expected which model to ask, got none. Say --model openai:NAME, anthropic:NAME, "
             "google:NAME, the address of a server such as http://localhost:8000/v1, or wire, which is none"
         )
-    if model == WIRE or model.startswith(f"{WIRE}:"):
+    if stands_in(model):
         from dream.standin import address
 
         model, name = address(model.partition(":")[2]), name or WIRE

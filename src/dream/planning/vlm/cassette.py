@@ -95,7 +95,7 @@ def play(folder: Path, key: str, prompt: str) -> Outcome:
     if not path.is_file():
         raise FileNotFoundError(
             f"{folder}: expected a kept reply to this question of the prompt {prompt}, got no {path.name}. "
-            "Other world, seed, planner or code than it was recorded with? Record again with --record"
+            "Other world, seed, planner, model or code than it was recorded with? Record again with --record"
         )
     if path.stat().st_size > MOST_BYTES:
         raise ValueError(f"{path}: expected at most {MOST_BYTES} bytes, got more")

@@ -1,0 +1,115 @@
+// What a model was shown, asked and answered. All of it is text from a stranger, and shown as text.
+
+const count = (number) => Math.round(number).toLocaleString("en");
+const dollars = (cost) => (known(cost) ? `US$ ${cost.toFixed(cost < 0.1 ? 4 : 2)}` : "price unknown");
+const minutes = (seconds) => (seconds < 90 ? `${count(seconds)} s` : `${(seconds / 60).toFixed(1)} min`);
+const isWireTest = (config) => /^wire(:|$)/.test(config.planner_parameters?.model ?? "");
+
+// Totals of the mission; of a run without a summary, what its lines say.
+function askedInAll({ summary, steps }) {
+  if (summary?.vlm) return summary.vlm;
+  const asked = steps.filter((step) => step.asked);
+  if (asked.length === 0) return null;
+  const sum = (of) => asked.reduce((total, step) => total + of(step), 0);
+  return { calls: sum((step) => step.asked.requests), fallbacks: sum((step) => (step.asked.fallback ? 1 : 0)), waited_s: sum((step) => step.waited_s) };
+}
+
+function reasons(vlm) {
+  const each = Object.entries(vlm.reasons ?? {}).map(([reason, times]) => `${reason} ${times}`);
+  return each.length ? ` (${each.join(", ")})` : "";
+}
+
+function askedSentence(run) {
+  const vlm = askedInAll(run);
+  if (!vlm) return "";
+  const spent = known(vlm.tokens) ? `, ${count(vlm.tokens)} tokens, ${dollars(vlm.cost_usd)}` : "";
+  const total = known(run.summary?.mission_s) ? ` of ${minutes(run.summary.mission_s)}` : "";
+  const wire = isWireTest(run.config) ? ". A wire test: the stand-in answers by rule, which shows that the wire works, never what a model can do." : "";
+  return `${vlm.model ? `${vlm.model} was` : "A model was"} asked: ${plural(vlm.calls, "call")}${spent}, ${plural(vlm.fallbacks, "fallback")}${reasons(vlm)}, waited ${minutes(vlm.waited_s)}${total}${wire}`;
+}
+
+// JSON is laid out; whatever else a model wrote stays as it came.
+function laidOut(reply) {
+  try {
+    return JSON.stringify(JSON.parse(reply), null, 2);
+  } catch {
+    return reply;
+  }
+}
+
+class Asked {
+  constructor(panel, steps) {
+    this.panel = panel;
+    this.askedAt = steps.filter((step) => step.asked).map((step) => step.step);
+    this.large = null;
+    this.questionOpen = false;
+  }
+
+  show(step) {
+    const block = document.getElementById(`asked-${step.step}`);
+    const exchanges = block ? JSON.parse(block.textContent) : [];
+    this.panel.replaceChildren(...exchanges.map((exchange, index) => this.exchange(exchange, index, exchanges.length, step)));
+    if (exchanges.length > 0) return;
+    const none = step.asked ? "What was asked at this step is not in the run's folder." : "No model was asked at this step.";
+    this.panel.append(element("p", { className: "none" }, none, ...this.others(step.step)));
+  }
+
+  // Links to the nearest steps that were asked for.
+  others(here) {
+    const before = this.askedAt.findLast((step) => step < here);
+    const after = this.askedAt.find((step) => step > here);
+    return [["before", before], ["next", after]]
+      .filter(([, step]) => known(step))
+      .flatMap(([word, step]) => [` The one ${word}: `, element("a", { href: `#step=${step}`, textContent: `step ${step}` }), "."]);
+  }
+
+  exchange(exchange, index, total, step) {
+    const used = exchange.fallback === "";
+    const verdict = element("strong", { className: `badge ${used ? "good" : "warn"}`, textContent: used ? "Reply used" : "No reply used" });
+    const why = used ? "" : `${exchange.fallback}. The offline planner decided.`;
+    const facts = [
+      ["Model", exchange.model],
+      ["Prompt", exchange.prompt],
+      ["Requests", exchange.requests === 1 ? "1" : `${exchange.requests}, asked again where the reply did not fit`],
+      ["Tokens", `${count(exchange.tokens_in)} in, ${count(exchange.tokens_out)} out`],
+      ["Cost", dollars(exchange.cost_usd)],
+      ["Time", `${exchange.seconds.toFixed(1)} s on the wall${index === total - 1 && step.waited_s > 0 ? `, ${minutes(step.waited_s)} on the mission's clock` : ""}`],
+    ];
+    const list = element("dl", { className: "facts" });
+    for (const [name, value] of facts) list.append(element("dt", { textContent: name }), element("dd", { textContent: value }));
+    const said = element("div", { className: "said" }, element("p", { className: "verdict" }, verdict, " ", why), list);
+    exchange.replies.forEach((reply, number) => {
+      const counted = number === exchange.replies.length - 1;
+      const title = exchange.replies.length === 1 ? "Reply" : counted ? "Last reply" : `Reply ${number + 1}, which did not fit`;
+      said.append(element("h3", { textContent: title }), element("pre", { textContent: laidOut(reply) || "(empty)", tabIndex: 0 }));
+    });
+    if (exchange.replies.length === 0) said.append(element("p", { className: "none", textContent: "Nothing came back." }));
+    const shown = element("div", { className: "shown" }, ...Object.entries(exchange.pictures).map(([name, source]) => this.picture(name, source)));
+    const question = element("details", { open: this.questionOpen }, element("summary", { textContent: `The question in full, ${count(exchange.question.length)} characters` }), element("pre", { textContent: exchange.question, tabIndex: 0 }));
+    question.addEventListener("toggle", () => (this.questionOpen = question.open));
+    const title = total > 1 ? [element("h3", { className: "which", textContent: `Question ${index + 1} of ${total}` })] : [];
+    return element("article", { className: "exchange" }, ...title, shown, said, question);
+  }
+
+  // A press shows it over the whole width.
+  picture(name, source) {
+    const figure = element("figure");
+    const caption = element("figcaption", {}, element("span", { textContent: `[${name}]` }));
+    if (source === null) {
+      figure.append(element("div", { className: "picture missing" }), caption);
+      return figure;
+    }
+    const image = element("img", { alt: `The picture ${name} that the model was shown`, src: source });
+    image.addEventListener("load", () => caption.append(element("span", { textContent: `${image.naturalWidth} × ${image.naturalHeight}` })));
+    const button = element("button", { type: "button", className: "enlarge", title: "Larger or smaller" }, image);
+    const large = () => figure.classList.toggle("large", this.large === name);
+    button.addEventListener("click", () => {
+      this.large = this.large === name ? null : name;
+      for (const other of this.panel.querySelectorAll("figure.large")) other.classList.remove("large");
+      large();
+    });
+    large();
+    figure.append(button, caption);
+    return figure;
+  }
+}
