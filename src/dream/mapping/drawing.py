@@ -94,10 +94,10 @@ def draw_map(
     picture.paste(cells, (sheet.left, sheet.top))
     _draw_grid(picture, sheet)
     _draw_trail(picture, sheet, points[:, :2])
-    if pose is not None:
-        _draw_vehicle(picture, sheet, pose)
     for mark in reversed(marks):
         _draw_way(picture, sheet, mark)
+    if pose is not None:
+        _draw_vehicle(picture, sheet, pose)
     for mark in reversed(marks):
         draw_disc(picture, _on_picture(sheet, mark), mark.number)
     return picture
