@@ -10,16 +10,18 @@ LAYERS = [
     {"compiling", "errors", "geometry", "names", "standin", "versions"},
     {"protocol"},
     {"types"},
+    {"orders"},
     {"perception", "mapping"},
     {"planning", "control", "estimation", "sim"},
     {"robots"},
+    {"course"},
     {"mission"},
     {"recording", "evaluation", "report"},
     {"commands"},
     {"cli"},
 ]
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
-APART = LAYERS[4]
+APART = LAYERS[5]
 
 
 def _imports(path: Path) -> set[str]:

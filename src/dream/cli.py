@@ -24,6 +24,7 @@ usage: dream COMMAND [OPTIONS]
 An underwater robot that finds and maps a habitat without knowing where it is.
 
   run      one mission in a simulated world, with its recording and its report
+  mission  an operator's words, turned into orders that a planner obeys
   bench    many missions side by side: planners over the worlds of a suite
   sweep    the same missions with one reach after another
   results  the documentation's page of results, from benchmark folders
@@ -35,7 +36,7 @@ An underwater robot that finds and maps a habitat without knowing where it is.
 
 `dream COMMAND --help` explains a command. To begin with: dream run --world reef/string
 """
-COMMANDS = ("run", "bench", "sweep", "results", "oracle", "probe", "worlds", "draw", "report")
+COMMANDS = ("run", "mission", "bench", "sweep", "results", "oracle", "probe", "worlds", "draw", "report")
 
 FAILED, BAD_INPUT = 1, 2
 

@@ -12,7 +12,9 @@ from typing import Protocol
 
 from dream.compiling import working_time
 from dream.control import guard, setpoint
+from dream.course import Course
 from dream.mapping import OccupancyMap, check_completion
+from dream.orders import Orders, everything
 from dream.types import (
     LOOK_AROUND,
     Arrival,
@@ -62,19 +64,22 @@ def explore(
     *,
     max_steps: int | None = None,
     target: Target = Target.ANY,
+    orders: Orders | None = None,
 ) -> Iterator[Step]:
     """Run one mission, yielding after every decision; the planner begins at once.
 
     The first step yielded, with index 0, is the first look, before anything was decided. The last
     one says how the mission ended: `done` when the planner said so and the map's completion check
-    agreed, `cap` when the steps were spent. A `done` that the check refuses costs a step.
+    agreed, `cap` when the steps were spent. A `done` that the check refuses costs a step. Of several legs
+    the last one ends the mission.
 
     Args:
         robot: Carries out the moves.
         planner: Decides after the look-around.
         occupancy: An empty map of the survey area; changed as the mission goes.
         max_steps: Decisions at most; the protocol's cap unless given.
-        target: What the operator looks for.
+        target: What the operator looks for, where there are no orders.
+        orders: What the operator orders; to map everything where None.
 
     Returns:
         The steps; the map of each is the live one.
@@ -83,36 +88,40 @@ def explore(
         ValueError: The planner cannot begin; nothing has moved yet.
     """
     protocol = occupancy.protocol
+    orders = everything(target) if orders is None else orders
     cap = protocol.cap if max_steps is None else max_steps
-    pilot = planner.begin(Mission(protocol, occupancy.bounds, cap, target))
-    return _steps(robot, pilot, occupancy, cap)
+    cap = cap if orders.max_steps is None else min(cap, orders.max_steps)
+    course = Course(planner, orders, occupancy, cap)
+    return _steps(robot, course, occupancy, cap)
 
 
-def _steps(robot: Robot, pilot: Pilot, occupancy: OccupancyMap, cap: int) -> Iterator[Step]:
+def _steps(robot: Robot, course: Course, occupancy: OccupancyMap, cap: int) -> Iterator[Step]:
     protocol = occupancy.protocol
     observation = robot.observe()
     occupancy.clear_launch(observation.pose.x, observation.pose.y)
     _integrate(occupancy, observation)
     waiting = Decision()
     here = Arrival(observation.pose, collided=False, distance=0.0, clearance=math.inf)
-    yield Step(0, waiting, Guarded(waiting), here, observation, occupancy, ended="" if cap > 0 else "cap")
+    ended = "" if cap > 0 else "cap"
+    yield Step(0, waiting, Guarded(waiting), here, observation, occupancy, ended=ended, leg=course.leg)
 
     for index in range(1, cap + 1):
         began = working_time()
-        decision = _look_around() if index <= LOOK_AROUND else pilot.decide(observation, occupancy)
+        decision = _look_around() if index <= LOOK_AROUND else course.decide(observation, index - 1)
         planner_s = working_time() - began
 
-        open_region, ended = "", ""
+        open_region = ""
         if decision.done:
             open_region = check_completion(occupancy, observation.pose).open_region
-            ended = "" if open_region else "done"
         guarded = guard(decision, observation.pose, occupancy, protocol)
         arrival = robot.go_to(setpoint(observation.pose, guarded.decision, protocol))
         observation = robot.observe()
         _integrate(occupancy, observation)
-        if index == cap and not ended:
-            ended = "cap"
-        yield Step(index, decision, guarded, arrival, observation, occupancy, open_region, ended, planner_s)
+        leg = course.after(index, done=decision.done and not open_region)
+        ended = "done" if course.over else "cap" if index == cap else ""
+        yield Step(
+            index, decision, guarded, arrival, observation, occupancy, open_region, ended, planner_s, leg
+        )
         if ended:
             return
 

@@ -151,6 +151,8 @@ class RecordedStep(_Recorded):
     asked: RecordedAsked | None = None
     """None where no model was asked."""
     coverage: Coverage | None = None
+    leg: int = 1
+    """Of the orders that it belongs to, by number."""
 
 
 class RunConfig(_Recorded):
@@ -170,6 +172,8 @@ class RunConfig(_Recorded):
     """Which of the world's start poses."""
     max_steps: int | None = None
     """Decisions at most; the protocol's cap where None."""
+    orders: dict[str, Any] | None = None
+    """What the operator ordered; to map everything where None."""
 
 
 class PlannerTimes(_Recorded):
@@ -349,6 +353,7 @@ def _line(step: Step, annotations: Mapping[str, Any]) -> str:
         planner_ms=1000.0 * step.planner_s,
         waited_s=step.decision.waited,
         asked=_asked(step.decision.exchanges),
+        leg=1 if step.leg is None else step.leg.number,
         **annotations,
     )
     return recorded.model_dump_json(fallback=_plain)

@@ -113,6 +113,8 @@ def repeating_command(config: RunConfig) -> str:
         words += ["--start", str(config.start)]
     if config.max_steps is not None:
         words += ["--max-steps", str(config.max_steps)]
+    if config.orders is not None:
+        words += ["--mission", json.dumps(config.orders)]
     defaults = asdict(PLANNERS[config.planner]) if config.planner in PLANNERS else {}
     for name, value in config.planner_parameters.items():
         if name not in defaults or value != defaults[name]:

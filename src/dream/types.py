@@ -20,6 +20,7 @@ from dream.protocol import SurveyProtocol
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
+    from dream.orders import Flown
 
 UInt8Array = npt.NDArray[np.uint8]
 Float32Array = npt.NDArray[np.float32]
@@ -90,6 +91,15 @@ class Mission:
     max_steps: int
     target: Target = Target.ANY
     """What the operator looks for: the labels of the camera know one kind of target."""
+    area: Bounds | None = None
+    """What has to be seen, a part of the box; all of it where None."""
+    flown: int = LOOK_AROUND
+    """Steps that are spent before the planner decides for the first time."""
+
+    @property
+    def to_see(self) -> Bounds:
+        """The box of what has to be seen."""
+        return self.bounds if self.area is None else self.area
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,3 +224,5 @@ class Step:
     """`done` or `cap` on the last step, else empty."""
     planner_s: float = 0.0
     """Wall seconds that the planner took to decide, without those in which its code was compiled."""
+    leg: Flown | None = None
+    """The leg of the orders that it belongs to; None where it was made outside `mission.explore`."""

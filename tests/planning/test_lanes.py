@@ -159,3 +159,12 @@ def test_the_shortest_of_the_routes_is_taken(x: float, y: float) -> None:
     ways = [math.hypot(route[0][0] - x, route[0][1] - y) for route in routes]
     chosen = shortest(routes, SE2(x, y, 0.0))
     assert math.hypot(chosen[0][0] - x, chosen[0][1] - y) == pytest.approx(min(ways))
+
+
+@pytest.mark.parametrize("planner", [Lawnmower(), Spiral()], ids=["lawnmower", "spiral"])
+@pytest.mark.parametrize("sweep", [0, 1])
+def test_the_route_over_an_area_lies_in_it(planner: Lawnmower | Spiral, sweep: int) -> None:
+    area = Bounds(-20.0, 0.0, -4.0, 20.0)
+    mission = Mission(DREAM_V1, Bounds(-20.0, -20.0, 20.0, 20.0), 200, area=area)
+    for x, y in planner.route(mission, SE2(13.0, -13.0, 0.0), sweep):
+        assert area.contains(x, y)

@@ -1,6 +1,7 @@
 """What each command of `dream` does. Its fields are its options; calling it runs it."""
 
 from dream.commands.bench import Bench
+from dream.commands.mission import Mission
 from dream.commands.oracle import Oracle
 from dream.commands.probe import Probe
 from dream.commands.report import Report
@@ -9,4 +10,16 @@ from dream.commands.run import Run, planner_name
 from dream.commands.sweep import Sweep
 from dream.commands.worlds import Draw, Worlds
 
-__all__ = ["Bench", "Draw", "Oracle", "Probe", "Report", "Results", "Run", "Sweep", "Worlds", "planner_name"]
+__all__ = [
+    "Bench",
+    "Draw",
+    "Mission",
+    "Oracle",
+    "Probe",
+    "Report",
+    "Results",
+    "Run",
+    "Sweep",
+    "Worlds",
+    "planner_name",
+]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import sys
 import time
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,13 +14,17 @@ from typing import TYPE_CHECKING, Any
 import tyro
 
 from dream.commands.console import compiling_told, kept_interrupts, open_world, print_json, with_progress
+from dream.commands.mission import confirmed, given
 from dream.errors import MissionAborted
 from dream.planning import PLANNERS, AnyPlanner
 from dream.planning.vlm import WIRE_TEST, stands_in
 from dream.protocol import protocol_named
 
 if TYPE_CHECKING:
+    from dream.orders import Orders
+    from dream.protocol import SurveyProtocol
     from dream.recording import RecordedStep
+    from dream.sim.world import World
     from dream.types import Step
 
     ChosenPlanner = AnyPlanner
@@ -45,6 +50,10 @@ class Run:
     """Decisions at most; the protocol's cap unless given."""
     protocol: str | None = None
     """Survey protocol; the one that the world is made for unless given."""
+    mission: str | None = None
+    """What to do: a file that `dream mission` wrote; or plain words, for a planner that asks a model."""
+    yes: bool = False
+    """Take what a model understood of plain words as confirmed, where nobody can be asked."""
     json: bool = False
     """Print the summary as one JSON object and nothing else."""
 
@@ -63,7 +72,19 @@ class Run:
                 world = open_world(self.world, self.seed)
                 protocol = protocol_named(self.protocol or world.protocol)
                 name = planner_name(self.planner)
-                steps = simulate(world, self.planner, protocol, start=self.start, max_steps=self.max_steps)
+                orders = None
+                if self.mission is not None:
+                    orders = _orders(
+                        self.mission, self.planner, world, protocol, self.out / "mission.png", yes=self.yes
+                    )
+                steps = simulate(
+                    world,
+                    self.planner,
+                    protocol,
+                    start=self.start,
+                    max_steps=self.max_steps,
+                    orders=orders,
+                )
                 config = run_config(
                     world,
                     name,
@@ -72,8 +93,9 @@ class Run:
                     world_from=self.world,
                     start=self.start,
                     max_steps=self.max_steps,
+                    orders=orders,
                 )
-                scorer = Scorer(world, protocol)
+                scorer = Scorer(world, protocol, orders=orders)
                 check()
             # Only now: what is interrupted before it can fly leaves no folder.
             now = datetime.datetime.now(datetime.UTC)
@@ -82,7 +104,10 @@ class Run:
             recorded = recording.record(
                 steps, folder, annotate=lambda step: {"coverage": scorer.add(step).as_dict()}
             )
-            stopped = _fly(recorded, f"{name} · {world.name} {world.seed}", self.max_steps or protocol.cap)
+            total = self.max_steps or protocol.cap
+            if orders is not None and orders.max_steps is not None:
+                total = min(total, orders.max_steps)
+            stopped = _fly(recorded, f"{name} · {world.name} {world.seed}", total)
         summary = summarize(world, name, protocol, scorer, time.perf_counter() - began)
         try:
             recording.write_summary(folder, summary)
@@ -101,6 +126,26 @@ class Run:
 def planner_name(planner: AnyPlanner) -> str:
     """The name of a planner on the command line."""
     return next(name for name, default in PLANNERS.items() if type(default) is type(planner))
+
+
+def _orders(
+    mission: str, planner: object, world: World, protocol: SurveyProtocol, picture: Path, *, yes: bool
+) -> Orders:
+    """What the operator orders, in a file or in words for the planner's own model."""
+    from dream.evaluation.runner import labelled_in
+    from dream.planning.vlm.asking import Asking
+    from dream.planning.vlm.orders import check_flyable
+
+    orders = given(mission)
+    if orders is not None:
+        check_flyable(orders, world.bounds, protocol, labelled_in(world))
+        return orders
+    if not isinstance(planner, Asking):
+        raise ValueError(
+            "--mission: expected a file .json, since this planner asks no model, got plain words. "
+            "Let dream mission turn them into one"
+        )
+    return confirmed(mission, planner, world, protocol, picture, yes=yes, told=sys.stderr)
 
 
 def _fly(recorded: Generator[Step, None, None], title: str, total: int) -> BaseException | None:
@@ -135,6 +180,8 @@ def _print_outcome(summary: Mapping[str, Any], steps: Sequence[RecordedStep], pa
         # What it holds to be complete, and with which risk; some planners only say what they do.
         reasoning = steps[-1].reasoning
         print(f"  its last word: {reasoning.completion or reasoning.action}")
+    for number, leg in enumerate(summary.get("legs", ()), start=1):
+        print(f"  leg {number}, {leg['task']} {leg['target']}: {leg['outcome']}, {leg['steps']} steps")
     print("  seen: " + ", ".join(f"{coverage[k]:.1%} of the {k}" for k in ("instances", "clusters", "area")))
     if times:
         print(f"  steps to a share of the instances: {times}")

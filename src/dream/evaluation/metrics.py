@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from dream.geometry import Bounds
+from dream.orders import Flown, Leg, Orders, Outcome, Task, place
 from dream.protocol import SurveyProtocol
 from dream.sim.render import Renderer
 from dream.sim.visibility import Visibility
@@ -63,7 +65,6 @@ class _Entry:
     """What of a step a summary needs: neither its images nor its map."""
 
     index: int
-    instances: float
     collided: bool
     distance: float
     clearance: float
@@ -80,7 +81,9 @@ class _Entry:
 class Scorer:
     """Scores a mission while it runs: hand it every step, in order.
 
-    Seeing is geometry (`sim.visibility`), so that scoring, simulator and oracle agree exactly.
+    Seeing is geometry (`sim.visibility`), so that scoring, simulator and oracle agree exactly. Where there
+    are orders, only individuals in the area of a leg that maps count; where that is a side of something,
+    they do so from when it was found on.
     """
 
     def __init__(
@@ -90,28 +93,38 @@ class Scorer:
         *,
         visibility: Visibility | None = None,
         renderer: Renderer | None = None,
+        orders: Orders | None = None,
     ) -> None:
         """Score by the visibility and the renderer of this world where they are made already."""
+        self._bounds, self._positions = world.bounds, np.asarray(world.targets.position[:, :2], np.float64)
+        self._orders = orders
+        self._legs: dict[int, Flown] = {}
+        self._steps_of: Counter[int] = Counter()
         self._protocol = protocol
         self._visibility = Visibility(world, protocol) if visibility is None else visibility
         self._renderer = renderer or Renderer(world)
-        self._countable = self._visibility.countable
+        self._countable = self._counted()
         self._group = np.asarray(world.targets.group)
         self._piece, self._piece_area = _area_pieces(world, protocol)
-        self._seen = np.zeros(len(world.targets), dtype=bool)
+        self._first_seen = np.full(len(world.targets), -1)
+        """The step; −1 where not yet."""
         self._shown = np.zeros(len(world.targets), dtype=bool)
         self._log: list[_Entry] = []
 
     def add(self, step: Step) -> Coverage:
         """Score one more step and say how much has been covered since the start."""
         pose = step.observation.pose
-        self._seen |= self._visibility.seen(np.array([[pose.x, pose.y, pose.yaw]]))[0]
+        seen = self._visibility.seen(np.array([[pose.x, pose.y, pose.yaw]]))[0]
+        self._first_seen[seen & ~self._seen] = step.index
         self._shown |= self._shows(step)
+        if step.leg is not None and self._orders is not None:
+            self._legs[step.leg.number] = step.leg
+            self._steps_of[step.leg.number] += step.index > 0
+            self._countable = self._counted()
         coverage = self._coverage()
         self._log.append(
             _Entry(
                 index=step.index,
-                instances=coverage.instances,
                 collided=step.arrival.collided,
                 distance=step.arrival.distance,
                 clearance=step.arrival.clearance,
@@ -126,6 +139,32 @@ class Scorer:
             )
         )
         return coverage
+
+    @property
+    def _seen(self) -> BoolArray:
+        return self._first_seen >= 0
+
+    def _counted(self) -> BoolArray:
+        """(N,) individuals that count, by what is known of where the legs are."""
+        countable = self._visibility.countable
+        if self._orders is None:
+            return countable
+        counted = np.zeros(len(countable), np.bool_)
+        for number, leg in enumerate(self._orders.legs, start=1):
+            if leg.task is Task.MAP:
+                counted |= self._lies_in(number, leg)
+        return countable & counted
+
+    def _lies_in(self, number: int, leg: Leg) -> BoolArray:
+        """(N,) individuals in the area of a leg; none as long as nobody knows where it is."""
+        try:
+            area = self._legs[number].area if number in self._legs else place(leg.area, self._bounds, {})
+        except LookupError:
+            return np.zeros(len(self._positions), np.bool_)
+        if area is None:
+            return np.ones(len(self._positions), np.bool_)
+        x, y = self._positions.T
+        return np.asarray((x >= area.x_min) & (x <= area.x_max) & (y >= area.y_min) & (y <= area.y_max))
 
     def _shows(self, step: Step) -> BoolArray:
         frame = self._renderer.measure(step.observation.camera, step.observation.T_world_camera)
@@ -174,6 +213,7 @@ class Scorer:
         clearance = min((entry.clearance for entry in moves), default=math.inf)
         planner_ms = [1e3 * entry.planner_s for entry in moves] or [0.0]
         coverage = self._coverage()
+        missed = any(leg.outcome is Outcome.NOT_FOUND for leg in self._legs.values())
         return {
             "ended": ended or "aborted",
             "steps": steps,
@@ -196,7 +236,9 @@ class Scorer:
             "success": ended == "done"
             and steps <= self._protocol.cap
             and coverage.instances >= COMPLETE
-            and collisions == 0,
+            and collisions == 0
+            and not missed,
+            **({} if self._orders is None else {"legs": self._flown(self._orders)}),
         }
 
     def _waited(self) -> float:
@@ -226,8 +268,27 @@ class Scorer:
             "waited_s": round(self._waited(), 3),
         }
 
+    def _flown(self, orders: Orders) -> list[dict[str, Any]]:
+        """What came of each leg of the orders, as in `summary.json`."""
+        legs = []
+        for number, leg in enumerate(orders.legs, start=1):
+            flown = self._legs.get(number)
+            outcome = "not flown" if flown is None else flown.outcome or "not ended"
+            legs.append(
+                {
+                    "task": leg.task.value,
+                    "target": leg.target.value,
+                    "area": None if flown is None else _as_list(flown.area),
+                    "outcome": str(outcome),
+                    "steps": self._steps_of[number],
+                }
+            )
+        return legs
+
     def _time_to(self, share: float) -> int | None:
-        return next((entry.index for entry in self._log if entry.instances >= share - 1e-12), None)
+        first = self._first_seen[self._countable]
+        shares = ((entry.index, _share((first >= 0) & (first <= entry.index))) for entry in self._log)
+        return next((index for index, reached in shares if reached >= share - 1e-12), None)
 
 
 def _digest(exchange: Exchange) -> _Asked:
@@ -260,6 +321,11 @@ def curve(instances: Sequence[float], cap: int) -> dict[str, float]:
         **{f"c{step}": round(instances[min(step, last)], 6) for step in CURVE},
         "auc": round(math.fsum(held) / cap, 6),
     }
+
+
+def _as_list(area: Bounds | None) -> list[float] | None:
+    """x_min, y_min, x_max, y_max; None for everything."""
+    return None if area is None else [round(side, 3) for side in asdict(area).values()]
 
 
 def _share(flags: BoolArray) -> float:

@@ -38,6 +38,7 @@ from dream.evaluation.results import (
 from dream.evaluation.suites import Case
 from dream.mapping import OccupancyMap
 from dream.mission import Planner, explore
+from dream.orders import Orders, written
 from dream.planning import PLANNERS, AnyPlanner
 from dream.protocol import SurveyProtocol, protocol_named
 from dream.robots import Teleport
@@ -70,6 +71,7 @@ def simulate(
     *,
     start: int = 0,
     max_steps: int | None = None,
+    orders: Orders | None = None,
     renderer: Renderer | None = None,
     solids: Solids | None = None,
 ) -> Iterator[Step]:
@@ -81,6 +83,7 @@ def simulate(
         protocol: By which rules.
         start: Which of the world's start poses.
         max_steps: Decisions at most; the protocol's cap unless given.
+        orders: What the operator orders; to map everything where None.
         renderer: Of this world, where one is made already.
         solids: Of this world, where they are made already.
     """
@@ -88,9 +91,13 @@ def simulate(
         raise ValueError(f"start: expected 0 to {len(world.starts) - 1} for {world.name}, got {start}")
     check_fits(world, protocol)
     robot = Teleport(world, protocol, world.starts[start], renderer=renderer, solids=solids)
-    target = Target.WRECK if world.targets_are_hull else Target.OYSTERS
     occupancy = OccupancyMap(world.bounds, protocol)
-    return explore(robot, planner, occupancy, max_steps=max_steps, target=target)
+    return explore(robot, planner, occupancy, max_steps=max_steps, target=labelled_in(world), orders=orders)
+
+
+def labelled_in(world: World) -> Target:
+    """The kind of target that the labels show there."""
+    return Target.WRECK if world.targets_are_hull else Target.OYSTERS
 
 
 def summarize(
@@ -117,6 +124,7 @@ def run_config(
     world_from: str,
     start: int,
     max_steps: int | None,
+    orders: Orders | None = None,
 ) -> dict[str, Any]:
     """`config.json` of a mission: enough to fly it again."""
     return {
@@ -131,6 +139,7 @@ def run_config(
         "planner": planner_name,
         "planner_parameters": asdict(planner),
         "max_steps": max_steps,
+        "orders": None if orders is None else written(orders),
     }
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dream.types import IntArray
+from dream.types import BoolArray, IntArray
 
 Key = tuple[int, int]
 """Row and column of a block."""
@@ -88,6 +88,8 @@ class Window:
     """World x and y of the corner of the store's cell (0, 0)."""
     cell: float
     """Metres."""
+    area: Rectangle | None = None
+    """What has to be seen, cells of the store; everything where None."""
 
     @property
     def low(self) -> Key:
@@ -103,6 +105,11 @@ class Window:
     def middle(self, cells: IntArray) -> tuple[float, float]:
         """World x and y of the mean of cells (n, 2) of the window."""
         return self.center_of(cells[:, 0].mean(), cells[:, 1].mean())
+
+
+def inside(cells: IntArray, rectangle: Rectangle) -> BoolArray:
+    """(n,) whether cells (n, 2) lie in a rectangle."""
+    return np.asarray(((cells >= rectangle[:2]) & (cells < rectangle[2:])).all(axis=1))
 
 
 def by_block(cells: IntArray, side: int) -> Iterator[tuple[Key, IntArray]]:

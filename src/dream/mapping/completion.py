@@ -61,9 +61,10 @@ class Completion:
 def check_completion(occupancy: OccupancyMap, pose: SE2) -> Completion:
     """Is every target region enclosed by observed cells, with none inside that is not?
 
-    Observed is what was explored or seen by a return of its own; see `Layers.observed`. Cells that no
-    reachable pose could see do not count, and the bounds count as enclosure. Where no target was seen,
-    everything that a reachable pose could see must be observed. Arrays are read-only.
+    Observed is what was explored or seen by a return of its own, and what lies outside the map's area; see
+    `Layers.observed`. Cells that no reachable pose could see do not count, and the bounds count as
+    enclosure. Where no target was seen beside or in the area, everything in it that a reachable pose could
+    see must be observed. Arrays are read-only.
 
     Args:
         occupancy: What is known.
@@ -85,7 +86,7 @@ def hiding_places(occupancy: OccupancyMap, pose: SE2, radius: float) -> BoolArra
     """
     if not radius > 0.0:
         raise ValueError(f"radius: expected a positive length in metres, got {radius}")
-    return that_would_show(occupancy, pose, radius, could_hide(occupancy, radius, occupancy.observed))
+    return that_would_show(occupancy, pose, radius, could_hide(occupancy, radius, occupancy.seen))
 
 
 def that_would_show(occupancy: OccupancyMap, pose: SE2, radius: float, places: BoolArray) -> BoolArray:
@@ -114,13 +115,16 @@ def could_hide(occupancy: OccupancyMap, radius: float, hopeless: BoolArray) -> B
         hopeless: (rows, cols) cells that count as observed.
 
     Returns:
-        (rows, cols), true at the centres of discs that hold no such cell's centre. The smallest group that
-        the protocol promises must fit into the bounds there; a larger one may reach past them.
+        (rows, cols), true at the centres in the map's area of discs that hold no such cell's centre, nor that
+        of one that was seen. The smallest group that the protocol promises must fit into the bounds there; a
+        larger one may reach past them.
     """
     # Half a cell from the bounds is half a cell whatever the last digits say.
     inside = min(radius, occupancy.protocol.group_radius) - 1e-6
     places: BoolArray = occupancy.distance_to_bounds >= inside
-    return places & ~within(occupancy.observed | hopeless, radius, occupancy.protocol.cell)
+    if occupancy.area is not None:
+        places &= occupancy.to_see
+    return places & ~within(occupancy.seen | hopeless, radius, occupancy.protocol.cell)
 
 
 def reachable(occupancy: OccupancyMap, pose: SE2) -> Float64Array:

@@ -33,6 +33,8 @@ SOLID_TARGET: Color = (0, 95, 0)
 VEHICLE: Color = (0, 70, 255)
 TRAIL: Color = (0, 150, 255)
 MARK: Color = (255, 201, 14)
+OUTLINE: Color = (200, 0, 160)
+"""Around an area that has to be seen."""
 GRID_LINE: Color = (90, 90, 120)
 INK: Color = (40, 40, 40)
 PAPER: Color = (244, 244, 240)
@@ -63,12 +65,14 @@ def draw_map(
     marks: Sequence[Mark] = (),
     *,
     scale: int = 4,
+    areas: Sequence[Bounds] = (),
 ) -> Image.Image:
     """A picture of the map, north up, with a grid in metres, a scale bar and a legend.
 
     Cells keep their exact colours, save under the thin lines: unknown white, explored grey, target green,
     solid black, solid target dark green; the vehicle, its field of view out to the reach, and where it came
-    from in blue; marks in yellow, with a thin line along the way there.
+    from in blue; marks in yellow, with a thin line along the way there. A thin line in magenta is around the
+    area that has to be seen, where that is not everything.
 
     Args:
         occupancy: What is known; only read.
@@ -76,6 +80,7 @@ def draw_map(
         trail: (N, 2) positions in the world, oldest first; or (N, 3) with headings, which are not used.
         marks: Drawn over everything else, the first uppermost.
         scale: Pixels per cell.
+        areas: Outlined beside the map's own.
 
     Returns:
         An RGB image. Its size depends on the map's shape and the scale alone.
@@ -93,6 +98,8 @@ def draw_map(
     cells = Image.fromarray(_paint(occupancy).repeat(scale, 0).repeat(scale, 1))
     picture.paste(cells, (sheet.left, sheet.top))
     _draw_grid(picture, sheet)
+    for area in (*areas, *([occupancy.area] if occupancy.area is not None else [])):
+        _draw_outline(picture, sheet, area)
     _draw_trail(picture, sheet, points[:, :2])
     for mark in reversed(marks):
         _draw_way(picture, sheet, mark)
@@ -191,7 +198,7 @@ class _Sheet:
 
 def _paint(occupancy: OccupancyMap) -> npt.NDArray[np.uint8]:
     colors = np.full((*occupancy.shape, 3), UNKNOWN, np.uint8)
-    colors[occupancy.observed] = EXPLORED
+    colors[occupancy.seen] = EXPLORED
     colors[occupancy.target] = TARGET
     colors[occupancy.solid] = SOLID
     colors[occupancy.solid & occupancy.target] = SOLID_TARGET
@@ -207,6 +214,16 @@ def _draw_grid(picture: Image.Image, sheet: _Sheet) -> None:
     mask[:, [x for x in across if 0 < x < sheet.width]] = 70
     mask[[y for y in down if 0 < y < sheet.height]] = 70
     picture.paste(GRID_LINE, (sheet.left, sheet.top), Image.fromarray(mask))
+
+
+def _draw_outline(picture: Image.Image, sheet: _Sheet, area: Bounds) -> None:
+    corners = [(area.x_min, area.y_min), (area.x_max, area.y_min), (area.x_max, area.y_max)]
+    way = [sheet.at(x, y) for x, y in (*corners, (area.x_min, area.y_max))]
+
+    def draw(pen: ImageDraw.ImageDraw, at: Callable[[Point], Point]) -> None:
+        pen.line([at(corner) for corner in (*way, *way[:2])], fill=255, width=3 * FINER, joint="curve")
+
+    _paste(picture, sheet, way, OUTLINE, draw)
 
 
 def _draw_trail(picture: Image.Image, sheet: _Sheet, points: npt.NDArray[np.float64]) -> None:

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from dream.geometry import Bounds
 from dream.mapping._kernels import flags
+from dream.mapping._rectangles import Rectangle
 from dream.mapping.blocks import BlockStore
 from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, Float32Array, IntArray
@@ -144,6 +145,26 @@ def _is_crossable(bits: npt.NDArray[np.uint8]) -> BoolArray:
     return crossable
 
 
+def cells_within(area: Bounds, origin: tuple[float, float], cell: float) -> Rectangle:
+    """The cells of a store whose middles lie in a box; one on its west or south side does.
+
+    Args:
+        area: The box.
+        origin: World x and y of the corner of cell (0, 0).
+        cell: Side of a cell, metres.
+    """
+    row, col, past_row, past_col = (
+        math.ceil((edge - corner) / cell - 0.5 - EDGE)
+        for edge, corner in (
+            (area.y_min, origin[1]),
+            (area.x_min, origin[0]),
+            (area.y_max, origin[1]),
+            (area.x_max, origin[0]),
+        )
+    )
+    return row, col, past_row, past_col
+
+
 def room_radius(needed_room: int) -> int:
     """Cells away at which something solid may still take a cell's `room` down to what is needed."""
     return (math.isqrt(needed_room) + 1) // 2
@@ -165,6 +186,7 @@ class Layers:
         evidence: Evidence,
         origin: tuple[float, float],
         datum: float,
+        area: Bounds | None = None,
     ) -> None:
         """A window on a store.
 
@@ -176,10 +198,12 @@ class Layers:
             evidence: What votes mean.
             origin: World x and y of the corner where the store's cell (0, 0) begins.
             datum: World z of the seabed where nothing around was seen; NaN where nothing ever was.
+            area: What has to be seen; everything where None.
         """
         self.bounds = bounds
         self.protocol = protocol
         self.evidence = evidence
+        self.area = area
         self._store = store
         self._origin = origin
         self._low = low
@@ -287,12 +311,31 @@ class Layers:
         return self._layer("explored", lambda: self._flag(flags.EXPLORED))
 
     @property
-    def observed(self) -> BoolArray:
-        """Explored, or seen by a return of its own: nothing is left to look for.
+    def seen(self) -> BoolArray:
+        """Explored, or seen by a return of its own.
 
         A ray over a low boulder shows ground that the paper's flat rays do not explore.
         """
-        return self._layer("observed", lambda: self._flag(flags.EXPLORED | flags.RETURNED))
+        return self._layer("seen", lambda: self._flag(flags.EXPLORED | flags.RETURNED))
+
+    @property
+    def to_see(self) -> BoolArray:
+        """In the area that has to be seen, seen or not."""
+        return self._layer("to_see", self._find_to_see)
+
+    def _find_to_see(self) -> BoolArray:
+        if self.area is None:
+            return np.ones(self.shape, np.bool_)
+        row, col, past_row, past_col = cells_within(self.area, self._origin, self.protocol.cell)
+        inside = np.zeros(self.shape, np.bool_)
+        rows = slice(max(row - self.low[0], 0), max(past_row - self.low[0], 0))
+        inside[rows, max(col - self.low[1], 0) : max(past_col - self.low[1], 0)] = True
+        return inside
+
+    @property
+    def observed(self) -> BoolArray:
+        """Seen, or outside the area: nothing is left to look for."""
+        return self.seen if self.area is None else self._layer("observed", lambda: self.seen | ~self.to_see)
 
     @property
     def seabed_seen(self) -> BoolArray:

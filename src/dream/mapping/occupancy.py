@@ -28,6 +28,7 @@ from dream.mapping.layers import (
     POSTS,
     Evidence,
     Layers,
+    cells_within,
     post_bits,
 )
 from dream.mapping.progress import Progress
@@ -147,6 +148,24 @@ class OccupancyMap(Layers):
         marked = self._store.read("flags", low, near.shape)
         marked[near] |= flags.CROSSED
         self._write("flags", low, marked)
+
+    def restrict(self, area: Bounds | None) -> None:
+        """Only this area has to be seen from now on; None for everything.
+
+        What lies outside counts as observed: nothing is left to look for there. It is mapped as before where
+        it is seen, and the vehicle may swim there.
+
+        Raises:
+            ValueError: No cell's middle lies in it and in the map's bounds.
+        """
+        if area is not None and self._bounded:
+            row, col, past_row, past_col = cells_within(area, self._origin, self.protocol.cell)
+            rows, cols = self.shape
+            if min(past_row, rows) <= max(row, 0) or min(past_col, cols) <= max(col, 0):
+                raise ValueError(f"area: expected a part of {self.bounds} with a cell in it, got {area}")
+        self.area = area
+        self._layers = {}
+        self._progress.restrict(area)
 
     def _write(self, name: str, low: tuple[int, int], cells: npt.NDArray[Any]) -> None:
         self._stamp += 1
@@ -273,7 +292,9 @@ class OccupancyMap(Layers):
         low = (low_row, low_col)
         window = self._window(low, (past_row - low_row, past_col - low_col))
         self._renew_edges()
-        layers = Layers(self._store, low, window, self.protocol, self.evidence, self._origin, self._datum)
+        layers = Layers(
+            self._store, low, window, self.protocol, self.evidence, self._origin, self._datum, self.area
+        )
         # Read now, since the store goes on.
         for name in CELLS:
             layers._wide(name)
@@ -317,7 +338,7 @@ class OccupancyMap(Layers):
         other._store = self._store.copy()
         other._edges = edges.copy(other._store)
         other._progress = self._progress.copy(other._store)
-        other._stamp, other._datum = self._stamp, self._datum
+        other._stamp, other._datum, other.area = self._stamp, self._datum, self.area
         if self._written is not None:
             other._extend(*self._written)
         return other
@@ -327,6 +348,7 @@ class OccupancyMap(Layers):
         about = {
             "format": FORMAT,
             "bounds": dataclasses.asdict(self.bounds) if self._bounded else None,
+            "area": dataclasses.asdict(self.area) if self.area is not None else None,
             "protocol": dataclasses.asdict(self.protocol),
             "evidence": dataclasses.asdict(self.evidence),
             "stamp": self._stamp,
@@ -365,6 +387,7 @@ class _About(BaseModel):
 
     format: Literal["dream-map-2"]
     bounds: Bounds | None
+    area: Bounds | None = None
     protocol: SurveyProtocol
     evidence: Evidence
     stamp: Annotated[int, Field(ge=0)]
@@ -411,6 +434,7 @@ def _read(path: Path) -> OccupancyMap:
     occupancy._datum = math.nan if about.datum is None else about.datum
     occupancy._edges = Edges(store, occupancy.needed_room, occupancy._edges.limits)
     occupancy._progress = occupancy._progress.copy(store)
+    occupancy.restrict(about.area)
     written = keys[stamps > 0]
     if len(written):
         first, last = written.min(axis=0), written.max(axis=0)

@@ -5,22 +5,22 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from dream.geometry import SE2
+from dream.geometry import SE2, Bounds
 from dream.mapping._bits import CellBits
 from dream.mapping._kernels import flags
 from dream.mapping._open_ground import OpenGround
-from dream.mapping._rectangles import Key, Rectangle, Window, blocks_in, by_block, in_raster_order
+from dream.mapping._rectangles import Key, Rectangle, Window, blocks_in, by_block, in_raster_order, inside
 from dream.mapping.blocks import BlockStore
 from dream.mapping.completion import Completion
 from dream.mapping.lattice import Lattice
-from dream.mapping.layers import BLOCK, Evidence
+from dream.mapping.layers import BLOCK, Evidence, cells_within
 from dream.mapping.regions import Regions
 from dream.mapping.sightlines import Sightlines
 from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, IntArray
 
 OBSERVED = flags.EXPLORED | flags.RETURNED
-"""Bits of which any makes a cell observed; see `Layers.observed`."""
+"""Bits of which any makes a cell observed; see `Layers.seen`."""
 
 
 class Progress:
@@ -58,6 +58,7 @@ class Progress:
         self._evidence = evidence
         self._needed_room = needed_room
         self._window = Window((0, 0, 0, 0), origin, protocol.cell)
+        self._area: Rectangle | None = None
         self._touched: set[Key] = {(row, col) for row, col in store.slot_of}
         self._bits = CellBits(store, evidence)
         self._lattice = Lattice(self._bits, protocol, needed_room, origin)
@@ -70,9 +71,15 @@ class Progress:
         if row < past_row and col < past_col:
             self._touched.update(blocks_in((row, col, past_row, past_col), BLOCK))
 
+    def restrict(self, area: Bounds | None) -> None:
+        """Take what lies outside an area for observed; nothing where it is None."""
+        self._area = None if area is None else cells_within(area, self._window.origin, self._window.cell)
+
     def copy(self, store: BlockStore) -> Progress:
         """One of its own for a copy of the store; it reads everything at its first question."""
-        return Progress(store, self._protocol, self._evidence, self._needed_room, self._window.origin)
+        other = Progress(store, self._protocol, self._evidence, self._needed_room, self._window.origin)
+        other._area = self._area
+        return other
 
     # ---------------------------------------------------------------------------------- what is asked
 
@@ -84,7 +91,8 @@ class Progress:
             window: What counts as inside, in cells of the store. Results are relative to it.
         """
         self._renew(pose, window)
-        return (self._regions if len(self._regions) else self._ground).completion(self._window)
+        completion = self._regions.completion(self._window)
+        return completion if completion.regions else self._ground.completion(self._window)
 
     def reachable(self, pose: SE2, window: Rectangle) -> npt.NDArray[np.float64]:
         """See `dream.mapping.reachable`."""
@@ -110,7 +118,8 @@ class Progress:
     def _renew(self, pose: SE2, window: Rectangle) -> None:
         """Take in all that changed."""
         touched, self._touched = self._touched, set()
-        old, self._window = self._window, Window(window, self._window.origin, self._window.cell)
+        old = self._window
+        self._window = Window(window, old.origin, old.cell, self._area)
         change = self._bits.read(touched)
         self._lattice.renew(change.crossable)
         reached = self._lattice.walk(pose, self._window)
@@ -118,13 +127,18 @@ class Progress:
         self._regions.regroup(change.targets)
         self._regions.mark(others)
         self._ground.mark(self._sightlines.blocks & others)
-        if old.cells != window:
+        if old != self._window:
             self._regions.enter(self._window)
+        if old.cells != window:
             self._ground.enter(old.cells, window, self._sightlines.blocks)
+        if old.area != self._area:
+            self._ground.mark(self._sightlines.blocks)
 
     def _is_open(self, cells: IntArray, key: Key) -> BoolArray:
         """(n,) which cells (n, 2) of a block nothing observed that could be seen."""
         bits = self._store.pools["flags"][self._store.slot_of.get(key, 0)]
         open_ones: BoolArray = bits[cells[:, 0] % BLOCK, cells[:, 1] % BLOCK] & OBSERVED == 0
+        if self._area is not None:
+            open_ones &= inside(cells, self._area)
         open_ones[open_ones] = self._sightlines.can_be_seen(cells[open_ones], key, self._window)
         return open_ones

@@ -19,6 +19,7 @@ from dream.mapping._rectangles import (
     frozen,
     holds,
     in_raster_order,
+    inside,
     shared,
     widened,
 )
@@ -109,6 +110,8 @@ class Regions:
         old, self._window = self._window, window
         self._completion = None
         for group in self._groups:
+            if old is not None and old.area != window.area:
+                group.stale.update(group.outline or ())
             if old is None or old.low != window.low:
                 group.region = None
             if old is None or not holds(shared(old.cells, window.cells), _around(group.box)):
@@ -212,10 +215,14 @@ class Regions:
     # ----------------------------------------------------------------------------------------- what is open
 
     def completion(self, window: Window) -> Completion:
-        """All regions, in the raster order of their first cells; the same object until something changes."""
+        """Regions in the raster order of their first cells; the same object until something changes.
+
+        Of those nothing of whose outline lies in the area, none is named.
+        """
         if self._completion is None:
             groups = sorted(self._groups, key=lambda group: tuple(group.cells[0].tolist()))
-            regions = tuple(self._renewed(group, window) for group in groups)
+            renewed = [(group, self._renewed(group, window)) for group in groups]
+            regions = tuple(region for group, region in renewed if _concerns(group, window))
             open_cells = in_raster_order(region.open_cells for region in regions)
             self._completion = Completion(regions, frozen(open_cells), describe(regions, window.middle))
         return self._completion
@@ -247,6 +254,12 @@ class Regions:
         return group.region
 
 
+def _concerns(group: _Group, window: Window) -> bool:
+    """Does anything of a region's outline lie in the area that has to be seen?"""
+    area, outline = window.area, group.outline or {}
+    return area is None or any(bool(inside(cells, area).any()) for cells in outline.values())
+
+
 def _around(box: Rectangle) -> Rectangle:
     """As far as an outline may go, and one more cell that is not in it."""
     return widened(box, MARGIN_CELLS + 1)
@@ -259,7 +272,7 @@ def _outlined(group: _Group, window: Window) -> dict[Key, IntArray]:
     row, col, past_row, past_col = shared(_around(group.box), window.cells)
     mask = np.zeros((past_row - row, past_col - col), np.bool_)
     mask[tuple((group.cells - (row, col)).T)] = True
-    inside = progress.filled(within(mask, MARGIN_CELLS, 1.0))
-    cells: IntArray = np.argwhere(inside)
+    outlined = progress.filled(within(mask, MARGIN_CELLS, 1.0))
+    cells: IntArray = np.argwhere(outlined)
     cells += (row, col)
     return dict(by_block(cells, BLOCK))

@@ -320,7 +320,7 @@ class BeliefPilot:
             hiding &= hopeful | that_would_show(occupancy, pose, self.size, hiding & ~hopeful)
         groups = Groups(planner.groups, planner.searched)
         hidden = float(hiding.sum()) * cell**2
-        searched = occupancy.observed.size * cell**2 - hidden
+        searched = np.count_nonzero(occupancy.to_see) * cell**2 - hidden
         found = len(completion.regions)
         hull = self._expected_hull(occupancy, away_from_hull)
         if away_from_hull is not None:
@@ -348,6 +348,7 @@ class BeliefPilot:
             return np.zeros(len(self.hull.weights))
         x, y = self.hull.middles[:, :2].T
         inside = occupancy.contains(x, y)
+        inside[inside] = occupancy.to_see[occupancy.cell_of(x[inside], y[inside])]
         away = np.full(len(x), np.inf)
         away[inside] = away_from_hull[occupancy.cell_of(x[inside], y[inside])]
         return np.where(away <= ADJOINING, self.hull.weights, 0.0)

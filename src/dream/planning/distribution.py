@@ -34,7 +34,7 @@ def expectation(
     """
     where = where & ~occupancy.observed
     targets = blurred(occupancy.target, radius, occupancy, where)
-    observed = blurred(occupancy.observed, radius, occupancy, where)
+    observed = blurred(occupancy.seen, radius, occupancy, where)
     p = (targets + prior * prior_weight) / (observed + prior_weight)
     return np.where(where, np.clip(p, 0.0, 1.0), 0.0).astype(np.float32)
 

@@ -145,8 +145,8 @@ class _SixStepsPilot:
             self.surveyed |= view(occupancy, pose.x, pose.y, pose.yaw)
 
     def _hull_left(self, occupancy: OccupancyMap) -> npt.NDArray[np.bool_]:
-        """(rows, cols) cells that are both target and solid and were not yet looked at from afar."""
-        return occupancy.target & occupancy.solid & ~self.surveyed
+        """(rows, cols) cells of the area that are target and solid and were not yet looked at from afar."""
+        return occupancy.target & occupancy.solid & ~self.surveyed & occupancy.to_see
 
     def _worth(
         self,

@@ -47,7 +47,7 @@ class Lawnmower:
 
     def route(self, mission: Mission, start: SE2, sweep: int) -> Points:
         """(n, 2) corners of the shortest way over the lanes; see `Layout`. Odd sweeps go across even ones."""
-        protocol, box = mission.protocol, mission.bounds
+        protocol, box = mission.protocol, mission.to_see
         spacing, inset = self.swath * seen_to_both_sides(protocol), self.inset * protocol.reach
         upright = shortest(mirrored(lanes(box, spacing, inset), box), start)
         level = shortest(

@@ -41,7 +41,7 @@ class Spiral:
 
     def route(self, mission: Mission, start: SE2, sweep: int) -> Points:
         """(n, 2) corners of the shortest spiral; see `Layout`. Odd sweeps go the other way."""
-        box, spacing = mission.bounds, self.swath * seen_to_both_sides(mission.protocol)
+        box, spacing = mission.to_see, self.swath * seen_to_both_sides(mission.protocol)
         upright = mirrored(spiral(box, spacing), box)
         level = [route[:, ::-1] for route in mirrored(spiral(across(box), spacing), across(box))]
         inwards = [*upright, *level]

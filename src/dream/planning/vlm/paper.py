@@ -13,7 +13,7 @@ from dream.planning.vlm import pictures, prompts
 from dream.planning.vlm.asking import Asking, Line, Question
 from dream.planning.vlm.reply import Acting, dream_reply, vanilla_reply
 from dream.protocol import SurveyProtocol
-from dream.types import LOOK_AROUND, Decision, Mission, Observation
+from dream.types import Decision, Mission, Observation
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
@@ -107,11 +107,12 @@ class _EveryStep:
     def _situation(self, pose: SE2, occupancy: OccupancyMap) -> str:
         """What the pictures do not say."""
         # Every mission begins with a look around, which nobody decides.
-        steps = LOOK_AROUND + len(self.trail)
+        steps = self.mission.flown + len(self.trail)
         lines = [
             f"The robot is at x = {pose.x:g} m, y = {pose.y:g} m and heads towards {pictures.bearing(pose)}.",
             f"{steps} steps are done; {self.mission.max_steps - steps} are left at most.",
         ]
+        lines += prompts.area(self.mission)
         if self.last is not None:
             lines.append(self._last_action(pose, occupancy))
         return "\n".join(lines)

@@ -66,3 +66,15 @@ def instructions(
     }
     parts = [prompt, legend, *([knowledge] if "$knowledge" in prompt.text else [])]
     return Template(prompt.text).substitute(values), ", ".join(part.label for part in parts)
+
+
+def area(mission: Mission) -> list[str]:
+    """What a model is told of the area that has to be seen; nothing where that is everything."""
+    box = mission.area
+    if box is None:
+        return []
+    return [
+        f"Only the area from x = {box.x_min:g} to {box.x_max:g} m and from y = {box.y_min:g} to "
+        f"{box.y_max:g} m, inside the magenta line on the map, has to be explored. What is white outside "
+        "of it does not matter."
+    ]

@@ -17,7 +17,7 @@ from dream.planning.vlm import pictures, prompts
 from dream.planning.vlm.asking import Answer, Asking, Line, Pending, Question
 from dream.planning.vlm.places import Place, again, places
 from dream.planning.vlm.reply import Ranking, ranked_reply
-from dream.types import LOOK_AROUND, Decision, Exchange, Mission, Observation
+from dream.types import Decision, Exchange, Mission, Observation
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
@@ -224,7 +224,7 @@ class RankedPilot:
 
     def _affordable(self) -> float:
         """Steps that a choice may cost now."""
-        flown = LOOK_AROUND + len(self.trail)
+        flown = self.mission.flown + len(self.trail)
         return min(self.planner.margin, self.planner.allowance * flown + 1.0 - self.spent)
 
     def _question(
@@ -262,7 +262,7 @@ class RankedPilot:
 
     def _situation(self, observation: Observation, thought: Thought, numbered: dict[int, Place]) -> str:
         pose = observation.pose
-        flown = LOOK_AROUND + len(self.trail)
+        flown = self.mission.flown + len(self.trail)
         past = "; ".join(f"({p.x:g}, {p.y:g})" for p in self.trail[-HISTORY:]) or "only the start"
         lines = [
             f"The robot is at x = {pose.x:g} m, y = {pose.y:g} m and heads towards {pictures.bearing(pose)}.",
@@ -270,6 +270,7 @@ class RankedPilot:
             f"It came by way of: {past}.",
             thought.reasoning.distribution,
             thought.reasoning.completion,
+            *prompts.area(self.mission),
         ]
         if thought.plan is None:
             lines.append(
