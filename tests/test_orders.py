@@ -14,7 +14,7 @@ from dream.evaluation.runner import simulate
 from dream.geometry import Bounds
 from dream.mapping import OccupancyMap, check_completion
 from dream.orders import BESIDE, Flown, Leg, Orders, Outcome, Side, SideOf, Task, place, sentences, side_of
-from dream.planning import PLANNERS, Belief
+from dream.planning import OFFLINE, PLANNERS, Belief
 from dream.planning.belief import BeliefPilot, _away_from_hull
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
@@ -24,7 +24,7 @@ from dream.types import LOOK_AROUND, Decision, Mission, Observation, Reasoning, 
 BOX = Bounds(-20.0, -20.0, 20.0, 20.0)
 NEAR = Bounds(-15.0, 7.0, -11.0, 10.0)
 """Bare ground beside the start of the string reef, all of which the look-around sees."""
-OBEYING = [name for name in PLANNERS if name != "random"]
+OBEYING = [name for name in OFFLINE if name != "random"]
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +170,7 @@ def test_without_orders_all_is_mapped_in_one_leg(empty_world: World) -> None:
 # ------------------------------------------------------------------------------------------- every planner
 
 
-@pytest.mark.parametrize("name", PLANNERS)
+@pytest.mark.parametrize("name", OFFLINE)
 def test_an_area_that_is_everything_is_flown_like_no_orders(name: str, string_reef: World) -> None:
     def flown(orders: Orders | None) -> list[tuple[Decision, str]]:
         steps = simulate(string_reef, PLANNERS[name], DREAM_V1, max_steps=9, orders=orders)

@@ -11,7 +11,7 @@ from dream.evaluation.runner import simulate
 from dream.geometry import Bounds
 from dream.mapping import OccupancyMap
 from dream.orders import Leg, Orders
-from dream.planning import PLANNERS
+from dream.planning import OFFLINE, PLANNERS
 from dream.planning.approach import PATIENCE, Approach
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
@@ -105,7 +105,7 @@ def test_an_area_in_the_far_corner_is_come_to_and_mapped(empty_world: World) -> 
     assert sum(step.arrival.distance for step in way) < straight
 
 
-@pytest.mark.parametrize("name", [name for name in PLANNERS if name != "random"])
+@pytest.mark.parametrize("name", [name for name in OFFLINE if name != "random"])
 def test_an_area_around_the_start_is_mapped_though_the_launch_is_known(name: str, empty_world: World) -> None:
     start = empty_world.starts[0]
     area = Bounds(start.x - 4.0, start.y - 4.0, start.x + 4.0, start.y + 4.0)
