@@ -1,15 +1,17 @@
-"""A model that is none: a local server that reads the pictures it is sent and answers by rule.
+"""A model that is none: a local server that reads the pictures it is sent and answers by rule."""
 
-It knows nothing of the map, the planner or the world. So a mission that it flies shows that the whole wire
-works, from the drawing of a mark to the reading of a reply; it shows nothing of what a model can do.
-"""
-
-from dream.standin.server import serve
+from __future__ import annotations
 
 
 def address(fault: str = "") -> str:
-    """Where the stand-in of this process listens, or one that errs; started when first asked for."""
-    return serve(fault).address
+    """Where the stand-in of this process listens; started when first asked for.
 
+    Args:
+        fault: How it errs, such as `random` or `slow:2`; see `faults`. Not at all where empty.
 
-__all__ = ["address", "serve"]
+    Raises:
+        ValueError: There is no such fault.
+    """
+    from dream.standin.server import server
+
+    return server(fault).address

@@ -1,384 +1,458 @@
-"""What the pictures show: read from their pixels, with nothing but the colours that the prompt names."""
+"""What the picture of the map shows: its frame and scale, its cells, the vehicle, the numbered marks."""
 
 from __future__ import annotations
 
-import io
 import math
 from dataclasses import dataclass
 from functools import cache, lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
-Point = tuple[float, float]
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
-UInt8Array = npt.NDArray[np.uint8]
+from dream.standin import sight
+from dream.standin.marks import RADIUS, Disc, read_marks
+from dream.standin.sight import Bool, Floats, UInt8, UnreadableError
 
-WHITE, GRAY, GREEN, BLACK, DARK_GREEN = range(5)
-"""What a cell can be: unexplored, explored, target, solid, both."""
-COLORS = np.array([(255, 255, 255), (127, 127, 127), (0, 200, 0), (0, 0, 0), (0, 95, 0)], float)
-LINED, ROBOT, MARKED, NOTHING = 8, 100, 101, 255
-"""What else a colour may say; see `_known`."""
-BLUE, YELLOW, INK = (0, 70, 255), (255, 201, 14), (40, 40, 40)
-WATER = (60, 110, 190)
-LINE, LINE_SHARE = np.array((90, 90, 120), float), 70 / 255
-"""The grid, and how strongly it is drawn."""
-VIEW_SHARE = 34 / 255
-"""How strongly the blue of the camera's sector is laid over the map."""
-TOLERANCE = 6
-"""Of a colour, in each channel."""
-UNREADABLE = 0.12
-"""Share of the map that may be hidden under lines and marks."""
-DISC, DIGIT = 9, 14
-"""Radius of a mark and height of its number, pixels."""
+SPACINGS = (5.0, 1.0, 0.5)
+"""Metres that the lines of a grid may be apart, which the scale bar says."""
+MOST_CELL = 16
+"""Pixels along a cell, at most."""
 ARROW = ((1.0, 0.0), (-0.75, 0.7), (-0.4, 0.0), (-0.75, -0.7))
-"""Corners of the vehicle's arrow; its position is the origin, and it points along the first axis."""
-CELLS_A_LINE = 20
-"""Cells between two lines of the grid."""
-MOST_LABELS = 40
-"""Grid spacings between the world's origin and the first line, at most."""
-MOST_PIXELS = 1 << 23
-
-
-class Unreadable(ValueError):  # noqa: N818 - it says what was wrong with a picture.
-    """A picture does not show what it should."""
+"""Corners of the vehicle: ahead and to the left, in lengths of its front part."""
+ARROW_AREA = 0.98
+"""Of that shape, in squares of the same length."""
+EDGE = 3
+"""Pixels of white around the arrow."""
+LEAST_ARROW = 0.75
+"""Overlap of the arrow, and of the sector in view, with what is seen of them."""
+FARTHEST = 400
+"""Lines of the grid between the origin and the map, at most."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Map:
-    """What the map shows. Positions are in metres east and north of its lower left corner."""
+class Chart:
+    """A map as it was read. Rows count from the north, columns from the west."""
 
-    cells: UInt8Array
-    """(rows, cols) what is there; row 0 is the southernmost."""
+    cells: UInt8
+    """(rows, cols): what each cell is, one of `sight.UNKNOWN` and those after it."""
     cell: float
-    """Side of a cell, metres."""
-    position: tuple[float, float]
-    """Of the vehicle."""
-    heading: float
-    """Radians, 0 = east, positive to the left."""
-    marks: dict[int, tuple[float, float]]
-    """By number."""
-    origin: tuple[float, float]
-    """World x and y of the lower left corner, by the numbers along the edges."""
+    """Metres along a cell."""
+    west: float
+    """Metres, world x of the left edge."""
+    north: float
+    """Metres, world y of the upper edge."""
+    per_metre: float
+    """Pixels."""
+    x: float
+    """Of the vehicle, metres."""
+    y: float
+    yaw: float
+    """Radians from east to the left."""
+    reach: float
+    """Metres out to which the camera is trusted: the arrow is as long as an eighth of it."""
+    trail: Bool
+    """(rows, cols): where the vehicle came from."""
+    marks: tuple[tuple[int, float, float], ...]
+    """Number and world x and y of each place, by number."""
 
-    def at(self, x: float, y: float) -> tuple[int, int]:
-        """Row and column of a position, the nearest one on the map."""
-        rows, cols = self.cells.shape
-        return min(max(int(y / self.cell), 0), rows - 1), min(max(int(x / self.cell), 0), cols - 1)
-
-
-def open_picture(png: bytes, name: str) -> UInt8Array:
-    """(H, W, 3) of a PNG file."""
-    from PIL import Image
-
-    try:
-        with Image.open(io.BytesIO(png), formats=["PNG"]) as image:
-            if image.width * image.height > MOST_PIXELS:
-                raise Unreadable(f"{name}: {image.width} x {image.height} pixels are too many")
-            return np.asarray(image.convert("RGB"))
-    except (OSError, SyntaxError) as error:
-        raise Unreadable(f"{name}: no PNG") from error
+    def place(self, x: float, y: float) -> tuple[float, float]:
+        """Row and column of a point, as fractions."""
+        return (self.north - y) / self.cell, (x - self.west) / self.cell
 
 
-def read_map(picture: UInt8Array, pixels: float, grid: float) -> Map:
-    """The map.
+def read_map(picture: UInt8) -> Chart:
+    """All that the picture of a map shows.
 
     Args:
-        picture: (H, W, 3).
-        pixels: Of a metre, as the text says.
-        grid: Metres between the lines, as the text says.
+        picture: (H, W, 3) uint8.
+
+    Raises:
+        UnreadableError: Something that belongs on a map is missing, hidden or of a colour that means nothing.
     """
-    top, bottom, left, right = _frame(picture)
-    inside = picture[top:bottom, left:right]
-    _check_legend(picture[bottom:])
-    said = _said(inside)
-    down, across = _lines(said, 0), _lines(said, 1)
-    for found, what in ((down, "down"), (across, "across")):
-        gaps = np.diff(found)
-        if len(gaps) == 0 or np.abs(gaps - grid * pixels).max() > 1.5:
-            raise Unreadable(f"map: lines {what} every {gaps} pixels, and not every {grid * pixels:g}")
-    classes = _classes(said)
-    x, y, heading = _vehicle(said)
-    height = inside.shape[0]
-    marks = {
-        number: (column / pixels, (height - row) / pixels)
-        for number, (column, row) in _discs(inside, said).items()
-    }
-    side = grid * pixels / CELLS_A_LINE
-    rows = (np.arange(int(height / side)) + 0.5) * side
-    cols = (np.arange(int(inside.shape[1] / side)) + 0.5) * side
-    cells = classes[::-1][np.ix_(rows.astype(int), cols.astype(int))]
-    origin = _origin(picture, (top, bottom, left, right), down, across, pixels, grid)
-    return Map(cells, side / pixels, (x / pixels, (height - y) / pixels), heading, marks, origin)
+    if picture.ndim != 3:
+        raise UnreadableError("[map]: expected colours, got gray")
+    top, left, bottom, right = _frame(picture)
+    per_metre, spacing = _scale(picture, top, left, bottom)
+    _check_legend(picture, bottom)
+    west, north = _corner(picture, (top, left, bottom), per_metre, spacing)
+    ground = picture[top:bottom, left:right]
+    discs = read_marks(ground, "map")
+    seen, tinted = sight.classes(ground)
+    column, row, yaw, size = _arrow(ground, seen, tinted, discs)
+    cells, side = _cells(ground, seen, _arrow_cover(seen.shape, (column, row, yaw, size)), discs)
+    trail = sight.is_color(ground, sight.TRAIL)
+    rows, cols = cells.shape
+    passed = trail[: rows * side, : cols * side].reshape(rows, side, cols, side).any(axis=(1, 3))
+    return Chart(
+        cells=cells,
+        cell=side / per_metre,
+        west=west,
+        north=north,
+        per_metre=per_metre,
+        x=west + column / per_metre,
+        y=north - row / per_metre,
+        yaw=yaw,
+        reach=8.0 * size / per_metre,
+        trail=np.asarray(passed),
+        marks=tuple((d.number, west + d.column / per_metre, north - d.row / per_metre) for d in discs),
+    )
 
 
-def _frame(picture: UInt8Array) -> tuple[int, int, int, int]:
-    """Rows and columns of the map within its dark frame: first and past."""
-    dark = np.asarray((np.abs(picture.astype(int) - INK) <= TOLERANCE).all(axis=2))
-
-    def longest(lines: BoolArray) -> npt.NDArray[np.intp]:
-        """Those with an unbroken dark stretch of half the picture."""
-        need = lines.shape[1] // 2
-        run = np.zeros(len(lines), int)
-        best = np.zeros(len(lines), int)
-        for k in range(lines.shape[1]):
-            run = np.where(lines[:, k], run + 1, 0)
-            best = np.maximum(best, run)
-        return np.flatnonzero(best >= need)
-
-    rows, cols = longest(dark), longest(dark.T)
-    for found, what in ((rows, "rows"), (cols, "columns")):
-        if len(found) != 4 or found[1] - found[0] != 1 or found[3] - found[2] != 1:
-            raise Unreadable(
-                f"map: no frame of four dark lines, two and two, but dark {what} {found.tolist()}"
-            )
-    return int(rows[1]) + 1, int(rows[2]), int(cols[1]) + 1, int(cols[2])
+# ------------------------------------------------------------------------------------------ paper and ink
 
 
-def _check_legend(below: UInt8Array) -> None:
-    """Below the map each colour stands in a box of its own."""
-    for color in (*COLORS, BLUE):
-        hit = (np.abs(below.astype(float) - color) <= 1.0).all(axis=2)
-        if hit.sum() < 30:
-            raise Unreadable(f"map: the legend has no box of the colour {tuple(int(c) for c in color)}")
+def _frame(picture: UInt8) -> tuple[int, int, int, int]:
+    """First row and column inside the dark border, and the ones past the last."""
+    ink = sight.is_color(picture, sight.INK)
+    across, down = ink.sum(axis=1), ink.sum(axis=0)
+    rows = np.flatnonzero(across > 0.6 * across.max()) if across.max() > 150 else np.zeros(0, np.int64)
+    columns = np.flatnonzero(down > 0.6 * down.max()) if down.max() > 150 else np.zeros(0, np.int64)
+    if len(rows) != 4 or len(columns) != 4:
+        raise UnreadableError(
+            f"[map]: expected a border of two dark lines on each side, got {len(rows)} lines across and "
+            f"{len(columns)} down. Was the picture cut off?"
+        )
+    top, left, bottom, right = int(rows[1]) + 1, int(columns[1]) + 1, int(rows[2]), int(columns[2])
+    whole = rows[1] - rows[0] == rows[3] - rows[2] == columns[1] - columns[0] == columns[3] - columns[2] == 1
+    # A letter is high what the margin above is wide; to the left there is room for three.
+    if not whole or left != 3 * top or len(picture) != bottom + 5 * top or picture.shape[1] < right + top:
+        raise UnreadableError("[map]: expected margins for the writing around the border. Was it cut off?")
+    return top, left, bottom, right
 
 
-@cache
-def _known() -> UInt8Array:
-    """(2^24,) what each colour says: what a cell is, plus `LINED` under a line; or `ROBOT` or `MARKED`."""
-    known = np.full(1 << 24, NOTHING, np.uint8)
-    blue = np.array(BLUE, float)
-    for kind, color in enumerate(COLORS):
-        lined = color * (1 - LINE_SHARE) + LINE * LINE_SHARE
-        for drawn, says in ((color, kind), (lined, kind + LINED)):
-            for shown in (drawn, drawn * (1 - VIEW_SHARE) + blue * VIEW_SHARE):
-                known[_codes_near(shown)] = says
-    known[_codes_near(blue)] = ROBOT
-    known[_codes_near(np.array(YELLOW, float))] = MARKED
-    return known
+def _scale(picture: UInt8, top: int, left: int, bottom: int) -> tuple[float, float]:
+    """Pixels of a metre, and metres between the lines, by the scale bar and what is written beside it."""
+    row = round(bottom + 3.2 * top)
+    line = np.asarray(sight.is_color(picture[row - 2 : row + 3], sight.INK).any(axis=0))
+    ends = np.flatnonzero(~line[left + 2 :])
+    bar = int(ends[0]) if len(ends) else 0
+    if bar < 10:
+        raise UnreadableError("[map]: expected a scale bar below its left corner, got none")
+    strip = _darkness(picture[row - top : row + top, left + 2 + bar : left + 2 + bar + 4 * top])
+    fits = {spacing: _likeness(strip, _written(f"{spacing:g} m", top)) for spacing in SPACINGS}
+    best = max(fits, key=lambda spacing: fits[spacing])
+    if fits[best] < 0.8:
+        raise UnreadableError(
+            f"[map]: expected a length beside the scale bar, got {fits[best]:.2f} of {best:g} m"
+        )
+    return bar / best, best
 
 
-def _codes_near(color: FloatArray) -> npt.NDArray[np.intp]:
-    spans = [np.arange(max(round(c) - TOLERANCE, 0), min(round(c) + TOLERANCE, 255) + 1) for c in color]
-    red, green, blue = np.meshgrid(*spans, indexing="ij")
-    return np.asarray((red << 16 | green << 8 | blue).ravel().astype(np.intp))
+def _check_legend(picture: UInt8, bottom: int) -> None:
+    below = picture[bottom + 2 :]
+    for name, color in zip(
+        ("explored", "target", "solid", "both", "vehicle"), (*sight.COLORS[1:], sight.VEHICLE), strict=True
+    ):
+        if np.count_nonzero(sight.is_color(below, color)) < 16:
+            raise UnreadableError(f"[map]: expected {name} as {color} in the legend, got no such square")
 
 
-def _said(picture: UInt8Array) -> UInt8Array:
-    """(H, W) what the colour of each pixel says; see `_known`."""
-    red, green, blue = (picture[..., k].astype(np.intp) for k in range(3))
-    return np.asarray(_known()[red << 16 | green << 8 | blue])
+def _corner(
+    picture: UInt8, frame: tuple[int, int, int], per_metre: float, spacing: float
+) -> tuple[float, float]:
+    """World x of the left edge and y of the upper edge, by the numbers along the border."""
+    top, left, bottom = frame
+    below = _darkness(picture[bottom + 2 : bottom + 2 + round(1.3 * top)])
+    beside = _darkness(picture[:, : left - 2])
+    # In the lower left corner the numbers of both axes touch.
+    across = [(a + b) / 2.0 - left for a, b in _groups(np.asarray(below.any(axis=0)), 0.6 * top)]
+    across = [c for c in across if c > 1.2 * top]
+    down = [(a + b) / 2.0 - top for a, b in _groups(np.asarray(beside.any(axis=1)), 0.25 * top)]
+    down = [c for c in down if c < bottom - top - 1.2 * top]
+    step = spacing * per_metre
+    west = _origin(
+        [below[:, _window(left + c, 1.6 * top, below.shape[1])] for c in across], across, step, spacing, top
+    )
+    north = _origin(
+        [beside[_window(top + c, 0.7 * top, len(beside))] for c in down], down, -step, spacing, top
+    )
+    return west, north
 
 
-def _lines(said: UInt8Array, axis: int) -> FloatArray:
-    """Where lines of the grid run, pixels: rows for axis 0, columns for axis 1."""
-    lined = (said >= LINED) & (said < LINED + len(COLORS))
-    return np.flatnonzero(lined.mean(axis=1 - axis) > 0.5).astype(float)
+def _window(middle: float, half: float, most: int) -> slice:
+    return slice(max(round(middle - half), 0), min(round(middle + half), most))
 
 
-def _classes(said: UInt8Array) -> UInt8Array:
-    """(H, W) what each pixel is; under lines and marks, what is nearest to it."""
-    from scipy.ndimage import distance_transform_edt
-
-    hidden = said > LINED + len(COLORS)
-    if hidden.mean() > UNREADABLE:
-        raise Unreadable(f"map: {hidden.mean():.0%} of it has colours that are none of a map's")
-    nearest = distance_transform_edt(hidden, return_distances=False, return_indices=True)
-    return np.asarray(said[tuple(nearest)] % LINED)
-
-
-def _vehicle(said: UInt8Array) -> tuple[float, float, float]:
-    """Column and row of the vehicle, and where it points."""
-    from scipy.ndimage import binary_opening, label
-
-    # Thin lines are as blue; a white edge parts them from the arrow.
-    thick = binary_opening(said == ROBOT, np.ones((5, 5), bool))
-    if not thick.any():
-        raise Unreadable("map: no blue arrow")
-    parts, _ = label(said == ROBOT)
-    rows, cols = np.nonzero(parts == np.bincount(parts[thick]).argmax())
-    heading = _heading(cols - cols.mean(), rows.mean() - rows)
-    area, middle = _arrow()
-    behind = middle * math.sqrt(len(rows) / area)
-    x = cols.mean() + 0.5 - behind * math.cos(heading)
-    y = rows.mean() + 0.5 + behind * math.sin(heading)
-    return float(x), float(y), heading
-
-
-def _heading(x: FloatArray, y: FloatArray) -> float:
-    """Where an arrow points whose pixels lie there around its middle: its tip is the corner apart."""
-    angles, away = np.arctan2(y, x), np.hypot(x, y)
-    corners: list[float] = []
-    for _ in range(3):
-        far = away >= 0.93 * away.max()
-        # Of several pixels as far, those around the farthest.
-        beside = far & (np.cos(angles - angles[away.argmax()]) > 0.9)
-        corner = math.atan2(y[beside].mean(), x[beside].mean())
-        corners.append(corner)
-        away = np.where(np.cos(angles - corner) > math.cos(0.7), 0.0, away)
-    gaps = [math.cos(corners[k - 2] - corners[k - 1]) for k in range(3)]
-    tip = corners[int(np.argmax(gaps))]
-    others = [corner for corner in corners if corner != tip]
-    east = math.cos(tip) - sum(map(math.cos, others))
-    north = math.sin(tip) - sum(map(math.sin, others))
-    return math.atan2(north, east)
-
-
-@cache
-def _arrow() -> tuple[float, float]:
-    """Of the arrow in its own measure: its area, and where its middle lies on its axis."""
-    x, y = np.array(ARROW).T
-    cross = x * np.roll(y, -1) - np.roll(x, -1) * y
-    return float(abs(cross.sum()) / 2.0), float(((x + np.roll(x, -1)) * cross).sum() / (3.0 * cross.sum()))
-
-
-# ---------------------------------------------------------------------------------------------- numbers
-
-
-def _discs(inside: UInt8Array, said: UInt8Array) -> dict[int, tuple[float, float]]:
-    """Column and row of each numbered disc."""
-    from scipy.signal import fftconvolve
-
-    yellow = (said == MARKED).astype(np.float32)
-    if yellow.sum() < 50:
-        return {}
-    span = np.arange(-DISC, DISC + 1)
-    disc = (np.hypot(*np.meshgrid(span, span)) <= DISC).astype(np.float32)
-    share = fftconvolve(yellow, disc, mode="same") / disc.sum()
-    found: dict[int, tuple[float, float]] = {}
-    while share.max() > 0.55:
-        row, col = (int(k) for k in np.unravel_index(int(share.argmax()), share.shape))
-        number = _number(inside, row, col)
-        if number in found:
-            raise Unreadable(f"map: two marks have the number {number}")
-        found[number] = (col, row)
-        share[max(row - 2 * DISC, 0) : row + 2 * DISC + 1, max(col - 2 * DISC, 0) : col + 2 * DISC + 1] = 0.0
-    return found
-
-
-def _number(picture: UInt8Array, row: int, col: int) -> int:
-    """The number in a disc."""
-    half = DISC - 3
-    best: list[tuple[float, int]] = []
-    for number in range(1, 10):
-        shape = _digit(number)
-        misses = []
-        for i in (-1, 0, 1):
-            for j in (-1, 0, 1):
-                r, c = row + i, col + j
-                patch = picture[max(r - half, 0) : r + half + 1, max(c - half, 0) : c + half + 1]
-                if patch.shape[:2] != shape.shape:
-                    continue
-                dark = (np.abs(patch.astype(int) - INK) <= 60).all(axis=2)
-                misses.append(float((dark != shape).sum()) / shape.sum())
-        best.append((min(misses, default=9.0), number))
-    best.sort()
-    if best[0][0] > 0.2 or best[1][0] - best[0][0] < 0.15:
-        raise Unreadable(f"map: a mark at column {col}, row {row} has no number that can be read")
-    return best[0][1]
-
-
-@cache
-def _digit(number: int) -> BoolArray:
-    """How a number looks in its disc."""
-    from PIL import Image, ImageDraw, ImageFont
-
-    half = DISC - 3
-    image = Image.new("L", (64, 64), 0)
-    pen = ImageDraw.Draw(image)
-    pen.fontmode = "1"
-    pen.text((32, 32), str(number), fill=255, font=ImageFont.load_default(DIGIT), anchor="mm")
-    return np.asarray(image)[32 - half : 33 + half, 32 - half : 33 + half] > 127
+def _origin(strips: list[Floats], places: list[float], step: float, spacing: float, letter: int) -> float:
+    """Metres at pixel 0, from numbers at places in pixels that rise by `spacing` every `step` pixels."""
+    if len(strips) < 2:
+        raise UnreadableError(f"[map]: expected numbers along the border, got {len(strips)}")
+    phases = [round((place - places[0]) / step) for place in places]
+    off = [abs(place - places[0] - k * step) for place, k in zip(places, phases, strict=True)]
+    if max(off) > 0.35 * letter + 2.0:
+        raise UnreadableError(f"[map]: expected numbers every {abs(step):g} pixels, got {places}")
+    first = _first_number(tuple((s.shape, s.tobytes()) for s in strips), tuple(phases), spacing, letter)
+    residue = float(np.median([place - k * step for place, k in zip(places, phases, strict=True)]))
+    # A number's middle is a pixel off its line: areas end where a round part of a metre does.
+    part = 20.0 if abs(step) > 60.0 * spacing else 10.0
+    return round(part * (first - residue / step * spacing)) / part
 
 
 @lru_cache(maxsize=64)
-def _first_label(
-    strip: bytes, shape: tuple[int, int], places: tuple[Point, ...], letter: int, grid: float, anchor: str
+def _first_number(
+    strips: tuple[tuple[tuple[int, ...], bytes], ...], phases: tuple[int, ...], spacing: float, letter: int
 ) -> float:
-    """What is written at the first of some places, where each next one is a grid spacing more.
+    """What the first of some numbers says, judged by all of them."""
+    pictures = [np.frombuffer(data, np.float64).reshape(shape) for shape, data in strips]
 
-    Args:
-        strip: Dark pixels of a part of the picture, a byte each.
-        shape: Its rows and columns.
-        places: Column and row of each label's anchor.
-        letter: Height of the writing, pixels.
-        grid: Metres from label to label.
-        anchor: See Pillow.
-    """
+    @cache
+    def fit(place: int, multiple: int) -> float:
+        return _likeness(pictures[place], _written(f"{multiple * spacing:g}", letter))
+
+    def joint(first: int) -> float:
+        return float(np.mean([fit(place, first + k) for place, k in enumerate(phases)]))
+
+    lone = sorted(range(-FARTHEST, FARTHEST + 1), key=lambda multiple: -fit(0, multiple))[:12]
+    order = sorted(lone, key=lambda first: -joint(first))
+    if joint(order[0]) < 0.8 or joint(order[0]) - joint(order[1]) < 0.03:
+        raise UnreadableError(
+            f"[map]: expected numbers along the border, got {joint(order[0]):.2f} of {order[0] * spacing:g} "
+            f"and {joint(order[1]):.2f} of {order[1] * spacing:g} at the first"
+        )
+    return order[0] * spacing
+
+
+def _groups(dark: Bool, gap: float) -> list[tuple[int, int]]:
+    """First index and the one past the last of what is dark with no greater gap."""
+    at = np.flatnonzero(dark)
+    if not len(at):
+        return []
+    breaks = np.flatnonzero(np.diff(at) > gap)
+    starts, ends = [0, *(breaks + 1)], [*breaks, len(at) - 1]
+    return [(int(at[a]), int(at[b]) + 1) for a, b in zip(starts, ends, strict=True)]
+
+
+def _darkness(picture: UInt8) -> Floats:
+    """(H, W), 0 on paper to 1 in ink."""
+    dark: Floats = np.clip((244.0 - picture[..., 0]) / 204.0, 0.0, 1.0)
+    return np.where(dark > 0.05, dark, 0.0)
+
+
+@lru_cache(maxsize=4096)
+def _written(text: str, letter: int) -> Floats:
+    """A text in the letters of the map, cut to its ink."""
     from PIL import Image, ImageDraw, ImageFont
 
-    seen = np.frombuffer(strip, np.bool_).reshape(shape)
-    font = ImageFont.load_default(letter)
-    misses = []
-    for first in range(-MOST_LABELS, MOST_LABELS + 1):
-        image = Image.new("L", shape[::-1], 0)
-        pen = ImageDraw.Draw(image)
-        for k, place in enumerate(places):
-            pen.text(place, f"{(first + k) * grid:g}", fill=255, font=font, anchor=anchor)
-        written = np.asarray(image) > 127
-        misses.append(float((written != seen).sum()) / max(written.sum(), 1))
-    order = np.argsort(misses)
-    if misses[order[0]] > 0.35 or misses[order[1]] - misses[order[0]] < 0.05:
-        raise Unreadable("map: the numbers along the edges cannot be read")
-    return (int(order[0]) - MOST_LABELS) * grid
+    picture = Image.new("L", ((len(text) + 2) * letter, 3 * letter), 0)
+    ImageDraw.Draw(picture).text((letter, letter), text, fill=255, font=ImageFont.load_default(letter))
+    return _trimmed(np.asarray(picture) / 255.0)
 
 
-def _origin(
-    picture: UInt8Array,
-    frame: tuple[int, int, int, int],
-    down: FloatArray,
-    across: FloatArray,
-    pixels: float,
-    grid: float,
-) -> tuple[float, float]:
-    """World x and y of the lower left corner."""
-    top, bottom, left, right = frame
-    letter = round(left / 3)
-    dark = np.asarray((picture.astype(int) < 140).all(axis=2))
-    below = dark[bottom + 2 : bottom + 2 + 2 * letter]
-    beside = dark[: bottom + letter, : left - 2]
-    # A number stands also where a line would run along the frame. Rows grow downwards, numbers upwards.
-    columns = _with_edges(across, grid * pixels, right - left)
-    rows = _with_edges(down, grid * pixels, bottom - top)[::-1]
-    eastwards = tuple((left + column, 0.35 * letter - 2) for column in columns)
-    x = _first_label(below.tobytes(), below.shape, eastwards, letter, grid, "mt")
-    upwards = tuple((left - 0.5 * letter, top + row) for row in rows)
-    y = _first_label(beside.tobytes(), beside.shape, upwards, letter, grid, "rm")
-    return x - columns[0] / pixels, y - (bottom - top - rows[0]) / pixels
+def _trimmed(dark: Floats) -> Floats:
+    rows, columns = (np.flatnonzero((dark > 0.25).any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return np.zeros((1, 1))
+    return dark[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
 
 
-def _with_edges(lines: FloatArray, spacing: float, length: int) -> list[float]:
-    """Where lines run, and where one would run along the edge."""
-    all_lines = [lines[0] - spacing, *lines, lines[-1] + spacing]
-    return [line for line in all_lines if -1.0 <= line <= length + 1.0]
+def _likeness(strip: Floats, text: Floats) -> float:
+    """From 0 to 1: how much the ink of two pictures has in common, at the best of some shifts."""
+    strip = _trimmed(strip)
+    if abs(strip.shape[0] - text.shape[0]) > 2 or abs(strip.shape[1] - text.shape[1]) > 2:
+        return 0.0
+    shape = max(strip.shape[0], text.shape[0]) + 2, max(strip.shape[1], text.shape[1]) + 2
+    still = np.zeros(shape)
+    still[1 : 1 + strip.shape[0], 1 : 1 + strip.shape[1]] = strip
+    best = 0.0
+    for down in range(shape[0] - text.shape[0] + 1):
+        for across in range(shape[1] - text.shape[1] + 1):
+            part = still[down : down + text.shape[0], across : across + text.shape[1]]
+            best = max(best, 2.0 * float((part * text).sum()) / float((still**2).sum() + (text**2).sum()))
+    return best
 
 
-# ------------------------------------------------------------------------------------- the camera's pictures
+# -------------------------------------------------------------------------------------------- the vehicle
 
 
-def check_camera(picture: UInt8Array) -> None:
-    """A photograph: neither gray nor of few colours."""
-    if len(np.unique(picture[::4, ::4].reshape(-1, 3), axis=0)) < 100:
-        raise Unreadable("camera: too few colours for a photograph")
-    if (picture.max(axis=2) - picture.min(axis=2)).mean() < 4.0:
-        raise Unreadable("camera: it has no colour")
+def _arrow(
+    ground: UInt8, seen: UInt8, tinted: Bool, discs: tuple[Disc, ...]
+) -> tuple[float, float, float, float]:
+    """Column and row of the vehicle, its yaw in radians, and the length of its front part in pixels."""
+    blue = sight.is_color(ground, sight.VEHICLE)
+    core = ndimage.binary_opening(blue, ndimage.generate_binary_structure(2, 1), iterations=2)
+    bodies, count = ndimage.label(core, np.ones((3, 3)))
+    if not count:
+        raise UnreadableError("[map]: expected the vehicle, a blue arrow, got none")
+    rows, columns = np.nonzero(core if _is_covered(core, discs) else np.asarray(bodies == _largest(bodies)))
+    reach = 4.0 * math.sqrt(len(rows) / ARROW_AREA) + 4.0
+    middle = rows.mean(), columns.mean()
+    down, across = (
+        slice(max(math.floor(m - reach), 0), min(math.ceil(m + reach), most))
+        for m, most in zip(middle, blue.shape, strict=True)
+    )
+    hidden = _hidden(ground[down, across], (down, across), discs)
+    known = seen[down, across] < len(sight.COLORS)
+    fit = _fit(
+        core[down, across] & ~hidden,
+        hidden,
+        (known, tinted[down, across]),
+        (middle[1] - across.start + 0.5, middle[0] - down.start + 0.5),
+    )
+    column, row, yaw, size, quality = fit
+    if quality < LEAST_ARROW:
+        raise UnreadableError(f"[map]: expected the vehicle, a blue arrow, got {quality:.2f} of its shape")
+    return column + across.start, row + down.start, yaw, size
 
 
-def check_depth(picture: UInt8Array) -> None:
-    """Gray, and brighter below, where the ground is near."""
-    if (picture != picture[..., :1]).any():
-        raise Unreadable("depth: it is not gray")
-    half = len(picture) // 2
-    if picture[half:].mean() <= picture[:half].mean():
-        raise Unreadable("depth: the ground below is not nearer than what is above")
+def _largest(bodies: npt.NDArray[np.signedinteger[Any]]) -> int:
+    return int(np.bincount(bodies.ravel())[1:].argmax()) + 1
 
 
-def check_labels(picture: UInt8Array) -> None:
-    """Of the colours that the text names, and no others."""
-    known = [*COLORS[[GRAY, GREEN, BLACK]], WATER]
-    hit = np.zeros(picture.shape[:2], bool)
-    for color in known:
-        hit |= (np.abs(picture.astype(int) - np.asarray(color, int)) <= 1).all(axis=2)
-    if not hit.all():
-        raise Unreadable(f"labels: {1 - hit.mean():.1%} of it has colours that are no label's")
+def _is_covered(core: Bool, discs: tuple[Disc, ...]) -> bool:
+    """May a disc have cut the arrow into pieces?"""
+    rows, columns = np.nonzero(core)
+    return any(((rows - d.row) ** 2 + (columns - d.column) ** 2).min() < (RADIUS + 4) ** 2 for d in discs)
+
+
+def _hidden(part: UInt8, window: tuple[slice, ...], discs: tuple[Disc, ...]) -> Bool:
+    """Where a mark or the way to one is drawn over."""
+    hidden: Bool = ndimage.binary_dilation(
+        sight.is_color(part, sight.MARK), np.ones((3, 3), np.bool_), iterations=2
+    )
+    rows, columns = np.ogrid[window[0], window[1]]
+    for disc in discs:
+        hidden |= (rows - disc.row) ** 2 + (columns - disc.column) ** 2 <= (RADIUS + 2) ** 2
+    return hidden
+
+
+def _fit(
+    body: Bool, hidden: Bool, view: tuple[Bool, Bool], middle: tuple[float, float]
+) -> tuple[float, float, float, float, float]:
+    """Column, row, yaw and size of the arrow that fits best, and how well it does: at most 1.
+
+    Args:
+        body: Where its blue is.
+        hidden: Where it cannot be seen.
+        view: Where cells are seen, and where they are tinted as those in view.
+        middle: Column and row of the middle of the body.
+    """
+    column, row = middle
+    rows, columns = np.mgrid[: body.shape[0], : body.shape[1]] + 0.5
+    length = math.sqrt(np.count_nonzero(body) / ARROW_AREA)
+    near = ~hidden & (np.hypot(rows - row, columns - column) < 2.2 * length + 4.0)
+    points, wanted = (columns[near], rows[near]), body[near]
+    known, tinted = (layer[::3, ::3] for layer in view)
+    around, in_view = (columns[::3, ::3][known], rows[::3, ::3][known]), tinted[known]
+
+    def qualities(at: tuple[float, float, float, float]) -> tuple[float, float]:
+        return _overlap(_in_arrow(*points, at), wanted), _overlap(_in_sector(*around, at), in_view)
+
+    def quality(at: tuple[float, float, float, float]) -> float:
+        return sum(qualities(at))
+
+    starts = [
+        (column + 0.05 * size * math.cos(yaw), row - 0.05 * size * math.sin(yaw), yaw, size)
+        for size in (length * factor for factor in ((1.0, 1.25, 1.5) if hidden.any() else (1.0,)))
+        for yaw in np.arange(48) * (math.pi / 24.0)
+    ]
+    best = max(starts, key=quality)
+    value = quality(best)
+    for step in (2.0, 1.0, 0.5, 0.25):
+        improved = True
+        while improved:
+            improved = False
+            turn = step / best[3]
+            for change in (
+                (step, 0.0, 0.0, 0.0), (-step, 0.0, 0.0, 0.0), (0.0, step, 0.0, 0.0), (0.0, -step, 0.0, 0.0),
+                (0.0, 0.0, turn, 0.0), (0.0, 0.0, -turn, 0.0), (0.0, 0.0, 0.0, step), (0.0, 0.0, 0.0, -step),
+            ):  # fmt: skip
+                other = best[0] + change[0], best[1] + change[1], best[2] + change[2], best[3] + change[3]
+                if (found := quality(other)) > value:
+                    best, value, improved = other, found, True
+    return best[0], best[1], math.remainder(best[2], 2.0 * math.pi), best[3], min(qualities(best))
+
+
+def _overlap(one: Bool, other: Bool) -> float:
+    """From 0 to 1: what two shapes have in common."""
+    both = np.count_nonzero(one & other)
+    return (both + 1.0) / (np.count_nonzero(one) + np.count_nonzero(other) - both + 1.0)
+
+
+def _in_sector(columns: Floats, rows: Floats, at: tuple[float, float, float, float]) -> Bool:
+    """Whether points lie in the sector of a quarter turn that is seen from there."""
+    column, row, yaw, _ = at
+    c, s = math.cos(yaw), math.sin(yaw)
+    ahead = (columns - column) * c - (rows - row) * s
+    aside = np.abs((columns - column) * s + (rows - row) * c)
+    within: Bool = ahead > aside
+    return within
+
+
+def _in_arrow(
+    columns: Floats, rows: Floats, at: tuple[float, float, float, float], edge: float = 0.0
+) -> Bool:
+    """Whether points lie in the arrow at column, row, yaw and size, grown by an edge; pixels."""
+    column, row, yaw, size = at
+    c, s = math.cos(yaw), math.sin(yaw)
+    ahead = (columns - column) * c - (rows - row) * s
+    aside = np.abs((columns - column) * s + (rows - row) * c)
+    # The sides run from the tip to the wings' ends, the back from there to the notch.
+    (tip, _), (wing, out), (notch, _), _ = ARROW
+    side = math.hypot(tip - wing, out)
+    back = math.hypot(notch - wing, out)
+    within: Bool = (aside * (tip - wing) - (size * tip - ahead) * out) / side <= edge
+    within &= ((size * notch - ahead) * out - aside * (notch - wing)) / back <= edge
+    within &= ahead >= size * wing - edge
+    return within
+
+
+def _arrow_cover(shape: tuple[int, ...], at: tuple[float, float, float, float]) -> Bool:
+    """Where the arrow and its white edge are."""
+    cover = np.zeros(shape, np.bool_)
+    reach = math.ceil(1.2 * at[3]) + EDGE + 2
+    top, left = max(math.floor(at[1]) - reach, 0), max(math.floor(at[0]) - reach, 0)
+    part = cover[top : math.ceil(at[1]) + reach, left : math.ceil(at[0]) + reach]
+    rows, columns = np.mgrid[: part.shape[0], : part.shape[1]] + 0.5
+    part |= _in_arrow(columns + left, rows + top, at, EDGE + 2.0)
+    return cover
+
+
+# ---------------------------------------------------------------------------------------------- the cells
+
+
+def _cells(ground: UInt8, seen: UInt8, cover: Bool, discs: tuple[Disc, ...]) -> tuple[UInt8, int]:
+    """What each cell is, (rows, cols), and pixels along a cell."""
+    known = (seen < len(sight.COLORS)) & ~cover
+    side = _side(seen, known)
+    rows, cols = seen.shape[0] // side, seen.shape[1] // side
+    votes = np.stack(
+        [
+            (known & (seen == k)).reshape(rows, side, cols, side).sum(axis=(1, 3), dtype=np.int16)
+            for k in range(len(sight.COLORS))
+        ]
+    )
+    cells = votes.argmax(axis=0).astype(np.uint8)
+    open_votes = votes.max(axis=0) > 0
+    drawn = cover | (seen == sight.OVERLAY)
+    for disc in discs:
+        drawn[
+            max(disc.row - RADIUS, 0) : disc.row + RADIUS, max(disc.column - RADIUS, 0) : disc.column + RADIUS
+        ] = True
+    near = ndimage.maximum_filter(drawn, 9).reshape(rows, side, cols, side).any(axis=(1, 3))
+    strange = ~open_votes & ~near
+    if strange.any():
+        row, col = np.argwhere(strange)[0]
+        color = tuple(int(v) for v in ground[row * side + side // 2, col * side + side // 2])
+        raise UnreadableError(
+            f"[map]: expected the colours of the legend, got {color} in {np.count_nonzero(strange)} cells, "
+            f"first at row {row}, column {col}"
+        )
+    if not open_votes.any():
+        raise UnreadableError("[map]: expected cells, got none that can be seen")
+    if not open_votes.all():
+        nearest = ndimage.distance_transform_edt(~open_votes, return_distances=False, return_indices=True)
+        cells = cells[tuple(nearest)]
+    return cells, side
+
+
+def _side(seen: UInt8, known: Bool) -> int:
+    """Pixels along a cell: the most of which all borders between colours are multiples."""
+    rows, cols = seen.shape
+    across = np.flatnonzero(((seen[:, 1:] != seen[:, :-1]) & known[:, 1:] & known[:, :-1]).sum(axis=0)) + 1
+    down = np.flatnonzero(((seen[1:] != seen[:-1]) & known[1:] & known[:-1]).sum(axis=1)) + 1
+    for side in range(MOST_CELL, 1, -1):
+        if rows % side == cols % side == 0 and not (across % side).any() and not (down % side).any():
+            return side
+    return 1

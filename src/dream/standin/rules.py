@@ -1,333 +1,347 @@
-"""What the stand-in answers: rules over what it read from the pictures."""
+"""Answers by rule: what is wanted follows from the title of the schema, the answer from the pictures."""
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from types import MappingProxyType
 
 import numpy as np
-import numpy.typing as npt
+from scipy import ndimage
 
-from dream.standin import eyes
-from dream.standin.eyes import BLACK, DARK_GREEN, GRAY, GREEN, WHITE, Map, Unreadable
+from dream.names import look_up
+from dream.standin import eyes, reading, sight, views
+from dream.standin.chat import Asked, Json, asked
+from dream.standin.eyes import Chart
+from dream.standin.ground import Ground, Ints, sees, understand
+from dream.standin.marks import read_marks
+from dream.standin.sight import Bool, Floats, UnreadableError
+from dream.standin.views import View
+from dream.standin.way import UNREACHED, Moves, Ways, ways
 
-Point = tuple[float, float]
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
-
-KEEP_OFF = 0.9
-"""Metres that it keeps from black."""
-BESIDE = 1.0
-"""Metres from green within which white is open."""
-GROUP = 1.4
-"""Radius of white ground that could hide a group, metres."""
-NEAR, FAR = 1.8, 7.0
-"""Metres between which the camera shows the ground well."""
-LEG = 3.0
-"""Metres of a way that are looked ahead."""
-LEAST = 1.0
-"""Square metres that are worth a look; white beside green counts five times."""
-BEARINGS = 72
-STEPS = ("distribution", "target_area", "completion", "next_target", "safety", "action")
-
-
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """A question as it came over the wire."""
-
-    text: str
-    """All of it, instructions included."""
-    pictures: Mapping[str, bytes]
-    """By the names in the text."""
-    schema: Mapping[str, Any]
-
-
-def answer(asked: Asked) -> dict[str, Any]:
-    """What fits the schema, by what the pictures show.
-
-    Raises:
-        Unreadable: A picture is missing, or does not show what it should.
-        ValueError: The schema is none that it knows.
-    """
-    fields = set(asked.schema.get("properties", {}))
-    for known, rule in RULES.items():
-        if known <= fields:
-            return {name: value for name, value in rule(asked).items() if name in fields}
-    raise ValueError(f"schema: expected one of the known ones, got fields {', '.join(sorted(fields))}")
-
-
-# ------------------------------------------------------------------------------------------- what is seen
-
-
-def _map(asked: Asked) -> Map:
-    pixels = re.search(r"a metre is ([\d.]+) pixels", asked.text)
-    grid = re.search(r"lines are ([\d.]+) m apart", asked.text)
-    if not pixels or not grid:
-        raise Unreadable("text: it does not say how large a metre is")
-    if "map" not in asked.pictures:
-        raise Unreadable("map: there is none")
-    return eyes.read_map(eyes.open_picture(asked.pictures["map"], "map"), float(pixels[1]), float(grid[1]))
-
-
-def _check_camera(asked: Asked) -> None:
-    """The camera's three pictures are what their names say."""
-    shown = {}
-    for name in ("camera", "depth", "labels"):
-        if name not in asked.pictures:
-            raise Unreadable(f"{name}: there is none")
-        shown[name] = eyes.open_picture(asked.pictures[name], name)
-    if len({picture.shape for picture in shown.values()}) > 1:
-        raise Unreadable("camera, depth, labels: not of one size")
-    eyes.check_depth(shown["depth"])
-    eyes.check_labels(shown["labels"])
-    eyes.check_camera(shown["camera"])
+HALF_VIEW = math.radians(38.0)
+"""To each side of the heading: a little less than the camera sees."""
+NEAREST, FARTHEST = 0.27, 0.85
+"""Reaches of the camera between which a point is looked at."""
+ENOUGH = 14.0
+"""Points: a place that shows more is not better for it."""
+PATIENCE, WEARY, LEAST_WORTH = 5, 0.6, 0.1
+"""A point that stayed white though it was passed at so many places is worth less with each further one."""
+MOST_OPEN, MOST_WHITE = 120, 200
+"""Points that are considered, evenly taken from all."""
+SIDE_GLANCE = 0.1
+"""Worth of a white point while a region is open, in open points."""
+AROUND_MARK = 0.35
+"""Reaches of the camera around a mark within which it is judged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _View:
-    """The map, and what follows from it."""
+class Scene:
+    """All that the pictures of a question show."""
 
-    map: Map
-    passable: BoolArray
-    open: BoolArray
-    """White beside green."""
-    hiding: BoolArray
-    """White that is the middle of a place where a group could be."""
-    walls: BoolArray
+    chart: Chart
+    ground: Ground
+    view: View | None
+    """None where the pictures of the camera were not sent."""
 
 
-def _view(seen: Map) -> _View:
-    from scipy.ndimage import distance_transform_edt
+def answer(request: Json) -> Json:
+    """The fields of the reply to a request.
 
-    cells, cell = seen.cells, seen.cell
-    walls = (cells == BLACK) | (cells == DARK_GREEN)
-    white, green = cells == WHITE, (cells == GREEN) | (cells == DARK_GREEN)
+    Args:
+        request: Of OpenAI's chat completions.
 
-    def away(what: BoolArray) -> FloatArray:
-        if not what.any():
-            return np.full(cells.shape, np.inf)
-        return np.asarray(distance_transform_edt(~what, cell))
+    Raises:
+        UnreadableError: Something in the pictures cannot be read, or does not fit the text.
+        ValueError: There is no rule for such a schema.
+    """
+    question = asked(request)
+    return look_up(RULES, question.title, "rule for the schema")(question)
 
-    row, col = np.indices(cells.shape)[:2]
-    rows, cols = np.asarray(row), np.asarray(col)
-    robot = np.hypot((cols + 0.5) * cell - seen.position[0], (rows + 0.5) * cell - seen.position[1])
-    room = away(walls)
-    here = seen.at(*seen.position)
-    # Who is nearer to a wall already may leave along it, not towards it.
-    keep_off = np.where(robot <= NEAR, min(KEEP_OFF, room[here] - 0.5 * cell), KEEP_OFF)
-    passable = ((cells == GRAY) | (cells == GREEN) | (robot <= NEAR)) & ~walls & (room >= keep_off)
-    passable[here] = True
-    edge = np.minimum.reduce([rows, cols, rows[::-1], cols[:, ::-1]]) * cell
-    return _View(
-        seen,
-        passable,
-        white & (away(green) <= BESIDE),
-        white & (away(~white) >= GROUP) & (edge >= GROUP),
-        walls,
-    )
+
+def see(question: Asked) -> Scene:
+    """What the pictures of a question show, checked against each other and against the text."""
+    picture, *_ = views.needed(question.pictures, "map")
+    chart = eyes.read_map(picture)
+    _check_text(question, chart)
+    view = None
+    if {"depth", "labels"} & set(question.pictures):
+        view = views.read_views(*views.needed(question.pictures, "camera", "depth", "labels"))
+        green = (chart.cells == sight.TARGET) | (chart.cells == sight.SOLID_TARGET)
+        if view.near_target > 0.02 and not green.any():
+            raise UnreadableError(
+                f"[labels], [map]: expected what is near and green on both, "
+                f"got {100.0 * view.near_target:.0f} % of the labels and nothing of the map"
+            )
+    return Scene(chart, understand(chart), view)
+
+
+def _check_text(question: Asked, chart: Chart) -> None:
+    """Raise an `UnreadableError` where the text says other figures than the picture of the map."""
+    for what, pattern, read, off in (
+        ("pixels of a metre", r"a metre is ([\d.]+) pixels", chart.per_metre, 0.02 * chart.per_metre),
+        ("x", r"robot is at x = (-?[\d.]+(?:e-?\d+)?) m", chart.x, 4.0 / chart.per_metre),
+        ("y", r"robot is at x = \S+ m, y = (-?[\d.]+(?:e-?\d+)?) m", chart.y, 4.0 / chart.per_metre),
+    ):
+        said = question.number(pattern)
+        if said is not None and abs(said - read) > off:
+            raise UnreadableError(f"[map]: expected {what} {said:g} as the text says, got {read:.2f}")
+    bearing = question.number(r"heads towards ([\d.]+) degrees")
+    if bearing is not None:
+        off = math.remainder(math.radians(bearing) - chart.yaw, 2.0 * math.pi)
+        if abs(off) > math.radians(6.0):
+            raise UnreadableError(
+                f"[map]: expected the heading {bearing:.0f} degrees as the text says, "
+                f"got {math.degrees(chart.yaw) % 360.0:.0f}"
+            )
 
 
 # ---------------------------------------------------------------------------------------------- an action
 
 
-def _action(asked: Asked) -> dict[str, Any]:
-    """Look from here at what is open, or go to where more of it would show for the way there."""
-    _check_camera(asked)
-    seen = _map(asked)
-    view, fields = _view(seen), asked.schema["properties"]
-    turns = sorted({sign * float(turn) for turn in fields["turn_deg"]["enum"] for sign in (-1.0, 1.0)})
-    lengths = [float(length) for length in fields["step_m"]["enum"]]
-    goal = _best(view)
-    if goal is None:
-        told = _told(view, "Nothing is left that a way leads to.", "Done.")
-        return {**told, "direction": "forward", "turn_deg": 0, "step_m": 0, "done": True}
-    bearing, room = _towards(view, goal)
-    turn = min(turns, key=lambda t: (abs(math.remainder(bearing - t, 360.0)), t))
-    heading = seen.heading + math.radians(turn)
-    step = max(s for s in lengths if s == 0.0 or (s <= room + 0.3 and _free(view, heading, s)))
-    if turn == 0.0 and step == 0.0:
-        turn = 180.0  # To stand still shows nothing new.
-    direction = "forward" if turn == 0.0 else "left" if turn > 0.0 else "right"
-    x, y = _middle(view, goal.place)
-    place = f"White ground is to be seen from ({x + seen.origin[0]:.1f}, {y + seen.origin[1]:.1f})."
-    told = _told(view, place, f"Turn by {turn:.0f} degrees, go {step:g} m.")
-    return {**told, "direction": direction, "turn_deg": abs(turn), "step_m": step, "done": False}
+def action(question: Asked) -> Json:
+    """The next move, without reasons."""
+    return _act(question)[0]
 
 
-@dataclass(frozen=True, slots=True)
-class _Goal:
-    """Where to stand, and where to look from there."""
-
-    place: tuple[int, int]
-    heading: float
-    way: FloatArray
+def reasoned_action(question: Asked) -> Json:
+    """The next move, with the six steps that lead to it."""
+    move, scene, goal = _act(question)
+    return {**_reasons(scene, goal, _in_words(move)), **move}
 
 
-def _best(view: _View) -> _Goal | None:
-    """The place and heading that would show most that is open, for the way there."""
-    way = _ways(view)
-    here = view.map.at(*view.map.position)
-    rows, cols = np.nonzero(np.isfinite(way))
-    some = (rows % 4 == 0) & (cols % 4 == 0)
-    places = [here, *zip(rows[some].tolist(), cols[some].tolist(), strict=True)]
-    worth = np.where(view.open, 5.0, np.where(view.hiding, 1.0, 0.0))
-    # What is in view now and still white does not show from anywhere near.
-    worth[_looked_at(view)] = 0.0
-    best: tuple[float, _Goal] | None = None
-    for place in places:
-        shown = _shown(view, worth, place)
-        k = int(shown.argmax())
-        heading = 2.0 * math.pi * k / len(shown)
-        turned = abs(math.remainder(heading - view.map.heading, 2.0 * math.pi)) if place == here else 1.0
-        rate = float(shown[k]) / (1.0 + 0.5 * way[place] + 0.5 * turned)
-        if shown[k] >= LEAST and (best is None or rate > best[0] + 1e-9):
-            best = rate, _Goal(place, heading, way)
-    return None if best is None else best[1]
+def moves_of(question: Asked) -> Moves:
+    """The moves that a schema allows."""
+    steps = sorted(float(step) for step in question.choices("step_m") if step > 0)
+    if not steps:
+        raise UnreadableError(f"{question.title}: expected some step_m above 0, got none")
+    return Moves(tuple(sorted({0.0, *map(float, question.choices("turn_deg"))})), tuple(steps))
 
 
-def _shown(view: _View, worth: FloatArray, place: tuple[int, int]) -> FloatArray:
-    """(BEARINGS,) what a look from a cell towards each bearing would show: rays end at walls."""
-    cell = view.map.cell
-    away = np.arange(NEAR, FAR, cell)
-    angles = 2.0 * math.pi * np.arange(BEARINGS) / BEARINGS
-    rows = place[0] + np.rint(np.outer(np.sin(angles), away) / cell).astype(int)
-    cols = place[1] + np.rint(np.outer(np.cos(angles), away) / cell).astype(int)
-    inside = (rows >= 0) & (rows < worth.shape[0]) & (cols >= 0) & (cols < worth.shape[1])
-    rows, cols = np.where(inside, rows, 0), np.where(inside, cols, 0)
-    clear = np.logical_and.accumulate(inside & ~view.walls[rows, cols], axis=1)
-    # Far samples stand for more ground than near ones.
-    rays = (np.where(clear, worth[rows, cols], 0.0) * away).sum(axis=1) * cell * 2.0 * math.pi / BEARINGS
-    half = BEARINGS // 8
-    return np.asarray(sum(np.roll(rays, k) for k in range(-half, half + 1)))
-
-
-def _towards(view: _View, goal: _Goal) -> tuple[float, float]:
-    """Degrees to turn, and metres that may be gone then."""
-    here = view.map.at(*view.map.position)
-    if goal.place == here:
-        return math.degrees(goal.heading - view.map.heading), 0.0
-    x, y = _first_leg(view, goal)
-    east, north = x - view.map.position[0], y - view.map.position[1]
-    return math.degrees(math.atan2(north, east) - view.map.heading), math.hypot(east, north)
-
-
-def _told(view: _View, next_target: str, action: str) -> dict[str, str]:
-    """The six steps, with what was read."""
-    cells = view.map.cells
-    green = int(((cells == GREEN) | (cells == DARK_GREEN)).sum())
-    area = green * view.map.cell**2
-    explored = float((cells != WHITE).mean())
+def as_fields(moves: Moves, turn: int, advance: float) -> Json:
+    """A move as the fields of a reply; the turn in headings, positive to the left."""
+    degrees = abs(turn) * 360.0 / moves.headings
     return {
-        "distribution": f"I see {area:.1f} square metres of green; {explored:.0%} of the map is not white.",
-        "target_area": "The green that touches white." if view.open.any() else "None.",
-        "completion": f"{int(view.open.sum())} white cells are beside green.",
-        "next_target": next_target,
-        "safety": f"I keep {KEEP_OFF:g} m from black.",
-        "action": action,
+        "direction": "forward" if turn == 0 else "left" if turn > 0 else "right",
+        "turn_deg": int(degrees) if degrees == int(degrees) else degrees,
+        "step_m": int(advance) if advance == int(advance) else advance,
+        "done": False,
     }
 
 
-def _centers(view: _View) -> tuple[FloatArray, FloatArray]:
-    """East and north of every cell."""
-    rows, cols = np.indices(view.map.cells.shape)
-    return np.asarray((cols + 0.5) * view.map.cell), np.asarray((rows + 0.5) * view.map.cell)
+def _act(question: Asked) -> tuple[Json, Scene, Floats | None]:
+    """The next move, what was seen, and the world x and y that it leads to; None where nothing is left."""
+    scene = see(question)
+    chart, ground, moves = scene.chart, scene.ground, moves_of(question)
+    barred: list[tuple[int, float]] = []
+    if "That was not safe" in question.text:
+        heading = round(chart.yaw / (2.0 * math.pi) * moves.headings) % moves.headings
+        barred = [(heading, advance) for advance in moves.advances]
+    found = ways(ground, moves, barred)
+    refused = "You said done" in question.text
+    goal = _best_view(ground, found, np.argwhere(ground.open), np.argwhere(ground.hiding), refused=refused)
+    if goal is None:
+        return {"direction": "forward", "turn_deg": 0, "step_m": 0, "done": True}, scene, None
+    turn, advance = found.first(goal)
+    return as_fields(moves, turn, advance), scene, np.array([found.x[goal[2]], found.y[goal[1]]])
 
 
-def _looked_at(view: _View) -> BoolArray:
-    """In the camera's sector now: what is still white there will not show from here."""
-    x, y = _centers(view)
-    east, north = x - view.map.position[0], y - view.map.position[1]
-    away = np.hypot(east, north)
-    ahead = east * math.cos(view.map.heading) + north * math.sin(view.map.heading)
-    return np.asarray((away <= FAR + 1.0) & (ahead >= away * math.cos(math.radians(50.0))))
+def _thinned(cells: Ints, most: int) -> Ints:
+    return cells[:: max(1, math.ceil(len(cells) / most))]
 
 
-def _ways(view: _View) -> FloatArray:
-    """(rows, cols) metres to each passable cell, a diagonal as long as a side; inf where no way leads."""
-    from scipy.ndimage import binary_dilation
-
-    way = np.full(view.passable.shape, np.inf)
-    front = np.zeros(view.passable.shape, bool)
-    front[view.map.at(*view.map.position)] = True
-    gone = 0.0
-    while front.any():
-        way[front] = gone
-        gone += view.map.cell
-        front = binary_dilation(front, np.ones((3, 3), bool)) & view.passable & np.isinf(way)
-    return way
+def _thinned_by(points: Floats, apart: float) -> Floats:
+    """One of all points that lie in the same square of that side, in metres."""
+    _, first = np.unique(np.floor(points / apart), axis=0, return_index=True)
+    return points[first]
 
 
-def _first_leg(view: _View, goal: _Goal) -> Point:
-    """A place on the way to which a straight line leads."""
-    place = goal.place
-    while goal.way[place] > LEG or not _passes(view, *view.map.position, *_middle(view, place)):
-        nearer = min(_around(place, goal.way.shape), key=lambda at: goal.way[at])
-        if goal.way[nearer] >= goal.way[place]:
-            break
-        place = nearer
-    return _middle(view, place)
+def _best_view(
+    ground: Ground, found: Ways, open_cells: Ints, white_cells: Ints, *, refused: bool
+) -> tuple[int, int, int] | None:
+    """Heading, iy and ix of the pose that shows most for its steps; None where none shows anything."""
+    for cells, weights in _wishes(ground, open_cells, white_cells):
+        worth = _worth(ground, found, ground.middle(cells), weights, refused=refused)
+        score = np.minimum(worth, ENOUGH) / (found.steps + 1.0)
+        score[(found.steps == UNREACHED) | (found.steps == 0)] = 0.0
+        best = int(score.argmax())
+        if score.flat[best] > 0.0:
+            heading, iy, ix = np.unravel_index(best, score.shape)
+            return int(heading), int(iy), int(ix)
+    return None
 
 
-def _around(place: tuple[int, int], shape: tuple[int, ...]) -> list[tuple[int, int]]:
-    rows = range(max(place[0] - 1, 0), min(place[0] + 2, shape[0]))
-    return [(r, c) for r in rows for c in range(max(place[1] - 1, 0), min(place[1] + 2, shape[1]))]
+def _wishes(ground: Ground, open_cells: Ints, white_cells: Ints) -> list[tuple[Ints, Floats]]:
+    """What to look at and what a point of it is worth: first what is open, then what is white."""
+    some_open, some_white = _thinned(open_cells, MOST_OPEN), _thinned(white_cells, MOST_WHITE)
+    wishes = []
+    if len(some_open):
+        both = np.concatenate([some_open, some_white])
+        wishes.append((both, np.repeat([1.0, SIDE_GLANCE], [len(some_open), len(some_white)])))
+    if len(some_white):
+        wishes.append((some_white, np.ones(len(some_white))))
+    return wishes
 
 
-def _middle(view: _View, place: tuple[int, int]) -> Point:
-    return (place[1] + 0.5) * view.map.cell, (place[0] + 0.5) * view.map.cell
+def _worth(ground: Ground, found: Ways, points: Floats, weights: Floats, *, refused: bool) -> Floats:
+    """(headings, ny, nx): the summed weights of the points that are seen from there.
+
+    Only what has the first point's kind counts as a reason to go: white beside open regions is extra.
+    """
+    first = weights == weights.max()
+    reach, headings = ground.chart.reach, found.moves.headings
+    nearest, farthest, half = (0.17, 0.97, 0.77) if refused else (NEAREST, FARTHEST, HALF_VIEW)
+    trail = _thinned_by(ground.middle(np.argwhere(ground.chart.trail)), 0.125 * reach)
+    seen_from = sees(ground, trail, points, nearest=nearest * reach, farthest=farthest * reach).sum(axis=0)
+    weights = weights * WEARY ** np.maximum(seen_from - PATIENCE, 0)
+    iy, ix = np.nonzero(found.steps.min(axis=0) < UNREACHED)
+    kept = ((iy - found.here[0]) % 2 == 0) & ((ix - found.here[1]) % 2 == 0)
+    iy, ix = iy[kept], ix[kept]
+    places = np.stack([found.x[ix], found.y[iy]], axis=1)
+    clear = sees(ground, places, points, nearest=nearest * reach, farthest=farthest * reach)
+    at, of = np.nonzero(clear)
+    toward = np.arctan2(points[of, 1] - places[at, 1], points[of, 0] - places[at, 0])
+    here = (iy[at] == found.here[0]) & (ix[at] == found.here[1])
+    off = np.abs(np.angle(np.exp(1j * (toward - ground.chart.yaw))))
+    # What is in view and stays white is hidden by something that the map does not show.
+    hidden = np.zeros(len(points), np.bool_)
+    hidden[of[here & (off < half)]] = True
+    kept = ~hidden[of]
+    if hidden.any():
+        passed = np.hypot(*(places[:, None] - trail[None]).transpose(2, 0, 1)).min(axis=1) < 0.075 * reach
+        kept &= ~passed[at]
+    at, of, toward = at[kept], of[kept], toward[kept]
+    main = (first[of]) & (weights[of] > LEAST_WORTH)
+    worth = np.zeros(found.steps.shape)
+    for heading in range(headings):
+        angle = 2.0 * math.pi * heading / headings
+        seen = np.abs(np.angle(np.exp(1j * (toward - angle)))) < half
+        total = np.bincount(at[seen], weights[of[seen]], len(iy))
+        reason = np.bincount(at[seen & main], minlength=len(iy))
+        worth[heading, iy, ix] = np.where(reason > 0, total, 0.0)
+    return worth
 
 
-def _free(view: _View, heading: float, length: float) -> bool:
-    x, y = view.map.position
-    return _passes(view, x, y, x + length * math.cos(heading), y + length * math.sin(heading))
+# ------------------------------------------------------------------------------------------------ a ranking
 
 
-def _passes(view: _View, x: float, y: float, to_x: float, to_y: float) -> bool:
-    """Is the straight way between two positions passable?"""
-    return all(view.passable[place] for place in _along(view.map, x, y, to_x, to_y)[1:])
+def ranked_places(question: Asked) -> Json:
+    """The numbered places in order: green beside white first, then white, the near before the far."""
+    wanted = sorted(int(number) for number in question.choices("ranking"))
+    scene = see(question)
+    chart, ground = scene.chart, scene.ground
+    numbers = [number for number, _, _ in chart.marks]
+    if numbers != wanted:
+        raise UnreadableError(f"[map]: expected the marks {wanted}, which the schema names, got {numbers}")
+    if "camera" in question.pictures:
+        _check_camera_marks(question, wanted)
+    radius = AROUND_MARK * chart.reach
+    values = {
+        number: _Value(
+            _share(ground, ground.open, x, y, radius),
+            _share(ground, ground.white, x, y, radius),
+            math.hypot(x - chart.x, y - chart.y) / chart.reach,
+        )
+        for number, x, y in chart.marks
+    }
+    ranking = sorted(values, key=lambda number: (not values[number].open, -values[number].worth, number))
+    lead = values[ranking[0]].worth - values[ranking[1]].worth if len(ranking) > 1 else 1.0
+    _, x, y = next(mark for mark in chart.marks if mark[0] == ranking[0])
+    words = f"I would visit them in the order {', '.join(map(str, ranking))}."
+    return {
+        **_reasons(scene, np.array([x, y]), words),
+        "ranking": ranking,
+        "confidence": round(min(1.0, 0.5 + max(lead, 0.0)), 3),
+        "mission_complete": not (ground.open.any() or ground.hiding.any()),
+    }
 
 
-def _along(seen: Map, x: float, y: float, to_x: float, to_y: float) -> list[tuple[int, int]]:
-    count = max(2, math.ceil(math.hypot(to_x - x, to_y - y) / (0.5 * seen.cell)))
-    shares = np.linspace(0.0, 1.0, count)
-    return [seen.at(x + float(k) * (to_x - x), y + float(k) * (to_y - y)) for k in shares]
+def _check_camera_marks(question: Asked, wanted: list[int]) -> None:
+    picture, *_ = views.needed(question.pictures, "camera")
+    views.check_camera(picture)
+    strange = {disc.number for disc in read_marks(picture, "camera")} - set(wanted)
+    if strange:
+        raise UnreadableError(
+            f"[camera]: expected only marks of the map, {wanted}, got {sorted(strange)}, too"
+        )
 
 
-# ---------------------------------------------------------------------------------------------- a ranking
+@dataclass(frozen=True, slots=True)
+class _Value:
+    """What lies around a mark: parts of it, 0 to 1, and its distance in reaches."""
+
+    open: float
+    white: float
+    distance: float
+
+    @property
+    def worth(self) -> float:
+        """Higher is better."""
+        return 3.0 * self.open + self.white - 0.15 * self.distance
 
 
-def _ranking(asked: Asked) -> dict[str, Any]:
-    """Marks with the most open green around them first, then those with the most white, near before far."""
-    seen = _map(asked)
-    if "camera" not in asked.pictures:
-        raise Unreadable("camera: there is none")
-    eyes.check_camera(eyes.open_picture(asked.pictures["camera"], "camera"))
-    items = asked.schema["properties"]["ranking"]["items"]
-    numbers = set(items["enum"] if "enum" in items else [items["const"]])
-    if set(seen.marks) != numbers:
-        raise Unreadable(f"map: marks {sorted(seen.marks)}, but {sorted(numbers)} are asked for")
-    view = _view(seen)
-    x, y = _centers(view)
+def _share(ground: Ground, layer: Bool, x: float, y: float, radius: float) -> float:
+    """Part of the cells around a point that a layer holds, 0 to 1."""
+    row, col = ground.chart.place(x, y)
+    rows, cols = np.ogrid[: layer.shape[0], : layer.shape[1]]
+    near = np.hypot(rows + 0.5 - row, cols + 0.5 - col) * ground.chart.cell <= radius
+    return float(layer[near].mean()) if near.any() else 0.0
 
-    def worth(number: int) -> float:
-        at = seen.marks[number]
-        around = np.hypot(x - at[0], y - at[1]) <= FAR
-        shown = 5.0 * (view.open & around).sum() + ((seen.cells == WHITE) & around).sum()
-        return float(shown) / (4.0 + math.hypot(at[0] - seen.position[0], at[1] - seen.position[1]))
 
-    order = sorted(numbers, key=lambda number: (-round(worth(number), 6), number))
-    told = _told(
-        view, f"Place {order[0]}: there is most to be seen.", f"First {', then '.join(map(str, order))}."
+# ------------------------------------------------------------------------------------------------ in words
+
+
+def _in_words(move: Json) -> str:
+    if move["done"]:
+        return "Done."
+    turn = (
+        "Keep the heading"
+        if move["turn_deg"] == 0
+        else f"Turn {move['turn_deg']} degrees {move['direction']}"
     )
-    complete = not view.open.any() and not view.hiding.any()
-    return {**told, "ranking": order, "confidence": 0.8, "mission_complete": complete}
+    return f"{turn}, then go {move['step_m']} m forward." if move["step_m"] else f"{turn}."
 
 
-RULES: Mapping[frozenset[str], Callable[[Asked], dict[str, Any]]] = {
-    frozenset({"direction", "turn_deg", "step_m", "done"}): _action,
-    frozenset({"ranking", "confidence", "mission_complete"}): _ranking,
-}
-"""By the fields that a schema must have."""
+def _reasons(scene: Scene, goal: Floats | None, last: str) -> dict[str, str]:
+    """The six steps, with figures from the pictures."""
+    chart, ground = scene.chart, scene.ground
+    square = chart.cell**2
+    _, regions = ndimage.label(ground.green, np.ones((3, 3)))
+    green, white = (float(np.count_nonzero(layer)) * square for layer in (ground.green, ground.white))
+    open_cells = ground.middle(np.argwhere(ground.open))
+    here = np.array([chart.x, chart.y])
+    if len(open_cells):
+        x, y = open_cells[np.hypot(*(open_cells - here).T).argmin()]
+        area = f"The nearest boundary that is open is at ({x:.1f}, {y:.1f})."
+    else:
+        area = "No green touches white."
+    room = float(ground.look(ground.away, chart.x, chart.y, 0.0))
+    stands = (
+        f"The nearest black is {room:.1f} m away." if math.isfinite(room) else "Nothing black is on the map."
+    )
+    if scene.view is not None:
+        stands += f" Ahead, {scene.view.free:.1f} m are free, and {100.0 * scene.view.target:.0f} % is green."
+    return {
+        "distribution": f"I see {green:.1f} m2 of green in {regions} groups, {white:.0f} m2 are white.",
+        "target_area": f"The robot is at ({chart.x:.1f}, {chart.y:.1f}). {area}",
+        "completion": f"{len(open_cells)} white cells lie beside green."
+        + ("" if ground.hiding.any() else " No white is large enough to hide a group."),
+        "next_target": "Nothing that is left can be looked at."
+        if goal is None
+        else f"Next I want to look from ({goal[0]:.1f}, {goal[1]:.1f}).",
+        "safety": stands,
+        "action": last,
+    }
+
+
+RULES: Mapping[str, Callable[[Asked], Json]] = MappingProxyType(
+    {
+        "ReasonedAction": reasoned_action,
+        "Action": action,
+        "RankedPlaces": ranked_places,
+        "Choice": reading.choice,
+        "Orders": reading.orders,
+    }
+)
+"""What is done for which schema, by its title."""

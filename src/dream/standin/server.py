@@ -1,145 +1,136 @@
-"""A server on this machine that speaks OpenAI's chat completions and answers by rule."""
+"""The server: OpenAI's protocol over HTTP on this machine."""
 
 from __future__ import annotations
 
-import base64
-import binascii
 import json
-import math
-import re
 import threading
+import time
 from functools import cache
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
-from dream.standin import rules
-from dream.standin.eyes import Unreadable
-from dream.standin.faults import Fault, fault_named
-from dream.standin.rules import Asked
+from dream.names import look_up
+from dream.standin import chat, rules
+from dream.standin.chat import Json
+from dream.standin.faults import RETRY_MS, Delivery, Past, fault_named
 
-MOST_BYTES = 64 << 20
-"""A larger request is refused."""
 PATH = "/v1/chat/completions"
-
-
-@cache
-def serve(fault: str = "") -> StandIn:
-    """The stand-in of this process with that fault, listening."""
-    server = StandIn(fault_named(fault))
-    threading.Thread(target=server.serve_forever, name="stand-in", daemon=True).start()
-    return server
+MOST_BYTES = 64 << 20
+"""Of a request; a longer one is refused."""
+PATIENCE = 60.0
+"""Seconds without a byte after which a connection is closed."""
 
 
 class StandIn(ThreadingHTTPServer):
-    """Listens on this machine only."""
+    """A stand-in for a model, listening."""
 
     daemon_threads = True
+    block_on_close = False
 
-    def __init__(self, fault: Fault) -> None:
-        super().__init__(("127.0.0.1", 0), _Handler)
-        self.fault = fault
+    def __init__(self, fault: str = "") -> None:
+        """Bind to a free port.
+
+        Args:
+            fault: How it errs; see `faults.FAULTS`. Not at all where empty.
+        """
+        self.fault = fault_named(fault)
         self.failures: list[str] = []
-        """What it could not read."""
+        """What could not be read, or was not understood."""
+        self._past = Past()
+        self._lock = threading.Lock()
+        super().__init__(("127.0.0.1", 0), _Handler)
 
     @property
     def address(self) -> str:
-        """Where it is asked."""
-        return f"http://127.0.0.1:{self.server_port}/v1"
+        """Where it listens, as OpenAI's clients want it."""
+        return f"http://127.0.0.1:{self.server_address[1]}/v1"
+
+    def reply(self, request: Json) -> Delivery:
+        """What a request is answered with; failures are kept."""
+        try:
+            question = chat.asked(request)
+
+            def right() -> Json:
+                return look_up(rules.RULES, question.title, "rule for the schema")(question)
+
+            with self._lock:
+                return self.fault(question, right, self._past)
+        except Exception as error:  # noqa: BLE001 - whatever went wrong must be loud, and not hang the client.
+            self.failures.append(f"{type(error).__name__}: {error}")
+            return Delivery(chat.error("unreadable", str(error)), 500)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """One who hangs up is no error."""
+        """A client that went away is no matter."""
 
 
 class _Handler(BaseHTTPRequestHandler):
-    server: StandIn
     protocol_version = "HTTP/1.1"
+    timeout = PATIENCE
+    server: StandIn
 
     def do_POST(self) -> None:
-        length = int(self.headers.get("Content-Length") or 0)
-        if self.path != PATH or not 0 < length <= MOST_BYTES:
-            self.close_connection = True
-            return self.say(404 if self.path != PATH else 413, _error(f"{self.path}, {length} bytes"))
-        body = self.rfile.read(length)
+        """Answer a question."""
+        if self.path != PATH:
+            self._refuse(404, f"no such path; this is {PATH}")
+            return
         try:
-            request = json.loads(body)
-            asked = read_request(request)
-        except (ValueError, LookupError, TypeError, AttributeError) as error:
-            return self.say(400, _error(f"no request: {error}"))
+            length = int(self.headers.get("Content-Length", ""))
+        except ValueError:
+            length = -1
+        if length < 0:
+            self._refuse(411, "expected a Content-Length")
+            return
+        if length > MOST_BYTES:
+            self._refuse(413, f"expected at most {MOST_BYTES} bytes, got {length}")
+            return
         try:
-            said = rules.answer(asked)
-        except (Unreadable, ValueError) as error:
-            self.server.failures.append(str(error))
-            return self.say(500, _error(str(error)))
-        return self.server.fault.respond(self, body, asked, said, completion)
+            request = json.loads(self.rfile.read(length))
+        except (ValueError, RecursionError):
+            self._refuse(400, "expected JSON, got something else")
+            return
+        if not isinstance(request, dict):
+            self._refuse(400, "expected an object, got something else")
+            return
+        self._send(self.server.reply(request))
 
-    def say(self, status: int, content: bytes) -> None:
-        """Send a whole answer."""
-        self.send_response(status)
-        self.send_header("Content-Type", "application/json")
-        self.send_header("Content-Length", str(len(content)))
-        if status in (429, 503):
-            self.send_header("Retry-After-Ms", "1")
-        self.end_headers()
-        self.wfile.write(content)
+    def do_GET(self) -> None:
+        """Nothing is to be got."""
+        self._refuse(404, f"no such path; this is {PATH}")
 
-    def log_message(self, *_: Any) -> None:
-        """Say nothing of requests."""
+    def log_message(self, *args: Any) -> None:
+        """Be quiet."""
 
+    def _refuse(self, status: int, why: str) -> None:
+        self.close_connection = True
+        self._send(Delivery(chat.error("invalid_request_error", why), status))
 
-def read_request(request: dict[str, Any]) -> Asked:
-    """A request for a chat completion.
-
-    Raises:
-        ValueError, LookupError, TypeError, AttributeError: It is none.
-    """
-    texts: list[str] = []
-    pictures: dict[str, bytes] = {}
-    for message in request["messages"]:
-        content = message["content"]
-        for part in content if isinstance(content, list) else [{"type": "text", "text": content}]:
-            if part["type"] == "image_url":
-                name = re.fullmatch(r"\[(\w+)\]", texts[-1].strip()) if texts else None
-                if not name:
-                    raise ValueError("a picture without its name before it")
-                pictures[name[1]] = _decoded(part["image_url"]["url"])
+    def _send(self, delivery: Delivery) -> None:
+        time.sleep(delivery.pause)
+        try:
+            self.send_response(delivery.status)
+            self.send_header("Content-Type", "application/json")
+            self.send_header("Content-Length", str(len(delivery.body)))
+            if delivery.status in (429, 500):
+                self.send_header("retry-after-ms", str(RETRY_MS))
+            if self.close_connection:
+                self.send_header("Connection", "close")
+            self.end_headers()
+            if delivery.breaks:
+                self.wfile.write(delivery.body[: len(delivery.body) // 2])
+                self.close_connection = True
+            elif delivery.trickle:
+                for byte in delivery.body:
+                    self.wfile.write(bytes([byte]))
+                    time.sleep(delivery.trickle)
             else:
-                texts.append(str(part["text"]))
-    return Asked("\n".join(texts), pictures, request["response_format"]["json_schema"]["schema"])
+                self.wfile.write(delivery.body)
+        except OSError:
+            self.close_connection = True
 
 
-def _decoded(url: str) -> bytes:
-    head, _, data = url.partition(",")
-    if head != "data:image/png;base64":
-        raise ValueError(f"expected a PNG in a data URL, got {head[:40]}")
-    try:
-        return base64.b64decode(data, validate=True)
-    except binascii.Error as error:
-        raise ValueError("a picture that is not in base64") from error
-
-
-def completion(asked: Asked, content: str | None, **message: Any) -> bytes:
-    """A reply of that text; tokens are counted about as servers do."""
-    tokens = len(asked.text) // 4 + sum(
-        85 + 170 * max(1, math.ceil(len(p) / 65536)) for p in asked.pictures.values()
-    )
-    spoken = len(content or "") // 4
-    finish = message.pop("finish_reason", "stop")
-    reply = {
-        "id": "stand-in",
-        "object": "chat.completion",
-        "created": 0,
-        "model": "wire",
-        "choices": [
-            {
-                "index": 0,
-                "finish_reason": finish,
-                "message": {"role": "assistant", "content": content, **message},
-            }
-        ],
-        "usage": {"prompt_tokens": tokens, "completion_tokens": spoken, "total_tokens": tokens + spoken},
-    }
-    return json.dumps(reply).encode()
-
-
-def _error(message: str) -> bytes:
-    return json.dumps({"error": {"message": message, "type": "stand-in", "code": None}}).encode()
+@cache
+def server(fault: str = "") -> StandIn:
+    """The stand-in of this process with that fault; started when first asked for."""
+    started = StandIn(fault)
+    threading.Thread(target=started.serve_forever, name=f"stand-in {fault}".strip(), daemon=True).start()
+    return started
