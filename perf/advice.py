@@ -6,8 +6,9 @@
 Every adviser is a server on this machine, asked over the wire as any model is. `knowing` ranks by what
 really is to be seen from each place, `random` anyhow, `first` by number, `last` against it; `doubting` is
 `first` and never holds the mission to be complete; `opposed` puts the places last that the table makes look
-best; `silent` never answers. `belief` flies alone. Missions that are in the file are not flown again. Ratios
-are to `belief`, world by world, with intervals at 95 % by resampling the worlds.
+best; `silent` never answers; `wire:error:0.5` and the like are the stand-in that comes with the package.
+`belief` flies alone. Missions that are in the file are not flown again. Ratios are to `belief`, world by
+world, with intervals at 95 % by resampling the worlds.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from scipy import stats
 from dream.evaluation import statistics
 from dream.evaluation.metrics import Scorer
 from dream.evaluation.runner import simulate
-from dream.planning import Belief
+from dream.planning import PLANNERS, AnyPlanner, Asking, Belief
 from dream.planning.vlm import Ranked
 from dream.planning.vlm.reply import STEPS
 from dream.protocol import DREAM_V1
@@ -128,17 +129,20 @@ class _Handler(BaseHTTPRequestHandler):
         pass
 
 
-def fly(adviser: str, world_name: str, seed: int) -> dict[str, Any]:
+def fly(planner: str, adviser: str, world_name: str, seed: int) -> dict[str, Any]:
     """One mission."""
     world = make_world(world_name, seed)
     visibility = Visibility(world, DREAM_V1)
     truth, scorer = Truth(visibility), Scorer(world, DREAM_V1, visibility=visibility)
     server = Adviser(adviser, truth)
-    planner: Belief | Ranked = Belief()
-    if adviser != "belief":
-        planner = Ranked(model=f"http://127.0.0.1:{server.server_port}/v1", model_name=adviser)
+    chosen: AnyPlanner = Belief()
+    if adviser.startswith("wire"):
+        chosen = Asking(model=adviser).given_to(PLANNERS[planner])
+    elif adviser != "belief":
+        address = f"http://127.0.0.1:{server.server_port}/v1"
+        chosen = Ranked(model=address, model_name=adviser)
     asked = followed = 0
-    for step in simulate(world, planner, DREAM_V1):
+    for step in simulate(world, chosen, DREAM_V1):
         scorer.add(step)
         pose = step.observation.pose
         truth.seen |= visibility.seen(np.array([[pose.x, pose.y, pose.yaw]]))[0]
@@ -178,16 +182,24 @@ def main() -> int:
     """Fly what is missing and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="file of finished missions, a line each")
-    parser.add_argument("--advisers", nargs="+", default=list(ADVISERS), choices=ADVISERS)
+    parser.add_argument(
+        "--advisers", nargs="+", default=list(ADVISERS), help=f"of {', '.join(ADVISERS)}, wire"
+    )
+    parser.add_argument(
+        "--planner", default="ranked", choices=["dream", "vanilla", "ranked"], help="with wire"
+    )
     parser.add_argument("--worlds", nargs="+", default=WORLDS, help="reefs or wrecks, as NAME:SEED")
     options = parser.parse_args()
+    for name in options.advisers:
+        if name not in ADVISERS and not name.startswith("wire"):
+            parser.error(f"--advisers: expected some of {known}, got {name}")
     lines = options.out.read_text().splitlines() if options.out.exists() else []
     flown = {(m["adviser"], m["world"]): m for m in map(json.loads, lines)}
     pilots = ["belief", *options.advisers]
     for number, (pilot, world) in enumerate([(p, w) for p in pilots for w in options.worlds], start=1):
         if (pilot, world) not in flown:
             name, _, seed = world.partition(":")
-            flown[pilot, world] = mission = fly(pilot, name, int(seed))
+            flown[pilot, world] = mission = fly(options.planner, pilot, name, int(seed))
             with options.out.open("a") as file:
                 file.write(json.dumps(mission) + "\n")
         print(f"\r{number}/{len(pilots) * len(options.worlds)}", end="", file=sys.stderr, flush=True)
