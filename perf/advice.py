@@ -192,7 +192,7 @@ def main() -> int:
     options = parser.parse_args()
     for name in options.advisers:
         if name not in ADVISERS and not name.startswith("wire"):
-            parser.error(f"--advisers: expected some of {known}, got {name}")
+            parser.error(f"--advisers: expected some of {', '.join(ADVISERS)}, wire, wire:FAULT, got {name}")
     lines = options.out.read_text().splitlines() if options.out.exists() else []
     flown = {(m["adviser"], m["world"]): m for m in map(json.loads, lines)}
     pilots = ["belief", *options.advisers]
