@@ -82,7 +82,7 @@ class _Files:
         return self.text
 
 
-@pytest.mark.parametrize("name", ["vanilla", "dream", "ranked", "legend", *Target])
+@pytest.mark.parametrize("name", FILES)
 def test_the_documentation_shows_every_prompt_in_full(name: str) -> None:
     page = Path(__file__).parents[3].joinpath("docs", "prompts.md").read_text(encoding="utf-8")
     prompt = prompts.load(name)
