@@ -96,7 +96,7 @@ class Probe:
             wait([pending.outcome for _, pending in waiting.values()], return_when=FIRST_COMPLETED)
             for number in [number for number, (_, pending) in waiting.items() if pending.done()]:
                 question, pending = waiting.pop(number)
-                yield _reply(question, pending.answer())
+                yield _reply(question, line.insist(pending.answer()))
 
 
 def _kept(asking: Asking) -> Line | None:

@@ -108,6 +108,7 @@ class Handler(BaseHTTPRequestHandler):
         with self.server.lock:
             self.server.requests.append(body)
             self.server.keys.append(self.headers.get("Authorization", ""))
+            self.server.headers.append(dict(self.headers))
             script = self.server.script
             respond = script.pop(0) if len(script) > 1 else script[0]
         try:
@@ -130,6 +131,7 @@ class Scripted(ThreadingHTTPServer):
         self.lock = threading.Lock()
         self.requests: list[Body] = []
         self.keys: list[str] = []
+        self.headers: list[dict[str, str]] = []
 
     @property
     def address(self) -> str:

@@ -115,6 +115,94 @@ def test_what_is_no_answer_becomes_a_named_fallback(respond: Respond, reason: st
     assert SECRET not in repr(answer.exchange)
 
 
+def completion(**changes: Any) -> Respond:
+    """A reply that would be good but for some fields."""
+    reply = {
+        "id": "1",
+        "object": "chat.completion",
+        "created": 1,
+        "model": "scripted",
+        "choices": [
+            {
+                "index": 0,
+                "finish_reason": "stop",
+                "message": {"role": "assistant", "content": '{"why": "so", "number": 3}'},
+            }
+        ],
+        "usage": {"prompt_tokens": 1, "completion_tokens": 1, "total_tokens": 2},
+    }
+    return raw(json.dumps({**reply, **changes}).encode())
+
+
+@pytest.mark.parametrize(
+    "respond",
+    [
+        completion(choices=[]),
+        completion(choices="ab"),
+        completion(choices=[None]),
+        completion(model=""),
+        completion(usage={"prompt_tokens": -1e300, "completion_tokens": "x", "total_tokens": None}),
+        raw(b"[" * 900_000),
+        raw(b""),
+        raw(b"null"),
+    ],
+)
+def test_nothing_that_a_server_sends_ends_a_mission(respond: Respond) -> None:
+    with serving(GOOD, respond) as server:
+        on = line(server)
+        assert ask(on).reply is not None
+        answer = ask(on)
+    assert answer.reply is not None or ":" in answer.exchange.fallback
+
+
+def test_a_fence_around_the_reply_is_taken_off() -> None:
+    with serving(text('```json\n{"why": "so", "number": 3}\n```')) as server:
+        assert ask(line(server)).reply == Number(why="so", number=3)
+
+
+def test_a_key_that_a_server_repeats_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(asking.KEY, SECRET)
+    with serving(text(json.dumps({"why": SECRET, "number": 3}))) as server:
+        answer = ask(line(server, record=str(tmp_path)))
+    assert answer.reply == Number(why="[key]", number=3)
+    assert SECRET not in repr(answer.exchange)
+    assert all(SECRET.encode() not in path.read_bytes() for path in tmp_path.glob("*.json"))
+
+
+def test_an_address_gets_nothing_that_is_meant_for_openai(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OPENAI_ORG_ID", SECRET)
+    monkeypatch.setenv("OPENAI_PROJECT_ID", SECRET)
+    monkeypatch.setenv("OPENAI_CUSTOM_HEADERS", f"X-Api-Key: {SECRET}")
+    with serving(GOOD) as server:
+        assert ask(line(server)).reply is not None
+        assert SECRET not in repr(server.headers)
+
+
+def test_the_budget_holds_when_replies_are_played_again(tmp_path: Path) -> None:
+    with serving(GOOD) as server:
+        on = line(server, max_calls=2, record=str(tmp_path))
+        first = [ask(on, str(k)).exchange.fallback for k in range(4)]
+        options: dict[str, Any] = {"model": server.address, "model_name": "scripted", "max_calls": 2}
+    played = Asking(**options, replay_replies=str(tmp_path)).line()
+    assert [ask(played, str(k)).exchange.fallback for k in range(4)] == first
+
+
+def test_a_call_that_is_left_over_is_not_exceeded_by_asking_again() -> None:
+    with serving(WRONG, GOOD) as server:
+        answer = ask(line(server, max_calls=1))
+    assert len(server.requests) == 1
+    assert answer.exchange.fallback == "budget: no call is left to ask again"
+
+
+def test_folders_are_looked_at_before_anything_is_asked(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("")
+    with pytest.raises(OSError, match="--record: expected a folder that can be written"):
+        Asking(model="http://127.0.0.1:1/v1", model_name="x", record=str(file)).line()
+    with pytest.raises(ValueError, match="replay_replies: expected a folder of kept replies"):
+        Asking(model="http://127.0.0.1:1/v1", model_name="x", replay_replies=str(tmp_path / "no")).line()
+
+
 def test_a_busy_server_is_tried_again_a_few_times() -> None:
     with serving(error(429, retry_after="0"), error(503, retry_after="0"), GOOD) as server:
         answer = ask(line(server))
@@ -143,10 +231,14 @@ def test_a_server_without_schemas_is_told_in_words() -> None:
 def test_a_model_that_cannot_be_asked_at_all_is_an_error_of_the_operator() -> None:
     with serving(error(401), GOOD, error(401)) as server:
         on = line(server)
-        with pytest.raises(ValueError, match=r"model: expected scripted at .* to answer, got HTTP 401"):
-            ask(on)
-        assert ask(on).reply is not None
-        assert ask(on).exchange.fallback == "server: HTTP 401"
+        denied = ask(on)
+        assert denied.exchange.fallback == "denied: HTTP 401"
+        with pytest.raises(
+            ValueError, match=r"model: expected scripted at .* to answer, got denied: HTTP 401"
+        ):
+            on.insist(denied)
+        assert on.insist(ask(on)).reply is not None
+        assert on.insist(ask(on)).exchange.fallback == "denied: HTTP 401"
 
 
 def test_only_the_key_for_such_servers_is_sent_to_an_address(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -202,7 +294,7 @@ def test_a_budget_of_dollars_needs_a_price() -> None:
         ({}, "model: expected which model to ask"),
         ({"model": "http://127.0.0.1:1/v1"}, "model_name: expected what"),
         ({"model": "openai:gpt-5", "model_name": "x"}, "model_name: expected only beside an address"),
-        ({"model": "nonsense"}, "model: expected one that can be asked, got nonsense"),
+        ({"model": "nonsense"}, "model: expected PROVIDER:NAME, an address or wire, got nonsense"),
         ({"model": "nobody:nothing"}, "model: expected one that can be asked, got nobody:nothing"),
         ({"timeout": 0.0}, "timeout: expected"),
         ({"latency": -1.0}, "latency: expected"),
@@ -277,7 +369,7 @@ def test_a_question_that_was_never_asked_has_no_kept_answer(
         ask(line(server, record=str(tmp_path)))
         on = Asking(model=server.address, model_name="scripted", replay_replies=str(tmp_path)).line()
     with pytest.raises(FileNotFoundError, match="expected a kept reply to this question"):
-        on.ask(change(question()))
+        on.ask(change(question())).answer()
 
 
 def test_a_damaged_exchange_is_refused(tmp_path: Path) -> None:

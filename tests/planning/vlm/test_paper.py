@@ -97,7 +97,7 @@ def test_a_blocked_move_and_a_done_that_is_refused_are_told(string_reef: World) 
         steps = fly(server, string_reef, 22)
         told = [situation(body) for body in server.requests]
     assert steps[0].open_region
-    assert f"You said done, and the map does not agree: {steps[0].open_region}." in told[1]
+    assert f"Done was said, and the map does not agree: {steps[0].open_region}." in told[1]
     blocked = next(k for k, step in enumerate(steps) if step.guarded.note)
     assert f"went only {steps[blocked].arrival.distance:.1f} m" in told[blocked + 1]
     assert not any(step.arrival.collided for step in steps)

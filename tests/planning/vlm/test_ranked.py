@@ -217,7 +217,8 @@ def test_otherwise_it_flies_as_the_offline_planner_does(
 
 def test_the_vehicle_does_not_wait_and_the_answer_counts_when_it_is_due(string_reef: World) -> None:
     steps = fly(ranking(last_first), string_reef, 12, latency=LATENCY).steps
-    assert all(step.decision.waited == 0.0 for step in steps)
+    # But for the last one, after which nobody would hear the answer.
+    assert all(step.decision.waited == 0.0 for step in steps[:-1])
     heard = next(k for k, step in enumerate(steps) if step.decision.exchanges)
     assert heard > 1
     # It was asked before the first of these moves; the answer counts from the first decision after it is due.

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import ipaddress
+import logging
 import os
+import re
 import threading
 import time
 from collections import Counter
@@ -28,6 +30,8 @@ if TYPE_CHECKING:
     from pydantic_ai import Agent
     from pydantic_ai.models import Model
 
+logger = logging.getLogger(__name__)
+
 R = TypeVar("R", bound=BaseModel)
 P = TypeVar("P")
 
@@ -43,6 +47,14 @@ MOST_TRIES = 3
 """Requests for one message, where the server is busy or the connection breaks."""
 KEY = "DREAM_API_KEY"
 """Environment variable with the key for a server that is given by its address. No other key is sent there."""
+LEAST_KEY = 8
+"""Characters of a key that is looked for in what a model writes."""
+DENIED = "denied"
+"""How the reason begins where a model cannot be asked at all."""
+PASSED_ON = frozenset(
+    ("accept", "accept-encoding", "authorization", "connection", "content-length", "content-type", "host")
+)
+"""Headers that a server given by its address gets, beside the client's own name and version."""
 EXTRA = 'needs pydantic-ai: pip install "dream-auv[vlm]"'
 
 
@@ -58,7 +70,8 @@ class Asking:
     timeout: float = 60.0
     """Seconds for an answer, all tries included; then the offline planner decides."""
     max_calls: int | None = None
-    """Requests at most in a mission; from then on the offline planner decides."""
+    # Tries again of a request that a busy server turned away do not count.
+    """Requests at most in a mission, or in each leg of orders; then the offline planner decides."""
     max_usd: float | None = None
     """US dollars at most in a mission, likewise."""
     latency: float = 12.0
@@ -91,8 +104,14 @@ class Asking:
         """An open line to the model, for one mission.
 
         Raises:
-            ValueError: There is no such model, its key is not in the environment, or asking it is forbidden.
+            ValueError: There is no such model, its key is not in the environment, asking it is forbidden, or
+                there are no kept replies.
+            OSError: The folder to keep exchanges in cannot be made.
         """
+        if self.replay_replies is not None and not Path(self.replay_replies).is_dir():
+            raise ValueError(f"replay_replies: expected a folder of kept replies, got {self.replay_replies}")
+        if self.record is not None:
+            cassette.prepare(Path(self.record))
         return Line(self)
 
     def given_to(self, planner: P) -> P:
@@ -170,9 +189,6 @@ class Line:
     """A line to a model during one mission: it keeps to the limits and counts what was spent.
 
     It answers every question, with a reply that is valid or with the reason why there is none.
-
-    Raises:
-        ValueError: Only as long as the model never answered: it cannot be asked like this at all.
     """
 
     asking: Asking
@@ -190,22 +206,40 @@ class Line:
     def __post_init__(self) -> None:
         if self.asking.replay_replies is None:
             self._model = _connect(self.asking.model, self.asking.model_name)
+            self._native = bool(self._model.profile.get("supports_json_schema_output"))
 
     def ask(self, question: Question[R]) -> Pending[R]:
         """Send a question; its answer comes later."""
-        key = question.key(self.asking.label)
-        key = f"{key}-{self._asked[key]}"
-        self._asked[question.key(self.asking.label)] += 1
+        same = question.key(self.asking.label)
+        key = f"{same}-{self._asked[same]}"
         known: Future[Outcome] = Future()
-        if self.asking.replay_replies is not None:
-            known.set_result(cassette.play(Path(self.asking.replay_replies), key, question.prompt))
-        elif spent := self._spent():
+        if spent := self._spent():
             known.set_result(Outcome(fallback=f"budget: {spent}"))
-        else:
-            self.under_way += 1
-            coming = asyncio.run_coroutine_threadsafe(self._converse(question, key), _loop())
-            return Pending(self, question, coming, sent=True)
-        return Pending(self, question, known)
+            return Pending(self, question, known)
+        self._asked[same] += 1
+        self.under_way += 1
+        if self.asking.replay_replies is not None:
+            try:
+                known.set_result(cassette.play(Path(self.asking.replay_replies), key, question.prompt))
+            except (OSError, ValueError) as error:
+                # Told when the answer is taken: a question that was never answered was not kept.
+                known.set_exception(error)
+            return Pending(self, question, known, sent=True)
+        coming = asyncio.run_coroutine_threadsafe(self._converse(question, key), _loop())
+        return Pending(self, question, coming, sent=True)
+
+    def insist(self, answer: Answer[R]) -> Answer[R]:
+        """The answer, where the model can be asked at all.
+
+        Raises:
+            ValueError: It never answered and denies to: its name or its key is wrong.
+        """
+        if not self._answered and answer.exchange.fallback.startswith(DENIED):
+            raise ValueError(
+                f"model: expected {self.asking.label} to answer, got {answer.exchange.fallback}. "
+                "Is its name right, and its key in the environment?"
+            )
+        return answer
 
     def receive(self, question: Question[R], outcome: Outcome) -> Answer[R]:
         """Check what came, and count it."""
@@ -215,7 +249,8 @@ class Line:
         reply, fallback = None, outcome.fallback
         if not fallback:
             try:
-                reply = question.reply.model_validate_json(outcome.replies[-1])
+                reply = question.reply.model_validate_json(_unfenced(outcome.replies[-1]))
+                self._answered = True
             except ValidationError as error:
                 fallback = f"invalid: {_first(error)}"
         exchange = Exchange(
@@ -251,47 +286,62 @@ class Line:
         outcome = await self._exchange(question)
         outcome = outcome.lasting(time.perf_counter() - began)
         if self.asking.record is not None:
-            cassette.keep(
-                Path(self.asking.record), key, outcome, question.prompt, question.sent, question.pictures
-            )
+            folder = Path(self.asking.record)
+            try:
+                cassette.keep(folder, key, outcome, question.prompt, question.sent, question.pictures)
+            except OSError as error:
+                # The answer is paid for and counts all the same.
+                logger.warning(
+                    "%s: this exchange is not kept (%s). Is the disk full?", folder, error.strerror
+                )
         return outcome
 
     async def _exchange(self, question: Question[R]) -> Outcome:
-        from pydantic_ai import capture_run_messages
-        from pydantic_ai.exceptions import AgentRunError, ModelHTTPError
-
+        messages: list[Any] = []
         fallback = ""
-        with capture_run_messages() as messages:
-            try:
-                async with asyncio.timeout(self.asking.timeout):
-                    await self._run(question)
-                self._answered = True
-            except (AgentRunError, TimeoutError, OSError, ValueError) as error:
-                if self._native and isinstance(error, ModelHTTPError) and error.status_code in (400, 422):
-                    # It may know of no JSON schema: the prompt can say what is wanted, too.
-                    self._native = False
-                    return await self._exchange(question)
-                if (
-                    not self._answered
-                    and isinstance(error, ModelHTTPError)
-                    and error.status_code in (401, 403, 404)
-                ):
-                    raise ValueError(
-                        f"model: expected {self.asking.label} to answer, got HTTP {_status(error)}. "
-                        "Is its name right, and its key in the environment?"
-                    ) from None
-                fallback = _reason(error, self.asking.timeout)
+        try:
+            async with asyncio.timeout(self.asking.timeout):
+                await self._with_or_without_schema(question, messages)
+        except Exception as error:  # noqa: BLE001 - whatever a server sends, the mission goes on.
+            fallback = _reason(error, self.asking.timeout, len(messages))
         return _outcome(messages, fallback)
 
-    async def _run(self, question: Question[R]) -> None:
-        from pydantic_ai import BinaryContent
+    async def _with_or_without_schema(self, question: Question[R], messages: list[Any]) -> None:
+        """Ask; where the server turns the schema away, in words. What was said is added to the messages."""
+        from pydantic_ai.exceptions import ModelHTTPError
+
+        try:
+            await self._run(question, messages)
+        except ModelHTTPError as error:
+            if not self._native or error.status_code not in (400, 422):
+                raise
+            self._native = False
+            try:
+                await self._run(question, messages)
+            except ModelHTTPError:
+                self._native = True
+                raise
+
+    async def _run(self, question: Question[R], messages: list[Any]) -> None:
+        from pydantic_ai import BinaryContent, capture_run_messages
         from pydantic_ai.settings import ModelSettings
+        from pydantic_ai.usage import UsageLimits
 
         parts: list[Any] = []
         for name, png in question.pictures.items():
             parts += [f"[{name}]", BinaryContent(png, media_type="image/png")]
         settings = ModelSettings(max_retries=MOST_TRIES - 1, timeout=self.asking.timeout)
-        await self._agent(question).run([*parts, question.text], model_settings=settings)
+        most = self.asking.max_calls
+        # This question is among those under way.
+        left = None if most is None else most - self.calls - self.under_way + 1
+        limits = UsageLimits(request_limit=left)
+        with capture_run_messages() as said:
+            try:
+                await self._agent(question).run(
+                    [*parts, question.text], model_settings=settings, usage_limits=limits
+                )
+            finally:
+                messages += said
 
     def _agent(self, question: Question[R]) -> Agent[None, R]:
         from pydantic_ai import Agent, NativeOutput, PromptedOutput
@@ -307,8 +357,10 @@ def stands_in(model: str) -> bool:
     return model.partition(":")[0] == WIRE
 
 
-def _status(error: Exception) -> int:
-    return int(getattr(error, "status_code", 0))
+def _unfenced(text: str) -> str:
+    """A reply without the fence that some models put around JSON."""
+    fenced = re.fullmatch(r"\s*```(?:json)?\s*(\{.*\})\s*```\s*", text, re.DOTALL)
+    return fenced[1] if fenced else text
 
 
 def _first(error: ValidationError) -> str:
@@ -316,40 +368,48 @@ def _first(error: ValidationError) -> str:
     return f"{'.'.join(map(str, first['loc'])) or 'the whole'}: {first['msg']}"
 
 
-def _reason(error: Exception, timeout: float) -> str:
+def _reason(error: Exception, timeout: float, messages: int) -> str:
     """Why there is no answer. Nothing that a server wrote is in it: that might hold a key."""
     from pydantic_ai import exceptions
 
     cause: BaseException | None = error
     while cause is not None:
         if isinstance(cause, _TooLongError):
-            return f"too large: a reply of more than {MOST_REPLY_BYTES} bytes"
+            return f"too large: {cause}"
         cause = cause.__cause__ or cause.__context__
     if isinstance(error, TimeoutError | exceptions.ModelTimeoutError):
         return f"timeout: no answer within {timeout:g} s"
-    if isinstance(error, exceptions.ModelRateLimitError | exceptions.ModelQuotaExceededError):
+    if isinstance(error, exceptions.UsageLimitExceeded):
+        return "budget: no call is left to ask again"
+    if isinstance(error, exceptions.ModelQuotaExceededError):
+        return "quota: nothing is left to spend there"
+    if isinstance(error, exceptions.ModelRateLimitError):
         return "rate limit: the server asks to wait"
     if isinstance(error, exceptions.ModelHTTPError):
-        return f"server: HTTP {error.status_code}"
+        kind = DENIED if error.status_code in (401, 403, 404) else "server"
+        return f"{kind}: HTTP {error.status_code}"
     if isinstance(error, exceptions.ModelConnectionError | OSError):
         return "connection: none, or it broke"
     if isinstance(error, exceptions.ContentFilterError):
         return "refused: the model declined to answer"
-    if isinstance(error, exceptions.ModelAPIError):
-        return "server: what it sent is no reply"
-    return "invalid: no reply that fits, asked twice"
+    # A request, its reply, and the same once more.
+    if isinstance(error, exceptions.UnexpectedModelBehavior) and messages >= 4:
+        return "invalid: no reply that fits, asked twice"
+    return "server: what it sent is no reply"
 
 
 def _outcome(messages: list[Any], fallback: str) -> Outcome:
     from pydantic_ai.messages import ModelRequest, ModelResponse
 
     responses = [message for message in messages if isinstance(message, ModelResponse)]
+    requests = sum(isinstance(message, ModelRequest) for message in messages)
     costs = [_cost(response) for response in responses]
+    # What was sent and not answered may cost all the same.
+    costs += [None] * (requests - len(responses))
     return Outcome(
-        # Half of a surrogate pair, which JSON can name, is no text that a file or a page could hold.
-        replies=tuple((response.text or "").encode(errors="replace").decode() for response in responses),
+        replies=tuple(_plain(response.text or "") for response in responses),
         fallback=fallback,
-        requests=sum(isinstance(message, ModelRequest) for message in messages),
+        requests=requests,
         tokens_in=sum(response.usage.input_tokens for response in responses),
         tokens_out=sum(response.usage.output_tokens for response in responses),
         cost_usd=None if None in costs else float(sum(cost for cost in costs if cost is not None)),
@@ -360,8 +420,16 @@ def _cost(response: Any) -> float | None:
     """US dollars; None where the price of the model is not known."""
     try:
         return float(response.cost().total_price)
-    except LookupError:
+    except Exception:  # noqa: BLE001 - a server may say anything of its model and its tokens.
         return None
+
+
+def _plain(text: str) -> str:
+    """What a model wrote, without keys, and without halves of surrogate pairs, which no file could hold."""
+    for name, value in os.environ.items():
+        if name.endswith("_KEY") and len(value.strip()) >= LEAST_KEY:
+            text = text.replace(value.strip(), "[key]")
+    return text.encode(errors="replace").decode()
 
 
 # ------------------------------------------------------------------------------------------- the way there
@@ -379,9 +447,12 @@ class _TooLongError(ValueError):
     """A reply that is not read to its end."""
 
 
-@lru_cache(maxsize=2)
-def _http(*, near: bool) -> httpx2.AsyncClient:
-    """The client of this process for servers on this machine, which no proxy stands before, or elsewhere."""
+@lru_cache(maxsize=3)
+def _http(*, address: bool, near: bool) -> httpx2.AsyncClient:
+    """The client of this process for known models, or for servers that are given by their address.
+
+    To those nothing is sent that the environment holds for others. Before one on this machine is no proxy.
+    """
     import httpx2
     from pydantic_ai.models import get_user_agent
 
@@ -394,7 +465,7 @@ def _http(*, near: bool) -> httpx2.AsyncClient:
             async for chunk in self.stream:
                 length += len(chunk)
                 if length > MOST_REPLY_BYTES:
-                    raise _TooLongError(f"reply: expected at most {MOST_REPLY_BYTES} bytes, got more")
+                    raise _TooLongError(f"a reply of more than {MOST_REPLY_BYTES} bytes")
                 yield chunk
 
         async def aclose(self) -> None:
@@ -402,14 +473,19 @@ def _http(*, near: bool) -> httpx2.AsyncClient:
 
     async def bound(response: httpx2.Response) -> None:
         if response.headers.get("content-encoding", "identity") != "identity":
-            raise _TooLongError("reply: expected it as it is, got it packed, of unknown length")
+            raise _TooLongError("a reply that is packed, of unknown length")
         assert isinstance(response.stream, httpx2.AsyncByteStream)
         response.stream = Bounded(response.stream)
+
+    async def only_its_own(request: httpx2.Request) -> None:
+        for name in [name for name in request.headers if name.lower() not in PASSED_ON]:
+            if not name.lower().startswith(("x-stainless-", "user-agent")):
+                del request.headers[name]
 
     return httpx2.AsyncClient(
         timeout=httpx2.Timeout(600.0, connect=5.0),
         headers={"User-Agent": get_user_agent(), "Accept-Encoding": "identity"},
-        event_hooks={"response": [bound]},
+        event_hooks={"request": [only_its_own] if address else [], "response": [bound]},
         trust_env=not near,
     )
 
@@ -433,6 +509,8 @@ def _connect(model: str, name: str) -> Model:
         from dream.standin import address
 
         model, name = address(model.partition(":")[2]), name or WIRE
+    if ":" not in model:
+        raise ValueError(f"model: expected PROVIDER:NAME, an address or wire, got {model}")
     if "://" in model:
         near = _is_near(model)
         _check_allowed(model, near=near)
@@ -441,7 +519,7 @@ def _connect(model: str, name: str) -> Model:
                 f"model_name: expected what {model} calls the model, got none. Say --model-name NAME"
             )
         server = OpenAICompatibleProvider(
-            "server", base_url=model, api_key=os.environ.get(KEY, "none"), http_client=_http(near=near)
+            "server", base_url=model, api_key=_key(), http_client=_http(address=True, near=near)
         )
         return OpenAIChatModel(name, provider=server, profile={"supports_json_schema_output": True})
     if name:
@@ -450,12 +528,25 @@ def _connect(model: str, name: str) -> Model:
 
     def provider(called: str) -> Any:
         maker: Any = infer_provider_class(called)
-        return maker(http_client=_http(near=False))
+        return maker(http_client=_http(address=False, near=False))
 
     try:
         return infer_model(model, provider)
+    except ImportError as error:
+        raise ValueError(
+            f"model: expected one of openai, anthropic, google or a server's address, got {model}, whose "
+            "client is not installed"
+        ) from error
     except (pydantic_ai.exceptions.UserError, TypeError, ValueError) as error:
         raise ValueError(f"model: expected one that can be asked, got {model}: {error}") from error
+
+
+def _key() -> str:
+    """For a server that is given by its address."""
+    key = os.environ.get(KEY, "").strip() or "none"
+    if not (key.isascii() and key.isprintable()):
+        raise ValueError(f"{KEY}: expected plain characters, got others. Was a whole file put into it?")
+    return key
 
 
 def _is_near(address: str) -> bool:

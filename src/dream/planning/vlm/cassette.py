@@ -59,11 +59,24 @@ def key_of(texts: list[Any], pictures: Mapping[str, bytes]) -> str:
     return whole.hexdigest()[:32]
 
 
+def prepare(folder: Path) -> None:
+    """Make the folder to keep exchanges in.
+
+    Raises:
+        OSError: It cannot be made.
+    """
+    try:
+        (folder / "pictures").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OSError(
+            f"--record: expected a folder that can be written, got {folder} ({error.strerror})"
+        ) from error
+
+
 def keep(
     folder: Path, key: str, outcome: Outcome, prompt: str, question: str, pictures: Mapping[str, bytes]
 ) -> None:
     """Write an exchange, whole or not at all. The key of a model is in none of what is written."""
-    (folder / "pictures").mkdir(parents=True, exist_ok=True)
     for png in pictures.values():
         path = folder / "pictures" / f"{_sha(png)}.png"
         if not path.exists():

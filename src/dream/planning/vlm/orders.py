@@ -148,7 +148,9 @@ def ask_orders(
         most=MOST_LEGS,
     )
     said = f"The operator says, in JSON:\n{json.dumps(text, ensure_ascii=False)}"
-    answer = asking.line().ask(Question(prompt.label, instructions, said, {}, orders_reply(bounds))).answer()
+    line = asking.line()
+    question = Question(prompt.label, instructions, said, {}, orders_reply(bounds))
+    answer = line.insist(line.ask(question).answer())
     if answer.reply is None:
         raise ValueError(
             f"mission: expected orders from {asking.label}, got none ({answer.exchange.fallback}). "

@@ -74,7 +74,7 @@ class _EveryStep:
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         thought = self.offline.consider(observation, occupancy)
-        answer = self.line.ask(self._question(observation, occupancy)).answer()
+        answer = self.line.insist(self.line.ask(self._question(observation, occupancy)).answer())
         if answer.reply is None:
             decision = self.offline.act(thought, thought.plan, occupancy)
         else:
@@ -124,7 +124,7 @@ class _EveryStep:
         assert self.last is not None
         if self.last.done:
             still = check_completion(occupancy, pose).open_region
-            return f"You said done, and the map does not agree: {still}."
+            return f"Done was said, and the map does not agree: {still}." if still else "Done was said."
         words = sentences.action(self.last.turn, self.last.advance)[:-1].lower()
         shortest = min(self.mission.protocol.advances)
         if self.last.advance - self.trail[-1].distance(pose) > 0.5 * shortest:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from dream.planning.lookahead import NOTHING, Plan
+from dream.planning.lookahead import NOTHING, Judged, Plan
 from dream.planning.travel import Pose
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ class Place:
 
     plan: Plan
     loss: float
-    """Steps that going there first is expected to cost, against the best of them."""
+    """Steps that going there first is expected to cost, against what the offline planner would do."""
     path: npt.NDArray[np.float64]
     """(N, 2) metres in the world, where the vehicle is first."""
     yaw: float
@@ -75,12 +75,10 @@ def places(pilot: BeliefPilot, thought: Thought, occupancy: OccupancyMap) -> lis
     if not ways:
         return []
     judged = ahead.judge(prospect, travel, ways)
-    own = judged[0].value if thought.plan is not None else max(one.value for one in judged)
     return [
         Place(
             one.plan,
-            # Where the simple tour behind the values rates another place higher, the search knew better.
-            max(own - one.value, 0.0),
+            _loss(one, None if thought.plan is None else judged[0]),
             np.array([travel.position(row, col) for row, col, _ in one.plan.path]),
             one.plan.path[-1][2] * pilot.mission.protocol.heading_step,
             _closes(pilot, thought, one.plan.path),
@@ -103,7 +101,15 @@ def again(
     judged = pilot.look_ahead.judge(pilot.prospect(thought, occupancy), travel, ways)
     if judged[-1].plan.rate <= NOTHING:
         return None
-    return judged[-1].plan, max(judged[0].value - judged[-1].value, 0.0)
+    return judged[-1].plan, _loss(judged[-1], None if thought.plan is None else judged[0])
+
+
+def _loss(judged: Judged, own: Judged | None) -> float:
+    """Steps that a way costs against the planner's own; all of them where that would end the mission."""
+    if own is None:
+        return float(len(judged.plan.path) - 1)
+    # Where the simple tour behind the values rates another place higher, the search knew better.
+    return max(own.value - judged.value, 0.0)
 
 
 def _closes(pilot: BeliefPilot, thought: Thought, path: list[Pose]) -> tuple[int, ...]:

@@ -32,6 +32,8 @@ STUCK = 6
 REST = 10
 AGREED = 2.0 / 3.0
 """Share of the votes that must have the same place first."""
+FIRST = 1.0
+"""Steps that the model's choices may have cost before any share of the way is flown."""
 HISTORY = 8
 """Past positions in the text."""
 
@@ -59,7 +61,7 @@ class Ranked(Asking):
     weight: float = 3.0
     """Steps that being ranked first is worth, with full confidence; half that being second, and so on."""
     allowance: float = 0.1
-    """Share of the steps flown that the model's choices may have cost, by expectation, in all."""
+    """Share of the steps flown that the model's choices may have cost, by expectation, beside one."""
     votes: int = 1
     """Times that each question is asked, each with other numbers; without two thirds of agreement the offline
     planner decides."""
@@ -135,13 +137,18 @@ class RankedPilot:
         self._watch(occupancy)
         exchanges: list[Exchange] = []
         waited = 0.0
-        if self.asked is None and not self.resting and self._event(thought):
-            self._ask(observation, thought, occupancy)
-        if self.asked is not None and (answers := self._answers(observation.time, thought)):
-            exchanges = [answer.exchange for answer in answers]
-            waited = max(self._due(answers) - observation.time, 0.0)
-            self._choose(answers, thought, occupancy)
-            self.asked = None
+        # At the end first what is still on its way, which no longer matters, then the question about the end.
+        while True:
+            if self.asked is None and not self.resting and self._event(thought):
+                self._ask(observation, thought, occupancy)
+            if self.asked is None or not (answers := self._answers(observation.time, thought)):
+                break
+            exchanges += [answer.exchange for answer in answers]
+            waited = max(waited, self._due(answers) - observation.time)
+            asked, self.asked = self.asked, None
+            if asked.to_end == (thought.plan is None):
+                self._choose(asked, answers, thought, occupancy)
+                break
         plan, why = self._follow(thought, occupancy)
         self.trail.append(observation.pose)
         decision = self.offline.act(thought, plan, occupancy)
@@ -191,10 +198,9 @@ class RankedPilot:
         self.heading_for = (
             thought.pose if thought.plan is None else self._position(thought, thought.plan.path[-1])
         )
-        choice = [
-            place for place in places(self.offline, thought, occupancy) if place.loss <= self._affordable()
-        ]
         to_end = thought.plan is None
+        most = self._affordable(to_end=to_end)
+        choice = [place for place in places(self.offline, thought, occupancy) if place.loss <= most]
         if len(choice) < (1 if to_end else FEWEST):
             return
         votes = []
@@ -211,7 +217,9 @@ class RankedPilot:
     def _answers(self, now: float, thought: Thought) -> list[Answer[Ranking]]:
         """All answers, once they are due; earlier where the vehicle waits for them. Empty before."""
         assert self.asked is not None
-        waits = self.planner.wait or thought.plan is None
+        # After the last step nobody would hear the answer.
+        last = self.mission.flown + len(self.trail) + 1 >= self.mission.max_steps
+        waits = self.planner.wait or thought.plan is None or last
         if not waits and now < self.asked.at + self.planner.latency:
             return []
         answers = [pending.answer() for _, pending in self.asked.votes]
@@ -222,10 +230,11 @@ class RankedPilot:
         assert self.asked is not None
         return self.asked.at + self.planner.latency * max(answer.exchange.requests for answer in answers)
 
-    def _affordable(self) -> float:
-        """Steps that a choice may cost now."""
+    def _affordable(self, *, to_end: bool) -> float:
+        """Steps that a choice may cost now; at the end any that the allowance leaves."""
         flown = self.mission.flown + len(self.trail)
-        return min(self.planner.margin, self.planner.allowance * flown + 1.0 - self.spent)
+        left = self.planner.allowance * flown + FIRST - self.spent
+        return left if to_end else min(self.planner.margin, left)
 
     def _question(
         self,
@@ -280,45 +289,46 @@ class RankedPilot:
 
     # -------------------------------------------------------------------------------------------- choice
 
-    def _choose(self, answers: list[Answer[Ranking]], thought: Thought, occupancy: OccupancyMap) -> None:
+    def _choose(
+        self, asked: _Asked, answers: list[Answer[Ranking]], thought: Thought, occupancy: OccupancyMap
+    ) -> None:
         """Fuse the ranking with what the offline planner holds of the places now."""
-        assert self.asked is not None
+        if self.resting:
+            return
         heard = [
             (numbers, answer.reply)
-            for (numbers, _), answer in zip(self.asked.votes, answers, strict=True)
+            for (numbers, _), answer in zip(asked.votes, answers, strict=True)
             if answer.reply is not None
         ]
         if not heard:
             return
         firsts = [numbers[reply.ranking[0]] for numbers, reply in heard]
-        if max(map(firsts.count, firsts)) < AGREED * len(self.asked.votes):
+        if max(map(firsts.count, firsts)) < AGREED * len(asked.votes):
             return
-        if self.asked.to_end and sum(reply.mission_complete for _, reply in heard) > 0.5 * len(heard):
+        if asked.to_end and sum(reply.mission_complete for _, reply in heard) > 0.5 * len(heard):
             return
         bonus: dict[int, float] = defaultdict(float)
         for numbers, reply in heard:
             for rank, number in enumerate(reply.ranking, start=1):
-                bonus[numbers[number]] += (
-                    self.planner.weight * reply.confidence / rank / len(self.asked.votes)
-                )
+                bonus[numbers[number]] += self.planner.weight * reply.confidence / rank / len(asked.votes)
         # Where it had one, the offline planner's own way is the first: it needs no advice to go there.
-        others = 0 if self.asked.to_end else 1
-        own = 0.0 if self.asked.to_end else bonus[0]
+        others = 0 if asked.to_end else 1
+        own = 0.0 if asked.to_end else bonus[0]
         standing = []
-        for k in range(others, len(self.asked.places)):
-            now = again(self.offline, thought, occupancy, self.asked.places[k].pose)
-            if now is not None and now[1] <= self._affordable():
+        for k in range(others, len(asked.places)):
+            now = again(self.offline, thought, occupancy, asked.places[k].pose)
+            if now is not None and now[1] <= self._affordable(to_end=asked.to_end):
                 standing.append((round(bonus[k] - now[1], 6), -k, now[1]))
         if not standing or max(standing)[0] <= own:
             return
         _, behind, loss = max(standing)
-        place = self.asked.places[-behind]
+        place = asked.places[-behind]
         numbers, reply = heard[0]
         number = next(n for n, index in numbers.items() if index == -behind)
         self.spent += loss
         self.chosen = _Chosen(
             place.pose,
-            f"The model ranked place {number} of {len(self.asked.places)} "
+            f"The model ranked place {number} of {len(asked.places)} "
             f"{_ordinal(1 + reply.ranking.index(number))}; it costs {loss:.1f} steps by expectation.",
         )
         x, y = place.path[-1]
