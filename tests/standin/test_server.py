@@ -163,7 +163,7 @@ def test_a_stale_answer_is_one_to_an_earlier_question() -> None:
     "fault, fallback",
     [
         ("malformed", "invalid: "),
-        ("truncated", "invalid: "),
+        ("truncated", "truncated: "),
         ("injected", "invalid: "),
         ("refusing", "refused: "),
         ("429", "rate limit: "),

@@ -68,16 +68,16 @@ def asked(request: Json) -> Asked:
     Raises:
         UnreadableError: A picture has no name, or is none; or no schema is there.
     """
-    wanted = request.get("response_format", {})
-    schema = wanted.get("json_schema", {}) if isinstance(wanted, dict) else {}
-    if not schema.get("name") or not isinstance(schema.get("schema"), dict):
+    wanted: Any = request.get("response_format")
+    schema: Any = wanted.get("json_schema") if isinstance(wanted, dict) else None
+    if not isinstance(schema, dict) or not schema.get("name") or not isinstance(schema.get("schema"), dict):
         raise UnreadableError("response_format: expected a json_schema with name and schema, got none")
     texts: list[str] = []
     pictures: dict[str, bytes] = {}
     name = ""
     for message in request.get("messages", []):
         content = message.get("content") or ""
-        parts: list[Json] = [{"type": "text", "text": content}] if isinstance(content, str) else content
+        parts: list[Any] = [{"type": "text", "text": content}] if isinstance(content, str) else content
         for part in parts:
             if part.get("type") == "image_url":
                 if not name or name in pictures:

@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
 from dream.standin import sight
-from dream.standin.marks import RADIUS, Disc, read_marks
+from dream.standin.marks import OUTER, RADIUS, Disc, read_marks
 from dream.standin.sight import Bool, Floats, UInt8, UnreadableError
 
 SPACINGS = (5.0, 1.0, 0.5)
@@ -25,8 +23,14 @@ ARROW_AREA = 0.98
 """Of that shape, in squares of the same length."""
 EDGE = 3
 """Pixels of white around the arrow."""
+SMOOTH = 0.5
+"""Pixels at the edge of a shape that are not of its full colour."""
+COARSE = 5
+"""Every so many pixels are enough to find where a search begins."""
 LEAST_ARROW = 0.75
 """Overlap of the arrow, and of the sector in view, with what is seen of them."""
+LEAST_COVERED = 0.5
+"""The same where ways or discs are drawn over the arrow."""
 FARTHEST = 400
 """Lines of the grid between the origin and the map, at most."""
 
@@ -84,7 +88,7 @@ def read_map(picture: UInt8) -> Chart:
     cells, side = _cells(ground, seen, _arrow_cover(seen.shape, (column, row, yaw, size)), discs)
     trail = sight.is_color(ground, sight.TRAIL)
     rows, cols = cells.shape
-    passed = trail[: rows * side, : cols * side].reshape(rows, side, cols, side).any(axis=(1, 3))
+    passed = np.asarray(trail[: rows * side, : cols * side].reshape(rows, side, cols, side).any(axis=(1, 3)))
     return Chart(
         cells=cells,
         cell=side / per_metre,
@@ -95,7 +99,7 @@ def read_map(picture: UInt8) -> Chart:
         y=north - row / per_metre,
         yaw=yaw,
         reach=8.0 * size / per_metre,
-        trail=np.asarray(passed),
+        trail=passed,
         marks=tuple((d.number, west + d.column / per_metre, north - d.row / per_metre) for d in discs),
     )
 
@@ -157,9 +161,9 @@ def _corner(
     below = _darkness(picture[bottom + 2 : bottom + 2 + round(1.3 * top)])
     beside = _darkness(picture[:, : left - 2])
     # In the lower left corner the numbers of both axes touch.
-    across = [(a + b) / 2.0 - left for a, b in _groups(np.asarray(below.any(axis=0)), 0.6 * top)]
+    across = [(a + b) / 2.0 - left for a, b in _groups(below.max(axis=0), 0.6 * top)]
     across = [c for c in across if c > 1.2 * top]
-    down = [(a + b) / 2.0 - top for a, b in _groups(np.asarray(beside.any(axis=1)), 0.25 * top)]
+    down = [(a + b) / 2.0 - top for a, b in _groups(beside.max(axis=1), 0.25 * top)]
     down = [c for c in down if c < bottom - top - 1.2 * top]
     step = spacing * per_metre
     west = _origin(
@@ -214,7 +218,7 @@ def _first_number(
     return order[0] * spacing
 
 
-def _groups(dark: Bool, gap: float) -> list[tuple[int, int]]:
+def _groups(dark: Floats, gap: float) -> list[tuple[int, int]]:
     """First index and the one past the last of what is dark with no greater gap."""
     at = np.flatnonzero(dark)
     if not len(at):
@@ -271,18 +275,24 @@ def _arrow(
 ) -> tuple[float, float, float, float]:
     """Column and row of the vehicle, its yaw in radians, and the length of its front part in pixels."""
     blue = sight.is_color(ground, sight.VEHICLE)
-    core = ndimage.binary_opening(blue, ndimage.generate_binary_structure(2, 1), iterations=2)
+    hidden = _hidden(ground, discs)
+    # Thinner lines are the edge of the sector in view. What hides the arrow must not make it thinner.
+    core = ndimage.binary_opening(blue | hidden, ndimage.generate_binary_structure(2, 1), iterations=2) & blue
     bodies, count = ndimage.label(core, np.ones((3, 3)))
     if not count:
         raise UnreadableError("[map]: expected the vehicle, a blue arrow, got none")
-    rows, columns = np.nonzero(core if _is_covered(core, discs) else np.asarray(bodies == _largest(bodies)))
+    # A way may cut the arrow into pieces; crumbs are where two lines meet.
+    sizes = np.bincount(bodies.ravel())
+    sizes[0] = 0
+    core &= (8 * sizes > sizes.max())[bodies]
+    rows, columns = np.nonzero(core)
     reach = 4.0 * math.sqrt(len(rows) / ARROW_AREA) + 4.0
     middle = rows.mean(), columns.mean()
     down, across = (
         slice(max(math.floor(m - reach), 0), min(math.ceil(m + reach), most))
         for m, most in zip(middle, blue.shape, strict=True)
     )
-    hidden = _hidden(ground[down, across], (down, across), discs)
+    hidden = hidden[down, across]
     known = seen[down, across] < len(sight.COLORS)
     fit = _fit(
         core[down, across] & ~hidden,
@@ -291,29 +301,26 @@ def _arrow(
         (middle[1] - across.start + 0.5, middle[0] - down.start + 0.5),
     )
     column, row, yaw, size, quality = fit
-    if quality < LEAST_ARROW:
+    if quality < (LEAST_COVERED if hidden.any() else LEAST_ARROW):
         raise UnreadableError(f"[map]: expected the vehicle, a blue arrow, got {quality:.2f} of its shape")
     return column + across.start, row + down.start, yaw, size
 
 
-def _largest(bodies: npt.NDArray[np.signedinteger[Any]]) -> int:
-    return int(np.bincount(bodies.ravel())[1:].argmax()) + 1
-
-
-def _is_covered(core: Bool, discs: tuple[Disc, ...]) -> bool:
-    """May a disc have cut the arrow into pieces?"""
-    rows, columns = np.nonzero(core)
-    return any(((rows - d.row) ** 2 + (columns - d.column) ** 2).min() < (RADIUS + 4) ** 2 for d in discs)
-
-
-def _hidden(part: UInt8, window: tuple[slice, ...], discs: tuple[Disc, ...]) -> Bool:
+def _hidden(ground: UInt8, discs: tuple[Disc, ...]) -> Bool:
     """Where a mark or the way to one is drawn over."""
-    hidden: Bool = ndimage.binary_dilation(
-        sight.is_color(part, sight.MARK), np.ones((3, 3), np.bool_), iterations=2
-    )
-    rows, columns = np.ogrid[window[0], window[1]]
+    hidden = np.zeros(ground.shape[:2], np.bool_)
+    if not discs:
+        return hidden
+    hidden |= ndimage.maximum_filter(sight.is_color(ground, sight.MARK), 3)
     for disc in discs:
-        hidden |= (rows - disc.row) ** 2 + (columns - disc.column) ** 2 <= (RADIUS + 2) ** 2
+        part = (
+            slice(max(disc.row - OUTER, 0), disc.row + OUTER),
+            slice(max(disc.column - OUTER, 0), disc.column + OUTER),
+        )
+        rows, columns = np.ogrid[part]
+        hidden[part] |= ((rows - disc.row) ** 2 + (columns - disc.column) ** 2 <= OUTER**2)[
+            : hidden[part].shape[0], : hidden[part].shape[1]
+        ]
     return hidden
 
 
@@ -336,18 +343,24 @@ def _fit(
     known, tinted = (layer[::3, ::3] for layer in view)
     around, in_view = (columns[::3, ::3][known], rows[::3, ::3][known]), tinted[known]
 
-    def qualities(at: tuple[float, float, float, float]) -> tuple[float, float]:
-        return _overlap(_in_arrow(*points, at), wanted), _overlap(_in_sector(*around, at), in_view)
+    def qualities(at: tuple[float, float, float, float], every: int = 1) -> tuple[float, float]:
+        arrow = _in_arrow(points[0][::every], points[1][::every], at, -SMOOTH)
+        sector = _in_sector(around[0][::every], around[1][::every], at)
+        return _overlap(arrow, wanted[::every]), _overlap(sector, in_view[::every])
 
     def quality(at: tuple[float, float, float, float]) -> float:
         return sum(qualities(at))
 
+    alone = not (hidden & ndimage.binary_dilation(body, np.ones((3, 3), np.bool_), iterations=4)).any()
+    around_middle = (0.0,) if alone else (-0.35, 0.0, 0.35)
     starts = [
-        (column + 0.05 * size * math.cos(yaw), row - 0.05 * size * math.sin(yaw), yaw, size)
-        for size in (length * factor for factor in ((1.0, 1.25, 1.5) if hidden.any() else (1.0,)))
-        for yaw in np.arange(48) * (math.pi / 24.0)
+        (column + size * (0.05 * math.cos(yaw) + a), row + size * (b - 0.05 * math.sin(yaw)), yaw, size)
+        for size in (length * factor for factor in ((1.0,) if alone else (1.0, 1.3)))
+        for yaw in np.arange(24) * (math.pi / 12.0)
+        for a in around_middle
+        for b in around_middle
     ]
-    best = max(starts, key=quality)
+    best = max(starts, key=lambda at: sum(qualities(at, COARSE)))
     value = quality(best)
     for step in (2.0, 1.0, 0.5, 0.25):
         improved = True
@@ -415,7 +428,8 @@ def _arrow_cover(shape: tuple[int, ...], at: tuple[float, float, float, float]) 
 def _cells(ground: UInt8, seen: UInt8, cover: Bool, discs: tuple[Disc, ...]) -> tuple[UInt8, int]:
     """What each cell is, (rows, cols), and pixels along a cell."""
     known = (seen < len(sight.COLORS)) & ~cover
-    side = _side(seen, known)
+    # What is drawn over the cells blends with them at its edges into colours of any kind.
+    side = _side(seen, known & ~ndimage.maximum_filter((seen >= sight.OVERLAY) | cover, 3))
     rows, cols = seen.shape[0] // side, seen.shape[1] // side
     votes = np.stack(
         [

@@ -19,8 +19,8 @@ STANDOFF = 0.8
 """Metres from what is black, where there is room."""
 GROUP = 0.1875
 """Radius of the smallest group of targets, in reaches of the camera."""
-BLIND = 0.25
-"""Ahead of the vehicle it may see nothing nearer, in reaches of the camera."""
+LAUNCH = 0.4
+"""Around the start, ground that is white is known to be free; in reaches of the camera."""
 
 Ints = npt.NDArray[np.int64]
 
@@ -75,19 +75,19 @@ class Ground:
 
 def understand(chart: Chart) -> Ground:
     """What follows from a map."""
-    cells, cell, blind = chart.cells, chart.cell, BLIND * chart.reach
+    cells, cell, launch = chart.cells, chart.cell, LAUNCH * chart.reach
     white = cells == sight.UNKNOWN
     black = (cells == sight.SOLID) | (cells == sight.SOLID_TARGET)
     green = (cells == sight.TARGET) | (cells == sight.SOLID_TARGET)
     start = chart.trail & white
     if start.any():
-        free_white = white & (ndimage.distance_transform_edt(~start) * cell < blind)
+        free_white = white & (ndimage.distance_transform_edt(~start) * cell < launch)
     else:
         free_white = np.zeros_like(white)
     row, col = (math.floor(v) for v in chart.place(chart.x, chart.y))
     rows, cols = np.ogrid[: cells.shape[0], : cells.shape[1]]
     close = np.hypot(rows - row, cols - col) * cell
-    free_white |= white & (close < blind) & (not (chart.trail & ~white).any())
+    free_white |= white & (close < launch) & (not (chart.trail & ~white).any())
     free = np.pad((~white | free_white) & ~black, 1)
     room = ndimage.distance_transform_edt(free)[1:-1, 1:-1] * cell
     away = ndimage.distance_transform_edt(~black) * cell if black.any() else np.full(cells.shape, np.inf)

@@ -1,4 +1,4 @@
-"""Answers by rule: what is wanted follows from the title of the schema, the answer from the pictures."""
+"""Answers by rule: the title of the schema says what is wanted, the pictures what to answer."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def _act(question: Asked) -> tuple[Json, Scene, Floats | None]:
         heading = round(chart.yaw / (2.0 * math.pi) * moves.headings) % moves.headings
         barred = [(heading, advance) for advance in moves.advances]
     found = ways(ground, moves, barred)
-    refused = "You said done" in question.text
+    refused = "Done was said" in question.text
     goal = _best_view(ground, found, np.argwhere(ground.open), np.argwhere(ground.hiding), refused=refused)
     if goal is None:
         return {"direction": "forward", "turn_deg": 0, "step_m": 0, "done": True}, scene, None
@@ -161,9 +161,9 @@ def _best_view(
     ground: Ground, found: Ways, open_cells: Ints, white_cells: Ints, *, refused: bool
 ) -> tuple[int, int, int] | None:
     """Heading, iy and ix of the pose that shows most for its steps; None where none shows anything."""
-    for cells, weights in _wishes(ground, open_cells, white_cells):
+    for cells, weights, dread in _wishes(ground, open_cells, white_cells):
         worth = _worth(ground, found, ground.middle(cells), weights, refused=refused)
-        score = np.minimum(worth, ENOUGH) / (found.steps + 1.0)
+        score = np.minimum(worth, ENOUGH) / (found.steps + 1.0) ** dread
         score[(found.steps == UNREACHED) | (found.steps == 0)] = 0.0
         best = int(score.argmax())
         if score.flat[best] > 0.0:
@@ -172,15 +172,19 @@ def _best_view(
     return None
 
 
-def _wishes(ground: Ground, open_cells: Ints, white_cells: Ints) -> list[tuple[Ints, Floats]]:
-    """What to look at and what a point of it is worth: first what is open, then what is white."""
+def _wishes(ground: Ground, open_cells: Ints, white_cells: Ints) -> list[tuple[Ints, Floats, float]]:
+    """What to look at, what a point of it is worth, and the power of the steps by which that is divided.
+
+    First comes what is open, then what is white: there the near is worth more, for it would be passed by.
+    """
     some_open, some_white = _thinned(open_cells, MOST_OPEN), _thinned(white_cells, MOST_WHITE)
     wishes = []
     if len(some_open):
         both = np.concatenate([some_open, some_white])
-        wishes.append((both, np.repeat([1.0, SIDE_GLANCE], [len(some_open), len(some_white)])))
+        worth = np.repeat([1.0, SIDE_GLANCE], [len(some_open), len(some_white)])
+        wishes.append((both, worth, 1.0))
     if len(some_white):
-        wishes.append((some_white, np.ones(len(some_white))))
+        wishes.append((some_white, np.ones(len(some_white)), 2.0))
     return wishes
 
 
@@ -208,9 +212,10 @@ def _worth(ground: Ground, found: Ways, points: Floats, weights: Floats, *, refu
     hidden = np.zeros(len(points), np.bool_)
     hidden[of[here & (off < half)]] = True
     kept = ~hidden[of]
-    if hidden.any():
+    if len(trail):
+        # Where it was already it need not go again; but it may turn there, unless that was of no use.
         passed = np.hypot(*(places[:, None] - trail[None]).transpose(2, 0, 1)).min(axis=1) < 0.075 * reach
-        kept &= ~passed[at]
+        kept &= ~passed[at] | (here & (not hidden.any()))
     at, of, toward = at[kept], of[kept], toward[kept]
     main = (first[of]) & (weights[of] > LEAST_WORTH)
     worth = np.zeros(found.steps.shape)
@@ -303,6 +308,11 @@ def _in_words(move: Json) -> str:
     return f"{turn}, then go {move['step_m']} m forward." if move["step_m"] else f"{turn}."
 
 
+def _figure(metres: float) -> str:
+    """To a decimetre; adding 0.0 turns -0.0 into 0.0."""
+    return f"{round(metres, 1) + 0.0:.1f}"
+
+
 def _reasons(scene: Scene, goal: Floats | None, last: str) -> dict[str, str]:
     """The six steps, with figures from the pictures."""
     chart, ground = scene.chart, scene.ground
@@ -313,7 +323,7 @@ def _reasons(scene: Scene, goal: Floats | None, last: str) -> dict[str, str]:
     here = np.array([chart.x, chart.y])
     if len(open_cells):
         x, y = open_cells[np.hypot(*(open_cells - here).T).argmin()]
-        area = f"The nearest boundary that is open is at ({x:.1f}, {y:.1f})."
+        area = f"The nearest boundary that is open is at ({_figure(x)}, {_figure(y)})."
     else:
         area = "No green touches white."
     room = float(ground.look(ground.away, chart.x, chart.y, 0.0))
@@ -323,13 +333,13 @@ def _reasons(scene: Scene, goal: Floats | None, last: str) -> dict[str, str]:
     if scene.view is not None:
         stands += f" Ahead, {scene.view.free:.1f} m are free, and {100.0 * scene.view.target:.0f} % is green."
     return {
-        "distribution": f"I see {green:.1f} m2 of green in {regions} groups, {white:.0f} m2 are white.",
-        "target_area": f"The robot is at ({chart.x:.1f}, {chart.y:.1f}). {area}",
+        "distribution": f"I see {green:.1f} square metres of green in {regions} groups, {white:.0f} white.",
+        "target_area": f"The robot is at ({_figure(chart.x)}, {_figure(chart.y)}). {area}",
         "completion": f"{len(open_cells)} white cells lie beside green."
         + ("" if ground.hiding.any() else " No white is large enough to hide a group."),
         "next_target": "Nothing that is left can be looked at."
         if goal is None
-        else f"Next I want to look from ({goal[0]:.1f}, {goal[1]:.1f}).",
+        else f"Next I want to look from ({_figure(goal[0])}, {_figure(goal[1])}).",
         "safety": stands,
         "action": last,
     }

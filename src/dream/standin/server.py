@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import threading
 import time
-from functools import cache
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
@@ -128,9 +127,15 @@ class _Handler(BaseHTTPRequestHandler):
             self.close_connection = True
 
 
-@cache
+_STARTED: dict[str, StandIn] = {}
+_STARTING = threading.Lock()
+
+
 def server(fault: str = "") -> StandIn:
     """The stand-in of this process with that fault; started when first asked for."""
-    started = StandIn(fault)
-    threading.Thread(target=started.serve_forever, name=f"stand-in {fault}".strip(), daemon=True).start()
-    return started
+    with _STARTING:
+        if fault not in _STARTED:
+            _STARTED[fault] = started = StandIn(fault)
+            name = f"stand-in {fault}".strip()
+            threading.Thread(target=started.serve_forever, name=name, daemon=True).start()
+        return _STARTED[fault]

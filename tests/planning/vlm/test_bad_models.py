@@ -12,7 +12,7 @@ from dream.types import LOOK_AROUND, Step
 
 UNANSWERED = {
     "malformed": "invalid",
-    "truncated": "invalid",
+    "truncated": "truncated",
     "refusing": "refused",
     "slow:5": "timeout",
     "trickle:0.05": "timeout",

@@ -392,6 +392,8 @@ def _reason(error: Exception, timeout: float, messages: int) -> str:
         return "connection: none, or it broke"
     if isinstance(error, exceptions.ContentFilterError):
         return "refused: the model declined to answer"
+    if isinstance(error, exceptions.OutputTokenLimitExceeded):
+        return "truncated: the reply broke off"
     # A request, its reply, and the same once more.
     if isinstance(error, exceptions.UnexpectedModelBehavior) and messages >= 4:
         return "invalid: no reply that fits, asked twice"
