@@ -631,7 +631,7 @@ def test_a_wrong_key_ends_the_run_at_its_first_question_and_says_what_to_do(
 def test_a_key_that_is_refused_later_is_a_fallback(tmp_path: Path) -> None:
     assert ask(failing(401, after=1), tmp_path, "--json")[0] == 0
     summary = json.loads((tmp_path / "latest" / "summary.json").read_text())
-    assert summary["vlm"]["reasons"] == {"server": 2}
+    assert summary["vlm"]["reasons"] == {"denied": 2}
 
 
 def test_replies_that_were_kept_fly_the_same_mission_without_a_model(
