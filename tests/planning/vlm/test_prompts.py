@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from dream.geometry import Bounds
+from dream.mapping import OccupancyMap
 from dream.planning.vlm import prompts
 from dream.planning.vlm.reply import STEPS
 from dream.protocol import DREAM_V1, POOL_V1
@@ -21,7 +22,7 @@ ARENA = Bounds(-20.0, -20.0, 20.0, 20.0)
 
 
 def filled(name: str, mission: Mission) -> tuple[str, str]:
-    return prompts.instructions(name, mission, pixels=20.0, grid=5.0, count="7")
+    return prompts.instructions(name, mission, OccupancyMap(ARENA, mission.protocol), count="7")
 
 
 @pytest.mark.parametrize("name", FILES)

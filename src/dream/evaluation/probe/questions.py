@@ -138,7 +138,7 @@ def _make(number: int, kind: str, turn: int, known: Callable[[str, int], list[Sc
 def _drawn(
     number: int, kind: str, scene: Scene, draft: _Draft, choices: tuple[str, ...], answer: str
 ) -> MapQuestion:
-    from dream.mapping.drawing import Mark, grid_spacing
+    from dream.mapping.drawing import Mark
 
     occupancy = scene.occupancy
     marks = [Mark(k, scene.way(at)) for k, at in enumerate(draft.marks, start=1)]
@@ -146,8 +146,7 @@ def _drawn(
     instructions, prompt = prompts.instructions(
         "probe",
         Mission(occupancy.protocol, occupancy.bounds, occupancy.protocol.cap),
-        pixels=pictures.scale_of(occupancy) / occupancy.protocol.cell,
-        grid=grid_spacing(occupancy.bounds),
+        occupancy,
     )
     return MapQuestion(
         number,

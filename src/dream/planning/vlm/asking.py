@@ -210,23 +210,28 @@ class Line:
 
     def ask(self, question: Question[R]) -> Pending[R]:
         """Send a question; its answer comes later."""
-        same = question.key(self.asking.label)
-        key = f"{same}-{self._asked[same]}"
         known: Future[Outcome] = Future()
         if spent := self._spent():
             known.set_result(Outcome(fallback=f"budget: {spent}"))
             return Pending(self, question, known)
-        self._asked[same] += 1
         self.under_way += 1
         if self.asking.replay_replies is not None:
+            folder = Path(self.asking.replay_replies)
             try:
-                known.set_result(cassette.play(Path(self.asking.replay_replies), key, question.prompt))
+                known.set_result(cassette.play(folder, self._key(question), question.prompt))
             except (OSError, ValueError) as error:
                 # Told when the answer is taken: a question that was never answered was not kept.
                 known.set_exception(error)
             return Pending(self, question, known, sent=True)
+        key = self._key(question) if self.asking.record is not None else ""
         coming = asyncio.run_coroutine_threadsafe(self._converse(question, key), _loop())
         return Pending(self, question, coming, sent=True)
+
+    def _key(self, question: Question[R]) -> str:
+        """Under which a question is kept: the same one that is asked again has another."""
+        same = question.key(self.asking.label)
+        self._asked[same] += 1
+        return f"{same}-{self._asked[same] - 1}"
 
     def insist(self, answer: Answer[R]) -> Answer[R]:
         """The answer, where the model can be asked at all.

@@ -85,16 +85,9 @@ class _EveryStep:
         return replace(decision, exchanges=(answer.exchange,), waited=waited)
 
     def _question(self, observation: Observation, occupancy: OccupancyMap) -> Question[Acting]:
-        from dream.mapping.drawing import grid_spacing
-
         protocol, pose = self.mission.protocol, observation.pose
         trail = [(past.x, past.y) for past in (*self.trail, pose)]
-        instructions, version = prompts.instructions(
-            self.prompt,
-            self.mission,
-            pixels=pictures.scale_of(occupancy) / protocol.cell,
-            grid=grid_spacing(occupancy.bounds),
-        )
+        instructions, version = prompts.instructions(self.prompt, self.mission, occupancy)
         shown = pictures.png(pictures.map_picture(occupancy, pose, trail))
         return Question(
             version,

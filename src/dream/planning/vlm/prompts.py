@@ -8,10 +8,14 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from string import Template
+from typing import TYPE_CHECKING
 
 from dream.planning.travel import careful_standoff
-from dream.planning.vlm.pictures import FAR
+from dream.planning.vlm.pictures import FAR, scale_of
 from dream.types import Mission
+
+if TYPE_CHECKING:
+    from dream.mapping import OccupancyMap
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,24 +43,28 @@ def load(name: str) -> Prompt:
     return Prompt(name, heads, text.strip())
 
 
-def instructions(
-    name: str, mission: Mission, *, pixels: float, grid: float, **further: str
-) -> tuple[str, str]:
+def instructions(name: str, mission: Mission, occupancy: OccupancyMap, **further: str) -> tuple[str, str]:
     """The prompt of that name for a mission; and what it is made of, with versions.
 
     Args:
         name: Of the file.
         mission: What is looked for, and by which rules.
-        pixels: Of a metre on the map that is shown.
-        grid: Metres between its lines.
+        occupancy: The map that is shown.
         further: What else the prompt names.
     """
+    from dream.mapping.drawing import grid_spacing
+
     prompt, knowledge, legend = load(name), load(mission.target.value), load("legend")
     protocol = mission.protocol
+    drawn = {
+        "grid": f"{grid_spacing(occupancy.bounds):g}",
+        "pixels": f"{scale_of(occupancy) / occupancy.protocol.cell:g}",
+        "far": f"{FAR:g}",
+    }
     values = {
         "mission": knowledge.heads["mission"],
         "knowledge": knowledge.text,
-        "legend": Template(legend.text).substitute(grid=f"{grid:g}", pixels=f"{pixels:g}", far=f"{FAR:g}"),
+        "legend": Template(legend.text).substitute(drawn),
         "group": f"{2.0 * protocol.group_radius:g}",
         "fov": f"{math.degrees(protocol.camera.horizontal_fov):.0f}",
         "reach": f"{protocol.reach:g}",

@@ -178,14 +178,11 @@ class RankedPilot:
             return self.chosen is None and self.heading_for != thought.pose
         if self.chosen is not None:
             return more
+        reach, goal = self.mission.protocol.reach, self.heading_for
+        if goal is None or more or self.idle == STUCK:
+            return True
         end = self._position(thought, thought.plan.path[-1])
-        near = ARRIVED * self.mission.protocol.reach
-        there = self.heading_for is None or self.heading_for.distance(thought.pose) <= near
-        elsewhere = (
-            self.heading_for is not None and self.heading_for.distance(end) > self.mission.protocol.reach
-        )
-        stuck = self.idle == STUCK
-        return there or more or elsewhere or stuck
+        return goal.distance(thought.pose) <= ARRIVED * reach or goal.distance(end) > reach
 
     def _position(self, thought: Thought, pose: Pose) -> SE2:
         x, y = thought.travel.position(pose[0], pose[1])
@@ -243,15 +240,11 @@ class RankedPilot:
         occupancy: OccupancyMap,
         numbered: dict[int, Place],
     ) -> Question[Ranking]:
-        from dream.mapping.drawing import Mark, grid_spacing
+        from dream.mapping.drawing import Mark
 
         pose, protocol = observation.pose, self.mission.protocol
         instructions, version = prompts.instructions(
-            "ranked",
-            self.mission,
-            pixels=pictures.scale_of(occupancy) / protocol.cell,
-            grid=grid_spacing(occupancy.bounds),
-            count=str(len(numbered)),
+            "ranked", self.mission, occupancy, count=str(len(numbered))
         )
         marks = [Mark(number, place.path) for number, place in sorted(numbered.items())]
         trail = [(past.x, past.y) for past in (*self.trail, pose)]
