@@ -122,7 +122,8 @@ def model() -> Iterator[Model]:
 
 
 def understood(model: Model, text: str, labelled: Target = Target.OYSTERS) -> tuple[Orders, str]:
-    return ask_orders(model.asking, text, BOX, DREAM_V1, labelled)
+    told = ask_orders(model.asking, text, BOX, DREAM_V1, labelled)
+    return told.orders, told.left_out
 
 
 # ------------------------------------------------------------------------------------------- what is asked
@@ -293,6 +294,7 @@ def test_half_the_world_in_eighty_steps_from_words_to_the_end(
     assert "1. Map all targets in the western half of the survey area." in told
     assert "At most 80 steps in all." in told
     assert "Not in the orders, says the model: nothing [2J" in told
+    assert f"Asked played at {model.address}: calls 1, tokens 2, at an unknown price." in told
     with Image.open(tmp_path / "mission.png") as picture:
         assert (np.asarray(picture) == OUTLINE).all(axis=-1).any()
 
@@ -404,6 +406,7 @@ def test_a_model_that_flies_is_told_of_the_area_and_of_what_was_flown_before(mod
     assert "3 steps are done; 197 are left" in plain
     assert "Only the area" not in plain
     west = Bounds(-20.0, -20.0, 0.0, 20.0)
+    occupancy.restrict(west)
     told = planner.begin(Mission(DREAM_V1, BOX, 80, area=west, flown=11))._situation(here, occupancy)
     assert "11 steps are done; 69 are left" in told
     assert "Only the area from x = -20 to 0 m and from y = -20 to 20 m" in told

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from dream.planning.belief import BeliefPilot, _away_from_hull
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
 from dream.sim.worlds import make_world
-from dream.types import LOOK_AROUND, Decision, Mission, Observation, Reasoning, Step, Target
+from dream.types import LOOK_AROUND, Asked, Decision, Exchange, Mission, Observation, Reasoning, Step, Target
 
 BOX = Bounds(-20.0, -20.0, 20.0, 20.0)
 NEAR = Bounds(-15.0, 7.0, -11.0, 10.0)
@@ -275,3 +276,31 @@ def test_belief_expects_no_hull_outside_of_the_area(wreck: World) -> None:
         hull = pilot._expected_hull(occupancy, _away_from_hull(occupancy))
         assert hull[~outside].sum() > 0.0
         assert (hull[outside].sum() > 0.0) == expects
+
+
+@dataclass(slots=True)
+class Spending:
+    """Says done; every decision costs two calls, and the prices are known up to the third decision."""
+
+    missions: list[Mission] = field(default_factory=list)
+    decided: int = 0
+
+    def begin(self, mission: Mission) -> Spending:
+        self.missions.append(mission)
+        return self
+
+    def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
+        self.decided += 1
+        price = 0.5 if self.decided <= 3 else None
+        exchange = Exchange("", "", "", {}, (), "", 2, 1, 1, price, 1.0)
+        return Decision(done=True, exchanges=(exchange,))
+
+
+def test_each_leg_is_told_what_those_before_it_spent(string_reef: World) -> None:
+    planner = Spending()
+    list(simulate(string_reef, planner, DREAM_V1, orders=Orders((Leg(area=NEAR),) * 6), max_steps=40))
+    spent = [mission.asked for mission in planner.missions]
+    assert spent[0] == Asked(0, 0.0)
+    assert len(spent) == 6
+    assert [after.calls - before.calls for before, after in pairwise(spent)] == [2] * 5
+    assert [one.cost_usd for one in spent] == [0.0, 0.5, 1.0, 1.5, None, None]

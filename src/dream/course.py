@@ -12,7 +12,7 @@ from dream.mapping import OccupancyMap, within
 from dream.orders import Flown, Orders, Outcome, SideOf, Task, place
 from dream.planning.approach import Approach
 from dream.planning.belief import STANDS
-from dream.types import LOOK_AROUND, BoolArray, Decision, Mission, Observation, Target
+from dream.types import LOOK_AROUND, UNASKED, Asked, BoolArray, Decision, Mission, Observation, Target
 
 if TYPE_CHECKING:
     from dream.mission import Pilot, Planner
@@ -36,6 +36,8 @@ class Course:
     """The one that is flown, or was the last."""
     over: bool = False
     """No leg is left."""
+    asked: Asked = UNASKED
+    """What was spent on models so far."""
     _found: dict[int, Bounds] = field(default_factory=dict)
     """The box around what each leg found, by number."""
     _pilot: Pilot = field(init=False)
@@ -53,7 +55,10 @@ class Course:
             if self._approach.steps:
                 self._pilot = self.planner.begin(self._mission(flown))
             self._approach = None
-        return self._pilot.decide(observation, self.occupancy)
+        decision = self._pilot.decide(observation, self.occupancy)
+        for exchange in decision.exchanges:
+            self.asked += exchange
+        return decision
 
     def after(self, flown: int, *, done: bool) -> Flown:
         """The leg that a step belonged to, with its outcome if that ended it; then the next one begins.
@@ -106,7 +111,15 @@ class Course:
 
     def _mission(self, flown: int) -> Mission:
         occupancy, leg = self.occupancy, self.leg
-        return Mission(occupancy.protocol, occupancy.bounds, self.max_steps, leg.leg.target, leg.area, flown)
+        return Mission(
+            occupancy.protocol,
+            occupancy.bounds,
+            self.max_steps,
+            leg.leg.target,
+            leg.area,
+            flown,
+            self.asked,
+        )
 
 
 def found_in(occupancy: OccupancyMap, target: Target) -> Bounds | None:

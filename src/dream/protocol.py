@@ -11,6 +11,9 @@ from dataclasses import dataclass, replace
 from dream.geometry import SE2, SE3, Camera, camera_mount, wrap_angle
 from dream.names import look_up
 
+SHOWN = 2
+"""Pixels of the picture that a model is shown, along each side of a pixel of the camera for mapping."""
+
 
 @dataclass(frozen=True, slots=True)
 class SensorNoise:
@@ -49,7 +52,7 @@ class SurveyProtocol:
     """The vehicle is a level cylinder."""
     body_height: float
     camera: Camera
-    """For mapping. What a model is shown is `camera.scaled(2)`."""
+    """For mapping; what a model is shown is `camera.scaled(SHOWN)`."""
     camera_pitch: float
     """Downwards."""
     min_depth: float

@@ -48,7 +48,7 @@ class Observation:
     time: float
     """Seconds since the mission started."""
     rgb: UInt8Array
-    """(H, W, 3)."""
+    """(k H, k W, 3): colour may be finer than depth and labels, by a whole factor k."""
     depth: Float32Array
     """(H, W) metres along the optical axis; NaN where there is no return."""
     labels: UInt8Array
@@ -58,7 +58,7 @@ class Observation:
     T_base_camera: SE3
 
     def __post_init__(self) -> None:
-        self.camera.check(self.rgb, "rgb")
+        self.camera.scaled(max(1, len(self.rgb) // self.camera.height)).check(self.rgb, "rgb")
         self.camera.check(self.depth, "depth")
         self.camera.check(self.labels, "labels")
 
@@ -82,6 +82,24 @@ class Target(enum.StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class Asked:
+    """What was spent on asking models."""
+
+    calls: int = 0
+    """Messages that were sent."""
+    cost_usd: float | None = 0.0
+    """None where the price of one of them is not known."""
+
+    def __add__(self, exchange: Exchange) -> Asked:
+        costs = (self.cost_usd, exchange.cost_usd)
+        total = None if None in costs else math.fsum(cost for cost in costs if cost is not None)
+        return Asked(self.calls + exchange.requests, total)
+
+
+UNASKED = Asked()
+
+
+@dataclass(frozen=True, slots=True)
 class Mission:
     """What a planner is told before it starts: the rules and the operator's orders, nothing of the world."""
 
@@ -95,6 +113,8 @@ class Mission:
     """What has to be seen, a part of the box; all of it where None."""
     flown: int = LOOK_AROUND
     """Steps that are spent before the planner decides for the first time."""
+    asked: Asked = UNASKED
+    """What was spent on models before that, by earlier legs of the same orders."""
 
     @property
     def to_see(self) -> Bounds:

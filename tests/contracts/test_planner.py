@@ -127,6 +127,7 @@ def test_every_answer_of_a_model_is_told(planner: AnyPlanner, flown: list[Step])
     if not isinstance(planner, Asking):
         assert (asked, waited) == ([], 0.0)
         return
+    assert planner.latency is not None
     assert 0.0 <= waited <= planner.latency * sum(exchange.requests for exchange in asked)
     for exchange in asked:
         assert (exchange.model, exchange.fallback) == (planner.label, "")

@@ -44,6 +44,19 @@ def test_without_noise_it_sees_what_the_renderer_draws_bit_for_bit(string_reef: 
             assert getattr(seen, name).tobytes() == getattr(frame, name).tobytes()
 
 
+def test_colour_can_be_finer_than_depth_and_labels(string_reef: World) -> None:
+    plain, fine = (
+        Teleport(string_reef, DREAM_V1).observe(),
+        Teleport(string_reef, DREAM_V1, fineness=2).observe(),
+    )
+    frame = Renderer(string_reef).render(DREAM_V1.camera.scaled(2), plain.T_world_camera)
+    assert fine.rgb.tobytes() == frame.rgb.tobytes()
+    for name in ("depth", "labels"):
+        assert getattr(fine, name).tobytes() == getattr(plain, name).tobytes()
+    with pytest.raises(ValueError, match=r"rgb: expected \(240, 320\) to match the camera, got \(300, 400\)"):
+        replace(plain, rgb=np.zeros((300, 400, 3), np.uint8))
+
+
 def test_with_noise_depth_and_labels_err_and_nothing_else_does(string_reef: World) -> None:
     truth, seen = Teleport(string_reef, DREAM_V1).observe(), Teleport(string_reef, FLICKERS).observe()
     assert seen.rgb.tobytes() == truth.rgb.tobytes()

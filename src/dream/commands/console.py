@@ -203,3 +203,8 @@ def compiling_told() -> Iterator[None]:
 def print_json(record: Mapping[str, Any]) -> None:
     """Print exactly one JSON object."""
     print(json_format.dumps(record, allow_nan=False))
+
+
+def price(cost_usd: float | None) -> str:
+    """What asking a model cost, in words."""
+    return "at an unknown price" if cost_usd is None else f"{cost_usd:.4f} US$"

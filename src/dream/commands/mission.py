@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TextIO
 
 import tyro
 
-from dream.commands.console import open_world, print_json
+from dream.commands.console import open_world, price, print_json
 from dream.errors import MissionAborted
 from dream.protocol import protocol_named
 
@@ -99,11 +99,17 @@ def confirmed(
             "--yes: expected it where no terminal is there to confirm the mission at, got none. "
             "With it, what the model understood is flown as it is"
         )
-    orders, left_out = ask_orders(asking, text, world.bounds, protocol, labelled_in(world))
+    understood = ask_orders(asking, text, world.bounds, protocol, labelled_in(world))
+    orders, exchange = understood.orders, understood.exchange
     draw_orders(orders, world.bounds, protocol, picture)
     print("Understood:", *sentences(orders, protocol.cap), sep="\n  ", file=told)
-    if left_out:
-        print(f"  Not in the orders, says the model: {_printable(left_out)}", file=told)
+    if understood.left_out:
+        print(f"  Not in the orders, says the model: {_printable(understood.left_out)}", file=told)
+    tokens = exchange.tokens_in + exchange.tokens_out
+    print(
+        f"  Asked {exchange.model}: calls {exchange.requests}, tokens {tokens}, {price(exchange.cost_usd)}.",
+        file=told,
+    )
     print(f"  The areas are drawn in {picture}.", file=told)
     if not yes:
         print("Fly this? [y/N] ", end="", file=told, flush=True)

@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from dream.commands.console import compiling_told, kept_interrupts, open_world, print_json, with_progress
+from dream.commands.console import (
+    compiling_told,
+    kept_interrupts,
+    open_world,
+    price,
+    print_json,
+    with_progress,
+)
 from dream.commands.mission import confirmed, given
 from dream.errors import MissionAborted
 from dream.planning import PLANNERS, AnyPlanner
@@ -194,10 +201,9 @@ def _print_outcome(summary: Mapping[str, Any], steps: Sequence[RecordedStep], pa
 def _asked(summary: Mapping[str, Any]) -> str:
     """What asking a model came to, in a line."""
     vlm = summary["vlm"]
-    cost = "at an unknown price" if vlm["cost_usd"] is None else f"{vlm['cost_usd']:.4f} US$"
     reasons = ", ".join(f"{reason} {times}" for reason, times in vlm["reasons"].items())
     return (
-        f"asked {vlm['model']}: {vlm['calls']} calls, {vlm['tokens']} tokens, {cost}, "
+        f"asked {vlm['model']}: {vlm['calls']} calls, {vlm['tokens']} tokens, {price(vlm['cost_usd'])}, "
         f"{vlm['fallbacks']} fallbacks{f' ({reasons})' if reasons else ''}, "
         f"waited {vlm['waited_s']:.0f} s of {summary['mission_s']:.0f} s"
         + (f"; a wire test, {WIRE_TEST}" if stands_in(vlm["model"]) else "")

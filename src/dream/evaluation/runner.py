@@ -40,7 +40,8 @@ from dream.mapping import OccupancyMap
 from dream.mission import Planner, explore
 from dream.orders import Orders, written
 from dream.planning import PLANNERS, AnyPlanner
-from dream.protocol import SurveyProtocol, protocol_named
+from dream.planning.vlm.asking import Asking
+from dream.protocol import SHOWN, SurveyProtocol, protocol_named
 from dream.robots import Teleport
 from dream.sim.files import world_hash
 from dream.sim.render import Renderer
@@ -90,7 +91,11 @@ def simulate(
     if not 0 <= start < len(world.starts):
         raise ValueError(f"start: expected 0 to {len(world.starts) - 1} for {world.name}, got {start}")
     check_fits(world, protocol)
-    robot = Teleport(world, protocol, world.starts[start], renderer=renderer, solids=solids)
+    # A model is shown finer pictures than the map is made from; nobody else pays for them.
+    fineness = SHOWN if isinstance(planner, Asking) else 1
+    robot = Teleport(
+        world, protocol, world.starts[start], renderer=renderer, solids=solids, fineness=fineness
+    )
     occupancy = OccupancyMap(world.bounds, protocol)
     return explore(robot, planner, occupancy, max_steps=max_steps, target=labelled_in(world), orders=orders)
 

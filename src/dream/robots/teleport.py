@@ -37,6 +37,7 @@ class Teleport:
         *,
         renderer: Renderer | None = None,
         solids: Solids | None = None,
+        fineness: int = 1,
     ) -> None:
         """Put the robot into the world, at its first start pose unless told otherwise.
 
@@ -46,6 +47,7 @@ class Teleport:
             start: Snapped to the lattice.
             renderer: Of this world, where one is made already.
             solids: Of this world, where they are made already.
+            fineness: Pixels of colour along each side of a pixel of depth and labels.
         """
         pose = world.starts[0] if start is None else start
         if not world.bounds.contains(pose.x, pose.y):
@@ -55,6 +57,7 @@ class Teleport:
         self._renderer = renderer or Renderer(world)
         self._solids = solids or Solids(world)
         self._pose = self._start = protocol.snap(pose)
+        self._fineness = fineness
         self._moves = 0
         self._time = 0.0
         if self._solids.clearance(self._pose.x, self._pose.y, protocol) <= 0.0:
@@ -64,10 +67,14 @@ class Teleport:
         """One frame from the present pose; the same again until it moves."""
         T_world_base = self._T_world_base()
         T_base_camera = self._protocol.T_base_camera
-        frame = self._frame(T_world_base @ T_base_camera)
+        T_world_camera = T_world_base @ T_base_camera
+        frame = self._frame(T_world_camera)
+        rgb = frame.rgb
+        if self._fineness > 1:
+            rgb = self._renderer.render(self._protocol.camera.scaled(self._fineness), T_world_camera).rgb
         return Observation(
             time=self._time,
-            rgb=frame.rgb,
+            rgb=rgb,
             depth=frame.depth,
             labels=frame.labels,
             camera=self._protocol.camera,

@@ -267,7 +267,7 @@ def test_questions_on_their_way_count_towards_the_budget() -> None:
         pending = [on.ask(question(str(k))) for k in range(5)]
         answers = [one.answer() for one in pending]
     assert [answer.reply is not None for answer in answers] == [True, True, True, False, False]
-    assert len(server.requests) == on.calls == 3
+    assert len(server.requests) == on.spent.calls == 3
     assert on.under_way == 0
 
 
@@ -277,7 +277,7 @@ def test_the_budget_of_dollars_ends_the_asking(monkeypatch: pytest.MonkeyPatch) 
         on = line(server, max_usd=1.0)
         kinds = [ask(on).exchange.fallback for _ in range(4)]
     assert kinds == ["", "", "", "budget: all 1 USD are spent"]
-    assert on.usd == pytest.approx(1.2)
+    assert on.spent.cost_usd == pytest.approx(1.2)
 
 
 def test_a_budget_of_dollars_needs_a_price() -> None:

@@ -18,7 +18,7 @@ from dream.planning.vlm import Dream, Vanilla
 from dream.planning.vlm.reply import STEPS
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
-from dream.types import LOOK_AROUND, Decision, Step
+from dream.types import LOOK_AROUND, Asked, Decision, Mission, Step
 from tests.planning.vlm.servers import Respond, Scripted, error, serving, text
 
 SIX = {step: f"My {step}." for step in STEPS}
@@ -80,7 +80,7 @@ def test_it_is_shown_the_camera_depth_labels_and_the_map(string_reef: World) -> 
     seen = first.observation
     camera, depth, labels = (picture(shown[name]) for name in ("camera", "depth", "labels"))
     assert camera.shape == depth.shape == labels.shape == (480, 640, 3)
-    assert np.abs(camera[1::2, 1::2].astype(int) - seen.rgb).mean() < 4.0
+    np.testing.assert_array_equal(camera, seen.rgb)
     near = np.nan_to_num(seen.depth, nan=12.0) / 12.0
     np.testing.assert_allclose(depth[::2, ::2, 0], 255.0 * np.clip(1.0 - near, 0.0, 1.0), atol=0.51)
     for label, color in ((1, EXPLORED), (2, TARGET), (3, SOLID)):
@@ -114,6 +114,17 @@ def test_without_an_answer_the_offline_planner_decides_that_step(string_reef: Wo
         assert (step.decision.turn, step.decision.advance) == (decision.turn, decision.advance)
         assert step.decision.reasoning == decision.reasoning
         assert step.decision.exchanges[0].fallback == "server: HTTP 418"
+
+
+def test_what_earlier_legs_spent_counts_towards_the_budget(string_reef: World) -> None:
+    first, *_ = simulate(string_reef, Belief(), DREAM_V1, max_steps=1)
+    with serving(*saying(acting("left", 90, 0))) as server:
+        asking = Dream(model=server.address, model_name="scripted", timeout=5.0, max_calls=3)
+        mission = Mission(DREAM_V1, string_reef.bounds, 200, asked=Asked(calls=2))
+        pilot = asking.begin(mission)
+        said = [pilot.decide(first.observation, first.occupancy).exchanges[0].fallback for _ in range(2)]
+    assert said == ["", "budget: all 3 calls are made"]
+    assert len(server.requests) == 1
 
 
 def test_the_offline_planner_stands_ready_wherever_the_model_went(string_reef: World) -> None:

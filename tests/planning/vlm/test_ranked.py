@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import re
+import threading
+from concurrent.futures import wait
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -23,7 +25,7 @@ from dream.protocol import DREAM_V1
 from dream.robots.teleport import SPEED, TURN_RATE
 from dream.sim.world import World
 from dream.types import LOOK_AROUND, Decision, Exchange, Mission, Observation, Step
-from tests.planning.vlm.servers import Respond, error, ranking, serving
+from tests.planning.vlm.servers import Handler, Respond, error, ranking, serving
 from tests.sim.arenas import arena
 
 LATENCY = 12.0
@@ -227,6 +229,31 @@ def test_the_vehicle_does_not_wait_and_the_answer_counts_when_it_is_due(string_r
     assert clock[heard - 1] - clock[0] + first >= LATENCY
     assert clock[heard - 2] - clock[0] < LATENCY
     assert moves(steps[:heard]) == moves(alone(string_reef, heard))
+
+
+def test_by_a_real_clock_an_answer_that_is_not_there_yet_is_not_waited_for(string_reef: World) -> None:
+    thought_about = threading.Event()
+
+    def slow(handler: Handler) -> None:
+        assert thought_about.wait(10.0)
+        ranking(last_first)(handler)
+
+    with serving(slow) as server:
+        eager = Ranked(margin=20.0, allowance=10.0, latency=None)
+        watched = Watched(replace(eager, model=server.address, model_name="scripted", timeout=20.0))
+        steps = []
+        for step in simulate(string_reef, watched, DREAM_V1, max_steps=LOOK_AROUND + 8):
+            steps.append(step)
+            pilot = watched.pilot
+            assert pilot is not None
+            if step.index == LOOK_AROUND + 5:
+                assert pilot.asked is not None
+                thought_about.set()
+                wait([pending.outcome for _, pending in pilot.asked.votes], timeout=10.0)
+    first = next(step for step in steps if step.decision.exchanges)
+    assert first.index == LOOK_AROUND + 6
+    assert first.decision.waited == 0.0
+    assert 0.0 < first.decision.exchanges[0].seconds < first.observation.time
 
 
 def test_it_can_be_told_to_wait_as_the_papers_vehicle_does(string_reef: World) -> None:

@@ -23,7 +23,7 @@ from pydantic import BaseModel, ValidationError
 from dream.planning.parameters import check_count, check_range
 from dream.planning.vlm import cassette
 from dream.planning.vlm.cassette import Outcome
-from dream.types import Exchange
+from dream.types import UNASKED, Asked, Exchange
 
 if TYPE_CHECKING:
     import httpx2
@@ -71,11 +71,12 @@ class Asking:
     """Seconds for an answer, all tries included; then the offline planner decides."""
     max_calls: int | None = None
     # Tries again of a request that a busy server turned away do not count.
-    """Requests at most in a mission, or in each leg of orders; then the offline planner decides."""
+    """Requests at most in a mission; then the offline planner decides."""
     max_usd: float | None = None
     """US dollars at most in a mission, likewise."""
-    latency: float = 12.0
-    """Seconds that an answer takes on the clock of a simulated mission; the paper's model took about 12."""
+    latency: float | None = 12.0
+    """Seconds that an answer takes on the clock of a simulated mission; the paper's model took about 12. None
+    is as long as it really takes, as on a vehicle in the water."""
     record: str | None = None
     """Folder in which to keep every exchange by the hash of its content."""
     replay_replies: str | None = None
@@ -94,14 +95,18 @@ class Asking:
                 f"query. A key belongs into the environment, as {KEY}"
             )
         check_range("timeout", self.timeout, 0.1, 3600.0)
-        check_range("latency", self.latency, 0.0, 3600.0)
+        if self.latency is not None:
+            check_range("latency", self.latency, 0.0, 3600.0)
         if self.max_calls is not None:
             check_count("max_calls", self.max_calls, 0, 1_000_000)
         if self.max_usd is not None:
             check_range("max_usd", self.max_usd, 0.0, 1e6)
 
-    def line(self) -> Line:
+    def line(self, asked: Asked = UNASKED) -> Line:
         """An open line to the model, for one mission.
+
+        Args:
+            asked: What of its budget is spent already.
 
         Raises:
             ValueError: There is no such model, its key is not in the environment, asking it is forbidden, or
@@ -112,7 +117,7 @@ class Asking:
             raise ValueError(f"replay_replies: expected a folder of kept replies, got {self.replay_replies}")
         if self.record is not None:
             cassette.prepare(Path(self.record))
-        return Line(self)
+        return Line(self, asked)
 
     def given_to(self, planner: P) -> P:
         """The planner with these options where it is one that asks; as it is where it is none."""
@@ -192,12 +197,9 @@ class Line:
     """
 
     asking: Asking
-    calls: int = 0
+    spent: Asked = UNASKED
     under_way: int = 0
     """Questions whose answer was not received yet; each is at least a call."""
-    usd: float = 0.0
-    unpriced: bool = False
-    """Something was asked whose price is not known."""
     _model: Model | None = None
     _native: bool = True
     _answered: bool = False
@@ -211,8 +213,8 @@ class Line:
     def ask(self, question: Question[R]) -> Pending[R]:
         """Send a question; its answer comes later."""
         known: Future[Outcome] = Future()
-        if spent := self._spent():
-            known.set_result(Outcome(fallback=f"budget: {spent}"))
+        if limit := self._exhausted():
+            known.set_result(Outcome(fallback=f"budget: {limit}"))
             return Pending(self, question, known)
         self.under_way += 1
         if self.asking.replay_replies is not None:
@@ -248,9 +250,6 @@ class Line:
 
     def receive(self, question: Question[R], outcome: Outcome) -> Answer[R]:
         """Check what came, and count it."""
-        self.calls += outcome.requests
-        self.usd += outcome.cost_usd or 0.0
-        self.unpriced |= outcome.cost_usd is None
         reply, fallback = None, outcome.fallback
         if not fallback:
             try:
@@ -271,17 +270,23 @@ class Line:
             cost_usd=outcome.cost_usd,
             seconds=outcome.seconds,
         )
+        self.spent += exchange
         return Answer(reply, exchange)
 
-    def _spent(self) -> str:
+    def took(self, exchange: Exchange) -> float:
+        """Seconds from a question to its answer, on the mission's clock."""
+        latency = self.asking.latency
+        return exchange.seconds if latency is None else latency * exchange.requests
+
+    def _exhausted(self) -> str:
         """Which limit is reached; empty where none is."""
-        asking = self.asking
-        if asking.max_calls is not None and self.calls + self.under_way >= asking.max_calls:
+        asking, spent = self.asking, self.spent
+        if asking.max_calls is not None and spent.calls + self.under_way >= asking.max_calls:
             return f"all {asking.max_calls} calls are made"
-        if asking.max_usd is not None and self.usd >= asking.max_usd:
-            return f"all {asking.max_usd:g} USD are spent"
-        if asking.max_usd is not None and self.unpriced:
+        if asking.max_usd is not None and spent.cost_usd is None:
             return f"the price of {asking.label} is not known; limit it with --max-calls"
+        if asking.max_usd is not None and spent.cost_usd is not None and spent.cost_usd >= asking.max_usd:
+            return f"all {asking.max_usd:g} USD are spent"
         return ""
 
     # ------------------------------------------------------------------------------------- conversation
@@ -338,7 +343,7 @@ class Line:
         settings = ModelSettings(max_retries=MOST_TRIES - 1, timeout=self.asking.timeout)
         most = self.asking.max_calls
         # This question is among those under way.
-        left = None if most is None else most - self.calls - self.under_way + 1
+        left = None if most is None else most - self.spent.calls - self.under_way + 1
         limits = UsageLimits(request_limit=left)
         with capture_run_messages() as said:
             try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from string import Template
 from typing import Annotated, Any, Literal, TypeVar
@@ -16,7 +16,7 @@ from dream.planning.vlm.asking import Asking, Question
 from dream.planning.vlm.prompts import load
 from dream.planning.vlm.reply import Reply
 from dream.protocol import SurveyProtocol
-from dream.types import Target
+from dream.types import Exchange, Target
 
 R = TypeVar("R", bound=BaseModel)
 
@@ -120,10 +120,21 @@ def orders_reply(bounds: Bounds) -> type[AnsweredOrders]:
     return create_model("Orders", __base__=AnsweredOrders, __validators__=validators)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Understood:
+    """What a model made of an operator's words."""
+
+    orders: Orders
+    left_out: str
+    """What of the words is not in them, as the model says."""
+    exchange: Exchange
+    """How it was asked, and what that took."""
+
+
 def ask_orders(
     asking: Asking, text: str, bounds: Bounds, protocol: SurveyProtocol, labelled: Target
-) -> tuple[Orders, str]:
-    """Orders from an operator's words, and what of the words is not in them.
+) -> Understood:
+    """Orders from an operator's words.
 
     Args:
         asking: Which model turns them into orders.
@@ -158,7 +169,7 @@ def ask_orders(
         )
     orders = answer.reply.orders
     check_flyable(orders, bounds, protocol, labelled)
-    return orders, answer.reply.left_out
+    return Understood(orders, answer.reply.left_out, answer.exchange)
 
 
 def check_inside(orders: Orders, bounds: Bounds) -> None:

@@ -69,7 +69,7 @@ class _EveryStep:
     """What it decided last; the guard may have changed it."""
 
     def __post_init__(self) -> None:
-        self.line = self.asking.line()
+        self.line = self.asking.line(self.mission.asked)
         self.offline = Belief().begin(self.mission)
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
@@ -81,7 +81,7 @@ class _EveryStep:
             decision = _with_its_action(answer.reply.decision)
         self.trail.append(observation.pose)
         self.last = decision
-        waited = self.asking.latency * answer.exchange.requests
+        waited = self.line.took(answer.exchange)
         return replace(decision, exchanges=(answer.exchange,), waited=waited)
 
     def _question(self, observation: Observation, occupancy: OccupancyMap) -> Question[Acting]:
@@ -105,7 +105,7 @@ class _EveryStep:
             f"The robot is at x = {pose.x:g} m, y = {pose.y:g} m and heads towards {pictures.bearing(pose)}.",
             f"{steps} steps are done; {self.mission.max_steps - steps} are left at most.",
         ]
-        lines += prompts.area(self.mission)
+        lines += prompts.area(occupancy)
         if self.last is not None:
             lines.append(self._last_action(pose, occupancy))
         return "\n".join(lines)

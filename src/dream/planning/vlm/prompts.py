@@ -76,9 +76,9 @@ def instructions(name: str, mission: Mission, occupancy: OccupancyMap, **further
     return Template(prompt.text).substitute(values), ", ".join(part.label for part in parts)
 
 
-def area(mission: Mission) -> list[str]:
+def area(occupancy: OccupancyMap) -> list[str]:
     """What a model is told of the area that has to be seen; nothing where that is everything."""
-    box = mission.area
+    box = occupancy.area
     if box is None:
         return []
     return [

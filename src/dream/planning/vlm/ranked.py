@@ -128,7 +128,7 @@ class RankedPilot:
     """Steps for which the offline planner flies alone."""
 
     def __post_init__(self) -> None:
-        self.line = self.planner.line()
+        self.line = self.planner.line(self.mission.asked)
         self.offline = Belief().begin(self.mission)
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
@@ -217,15 +217,22 @@ class RankedPilot:
         # After the last step nobody would hear the answer.
         last = self.mission.flown + len(self.trail) + 1 >= self.mission.max_steps
         waits = self.planner.wait or thought.plan is None or last
-        if not waits and now < self.asked.at + self.planner.latency:
+        if not waits and not self._may_have_come(now):
             return []
         answers = [pending.answer() for _, pending in self.asked.votes]
         return answers if waits or now >= self._due(answers) else []
 
+    def _may_have_come(self, now: float) -> bool:
+        """Only a simulated clock stands still while an answer that is due by it is awaited."""
+        assert self.asked is not None
+        if self.planner.latency is None:
+            return all(pending.done() for _, pending in self.asked.votes)
+        return now >= self.asked.at + self.planner.latency
+
     def _due(self, answers: list[Answer[Ranking]]) -> float:
         """When the last of them has come, on the mission's clock; they are asked side by side."""
         assert self.asked is not None
-        return self.asked.at + self.planner.latency * max(answer.exchange.requests for answer in answers)
+        return self.asked.at + max(self.line.took(answer.exchange) for answer in answers)
 
     def _affordable(self, *, to_end: bool) -> float:
         """Steps that a choice may cost now; at the end any that the allowance leaves."""
@@ -254,7 +261,7 @@ class RankedPilot:
         return Question(
             version,
             instructions,
-            self._situation(observation, thought, numbered),
+            self._situation(observation, thought, occupancy, numbered),
             {
                 "map": pictures.png(pictures.map_picture(occupancy, pose, trail, marks)),
                 "camera": pictures.png(camera),
@@ -262,7 +269,9 @@ class RankedPilot:
             ranked_reply(list(numbered)),
         )
 
-    def _situation(self, observation: Observation, thought: Thought, numbered: dict[int, Place]) -> str:
+    def _situation(
+        self, observation: Observation, thought: Thought, occupancy: OccupancyMap, numbered: dict[int, Place]
+    ) -> str:
         pose = observation.pose
         flown = self.mission.flown + len(self.trail)
         past = "; ".join(f"({p.x:g}, {p.y:g})" for p in self.trail[-HISTORY:]) or "only the start"
@@ -272,7 +281,7 @@ class RankedPilot:
             f"It came by way of: {past}.",
             thought.reasoning.distribution,
             thought.reasoning.completion,
-            *prompts.area(self.mission),
+            *prompts.area(occupancy),
         ]
         if thought.plan is None:
             lines.append(
