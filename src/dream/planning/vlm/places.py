@@ -23,7 +23,11 @@ APART = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Place:
-    """Somewhere to go next. All of it is safe as far as the map goes: the guard lets every move pass."""
+    """Somewhere to go next. As the map is now, the guard lets every move on the way there pass.
+
+    Of the offline planner's own, it is only sure to pass the first: others may lead over ground that the
+    vehicle would see on the way.
+    """
 
     plan: Plan
     loss: float
