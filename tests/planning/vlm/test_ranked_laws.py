@@ -128,7 +128,7 @@ def questions(string_reef: World) -> list[list[Sent]]:
             return listed[-1]
 
         patch.setattr(ranked, "places", listening)
-        for world, steps, votes in ((string_reef, 10, 1), (WRECK, 8, 3)):
+        for world, steps, votes in ((string_reef, 8, 1), (WRECK, 5, 3)):
             asking = Ranked(model=server.address, model_name="scripted", votes=votes, **often)  # type: ignore[arg-type]
             flight = Listening(asking, server, listed)
             for _ in simulate(world, flight, DREAM_V1, max_steps=LOOK_AROUND + steps):
@@ -267,7 +267,7 @@ class Turned:
 
 TIE = 3e-6
 """Between rates; they are rounded to 1e-6."""
-SEEDS = range(6)
+SEEDS = range(4)
 AS_IT_IS = Turned()
 QUARTERS = [Turned(quarters) for quarters in (1, 2, 3)]
 MIRRORED = [Turned(quarters, mirrored=True) for quarters in (0, 1)]
@@ -406,7 +406,9 @@ def test_steps_and_views_turn_with_the_world(seed: int, solids: bool, turned: Tu
     there = np.array([turned.pose((row, col, heading)) for row, col, heading in poses.tolist()])
     assert len(poses) == np.count_nonzero(other.thought.travel.steps >= 0) > 1000
     np.testing.assert_array_equal(steps[tuple(poses.T)], other.thought.travel.steps[tuple(there.T)])
-    assert _rates(first, turned) == pytest.approx(_rates(other, AS_IT_IS), abs=1e-5)
+    rates, image = _rates(first, turned), _rates(other, AS_IT_IS)
+    assert rates.keys() == image.keys()
+    np.testing.assert_allclose([rates[pose] for pose in image], list(image.values()), atol=1e-5)
 
 
 @pytest.mark.parametrize("ending", [False, True])
@@ -486,8 +488,7 @@ def _ranked(question: Question[Ranking]) -> dict[str, Any]:
     return reply
 
 
-@pytest.mark.parametrize("area", [None, Bounds(-6.0, -6.0, 6.0, 6.0)])
-@pytest.mark.parametrize("seed", SEEDS[:3])
+@pytest.mark.parametrize(("seed", "area"), [(0, None), (1, None), (2, Bounds(-6.0, -6.0, 6.0, 6.0))])
 def test_at_the_end_every_place_is_feasible_and_so_it_is_where_a_part_is_to_be_seen(
     seed: int, area: Bounds | None
 ) -> None:
