@@ -1,41 +1,114 @@
-"""A model that is none: a server on this machine that speaks OpenAI's interface and answers by a function."""
+"""A model that is none: a server on this machine that speaks OpenAI's interface and says what it is told."""
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import json
 import threading
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
-NAME = "painted"
+from dream.planning.vlm.reply import STEPS
+
+NAME = "scripted"
 """What the server calls its model."""
 SAID = "The reef goes on to the <b>north</b>."
 """Each step of its reasoning."""
+SECRET = "sk-secret-0123456789"
+"""Stands in every error."""
+
+Json = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Request:
-    """What a planner sent."""
+    """What was sent to the server."""
 
-    wanted: dict[str, Any]
-    """JSON schema of the reply; empty where none was sent."""
-    text: str
-    """All text, the instructions first."""
-    pictures: int
-    key: str
-    """What stood in the header for the key."""
+    body: Json
+    headers: Mapping[str, str]
+    """In small letters."""
+
+    @property
+    def schema(self) -> Json:
+        """Of the reply; empty where none was sent."""
+        schema: Json = self.body.get("response_format", {}).get("json_schema", {}).get("schema", {})
+        return schema
+
+    @property
+    def text(self) -> str:
+        """All of it, the instructions first."""
+        return "\n".join(part["text"] for part in self._parts() if part["type"] == "text")
+
+    @property
+    def question(self) -> str:
+        """The end of what was asked first: who is asked again is shown the reply that did not fit, too."""
+        user = next(message for message in self.body["messages"] if message["role"] == "user")
+        said: str = _parts(user)[-1]["text"]
+        return said
+
+    @property
+    def pictures(self) -> list[bytes]:
+        urls = [part["image_url"]["url"] for part in self._parts() if part["type"] == "image_url"]
+        return [base64.b64decode(url.partition(",")[2]) for url in urls]
+
+    @property
+    def key(self) -> str:
+        """What stood in the header for the key."""
+        return self.headers["authorization"]
+
+    def _parts(self) -> list[Json]:
+        return [part for message in self.body["messages"] for part in _parts(message)]
 
 
-Answer = Callable[[Request], str | int]
-"""The text of the reply, or the status of an error."""
+def _parts(message: Json) -> list[Json]:
+    content = message["content"]
+    return content if isinstance(content, list) else [{"type": "text", "text": str(content)}]
 
 
-def fitting(request: Request) -> str:
+@dataclass(frozen=True)
+class Response:
+    """What the server sends."""
+
+    body: bytes
+    status: int = 200
+    headers: Mapping[str, str] = field(default_factory=dict)
+    late: float = 0.0
+    """Seconds before it."""
+    breaks: bool = False
+    """Half of it, then nothing."""
+
+
+Answer = Callable[[Request], Response]
+
+
+def says(content: str | None, *, refusal: str | None = None, finish: str = "stop", **fields: Any) -> Response:
+    """A reply of that text, or one that would be but for some fields."""
+    message = {"role": "assistant", "content": content, "refusal": refusal}
+    reply = {
+        "id": "1",
+        "object": "chat.completion",
+        "created": 1,
+        "model": NAME,
+        "choices": [{"index": 0, "finish_reason": finish, "message": message}],
+        "usage": {"prompt_tokens": 100, "completion_tokens": 10, "total_tokens": 110},
+    }
+    return Response(json.dumps({**reply, **fields}).encode())
+
+
+def error(status: int, **headers: str) -> Response:
+    """An error, as such servers say it: with what no one should repeat in it."""
+    body = {"error": {"message": f"denied to key {SECRET}", "type": "error", "code": None}}
+    named = {name.replace("_", "-"): value for name, value in headers.items()}
+    return Response(json.dumps(body).encode(), status, named)
+
+
+def fitting(request: Request) -> Response:
     """A reply that fits: straight on, to the left where that was not safe; places as they are numbered."""
-    fields = request.wanted.get("properties", {})
+    fields = request.schema.get("properties", {})
     blocked = "not safe all the way" in request.text
     known = {
         "direction": "left" if blocked else "forward",
@@ -46,81 +119,83 @@ def fitting(request: Request) -> str:
         "confidence": 0.5,
         "mission_complete": False,
     }
-    return json.dumps({name: known.get(name, SAID) for name in fields})
+    return says(json.dumps({name: known.get(name, SAID) for name in fields}))
 
 
-@dataclass
-class Server:
-    """Where it listens, and what it was asked."""
+def ranking(
+    order: Callable[[list[int]], list[int]] = sorted, *, confidence: float = 1.0, complete: bool = False
+) -> Answer:
+    """Ranks the places that are asked for in the order that a function makes of their numbers."""
 
-    address: str
-    asked: list[Request] = field(default_factory=list)
+    def answer(request: Request) -> Response:
+        kind = request.schema["properties"]["ranking"]["items"]
+        numbers = kind["enum"] if "enum" in kind else [kind["const"]]
+        said: dict[str, Any] = dict.fromkeys(STEPS, SAID)
+        said |= {"ranking": order(numbers), "confidence": confidence, "mission_complete": complete}
+        return says(json.dumps(said))
+
+    return answer
+
+
+class Server(ThreadingHTTPServer):
+    """Gives what is next in its script, or is made by it, and the last of it for ever."""
+
+    daemon_threads = True
+
+    def __init__(self, *script: Response | Answer) -> None:
+        super().__init__(("127.0.0.1", 0), _Handler)
+        self.script = list(script)
+        self.asked: list[Request] = []
+        self._lock = threading.Lock()
+
+    def respond(self, request: Request) -> Response:
+        with self._lock:
+            self.asked.append(request)
+            said = self.script.pop(0) if len(self.script) > 1 else self.script[0]
+        return said if isinstance(said, Response) else said(request)
 
     @property
-    def options(self) -> dict[str, Any]:
+    def address(self) -> str:
+        return f"http://127.0.0.1:{self.server_port}/v1"
+
+    @property
+    def options(self) -> Json:
         """Of a planner that asks it."""
         return {"model": self.address, "model_name": NAME}
 
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """One who hangs up is no error."""
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: Server
+    protocol_version = "HTTP/1.1"
+
+    def do_POST(self) -> None:
+        body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+        headers = {name.lower(): value for name, value in self.headers.items()}
+        response = self.server.respond(Request(body, headers))
+        time.sleep(response.late)
+        self.send_response(response.status)
+        usual = {"Content-Type": "application/json", "Content-Length": str(len(response.body))}
+        for name, value in {**usual, **response.headers}.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(response.body[: len(response.body) // (1 + response.breaks)])
+        self.close_connection |= response.breaks
+
+    def log_message(self, *_: Any) -> None:
+        """Say nothing."""
+
 
 @contextlib.contextmanager
-def serving(answer: Answer = fitting) -> Iterator[Server]:
-    """Serve until the block ends."""
-
-    class Handler(BaseHTTPRequestHandler):
-        protocol_version = "HTTP/1.1"
-
-        def do_POST(self) -> None:
-            sent = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
-            request = _read(sent, self.headers.get("Authorization", ""))
-            served.asked.append(request)
-            said = answer(request)
-            status = said if isinstance(said, int) else 200
-            body = json.dumps(_completion(said) if isinstance(said, str) else {"error": "no"}).encode()
-            self.send_response(status)
-            self.send_header("Content-Type", "application/json")
-            self.send_header("Content-Length", str(len(body)))
-            self.end_headers()
-            self.wfile.write(body)
-
-        def log_message(self, *_: Any) -> None:
-            """Say nothing."""
-
-    class Quiet(ThreadingHTTPServer):
-        daemon_threads = True
-
-        def handle_error(self, request: Any, client_address: Any) -> None:
-            """One who hangs up is no error."""
-
-    with Quiet(("127.0.0.1", 0), Handler) as server:
-        served = Server(f"http://127.0.0.1:{server.server_address[1]}/v1")
+def serving(*script: Response | Answer) -> Iterator[Server]:
+    """Such a server, as long as the block lasts; what it says fits where no script is given."""
+    with Server(*(script or [fitting])) as server:
         thread = threading.Thread(target=server.serve_forever, args=(0.02,))
         thread.start()
         try:
-            yield served
+            yield server
         finally:
             server.shutdown()
             thread.join()
-
-
-def _read(sent: dict[str, Any], key: str) -> Request:
-    texts, pictures = [], 0
-    for message in sent["messages"]:
-        parts = message["content"] if isinstance(message["content"], list) else [message["content"]]
-        for part in parts:
-            if isinstance(part, dict) and part["type"] == "image_url":
-                pictures += 1
-            else:
-                texts.append(part["text"] if isinstance(part, dict) else str(part))
-    wanted = sent.get("response_format", {}).get("json_schema", {}).get("schema", {})
-    return Request(wanted, "\n".join(texts), pictures, key)
-
-
-def _completion(text: str) -> dict[str, Any]:
-    return {
-        "id": "1",
-        "object": "chat.completion",
-        "created": 0,
-        "model": NAME,
-        "choices": [{"index": 0, "message": {"role": "assistant", "content": text}, "finish_reason": "stop"}],
-        "usage": {"prompt_tokens": 1000, "completion_tokens": 50, "total_tokens": 1050},
-    }

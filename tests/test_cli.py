@@ -30,7 +30,7 @@ from dream.planning import PLANNERS
 from dream.recording import read_config, read_exchanges, read_steps
 from dream.robots import Teleport
 from dream.types import Arrival, Observation, Setpoint
-from tests.model_server import NAME, Answer, Request, fitting, serving
+from tests.model_server import NAME, Answer, Request, Response, error, fitting, says, serving
 
 SUMMARY_KEYS = {
     *("protocol", "world", "seed", "world_hash", "planner", "ended", "steps", "t_stop", "t_claimed"),
@@ -560,29 +560,22 @@ def test_an_interrupted_run_keeps_its_steps(tmp_path: Path) -> None:
     assert (folder / "report.html").stat().st_size > 10_000
 
 
-def ask(answer: Answer, out: Path, *options: str, planner: str = "vanilla") -> tuple[int, list[Request]]:
+def ask(script: list[Response | Answer], out: Path, *options: str) -> tuple[int, list[Request]]:
     """Fly a few steps with a model that answers so; returns the exit status and what it was asked."""
-    with serving(answer) as server:
+    with serving(*script) as server:
         model = ["--model", server.address, "--model-name", NAME, "--timeout", "20"]
-        fly = ["run", planner, *model, "--max-steps", "6", "--out", str(out), *options]
+        fly = ["run", "vanilla", *model, "--max-steps", "6", "--out", str(out), *options]
         return run_command(fly), server.asked
 
 
-def failing(status: int, *, after: int = 0) -> Answer:
-    """Answers that many questions, then only with an error."""
-    left = iter(range(after))
-    return lambda request: fitting(request) if next(left, None) is not None else status
-
-
 def test_a_run_tells_what_asking_came_to(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    bad = iter(["no JSON", "still none"])
-    status, asked = ask(lambda request: next(bad, None) or fitting(request), tmp_path)
+    status, asked = ask([says("no JSON"), says("still none"), fitting], tmp_path)
     assert status == 0
-    assert [request.pictures for request in asked] == [4] * 4
+    assert [len(request.pictures) for request in asked] == [4] * 4
     printed = capsys.readouterr().out
     address = read_config(tmp_path / "latest").planner_parameters["model"]
     assert (
-        f"  asked {NAME} at {address}: 4 calls, 4200 tokens, at an unknown price, "
+        f"  asked {NAME} at {address}: 4 calls, 440 tokens, at an unknown price, "
         "1 fallbacks (invalid 1), waited 48 s of "
     ) in printed
     assert "wire test" not in printed
@@ -597,7 +590,7 @@ def test_a_key_is_sent_but_never_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("DREAM_API_KEY", "sk-hush")
-    status, asked = ask(failing(400, after=1), tmp_path, "--record", str(tmp_path / "kept"))
+    status, asked = ask([fitting, error(400)], tmp_path, "--record", str(tmp_path / "kept"))
     assert status == 0
     assert {request.key for request in asked} == {"Bearer sk-hush"}
     assert "sk-hush" not in "".join(capsys.readouterr())
@@ -619,7 +612,7 @@ def test_a_planner_that_cannot_begin_leaves_nothing(
 def test_a_wrong_key_ends_the_run_at_its_first_question_and_says_what_to_do(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    status, asked = ask(failing(401), tmp_path)
+    status, asked = ask([error(401)], tmp_path)
     assert (status, len(asked)) == (1, 1)
     complaint = capsys.readouterr().err
     assert "HTTP 401. Is its name right, and its key in the environment?; 3 steps are kept in" in complaint
@@ -629,7 +622,7 @@ def test_a_wrong_key_ends_the_run_at_its_first_question_and_says_what_to_do(
 
 
 def test_a_key_that_is_refused_later_is_a_fallback(tmp_path: Path) -> None:
-    assert ask(failing(401, after=1), tmp_path, "--json")[0] == 0
+    assert ask([fitting, error(401)], tmp_path, "--json")[0] == 0
     summary = json.loads((tmp_path / "latest" / "summary.json").read_text())
     assert summary["vlm"]["reasons"] == {"denied": 2}
 
@@ -638,7 +631,7 @@ def test_replies_that_were_kept_fly_the_same_mission_without_a_model(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     kept = str(tmp_path / "kept")
-    assert ask(fitting, tmp_path / "first", "--record", kept)[0] == 0
+    assert ask([fitting], tmp_path / "first", "--record", kept)[0] == 0
     model = read_config(tmp_path / "first" / "latest").planner_parameters["model"]
     again = ["run", "vanilla", "--model", model, "--model-name", NAME, "--replay-replies", kept]
     assert run_command([*again, "--max-steps", "6", "--out", str(tmp_path / "again")]) == 0
@@ -679,7 +672,7 @@ def test_a_benchmark_hands_its_model_to_those_that_ask_and_writes_it_down(
 def test_a_benchmark_says_of_each_mission_that_its_key_was_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with serving(failing(401)) as server:
+    with serving(error(401)) as server:
         options = ["--model", server.address, "--model-name", NAME, "--max-steps", "5", "--jobs", "1"]
         fly = ["bench", "--world", "flat/empty", "--planners", "dream", *options, "--out", str(tmp_path)]
         assert run_command(fly) == 1

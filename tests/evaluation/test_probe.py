@@ -42,7 +42,7 @@ from dream.geometry import SE2
 from dream.mapping import drawing
 from dream.planning.vlm.reply import choice_reply
 from dream.types import Exchange
-from tests.evaluation.answering import answering, choice, sha
+from tests.model_server import NAME, Request, Response, error, says, serving
 
 COLORS = {
     drawing.UNKNOWN: WHITE,
@@ -401,7 +401,15 @@ def test_a_weak_kind_is_named_and_few_questions_tell_nothing(questions: list[Map
 
 
 def probe(address: str, *options: str) -> list[str]:
-    return ["probe", "--model", address, "--model-name", "told", "--json", *options]
+    return ["probe", "--model", address, "--model-name", NAME, "--json", *options]
+
+
+def choice(answer: str) -> Response:
+    return says(json.dumps({"reason": "The map shows it.", "answer": answer}))
+
+
+def first_choice(request: Request) -> Response:
+    return choice(request.schema["properties"]["answer"]["enum"][0])
 
 
 def test_a_server_that_knows_all_has_200_of_200(
@@ -411,13 +419,13 @@ def test_a_server_that_knows_all_has_200_of_200(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("dream.evaluation.probe.make_questions", lambda count: iter(questions[:count]))
-    key = {(sha(question.picture), question.asked.text): question.answer for question in questions}
+    key = {(question.picture, question.asked.text): question.answer for question in questions}
     record = ["--record", str(tmp_path / "kept")]
-    with answering(lambda text, picture, choices: choice(key[picture, text])) as (address, seen):
-        assert run_command(probe(address, *record)) == 0
-        assert len(seen) == 200
-        assert run_command(probe(address, *record)) == 0
-        assert len(seen) == 200  # What is kept is not asked again.
+    with serving(lambda request: choice(key[request.pictures[0], request.question])) as server:
+        assert run_command(probe(server.address, *record)) == 0
+        assert len(server.asked) == 200
+        assert run_command(probe(server.address, *record)) == 0
+        assert len(server.asked) == 200  # What is kept is not asked again.
     first, again = map(json.loads, capsys.readouterr().out.splitlines())
     for summary in (first, again):
         assert (summary["right"], summary["asked"], summary["unanswered"]) == (200, 200, 0)
@@ -426,7 +434,7 @@ def test_a_server_that_knows_all_has_200_of_200(
         assert set(summary["kinds"]) == set(KINDS)
     assert again["latency_s"] == first["latency_s"]
     replay = ["--replay-replies", str(tmp_path / "kept"), "--questions", "16"]
-    assert run_command(probe(address, *replay)) == 0
+    assert run_command(probe(server.address, *replay)) == 0
     assert json.loads(capsys.readouterr().out)["right"] == 16
 
 
@@ -437,8 +445,8 @@ def test_garbage_is_no_answer_and_is_told(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("dream.evaluation.probe.make_questions", lambda count: iter(questions[:count]))
-    with answering(lambda text, picture, choices: "<b>hm</b>") as (address, _):
-        assert run_command(probe(address, "--questions", "24", "--out", str(tmp_path / "out"))) == 0
+    with serving(says("<b>hm</b>")) as server:
+        assert run_command(probe(server.address, "--questions", "24", "--out", str(tmp_path / "out"))) == 0
     summary = json.loads(capsys.readouterr().out)
     assert (summary["right"], summary["asked"], summary["unanswered"]) == (0, 24, 24)
     assert sum(summary["no_answer"].values()) == 24
@@ -455,8 +463,8 @@ def test_the_first_answer_is_seen_through_and_the_table_says_so(
     questions: list[MapQuestion], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("dream.evaluation.probe.make_questions", lambda count: iter(questions[:count]))
-    with answering(lambda text, picture, choices: choice(choices[0])) as (address, _):
-        arguments = [word for word in probe(address, "--questions", "80") if word != "--json"]
+    with serving(first_choice) as server:
+        arguments = [word for word in probe(server.address, "--questions", "80") if word != "--json"]
         assert run_command(arguments) == 0
     printed = capsys.readouterr().out
     assert "verdict: do not trust it with a map" in printed
@@ -467,8 +475,8 @@ def test_a_server_that_refuses_ends_the_probe_with_one_line(
     questions: list[MapQuestion], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("dream.evaluation.probe.make_questions", lambda count: iter(questions[:count]))
-    with answering(lambda text, picture, choices: None) as (address, _):
-        assert run_command(probe(address, "--questions", "8")) == 2
+    with serving(error(403)) as server:
+        assert run_command(probe(server.address, "--questions", "8")) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
     assert "HTTP 403" in printed.err
@@ -478,12 +486,12 @@ def test_questions_that_the_budget_does_not_pay_for_are_not_asked(
     questions: list[MapQuestion], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("dream.evaluation.probe.make_questions", lambda count: iter(questions[:count]))
-    with answering(lambda text, picture, choices: choice(choices[0])) as (address, seen):
+    with serving(first_choice) as server:
         options = ["--questions", "16", "--max-calls", "5", "--at-once", "1"]
-        assert run_command(probe(address, *options)) == 1
-        assert len(seen) == 5
-        assert run_command(probe(address, "--questions", "16", "--limit", "1e-9")) == 1
-        assert len(seen) == 5
+        assert run_command(probe(server.address, *options)) == 1
+        assert len(server.asked) == 5
+        assert run_command(probe(server.address, "--questions", "16", "--limit", "1e-9")) == 1
+        assert len(server.asked) == 5
     budget, late = map(json.loads, capsys.readouterr().out.splitlines())
     assert (budget["asked"], budget["questions"], budget["unanswered"]) == (5, 16, 0)
     assert (late["asked"], late["questions"], late["share"]) == (0, 16, None)

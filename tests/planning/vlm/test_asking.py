@@ -3,6 +3,7 @@ from __future__ import annotations
 import gzip
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,17 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from dream.planning.vlm import asking
 from dream.planning.vlm.asking import Answer, Asking, Line, Question
-from tests.planning.vlm.servers import (
-    SECRET,
-    Respond,
-    Scripted,
-    after,
-    dropped,
-    error,
-    raw,
-    serving,
-    text,
-)
+from tests.model_server import SECRET, Response, Server, error, says, serving
 
 
 class Number(BaseModel):
@@ -31,16 +22,17 @@ class Number(BaseModel):
     number: int
 
 
-GOOD = text('{"why": "so", "number": 3}')
-WRONG = text('{"why": "so", "number": "many"}')
+SO = '{"why": "so", "number": 3}'
+GOOD = says(SO)
+WRONG = says('{"why": "so", "number": "many"}')
 
 
 def question(words: str = "How many?") -> Question[Number]:
     return Question("test 1", "Count.", words, {"map": b"a picture", "camera": b"another"}, Number)
 
 
-def line(server: Scripted, **options: Any) -> Line:
-    return Asking(model=server.address, model_name="scripted", timeout=5.0, **options).line()
+def line(server: Server, **options: Any) -> Line:
+    return Asking(**{"timeout": 5.0, **server.options, **options}).line()
 
 
 def ask(on: Line, words: str = "How many?") -> Answer[Number]:
@@ -64,7 +56,8 @@ def test_a_reply_that_fits_is_the_answer_and_all_of_the_exchange_is_kept() -> No
 def test_the_server_gets_instructions_pictures_text_and_the_schema() -> None:
     with serving(GOOD) as server:
         ask(line(server))
-        (body,) = server.requests
+        (request,) = server.asked
+    body = request.body
     assert body["model"] == "scripted"
     assert body["response_format"]["json_schema"]["strict"]
     assert body["response_format"]["json_schema"]["name"] == "Number"
@@ -79,7 +72,7 @@ def test_the_server_gets_instructions_pictures_text_and_the_schema() -> None:
 def test_a_reply_that_does_not_fit_is_asked_again_once_with_what_is_wrong() -> None:
     with serving(WRONG, GOOD) as server:
         answer = ask(line(server))
-        again = json.dumps(server.requests[1]["messages"])
+        again = json.dumps(server.asked[1].body["messages"])
     assert answer.reply == Number(why="so", number=3)
     assert answer.exchange.requests == 2
     assert len(answer.exchange.replies) == 2
@@ -88,26 +81,26 @@ def test_a_reply_that_does_not_fit_is_asked_again_once_with_what_is_wrong() -> N
 
 
 @pytest.mark.parametrize(
-    ("respond", "reason", "requests"),
+    ("reply", "reason", "requests"),
     [
         (WRONG, "invalid", 2),
-        (text("no JSON at all"), "invalid", 2),
-        (text('{"why": "' + 21 * "x" + '", "number": 3}'), "invalid", 2),
-        (text('{"why": "so", "number": 3, "thrust": 9}'), "invalid", 2),
-        (text('{"why": "so", "num'), "invalid", 2),
-        (text(None, refusal="I would rather not."), "refused", 1),
-        (text("", finish_reason="content_filter"), "refused", 1),
+        (says("no JSON at all"), "invalid", 2),
+        (says('{"why": "' + 21 * "x" + '", "number": 3}'), "invalid", 2),
+        (says('{"why": "so", "number": 3, "thrust": 9}'), "invalid", 2),
+        (says('{"why": "so", "num'), "invalid", 2),
+        (says(None, refusal="I would rather not."), "refused", 1),
+        (says("", finish="content_filter"), "refused", 1),
         (error(429, retry_after="0"), "rate limit", 1),
         (error(500, retry_after="0"), "server: HTTP 500", 1),
-        (raw(b"<html>not a reply</html>"), "server", 1),
-        (dropped, "connection", 1),
-        (raw(b'"' + 10_000_000 * b"x" + b'"'), "too large", 1),
-        (raw(gzip.compress(10_000_000 * b" "), content_encoding="gzip"), "too large", 1),
+        (Response(b"<html>not a reply</html>"), "server", 1),
+        (replace(GOOD, breaks=True), "connection", 1),
+        (Response(b'"' + 10_000_000 * b"x" + b'"'), "too large", 1),
+        (Response(gzip.compress(10_000_000 * b" "), headers={"Content-Encoding": "gzip"}), "too large", 1),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_what_is_no_answer_becomes_a_named_fallback(respond: Respond, reason: str, requests: int) -> None:
-    with serving(respond) as server:
+def test_what_is_no_answer_becomes_a_named_fallback(reply: Response, reason: str, requests: int) -> None:
+    with serving(reply) as server:
         answer = ask(line(server))
     assert answer.reply is None
     assert answer.exchange.fallback.startswith(reason)
@@ -115,40 +108,21 @@ def test_what_is_no_answer_becomes_a_named_fallback(respond: Respond, reason: st
     assert SECRET not in repr(answer.exchange)
 
 
-def completion(**changes: Any) -> Respond:
-    """A reply that would be good but for some fields."""
-    reply = {
-        "id": "1",
-        "object": "chat.completion",
-        "created": 1,
-        "model": "scripted",
-        "choices": [
-            {
-                "index": 0,
-                "finish_reason": "stop",
-                "message": {"role": "assistant", "content": '{"why": "so", "number": 3}'},
-            }
-        ],
-        "usage": {"prompt_tokens": 1, "completion_tokens": 1, "total_tokens": 2},
-    }
-    return raw(json.dumps({**reply, **changes}).encode())
-
-
 @pytest.mark.parametrize(
-    "respond",
+    "reply",
     [
-        completion(choices=[]),
-        completion(choices="ab"),
-        completion(choices=[None]),
-        completion(model=""),
-        completion(usage={"prompt_tokens": -1e300, "completion_tokens": "x", "total_tokens": None}),
-        raw(b"[" * 900_000),
-        raw(b""),
-        raw(b"null"),
+        says(SO, choices=[]),
+        says(SO, choices="ab"),
+        says(SO, choices=[None]),
+        says(SO, model=""),
+        says(SO, usage={"prompt_tokens": -1e300, "completion_tokens": "x", "total_tokens": None}),
+        Response(b"[" * 900_000),
+        Response(b""),
+        Response(b"null"),
     ],
 )
-def test_nothing_that_a_server_sends_ends_a_mission(respond: Respond) -> None:
-    with serving(GOOD, respond) as server:
+def test_nothing_that_a_server_sends_ends_a_mission(reply: Response) -> None:
+    with serving(GOOD, reply) as server:
         on = line(server)
         assert ask(on).reply is not None
         answer = ask(on)
@@ -156,13 +130,13 @@ def test_nothing_that_a_server_sends_ends_a_mission(respond: Respond) -> None:
 
 
 def test_a_fence_around_the_reply_is_taken_off() -> None:
-    with serving(text('```json\n{"why": "so", "number": 3}\n```')) as server:
+    with serving(says('```json\n{"why": "so", "number": 3}\n```')) as server:
         assert ask(line(server)).reply == Number(why="so", number=3)
 
 
 def test_a_key_that_a_server_repeats_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(asking.KEY, SECRET)
-    with serving(text(json.dumps({"why": SECRET, "number": 3}))) as server:
+    with serving(says(json.dumps({"why": SECRET, "number": 3}))) as server:
         answer = ask(line(server, record=str(tmp_path)))
     assert answer.reply == Number(why="[key]", number=3)
     assert SECRET not in repr(answer.exchange)
@@ -175,7 +149,7 @@ def test_an_address_gets_nothing_that_is_meant_for_openai(monkeypatch: pytest.Mo
     monkeypatch.setenv("OPENAI_CUSTOM_HEADERS", f"X-Api-Key: {SECRET}")
     with serving(GOOD) as server:
         assert ask(line(server)).reply is not None
-        assert SECRET not in repr(server.headers)
+        assert SECRET not in repr(server.asked)
 
 
 def test_the_budget_holds_when_replies_are_played_again(tmp_path: Path) -> None:
@@ -190,7 +164,7 @@ def test_the_budget_holds_when_replies_are_played_again(tmp_path: Path) -> None:
 def test_a_call_that_is_left_over_is_not_exceeded_by_asking_again() -> None:
     with serving(WRONG, GOOD) as server:
         answer = ask(line(server, max_calls=1))
-    assert len(server.requests) == 1
+    assert len(server.asked) == 1
     assert answer.exchange.fallback == "budget: no call is left to ask again"
 
 
@@ -207,13 +181,12 @@ def test_a_busy_server_is_tried_again_a_few_times() -> None:
     with serving(error(429, retry_after="0"), error(503, retry_after="0"), GOOD) as server:
         answer = ask(line(server))
     assert answer.reply is not None
-    assert len(server.requests) == asking.MOST_TRIES
+    assert len(server.asked) == asking.MOST_TRIES
 
 
 def test_a_slow_server_is_not_waited_for() -> None:
-    with serving(after(3.0, GOOD)) as server:
-        on = Asking(model=server.address, model_name="scripted", timeout=0.3).line()
-        answer = ask(on)
+    with serving(replace(GOOD, late=3.0)) as server:
+        answer = ask(line(server, timeout=0.3))
     assert answer.exchange.fallback == "timeout: no answer within 0.3 s"
     assert answer.exchange.seconds < 2.0
 
@@ -223,9 +196,9 @@ def test_a_server_without_schemas_is_told_in_words() -> None:
         on = line(server)
         assert ask(on).reply is not None
         assert ask(on).reply is not None
-    formats = [body["response_format"]["type"] for body in server.requests]
+    formats = [request.body["response_format"]["type"] for request in server.asked]
     assert formats == ["json_schema", "json_object", "json_object"]
-    assert '"number"' in json.dumps(server.requests[1]["messages"]).replace("\\", "")
+    assert '"number"' in json.dumps(server.asked[1].body["messages"]).replace("\\", "")
 
 
 def test_a_model_that_cannot_be_asked_at_all_is_an_error_of_the_operator() -> None:
@@ -247,7 +220,7 @@ def test_only_the_key_for_such_servers_is_sent_to_an_address(monkeypatch: pytest
         ask(line(server))
         monkeypatch.setenv(asking.KEY, "mine")
         ask(line(server))
-    assert server.keys == ["Bearer none", "Bearer mine"]
+    assert [request.key for request in server.asked] == ["Bearer none", "Bearer mine"]
 
 
 # ------------------------------------------------------------------------------------------------ limits
@@ -258,7 +231,7 @@ def test_the_budget_of_calls_ends_the_asking() -> None:
         on = line(server, max_calls=2)
         kinds = [ask(on).exchange.fallback for _ in range(4)]
     assert kinds == ["", "", "budget: all 2 calls are made", "budget: all 2 calls are made"]
-    assert len(server.requests) == 2
+    assert len(server.asked) == 2
 
 
 def test_questions_on_their_way_count_towards_the_budget() -> None:
@@ -267,7 +240,7 @@ def test_questions_on_their_way_count_towards_the_budget() -> None:
         pending = [on.ask(question(str(k))) for k in range(5)]
         answers = [one.answer() for one in pending]
     assert [answer.reply is not None for answer in answers] == [True, True, True, False, False]
-    assert len(server.requests) == on.spent.calls == 3
+    assert len(server.asked) == on.spent.calls == 3
     assert on.under_way == 0
 
 
@@ -285,7 +258,7 @@ def test_a_budget_of_dollars_needs_a_price() -> None:
         on = line(server, max_usd=1.0)
         ask(on)
         assert "price of scripted at" in ask(on).exchange.fallback
-        assert len(server.requests) == 1
+        assert len(server.asked) == 1
 
 
 @pytest.mark.parametrize(
@@ -337,7 +310,7 @@ def test_offline_no_model_elsewhere_can_be_asked(model: str, monkeypatch: pytest
 
 
 def test_kept_exchanges_answer_without_a_model(tmp_path: Path) -> None:
-    script = [GOOD, text('{"why": "then", "number": 4}'), WRONG, WRONG, error(500, retry_after="0")]
+    script = [GOOD, says('{"why": "then", "number": 4}'), WRONG, WRONG, error(500, retry_after="0")]
     with serving(*script) as server:
         on = line(server, record=str(tmp_path))
         first = [ask(on), ask(on), ask(on), ask(on, "And now?")]
@@ -367,7 +340,7 @@ def test_a_question_that_was_never_asked_has_no_kept_answer(
 ) -> None:
     with serving(GOOD) as server:
         ask(line(server, record=str(tmp_path)))
-        on = Asking(model=server.address, model_name="scripted", replay_replies=str(tmp_path)).line()
+        on = line(server, replay_replies=str(tmp_path))
     with pytest.raises(FileNotFoundError, match="expected a kept reply to this question"):
         on.ask(change(question())).answer()
 
@@ -375,7 +348,7 @@ def test_a_question_that_was_never_asked_has_no_kept_answer(
 def test_a_damaged_exchange_is_refused(tmp_path: Path) -> None:
     with serving(GOOD) as server:
         ask(line(server, record=str(tmp_path)))
-        on = Asking(model=server.address, model_name="scripted", replay_replies=str(tmp_path)).line()
+        on = line(server, replay_replies=str(tmp_path))
     (path,) = tmp_path.glob("*.json")
     path.write_text(path.read_text().replace('"requests": 1', '"requests": -1'))
     with pytest.raises(ValueError, match=r"\.json: expected a kept exchange"):
@@ -388,6 +361,6 @@ def test_no_key_is_in_what_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         on = line(server, record=str(tmp_path))
         ask(on)
         ask(on, "Another?")
-        assert server.keys[0] == f"Bearer {SECRET}"
+        assert server.asked[0].key == f"Bearer {SECRET}"
     for path in tmp_path.rglob("*"):
         assert path.is_dir() or SECRET.encode() not in path.read_bytes()

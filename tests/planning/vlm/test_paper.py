@@ -19,7 +19,7 @@ from dream.planning.vlm.reply import STEPS
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
 from dream.types import LOOK_AROUND, Asked, Decision, Mission, Step
-from tests.planning.vlm.servers import Respond, Scripted, error, serving, text
+from tests.model_server import Response, Server, error, says, serving
 
 SIX = {step: f"My {step}." for step in STEPS}
 
@@ -28,22 +28,17 @@ def acting(direction: str, turn_deg: float, step_m: float, done: bool = False) -
     return {"direction": direction, "turn_deg": turn_deg, "step_m": step_m, "done": done}
 
 
-def saying(*actions: dict[str, Any], six: bool = True) -> list[Respond]:
-    return [text(json.dumps({**(SIX if six else {}), **action})) for action in actions]
+def saying(*actions: dict[str, Any], six: bool = True) -> list[Response]:
+    return [says(json.dumps({**(SIX if six else {}), **action})) for action in actions]
 
 
-def fly(server: Scripted, world: World, steps: int, planner: type[Dream | Vanilla] = Dream) -> list[Step]:
-    asking = planner(model=server.address, model_name="scripted", timeout=5.0)
+def fly(server: Server, world: World, steps: int, planner: type[Dream | Vanilla] = Dream) -> list[Step]:
+    asking = planner(**server.options, timeout=5.0)
     return list(simulate(world, asking, DREAM_V1, max_steps=LOOK_AROUND + steps))[1 + LOOK_AROUND :]
 
 
 def picture(png: bytes) -> np.ndarray[Any, np.dtype[np.uint8]]:
     return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
-
-
-def situation(body: dict[str, Any]) -> str:
-    said: str = body["messages"][1]["content"][-1]["text"]
-    return said
 
 
 def test_what_the_model_says_is_what_is_decided(string_reef: World) -> None:
@@ -66,10 +61,10 @@ def test_what_the_model_says_is_what_is_decided(string_reef: World) -> None:
 def test_the_ablation_gives_an_action_without_reasons(string_reef: World) -> None:
     with serving(*saying(acting("left", 90, 0), six=False)) as server:
         (step,) = fly(server, string_reef, 1, Vanilla)
-        (body,) = server.requests
+        (request,) = server.asked
     assert step.decision.exchanges[0].prompt == "vanilla 1, legend 1"
     assert step.decision.reasoning.action == "Turn left by 90°."
-    assert "distribution" not in body["response_format"]["json_schema"]["schema"]["properties"]
+    assert "distribution" not in request.schema["properties"]
 
 
 def test_it_is_shown_the_camera_depth_labels_and_the_map(string_reef: World) -> None:
@@ -95,7 +90,7 @@ def test_a_blocked_move_and_a_done_that_is_refused_are_told(string_reef: World) 
     )
     with serving(*script) as server:
         steps = fly(server, string_reef, 22)
-        told = [situation(body) for body in server.requests]
+        told = [request.question for request in server.asked]
     assert steps[0].open_region
     assert f"Done was said, and the map does not agree: {steps[0].open_region}." in told[1]
     blocked = next(k for k, step in enumerate(steps) if step.guarded.note)
@@ -119,12 +114,12 @@ def test_without_an_answer_the_offline_planner_decides_that_step(string_reef: Wo
 def test_what_earlier_legs_spent_counts_towards_the_budget(string_reef: World) -> None:
     first, *_ = simulate(string_reef, Belief(), DREAM_V1, max_steps=1)
     with serving(*saying(acting("left", 90, 0))) as server:
-        asking = Dream(model=server.address, model_name="scripted", timeout=5.0, max_calls=3)
+        asking = Dream(**server.options, timeout=5.0, max_calls=3)
         mission = Mission(DREAM_V1, string_reef.bounds, 200, asked=Asked(calls=2))
         pilot = asking.begin(mission)
         said = [pilot.decide(first.observation, first.occupancy).exchanges[0].fallback for _ in range(2)]
     assert said == ["", "budget: all 3 calls are made"]
-    assert len(server.requests) == 1
+    assert len(server.asked) == 1
 
 
 def test_the_offline_planner_stands_ready_wherever_the_model_went(string_reef: World) -> None:

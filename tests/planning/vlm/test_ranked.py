@@ -25,7 +25,7 @@ from dream.protocol import DREAM_V1
 from dream.robots.teleport import SPEED, TURN_RATE
 from dream.sim.world import World
 from dream.types import LOOK_AROUND, Decision, Exchange, Mission, Observation, Step
-from tests.planning.vlm.servers import Handler, Respond, error, ranking, serving
+from tests.model_server import Answer, Request, Response, error, ranking, serving
 from tests.sim.arenas import arena
 
 LATENCY = 12.0
@@ -56,7 +56,7 @@ class Flight:
     """The steps after the look-around, and what was asked."""
 
     steps: list[Step]
-    bodies: list[dict[str, Any]]
+    asked: list[Request]
     spent: list[float]
 
     @property
@@ -64,13 +64,13 @@ class Flight:
         return [exchange for step in self.steps for exchange in step.decision.exchanges]
 
 
-def fly(respond: Respond, world: World, steps: int, **options: Any) -> Flight:
+def fly(answer: Response | Answer, world: World, steps: int, **options: Any) -> Flight:
     """A flight on which the model is asked often and followed far, unless told otherwise."""
-    asked = {"margin": 20.0, "weight": 50.0, "allowance": 10.0, "latency": 0.0, **options}
-    with serving(respond) as server:
-        watched = Watched(Ranked(model=server.address, model_name="scripted", timeout=5.0, **asked))
+    told = {"margin": 20.0, "weight": 50.0, "allowance": 10.0, "latency": 0.0, **options}
+    with serving(answer) as server:
+        watched = Watched(Ranked(**server.options, timeout=5.0, **told))
         flown = list(simulate(world, watched, DREAM_V1, max_steps=LOOK_AROUND + steps))
-    return Flight(flown[1 + LOOK_AROUND :], server.requests, watched.spent)
+    return Flight(flown[1 + LOOK_AROUND :], server.asked, watched.spent)
 
 
 def alone(world: World, steps: int) -> list[Step]:
@@ -160,9 +160,8 @@ def led(string_reef: World) -> Flight:
 
 def test_schema_table_and_picture_have_the_same_places(led: Flight) -> None:
     assert len(led.exchanges) >= 3
-    for body, exchange in zip(led.bodies, led.exchanges, strict=False):
-        schema = body["response_format"]["json_schema"]["schema"]
-        numbers = schema["properties"]["ranking"]["items"]["enum"]
+    for request, exchange in zip(led.asked, led.exchanges, strict=False):
+        numbers = request.schema["properties"]["ranking"]["items"]["enum"]
         assert sorted(numbers) == list(range(1, len(numbers) + 1))
         table = re.findall(r"^\| (\d+) \|", exchange.question, re.MULTILINE)
         assert [int(number) for number in table] == sorted(numbers)
@@ -198,7 +197,7 @@ def test_what_the_choices_cost_stays_within_the_allowance(string_reef: World) ->
 
 
 @pytest.mark.parametrize(
-    ("respond", "options"),
+    ("answer", "options"),
     [
         (error(418), {}),
         (ranking(last_first, confidence=0.0), {}),
@@ -209,9 +208,9 @@ def test_what_the_choices_cost_stays_within_the_allowance(string_reef: World) ->
     ids=["no answer", "no confidence", "no margin", "no agreement"],
 )
 def test_otherwise_it_flies_as_the_offline_planner_does(
-    respond: Respond, options: dict[str, Any], string_reef: World
+    answer: Response | Answer, options: dict[str, Any], string_reef: World
 ) -> None:
-    flight = fly(respond, string_reef, 8, **options)
+    flight = fly(answer, string_reef, 8, **options)
     assert moves(flight.steps) == moves(alone(string_reef, 8))
     assert flight.spent[-1] == 0.0
     assert bool(flight.exchanges) == (options.get("margin") != 0.0)
@@ -234,13 +233,13 @@ def test_the_vehicle_does_not_wait_and_the_answer_counts_when_it_is_due(string_r
 def test_by_a_real_clock_an_answer_that_is_not_there_yet_is_not_waited_for(string_reef: World) -> None:
     thought_about = threading.Event()
 
-    def slow(handler: Handler) -> None:
+    def slow(request: Request) -> Response:
         assert thought_about.wait(10.0)
-        ranking(last_first)(handler)
+        return ranking(last_first)(request)
 
     with serving(slow) as server:
         eager = Ranked(margin=20.0, allowance=10.0, latency=None)
-        watched = Watched(replace(eager, model=server.address, model_name="scripted", timeout=20.0))
+        watched = Watched(replace(eager, **server.options, timeout=20.0))
         steps = []
         for step in simulate(string_reef, watched, DREAM_V1, max_steps=LOOK_AROUND + 8):
             steps.append(step)
