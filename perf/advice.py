@@ -21,7 +21,6 @@ import sys
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +37,10 @@ from dream.planning.vlm.reply import STEPS
 from dream.protocol import DREAM_V1
 from dream.sim.visibility import Visibility
 from dream.sim.worlds import make_world
+from dream.standin import chat
+from dream.standin.chat import Json
+from dream.standin.faults import Delivery
+from dream.standin.server import StandIn
 
 ADVISERS = ("silent", "knowing", "random", "first", "last", "doubting", "opposed")
 WORLDS = [f"reef/{kind}:{seed}" for seed in (103, 104) for kind in ("string", "patch", "mixed", "fringing")]
@@ -91,42 +94,20 @@ def advice(adviser: str, question: str, truth: Truth) -> dict[str, Any]:
     return {**said, "ranking": numbers, "confidence": confidence, "mission_complete": complete}
 
 
-class Adviser(ThreadingHTTPServer):
-    """Speaks as models do."""
-
-    daemon_threads = True
+class Adviser(StandIn):
+    """Speaks as models do, and says what an adviser says."""
 
     def __init__(self, name: str, truth: Truth) -> None:
-        super().__init__(("127.0.0.1", 0), _Handler)
+        super().__init__()
         self.name, self.truth = name, truth
         threading.Thread(target=self.serve_forever, daemon=True).start()
 
-
-class _Handler(BaseHTTPRequestHandler):
-    server: Adviser
-
-    def do_POST(self) -> None:
-        body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
-        question = body["messages"][-1]["content"][-1]["text"]
-        content = json.dumps(advice(self.server.name, question, self.server.truth))
-        message = {"role": "assistant", "content": content}
-        reply = {
-            "id": "1",
-            "object": "chat.completion",
-            "created": 1,
-            "model": self.server.name,
-            "choices": [{"index": 0, "finish_reason": "stop", "message": message}],
-            "usage": {"prompt_tokens": 1, "completion_tokens": 1, "total_tokens": 2},
-        }
-        sent = json.dumps(reply).encode()
-        self.send_response(418 if self.server.name == "silent" else 200)
-        self.send_header("Content-Type", "application/json")
-        self.send_header("Content-Length", str(len(sent)))
-        self.end_headers()
-        self.wfile.write(sent)
-
-    def log_message(self, *_: Any) -> None:
-        pass
+    def reply(self, request: Json) -> Delivery:
+        """Advice; nothing of use from who is silent."""
+        if self.name == "silent":
+            return Delivery(chat.error("silent", "No word."), 418)
+        content = json.dumps(advice(self.name, request["messages"][-1]["content"][-1]["text"], self.truth))
+        return Delivery(json.dumps(chat.completion(content, chat.asked(request))).encode())
 
 
 def fly(planner: str, adviser: str, world_name: str, seed: int) -> dict[str, Any]:
@@ -139,8 +120,7 @@ def fly(planner: str, adviser: str, world_name: str, seed: int) -> dict[str, Any
     if adviser.startswith("wire"):
         chosen = Asking(model=adviser).given_to(PLANNERS[planner])
     elif adviser != "belief":
-        address = f"http://127.0.0.1:{server.server_port}/v1"
-        chosen = Ranked(model=address, model_name=adviser)
+        chosen = Ranked(model=server.address, model_name=adviser)
     asked = followed = 0
     for step in simulate(world, chosen, DREAM_V1):
         scorer.add(step)
