@@ -1,16 +1,21 @@
 from __future__ import annotations
 
+import asyncio
 import gzip
+import importlib.util
 import json
+import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import httpx2
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
-from dream.planning.vlm import asking
+from dream.planning.vlm import asking, cassette
 from dream.planning.vlm.asking import Answer, Asking, Line, Question
 from tests.model_server import SECRET, Response, Server, error, says, serving
 
@@ -115,7 +120,6 @@ def test_what_is_no_answer_becomes_a_named_fallback(reply: Response, reason: str
         says(SO, choices="ab"),
         says(SO, choices=[None]),
         says(SO, model=""),
-        says(SO, usage={"prompt_tokens": -1e300, "completion_tokens": "x", "total_tokens": None}),
         Response(b"[" * 900_000),
         Response(b""),
         Response(b"null"),
@@ -127,6 +131,45 @@ def test_nothing_that_a_server_sends_ends_a_mission(reply: Response) -> None:
         assert ask(on).reply is not None
         answer = ask(on)
     assert answer.reply is not None or ":" in answer.exchange.fallback
+
+
+@pytest.mark.parametrize(
+    "usage",
+    [
+        None,
+        {},
+        "lots",
+        [100, 10],
+        {"prompt_tokens": None, "completion_tokens": None, "total_tokens": None},
+        {"prompt_tokens": 100, "completion_tokens": -10, "total_tokens": 90},
+        {"prompt_tokens": 10**30, "completion_tokens": 10, "total_tokens": 10**30},
+        {"prompt_tokens": -1e300, "completion_tokens": "x", "total_tokens": None},
+        {"prompt_tokens": float("nan"), "completion_tokens": float("inf"), "total_tokens": 0},
+        {"prompt_tokens": 9, "completion_tokens": 1, "total_tokens": 10, "prompt_tokens_details": "many"},
+        {
+            "prompt_tokens": 9,
+            "completion_tokens": 1,
+            "total_tokens": 10,
+            "prompt_tokens_details": {"cached_tokens": -5},
+        },
+    ],
+    ids=repr,
+)
+def test_tokens_that_cannot_be_cost_no_good_answer(usage: Any) -> None:
+    # The model is one whose price is known, elsewhere.
+    with serving(says(SO, usage=usage, model="gpt-5")) as server:
+        answer = ask(line(server))
+    assert answer.reply == Number(why="so", number=3)
+    exchange = answer.exchange
+    assert (exchange.fallback, exchange.requests) == ("", 1)
+    assert (exchange.tokens_in, exchange.tokens_out, exchange.cost_usd) == (0, 0, None)
+
+
+def test_what_a_server_counts_beside_tokens_is_its_own_affair() -> None:
+    usage = {"prompt_tokens": 100, "completion_tokens": 10, "total_tokens": 110, "nanoseconds": 10**12}
+    with serving(says(SO, usage={**usage, "prompt_tokens_details": None})) as server:
+        answer = ask(line(server))
+    assert (answer.exchange.tokens_in, answer.exchange.tokens_out) == (100, 10)
 
 
 def test_a_fence_around_the_reply_is_taken_off() -> None:
@@ -221,6 +264,27 @@ def test_only_the_key_for_such_servers_is_sent_to_an_address(monkeypatch: pytest
         monkeypatch.setenv(asking.KEY, "mine")
         ask(line(server))
     assert [request.key for request in server.asked] == ["Bearer none", "Bearer mine"]
+
+
+def test_threads_that_ask_at_once_share_a_loop_and_a_client(monkeypatch: pytest.MonkeyPatch) -> None:
+    def slowly(make: Callable[..., Any]) -> Callable[..., Any]:
+        def made(*args: Any, **options: Any) -> Any:
+            time.sleep(0.05)
+            return make(*args, **options)
+
+        return made
+
+    monkeypatch.setattr(asyncio, "new_event_loop", slowly(asyncio.new_event_loop))
+    monkeypatch.setattr(httpx2, "AsyncClient", slowly(httpx2.AsyncClient))
+    spec = importlib.util.find_spec(asking.__name__)
+    assert spec is not None
+    assert spec.loader is not None
+    fresh = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(fresh)
+    with ThreadPoolExecutor(4) as threads:
+        assert len(set(threads.map(lambda _: fresh._loop(), range(4)))) == 1
+        assert len(set(threads.map(lambda _: fresh._http(address=True, near=True), range(4)))) == 1
+    assert fresh._http(address=True, near=False) is not fresh._http(address=True, near=True)
 
 
 # ------------------------------------------------------------------------------------------------ limits
@@ -343,6 +407,34 @@ def test_a_question_that_was_never_asked_has_no_kept_answer(
         on = line(server, replay_replies=str(tmp_path))
     with pytest.raises(FileNotFoundError, match="expected a kept reply to this question"):
         on.ask(change(question())).answer()
+
+
+def test_what_is_recorded_again_takes_the_place_of_what_was_kept(tmp_path: Path) -> None:
+    other = says('{"why": "then", "number": 4}')
+    with serving(GOOD, GOOD, other) as server:
+        first, again = (line(server, record=str(tmp_path)) for _ in range(2))
+        ask(first, "Here?")
+        ask(first)
+        assert ask(again).reply == Number(why="then", number=4)
+        played = line(server, replay_replies=str(tmp_path))
+    assert len(list(tmp_path.glob("*.json"))) == 2
+    assert ask(played).reply == Number(why="then", number=4)
+    assert ask(played, "Here?").reply == Number(why="so", number=3)
+
+
+def test_an_old_exchange_does_not_answer_for_a_new_one_that_could_not_be_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, content: bytes) -> None:
+        raise OSError(28, "No space left on device")
+
+    with serving(GOOD, says('{"why": "then", "number": 4}')) as server:
+        ask(line(server, record=str(tmp_path)))
+        monkeypatch.setattr(cassette, "_replace", full)
+        assert ask(line(server, record=str(tmp_path))).reply == Number(why="then", number=4)
+        played = line(server, replay_replies=str(tmp_path))
+    with pytest.raises(FileNotFoundError, match="expected a kept reply to this question"):
+        ask(played)
 
 
 def test_a_damaged_exchange_is_refused(tmp_path: Path) -> None:

@@ -10,12 +10,12 @@ import re
 import threading
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, field, fields, replace
-from functools import lru_cache
+from functools import cache, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, ParamSpec, TypeVar, cast
 from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ValidationError
@@ -27,6 +27,7 @@ from dream.types import UNASKED, Asked, Exchange
 
 if TYPE_CHECKING:
     import httpx2
+    from openai.types.chat import ChatCompletion
     from pydantic_ai import Agent
     from pydantic_ai.models import Model
 
@@ -34,6 +35,8 @@ logger = logging.getLogger(__name__)
 
 R = TypeVar("R", bound=BaseModel)
 P = TypeVar("P")
+T = TypeVar("T")
+A = ParamSpec("A")
 
 OFFLINE = "DREAM_OFFLINE"
 """Environment variable: while it is set, to ask a model that is not on this machine is an error."""
@@ -43,6 +46,8 @@ WIRE_TEST = "which shows that the wire works, never what a model can do"
 """What is to be said of everything that was flown with the stand-in."""
 MOST_REPLY_BYTES = 1 << 20
 """A longer reply is not read to its end."""
+MOST_TOKENS = 1_000_000_000
+"""Of a reply or what it answers; a server that counts more is not believed."""
 MOST_TRIES = 3
 """Requests for one message, where the server is busy or the connection breaks."""
 KEY = "DREAM_API_KEY"
@@ -292,6 +297,8 @@ class Line:
     # ------------------------------------------------------------------------------------- conversation
 
     async def _converse(self, question: Question[R], key: str) -> Outcome:
+        if self.asking.record is not None:
+            cassette.forget(Path(self.asking.record), key)
         began = time.perf_counter()
         outcome = await self._exchange(question)
         outcome = outcome.lasting(time.perf_counter() - began)
@@ -447,7 +454,19 @@ def _plain(text: str) -> str:
 # ------------------------------------------------------------------------------------------- the way there
 
 
-@lru_cache(maxsize=1)
+def _once(make: Callable[A, T]) -> Callable[A, T]:
+    """Makes the same thing once, also for threads that come at the same time."""
+    lock, made = threading.Lock(), cache(make)
+
+    @wraps(make)
+    def one(*args: A.args, **options: A.kwargs) -> T:
+        with lock:
+            return made(*args, **cast(Any, options))
+
+    return one
+
+
+@_once
 def _loop() -> asyncio.AbstractEventLoop:
     """Where all conversations of this process go on."""
     loop = asyncio.new_event_loop()
@@ -459,7 +478,7 @@ class _TooLongError(ValueError):
     """A reply that is not read to its end."""
 
 
-@lru_cache(maxsize=3)
+@_once
 def _http(*, address: bool, near: bool) -> httpx2.AsyncClient:
     """The client of this process for known models, or for servers that are given by their address.
 
@@ -523,6 +542,15 @@ def _connect(model: str, name: str) -> Model:
         model, name = address(model.partition(":")[2]), name or WIRE
     if ":" not in model:
         raise ValueError(f"model: expected PROVIDER:NAME, an address or wire, got {model}")
+
+    class Lenient(OpenAIChatModel):
+        """Takes tokens that no model counts for none that were counted: they must not cost a good answer."""
+
+        def _validate_completion(self, response: ChatCompletion) -> Any:
+            if not _counted(response.usage):
+                response.usage = None
+            return super()._validate_completion(response)
+
     if "://" in model:
         near = _is_near(model)
         _check_allowed(model, near=near)
@@ -533,7 +561,7 @@ def _connect(model: str, name: str) -> Model:
         server = OpenAICompatibleProvider(
             "server", base_url=model, api_key=_key(), http_client=_http(address=True, near=near)
         )
-        return OpenAIChatModel(name, provider=server, profile={"supports_json_schema_output": True})
+        return Lenient(name, provider=server, profile={"supports_json_schema_output": True})
     if name:
         raise ValueError(f"model_name: expected only beside an address, got {name} with {model}")
     _check_allowed(model, near=False)
@@ -551,6 +579,20 @@ def _connect(model: str, name: str) -> Model:
         ) from error
     except (pydantic_ai.exceptions.UserError, TypeError, ValueError) as error:
         raise ValueError(f"model: expected one that can be asked, got {model}: {error}") from error
+
+
+def _counted(usage: Any) -> bool:
+    """Are these counts of tokens? Servers send null, words and less than nothing, too."""
+    from openai.types import CompletionUsage
+
+    try:
+        counts = CompletionUsage.model_validate(usage.model_dump(warnings=False))
+    except (AttributeError, ValidationError):
+        return False
+    parts = [counts.prompt_tokens_details, counts.completion_tokens_details]
+    # What a server adds of its own, such as times in nanoseconds, is no count of tokens.
+    numbers = [getattr(part, name) for part in (counts, *parts) if part for name in type(part).model_fields]
+    return all(0 <= number <= MOST_TOKENS for number in numbers if isinstance(number, int))
 
 
 def _key() -> str:

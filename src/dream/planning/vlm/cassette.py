@@ -1,7 +1,12 @@
-"""Exchanges with a model on disk, by the hash of what was asked: kept, and answered from."""
+"""Exchanges with a model on disk, by the hash of what was asked: kept, and answered from.
+
+A folder may hold those of many missions, and be recorded into again: an exchange takes the place of the
+one that was kept of the same question, and all others stay.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
@@ -71,6 +76,12 @@ def prepare(folder: Path) -> None:
         raise OSError(
             f"--record: expected a folder that can be written, got {folder} ({error.strerror})"
         ) from error
+
+
+def forget(folder: Path, key: str) -> None:
+    """Remove what was kept of an exchange that begins again: where the new one is lost, no old one answers."""
+    with contextlib.suppress(OSError):  # Then it cannot be replaced either, which is told when it is kept.
+        (folder / f"{key}.json").unlink(missing_ok=True)
 
 
 def keep(
