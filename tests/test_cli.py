@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -584,6 +585,34 @@ def test_a_run_tells_what_asking_came_to(tmp_path: Path, capsys: pytest.CaptureF
     summary = json.loads((tmp_path / "latest" / "summary.json").read_text())
     assert (summary["vlm"]["questions"], summary["vlm"]["fallbacks"]) == (3, 1)
     assert summary["mission_s"] > 48.0
+
+
+def test_nothing_breaks_into_the_progress_of_a_run(tmp_path: Path) -> None:
+    def answer(request: Request) -> Response:
+        shutil.rmtree(tmp_path / "kept", ignore_errors=True)
+        return fitting(request)
+
+    # Under pytest or in CI the client is quiet by itself.
+    known = {name: value for name, value in os.environ.items() if name not in ("PYTEST_VERSION", "CI")}
+    ours, theirs = os.openpty()
+    with serving(answer) as server, os.fdopen(ours, "rb", buffering=0) as terminal:
+        model = ["--model", server.address, "--model-name", NAME, "--record", str(tmp_path / "kept")]
+        fly = ["run", "vanilla", *model, "--max-steps", "5", "--out", str(tmp_path / "runs")]
+        code = "import sys; from dream.cli import main; main(sys.argv[1:])"
+        environment = {**known, "TERM": "xterm", "COLUMNS": "300"}
+        command = [sys.executable, "-c", code, *fly]
+        running = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=theirs)
+        os.close(theirs)
+        printed = ""
+        with contextlib.suppress(OSError):  # So a terminal ends.
+            while shown := terminal.read(4096):
+                printed += shown.decode(errors="replace")
+        assert running.wait(60) == 0
+    assert "/5" in printed
+    assert "pydantic" not in printed
+    said = [line for line in re.split(r"\r|\n|\x1b\[2K", printed) if "this exchange is not kept" in line]
+    assert len(said) == 2
+    assert all(line.startswith("dream: ") for line in said)
 
 
 def test_a_key_is_sent_but_never_written(

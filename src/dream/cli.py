@@ -41,6 +41,14 @@ COMMANDS = ("run", "mission", "bench", "sweep", "results", "oracle", "probe", "w
 FAILED, BAD_INPUT = 1, 2
 
 
+class _Telling(logging.Handler):
+    """Writes to what standard error is by then: a progress bar takes its place and lets lines by."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a line."""
+        print(self.format(record), file=sys.stderr)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point. Exits with 0, with 1 where a mission was aborted, with 2 on bad arguments or input."""
     sys.exit(run_command(list(sys.argv[1:] if arguments is None else arguments)))
@@ -57,7 +65,7 @@ def run_command(arguments: list[str]) -> int:
 
         print(f"dream {__version__}")
         return 0
-    logging.basicConfig(format="dream: %(message)s", level=logging.WARNING)
+    logging.basicConfig(format="dream: %(message)s", level=logging.WARNING, handlers=[_Telling()])
     try:
         return _dispatch(name, arguments[1:])
     except (ValueError, OSError) as error:

@@ -68,22 +68,22 @@ class Asking:
     """Options of every planner that asks a model."""
 
     model: str = ""
-    """Which model: `openai:NAME`, `anthropic:NAME`, `google:NAME`, the address of a server that speaks
-    OpenAI's interface, such as http://localhost:8000/v1, or `wire`, the stand-in that answers by rule."""
+    """Which model: `openai:NAME`, `anthropic:NAME`, `google:NAME`, `wire`, which answers by rule, or the
+    address of a server that speaks OpenAI's interface, such as http://localhost:8000/v1."""
     model_name: str = ""
-    """What the server at that address calls the model."""
+    """What the server at that address calls the model; said with an address, and with nothing else."""
     timeout: float = 60.0
-    """Seconds for an answer, all tries included; then the offline planner decides."""
+    """Seconds for an answer, all tries included; then the offline planner decides that step."""
     max_calls: int | None = None
     # Tries again of a request that a busy server turned away do not count.
     """Requests at most in a mission; then the offline planner decides."""
     max_usd: float | None = None
-    """US dollars at most in a mission, likewise."""
+    """US dollars at most in a mission, likewise; for models whose price is known."""
     latency: float | None = 12.0
-    """Seconds that an answer takes on the clock of a simulated mission; the paper's model took about 12. None
+    """Seconds that a request takes on the clock of a simulated mission; the paper's model took about 12. None
     is as long as it really takes, as on a vehicle in the water."""
     record: str | None = None
-    """Folder in which to keep every exchange by the hash of its content."""
+    """Folder in which to keep every exchange; one kept there of the same question is replaced."""
     replay_replies: str | None = None
     """Folder of kept exchanges to answer from: no model is asked."""
 
@@ -524,6 +524,7 @@ def _http(*, address: bool, near: bool) -> httpx2.AsyncClient:
 def _connect(model: str, name: str) -> Model:
     """The model, ready to be asked."""
     try:
+        import pydantic_ai
         import pydantic_ai.exceptions
         from pydantic_ai.models import infer_model
         from pydantic_ai.models.openai import OpenAIChatModel
@@ -531,6 +532,8 @@ def _connect(model: str, name: str) -> Model:
         from pydantic_ai.providers.openai_compatible import OpenAICompatibleProvider
     except ImportError as error:
         raise ValueError(f"a planner that asks a model {EXTRA}") from error
+    # Its advertisement would come in the middle of a mission's progress.
+    pydantic_ai.BANNER_ENABLED = False
     if not model:
         raise ValueError(
             "model: expected which model to ask, got none. Say --model openai:NAME, anthropic:NAME, "

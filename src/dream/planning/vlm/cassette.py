@@ -79,7 +79,7 @@ def prepare(folder: Path) -> None:
 
 
 def forget(folder: Path, key: str) -> None:
-    """Remove what was kept of an exchange that begins again: where the new one is lost, no old one answers."""
+    """Remove what was kept of an exchange that begins again: if the new one is lost, no old one answers."""
     with contextlib.suppress(OSError):  # Then it cannot be replaced either, which is told when it is kept.
         (folder / f"{key}.json").unlink(missing_ok=True)
 
