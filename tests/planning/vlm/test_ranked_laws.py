@@ -33,8 +33,8 @@ from dream.standin.eyes import read_map
 from dream.standin.marks import read_marks
 from dream.types import LOOK_AROUND, Decision, Mission, Observation
 from tests.mapping.analytic import AREA, empty_map
+from tests.model_server import Server, ranking, serving
 from tests.planning.flights import SIDE, observed_at
-from tests.planning.vlm.servers import Scripted, ranking, serving
 from tests.sim.arenas import FLOOR, arena, placed
 from tests.standin.sheets import request
 
@@ -88,7 +88,7 @@ class Listening:
     """`Ranked`, and all that it asked."""
 
     planner: Ranked
-    server: Scripted
+    server: Server
     listed: list[list[Place]]
     pilot: Any = None
     sent: list[list[Sent]] = field(default_factory=list)
@@ -99,12 +99,14 @@ class Listening:
         return self
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
-        before, known = len(self.server.requests), occupancy.copy()
+        before, known = len(self.server.asked), occupancy.copy()
         decision: Decision = self.pilot.decide(observation, occupancy)
-        if bodies := self.server.requests[before:]:
+        if requests := self.server.asked[before:]:
             x, y = self.listed[-1][0].path[-1]
             own = float(x), float(y)
-            self.sent.append([Sent(observation.pose, known, asked(body), own) for body in bodies])
+            self.sent.append(
+                [Sent(observation.pose, known, asked(request.body), own) for request in requests]
+            )
         return decision
 
 
@@ -129,7 +131,7 @@ def questions(string_reef: World) -> list[list[Sent]]:
 
         patch.setattr(ranked, "places", listening)
         for world, steps, votes in ((string_reef, 8, 1), (WRECK, 5, 3)):
-            asking = Ranked(model=server.address, model_name="scripted", votes=votes, **often)  # type: ignore[arg-type]
+            asking = Ranked(**server.options, votes=votes, **often)  # type: ignore[arg-type]
             flight = Listening(asking, server, listed)
             for _ in simulate(world, flight, DREAM_V1, max_steps=LOOK_AROUND + steps):
                 pass
