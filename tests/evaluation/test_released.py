@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import shutil
+import statistics
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 from PIL import Image
@@ -40,3 +43,20 @@ def test_the_page_of_results_is_made_from_the_files_that_are_tracked(
     assert page.read_text(encoding="utf-8") == (ROOT / "docs/results.md").read_text(encoding="utf-8")
     made = {path.name for path in (tmp_path / "docs/results").iterdir()}
     assert made == {path.name for path in (ROOT / "docs/results").iterdir()}
+
+
+def test_the_table_of_wrong_answers_is_that_of_the_released_missions() -> None:
+    page = (ROOT / "docs/models.md").read_text(encoding="utf-8")
+    by_adviser: dict[str, dict[str, list[dict[str, Any]]]] = {}
+    for planner in ("ranked", "dream"):
+        for line in (ROOT / f"results/wire/{planner}.jsonl").read_text(encoding="utf-8").splitlines():
+            mission = json.loads(line)
+            by_adviser.setdefault(mission["adviser"], {}).setdefault(planner, []).append(mission)
+    assert len(by_adviser) == 6
+    for adviser, planners in by_adviser.items():
+        cells = ["`belief` alone" if adviser == "belief" else adviser.partition("error:")[2] or "0"]
+        for flown in planners.values():
+            t98, stop, seen = (statistics.fmean(m[mark] for m in flown) for mark in ("t98", "stop", "seen"))
+            cells += [f"{t98:.1f}", f"{stop:.1f}", f"{100.0 * seen:.1f} %"]
+            cells.append(str(sum(m["collisions"] for m in flown)))
+        assert f"\n| {' | '.join(cells)} |\n" in page
