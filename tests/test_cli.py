@@ -576,9 +576,10 @@ def test_a_run_tells_what_asking_came_to(tmp_path: Path, capsys: pytest.CaptureF
     printed = capsys.readouterr().out
     address = read_config(tmp_path / "latest").planner_parameters["model"]
     assert (
-        f"  asked {NAME} at {address}: 4 calls, 440 tokens, at an unknown price, "
-        "1 fallbacks (invalid 1), waited 48 s of "
+        f"  asked {NAME} at {address}: 4 calls, 440 tokens, at an unknown price, waited 48 s of "
     ) in printed
+    assert "  1 of 3 questions were decided by belief (invalid 1)\n" in printed
+    assert "  its last word: " in printed
     assert "wire test" not in printed
     kept = [len(read_exchanges(tmp_path / "latest", step)) for step in range(7)]
     assert kept == [0, 0, 0, 0, 1, 1, 1]
@@ -644,10 +645,45 @@ def test_a_wrong_key_ends_the_run_at_its_first_question_and_says_what_to_do(
     status, asked = ask([error(401)], tmp_path)
     assert (status, len(asked)) == (1, 1)
     complaint = capsys.readouterr().err
-    assert "HTTP 401. Is its name right, and its key in the environment?; 3 steps are kept in" in complaint
+    assert "and its key in the environment, as DREAM_API_KEY?; 3 steps are kept in" in complaint
     assert len(complaint.splitlines()) == 1
     assert [step.step for step in read_steps(tmp_path / "latest")] == [0, 1, 2, 3]
     assert (tmp_path / "latest" / "report.html").is_file()
+
+
+def test_nobody_at_the_address_ends_the_run_at_its_first_question(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with serving() as server:
+        address = server.address
+    fly = ["run", "vanilla", "--model", address, "--model-name", NAME, "--out", str(tmp_path)]
+    assert run_command(fly) == 1
+    printed = capsys.readouterr()
+    assert "Is the server running, and its address right?; 3 steps are kept in" in printed.err
+    assert "asked" not in printed.out
+
+
+def test_the_first_answer_that_does_not_count_is_told_at_once_and_whose_word_the_last_was(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    assert ask([fitting, error(418)], tmp_path)[0] == 0
+    (told,) = caplog.messages
+    assert told.startswith(f"step 5: {NAME} at http://127.0.0.1:")
+    assert told.endswith("(server: HTTP 418); belief decides there and wherever none comes")
+    printed = capsys.readouterr().out
+    assert "  2 of 3 questions were decided by belief (server 2)\n" in printed
+    assert "  belief's last word: " in printed
+
+
+def test_a_planner_that_had_nothing_to_ask_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with serving() as server:
+        model = ["--model", server.address, "--model-name", NAME, "--margin", "0"]
+        assert run_command(["run", "ranked", *model, "--max-steps", "5", "--out", str(tmp_path)]) == 0
+        assert not server.asked
+    asked = f"  asked {NAME} at {server.address}: nothing, no choice was close enough\n"
+    assert asked in capsys.readouterr().out
 
 
 def test_a_key_that_is_refused_later_is_a_fallback(tmp_path: Path) -> None:
@@ -707,7 +743,7 @@ def test_a_benchmark_says_of_each_mission_that_its_key_was_refused(
         assert run_command(fly) == 1
     complaint = capsys.readouterr().err.splitlines()[-1]
     assert "1 of 1 missions failed, first dream in flat/empty 1: " in complaint
-    assert "HTTP 401. Is its name right, and its key in the environment?" in complaint
+    assert "HTTP 401. Is its name right, and its key in the environment, as DREAM_API_KEY?" in complaint
 
 
 def test_a_model_that_cannot_be_asked_is_found_out_before_anything_is_flown(

@@ -33,7 +33,7 @@ from dream.protocol import DREAM_V1
 from dream.recording import read_config, read_steps
 from dream.report import repeating_command
 from dream.types import Mission, Target
-from tests.model_server import NAME, Server, says, serving
+from tests.model_server import NAME, Server, error, says, serving
 
 BOX = Bounds(-20.0, -20.0, 20.0, 20.0)
 WESTERN = "map only the western half, at most 80 steps"
@@ -148,7 +148,14 @@ def test_a_model_that_never_answers_well_is_told_of_and_nothing_is_flown(
     with pytest.raises(ValueError, match=r"mission: expected orders from scripted at .*, got none") as told:
         understood(model, WESTERN)
     assert "rm -rf" not in str(told.value)
+    assert str(told.value).endswith("Say it in other words, or ask another model")
     assert len(model.asked) == 2
+
+
+def test_other_words_are_asked_for_only_where_the_words_may_be_the_matter(model: Server) -> None:
+    model.script = [error(500, retry_after="0")]
+    with pytest.raises(ValueError, match=r"\(server: HTTP 500\)\. Try again, or ask another model"):
+        understood(model, WESTERN)
 
 
 @pytest.mark.parametrize(

@@ -482,6 +482,18 @@ def test_a_server_that_refuses_ends_the_probe_with_one_line(
     assert "HTTP 403" in printed.err
 
 
+def test_nobody_at_the_address_ends_the_probe_with_one_line(
+    questions: list[MapQuestion], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dream.evaluation.probe.make_questions", lambda count: iter(questions[:count]))
+    with serving() as server:
+        address = server.address
+    assert run_command(probe(address, "--questions", "8")) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert "connection: nothing answers at 127.0.0.1:" in printed.err
+
+
 def test_questions_that_the_budget_does_not_pay_for_are_not_asked(
     questions: list[MapQuestion], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

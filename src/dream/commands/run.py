@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import logging
 import sys
 import time
 from collections.abc import Generator, Mapping, Sequence
@@ -24,7 +25,7 @@ from dream.commands.console import (
 from dream.commands.mission import confirmed, given
 from dream.errors import MissionAborted
 from dream.planning import PLANNERS, AnyPlanner
-from dream.planning.vlm import WIRE_TEST, stands_in
+from dream.planning.vlm import WIRE_TEST, Asking, Ranked, stands_in
 from dream.protocol import protocol_named
 
 if TYPE_CHECKING:
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
     ChosenPlanner = AnyPlanner
 else:
     ChosenPlanner = tyro.extras.subcommand_type_from_defaults(PLANNERS, sort_subcommands=False)
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +127,7 @@ class Run:
         if self.json:
             print_json(summary)
         else:
-            _print_outcome(summary, recording.read_steps(folder), page)
+            _print_outcome(summary, self.planner, recording.read_steps(folder), page)
         if stopped is not None:
             raise _aborted(stopped, summary, folder) from stopped
         return 0
@@ -140,7 +143,6 @@ def _orders(
 ) -> Orders:
     """What the operator orders, in a file or in words for the planner's own model."""
     from dream.evaluation.runner import labelled_in
-    from dream.planning.vlm.asking import Asking
     from dream.planning.vlm.orders import check_flyable
 
     orders = given(mission)
@@ -159,11 +161,27 @@ def _fly(recorded: Generator[Step, None, None], title: str, total: int) -> BaseE
     """Fly a mission to its end; returns what stopped it before, since what was flown is kept then too."""
     try:
         with contextlib.closing(recorded), kept_interrupts() as check:
-            for _ in with_progress(recorded, title, total):
+            warned = False
+            for step in with_progress(recorded, title, total):
                 check()
+                warned = warned or _warned(step)
     except (KeyboardInterrupt, Exception) as stopped:  # noqa: BLE001 - whatever it was.
         return stopped
     return None
+
+
+def _warned(step: Step) -> bool:
+    """Say where a model gave no answer that counts: another decides there than the one that was chosen."""
+    silent = next((exchange for exchange in step.decision.exchanges if exchange.fallback), None)
+    if silent is None:
+        return False
+    logger.warning(
+        "step %d: %s gave no answer that counts (%s); belief decides there and wherever none comes",
+        step.index,
+        silent.model,
+        silent.fallback,
+    )
+    return True
 
 
 def _aborted(why: BaseException, summary: Mapping[str, Any], folder: Path) -> MissionAborted:
@@ -171,7 +189,9 @@ def _aborted(why: BaseException, summary: Mapping[str, Any], folder: Path) -> Mi
     return MissionAborted(f"aborted: {what}; {summary['steps']} steps are kept in {folder}")
 
 
-def _print_outcome(summary: Mapping[str, Any], steps: Sequence[RecordedStep], page: Path) -> None:
+def _print_outcome(
+    summary: Mapping[str, Any], planner: AnyPlanner, steps: Sequence[RecordedStep], page: Path
+) -> None:
     from dream.evaluation.metrics import MILESTONES
 
     coverage = summary["coverage"]
@@ -186,7 +206,9 @@ def _print_outcome(summary: Mapping[str, Any], steps: Sequence[RecordedStep], pa
     if steps:
         # What it holds to be complete, and with which risk; some planners only say what they do.
         reasoning = steps[-1].reasoning
-        print(f"  its last word: {reasoning.completion or reasoning.action}")
+        asked = steps[-1].asked
+        whose = "belief's" if asked is not None and asked.fallback else "its"
+        print(f"  {whose} last word: {reasoning.completion or reasoning.action}")
     for number, leg in enumerate(summary.get("legs", ()), start=1):
         print(f"  leg {number}, {leg['task']} {leg['target']}: {leg['outcome']}, {leg['steps']} steps")
     print("  seen: " + ", ".join(f"{coverage[k]:.1%} of the {k}" for k in ("instances", "clusters", "area")))
@@ -195,16 +217,26 @@ def _print_outcome(summary: Mapping[str, Any], steps: Sequence[RecordedStep], pa
     print(f"  {summary['collisions']} collisions, {summary['distance_m']:.0f} m, {summary['wall_s']:.1f} s")
     if summary["vlm"] is not None:
         print(f"  {_asked(summary)}")
+        print(f"  {_decided(summary['vlm'])}")
+    elif isinstance(planner, Asking) and summary["ended"] != "aborted":
+        why = ", no choice was close enough" if isinstance(planner, Ranked) else ""
+        print(f"  asked {planner.label}: nothing{why}")
     print(f"  report: {page}")
 
 
 def _asked(summary: Mapping[str, Any]) -> str:
     """What asking a model came to, in a line."""
     vlm = summary["vlm"]
-    reasons = ", ".join(f"{reason} {times}" for reason, times in vlm["reasons"].items())
     return (
         f"asked {vlm['model']}: {vlm['calls']} calls, {vlm['tokens']} tokens, {price(vlm['cost_usd'])}, "
-        f"{vlm['fallbacks']} fallbacks{f' ({reasons})' if reasons else ''}, "
         f"waited {vlm['waited_s']:.0f} s of {summary['mission_s']:.0f} s"
         + (f"; a wire test, {WIRE_TEST}" if stands_in(vlm["model"]) else "")
+    )
+
+
+def _decided(vlm: Mapping[str, Any]) -> str:
+    """Whose word counted, in a line."""
+    reasons = ", ".join(f"{reason} {times}" for reason, times in vlm["reasons"].items())
+    return f"{vlm['fallbacks']} of {vlm['questions']} questions were decided by belief" + (
+        f" ({reasons})" if reasons else ""
     )

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from dream.planning.vlm import asking, cassette
 from dream.planning.vlm.asking import Answer, Asking, Line, Question
+from dream.types import Asked
 from tests.model_server import SECRET, Response, Server, error, says, serving
 
 
@@ -98,7 +99,7 @@ def test_a_reply_that_does_not_fit_is_asked_again_once_with_what_is_wrong() -> N
         (error(429, retry_after="0"), "rate limit", 1),
         (error(500, retry_after="0"), "server: HTTP 500", 1),
         (Response(b"<html>not a reply</html>"), "server", 1),
-        (replace(GOOD, breaks=True), "connection", 1),
+        (replace(GOOD, breaks=True), "connection: it broke", 1),
         (Response(b'"' + 10_000_000 * b"x" + b'"'), "too large", 1),
         (Response(gzip.compress(10_000_000 * b" "), headers={"Content-Encoding": "gzip"}), "too large", 1),
     ],
@@ -255,6 +256,36 @@ def test_a_model_that_cannot_be_asked_at_all_is_an_error_of_the_operator() -> No
             on.insist(denied)
         assert on.insist(ask(on)).reply is not None
         assert on.insist(ask(on)).exchange.fallback == "denied: HTTP 401"
+
+
+def test_nobody_at_the_address_is_an_error_of_the_operator_before_the_first_answer_only() -> None:
+    with serving(replace(GOOD, headers={"Connection": "close"})) as server:
+        began, known = line(server), line(server)
+        ask(known)
+    where = server.address.removeprefix("http://").removesuffix("/v1")
+    silent = ask(began)
+    assert silent.exchange.fallback == f"connection: nothing answers at {where}"
+    with pytest.raises(ValueError, match=rf"got connection: nothing answers at {where}\. Is the server runn"):
+        began.insist(silent)
+    assert known.insist(ask(known)).exchange.fallback == silent.exchange.fallback
+    later = Asking(**server.options, timeout=5.0).line(Asked(calls=1))
+    assert later.insist(ask(later)).exchange.fallback == silent.exchange.fallback
+
+
+@pytest.mark.parametrize(
+    ("path", "status", "advice"),
+    [
+        ("", 404, r"Is the address whole\? Most end in /v1: http://127.0.0.1:\d+/v1$"),
+        ("/v1", 404, r"Does the server have a model of that name\?$"),
+        ("/v1/", 404, r"Does the server have a model of that name\?$"),
+        ("/v1", 403, r"Is its name right, and its key in the environment, as DREAM_API_KEY\?$"),
+    ],
+)
+def test_who_is_denied_is_told_what_to_look_at(path: str, status: int, advice: str) -> None:
+    with serving(error(status)) as server:
+        on = line(server, model=server.address.removesuffix("/v1") + path)
+        with pytest.raises(ValueError, match=advice):
+            on.insist(ask(on))
 
 
 def test_only_the_key_for_such_servers_is_sent_to_an_address(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -216,6 +216,11 @@ def test_otherwise_it_flies_as_the_offline_planner_does(
     assert bool(flight.exchanges) == (options.get("margin") != 0.0)
 
 
+def test_a_model_that_cannot_be_asked_ends_the_mission_at_its_first_answer(string_reef: World) -> None:
+    with pytest.raises(ValueError, match=r"got denied: HTTP 404\. Does the server have a model of"):
+        fly(error(404), string_reef, 8)
+
+
 def test_the_vehicle_does_not_wait_and_the_answer_counts_when_it_is_due(string_reef: World) -> None:
     steps = fly(ranking(last_first), string_reef, 12, latency=LATENCY).steps
     # But for the last one, after which nobody would hear the answer.

@@ -56,6 +56,8 @@ LEAST_KEY = 8
 """Characters of a key that is looked for in what a model writes."""
 DENIED = "denied"
 """How the reason begins where a model cannot be asked at all."""
+UNREACHED = "connection: nothing answers"
+"""How it begins where nobody listens at the model's address."""
 PASSED_ON = frozenset(
     ("accept", "accept-encoding", "authorization", "connection", "content-length", "content-type", "host")
 )
@@ -208,9 +210,11 @@ class Line:
     _model: Model | None = None
     _native: bool = True
     _answered: bool = False
+    """It answered once, or an earlier leg of the orders went on after its first question."""
     _asked: Counter[str] = field(default_factory=Counter)
 
     def __post_init__(self) -> None:
+        self._answered = self.spent.calls > 0
         if self.asking.replay_replies is None:
             self._model = _connect(self.asking.model, self.asking.model_name)
             self._native = bool(self._model.profile.get("supports_json_schema_output"))
@@ -244,14 +248,29 @@ class Line:
         """The answer, where the model can be asked at all.
 
         Raises:
-            ValueError: It never answered and denies to: its name or its key is wrong.
+            ValueError: It never answered, and denies to or is not there: its address, its name or its key is
+                wrong.
         """
-        if not self._answered and answer.exchange.fallback.startswith(DENIED):
+        fallback = answer.exchange.fallback
+        if not self._answered and fallback.startswith((DENIED, UNREACHED)):
             raise ValueError(
-                f"model: expected {self.asking.label} to answer, got {answer.exchange.fallback}. "
-                "Is its name right, and its key in the environment?"
+                f"model: expected {self.asking.label} to answer, got {fallback}. {self._advice(fallback)}"
             )
         return answer
+
+    def _advice(self, fallback: str) -> str:
+        """What to look at where the model cannot be asked at all."""
+        address = self.asking.model
+        if "://" not in address:
+            network = fallback.startswith(UNREACHED)
+            return "Is there a network?" if network else "Is its name right, and its key in the environment?"
+        if fallback.startswith(UNREACHED):
+            return "Is the server running, and its address right?"
+        if not fallback.endswith("404"):
+            return f"Is its name right, and its key in the environment, as {KEY}?"
+        if urlsplit(address).path.rstrip("/").endswith("/v1"):
+            return "Does the server have a model of that name?"
+        return f"Is the address whole? Most end in /v1: {address.rstrip('/')}/v1"
 
     def receive(self, question: Question[R], outcome: Outcome) -> Answer[R]:
         """Check what came, and count it."""
@@ -387,12 +406,15 @@ def _first(error: ValidationError) -> str:
 
 def _reason(error: Exception, timeout: float, messages: int) -> str:
     """Why there is no answer. Nothing that a server wrote is in it: that might hold a key."""
+    import httpx2
     from pydantic_ai import exceptions
 
     cause: BaseException | None = error
     while cause is not None:
         if isinstance(cause, _TooLongError):
             return f"too large: {cause}"
+        if isinstance(cause, httpx2.ConnectError | httpx2.ConnectTimeout):
+            return f"{UNREACHED} at {cause.request.url.netloc.decode()}"
         cause = cause.__cause__ or cause.__context__
     if isinstance(error, TimeoutError | exceptions.ModelTimeoutError):
         return f"timeout: no answer within {timeout:g} s"
@@ -406,7 +428,7 @@ def _reason(error: Exception, timeout: float, messages: int) -> str:
         kind = DENIED if error.status_code in (401, 403, 404) else "server"
         return f"{kind}: HTTP {error.status_code}"
     if isinstance(error, exceptions.ModelConnectionError | OSError):
-        return "connection: none, or it broke"
+        return "connection: it broke"
     if isinstance(error, exceptions.ContentFilterError):
         return "refused: the model declined to answer"
     if isinstance(error, exceptions.OutputTokenLimitExceeded):

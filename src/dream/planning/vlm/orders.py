@@ -165,11 +165,17 @@ def ask_orders(
     if answer.reply is None:
         raise ValueError(
             f"mission: expected orders from {asking.label}, got none ({answer.exchange.fallback}). "
-            "Say it in other words, or ask another model"
+            f"{_advice(answer.exchange.fallback)}, or ask another model"
         )
     orders = answer.reply.orders
     check_flyable(orders, bounds, protocol, labelled)
     return Understood(orders, answer.reply.left_out, answer.exchange)
+
+
+def _advice(fallback: str) -> str:
+    """What may help where no orders came: other words where the model said something, else patience."""
+    said = fallback.partition(":")[0] in ("invalid", "refused", "truncated")
+    return "Say it in other words" if said else "Try again"
 
 
 def check_inside(orders: Orders, bounds: Bounds) -> None:

@@ -219,7 +219,7 @@ class RankedPilot:
         waits = self.planner.wait or thought.plan is None or last
         if not waits and not self._may_have_come(now):
             return []
-        answers = [pending.answer() for _, pending in self.asked.votes]
+        answers = [self.line.insist(pending.answer()) for _, pending in self.asked.votes]
         return answers if waits or now >= self._due(answers) else []
 
     def _may_have_come(self, now: float) -> bool:
