@@ -728,6 +728,7 @@ def test_a_benchmark_hands_its_model_to_those_that_ask_and_writes_it_down(
     assert "model" not in results.manifest["planners"]["random"]
     random, vanilla = results.rows
     assert (vanilla.vlm_calls, vanilla.vlm_fallbacks, vanilla.vlm_waited_s) == (1, 1, 9.0)
+    assert (vanilla.vlm_questions, random.vlm_questions) == (2, None)
     assert (random.vlm_calls, random.vlm_waited_s) == (None, None)
     assert vanilla.mission_s is not None
     assert vanilla.mission_s > 9.0

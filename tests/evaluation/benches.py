@@ -94,6 +94,7 @@ def flown(
         "vlm_fallbacks": None,
         "vlm_waited_s": None,
         "mission_s": 10.0 * steps,
+        "vlm_questions": None,
         "success": done and marks["t98"] is not None and not collided.any(),
         "wall_s": 1.5,
     }
@@ -134,6 +135,7 @@ ASKED: Mapping[str, Any] = {
     "vlm_fallbacks": 2,
     "vlm_waited_s": 720.0,
     "mission_s": 960.0,
+    "vlm_questions": 50,
 }
 """Of the row of a mission that asked a model."""
 

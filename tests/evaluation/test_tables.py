@@ -12,6 +12,7 @@ from rich.console import Console
 
 from dream.evaluation import tables
 from dream.evaluation.oracle.bounds import Bounds
+from dream.evaluation.report import warnings
 from dream.evaluation.results import Flown, Results
 from dream.evaluation.suites import Case
 from dream.evaluation.tables import (
@@ -430,7 +431,7 @@ def asking(parameters: dict[str, Any], **changes: Any) -> Results:
 
 def test_the_papers_tables_say_what_asking_took() -> None:
     (table,) = tables.paper_tables(compare(asking({})))
-    assert table.headings[-4:] == ("calls", "tokens", "US$", "minutes")
+    assert table.headings[-5:] == ("calls", "tokens", "US$", "minutes", "by belief, %")
     line = row(table, "dream (openai:gpt)")
     assert (line["calls"], line["tokens"], line["US$"], line["minutes"]) == (
         "50.0",
@@ -439,7 +440,7 @@ def test_the_papers_tables_say_what_asking_took() -> None:
         "13.0",
     )
     line = row(table, "sixsteps")
-    assert [line[name] for name in tables.ASKING] == [NONE, NONE, NONE, "5.0"]
+    assert [line[name] for name in tables.ASKING] == [NONE, NONE, NONE, "5.0", NONE]
     assert "at 12 s a call." in " ".join(table.notes)
     assert [line[0] for line in table.rows if UNMEASURED in line] == ["UIVNav (our re-implementation)"]
     assert {len(line) for line in table.rows} == {len(table.headings)}
@@ -482,6 +483,34 @@ def test_what_asked_the_stand_in_is_a_wire_test_and_measures_no_model(model: str
     assert "planners that ask a vision-language model" in [line[0] for line in table.rows]
     assert "never what a model can do" in " ".join(table.notes)
     assert "never what a model can do" in " ".join(tables.headline(found, (L1, L2)).notes)
+
+
+@pytest.mark.parametrize(("fallbacks", "marked"), [(5, False), (6, True), (50, True)])
+def test_rows_that_belief_flew_much_of_are_marked_wherever_they_stand(fallbacks: int, marked: bool) -> None:
+    made = asking({})
+    rows = tuple(
+        replace(each, vlm_fallbacks=fallbacks) if each.planner == "dream" else each for each in made.rows
+    )
+    found = compare(replace(made, rows=rows))
+    name = "dream (openai:gpt; partly belief)" if marked else "dream (openai:gpt)"
+    assert set(found.planners) == {name, "sixsteps"}
+    line = row(tables.headline(found, (L1, L2)), name)
+    assert line["by belief, %"] == str(2 * fallbacks)
+    said = f"counted: {name} {2 * fallbacks} % of the questions."
+    console = Console(file=io.StringIO(), width=300)
+    tables.print_summary(replace(made, rows=rows), console)
+    printed = " ".join(console.file.getvalue().split())  # type: ignore[attr-defined]
+    assert (said in " ".join(tables.headline(found, (L1, L2)).notes)) == marked
+    assert (said in " ".join(warnings(found))) == marked
+    assert (said in printed) == marked
+
+
+def test_who_decided_is_not_known_of_what_was_flown_before_it_was_written_down() -> None:
+    made = asking({})
+    rows = tuple(replace(each, vlm_questions=None) for each in made.rows)
+    found = compare(replace(made, rows=rows))
+    assert found.by_belief == ()
+    assert row(tables.headline(found, (L1, L2)), "dream (openai:gpt)")["by belief, %"] == NONE
 
 
 def test_a_model_that_is_only_called_like_the_stand_in_is_none() -> None:

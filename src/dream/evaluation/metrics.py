@@ -213,6 +213,9 @@ class Scorer:
         clearance = min((entry.clearance for entry in moves), default=math.inf)
         planner_ms = [1e3 * entry.planner_s for entry in moves] or [0.0]
         coverage = self._coverage()
+        vlm = self._vlm()
+        # A model that never gave an answer has flown nothing.
+        silent = vlm is not None and vlm["fallbacks"] == vlm["questions"]
         missed = any(leg.outcome is Outcome.NOT_FOUND for leg in self._legs.values())
         return {
             "ended": ended or "aborted",
@@ -232,12 +235,13 @@ class Scorer:
                 "p99": round(float(np.percentile(planner_ms, 99)), 2),
             },
             "mission_s": round((self._log[-1].time if self._log else 0.0) + self._waited(), 3),
-            "vlm": self._vlm(),
+            "vlm": vlm,
             "success": ended == "done"
             and steps <= self._protocol.cap
             and coverage.instances >= COMPLETE
             and collisions == 0
-            and not missed,
+            and not missed
+            and not silent,
             **({} if self._orders is None else {"legs": self._flown(self._orders)}),
         }
 

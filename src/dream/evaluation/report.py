@@ -260,8 +260,7 @@ def warnings(comparison: Comparison) -> list[str]:
             f"different worlds and cannot be compared. {order}; a paired comparison is over the cases that "
             "both have flown."
         )
-    if comparison.wire_tests:
-        found.append(tables.about_wire_tests(comparison))
+    found += tables.about_rows(comparison)
     broken = tables.contradictions(comparison)
     if broken:
         found.append(
@@ -290,9 +289,10 @@ def _verdict(comparison: Comparison) -> str:
             f"No verdict: {tables.what_is_missing(comparison)}, and planners can only be ranked by what all "
             "of them have flown."
         )
-    judged = [name for name in comparison.planners if name not in comparison.wire_tests]
+    unfit = (*comparison.wire_tests, *comparison.by_belief)
+    judged = [name for name in comparison.planners if name not in unfit]
     if not judged:
-        return f"No verdict. {tables.about_wire_tests(comparison)}"
+        return " ".join(["No verdict.", *tables.about_rows(comparison)])
     standing = comparison.standing(judged, comparison.cases)
     if not standing:
         return "No verdict: nothing was to be flown."

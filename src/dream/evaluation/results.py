@@ -15,6 +15,7 @@ import os
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, BinaryIO, Literal
 
@@ -95,11 +96,13 @@ class Row:
     vlm_tokens: _Count | None
     vlm_cost_usd: _Amount | None
     vlm_fallbacks: _Count | None
-    """Questions to which no reply counted."""
+    """Questions to which no reply counted, so that `belief` decided."""
     vlm_waited_s: _Amount | None
     """On the mission's clock."""
     mission_s: _Amount | None
     """On the mission's clock, waiting included; None where it was flown before that was written down."""
+    vlm_questions: _Count | None
+    """What a model was asked, likewise."""
     success: bool
     wall_s: _Amount
 
@@ -112,8 +115,8 @@ class Row:
 COLUMNS: tuple[str, ...] = tuple(field.name for field in fields(Row))
 TIMES: tuple[str, ...] = ("planner_ms_p50", "planner_ms_p99", "wall_s")
 """Columns that depend on the machine; all others are the same each time a mission is flown."""
-LATER: tuple[str, ...] = ("vlm_waited_s", "mission_s")
-"""Columns that files may lack which were written before there were any."""
+LATER: tuple[tuple[str, ...], ...] = (("vlm_waited_s", "mission_s"), ("vlm_questions",))
+"""Columns that files may lack which were written before there were any: each time some came, these."""
 TRACE_COLUMNS: tuple[str, ...] = (
     *("protocol", "world", "seed", "start", "planner", "step"),
     *("x", "y", "yaw_deg", "instances", "collided"),
@@ -310,7 +313,7 @@ def _trace_lines(flown: Flown) -> Iterator[bytes]:
 
 def _row(values: Any, where: str) -> Row:
     if isinstance(values, dict):
-        values = {**dict.fromkeys(LATER), **values}
+        values = {**dict.fromkeys(chain(*LATER)), **values}
     try:
         return _ROW.validate_python(values)
     except ValidationError as error:
@@ -339,6 +342,13 @@ def _trace(values: Any, length: int) -> Trace:
     return trace
 
 
+def _headers() -> Iterator[tuple[str, ...]]:
+    """The columns of today, and those of every time before some came."""
+    for age in range(len(LATER) + 1):
+        since = set(chain(*LATER[len(LATER) - age :]))
+        yield tuple(name for name in COLUMNS if name not in since)
+
+
 def _read_rows(path: Path) -> Iterator[Row]:
     if path.stat().st_size > MAX_TABLE_BYTES:
         raise ValueError(f"{path}: expected at most {MAX_TABLE_BYTES} bytes, got more")
@@ -347,7 +357,7 @@ def _read_rows(path: Path) -> Iterator[Row]:
         lines = csv.reader(file, strict=True)
         try:
             header = tuple(next(lines, []))
-            if header not in (COLUMNS, tuple(name for name in COLUMNS if name not in LATER)):
+            if header not in _headers():
                 raise ValueError(f"expected the columns {','.join(COLUMNS)}, got {','.join(header)[:200]}")
             for cells in lines:
                 if len(cells) != len(header):

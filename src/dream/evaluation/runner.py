@@ -280,6 +280,7 @@ def _flown(
         **{f"planner_ms_{name}": summary["planner_ms"][name] for name in ("p50", "p99")},
         **curve([pose[3] for pose in poses], cap),
         **{f"vlm_{name}": vlm.get(name) for name in ("calls", "tokens", "cost_usd", "fallbacks", "waited_s")},
+        "vlm_questions": vlm.get("questions"),
     }
     return Flown(Row(**values), Trace(x, y, yaw_deg, instances, collided))
 

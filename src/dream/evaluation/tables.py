@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -53,6 +54,9 @@ FAMILIES = {
     "other": "Other worlds",
 }
 REEFS = (*REEF_FAMILIES, "letter")
+
+BY_BELIEF = 0.1
+"""Share of a planner's questions without a reply that counts from which on its rows are marked."""
 
 Measure = Callable[[Case, Row], float]
 """A number of one mission; NaN where it has none."""
@@ -114,6 +118,13 @@ class Comparison:
     """Of planners that ask a model: seconds that a call takes on the mission's clock."""
     wire_tests: tuple[str, ...]
     """Planners that asked the stand-in."""
+    unanswered: Mapping[str, float]
+    """Planners that asked a model: share of their questions to which no reply counted."""
+
+    @property
+    def by_belief(self) -> tuple[str, ...]:
+        """Planners whose decisions were `belief`'s by more than `BY_BELIEF`."""
+        return tuple(name for name, share in self.unanswered.items() if share > BY_BELIEF)
 
     @property
     def missing(self) -> int:
@@ -222,7 +233,11 @@ def compare(results: Results) -> Comparison:
         for case in results.manifest["cases"]
     )
     given = results.manifest["planners"]
-    titles = {name: title(name, parameters) for name, parameters in given.items()}
+    unanswered = _unanswered(results.rows)
+    titles = {
+        name: title(name, parameters, by_belief=unanswered.get(name, 0.0) > BY_BELIEF)
+        for name, parameters in given.items()
+    }
     rows: dict[tuple[Case, str], Row] = {}
     bounds: dict[Case, Bounds] = {}
     for row in results.rows:
@@ -262,15 +277,33 @@ def compare(results: Results) -> Comparison:
             if is_number(parameters.get("latency"))
         },
         wire_tests=tuple(titles[name] for name, parameters in given.items() if is_wire_test(parameters)),
+        unanswered={titles.get(name, name): share for name, share in unanswered.items()},
     )
 
 
-def title(planner: str, parameters: Mapping[str, Any]) -> str:
-    """What a planner is called in tables: one that asks a model together with that model."""
-    if is_wire_test(parameters):
-        return f"{planner} (wire test)"
+def _unanswered(rows: Iterable[Row]) -> dict[str, float]:
+    """By planner, the share of its questions to which no reply counted; of those where it is known."""
+    questions: Counter[str] = Counter()
+    fallbacks: Counter[str] = Counter()
+    for row in rows:
+        if row.vlm_questions is not None:
+            questions[row.planner] += row.vlm_questions
+            fallbacks[row.planner] += row.vlm_fallbacks or 0
+    return {planner: fallbacks[planner] / count for planner, count in questions.items() if count}
+
+
+def title(planner: str, parameters: Mapping[str, Any], *, by_belief: bool) -> str:
+    """What a planner is called in tables: one that asks a model together with that model.
+
+    Args:
+        planner: Its name.
+        parameters: Of it.
+        by_belief: Was it `belief` that decided much of it?
+    """
     model = str(parameters.get("model_name") or parameters.get("model") or "")
-    return f"{planner} ({model})" if model else planner
+    told = ["wire test" if is_wire_test(parameters) else model, "partly belief" if by_belief else ""]
+    said = "; ".join(filter(None, told))
+    return f"{planner} ({said})" if said else planner
 
 
 def is_wire_test(parameters: Mapping[str, Any]) -> bool:
@@ -288,6 +321,22 @@ def about_wire_tests(comparison: Comparison) -> str:
     if not comparison.wire_tests:
         return ""
     return f"{', '.join(comparison.wire_tests)}: flown with the stand-in for a model, {WIRE_TEST}."
+
+
+def about_by_belief(comparison: Comparison) -> str:
+    """What must stand beside rows of which `belief` decided much; empty where there are none."""
+    shares = ", ".join(f"{name} {100 * comparison.unanswered[name]:.0f} %" for name in comparison.by_belief)
+    if not shares:
+        return ""
+    return (
+        f"Decided by belief, since no reply of the model counted: {shares} of the questions. These rows do "
+        "not show what the model can do; a mission without any reply is no success."
+    )
+
+
+def about_rows(comparison: Comparison) -> list[str]:
+    """What must stand beside some rows."""
+    return [said for said in (about_wire_tests(comparison), about_by_belief(comparison)) if said]
 
 
 def _bounds(row: Row) -> Bounds | None:
@@ -419,6 +468,7 @@ def _time_cell(comparison: Comparison, planner: str, cases: Sequence[Case], mark
 def headline(comparison: Comparison, cases: Sequence[Case], title: str = "At a glance") -> Table:
     """The few numbers that matter most, best planner first."""
     reference = best_baseline(comparison, cases)
+    asked = _some_asked(comparison)
     incomplete = any((case, name) not in comparison.rows for case in cases for name in comparison.planners)
     rows = []
     for planner in comparison.ranked:
@@ -439,6 +489,7 @@ def headline(comparison: Comparison, cases: Sequence[Case], title: str = "At a g
                 _ratio_cell(comparison, planner, cases, "t98", "best_tour"),
                 str(sum(row.collisions for _, row in comparison.flown(planner, cases))),
                 _improvement_cell(comparison, planner, reference, cases),
+                *([_unanswered_cell([row for _, row in comparison.flown(planner, cases)])] if asked else []),
             )
         )
     return Table(
@@ -456,6 +507,7 @@ def headline(comparison: Comparison, cases: Sequence[Case], title: str = "At a g
             "t98 ÷ best known tour",
             "collisions",
             f"better than {reference}, P" if reference else "better than the best baseline, P",
+            *([UNANSWERED] if asked else []),
         ),
         tuple(rows),
         (
@@ -463,7 +515,7 @@ def headline(comparison: Comparison, cases: Sequence[Case], title: str = "At a g
             "intervals over worlds (stratified by family, paired; Wilson's for shares). Success: stopped "
             "by itself with at least 98.26 % of the instances and no collision.",
             _ratio_note(comparison),
-            *filter(None, [about_wire_tests(comparison)]),
+            *about_rows(comparison),
         ),
     )
 
@@ -764,19 +816,27 @@ def _of_asking(
     return number(float(combine(found)), digits) if found else NONE
 
 
-ASKING = ("calls", "tokens", "US$", "minutes")
+UNANSWERED = "by belief, %"
+"""Heading of the share of the questions to which no reply counted."""
+ASKING = ("calls", "tokens", "US$", "minutes", UNANSWERED)
 """Headings of what asking a model took; see `_asking_cells`."""
 
 
 def _asking_cells(rows: Sequence[Row]) -> tuple[str, ...]:
-    """Calls, tokens, cost and minutes on the mission's clock: means over missions."""
+    """Calls, tokens, cost and minutes on the mission's clock, means over missions; whose word counted."""
     minutes = [row.mission_s / 60.0 for row in rows if row.mission_s is not None]
     return (
         _of_asking(rows, "vlm_calls", 1, np.mean),
         _of_asking(rows, "vlm_tokens", 0, np.mean),
         _of_asking(rows, "vlm_cost_usd", 4, np.mean),
         number(float(np.mean(minutes)), 1) if rows and len(minutes) == len(rows) else NONE,
+        _unanswered_cell(rows),
     )
+
+
+def _unanswered_cell(rows: Sequence[Row]) -> str:
+    (share,) = _unanswered(rows).values() or (math.nan,)
+    return number(share, 0, scale=100)
 
 
 def _asking_note(comparison: Comparison) -> str:
@@ -790,7 +850,8 @@ def _asking_note(comparison: Comparison) -> str:
     )
     return (
         "Calls to a model, tokens, US$ and minutes are means over missions. Minutes are on the mission's "
-        f"clock, which goes on while the vehicle waits for an answer{f', {at}' if at else ''}."
+        f"clock, which goes on while the vehicle waits for an answer{f', {at}' if at else ''}. "
+        f"{UNANSWERED.capitalize()}: questions to which no reply counted."
     )
 
 
@@ -896,7 +957,7 @@ def paper_tables(comparison: Comparison) -> list[Table]:
                     f"where it did not. Coverage: mean share of the {meaning} seen at the end. Protocol "
                     f"{comparison.protocol}.",
                     *([_asking_note(comparison)] if asked else []),
-                    *filter(None, [about_wire_tests(comparison)]),
+                    *about_rows(comparison),
                 ),
             )
         )
@@ -1122,7 +1183,7 @@ def _print_asking(comparison: Comparison, console: Console) -> None:
         flown = [row for _, row in comparison.flown(planner, comparison.cases)]
         table.add_row(Text(planner), str(len(flown)), *_asking_cells(flown))
     console.print(table)
-    for note in filter(None, [_asking_note(comparison), about_wire_tests(comparison)]):
+    for note in (_asking_note(comparison), *about_rows(comparison)):
         console.print(note, markup=False, highlight=False)
 
 

@@ -5,14 +5,18 @@ from __future__ import annotations
 import io
 import json
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from dream.evaluation.metrics import Scorer
 from dream.evaluation.runner import simulate
+from dream.geometry import Bounds
 from dream.mapping.drawing import EXPLORED, SOLID, TARGET, UNKNOWN
+from dream.mission import Planner
 from dream.planning import Belief
 from dream.planning.vlm import Dream, Vanilla
 from dream.planning.vlm.reply import STEPS
@@ -20,6 +24,7 @@ from dream.protocol import DREAM_V1
 from dream.sim.world import World
 from dream.types import LOOK_AROUND, Asked, Decision, Mission, Step
 from tests.model_server import Response, Server, error, says, serving
+from tests.sim.arenas import arena
 
 SIX = {step: f"My {step}." for step in STEPS}
 
@@ -109,6 +114,22 @@ def test_without_an_answer_the_offline_planner_decides_that_step(string_reef: Wo
         assert (step.decision.turn, step.decision.advance) == (decision.turn, decision.advance)
         assert step.decision.reasoning == decision.reasoning
         assert step.decision.exchanges[0].fallback == "server: HTTP 418"
+
+
+def test_a_mission_without_any_answer_is_no_success_of_who_was_to_decide() -> None:
+    small = replace(arena(), bounds=Bounds(-8.0, -8.0, 8.0, 8.0))
+
+    def summary(planner: Planner) -> dict[str, Any]:
+        scorer = Scorer(small, DREAM_V1)
+        for step in simulate(small, planner, DREAM_V1):
+            scorer.add(step)
+        return scorer.summary()
+
+    alone = summary(Belief())
+    with serving(error(418)) as server:
+        silent = summary(Vanilla(**server.options, timeout=5.0))
+    assert silent["steps"] == alone["steps"]
+    assert (alone["success"], silent["success"]) == (True, False)
 
 
 def test_what_earlier_legs_spent_counts_towards_the_budget(string_reef: World) -> None:
