@@ -173,7 +173,8 @@ def test_a_folder_that_was_written_before_the_later_columns_is_read(
     path = folder / "results.csv"
     path.write_text(without(path.read_text(), lacking))
     assert not set(lacking) & set(path.read_text().splitlines()[0].split(","))
-    expected = tuple(replace(row, **dict.fromkeys(lacking)) for row in (ROW, BARE))
+    unknown: dict[str, Any] = dict.fromkeys(lacking)
+    expected = tuple(replace(row, **unknown) for row in (ROW, BARE))
     assert read_results(folder).rows == expected
 
 
@@ -186,7 +187,8 @@ def test_a_mission_that_was_written_before_the_later_columns_is_read(
     for name in lacking:
         del old["row"][name]
     path.write_text(json.dumps(old))
-    assert read_mission(path).row == replace(ROW, **dict.fromkeys(lacking))
+    unknown: dict[str, Any] = dict.fromkeys(lacking)
+    assert read_mission(path).row == replace(ROW, **unknown)
 
 
 def test_a_table_that_lacks_only_one_of_the_later_columns_is_refused(folder: Path) -> None:

@@ -348,12 +348,29 @@ def test_the_budget_of_dollars_ends_the_asking(monkeypatch: pytest.MonkeyPatch) 
     assert on.spent.cost_usd == pytest.approx(1.2)
 
 
-def test_a_budget_of_dollars_needs_a_price() -> None:
+@pytest.mark.parametrize("model", ["wire", "http://127.0.0.1:1/v1"])
+def test_a_budget_of_dollars_needs_a_price_before_anything_is_asked(model: str) -> None:
+    name = "x" if "//" in model else ""
+    with pytest.raises(
+        ValueError, match=r"max_usd: expected a model whose price is known, got .*--max-calls"
+    ):
+        Asking(model=model, model_name=name, max_usd=1.0).line()
+
+
+def test_a_price_that_turns_out_to_be_unknown_has_a_name_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(asking, "_has_price", lambda model: True)
     with serving(GOOD) as server:
         on = line(server, max_usd=1.0)
         ask(on)
-        assert "price of scripted at" in ask(on).exchange.fallback
+        assert ask(on).exchange.fallback.startswith("unpriced: the price of scripted at")
         assert len(server.asked) == 1
+
+
+def test_who_is_asked_where_prices_are_known_may_be_limited_in_dollars(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv(asking.OFFLINE, raising=False)
+    assert Asking(model="https://api.openai.com/v1", model_name="gpt-4o", max_usd=1.0).line() is not None
 
 
 @pytest.mark.parametrize(
@@ -389,8 +406,33 @@ def test_a_known_model_without_its_key_says_which_is_missing(
     monkeypatch.delenv(asking.OFFLINE, raising=False)
     for name in ("OPENAI_API_KEY", "ANTHROPIC_API_KEY", "GOOGLE_API_KEY", "GEMINI_API_KEY"):
         monkeypatch.delenv(name, raising=False)
-    with pytest.raises(ValueError, match="API_KEY"):
+    missing = {"openai": "OPENAI_API_KEY", "anthropic": "ANTHROPIC_API_KEY", "google": "GOOGLE_API_KEY"}
+    key = missing[model.partition(":")[0]]
+    with pytest.raises(ValueError, match="API_KEY") as told:
         Asking(model=model).line()
+    said = f"model: expected a key in {key}, got none. Say export {key}=..., or try --model wire"
+    assert str(told.value) == said
+
+
+@pytest.mark.parametrize(
+    ("model", "meant"),
+    [
+        ("wier", "wire"),
+        ("wier:slow", "wire:slow"),
+        ("gpt-5", "openai:gpt-5"),
+        ("claude-sonnet-4-6", "anthropic:claude-sonnet-4-6"),
+        ("gemini-3.5-flash-lite", "google:gemini-3.5-flash-lite"),
+        ("opnai:gpt-5", "openai:gpt-5"),
+        ("localhost:8000/v1", "http://localhost:8000/v1"),
+    ],
+)
+def test_a_name_that_is_none_is_answered_with_what_it_may_have_meant(
+    model: str, meant: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(asking.OFFLINE, raising=False)
+    with pytest.raises(ValueError, match=r"model: expected .*") as told:
+        Asking(model=model).line()
+    assert str(told.value).endswith(f". Did you mean {meant}?")
 
 
 @pytest.mark.parametrize("model", ["openai:gpt-5", "http://192.0.2.1:8000/v1", "http://example.org/v1"])

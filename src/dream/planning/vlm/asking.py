@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import difflib
 import ipaddress
 import logging
 import os
@@ -62,6 +63,8 @@ PASSED_ON = frozenset(
     ("accept", "accept-encoding", "authorization", "connection", "content-length", "content-type", "host")
 )
 """Headers that a server given by its address gets, beside the client's own name and version."""
+MAKERS = {"gpt": "openai", "o3": "openai", "o4": "openai", "claude": "anthropic", "gemini": "google"}
+"""Who makes the models whose names begin so."""
 EXTRA = 'needs pydantic-ai: pip install "dream-auv[vlm]"'
 
 
@@ -116,8 +119,8 @@ class Asking:
             asked: What of its budget is spent already.
 
         Raises:
-            ValueError: There is no such model, its key is not in the environment, asking it is forbidden, or
-                there are no kept replies.
+            ValueError: There is no such model, its key is not in the environment, asking it is forbidden, its
+                price is not known while dollars are limited, or there are no kept replies.
             OSError: The folder to keep exchanges in cannot be made.
         """
         if self.replay_replies is not None and not Path(self.replay_replies).is_dir():
@@ -218,12 +221,19 @@ class Line:
         if self.asking.replay_replies is None:
             self._model = _connect(self.asking.model, self.asking.model_name)
             self._native = bool(self._model.profile.get("supports_json_schema_output"))
+            # Which price list a known model stands in shows only with its first reply.
+            given = "://" in self.asking.model or stands_in(self.asking.model)
+            if self.asking.max_usd is not None and given and not _has_price(self._model):
+                raise ValueError(
+                    f"max_usd: expected a model whose price is known, got {self.asking.label}. "
+                    "Limit it with --max-calls"
+                )
 
     def ask(self, question: Question[R]) -> Pending[R]:
         """Send a question; its answer comes later."""
         known: Future[Outcome] = Future()
         if limit := self._exhausted():
-            known.set_result(Outcome(fallback=f"budget: {limit}"))
+            known.set_result(Outcome(fallback=limit))
             return Pending(self, question, known)
         self.under_way += 1
         if self.asking.replay_replies is not None:
@@ -303,14 +313,14 @@ class Line:
         return exchange.seconds if latency is None else latency * exchange.requests
 
     def _exhausted(self) -> str:
-        """Which limit is reached; empty where none is."""
+        """Why nothing more may be spent; empty where it may."""
         asking, spent = self.asking, self.spent
         if asking.max_calls is not None and spent.calls + self.under_way >= asking.max_calls:
-            return f"all {asking.max_calls} calls are made"
+            return f"budget: all {asking.max_calls} calls are made"
         if asking.max_usd is not None and spent.cost_usd is None:
-            return f"the price of {asking.label} is not known; limit it with --max-calls"
+            return f"unpriced: the price of {asking.label} is not known; limit it with --max-calls"
         if asking.max_usd is not None and spent.cost_usd is not None and spent.cost_usd >= asking.max_usd:
-            return f"all {asking.max_usd:g} USD are spent"
+            return f"budget: all {asking.max_usd:g} USD are spent"
         return ""
 
     # ------------------------------------------------------------------------------------- conversation
@@ -465,6 +475,21 @@ def _cost(response: Any) -> float | None:
         return None
 
 
+def _has_price(model: Model) -> bool:
+    """Is there a price for what it would answer?"""
+    from pydantic_ai.messages import ModelResponse
+    from pydantic_ai.usage import RequestUsage
+
+    answer = ModelResponse(
+        parts=[],
+        usage=RequestUsage(input_tokens=1, output_tokens=1),
+        model_name=model.model_name,
+        provider_name=model.system,
+        provider_url=model.base_url,
+    )
+    return _cost(answer) is not None
+
+
 def _plain(text: str) -> str:
     """What a model wrote, without keys, and without halves of surrogate pairs, which no file could hold."""
     for name, value in os.environ.items():
@@ -559,14 +584,15 @@ def _connect(model: str, name: str) -> Model:
     if not model:
         raise ValueError(
             "model: expected which model to ask, got none. Say --model openai:NAME, anthropic:NAME, "
-            "google:NAME, the address of a server such as http://localhost:8000/v1, or wire, which is none"
+            "google:NAME or the address of a server such as http://localhost:8000/v1. Without any model, "
+            "--model wire answers by rule"
         )
     if stands_in(model):
         from dream.standin import address
 
         model, name = address(model.partition(":")[2]), name or WIRE
     if ":" not in model:
-        raise ValueError(f"model: expected PROVIDER:NAME, an address or wire, got {model}")
+        raise ValueError(f"model: expected PROVIDER:NAME, an address or wire, got {model}{_meant(model)}")
 
     class Lenient(OpenAIChatModel):
         """Takes tokens that no model counts for none that were counted: they must not cost a good answer."""
@@ -603,7 +629,29 @@ def _connect(model: str, name: str) -> Model:
             "client is not installed"
         ) from error
     except (pydantic_ai.exceptions.UserError, TypeError, ValueError) as error:
-        raise ValueError(f"model: expected one that can be asked, got {model}: {error}") from error
+        # The client's own advice is for those who write programs with it.
+        if key := re.search(r"`(\w+_KEY)` environment variable", str(error)):
+            raise ValueError(
+                f"model: expected a key in {key[1]}, got none. Say export {key[1]}=..., or try --model wire"
+            ) from error
+        raise ValueError(
+            f"model: expected one that can be asked, got {model}: {error}{_meant(model)}"
+        ) from error
+
+
+def _meant(model: str) -> str:
+    """What a name may have meant that is none."""
+    provider, _, rest = model.partition(":")
+    known = next((maker for start, maker in MAKERS.items() if provider.lower().startswith(start)), None)
+    near = difflib.get_close_matches(provider, [WIRE, *dict.fromkeys(MAKERS.values())], n=1)
+    guess = ""
+    if known and not rest:
+        guess = f"{known}:{model}"
+    elif re.match(r"\d+(/|$)", rest):
+        guess = f"http://{model}"
+    elif near:
+        guess = near[0] + (f":{rest}" if rest else "")
+    return f". Did you mean {guess}?" if guess not in ("", model) else ""
 
 
 def _counted(usage: Any) -> bool:
