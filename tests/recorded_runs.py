@@ -159,11 +159,13 @@ def asking_mission(count: int, *, said: str = "") -> Iterator[Step]:
         reasoning = step.decision.reasoning
         reply = {name: getattr(reasoning, name) for name in type(reasoning).__slots__}
         good = json.dumps({**reply, "direction": "left", "turn_deg": 30, "step_m": 2, "done": False})
-        asked = exchange(pictures=painted_pictures(step), replies=(good,))
+        overruled = f"overruled: place 7, which costs 5.2 steps, 2.0 are allowed{said}"
+        outcome = "followed" if step.index % 2 else overruled
+        asked = exchange(pictures=painted_pictures(step), replies=(good,), outcome=outcome)
         if step.index % 5 == 0:
             why = "invalid: no reply that fits, asked twice"
             bad = ("I would turn left. " + said, '{"direction": "up"}')
-            asked = replace(asked, replies=bad, fallback=why, requests=2, cost_usd=None)
+            asked = replace(asked, replies=bad, fallback=why, outcome="", requests=2, cost_usd=None)
         decision = replace(step.decision, exchanges=(asked,), waited=12.0 * asked.requests)
         yield replace(step, decision=decision)
 

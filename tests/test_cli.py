@@ -578,13 +578,14 @@ def test_a_run_tells_what_asking_came_to(tmp_path: Path, capsys: pytest.CaptureF
     assert (
         f"  asked {NAME} at {address}: 4 calls, 440 tokens, at an unknown price, waited 48 s of "
     ) in printed
-    assert "  1 of 3 questions were decided by belief (invalid 1)\n" in printed
+    assert "  1 of 3 questions were decided by belief (invalid 1); its answers: 2 followed\n" in printed
     assert "  its last word: " in printed
     assert "wire test" not in printed
     kept = [len(read_exchanges(tmp_path / "latest", step)) for step in range(7)]
     assert kept == [0, 0, 0, 0, 1, 1, 1]
     summary = json.loads((tmp_path / "latest" / "summary.json").read_text())
     assert (summary["vlm"]["questions"], summary["vlm"]["fallbacks"]) == (3, 1)
+    assert summary["vlm"]["outcomes"] == {"followed": 2}
     assert summary["mission_s"] > 48.0
 
 
@@ -671,7 +672,7 @@ def test_the_first_answer_that_does_not_count_is_told_at_once_and_whose_word_the
     assert told.startswith(f"step 5: {NAME} at http://127.0.0.1:")
     assert told.endswith("(server: HTTP 418); belief decides there and wherever none comes")
     printed = capsys.readouterr().out
-    assert "  2 of 3 questions were decided by belief (server 2)\n" in printed
+    assert "  2 of 3 questions were decided by belief (server 2); its answers: 1 followed\n" in printed
     assert "  belief's last word: " in printed
 
 

@@ -323,6 +323,7 @@ VLM: dict[str, Any] = {
     "tokens_in": 1200000,
     "tokens_out": 34567,
     "cost_usd": 3.275,
+    "outcomes": {"followed": 600, "overruled": 296},
     "fallbacks": 4,
     "reasons": {"invalid": 1, "timeout": 3},
     "waited_s": 1176.0,
@@ -400,7 +401,10 @@ def test_a_browser_shows_what_a_model_saw_and_said(asked: Path, tmp_path: Path) 
     assert "openai:painted was asked: 1098 calls, 1,234,567 tokens, US$ 3.27" in total.replace(
         "1,098", "1098"
     )
-    assert "4 fallbacks (invalid 1, timeout 3), waited 19.6 min of 25.0 min" in total
+    assert (
+        "4 of 900 questions decided by belief (invalid 1, timeout 3), its answers: 600 followed, "
+        "296 overruled, waited 19.6 min of 25.0 min"
+    ) in total
     panel = dom[dom.index('id="asked-panel"') : dom.index('id="curve-title"')]
     assert panel.count("<img") == 4
     assert panel.count('src="data:image/png;base64,') == 4
@@ -410,6 +414,23 @@ def test_a_browser_shows_what_a_model_saw_and_said(asked: Path, tmp_path: Path) 
     assert '{\n  "direction": "up"\n}' in panel
     assert "24 s on the mission's clock" in panel
     assert "<title>reef/string seed 3, sixsteps · DREAM</title>" in dom
+
+
+@pytest.mark.slow
+def test_a_browser_shows_why_a_reply_was_not_followed(asked: Path, tmp_path: Path) -> None:
+    dom = browse(asked / "report.html", 4, tmp_path / "profile", "--dump-dom").stdout
+    panel = re.sub(r"<script.*?</script>", "", dom, flags=re.S)
+    panel = panel[panel.index('id="asked-panel"') : panel.index('id="curve-title"')]
+    assert '<strong class="badge warn">Overruled</strong> place 7, which costs 5.2 steps, 2.0 are ' in panel
+    assert "&lt;/script &gt;" in panel[panel.index("2.0 are allowed") :]
+
+
+@pytest.mark.slow
+def test_a_browser_shows_whom_a_planner_never_asked(finished: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(finished, tmp_path / "copy"))
+    write_config(folder, {**CONFIG, "planner": "ranked", "planner_parameters": {"model": "openai:x"}})
+    dom = browse(write_report(folder), 2, tmp_path / "profile", "--dump-dom").stdout
+    assert "openai:x was asked nothing: no choice was close enough" in text_of(dom, "asked-total")
 
 
 @pytest.mark.slow

@@ -126,6 +126,7 @@ class RecordedExchange(_Recorded):
     tokens_out: int = Field(ge=0)
     cost_usd: float | None
     seconds: float = Field(ge=0.0)
+    outcome: str = ""
 
 
 class RecordedStep(_Recorded):
@@ -402,6 +403,7 @@ def _write_exchanges(step: Step, folder: Path) -> None:
             tokens_out=exchange.tokens_out,
             cost_usd=exchange.cost_usd,
             seconds=exchange.seconds,
+            outcome=exchange.outcome,
         )
         path = _exchange_path(folder, step.index, number)
         path.parent.mkdir(exist_ok=True)
@@ -492,6 +494,7 @@ def read_exchanges(folder: Path, step: int) -> list[Exchange]:
                 tokens_out=recorded.tokens_out,
                 cost_usd=recorded.cost_usd,
                 seconds=recorded.seconds,
+                outcome=recorded.outcome,
             )
         )
     return exchanges

@@ -161,6 +161,7 @@ def _asked(folder: Path, step: int) -> list[dict[str, Any]]:
             "tokens_out": exchange.tokens_out,
             "cost_usd": exchange.cost_usd,
             "seconds": exchange.seconds,
+            "outcome": exchange.outcome,
         }
         for exchange in read_exchanges(folder, step)
     ]

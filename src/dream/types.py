@@ -157,6 +157,9 @@ class Exchange:
     """None where the price of the model is not known."""
     seconds: float
     """Wall time."""
+    outcome: str = ""
+    """What came of a reply that fits: `followed`, `as the offline planner would`, `overruled` or `not heard`;
+    then a colon and why, where there is more to say. Empty where none fits, and where no mission is flown."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -237,6 +237,8 @@ def _asked(summary: Mapping[str, Any]) -> str:
 def _decided(vlm: Mapping[str, Any]) -> str:
     """Whose word counted, in a line."""
     reasons = ", ".join(f"{reason} {times}" for reason, times in vlm["reasons"].items())
-    return f"{vlm['fallbacks']} of {vlm['questions']} questions were decided by belief" + (
-        f" ({reasons})" if reasons else ""
+    outcomes = ", ".join(f"{times} {outcome}" for outcome, times in vlm["outcomes"].items())
+    said = [f"{vlm['fallbacks']} of {vlm['questions']} questions were decided by belief ({reasons})"] * bool(
+        reasons
     )
+    return "; ".join([*said, *([f"its answers: {outcomes}"] if outcomes else [])])

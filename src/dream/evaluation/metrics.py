@@ -58,6 +58,8 @@ class _Asked:
     cost_usd: float | None
     reason: str
     """In a word, why no reply counted; empty where one did."""
+    outcome: str
+    """In a word, what came of one that did."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,6 +269,9 @@ class Scorer:
             "tokens_in": tokens_in,
             "tokens_out": tokens_out,
             "cost_usd": round(math.fsum(known), 6) if len(known) == len(costs) else None,
+            "outcomes": dict(
+                Counter(question.outcome for question in asked if question.outcome).most_common()
+            ),
             "fallbacks": reasons.total(),
             "reasons": dict(sorted(reasons.items())),
             "waited_s": round(self._waited(), 3),
@@ -304,6 +309,7 @@ def _digest(exchange: Exchange) -> _Asked:
         tokens_out=exchange.tokens_out,
         cost_usd=exchange.cost_usd,
         reason=exchange.fallback.partition(":")[0],
+        outcome=exchange.outcome.partition(":")[0],
     )
 
 

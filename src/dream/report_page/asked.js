@@ -19,13 +19,37 @@ function reasons(vlm) {
   return each.length ? ` (${each.join(", ")})` : "";
 }
 
+const outcomes = (vlm) => Object.entries(vlm.outcomes ?? {}).map(([outcome, times]) => `${times} ${outcome}`).join(", ");
+
+// Whose word counted.
+function decided(vlm) {
+  const by = known(vlm.questions) && vlm.fallbacks > 0 ? `${vlm.fallbacks} of ${plural(vlm.questions, "question")} decided by belief` : plural(vlm.fallbacks, "fallback");
+  const answers = outcomes(vlm);
+  return `${by}${reasons(vlm)}${answers ? `, its answers: ${answers}` : ""}`;
+}
+
+// The badge of an exchange, and what it says beside it.
+function verdictOf({ fallback, outcome }) {
+  if (fallback !== "") return ["warn", "No reply used", `${fallback}. The offline planner decided.`];
+  if (!outcome) return ["good", "Reply used", ""];
+  const [kind, ...why] = outcome.split(": ");
+  const heeded = kind === "followed" || kind.startsWith("as ");
+  return [heeded ? "good" : "warn", kind.charAt(0).toUpperCase() + kind.slice(1), why.length ? `${why.join(": ")}.` : ""];
+}
+
+function notAsked({ config, summary }) {
+  const { model, model_name: name } = config.planner_parameters ?? {};
+  if (!model || !summary || summary.ended === "aborted") return "";
+  return `${name ? `${name} at ${model}` : model} was asked nothing${config.planner === "ranked" ? ": no choice was close enough" : ""}`;
+}
+
 function askedSentence(run) {
   const vlm = askedInAll(run);
-  if (!vlm) return "";
+  if (!vlm) return notAsked(run);
   const spent = known(vlm.tokens) ? `, ${count(vlm.tokens)} tokens, ${dollars(vlm.cost_usd)}` : "";
   const total = known(run.summary?.mission_s) ? ` of ${minutes(run.summary.mission_s)}` : "";
   const wire = isWireTest(run.config) ? ". A wire test: the stand-in answers by rule, which shows that the wire works, never what a model can do." : "";
-  return `${vlm.model ? `${vlm.model} was` : "A model was"} asked: ${plural(vlm.calls, "call")}${spent}, ${plural(vlm.fallbacks, "fallback")}${reasons(vlm)}, waited ${minutes(vlm.waited_s)}${total}${wire}`;
+  return `${vlm.model ? `${vlm.model} was` : "A model was"} asked: ${plural(vlm.calls, "call")}${spent}, ${decided(vlm)}, waited ${minutes(vlm.waited_s)}${total}${wire}`;
 }
 
 // JSON is laid out; whatever else a model wrote stays as it came.
@@ -64,9 +88,8 @@ class Asked {
   }
 
   exchange(exchange, index, total, step) {
-    const used = exchange.fallback === "";
-    const verdict = element("strong", { className: `badge ${used ? "good" : "warn"}`, textContent: used ? "Reply used" : "No reply used" });
-    const why = used ? "" : `${exchange.fallback}. The offline planner decided.`;
+    const [tone, badge, why] = verdictOf(exchange);
+    const verdict = element("strong", { className: `badge ${tone}`, textContent: badge });
     const facts = [
       ["Model", exchange.model],
       ["Prompt", exchange.prompt],

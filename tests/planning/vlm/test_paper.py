@@ -58,7 +58,7 @@ def test_what_the_model_says_is_what_is_decided(string_reef: World) -> None:
     assert steps[0].decision.reasoning.safety == "My safety."
     for step in steps:
         (exchange,) = step.decision.exchanges
-        assert exchange.fallback == ""
+        assert (exchange.fallback, exchange.outcome) == ("", "followed")
         assert exchange.prompt == "dream 1, legend 1, oysters 1"
         assert step.decision.waited == 12.0
 
@@ -114,6 +114,7 @@ def test_without_an_answer_the_offline_planner_decides_that_step(string_reef: Wo
         assert (step.decision.turn, step.decision.advance) == (decision.turn, decision.advance)
         assert step.decision.reasoning == decision.reasoning
         assert step.decision.exchanges[0].fallback == "server: HTTP 418"
+        assert step.decision.exchanges[0].outcome == ""
 
 
 def test_a_mission_without_any_answer_is_no_success_of_who_was_to_decide() -> None:

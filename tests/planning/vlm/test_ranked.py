@@ -170,11 +170,13 @@ def test_schema_table_and_picture_have_the_same_places(led: Flight) -> None:
 
 def test_numbers_change_from_question_to_question(led: Flight) -> None:
     # The offline planner's own place is the one with the longest way: a whole plan, not a single view.
-    own = []
-    for exchange in led.exchanges:
-        rows = re.findall(r"^\| (\d+) \| \(.*?\) \| (\d+) \|", exchange.question, re.MULTILINE)
-        own.append(max(rows, key=lambda row: int(row[1]))[0])
-    assert len(set(own)) > 1
+    assert len({own_place(exchange.question) for exchange in led.exchanges}) > 1
+
+
+def own_place(question: str) -> int:
+    """The number of the offline planner's own place."""
+    rows = re.findall(r"^\| (\d+) \| \(.*?\) \| (\d+) \|", question, re.MULTILINE)
+    return int(max(rows, key=lambda row: int(row[1]))[0])
 
 
 # -------------------------------------------------------------------------------------------------- choice
@@ -196,21 +198,45 @@ def test_what_the_choices_cost_stays_within_the_allowance(string_reef: World) ->
         assert spent <= allowance * (LOOK_AROUND + k) + 1.0 + 1e-9
 
 
+def test_the_exchange_says_which_place_was_followed_instead_of_which(led: Flight) -> None:
+    followed = [exchange for exchange in led.exchanges if exchange.outcome.startswith("followed: ")]
+    assert followed
+    for exchange in followed:
+        chosen, own = re.findall(r"place (\d+)", exchange.outcome.partition(";")[0])
+        assert (int(own), chosen != own) == (own_place(exchange.question), True)
+    for step in led.steps:
+        if any(exchange in followed for exchange in step.decision.exchanges):
+            (exchange,) = step.decision.exchanges
+            (place,) = re.findall(r"The model ranked (place \d+)", step.decision.reasoning.next_target)
+            assert exchange.outcome.startswith(f"followed: {place} instead of place ")
+
+
+def own_first(request: Request) -> Response:
+    own = own_place(request.question)
+    return ranking(lambda numbers: sorted(numbers, key=lambda number: number != own))(request)
+
+
 @pytest.mark.parametrize(
-    ("answer", "options"),
+    ("answer", "options", "outcome"),
     [
-        (error(418), {}),
-        (ranking(last_first, confidence=0.0), {}),
-        (ranking(last_first), {"margin": 0.0}),
+        (error(418), {}, r"^$"),
+        (own_first, {}, r"^as the offline planner would$"),
+        (
+            ranking(last_first, confidence=0.0),
+            {},
+            r"^overruled: place \d+, which costs .* worth 0\.0$|^as the",
+        ),
+        (ranking(last_first), {"margin": 0.0}, r"never asked"),
         # Always the lowest number, under other numbers each time, is another place each time.
-        (ranking(), {"votes": 5}),
+        (ranking(), {"votes": 5}, r"^not heard: the votes disagree$"),
     ],
-    ids=["no answer", "no confidence", "no margin", "no agreement"],
+    ids=["no answer", "no other answer", "no confidence", "no margin", "no agreement"],
 )
-def test_otherwise_it_flies_as_the_offline_planner_does(
-    answer: Response | Answer, options: dict[str, Any], string_reef: World
+def test_otherwise_it_flies_as_the_offline_planner_does_and_says_why(
+    answer: Response | Answer, options: dict[str, Any], outcome: str, string_reef: World
 ) -> None:
     flight = fly(answer, string_reef, 8, **options)
+    assert all(re.match(outcome, exchange.outcome) for exchange in flight.exchanges)
     assert moves(flight.steps) == moves(alone(string_reef, 8))
     assert flight.spent[-1] == 0.0
     assert bool(flight.exchanges) == (options.get("margin") != 0.0)

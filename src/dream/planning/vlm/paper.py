@@ -75,14 +75,15 @@ class _EveryStep:
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         thought = self.offline.consider(observation, occupancy)
         answer = self.line.insist(self.line.ask(self._question(observation, occupancy)).answer())
+        exchange = answer.exchange
         if answer.reply is None:
             decision = self.offline.act(thought, thought.plan, occupancy)
         else:
             decision = _with_its_action(answer.reply.decision)
+            exchange = replace(exchange, outcome="followed")
         self.trail.append(observation.pose)
         self.last = decision
-        waited = self.line.took(answer.exchange)
-        return replace(decision, exchanges=(answer.exchange,), waited=waited)
+        return replace(decision, exchanges=(exchange,), waited=self.line.took(exchange))
 
     def _question(self, observation: Observation, occupancy: OccupancyMap) -> Question[Acting]:
         protocol, pose = self.mission.protocol, observation.pose

@@ -36,6 +36,9 @@ FIRST = 1.0
 """Steps that the model's choices may have cost before any share of the way is flown."""
 HISTORY = 8
 """Past positions in the text."""
+AGREES = "as the offline planner would"
+LATE = "not heard: by then the mission was about to end"
+"""Outcomes of an exchange."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,11 +146,12 @@ class RankedPilot:
                 self._ask(observation, thought, occupancy)
             if self.asked is None or not (answers := self._answers(observation.time, thought)):
                 break
-            exchanges += [answer.exchange for answer in answers]
             waited = max(waited, self._due(answers) - observation.time)
             asked, self.asked = self.asked, None
-            if asked.to_end == (thought.plan is None):
-                self._choose(asked, answers, thought, occupancy)
+            in_time = asked.to_end == (thought.plan is None)
+            outcome = self._choose(asked, answers, thought, occupancy) if in_time else LATE
+            exchanges += _told(outcome, asked, answers)
+            if in_time:
                 break
         plan, why = self._follow(thought, occupancy)
         self.trail.append(observation.pose)
@@ -293,22 +297,26 @@ class RankedPilot:
 
     def _choose(
         self, asked: _Asked, answers: list[Answer[Ranking]], thought: Thought, occupancy: OccupancyMap
-    ) -> None:
-        """Fuse the ranking with what the offline planner holds of the places now."""
+    ) -> str:
+        """Fuse the ranking with what the offline planner holds of the places now.
+
+        Returns:
+            What came of it, as in `types.Exchange`; `{k}` stands for the number of the place of index k.
+        """
         if self.resting:
-            return
+            return f"not heard: nothing new was seen for {STUCK} steps"
         heard = [
             (numbers, answer.reply)
             for (numbers, _), answer in zip(asked.votes, answers, strict=True)
             if answer.reply is not None
         ]
         if not heard:
-            return
+            return ""
         firsts = [numbers[reply.ranking[0]] for numbers, reply in heard]
         if max(map(firsts.count, firsts)) < AGREED * len(asked.votes):
-            return
+            return "not heard: the votes disagree"
         if asked.to_end and sum(reply.mission_complete for _, reply in heard) > 0.5 * len(heard):
-            return
+            return f"{AGREES}: the mission is complete"
         bonus: dict[int, float] = defaultdict(float)
         for numbers, reply in heard:
             for rank, number in enumerate(reply.ranking, start=1):
@@ -316,13 +324,21 @@ class RankedPilot:
         # Where it had one, the offline planner's own way is the first: it needs no advice to go there.
         others = 0 if asked.to_end else 1
         own = 0.0 if asked.to_end else bonus[0]
-        standing = []
+        affordable = self._affordable(to_end=asked.to_end)
+        standing, short = [], {} if asked.to_end else {0: "the offline planner's own"}
         for k in range(others, len(asked.places)):
             now = again(self.offline, thought, occupancy, asked.places[k].pose)
-            if now is not None and now[1] <= self._affordable(to_end=asked.to_end):
+            if now is None:
+                short[k] = "where no way leads any more, or nothing is left to see"
+            elif now[1] > affordable:
+                short[k] = f"which costs {now[1]:.1f} steps, {max(affordable, 0.0):.1f} are allowed"
+            else:
                 standing.append((round(bonus[k] - now[1], 6), -k, now[1]))
+                short[k] = f"which costs {now[1]:.1f} steps, its rank is worth {max(bonus[k] - own, 0.0):.1f}"
+        first = max(firsts, key=firsts.count)
+        lost = f"place {{{first}}}, {short.get(first, '')}"
         if not standing or max(standing)[0] <= own:
-            return
+            return AGREES if first < others else f"overruled: {lost}"
         _, behind, loss = max(standing)
         place = asked.places[-behind]
         numbers, reply = heard[0]
@@ -335,6 +351,11 @@ class RankedPilot:
         )
         x, y = place.path[-1]
         self.heading_for = SE2(float(x), float(y), 0.0)
+        if loss > 2.0 * self.planner.margin:
+            return f"overruled: place {{{-behind}}} is {loss:.1f} steps away, too dear to be kept to"
+        instead = "the end of the mission" if asked.to_end else "place {0}"
+        dearer = "" if -behind == first else f"; its first was {lost}"
+        return f"followed: place {{{-behind}}} instead of {instead}{dearer}"
 
     def _follow(self, thought: Thought, occupancy: OccupancyMap) -> tuple[Plan | None, str]:
         """The plan to carry out, and why it is not the offline planner's own."""
@@ -346,6 +367,16 @@ class RankedPilot:
             self.chosen = None
             return thought.plan, ""
         return now[0], self.chosen.why
+
+
+def _told(outcome: str, asked: _Asked, answers: list[Answer[Ranking]]) -> list[Exchange]:
+    """The exchanges, with what came of them in the numbers of each."""
+    told = []
+    for (numbers, _), answer in zip(asked.votes, answers, strict=True):
+        names = sorted(numbers, key=numbers.__getitem__)
+        counted = answer.reply is not None
+        told.append(replace(answer.exchange, outcome=outcome.format(*names) if counted else ""))
+    return told
 
 
 def _table(numbered: dict[int, Place]) -> list[str]:
