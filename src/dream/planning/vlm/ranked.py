@@ -239,10 +239,15 @@ class RankedPilot:
         return self.asked.at + max(self.line.took(answer.exchange) for answer in answers)
 
     def _affordable(self, *, to_end: bool) -> float:
-        """Steps that a choice may cost now; at the end any that the allowance leaves."""
+        """Steps that a choice may cost now; at the end as many as it may come to cost on the way."""
         flown = self.mission.flown + len(self.trail)
         left = self.planner.allowance * flown + FIRST - self.spent
-        return left if to_end else min(self.planner.margin, left)
+        return min(self._most if to_end else self.planner.margin, left)
+
+    @property
+    def _most(self) -> float:
+        """Steps that a choice may come to cost on the way, when something better comes up."""
+        return 2.0 * self.planner.margin
 
     def _question(
         self,
@@ -351,8 +356,6 @@ class RankedPilot:
         )
         x, y = place.path[-1]
         self.heading_for = SE2(float(x), float(y), 0.0)
-        if loss > 2.0 * self.planner.margin:
-            return f"overruled: place {{{-behind}}} is {loss:.1f} steps away, too dear to be kept to"
         instead = "the end of the mission" if asked.to_end else "place {0}"
         dearer = "" if -behind == first else f"; its first was {lost}"
         return f"followed: place {{{-behind}}} instead of {instead}{dearer}"
@@ -362,8 +365,7 @@ class RankedPilot:
         if self.chosen is None:
             return thought.plan, ""
         now = again(self.offline, thought, occupancy, self.chosen.pose)
-        # What was affordable when it was chosen may grow dear on the way, when something better comes up.
-        if now is None or now[1] > 2.0 * self.planner.margin:
+        if now is None or now[1] > self._most:
             self.chosen = None
             return thought.plan, ""
         return now[0], self.chosen.why
