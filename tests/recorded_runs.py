@@ -5,13 +5,18 @@ The images, the map and the steps are real; no planner decides and nothing is in
 
 from __future__ import annotations
 
+import errno
 import json
 import math
+import os
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
+from PIL import Image
 
 from dream.geometry import SE2, SE3, Bounds
 from dream.mapping import OccupancyMap
@@ -204,3 +209,22 @@ SUMMARY: dict[str, Any] = {
     "vlm": None,
     "success": True,
 }
+
+
+class Disk:
+    """The disk that runs are written to, which may be full."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.full = False
+        for owner, name in ((Image.Image, "save"), (Path, "write_text"), (OccupancyMap, "save")):
+            monkeypatch.setattr(owner, name, self._until_full(getattr(owner, name)))
+
+    def _until_full(self, write: Any) -> Any:
+        def writes(*arguments: Any, **options: Any) -> Any:
+            path = next((one for one in arguments[:2] if isinstance(one, Path)), None)
+            if not self.full or path is None:
+                return write(*arguments, **options)
+            path.write_bytes(b"as much as there was room for")
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        return writes

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import re
@@ -22,16 +23,18 @@ from numba.core.event import trigger_event
 from dream.cli import COMMANDS, run_command
 from dream.commands.console import kept_interrupts
 from dream.compiling import COMPILES
+from dream.evaluation import runner
 from dream.evaluation.locks import alone_at
 from dream.evaluation.oracle import bounds as bounds_module
 from dream.evaluation.oracle.bounds import Bounds
 from dream.evaluation.results import read_results
 from dream.evaluation.suites import SUITES, Case
 from dream.planning import PLANNERS
-from dream.recording import read_config, read_exchanges, read_steps
+from dream.recording import read_config, read_exchanges, read_steps, read_summary
 from dream.robots import Teleport
 from dream.types import Arrival, Observation, Setpoint
 from tests.model_server import NAME, Answer, Request, Response, error, fitting, says, serving
+from tests.recorded_runs import Disk
 
 SUMMARY_KEYS = {
     *("protocol", "world", "seed", "world_hash", "planner", "ended", "steps", "t_stop", "t_claimed"),
@@ -169,6 +172,7 @@ def test_a_planner_that_asks_a_model_is_chosen_and_explained_without_its_client(
             ["bench", "paper", "--planners", "dream", "--replay-replies", "nowhere"],
             "--replay-replies: expected a folder of kept replies, got nowhere",
         ),
+        (["run", "dream", "--replay-replies", "/tmp"], "expected the one whose replies were kept"),
         (["run", "dream", "--model", "http://me:secret@far/v1"], "model: expected a plain address"),
         (["run", "dream"], "model: expected which model to ask, got none"),
         (["bench", "paper", "--world", "reef/L"], "expected a suite or --world, got both: paper and --world"),
@@ -192,6 +196,8 @@ def test_a_planner_that_asks_a_model_is_chosen_and_explained_without_its_client(
         (["sweep", "paper", "--reach"], "--reach: expected one or more of 4, 6, 8, 10, got none"),
         (["sweep", "paper", "--reach", "8", "nan"], 'no protocol "dream-v1-reachnan"'),
         (["probe"], "model: expected which model to ask, got none"),
+        (["probe", "--latency", "3"], "Unrecognized options: --latency"),
+        (["run", "dream", "--model", "wire:foo"], "error:P; docs/models.md says what each does"),
         (["probe", "--questions", "0"], "--questions: expected 1 to 200, got 0"),
         (["probe", "--at-once", "0"], "--at-once: expected 1 to 64, got 0"),
         (["probe", "--limit", "nan"], "--limit: expected above 0 to 1000000 seconds, got nan"),
@@ -282,6 +288,41 @@ def test_a_mission_that_breaks_off_keeps_its_steps_and_says_why(
     assert (folder / "report.html").stat().st_size > 0
 
 
+@pytest.mark.parametrize("full_at", [3, None])
+def test_a_full_disk_ends_a_run_with_what_is_kept_and_how_to_go_on(
+    full_at: int | None, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk, summarize = Disk(monkeypatch), runner.summarize
+
+    def observe(self: Teleport) -> Observation:
+        seen = see(self)
+        if next(looks) == full_at:
+            disk.full = True
+        return seen
+
+    def fill_and_summarize(*arguments: Any) -> dict[str, Any]:
+        disk.full = True
+        return summarize(*arguments)
+
+    see, looks = Teleport.observe, itertools.count()
+    monkeypatch.setattr(Teleport, "observe", observe)
+    monkeypatch.setattr(runner, "summarize", fill_and_summarize)
+    assert run_command(["run", "--json", "--max-steps", "4", "--out", str(tmp_path)]) == 1
+    folder = tmp_path / (tmp_path / "latest").readlink()
+    printed = capsys.readouterr()
+    what, kept = ("step 3", 2) if full_at else (str(folder / "summary.json"), 4)
+    assert printed.err.splitlines()[-1] == (
+        f"dream: aborted: could not write {what} (No space left on device); {kept} steps are kept in "
+        f"{folder}. Once there is room: dream report {folder}"
+    )
+    assert json.loads(printed.out)["world"] == "reef/string"
+    assert not [path for path in folder.iterdir() if "partial" in path.name]
+
+    disk.full = False
+    assert run_command(["report", str(folder)]) == 0
+    assert (folder / "report.html").stat().st_size > 10_000
+
+
 def compiles(seconds: float = 0.0) -> None:
     """As if numba had compiled for so long."""
     with trigger_event(COMPILES):
@@ -305,7 +346,7 @@ def test_a_run_says_once_that_it_compiles(
     monkeypatch.setattr(Teleport, "observe", compiles_and_observes)
     assert run_command(fly) == 0
     printed = capsys.readouterr()
-    assert printed.err == "dream: compiling, which takes up to a minute; later runs find it done\n"
+    assert printed.err == "dream: compiling what this needs for the first time, which may take a minute\n"
     assert json.loads(printed.out)["steps"] == 2
 
 
@@ -318,6 +359,11 @@ def test_a_run_prints_how_it_ended_and_what_its_planner_said_last(
     assert "\n  out of steps after 5 steps\n" in printed
     last = read_steps(tmp_path / "latest")[-1].reasoning
     assert f"\n  its last word: {last.completion if planner == 'belief' else last.action}\n" in printed
+    summary = read_summary(tmp_path / "latest")
+    assert summary is not None
+    metres, seconds = summary.distance_m, summary.mission_s
+    assert f"\n  0 collisions, {metres:.0f} m in {seconds:.0f} s of the mission; computed in " in printed
+    assert f"computed in {summary.wall_s:.1f} s\n" in printed
     assert (planner == "belief") == ("To stop now would miss a group with a probability of" in printed)
 
 
@@ -612,9 +658,10 @@ def test_nothing_breaks_into_the_progress_of_a_run(tmp_path: Path) -> None:
         assert running.wait(60) == 0
     assert "/5" in printed
     assert "pydantic" not in printed
-    said = [line for line in re.split(r"\r|\n|\x1b\[2K", printed) if "this exchange is not kept" in line]
-    assert len(said) == 2
-    assert all(line.startswith("dream: ") for line in said)
+    said = [line.rstrip() for line in re.split(r"\r|\n|\x1b\[2K", printed) if "dream: " in line]
+    first, last = (line for line in said if "kept" in line)
+    assert first.startswith(f"dream: {tmp_path / 'kept'}: this exchange is not kept (No such file")
+    assert last == f"dream: {tmp_path / 'kept'}: 2 exchanges in all were not kept"
 
 
 def test_a_key_is_sent_but_never_written(
@@ -703,13 +750,45 @@ def test_replies_that_were_kept_fly_the_same_mission_without_a_model(
     assert run_command([*again, "--max-steps", "6", "--out", str(tmp_path / "again")]) == 0
     first, second = (read_steps(tmp_path / name / "latest") for name in ("first", "again"))
     assert [step.pose for step in first] == [step.pose for step in second]
+    asked, replayed = (line for line in capsys.readouterr().out.splitlines() if " calls, " in line)
+    assert asked.startswith("  asked ")
+    assert replayed.startswith("  replayed ")
 
     capsys.readouterr()
     assert run_command([*again, "--max-steps", "7", "--out", str(tmp_path / "longer")]) == 1
     complaint = capsys.readouterr().err
     assert "expected a kept reply to this question" in complaint
-    assert "Record again with --record; 3 steps are kept in" in complaint
+    assert "--max-steps, --protocol, --mission and code must be those" in complaint
+    assert "Else record again with --record; 3 steps are kept in" in complaint
     assert len(complaint.splitlines()) == 1
+
+
+def test_an_interrupted_mission_goes_on_with_what_was_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = str(tmp_path / "kept")
+    go_to, moves = Teleport.go_to, itertools.count(1)
+
+    def interrupted(self: Teleport, setpoint: Setpoint) -> Arrival:
+        if next(moves) == 5:
+            raise KeyboardInterrupt
+        return go_to(self, setpoint)
+
+    with serving(fitting) as server:
+        model = ["--model", server.address, "--model-name", NAME, "--timeout", "20", "--record", kept]
+        fly = ["run", "vanilla", *model, "--max-steps", "6", "--out", str(tmp_path / "runs")]
+        monkeypatch.setattr(Teleport, "go_to", interrupted)
+        assert run_command(fly) == 1
+        hint = f"To go on without asking again, say the same with --replay-replies {kept}"
+        assert capsys.readouterr().err.rstrip().endswith(hint)
+        assert len(server.asked) == 2
+        assert run_command([*fly, "--replay-replies", kept]) == 0
+        assert len(server.asked) == 3, "each question was asked once"
+        assert run_command([*fly, "--replay-replies", kept]) == 0
+        assert len(server.asked) == 3
+        # Without it, all is asked anew.
+        assert run_command(fly) == 0
+        assert len(server.asked) == 6
 
 
 def test_a_benchmark_hands_its_model_to_those_that_ask_and_writes_it_down(

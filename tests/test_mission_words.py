@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 from dream.cli import run_command
+from dream.commands.mission import draw_orders
 from dream.geometry import SE2, Bounds
 from dream.mapping import OccupancyMap
 from dream.mapping.drawing import OUTLINE
@@ -29,7 +30,7 @@ from dream.planning.vlm.orders import (
     read_orders,
     write_mission,
 )
-from dream.protocol import DREAM_V1
+from dream.protocol import DREAM_V1, SurveyProtocol
 from dream.recording import read_config, read_steps
 from dream.report import repeating_command
 from dream.types import Mission, Target
@@ -204,8 +205,7 @@ ORDERS = Orders(
 def test_orders_come_back_from_a_file_and_from_json(tmp_path: Path) -> None:
     assert read_orders(json.dumps(written(ORDERS))) == ORDERS
     write_mission(tmp_path / "mission.json", "Die Nordseite, bitte", ORDERS)
-    assert read_mission(tmp_path / "mission.json") == ORDERS
-    assert "Die Nordseite, bitte" in (tmp_path / "mission.json").read_text()
+    assert read_mission(tmp_path / "mission.json") == ("Die Nordseite, bitte", ORDERS)
 
 
 @pytest.mark.parametrize(
@@ -224,6 +224,23 @@ def test_a_file_that_is_no_mission_is_refused_by_name(tmp_path: Path, content: s
     with pytest.raises(ValueError, match=complaint) as told:
         read_mission(path)
     assert str(path) in str(told.value)
+
+
+def test_the_picture_says_of_an_area_that_has_no_place_yet_that_it_is_not_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[Any] = []
+
+    def drawing(bounds: Bounds, protocol: SurveyProtocol, areas: Any, lines: Any) -> Image.Image:
+        told.extend((areas, lines))
+        return Image.new("RGB", (1, 1))
+
+    monkeypatch.setattr("dream.mapping.drawing.draw_areas", drawing)
+    draw_orders(ORDERS, BOX, DREAM_V1, tmp_path / "mission.png")
+    areas, lines = told
+    assert areas == [BOX, None, Bounds(-3.5, 0.0, 4.0, 8.0), Bounds(-20.0, -20.0, 20.0, 0.0)]
+    assert lines[1].endswith("up to 10 m from it. Where that is, is not known yet.")
+    assert [line.endswith("known yet.") for line in lines] == [False, True, False, False, False]
 
 
 # ------------------------------------------------------------------------------------------- commands
@@ -263,7 +280,17 @@ def test_half_the_world_in_eighty_steps_from_words_to_the_end(
 
     # The run's own command flies it again, to the same end.
     config = read_config(runs / "latest")
-    assert config.orders == written(read_mission(file))
+    assert config.orders == written(read_mission(file)[1])
+    assert config.words == WESTERN
+    assert config.understood == (
+        "1. Map all targets in the western half of the survey area.",
+        "At most 80 steps in all.",
+    )
+    # The run's folder holds them by itself.
+    assert read_mission(runs / "latest" / "mission.json") == read_mission(file)
+    assert (runs / "latest" / "mission.png").read_bytes() == (tmp_path / "mission.png").read_bytes()
+    page = (runs / "latest" / "report.html").read_text()
+    assert f'"words":"{WESTERN}"' in page
     program, *arguments = shlex.split(repeating_command(config))
     again = tmp_path / "again"
     assert run_command([*arguments, "--out", str(again), "--json"]) == 0
@@ -284,7 +311,7 @@ def test_a_wreck_is_found_and_its_north_side_mapped_from_words_to_the_end(
     text = "find the wreck, then map whatever is on its north side"
     assert mission(model, text, *world, "--out", str(file), "--yes", "--json") == 0
     printed = capsys.readouterr()
-    assert read_orders(printed.out) == read_mission(file)
+    assert read_orders(printed.out) == read_mission(file)[1]
     assert "2. Map all targets on the north side of what leg 1 found" in printed.err
     runs = tmp_path / "runs"
     command = ["run", "sixsteps", *world, "--mission", str(file), "--out", str(runs), "--json"]
@@ -316,8 +343,66 @@ def test_at_a_terminal_the_operator_is_asked(
     monkeypatch.setattr("sys.stdin", Terminal(typed))
     file = tmp_path / "mission.json"
     assert mission(model, WESTERN, "--world", "flat/empty", "--out", str(file)) == status
+    told = said(capsys)
+    assert "Keep these orders? [y/N]" in told
+    assert "Fly this?" not in told
+    assert f"drawn in {tmp_path / 'mission.draft.png'}, until you answer" in told
+    kept = {"mission.json", "mission.png"} if status == 0 else set()
+    assert {path.name for path in tmp_path.iterdir()} == kept
+
+
+class Watched(Terminal):
+    """An operator who looks at the picture before answering."""
+
+    picture = Path()
+    seen = False
+
+    def readline(self, size: int = -1, /) -> str:  # type: ignore[override]
+        with Image.open(self.picture) as picture:
+            self.seen = bool((np.asarray(picture) == OUTLINE).all(axis=-1).any())
+        return super().readline(size)
+
+
+def test_the_areas_can_be_looked_at_while_the_operator_is_asked(
+    model: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    will_say(model, WEST)
+    operator = Watched("no\n")
+    operator.picture = tmp_path / "mission.draft.png"
+    monkeypatch.setattr("sys.stdin", operator)
+    (tmp_path / "mission.png").write_text("of other orders")
+    assert mission(model, WESTERN, "--out", str(tmp_path / "mission.json")) == 1
+    assert operator.seen
+    assert (tmp_path / "mission.png").read_text() == "of other orders"
+
+
+def test_a_mission_that_cannot_be_written_is_not_asked_for(
+    model: Server, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    will_say(model, WEST)
+    (tmp_path / "file").write_text("in the way")
+    for out, complaint in (
+        (tmp_path / "file" / "mission.json", "--out: expected a place that can be written, got"),
+        (Path("/proc/nowhere/mission.json"), "got /proc/nowhere (No such file or directory)"),
+        (tmp_path, "--out: expected a file, got the folder"),
+    ):
+        assert mission(model, WESTERN, "--yes", "--out", str(out)) == 2
+        told = said(capsys)
+        assert complaint in told
+        assert "Errno" not in told
+    assert model.asked == []
+
+
+def test_a_run_from_words_asks_whether_to_fly(
+    model: Server, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    will_say(model, WEST)
+    monkeypatch.setattr("sys.stdin", Terminal("n\n"))
+    words = ["--mission", WESTERN, "--out", str(tmp_path), "--world", "flat/empty"]
+    options = ["--model", model.address, "--model-name", NAME]
+    assert run_command(["run", "dream", *options, *words]) == 1
     assert "Fly this? [y/N]" in said(capsys)
-    assert file.exists() == (status == 0)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_without_a_terminal_and_without_yes_nothing_is_asked(
@@ -347,10 +432,9 @@ def test_a_planner_that_asks_a_model_takes_plain_words(
     will_say(model, WEST)
     planner = Dream(**model.options)
     world = open_world("reef/string", 1)
-    picture = tmp_path / "mission.png"
-    orders = run._orders(WESTERN, planner, world, DREAM_V1, picture, yes=True)
+    words, orders = run._orders(WESTERN, planner, world, DREAM_V1, None)
+    assert words == WESTERN
     assert orders == Orders((Leg(Target.ANY, Task.MAP, SideOf(Side.WEST)),), 80)
-    assert picture.exists()
     assert "western half" in said(capsys)
 
 
@@ -372,4 +456,7 @@ def test_a_mission_that_is_not_there_or_foreign_is_one_clear_line(
 ) -> None:
     given = str(tmp_path / "mission.json") if name == "mission.json" else '{"legs": 3}'
     assert run_command(["run", "lawnmower", "--mission", given]) == 2
-    assert len(said(capsys).strip().splitlines()) == 1
+    told = said(capsys)
+    assert len(told.strip().splitlines()) == 1
+    assert "Errno" not in told
+    assert ("--mission: expected a file that dream mission wrote, got" in told) == (name == "mission.json")

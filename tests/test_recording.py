@@ -1,14 +1,17 @@
 from __future__ import annotations
 
+import errno
 import itertools
 import json
 import logging
 import math
+import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
 from datetime import UTC, datetime
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +38,7 @@ from dream.types import Decision, Exchange, Step
 from tests.recorded_runs import (
     CONFIG,
     SUMMARY,
+    Disk,
     asking_mission,
     exchange,
     painted_coverage,
@@ -206,6 +210,59 @@ def test_a_picture_that_cannot_be_written_leaves_no_line(tmp_path: Path) -> None
     with pytest.raises(OSError, match="could not write step 1"):
         next(steps)
     assert len(read_steps(tmp_path)) == 1
+
+
+def test_a_disk_that_is_full_keeps_the_steps_before_and_nothing_that_is_not_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk, steps = Disk(monkeypatch), record(asking_mission(6), tmp_path)
+    for _ in range(5):
+        next(steps)
+    disk.full = True
+    with pytest.raises(OSError, match=r"^could not write step 5 \(No space left on device\)$"):
+        next(steps)
+    assert [step.step for step in read_steps(tmp_path)] == [0, 1, 2, 3, 4]
+    files = {path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file()}
+    assert {path.name[:4] for path in files if path.parent != Path()} == {f"{n:04d}" for n in range(5)}
+    assert {path for path in files if path.parent == Path()} == {Path("steps.jsonl")}
+
+
+@pytest.mark.parametrize("name", ["map.npz", "summary.json", "config.json"])
+def test_a_file_for_which_there_is_no_room_is_named_and_the_old_one_stays(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk, steps = Disk(monkeypatch), record(painted_mission(1), tmp_path)
+    (tmp_path / name).write_text("old")
+    next(steps)
+    disk.full = True
+    write: dict[str, Callable[[], object]] = {
+        "map.npz": lambda: next(steps),
+        "summary.json": lambda: write_summary(tmp_path, SUMMARY),
+        "config.json": lambda: write_config(tmp_path, CONFIG),
+    }
+    with pytest.raises(OSError, match=rf"could not write .*{name} \(No space left on device\)"):
+        write[name]()
+    assert (tmp_path / name).read_text() == "old"
+    assert not list(tmp_path.glob("*partial*"))
+    assert not list(tmp_path.glob(".*"))
+    disk.full = False
+    steps.close()
+
+
+def test_a_line_for_which_there_is_half_the_room_is_not_begun(tmp_path: Path) -> None:
+    class Small(FileIO):
+        def write(self, line: Any) -> int:
+            room = 20 - self.tell()
+            if not room:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            return super().write(line[:room])
+
+    path = tmp_path / "steps.jsonl"
+    with Small(path, "w") as lines:
+        recording._append(lines, b"a line of twelve\n")
+        with pytest.raises(OSError, match="No space left"):
+            recording._append(lines, b"a second\n")
+    assert path.read_bytes() == b"a line of twelve\n"
 
 
 def test_annotations_may_hold_numpy_numbers_but_not_the_name_of_a_field(tmp_path: Path) -> None:

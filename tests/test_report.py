@@ -306,6 +306,28 @@ def test_a_mission_that_did_not_end_is_called_aborted(summarized: bool, tmp_path
 
 
 @pytest.mark.slow
+def test_what_was_ordered_stands_below_the_headline_as_text(tmp_path: Path) -> None:
+    for name in ("plain", "ordered"):
+        (tmp_path / name).mkdir()
+    plain = recorded(tmp_path / "plain", 2)
+    write_summary(plain, SUMMARY)
+    shown = browse(write_report(plain), None, tmp_path / "profile", "--dump-dom").stdout
+    assert re.search(r'id="words"[^>]*hidden', shown)
+    assert "of the targets seen" in shown
+    ordered = recorded(tmp_path / "ordered", 2)
+    write_summary(ordered, SUMMARY)
+    understood = ["1. Map all targets in the western half of the survey area."]
+    orders = {"words": f"the west {HOSTILE}", "orders": {"legs": []}, "understood": understood}
+    write_config(ordered, {**CONFIG, **orders})
+    seen = browse(write_report(ordered), None, tmp_path / "profile", "--dump-dom")
+    assert "CONSOLE" not in seen.stderr
+    assert "<title>reef/string seed 3, sixsteps · DREAM</title>" in seen.stdout
+    assert "“the west &lt;/script &gt;" in text_of(seen.stdout, "words")
+    assert understood[0] in text_of(seen.stdout, "orders")
+    assert "100 % of the targets in the ordered area seen" in seen.stdout
+
+
+@pytest.mark.slow
 def test_a_browser_runs_nothing_that_a_run_says(tmp_path: Path) -> None:
     folder = recorded(tmp_path, 2, said=HOSTILE)
     seen = browse(write_report(folder), 1, tmp_path / "profile", "--dump-dom")
@@ -387,7 +409,7 @@ def test_a_damaged_exchange_is_named_by_the_report(asked: Path, tmp_path: Path) 
 
 def text_of(dom: str, name: str) -> str:
     """What an element with that id says, tags left out."""
-    found = re.search(rf'id="{name}"[^>]*>(.*?)</(?:p|section)>', dom, re.S)
+    found = re.search(rf'id="{name}"[^>]*>(.*?)</(?:p|section|blockquote|ul)>', dom, re.S)
     assert found is not None
     return re.sub(r"<[^>]+>", " ", found[1])
 

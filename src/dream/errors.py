@@ -2,4 +2,4 @@
 
 
 class MissionAborted(Exception):  # noqa: N818 - it names what happened, as KeyboardInterrupt does.
-    """A mission ended before its planner or its cap ended it; what was flown is on disk."""
+    """A mission or a probe ended before its time; the message says what of it is kept."""

@@ -2,7 +2,7 @@
 
 A run is written as it goes: whatever interrupts it, the steps so far are on disk. Pictures lie beside
 `steps.jsonl` and are named by step; a line is written only once its pictures are complete. Ctrl-C waits
-until the step that is being written is whole.
+until the step that is being written is whole; of one for which there is no room, nothing stays.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import signal
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
+from io import FileIO
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any, Literal, TypeVar
@@ -175,6 +176,10 @@ class RunConfig(_Recorded):
     """Decisions at most; the protocol's cap where None."""
     orders: dict[str, Any] | None = None
     """What the operator ordered; to map everything where None."""
+    words: str = ""
+    """In which the operator said so; empty where they are not known."""
+    understood: tuple[str, ...] = ()
+    """The orders as sentences."""
 
 
 class PlannerTimes(_Recorded):
@@ -282,8 +287,9 @@ def _recording(
 ) -> Generator[Step, None, None]:
     trail: list[tuple[float, float]] = []
     step = None
+    full = False
     try:
-        with (folder / "steps.jsonl").open("a", encoding="utf-8") as lines:
+        with (folder / "steps.jsonl").open("ab", buffering=0) as lines:
             for step in steps:
                 trail.append((step.arrival.pose.x, step.arrival.pose.y))
                 with _interrupt_held():
@@ -291,18 +297,58 @@ def _recording(
                     try:
                         _write_pictures(step, trail, folder)
                         _write_exchanges(step, folder)
-                        lines.write(line + "\n")
-                        lines.flush()
+                        _append(lines, f"{line}\n".encode())
                     except OSError as error:
+                        full = True
+                        _remove_files(step.index, folder)
                         raise OSError(
-                            f"recording: could not write step {step.index} ({error}). Is the disk full?"
+                            f"could not write step {step.index} ({error.strerror or error})"
                         ) from error
                 yield step
     finally:
         if step is not None:
-            partial = folder / "map.partial.npz"
-            step.occupancy.save(partial)
-            partial.replace(folder / "map.npz")
+            try:
+                with whole_or_nothing(folder / "map.npz") as partial:
+                    step.occupancy.save(partial)
+            except OSError:
+                if not full:  # Else the step is told of.
+                    raise
+
+
+@contextlib.contextmanager
+def whole_or_nothing(path: Path) -> Iterator[Path]:
+    """A path to write to, whose file takes the place of `path` once the block is done; else nothing stays.
+
+    Raises:
+        OSError: It could not be written; the message names it.
+    """
+    partial = path.with_name(f".partial.{path.name}")
+    try:
+        yield partial
+        partial.replace(path)
+    except OSError as error:
+        raise OSError(f"could not write {path} ({error.strerror or error})") from error
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
+def _append(lines: FileIO, line: bytes) -> None:
+    """Write a line whole or not at all."""
+    before, left = lines.tell(), line
+    try:
+        while left:
+            left = left[lines.write(left) :]
+    except OSError:
+        lines.truncate(before)
+        raise
+
+
+def _remove_files(step: int, folder: Path) -> None:
+    """Of a step that could not be written whole; what is left of the run may need the room."""
+    for path in folder.glob(f"*/{step:04d}[._-]*"):
+        with contextlib.suppress(OSError):
+            path.unlink()
 
 
 @contextlib.contextmanager
@@ -533,9 +579,8 @@ def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
 
 
 def _replace(path: Path, content: BaseModel) -> None:
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(content.model_dump_json(indent=2, fallback=_plain) + "\n", encoding="utf-8")
-    partial.replace(path)
+    with whole_or_nothing(path) as partial:
+        partial.write_text(content.model_dump_json(indent=2, fallback=_plain) + "\n", encoding="utf-8")
 
 
 def _json(path: Path) -> Any:

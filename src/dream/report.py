@@ -34,6 +34,7 @@ from dream.recording import (
     read_exchanges,
     read_steps,
     read_summary,
+    whole_or_nothing,
 )
 from dream.types import Label, UInt8Array
 
@@ -59,6 +60,7 @@ def write_report(folder: Path) -> Path:
     Raises:
         FileNotFoundError: It is no run folder.
         ValueError: One of its files is damaged; the message names it.
+        OSError: The page cannot be written.
     """
     config, summary, steps = read_config(folder), read_summary(folder), read_steps(folder)
     farthest = 0
@@ -94,9 +96,8 @@ def write_report(folder: Path) -> Path:
         },
     )
     path = folder / "report.html"
-    partial = folder / ".report.html.partial"
-    partial.write_text(page, encoding="utf-8")
-    partial.replace(path)
+    with whole_or_nothing(path) as partial:
+        partial.write_text(page, encoding="utf-8")
     return path
 
 

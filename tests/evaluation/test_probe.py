@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
 import math
 import re
@@ -10,6 +11,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +42,7 @@ from dream.evaluation.probe.scenes import WORLDS
 from dream.evaluation.suites import SUITES
 from dream.geometry import SE2
 from dream.mapping import drawing
+from dream.planning.vlm.asking import Line
 from dream.planning.vlm.reply import choice_reply
 from dream.types import Exchange
 from tests.model_server import NAME, Request, Response, error, says, serving
@@ -507,3 +510,39 @@ def test_questions_that_the_budget_does_not_pay_for_are_not_asked(
     budget, late = map(json.loads, capsys.readouterr().out.splitlines())
     assert (budget["asked"], budget["questions"], budget["unanswered"]) == (5, 16, 0)
     assert (late["asked"], late["questions"], late["share"]) == (0, 16, None)
+
+
+@pytest.mark.parametrize("recorded", [True, False])
+def test_an_interrupted_probe_tells_what_was_answered_and_how_to_go_on(
+    recorded: bool,
+    questions: list[MapQuestion],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("dream.evaluation.probe.make_questions", lambda count: iter(questions[:count]))
+    receive, received = Line.receive, itertools.count(1)
+
+    def interrupted(*arguments: Any) -> Any:
+        if next(received) == 6:
+            raise KeyboardInterrupt
+        return receive(*arguments)
+
+    monkeypatch.setattr(Line, "receive", interrupted)
+    record = ["--record", str(tmp_path / "kept")] if recorded else []
+    with serving(first_choice) as server:
+        options = ["--questions", "8", "--at-once", "1", *record, "--out", str(tmp_path / "out")]
+        assert run_command(probe(server.address, *options)) == 1
+        printed = capsys.readouterr()
+        assert json.loads(printed.out)["asked"] == 5
+        if recorded:
+            told = f"they are kept in {tmp_path / 'kept'}, and the same command goes on"
+        else:
+            told = "none are kept. With --record DIR they would be, and the same command would go on"
+        assert printed.err == f"dream: interrupted: 5 of 8 questions are answered; {told}\n"
+        assert "5 of 8 asked" in (tmp_path / "out" / "probe.html").read_text()
+        asked = len(server.asked)
+        assert run_command(probe(server.address, *options)) == 0
+        # The answer to the sixth came, and was kept, before it could be counted.
+        assert len(server.asked) - asked == (2 if recorded else 8)
+    assert "of 8 asked" not in (tmp_path / "out" / "probe.html").read_text()

@@ -8,9 +8,20 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dream.geometry import SE2
+from dream.geometry import SE2, Bounds
 from dream.mapping import OccupancyMap, draw_map
-from dream.mapping.drawing import EXPLORED, SOLID, SOLID_TARGET, TARGET, UNKNOWN, VEHICLE
+from dream.mapping.drawing import (
+    EXPLORED,
+    MARK,
+    OUTLINE,
+    SOLID,
+    SOLID_TARGET,
+    TARGET,
+    UNKNOWN,
+    VEHICLE,
+    draw_areas,
+)
+from dream.protocol import DREAM_V1, POOL_V1, SurveyProtocol
 from dream.types import Label
 from tests.mapping.analytic import Disc, Pillar, empty_map, look_around, map_with, wall
 
@@ -65,6 +76,50 @@ def test_the_size_depends_on_shape_and_scale_only() -> None:
     size = draw_map(occupancy).size
     assert draw_map(occupancy, SE2(-11.0, 11.0, 2.0), [(50.0, 50.0), (-80.0, 3.0)]).size == size
     assert draw_map(occupancy, scale=8).size[0] > size[0]
+
+
+def count(picture: npt.NDArray[np.uint8], color: tuple[int, int, int]) -> int:
+    return int((picture == color).all(axis=-1).sum())
+
+
+@pytest.mark.parametrize("scale", [4, 8])
+@pytest.mark.parametrize("protocol", [DREAM_V1, POOL_V1])
+def test_the_frame_around_an_area_is_explained_where_there_is_one(
+    protocol: SurveyProtocol, scale: int
+) -> None:
+    side = 100 * protocol.cell
+    occupancy = OccupancyMap(Bounds(0.0, 0.0, side, side), protocol)
+    plain = draw_map(occupancy, scale=scale)
+    assert count(np.asarray(plain), OUTLINE) == 0
+    occupancy.restrict(Bounds(0.0, 0.0, 0.5 * side, side))
+    framed = draw_map(occupancy, scale=scale)
+    assert framed.size == plain.size
+    legend = np.asarray(framed)[-30:]
+    assert count(legend, OUTLINE) > 16
+    # Its name is written in full: there is paper to the right of it.
+    assert (legend[:, -4:] == legend[0, -1]).all()
+
+
+def test_areas_are_drawn_with_their_numbers_and_sentences_and_nothing_that_is_not_there() -> None:
+    bounds = Bounds(-10.0, -10.0, 10.0, 10.0)
+    east = Bounds(0.0, -10.0, 10.0, 10.0)
+
+    def drawn(areas: list[Bounds | None], lines: list[str]) -> npt.NDArray[np.uint8]:
+        return np.asarray(draw_areas(bounds, DREAM_V1, areas, lines))
+
+    one = drawn([east], ["1. Map the east."])
+    for color in (EXPLORED, TARGET, SOLID, SOLID_TARGET, VEHICLE, MARK):
+        assert count(one, color) == 0
+    assert count(one, OUTLINE) > 100
+    # One that has no place is told of and not drawn; a number is.
+    told = drawn([east, None], ["1. Map the east."])
+    assert (told == one).all()
+    assert count(drawn([east, east], ["1. Map the east."]), OUTLINE) > count(one, OUTLINE)
+    lines = drawn([east], ["1. Map the east.", "2. A side of it."])
+    long = drawn([east], ["1. " + "Map the east. " * 20])
+    assert one.shape[0] < lines.shape[0] < long.shape[0]
+    assert lines.shape[1] == long.shape[1] == one.shape[1]
+    assert (long[:, -4:] == long[-1, -1]).all()
 
 
 def test_bad_arguments_are_refused() -> None:

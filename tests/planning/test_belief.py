@@ -29,6 +29,7 @@ from dream.mapping import (
 from dream.planning import Belief, sentences
 from dream.planning.belief import MOST_VISITS, BeliefPilot, _away_from_hull
 from dream.planning.distribution import Groups, expectation
+from dream.planning.hull import PATCH
 from dream.planning.lookahead import Plan
 from dream.planning.travel import careful_travel, nearest_open, travel_from
 from dream.protocol import DREAM_V1
@@ -615,6 +616,23 @@ def test_it_says_the_risk_and_the_groups_that_its_model_gives(over_the_reef: Flo
         assert f"and {expected:.2f} groups in ground not searched" in said.distribution
         risks.add(round(risk, 2))
     assert len(risks) > 2
+
+
+def test_it_says_what_it_expects_of_a_hull_and_what_it_would_accept(over_the_reef: Flown) -> None:
+    flown = _fly(WRECK, max_steps=12)
+    pilot, (observation, occupancy, decision) = flown.pilots[-1], flown.asked[-1]
+    away = _away_from_hull(occupancy)
+    expected = pilot._expected(
+        occupancy, check_completion(occupancy, observation.pose), observation.pose, away
+    )
+    area, share = PATCH**2 * float(expected.hull.sum()), expected.hull_left
+    assert not decision.done
+    assert share > 0.005
+    sentence = f" Of the hull {area:.1f} m² more are to be expected, {share:.1%} of it; 0.5% is accepted."
+    assert decision.reasoning.completion.endswith(sentence)
+    certified = Belief(certify=True).begin(MISSION).decide(observation, occupancy).reasoning.completion
+    assert "0.5% is accepted" in certified
+    assert not any("hull" in decision.reasoning.completion for _, _, decision in over_the_reef.asked)
 
 
 def test_it_says_how_many_steps_lead_where_and_what_they_show() -> None:

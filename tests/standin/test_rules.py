@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
 import pytest
 
-from dream.geometry import SE2
+from dream.geometry import SE2, Bounds
+from dream.orders import Leg, Side, SideOf, Task
+from dream.planning.vlm.orders import orders_reply
 from dream.planning.vlm.reply import dream_reply, ranked_reply, vanilla_reply
 from dream.protocol import DREAM_V1
 from dream.standin import sight
 from dream.standin.rules import RULES, answer
 from dream.standin.sight import UnreadableError
+from dream.types import Target
 from tests.mapping.analytic import AREA
 from tests.standin.sheets import drawn, map_of, png, request, scene
 
@@ -122,6 +126,43 @@ def test_marks_other_than_those_asked_for_are_refused() -> None:
     for numbers in ([1, 2, 3], [1], [1, 3]):
         with pytest.raises(UnreadableError, match="expected the marks"):
             answer(request(ranked_reply(numbers), shown))
+
+
+BOX = Bounds(-20.0, -20.0, 20.0, 20.0)
+WEST = SideOf(Side.WEST)
+SAID = {
+    "map a box from x=-5 to 5 and y=0 to 10, slowly, after 3 pm, not deeper than 10 m": (
+        [Leg(area=Bounds(-5.0, 0.0, 5.0, 10.0))],
+        "slowly; after 3 pm; not deeper than 10 m",
+    ),
+    "map only the western half, at most 80 steps": ([Leg(area=WEST)], ""),
+    "find the wreck, then map whatever is on its north side": (
+        [Leg(Target.WRECK, Task.FIND), Leg(area=SideOf(Side.NORTH, 1))],
+        "",
+    ),
+    "Find the wreck and map its north side": (
+        [Leg(Target.WRECK, Task.FIND), Leg(area=SideOf(Side.NORTH, 1))],
+        "",
+    ),
+    "map the oyster reefs in the south quickly": ([Leg(Target.OYSTERS, area=SideOf(Side.SOUTH))], "quickly"),
+    "map the north and the west": ([Leg(area=SideOf(Side.NORTH))], "west"),
+    "map the west; be careful": ([Leg(area=WEST)], "be careful"),
+    "do not map the west": ([Leg(area=WEST)], "do not"),
+    "hello": ([Leg()], "hello"),
+    "map all" + " or not" * 200: ([Leg()], None),
+}
+
+
+@pytest.mark.parametrize(("words", "legs", "left_out"), [(said, *meant) for said, meant in SAID.items()])
+def test_what_of_an_operators_words_is_no_phrase_that_it_knows_is_said_to_be_left_out(
+    words: str, legs: list[Leg], left_out: str | None
+) -> None:
+    schema = orders_reply(BOX)
+    said = answer(request(schema, {}, f"The operator says, in JSON:\n{json.dumps(words)}"))
+    understood = schema.model_validate(said)
+    assert list(understood.orders.legs) == legs
+    assert understood.orders.max_steps == (80 if "80" in words else None)
+    assert understood.left_out == left_out or (left_out is None and understood.left_out.endswith(" ..."))
 
 
 def test_a_schema_without_a_rule_is_refused_with_those_there_are() -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import http.client
 import json
+import re
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -203,6 +205,13 @@ def test_a_fault_that_does_not_exist_is_refused(name: str, said: str) -> None:
     with pytest.raises(ValueError, match=said.replace(".", r"\.")):
         address(name)
     assert "slow:S" in FAULTS
+
+
+def test_the_page_about_models_says_of_every_fault_what_it_does() -> None:
+    page = (Path(__file__).parents[2] / "docs/models.md").read_text(encoding="utf-8")
+    table = page[page.index("| fault | its answers |") :].split("\n\n")[0]
+    named = [name for row in table.splitlines()[2:] for name in re.findall(r"`([^`]+)`", row.split("|")[1])]
+    assert sorted(named) == sorted(FAULTS)
 
 
 @pytest.mark.slow

@@ -70,10 +70,10 @@ class Flying:
         kept = self.asking.replay_replies
         if kept is not None and not Path(kept).is_dir():
             raise ValueError(f"--replay-replies: expected a folder of kept replies, got {kept}")
-        if not self.asking.model and kept is None:
+        if not self.asking.model:
             raise ValueError(
                 f"--model: expected which model {' and '.join(askers)} should ask, got none. Say --model "
-                "openai:NAME, anthropic:NAME, google:NAME or the address of a server; or --replay-replies DIR"
+                "openai:NAME, anthropic:NAME, google:NAME or the address of a server; the same to replay it"
             )
         # A model that cannot be asked at all is found out now, not once in every mission.
         self.asking.line()

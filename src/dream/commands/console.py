@@ -34,6 +34,23 @@ def open_world(name: str, seed: int) -> World:
     return load_world(Path(name)) if (Path(name) / "world.json").is_file() else make_world(name, seed)
 
 
+def check_writable(folder: Path) -> None:
+    """Make the folder of `--out` and see that it can be written, before anything is worked or paid for.
+
+    Raises:
+        OSError: It cannot.
+    """
+    import tempfile
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise OSError(
+            f"--out: expected a place that can be written, got {folder} ({error.strerror})"
+        ) from error
+
+
 def with_progress(items: Iterator[T], title: str, total: int) -> Iterator[T]:
     """Pass items on, with a progress bar on standard error where that is a terminal."""
     from rich.console import Console
@@ -195,9 +212,17 @@ def compiling_told() -> Iterator[None]:
     """Say on standard error, once, where code is compiled within the block: that takes a while."""
     from dream.compiling import when_compiling
 
-    told = "dream: compiling, which takes up to a minute; later runs find it done"
+    told = "dream: compiling what this needs for the first time, which may take a minute"
     with when_compiling(lambda: print(told, file=sys.stderr)):
         yield
+
+
+def tell_lost(record: str | None) -> None:
+    """Say on standard error how many exchanges could not be kept in the folder of `--record`, if any."""
+    from dream.planning.vlm.cassette import lost
+
+    if record is not None and (count := lost[Path(record)]):
+        print(f"dream: {record}: {count} exchanges in all were not kept", file=sys.stderr)
 
 
 def print_json(record: Mapping[str, Any]) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TextIO
 
 import tyro
 
-from dream.commands.console import open_world, price, print_json
+from dream.commands.console import check_writable, open_world, price, print_json
 from dream.errors import MissionAborted
 from dream.protocol import protocol_named
 
@@ -51,17 +51,23 @@ class Mission:
         from dream.planning.vlm.asking import Asking
         from dream.planning.vlm.orders import write_mission
 
+        if self.out.is_dir():
+            raise ValueError(f"--out: expected a file, got the folder {self.out}")
+        check_writable(self.out.parent)
         world = open_world(self.world, self.seed)
         protocol = protocol_named(self.protocol or world.protocol)
         asking = Asking(self.model, self.model_name)
         picture = self.out.with_suffix(".png")
         told = sys.stderr if self.json else sys.stdout
-        orders = confirmed(self.text, asking, world, protocol, picture, yes=self.yes, told=told)
+        wanted = None if self.yes else ("Keep these orders?", picture.with_suffix(".draft.png"))
+        orders = confirmed(self.text, asking, world, protocol, wanted, told)
+        draw_orders(orders, world.bounds, protocol, picture)
         write_mission(self.out, self.text, orders)
         if self.json:
             print_json(written(orders))
         else:
-            print(f"written: {self.out}. To fly it: dream run --mission {self.out} --world {self.world}")
+            print(f"written: {self.out}, and {picture}, in which its areas are drawn")
+            print(f"to fly it: dream run --mission {self.out} --world {self.world} --seed {self.seed}")
         return 0
 
 
@@ -70,9 +76,7 @@ def confirmed(
     asking: Asking,
     world: World,
     protocol: SurveyProtocol,
-    picture: Path,
-    *,
-    yes: bool,
+    wanted: tuple[str, Path] | None,
     told: TextIO,
 ) -> Orders:
     """What a model makes of an operator's words, once the operator agrees.
@@ -82,8 +86,8 @@ def confirmed(
         asking: Which model is asked, once.
         world: Where it will be flown.
         protocol: By which rules.
-        picture: File to draw the areas in.
-        yes: The operator has agreed before.
+        wanted: What to ask the operator, and the file to draw the areas in while that is asked; None where
+            the operator agreed before.
         told: Where to print what was understood.
 
     Raises:
@@ -94,14 +98,13 @@ def confirmed(
     from dream.orders import sentences
     from dream.planning.vlm.orders import ask_orders
 
-    if not yes and not sys.stdin.isatty():
+    if wanted is not None and not sys.stdin.isatty():
         raise ValueError(
             "--yes: expected it where no terminal is there to confirm the mission at, got none. "
-            "With it, what the model understood is flown as it is"
+            "With it, what the model understood is taken as it is"
         )
     understood = ask_orders(asking, text, world.bounds, protocol, labelled_in(world))
     orders, exchange = understood.orders, understood.exchange
-    draw_orders(orders, world.bounds, protocol, picture)
     print("Understood:", *sentences(orders, protocol.cap), sep="\n  ", file=told)
     if understood.left_out:
         print(f"  Not in the orders, says the model: {_printable(understood.left_out)}", file=told)
@@ -110,48 +113,47 @@ def confirmed(
         f"  Asked {exchange.model}: calls {exchange.requests}, tokens {tokens}, {price(exchange.cost_usd)}.",
         file=told,
     )
-    print(f"  The areas are drawn in {picture}.", file=told)
-    if not yes:
-        print("Fly this? [y/N] ", end="", file=told, flush=True)
-        if sys.stdin.readline().strip().lower() not in ("y", "yes"):
-            raise MissionAborted("the mission was not confirmed; nothing is written or flown")
+    if wanted is not None:
+        question, draft = wanted
+        draw_orders(orders, world.bounds, protocol, draft)
+        try:
+            print(f"  The areas are drawn in {draft}, until you answer.", file=told)
+            print(f"{question} [y/N] ", end="", file=told, flush=True)
+            if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+                raise MissionAborted("the orders were not confirmed; nothing is written or flown")
+        finally:
+            draft.unlink(missing_ok=True)
     return orders
 
 
-def given(mission: str) -> Orders | None:
-    """The orders in a file, or those that stand there as JSON; None where it is text in plain words."""
+def given(mission: str) -> tuple[str, Orders] | None:
+    """The operator's words and the orders, from a file or from JSON; None where it is plain words."""
     from dream.planning.vlm.orders import read_mission, read_orders
 
     if mission.lstrip().startswith("{"):
-        return read_orders(mission)
+        return "", read_orders(mission)
     if mission.endswith(".json"):
         return read_mission(Path(mission))
     return None
 
 
 def draw_orders(orders: Orders, bounds: Bounds, protocol: SurveyProtocol, path: Path) -> None:
-    """Draw the areas on the empty survey area, a number in the middle of each.
+    """Draw the areas, each with the number of its leg, above the orders in plain words.
 
     The side of what is still to be found has no place yet.
     """
-    import numpy as np
+    from dream.mapping.drawing import draw_areas
+    from dream.orders import place, sentences
 
-    from dream.mapping import OccupancyMap, draw_map
-    from dream.mapping.drawing import Mark
-    from dream.orders import place
-
-    areas, marks = [], []
-    for number, leg in enumerate(orders.legs, start=1):
+    areas: list[Bounds | None] = []
+    lines = list(sentences(orders, protocol.cap))
+    for index, leg in enumerate(orders.legs):
         try:
-            area = place(leg.area, bounds, {}) or bounds
+            areas.append(place(leg.area, bounds, {}) or bounds)
         except LookupError:
-            continue
-        areas.append(area)
-        # Areas that are the same do not hide each other's numbers.
-        x = 0.5 * (area.x_min + area.x_max) + 0.05 * bounds.width * (areas.count(area) - 1)
-        marks.append(Mark(number, np.array([[x, 0.5 * (area.y_min + area.y_max)]])))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draw_map(OccupancyMap(bounds, protocol), marks=marks, areas=areas).save(path)
+            areas.append(None)
+            lines[index] += " Where that is, is not known yet."
+    draw_areas(bounds, protocol, areas, lines).save(path)
 
 
 def _printable(text: str) -> str:

@@ -10,13 +10,32 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dream.commands.console import print_json, with_progress
+import tyro
+
+from dream.commands.console import check_writable, print_json, tell_lost, with_progress
+from dream.errors import MissionAborted
 from dream.planning.vlm.asking import Asking
 
 if TYPE_CHECKING:
     from dream.evaluation.probe import MapQuestion, Reply, Score
     from dream.planning.vlm.asking import Answer, Line, Pending
     from dream.planning.vlm.reply import Choice
+
+
+@dataclass(frozen=True, slots=True)
+class Questioned(Asking):
+    """Options for asking where nothing is flown: no offline planner helps, and no mission's clock runs."""
+
+    timeout: float = 60.0
+    """Seconds for an answer, all tries included; then the question has none, which is a wrong one."""
+    max_calls: int | None = None
+    """Requests at most; then no further question is asked."""
+    max_usd: float | None = None
+    """US dollars at most, likewise; for models whose price is known."""
+    latency: tyro.conf.Suppress[tyro.conf.Fixed[float | None]] = None
+    """Nothing waits for an answer here."""
+    record: str | None = None
+    """Folder in which to keep every exchange; a question that was answered there is not asked again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,11 +49,11 @@ class Probe:
     that and the interval of the whole lies above 80 %. No answer is a wrong one, and is counted apart.
 
     With `--record`, an interrupted probe goes on where it was: what is kept there is not asked again.
+    What was answered until then is told and shown as far as it goes.
     """
 
-    asking: Asking = field(default_factory=Asking)
-    """Which model is asked, and how. What is said of a mission is true of the probe; but no offline planner
-    helps the model, and no clock of a mission runs."""
+    asking: Questioned = field(default_factory=Questioned)
+    """Which model is asked, and how."""
     questions: int = 200
     """How many; fewer than 80, ten of every kind, tell nothing."""
     at_once: int = 8
@@ -47,7 +66,10 @@ class Probe:
     """Print one JSON object and nothing else."""
 
     def __call__(self) -> int:
-        """Exit status 0 where all questions were asked, whatever the answers; else 1."""
+        """Exit status 0 where all questions were asked, whatever the answers; else 1.
+
+        A MissionAborted where it was interrupted.
+        """
         from dream.evaluation.probe import QUESTIONS, Score, make_questions, write_page
 
         if not 1 <= self.questions <= QUESTIONS:
@@ -58,11 +80,17 @@ class Probe:
             raise ValueError(f"--limit: expected above 0 to 1000000 seconds, got {self.limit:g}")
         line = self.asking.line()
         if self.out is not None:
-            self.out.mkdir(parents=True, exist_ok=True)
+            check_writable(self.out)
         made = list(with_progress(make_questions(self.questions), "making maps", self.questions))
         began = time.perf_counter()
-        answers = with_progress(self._ask(line, made), f"asking {self.asking.label}", len(made))
-        score = Score(tuple(sorted(answers, key=lambda reply: reply.question.number)), len(made))
+        replies: list[Reply] = []
+        interrupted = False
+        try:
+            replies.extend(with_progress(self._ask(line, made), f"asking {self.asking.label}", len(made)))
+        except KeyboardInterrupt:
+            interrupted = True  # What was answered until then is told all the same.
+        tell_lost(self.asking.record)
+        score = Score(tuple(sorted(replies, key=lambda reply: reply.question.number)), len(made))
         summary = {
             "model": self.asking.label,
             "prompt": made[0].prompt,
@@ -74,6 +102,14 @@ class Probe:
             print_json(summary)
         else:
             _print(score, summary, page)
+        if interrupted:
+            answered = sum(reply.given is not None for reply in replies)
+            kept = self.asking.record
+            raise MissionAborted(
+                f"interrupted: {answered} of {len(made)} questions are answered; "
+                + (f"they are kept in {kept}, and the same command goes on" if kept else "none are kept")
+                + ("" if kept else ". With --record DIR they would be, and the same command would go on")
+            )
         return 0 if score.complete else 1
 
     def _ask(self, line: Line, questions: Sequence[MapQuestion]) -> Iterator[Reply]:

@@ -15,14 +15,16 @@ from typing import TYPE_CHECKING, Any
 import tyro
 
 from dream.commands.console import (
+    check_writable,
     compiling_told,
     kept_interrupts,
     open_world,
     price,
     print_json,
+    tell_lost,
     with_progress,
 )
-from dream.commands.mission import confirmed, given
+from dream.commands.mission import confirmed, draw_orders, given
 from dream.errors import MissionAborted
 from dream.planning import PLANNERS, AnyPlanner
 from dream.planning.vlm import WIRE_TEST, Asking, Ranked, stands_in
@@ -72,6 +74,7 @@ class Run:
         from dream import recording
         from dream.evaluation.metrics import Scorer
         from dream.evaluation.runner import run_config, simulate, summarize
+        from dream.planning.vlm.orders import write_mission
         from dream.report import write_report
 
         if self.max_steps is not None and self.max_steps < 1:
@@ -82,11 +85,10 @@ class Run:
                 world = open_world(self.world, self.seed)
                 protocol = protocol_named(self.protocol or world.protocol)
                 name = planner_name(self.planner)
-                orders = None
+                words, orders = "", None
                 if self.mission is not None:
-                    orders = _orders(
-                        self.mission, self.planner, world, protocol, self.out / "mission.png", yes=self.yes
-                    )
+                    draft = None if self.yes else self.out / "mission.draft.png"
+                    words, orders = _orders(self.mission, self.planner, world, protocol, draft)
                 steps = simulate(
                     world,
                     self.planner,
@@ -104,6 +106,7 @@ class Run:
                     start=self.start,
                     max_steps=self.max_steps,
                     orders=orders,
+                    words=words,
                 )
                 scorer = Scorer(world, protocol, orders=orders)
                 check()
@@ -111,6 +114,9 @@ class Run:
             now = datetime.datetime.now(datetime.UTC)
             folder = recording.new_run_folder(self.out, world.name, world.seed, name, now)
             recording.write_config(folder, config)
+            if orders is not None:
+                write_mission(folder / "mission.json", words, orders)
+                draw_orders(orders, world.bounds, protocol, folder / "mission.png")
             recorded = recording.record(
                 steps, folder, annotate=lambda step: {"coverage": scorer.add(step).as_dict()}
             )
@@ -118,18 +124,25 @@ class Run:
             if orders is not None and orders.max_steps is not None:
                 total = min(total, orders.max_steps)
             stopped = _fly(recorded, f"{name} · {world.name} {world.seed}", total)
+        tell_lost(getattr(self.planner, "record", None))
         summary = summarize(world, name, protocol, scorer, time.perf_counter() - began)
+        page = None
         try:
             recording.write_summary(folder, summary)
             page = write_report(folder)
         except KeyboardInterrupt as interrupt:
-            raise _aborted(interrupt, summary, folder) from interrupt
+            raise _aborted(interrupt, folder) from interrupt
+        except OSError as full:
+            stopped = stopped or full
         if self.json:
             print_json(summary)
         else:
-            _print_outcome(summary, self.planner, recording.read_steps(folder), page)
+            record = getattr(self.planner, "record", None)
+            replayed = getattr(self.planner, "replay_replies", None) is not None and record is None
+            flown = recording.read_steps(folder)
+            _print_outcome(summary, self.planner, flown, page, replayed=replayed)
         if stopped is not None:
-            raise _aborted(stopped, summary, folder) from stopped
+            raise _aborted(stopped, folder, getattr(self.planner, "record", None)) from stopped
         return 0
 
 
@@ -139,22 +152,32 @@ def planner_name(planner: AnyPlanner) -> str:
 
 
 def _orders(
-    mission: str, planner: object, world: World, protocol: SurveyProtocol, picture: Path, *, yes: bool
-) -> Orders:
-    """What the operator orders, in a file or in words for the planner's own model."""
+    mission: str, planner: object, world: World, protocol: SurveyProtocol, draft: Path | None
+) -> tuple[str, Orders]:
+    """What the operator orders, in a file or in words for the planner's own model: the words, and the orders.
+
+    Args:
+        mission: The file or the words.
+        planner: Who flies it.
+        world: Where.
+        protocol: By which rules.
+        draft: File to draw the areas in while the operator is asked; None where nobody is asked.
+    """
     from dream.evaluation.runner import labelled_in
     from dream.planning.vlm.orders import check_flyable
 
-    orders = given(mission)
-    if orders is not None:
-        check_flyable(orders, world.bounds, protocol, labelled_in(world))
-        return orders
+    if (known := given(mission)) is not None:
+        check_flyable(known[1], world.bounds, protocol, labelled_in(world))
+        return known
     if not isinstance(planner, Asking):
         raise ValueError(
             "--mission: expected a file .json, since this planner asks no model, got plain words. "
             "Let dream mission turn them into one"
         )
-    return confirmed(mission, planner, world, protocol, picture, yes=yes, told=sys.stderr)
+    if draft is not None:
+        check_writable(draft.parent)
+    wanted = None if draft is None else ("Fly this?", draft)
+    return mission, confirmed(mission, planner, world, protocol, wanted, sys.stderr)
 
 
 def _fly(recorded: Generator[Step, None, None], title: str, total: int) -> BaseException | None:
@@ -184,13 +207,26 @@ def _warned(step: Step) -> bool:
     return True
 
 
-def _aborted(why: BaseException, summary: Mapping[str, Any], folder: Path) -> MissionAborted:
+def _aborted(why: BaseException, folder: Path, record: str | None = None) -> MissionAborted:
+    from dream.recording import read_steps
+
     what = "interrupted" if isinstance(why, KeyboardInterrupt) else str(why)
-    return MissionAborted(f"aborted: {what}; {summary['steps']} steps are kept in {folder}")
+    kept = read_steps(folder)
+    said = f"aborted: {what}; {kept[-1].step if kept else 0} steps are kept in {folder}"
+    if isinstance(why, OSError) and not (folder / "report.html").exists():
+        said += f". Once there is room: dream report {folder}"
+    if isinstance(why, KeyboardInterrupt) and record is not None:
+        said += f". To go on without asking again, say the same with --replay-replies {record}"
+    return MissionAborted(said)
 
 
 def _print_outcome(
-    summary: Mapping[str, Any], planner: AnyPlanner, steps: Sequence[RecordedStep], page: Path
+    summary: Mapping[str, Any],
+    planner: AnyPlanner,
+    steps: Sequence[RecordedStep],
+    page: Path | None,
+    *,
+    replayed: bool,
 ) -> None:
     from dream.evaluation.metrics import MILESTONES
 
@@ -214,21 +250,25 @@ def _print_outcome(
     print("  seen: " + ", ".join(f"{coverage[k]:.1%} of the {k}" for k in ("instances", "clusters", "area")))
     if times:
         print(f"  steps to a share of the instances: {times}")
-    print(f"  {summary['collisions']} collisions, {summary['distance_m']:.0f} m, {summary['wall_s']:.1f} s")
+    print(
+        f"  {summary['collisions']} collisions, {summary['distance_m']:.0f} m "
+        f"in {summary['mission_s']:.0f} s of the mission; computed in {summary['wall_s']:.1f} s"
+    )
     if summary["vlm"] is not None:
-        print(f"  {_asked(summary)}")
+        print(f"  {_asked(summary, 'replayed' if replayed else 'asked')}")
         print(f"  {_decided(summary['vlm'])}")
     elif isinstance(planner, Asking) and summary["ended"] != "aborted":
         why = ", no choice was close enough" if isinstance(planner, Ranked) else ""
         print(f"  asked {planner.label}: nothing{why}")
-    print(f"  report: {page}")
+    if page is not None:
+        print(f"  report: {page}")
 
 
-def _asked(summary: Mapping[str, Any]) -> str:
+def _asked(summary: Mapping[str, Any], done: str) -> str:
     """What asking a model came to, in a line."""
     vlm = summary["vlm"]
     return (
-        f"asked {vlm['model']}: {vlm['calls']} calls, {vlm['tokens']} tokens, {price(vlm['cost_usd'])}, "
+        f"{done} {vlm['model']}: {vlm['calls']} calls, {vlm['tokens']} tokens, {price(vlm['cost_usd'])}, "
         f"waited {vlm['waited_s']:.0f} s of {summary['mission_s']:.0f} s"
         + (f"; a wire test, {WIRE_TEST}" if stands_in(vlm["model"]) else "")
     )

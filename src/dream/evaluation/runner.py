@@ -38,7 +38,7 @@ from dream.evaluation.results import (
 from dream.evaluation.suites import Case
 from dream.mapping import OccupancyMap
 from dream.mission import Planner, explore
-from dream.orders import Orders, written
+from dream.orders import Orders, sentences, written
 from dream.planning import PLANNERS, AnyPlanner
 from dream.planning.vlm.asking import Asking
 from dream.protocol import SHOWN, SurveyProtocol, protocol_named
@@ -130,6 +130,7 @@ def run_config(
     start: int,
     max_steps: int | None,
     orders: Orders | None = None,
+    words: str = "",
 ) -> dict[str, Any]:
     """`config.json` of a mission: enough to fly it again."""
     return {
@@ -145,6 +146,8 @@ def run_config(
         "planner_parameters": asdict(planner),
         "max_steps": max_steps,
         "orders": None if orders is None else written(orders),
+        "words": words,
+        "understood": () if orders is None else tuple(sentences(orders, max_steps or protocol.cap)),
     }
 
 

@@ -49,6 +49,17 @@ FINER = 3
 """Lines are drawn so many times larger and scaled down, which makes them smooth."""
 
 
+LEGEND: tuple[tuple[Color, str], ...] = (
+    (UNKNOWN, "unknown"),
+    (EXPLORED, "explored"),
+    (TARGET, "target"),
+    (SOLID, "solid"),
+    (SOLID_TARGET, "both"),
+    (VEHICLE, "vehicle"),
+)
+"""What the colours of a map mean."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Mark:
     """A numbered place on the map, and the way there."""
@@ -65,14 +76,13 @@ def draw_map(
     marks: Sequence[Mark] = (),
     *,
     scale: int = 4,
-    areas: Sequence[Bounds] = (),
 ) -> Image.Image:
     """A picture of the map, north up, with a grid in metres, a scale bar and a legend.
 
     Cells keep their exact colours, save under the thin lines: unknown white, explored grey, target green,
     solid black, solid target dark green; the vehicle, its field of view out to the reach, and where it came
     from in blue; marks in yellow, with a thin line along the way there. A thin line in magenta is around the
-    area that has to be seen, where that is not everything.
+    area that has to be seen, where that is not everything; only then it is in the legend, too.
 
     Args:
         occupancy: What is known; only read.
@@ -80,7 +90,6 @@ def draw_map(
         trail: (N, 2) positions in the world, oldest first; or (N, 3) with headings, which are not used.
         marks: Drawn over everything else, the first uppermost.
         scale: Pixels per cell.
-        areas: Outlined beside the map's own.
 
     Returns:
         An RGB image. Its size depends on the map's shape and the scale alone.
@@ -94,11 +103,12 @@ def draw_map(
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise ValueError(f"trail: expected (N, 2) metres, got {points.shape}")
     sheet = _Sheet(occupancy.bounds, occupancy.protocol, scale)
-    picture = _blank(sheet).copy()
+    area = occupancy.area
+    picture = _blank(sheet, LEGEND if area is None else (*LEGEND, (OUTLINE, "area"))).copy()
     cells = Image.fromarray(_paint(occupancy).repeat(scale, 0).repeat(scale, 1))
     picture.paste(cells, (sheet.left, sheet.top))
     _draw_grid(picture, sheet)
-    for area in (*areas, *([occupancy.area] if occupancy.area is not None else [])):
+    if area is not None:
         _draw_outline(picture, sheet, area)
     _draw_trail(picture, sheet, points[:, :2])
     for mark in reversed(marks):
@@ -108,6 +118,65 @@ def draw_map(
     for mark in reversed(marks):
         draw_disc(picture, _on_picture(sheet, mark), mark.number)
     return picture
+
+
+def draw_areas(
+    bounds: Bounds,
+    protocol: SurveyProtocol,
+    areas: Sequence[Bounds | None],
+    lines: Sequence[str],
+    *,
+    scale: int = 4,
+) -> Image.Image:
+    """A picture of areas before anything is known of the ground: outlines with numbers, and what they mean.
+
+    Args:
+        bounds: The survey area.
+        protocol: Its cells give the scale.
+        areas: By number, from 1; one whose place is not known yet is None, and not drawn.
+        lines: Sentences that stand below; too long ones go on in the next line.
+        scale: Pixels per cell.
+
+    Returns:
+        An RGB image.
+    """
+    from PIL import Image, ImageDraw, ImageFont
+
+    sheet = _Sheet(bounds, protocol, scale)
+    upper = _blank(sheet, ((OUTLINE, "has to be seen"),))
+    letter, font = sheet.letter, ImageFont.load_default(sheet.letter)
+    width = upper.width - 2 * sheet.left
+    rows = [row for line in lines for row in _wrapped(line, lambda text: font.getlength(text) <= width)]
+    picture = Image.new("RGB", (upper.width, upper.height + round((1.5 * len(rows) + 0.5) * letter)), PAPER)
+    picture.paste(upper)
+    picture.paste(UNKNOWN, (sheet.left, sheet.top, sheet.left + sheet.width, sheet.bottom))
+    _draw_grid(picture, sheet)
+    numbers: dict[Bounds, list[str]] = {}
+    for number, area in enumerate(areas, start=1):
+        if area is not None:
+            numbers.setdefault(area, []).append(str(number))
+    pen = ImageDraw.Draw(picture)
+    for area, names in numbers.items():
+        _draw_outline(picture, sheet, area)
+        column, row = sheet.at(area.x_min, area.y_max)
+        corner = (sheet.left + column + 0.6 * letter, sheet.top + row + 0.5 * letter)
+        large = ImageFont.load_default(1.6 * letter)
+        pen.text(corner, ", ".join(names), fill=OUTLINE, font=large, stroke_width=2, stroke_fill=UNKNOWN)
+    for number, text in enumerate(rows):
+        pen.text((sheet.left, upper.height + 1.5 * number * letter), text, fill=INK, font=font)
+    return picture
+
+
+def _wrapped(text: str, fits: Callable[[str], bool]) -> list[str]:
+    """Lines of whole words; those after the first stand in a little."""
+    lines = [""]
+    for word in text.split():
+        longer = f"{lines[-1]} {word}" if lines[-1] else word
+        if lines[-1] and not fits(longer):
+            lines.append(f"    {word}")
+        else:
+            lines[-1] = longer
+    return lines
 
 
 def draw_disc(picture: Image.Image, center: tuple[float, float], number: int) -> None:
@@ -300,7 +369,7 @@ def _paste(picture: Image.Image, sheet: _Sheet, points: Sequence[Point], color: 
 
 
 @lru_cache(maxsize=4)
-def _blank(sheet: _Sheet) -> Image.Image:
+def _blank(sheet: _Sheet, legend: tuple[tuple[Color, str], ...]) -> Image.Image:
     """The paper, with all that does not change during a survey."""
     from PIL import Image, ImageDraw, ImageFont
 
@@ -331,18 +400,13 @@ def _blank(sheet: _Sheet) -> Image.Image:
     draw.polygon(tip, fill=INK)
     write((north + 0.8 * letter, row), "N", "lm")
 
-    place = north + 3.2 * letter
-    legend: list[tuple[Color, str]] = [
-        (UNKNOWN, "unknown"),
-        (EXPLORED, "explored"),
-        (TARGET, "target"),
-        (SOLID, "solid"),
-        (SOLID_TARGET, "both"),
-        (VEHICLE, "vehicle"),
-    ]
+    first = place = north + 3.2 * letter
     for color, name in legend:
+        width = 1.3 * letter + draw.textlength(name, font=font)
+        if place > first and place + width > picture.width - 0.5 * letter:  # Beside a long scale bar.
+            place, row = first, row + 1.25 * letter
         box: Any = (place, row - 0.45 * letter, place + 0.9 * letter, row + 0.45 * letter)
         draw.rectangle(box, fill=color, outline=INK)
         write((place + 1.3 * letter, row), name, "lm")
-        place += 1.3 * letter + draw.textlength(name, font=font) + 1.1 * letter
+        place += width + 1.1 * letter
     return picture

@@ -284,10 +284,14 @@ class BeliefPilot:
         )
 
     def _certainty(self, completion: Completion, expected: _Expected) -> str:
+        hull = ""
+        if expected.away_from_hull is not None:
+            area = PATCH**2 * float(expected.hull.sum())
+            hull = sentences.hull(area, expected.hull_left, self.planner.hull_left)
         if self.planner.certify:
             unseen = float(expected.hiding.sum()) * self.mission.protocol.cell**2
-            return sentences.certificate(completion, unseen)
-        return sentences.certainty(completion, expected.risk, self.planner.risk)
+            return sentences.certificate(completion, unseen) + hull
+        return sentences.certainty(completion, expected.risk, self.planner.risk) + hull
 
     # ------------------------------------------------------------------------------------- distribution
 

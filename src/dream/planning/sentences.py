@@ -68,6 +68,13 @@ def certainty(completion: Completion, risk: float, accepted: float) -> str:
     )
 
 
+def hull(area: float, share: float, accepted: float) -> str:
+    """Step 3 of a hull: what is still to be expected of it, in square metres and as a share."""
+    return (
+        f" Of the hull {area:.1f} m² more are to be expected, {share:.1%} of it; {accepted:.1%} is accepted."
+    )
+
+
 def certificate(completion: Completion, unseen: float) -> str:
     """Step 3, where all must be seen."""
     return f"{_enclosed(completion)}. {unseen:.1f} m² that can be seen were not yet, and all must be."

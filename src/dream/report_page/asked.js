@@ -49,7 +49,9 @@ function askedSentence(run) {
   const spent = known(vlm.tokens) ? `, ${count(vlm.tokens)} tokens, ${dollars(vlm.cost_usd)}` : "";
   const total = known(run.summary?.mission_s) ? ` of ${minutes(run.summary.mission_s)}` : "";
   const wire = isWireTest(run.config) ? ". A wire test: the stand-in answers by rule, which shows that the wire works, never what a model can do." : "";
-  return `${vlm.model ? `${vlm.model} was` : "A model was"} asked: ${plural(vlm.calls, "call")}${spent}, ${decided(vlm)}, waited ${minutes(vlm.waited_s)}${total}${wire}`;
+  const { replay_replies: kept, record } = run.config.planner_parameters ?? {};
+  const done = kept && !record ? "replayed, not asked" : "asked";
+  return `${vlm.model ? `${vlm.model} was` : "A model was"} ${done}: ${plural(vlm.calls, "call")}${spent}, ${decided(vlm)}, waited ${minutes(vlm.waited_s)}${total}${wire}`;
 }
 
 // JSON is laid out; whatever else a model wrote stays as it came.

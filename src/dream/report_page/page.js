@@ -24,6 +24,11 @@ at("badge").textContent = end.badge;
 at("badge").classList.add(...[end.tone].filter(Boolean));
 at("outcome").textContent = end.text;
 
+at("words").textContent = `“${config.words.trim()}”`;
+at("words").hidden = config.words.trim() === "";
+at("orders").append(...config.understood.map((sentence) => element("li", { textContent: sentence })));
+at("orders").hidden = config.understood.length === 0;
+
 const inAll = askedInAll(run);
 at("asked-total").textContent = askedSentence(run);
 at("asked-panel").hidden = inAll === null;

@@ -35,7 +35,8 @@ function outcome(run) {
     if (last.ended) return { badge: "Not scored", tone: "", text: `It ended after step ${last.step}, but left no summary.` };
     return { badge: "Aborted", tone: "bad", text: `It was aborted after step ${last.step}. Everything recorded until then is shown.` };
   }
-  const seen = known(summary.coverage.instances) ? `${percent(summary.coverage.instances)} of the targets seen` : "coverage not measured";
+  const where = run.config.orders ? "of the targets in the ordered area seen" : "of the targets seen";
+  const seen = known(summary.coverage.instances) ? `${percent(summary.coverage.instances)} ${where}` : "coverage not measured";
   const hits = summary.collisions ? plural(summary.collisions, "collision") : "no collision";
   if (summary.ended === "done")
     return { badge: summary.success ? "Success" : "Done", tone: summary.success ? "good" : "warn", text: `It stopped by itself at step ${summary.t_stop ?? summary.steps}, with ${seen} and ${hits}.` };

@@ -70,7 +70,8 @@ def fault_named(name: str) -> Fault:
         if not 0.0 <= number <= most:
             raise ValueError(f"fault {kind}: expected {kind}:{what} with 0 to {most:g}, got {name!r}")
         return make(number)
-    entry = look_up(FAULTS, kind, "fault")
+    listed = f"There are: {', '.join(FAULTS)}; docs/models.md says what each does"
+    entry = look_up(FAULTS, kind, "fault", see=listed)
     if colon:
         raise ValueError(f"fault {kind}: expected no value, got {name!r}")
     assert entry is not None

@@ -137,31 +137,93 @@ def _touching(chart: Chart) -> Bool:
 
 
 SIDES = ("northeast", "northwest", "southeast", "southwest", "north", "south", "east", "west")
-FINDS = r"\b(find|look for|locate|search)\b"
-STEPS = r"at most (\d+) steps"
+FINDS = r"\b(?:find|look for|locate|search(?: for)?)\b"
+MAPS = r"\b(?:map|survey|inspect|cover|see|explore)\b"
+TARGETS = {"wreck": r"\b(?:ship)?wrecks?\b", "oysters": r"\b(?:oyster|reef)s?\b(?: reefs?\b)?"}
+STEPS = r",? ?\b(?:in )?at most (\d+) steps(?: in all)?"
+SPAN = r"(-?\d+(?:\.\d+)?)(?: m)? to (-?\d+(?:\.\d+)?)(?: m)?"
+BOX = rf"\bx ?=? ?{SPAN},?(?: and)?(?: from)? y ?=? ?{SPAN}\b"
+PARTS = rf",?(?: and)? then |; |(?:,| and|, and) (?={FINDS}|{MAPS})"
+"""What parts one leg from the next."""
+FILLER = frozenset(
+    (
+        *("a", "all", "an", "and", "any", "anything", "area", "around", "box", "everything", "from"),
+        *("half", "in", "is", "it", "its", "of", "on", "only", "part", "please", "quarter"),
+        *("side", "survey", "target", "targets", "that", "the", "then", "there", "to", "what", "whatever"),
+        *("whole", "with"),
+    )
+)
+"""Words that say nothing by themselves."""
+MOST_LEFT_OUT = 500
 
 
 def orders(question: Asked) -> Json:
-    """Orders by the words that stand in the text: what, where, in which order and how long."""
+    """Orders by the words that stand in the text: what, where, in which order and how long.
+
+    What it knows no phrase for is left out, and said to be.
+    """
     quoted = re.search(r'^The operator says, in JSON:\n(".*")$', question.text, re.MULTILINE)
     if not quoted:
         raise UnreadableError("text: expected the operator's words in quotation marks, got none")
     words = str(json.loads(quoted[1])).lower()
     limit = re.search(STEPS, words)
     legs: list[dict[str, Any]] = []
-    for part in re.split(r",? then |; ", re.sub(rf",? ?{STEPS}", "", words)):
-        find = re.search(FINDS, part) is not None
-        target = "wreck" if "wreck" in part else "oysters" if re.search("oyster|reef", part) else "any"
-        side = next((side for side in SIDES if side in part), None)
-        earlier = len(legs) if side and legs and re.search(r"\bits\b", part) else None
-        legs.append(
-            {
-                "task": "find" if find else "map",
-                "target": target,
-                "area": "side" if side else "everywhere",
-                "box": None,
-                "side": side,
-                "of_leg": earlier,
-            }
-        )
-    return {"legs": legs, "max_steps": int(limit[1]) if limit else None, "left_out": ""}
+    left_out: list[str] = []
+    for part in re.split(PARTS, re.sub(STEPS, "", words, count=1)):
+        leg, rest = _leg(part, len(legs))
+        left_out += rest
+        legs += leg
+    unknown = "; ".join(left_out)
+    return {
+        "legs": legs or _leg("map", 0)[0],
+        "max_steps": int(limit[1]) if limit else None,
+        "left_out": unknown if len(unknown) <= MOST_LEFT_OUT else f"{unknown[:MOST_LEFT_OUT]} ...",
+    }
+
+
+def _leg(part: str, before: int) -> tuple[list[Json], list[str]]:
+    """The leg that a part of the words orders, none where nothing in it is known; and what is not in that.
+
+    Args:
+        part: In small letters.
+        before: Legs that were ordered before it.
+    """
+    task = next((name for name, verb in (("find", FINDS), ("map", MAPS)) if re.search(verb, part)), None)
+    target = next((name for name, noun in TARGETS.items() if re.search(noun, part)), None)
+    box = re.search(BOX, part)
+    side = None if box else next((side for side in SIDES if side in part), None)
+    earlier = before if side and before and re.search(r"\bits\b", part) else None
+    used = [FINDS if task == "find" else MAPS, BOX, *([TARGETS[target]] if target else [])]
+    rest = part
+    for phrase in used:
+        rest = re.sub(phrase, ",", rest)
+    if side:
+        rest = re.sub(rf"{side}(ern)?\b", ",", rest, count=1)
+    left_out = [_unfilled(clause) for clause in re.split(r"[,;!?]|\.(?!\d)", rest)]
+    found = [clause for clause in left_out if clause]
+    if not (task or target or box or side):
+        return [], found
+    leg = {
+        "task": task or "map",
+        "target": target or "any",
+        "area": "box" if box else "side" if side else "everywhere",
+        "box": _box(box) if box else None,
+        "side": side,
+        "of_leg": earlier,
+    }
+    return [leg], found
+
+
+def _box(found: re.Match[str]) -> Json:
+    (x_min, x_max), (y_min, y_max) = (sorted(map(float, found.groups()[k : k + 2])) for k in (0, 2))
+    return {"x_min_m": x_min, "y_min_m": y_min, "x_max_m": x_max, "y_max_m": y_max}
+
+
+def _unfilled(clause: str) -> str:
+    """Without the words that say nothing at its ends."""
+    words = clause.split()
+    while words and words[0] in FILLER:
+        del words[0]
+    while words and words[-1] in FILLER:
+        del words[-1]
+    return " ".join(words)

@@ -60,6 +60,7 @@ def _page(score: Score, model: str, prompt: str) -> str:
         "cost": cost,
     }
     wrong = sum(not reply.right for reply in score.replies)
+    shown = f"{len(score.replies)}{'' if score.complete else f' of {score.questions}'} asked"
     return fill(
         _part("dream.evaluation", "probe_page/page.html"),
         {
@@ -82,7 +83,7 @@ def _page(score: Score, model: str, prompt: str) -> str:
                 f"Asked with {prompt}; "
                 f"{score.spent}."
             ),
-            "shown": html.escape(f"{len(score.replies)} asked, {wrong} not right"),
+            "shown": html.escape(f"{shown}, {wrong} not right"),
             "switches": _switches(kinds),
             "cards": "\n".join(map(_card, score.replies)),
         },

@@ -90,7 +90,8 @@ class Asking:
     record: str | None = None
     """Folder in which to keep every exchange; one kept there of the same question is replaced."""
     replay_replies: str | None = None
-    """Folder of kept exchanges to answer from: no model is asked."""
+    """Folder of kept exchanges to answer from: no model is asked. With --record, also of the same folder,
+    a question that is not kept there is asked, and kept: so an interrupted mission goes on."""
 
     def __post_init__(self) -> None:
         for name in ("model", "model_name"):
@@ -123,10 +124,15 @@ class Asking:
                 price is not known while dollars are limited, or there are no kept replies.
             OSError: The folder to keep exchanges in cannot be made.
         """
-        if self.replay_replies is not None and not Path(self.replay_replies).is_dir():
-            raise ValueError(f"replay_replies: expected a folder of kept replies, got {self.replay_replies}")
         if self.record is not None:
             cassette.prepare(Path(self.record))
+        if self.replay_replies is not None and not Path(self.replay_replies).is_dir():
+            raise ValueError(f"replay_replies: expected a folder of kept replies, got {self.replay_replies}")
+        if self.replay_replies is not None and not self.model:
+            raise ValueError(
+                "model: expected the one whose replies were kept, as they are found by its name, got none. "
+                "Say the --model that they were recorded with"
+            )
         return Line(self, asked)
 
     def given_to(self, planner: P) -> P:
@@ -218,7 +224,7 @@ class Line:
 
     def __post_init__(self) -> None:
         self._answered = self.spent.calls > 0
-        if self.asking.replay_replies is None:
+        if self.asking.replay_replies is None or self.asking.record is not None:
             self._model = _connect(self.asking.model, self.asking.model_name)
             self._native = bool(self._model.profile.get("supports_json_schema_output"))
             # Which price list a known model stands in shows only with its first reply.
@@ -236,15 +242,15 @@ class Line:
             known.set_result(Outcome(fallback=limit))
             return Pending(self, question, known)
         self.under_way += 1
-        if self.asking.replay_replies is not None:
-            folder = Path(self.asking.replay_replies)
+        kept, record = self.asking.replay_replies, self.asking.record
+        key = self._key(question) if kept is not None or record is not None else ""
+        if kept is not None and (record is None or cassette.holds(Path(kept), key)):
             try:
-                known.set_result(cassette.play(folder, self._key(question), question.prompt))
+                known.set_result(cassette.play(Path(kept), key, question.prompt))
             except (OSError, ValueError) as error:
                 # Told when the answer is taken: a question that was never answered was not kept.
                 known.set_exception(error)
             return Pending(self, question, known, sent=True)
-        key = self._key(question) if self.asking.record is not None else ""
         coming = asyncio.run_coroutine_threadsafe(self._converse(question, key), _loop())
         return Pending(self, question, coming, sent=True)
 
@@ -337,9 +343,10 @@ class Line:
                 cassette.keep(folder, key, outcome, question.prompt, question.sent, question.pictures)
             except OSError as error:
                 # The answer is paid for and counts all the same.
-                logger.warning(
-                    "%s: this exchange is not kept (%s). Is the disk full?", folder, error.strerror
-                )
+                cassette.lost[folder] += 1
+                if cassette.lost[folder] == 1:
+                    told = "%s: this exchange is not kept (%s). Is the disk full? Others are only counted"
+                    logger.warning(told, folder, error.strerror)
         return outcome
 
     async def _exchange(self, question: Question[R]) -> Outcome:

@@ -10,6 +10,7 @@ import contextlib
 import hashlib
 import json
 import os
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +21,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 FORMAT = "dream-exchange-1"
 MOST_BYTES = 16 << 20
 """A larger file is refused."""
+
+lost: Counter[Path] = Counter()
+"""Exchanges that this process could not keep, by folder."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +112,11 @@ def keep(
     _replace(folder / f"{key}.json", (kept.model_dump_json(indent=1) + "\n").encode())
 
 
+def holds(folder: Path, key: str) -> bool:
+    """Is an exchange of that key kept there?"""
+    return (folder / f"{key}.json").is_file()
+
+
 def play(folder: Path, key: str, prompt: str) -> Outcome:
     """An exchange that was kept.
 
@@ -116,10 +125,11 @@ def play(folder: Path, key: str, prompt: str) -> Outcome:
         ValueError: It is damaged.
     """
     path = folder / f"{key}.json"
-    if not path.is_file():
+    if not holds(folder, key):
         raise FileNotFoundError(
             f"{folder}: expected a kept reply to this question of the prompt {prompt}, got no {path.name}. "
-            "Other world, seed, planner, model or code than it was recorded with? Record again with --record"
+            "Its world, seed, start, planner and options, --model, --model-name, --max-steps, --protocol, "
+            "--mission and code must be those that it was recorded with. Else record again with --record"
         )
     if path.stat().st_size > MOST_BYTES:
         raise ValueError(f"{path}: expected at most {MOST_BYTES} bytes, got more")

@@ -227,17 +227,23 @@ def write_mission(path: Path, text: str, orders: Orders) -> None:
     path.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
-def read_mission(path: Path) -> Orders:
-    """The orders of a mission that was written.
+def read_mission(path: Path) -> tuple[str, Orders]:
+    """A mission that was written: the operator's words, and the orders.
 
     Raises:
         ValueError: It is no such file; the message says what is wrong.
     """
-    with path.open("rb") as file:
-        raw = file.read(MOST_BYTES + 1)
+    try:
+        with path.open("rb") as file:
+            raw = file.read(MOST_BYTES + 1)
+    except OSError as error:
+        raise ValueError(
+            f"--mission: expected a file that dream mission wrote, got {path} ({error.strerror})"
+        ) from error
     if len(raw) > MOST_BYTES:
         raise ValueError(f"{path}: expected at most {MOST_BYTES} bytes, got more. Is it a mission?")
-    return _parsed(_MissionFile, raw, str(path)).orders.orders
+    mission = _parsed(_MissionFile, raw, str(path))
+    return mission.text, mission.orders.orders
 
 
 def _parsed(kind: type[R], text: str | bytes, where: str) -> R:
