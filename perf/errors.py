@@ -1,6 +1,6 @@
 """Coverage against the share of a model's answers that are wrong: draws what `perf/advice.py` has flown.
 
-    python perf/errors.py                  results/wire → docs/results/wire-errors.svg
+    python perf/errors.py                  results/wire → docs/wrong-answers.svg
 
 The model is the stand-in, with a share of its answers replaced by random ones. That shows what wrong
 answers do, never what a model can do.
@@ -73,10 +73,10 @@ def main() -> int:
     parser.add_argument(
         "--flown", type=Path, default=Path("results/wire"), help="ranked.jsonl and dream.jsonl"
     )
-    parser.add_argument("--out", type=Path, default=Path("docs/results/wire-errors.svg"))
+    parser.add_argument("--out", type=Path, default=Path("docs/wrong-answers.svg"))
     options = parser.parse_args()
     flown = {planner: curves(options.flown / f"{planner}.jsonl") for planner in ("ranked", "dream")}
-    picture = Picture("wire-errors", "Wrong answers", "", lambda theme: draw(flown, theme))
+    picture = Picture("wrong-answers", "Wrong answers", "", lambda theme: draw(flown, theme))
     options.out.write_bytes(picture.svg())
     print(f"written: {options.out}")
     return 0

@@ -390,6 +390,7 @@ def test_what_was_asked_of_a_model_is_summed_up() -> None:
         "cost_usd": 0.015,
         "fallbacks": 1,
         "reasons": {"timeout": 1},
+        "outcomes": {},
         "waited_s": 36.0,
     }
 
