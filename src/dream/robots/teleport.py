@@ -6,8 +6,8 @@ import math
 
 from dream.geometry import SE2, SE3, wrap_angle
 from dream.protocol import SurveyProtocol
+from dream.sim.camera_noise import noise_generator, with_noise
 from dream.sim.render import Frame, Renderer
-from dream.sim.sensors import noise_generator, with_noise
 from dream.sim.solids import Solids
 from dream.sim.world import World
 from dream.types import Arrival, Observation, Setpoint

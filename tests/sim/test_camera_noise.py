@@ -10,14 +10,14 @@ import pytest
 
 from dream.geometry import SE2, SE3, Camera
 from dream.protocol import DREAM_V1, DREAM_V1_NOISY, SensorNoise
-from dream.sim.render import Frame, Renderer
-from dream.sim.sensors import (
+from dream.sim.camera_noise import (
     noise_generator,
     noisy_depth,
     with_false_targets,
     with_missed,
     with_noise,
 )
+from dream.sim.render import Frame, Renderer
 from dream.sim.world import Float32Array, UInt8Array, World
 from dream.types import Label
 from tests.sim.made import made

@@ -1,4 +1,4 @@
-"""A sensor that errs: depth that scatters, individuals that are overlooked, targets where none are.
+"""A camera that errs: depth that scatters, individuals that are overlooked, targets where none are.
 
 Colours stay as they were drawn. What is wrong in one frame is drawn anew in the next, so that looking again
 helps; see `protocol.SensorNoise` for how much is wrong.
