@@ -273,3 +273,52 @@ def test_bad_input_is_refused() -> None:
         solids.line_of_sight([0, 0, 0], [[0.0, 0.0, 0.0], [0.0, math.nan, 0.0]])
     with pytest.raises(ValueError, match="position: expected finite"):
         solids.clearance(math.nan, 0.0, DREAM_V1)
+
+
+def slow_range(triangles: Array, eye: Array, way: Array) -> tuple[float, float]:
+    """The nearest of all triangles along a ray, one 3 × 3 solve each, and its cosine of incidence."""
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    columns = np.stack([np.broadcast_to(-way, a.shape), b - a, c - a], axis=-1)
+    sound = np.flatnonzero(np.abs(np.linalg.det(columns)) > 1e-12)
+    t, u, v = np.linalg.solve(columns[sound], (eye - a[sound])[..., None])[..., 0].T
+    met = np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0), t, np.inf)
+    if not np.isfinite(met).any():
+        return math.inf, math.nan
+    k = sound[met.argmin()]
+    normal = np.cross(b[k] - a[k], c[k] - a[k])
+    return float(met.min()), float(abs(normal @ way) / np.linalg.norm(normal))
+
+
+def test_ranges_are_those_of_all_triangles() -> None:
+    rng = np.random.default_rng(11)
+    world = soup(rng, 150)
+    solids, triangles = Solids(world), all_triangles(world)
+    met = 0
+    for _ in range(60):
+        eye = np.array([*rng.uniform(-HALF, HALF, 2), rng.uniform(FLOOR + 1.0, FLOOR + 6.0)])
+        ways = rng.normal(size=(5, 3))
+        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+        fast, cosines = solids.ranges(eye, ways, limit=40.0)
+        for way, distance, cosine in zip(ways, fast, cosines, strict=True):
+            slow = slow_range(triangles, eye, way)
+            if slow[0] > 40.0:
+                assert distance == math.inf
+                assert math.isnan(cosine)
+                continue
+            met += 1
+            assert distance == pytest.approx(slow[0], abs=1e-6)
+            assert cosine == pytest.approx(slow[1], abs=1e-6)
+    assert met > 100
+
+
+def test_a_range_ends_at_the_limit_and_at_the_edge_of_the_terrain() -> None:
+    solids = Solids(arena())
+    down = [[0.0, 0.0, -2.0]]
+    assert solids.ranges([0, 0, EYE], down, limit=5.0)[0] == pytest.approx(EYE - FLOOR)
+    assert solids.ranges([0, 0, EYE], down, limit=1.9)[0] == math.inf
+    assert solids.ranges([HALF + 30.0, 0, EYE], down, limit=5.0)[0] == math.inf
+    slanted = solids.ranges([0, 0, EYE], [[1.0, 0.0, -1.0]], limit=5.0)
+    assert slanted[0] == pytest.approx(math.sqrt(2.0) * (EYE - FLOOR))
+    assert slanted[1] == pytest.approx(math.sqrt(0.5))
+    with pytest.raises(ValueError, match="lengths above 0"):
+        solids.ranges([0, 0, EYE], [[0.0, 0.0, 0.0]], limit=5.0)

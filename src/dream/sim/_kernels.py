@@ -263,6 +263,126 @@ def lines_of_sight(index: Index, eye: Float64Array, points: Float64Array) -> Boo
 
 
 @njit(cache=True, nogil=True)
+def _half_square(index: Index, row: int, col: int, side: int, half: Float64Array) -> None:
+    """Write one of the two triangles (3, 3) of a square of the terrain into `half`."""
+    for corner in range(3):
+        # Lower triangle: (0, 0), (0, 1), (1, 1); upper: (0, 0), (1, 1), (1, 0), as (row, col).
+        dr = corner // 2 if side == 0 else min(corner, 1)
+        dc = min(corner, 1) if side == 0 else corner % 2
+        half[corner, 0] = index.terrain_x0 + (col + dc) * index.spacing
+        half[corner, 1] = index.terrain_y0 + (row + dr) * index.spacing
+        half[corner, 2] = index.heights[row + dr, col + dc]
+
+
+@njit(cache=True, nogil=True)
+def _slant(triangle: Float64Array, dx: float, dy: float, dz: float) -> float:
+    """Cosine between a ray of length 1 and the normal of a triangle, from either side."""
+    ax, ay, az = triangle[0, 0], triangle[0, 1], triangle[0, 2]
+    e1x, e1y, e1z = triangle[1, 0] - ax, triangle[1, 1] - ay, triangle[1, 2] - az
+    e2x, e2y, e2z = triangle[2, 0] - ax, triangle[2, 1] - ay, triangle[2, 2] - az
+    nx, ny, nz = e1y * e2z - e1z * e2y, e1z * e2x - e1x * e2z, e1x * e2y - e1y * e2x
+    return float(abs(nx * dx + ny * dy + nz * dz) / math.sqrt(nx * nx + ny * ny + nz * nz))
+
+
+@njit(cache=True, nogil=True)
+def cast(
+    index: Index, ex: float, ey: float, ez: float, dx: float, dy: float, dz: float, limit: float
+) -> tuple[float, float]:
+    """How far from e along d, of length 1, terrain or a triangle is first met, and the cosine of incidence.
+
+    (inf, NaN) where there is nothing within `limit`.
+    """
+    cell = index.cell
+    rows, cols = index.top.shape
+    heights, spacing = index.heights, index.spacing
+    t, last = 0.0, limit
+    if dx != 0.0:
+        a, b = (index.x0 - ex) / dx, (index.x0 + cols * cell - ex) / dx
+        t, last = max(t, min(a, b)), min(last, max(a, b))
+    elif not index.x0 <= ex <= index.x0 + cols * cell:
+        return math.inf, math.nan
+    if dy != 0.0:
+        a, b = (index.y0 - ey) / dy, (index.y0 + rows * cell - ey) / dy
+        t, last = max(t, min(a, b)), min(last, max(a, b))
+    elif not index.y0 <= ey <= index.y0 + rows * cell:
+        return math.inf, math.nan
+    if t >= last:
+        return math.inf, math.nan
+
+    # The walk of `blocked`.
+    col = min(max(math.floor((ex + t * dx - index.x0) / cell), 0), cols - 1)
+    row = min(max(math.floor((ey + t * dy - index.y0) / cell), 0), rows - 1)
+    step_x, step_y = (1 if dx > 0.0 else -1), (1 if dy > 0.0 else -1)
+    next_x = (index.x0 + (col + (dx > 0.0)) * cell - ex) / dx if dx != 0.0 else math.inf
+    next_y = (index.y0 + (row + (dy > 0.0)) * cell - ey) / dy if dy != 0.0 else math.inf
+    delta_x = cell / abs(dx) if dx != 0.0 else math.inf
+    delta_y = cell / abs(dy) if dy != 0.0 else math.inf
+    half = np.empty((3, 3))
+    best, cosine = math.inf, math.nan
+    while True:
+        leave = min(next_x, next_y, last)
+        z_in, z_out = ez + t * dz, ez + leave * dz
+        low, high = min(z_in, z_out) - PAD, max(z_in, z_out) + PAD
+        if low <= index.top[row, col] and high >= index.bottom[row, col]:
+            cell_id = row * cols + col
+            for k in range(index.first[cell_id], index.first[cell_id + 1]):
+                triangle = index.triangles[index.members[k]]
+                met = _crossing(triangle, ex, ey, ez, dx, dy, dz)
+                if 0.0 < met < best:
+                    best, cosine = met, _slant(triangle, dx, dy, dz)
+        if low <= index.ground_top[row, col]:
+            gx, hx = (
+                (ex + t * dx - index.terrain_x0) / spacing,
+                (ex + leave * dx - index.terrain_x0) / spacing,
+            )
+            gy, hy = (
+                (ey + t * dy - index.terrain_y0) / spacing,
+                (ey + leave * dy - index.terrain_y0) / spacing,
+            )
+            for r in range(
+                max(math.floor(min(gy, hy) - PAD), 0),
+                min(math.floor(max(gy, hy) + PAD), heights.shape[0] - 2) + 1,
+            ):
+                for c in range(
+                    max(math.floor(min(gx, hx) - PAD), 0),
+                    min(math.floor(max(gx, hx) + PAD), heights.shape[1] - 2) + 1,
+                ):
+                    for side in range(2):
+                        _half_square(index, r, c, side, half)
+                        met = _crossing(half, ex, ey, ez, dx, dy, dz)
+                        if 0.0 < met < best:
+                            best, cosine = met, _slant(half, dx, dy, dz)
+        # What was met beyond this cell may yet lie behind something else.
+        if best <= leave + PAD:
+            break
+        if leave >= last:
+            break
+        t = leave
+        if next_x < next_y:
+            col += step_x
+            next_x += delta_x
+        else:
+            row += step_y
+            next_y += delta_y
+        if not (0 <= col < cols and 0 <= row < rows):
+            break
+    return (best, cosine) if best <= limit else (math.inf, math.nan)
+
+
+@njit(cache=True, nogil=True)
+def casts(
+    index: Index, eye: Float64Array, directions: Float64Array, limit: float
+) -> tuple[Float64Array, Float64Array]:
+    """`cast` from one eye (3,) along every direction (N, 3)."""
+    distances, cosines = np.empty(len(directions)), np.empty(len(directions))
+    for i in range(len(directions)):
+        distances[i], cosines[i] = cast(
+            index, eye[0], eye[1], eye[2], directions[i, 0], directions[i, 1], directions[i, 2], limit
+        )
+    return distances, cosines
+
+
+@njit(cache=True, nogil=True)
 def _to_segment(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> float:
     """Distance on the plane from a point to a segment."""
     dx, dy = bx - ax, by - ay
@@ -351,13 +471,7 @@ def _to_terrain(
             if max(heights[r, c], heights[r, c + 1], heights[r + 1, c], heights[r + 1, c + 1]) < low:
                 continue
             for side in range(2):
-                for corner in range(3):
-                    # Lower triangle: (0, 0), (0, 1), (1, 1); upper: (0, 0), (1, 1), (1, 0), as (row, col).
-                    dr = corner // 2 if side == 0 else min(corner, 1)
-                    dc = min(corner, 1) if side == 0 else corner % 2
-                    half[corner, 0] = index.terrain_x0 + (c + dc) * spacing
-                    half[corner, 1] = index.terrain_y0 + (r + dr) * spacing
-                    half[corner, 2] = heights[r + dr, c + dc]
+                _half_square(index, r, c, side, half)
                 best = min(best, _to_triangle(x, y, low, high, half))
     return best
 

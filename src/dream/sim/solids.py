@@ -169,6 +169,32 @@ class Solids:
             self.index, checked(start[None], "eye", 3)[0], checked(points, "points", 3)
         )
 
+    def ranges(
+        self, eye: npt.ArrayLike, directions: npt.ArrayLike, *, limit: float
+    ) -> tuple[Float64Array, Float64Array]:
+        """How far it is to what is first met along each direction, and how squarely it is met.
+
+        Args:
+            eye: (3,) metres in the world.
+            directions: (N, 3) of any length but 0, in the world.
+            limit: Metres.
+
+        Returns:
+            (N,) metres, inf where nothing is within the limit, and (N,) the cosine of the angle between ray
+            and normal, NaN there.
+
+        Raises:
+            ValueError: A shape is wrong, a number is not finite, or a direction has no length.
+        """
+        start = np.asarray(eye, dtype=np.float64)
+        if start.shape != (3,):
+            raise ValueError(f"eye: expected (3,), got {start.shape}")
+        ways = checked(directions, "directions", 3)
+        lengths = np.linalg.norm(ways, axis=1, keepdims=True)
+        if not (lengths > 0.0).all():
+            raise ValueError("directions: expected lengths above 0, got 0")
+        return _kernels.casts(self.index, checked(start[None], "eye", 3)[0], ways / lengths, limit)
+
     def clearance(self, x: float, y: float, protocol: SurveyProtocol, *, limit: float = 5.0) -> float:
         """Horizontal metres between the body at (x, y) and anything solid at its height.
 
