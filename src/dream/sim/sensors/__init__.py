@@ -1,0 +1,20 @@
+"""Truth → Imu, Dvl, Depth, Heading: the sensors of motion, and how they err."""
+
+from dream.sim.sensors.compass import AHRS, Compass, Dipole
+from dream.sim.sensors.dvl import DVL_A50, DVL_A50_PERFORMANCE, DopplerLog, Ping
+from dream.sim.sensors.imu import ICM_20602, InertialUnit
+from dream.sim.sensors.pressure import BAR30, PressureGauge
+
+__all__ = [
+    "AHRS",
+    "BAR30",
+    "DVL_A50",
+    "DVL_A50_PERFORMANCE",
+    "ICM_20602",
+    "Compass",
+    "Dipole",
+    "DopplerLog",
+    "InertialUnit",
+    "Ping",
+    "PressureGauge",
+]
