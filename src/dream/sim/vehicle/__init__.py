@@ -1,5 +1,6 @@
 """Thruster commands → motion: hulls, thrusters, currents, tether and contact."""
 
+from dream.sim.vehicle.contact import Contact, held
 from dream.sim.vehicle.disturbances import STILL, Current, Tether
 from dream.sim.vehicle.hydrodynamics import (
     BLUEROV2,
@@ -20,6 +21,7 @@ __all__ = [
     "STILL",
     "VECTORED",
     "VECTORED_6DOF",
+    "Contact",
     "Current",
     "Diverged",
     "Hull",
@@ -28,4 +30,5 @@ __all__ = [
     "Tether",
     "Thrusters",
     "Vehicle",
+    "held",
 ]

@@ -14,10 +14,14 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from dream.sim._kernels import PAD, Index, room
+
 Float64Array = npt.NDArray[np.float64]
 
 MOTION = 13
 """Numbers of a state before the thrusters."""
+RELEASE = 0.02
+"""Metres that a body must get away from what it touched before touching it again is another collision."""
 
 
 class Body(NamedTuple):
@@ -300,3 +304,85 @@ def stir(flow: Flow, dt: float, rng: np.random.Generator, gust: Float64Array) ->
     fresh = flow.gust * math.sqrt(1.0 - kept * kept)
     gust[0] = kept * gust[0] + fresh * rng.standard_normal()
     gust[1] = kept * gust[1] + fresh * rng.standard_normal()
+
+
+@njit(cache=True, nogil=True)
+def _free(index: Index, radius: float, height: float, x: float, y: float, z: float) -> bool:
+    """Does a level cylinder about (x, y, z) touch nothing?"""
+    return bool(room(index, x, y, z - 0.5 * height, z + 0.5 * height, radius + PAD) > radius)
+
+
+@njit(cache=True, nogil=True)
+def _stop(body: Body, x: Float64Array, nx: float, ny: float, nz: float) -> None:
+    """Take away the velocity against a unit normal, by an impulse along it on the body and its added mass."""
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation(x)
+    a = r00 * nx + r10 * ny + r20 * nz
+    b = r01 * nx + r11 * ny + r21 * nz
+    c = r02 * nx + r12 * ny + r22 * nz
+    into = a * x[7] + b * x[8] + c * x[9]
+    if into >= 0.0:
+        return
+    ea, eb, ec = (
+        a / (body.mass + body.added[0]),
+        b / (body.mass + body.added[1]),
+        c / (body.mass + body.added[2]),
+    )
+    impulse = -into / (a * ea + b * eb + c * ec)
+    x[7] += impulse * ea
+    x[8] += impulse * eb
+    x[9] += impulse * ec
+
+
+@njit(cache=True, nogil=True)
+def hold(
+    body: Body,
+    index: Index,
+    radius: float,
+    height: float,
+    before: Float64Array,
+    x: Float64Array,
+    contact: Float64Array,
+) -> bool:
+    """Keep state x, a step after `before`, out of all that is solid; is there contact?
+
+    Where the body touches something it slides along it, or stays in a corner, and loses the velocity towards
+    it. One that touched something before the step can only rise. Of the contact (2: collisions, touching),
+    the first counts how often a contact began.
+    """
+    if _free(index, radius, height, x[0], x[1], x[2]):
+        if contact[1] != 0.0 and _free(index, radius + RELEASE, height + 2.0 * RELEASE, x[0], x[1], x[2]):
+            contact[1] = 0.0
+        return False
+    if contact[1] == 0.0:
+        contact[0] += 1.0
+        contact[1] = 1.0
+    bx, by, bz = before[0], before[1], before[2]
+    z = x[2]
+    if not _free(index, radius, height, bx, by, bz):
+        up = max(rotation(x)[6] * x[7] + rotation(x)[7] * x[8] + rotation(x)[8] * x[9], 0.0)
+        x[0], x[1], x[2] = bx, by, max(z, bz)
+        r = rotation(x)
+        x[7], x[8], x[9] = r[6] * up, r[7] * up, r[8] * up
+        return True
+
+    if not _free(index, radius, height, x[0], x[1], bz):
+        # The way out is the slope of the room about where it still was free.
+        low, high, far, eps = bz - 0.5 * height, bz + 0.5 * height, 2.0 * radius, 1e-3
+        nx = room(index, bx + eps, by, low, high, far) - room(index, bx - eps, by, low, high, far)
+        ny = room(index, bx, by + eps, low, high, far) - room(index, bx, by - eps, low, high, far)
+        length = math.hypot(nx, ny)
+        moved = False
+        if length > 0.0:
+            nx, ny = nx / length, ny / length
+            dx, dy = x[0] - bx, x[1] - by
+            into = min(dx * nx + dy * ny, 0.0)
+            x[0], x[1] = bx + dx - into * nx, by + dy - into * ny
+            moved = _free(index, radius, height, x[0], x[1], bz)
+            _stop(body, x, nx, ny, 0.0)
+        if not moved:
+            x[0], x[1] = bx, by
+            x[7] = x[8] = x[9] = 0.0
+    if not _free(index, radius, height, x[0], x[1], z):
+        _stop(body, x, 0.0, 0.0, 1.0 if z < bz else -1.0)
+        x[2] = bz
+    return True
