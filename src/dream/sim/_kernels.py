@@ -461,10 +461,17 @@ def _to_terrain(
     """The lesser of `best` and the horizontal distance to the terrain of a cell between two heights."""
     heights, spacing = index.heights, index.spacing
     left, near = index.x0 + col * index.cell, index.y0 + row * index.cell
-    r0 = max(math.floor((near - index.terrain_y0) / spacing), 0)
-    r1 = min(math.floor((near + index.cell - index.terrain_y0) / spacing), heights.shape[0] - 2)
-    c0 = max(math.floor((left - index.terrain_x0) / spacing), 0)
-    c1 = min(math.floor((left + index.cell - index.terrain_x0) / spacing), heights.shape[1] - 2)
+    # What is farther than `best` does not matter.
+    r0 = max(math.floor((max(near, y - best - PAD) - index.terrain_y0) / spacing), 0)
+    r1 = min(
+        math.floor((min(near + index.cell, y + best + PAD) - index.terrain_y0) / spacing),
+        heights.shape[0] - 2,
+    )
+    c0 = max(math.floor((max(left, x - best - PAD) - index.terrain_x0) / spacing), 0)
+    c1 = min(
+        math.floor((min(left + index.cell, x + best + PAD) - index.terrain_x0) / spacing),
+        heights.shape[1] - 2,
+    )
     half = np.empty((3, 3))
     for r in range(r0, r1 + 1):
         for c in range(c0, c1 + 1):

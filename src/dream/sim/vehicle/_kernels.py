@@ -346,28 +346,32 @@ def hold(
     """Keep state x, a step after `before`, out of all that is solid; is there contact?
 
     Where the body touches something it slides along it, or stays in a corner, and loses the velocity towards
-    it. One that touched something before the step can only rise. Of the contact (2: collisions, touching),
-    the first counts how often a contact began.
+    it. One that touched something before it ever was free can only rise. Contact (3) is how often one began;
+    whether it lasts; and whether the body has not been free yet.
     """
     if _free(index, radius, height, x[0], x[1], x[2]):
+        contact[2] = 0.0
         if contact[1] != 0.0 and _free(index, radius + RELEASE, height + 2.0 * RELEASE, x[0], x[1], x[2]):
             contact[1] = 0.0
         return False
+    bx, by, bz = before[0], before[1], before[2]
     if contact[1] == 0.0:
         contact[0] += 1.0
         contact[1] = 1.0
-    bx, by, bz = before[0], before[1], before[2]
+        contact[2] = 0.0 if _free(index, radius, height, bx, by, bz) else 1.0
     z = x[2]
-    if not _free(index, radius, height, bx, by, bz):
-        up = max(rotation(x)[6] * x[7] + rotation(x)[7] * x[8] + rotation(x)[8] * x[9], 0.0)
-        x[0], x[1], x[2] = bx, by, max(z, bz)
+    if contact[2] != 0.0:
         r = rotation(x)
+        up = max(r[6] * x[7] + r[7] * x[8] + r[8] * x[9], 0.0)
+        x[0], x[1], x[2] = bx, by, max(z, bz)
         x[7], x[8], x[9] = r[6] * up, r[7] * up, r[8] * up
         return True
 
+    blocked = True
     if not _free(index, radius, height, x[0], x[1], bz):
         # The way out is the slope of the room about where it still was free.
-        low, high, far, eps = bz - 0.5 * height, bz + 0.5 * height, 2.0 * radius, 1e-3
+        low, high, eps = bz - 0.5 * height, bz + 0.5 * height, 1e-3
+        far = radius + math.hypot(x[0] - bx, x[1] - by) + 2.0 * eps
         nx = room(index, bx + eps, by, low, high, far) - room(index, bx - eps, by, low, high, far)
         ny = room(index, bx, by + eps, low, high, far) - room(index, bx, by - eps, low, high, far)
         length = math.hypot(nx, ny)
@@ -382,7 +386,8 @@ def hold(
         if not moved:
             x[0], x[1] = bx, by
             x[7] = x[8] = x[9] = 0.0
-    if not _free(index, radius, height, x[0], x[1], z):
+        blocked = not _free(index, radius, height, x[0], x[1], z)
+    if blocked:
         _stop(body, x, 0.0, 0.0, 1.0 if z < bz else -1.0)
         x[2] = bz
     return True

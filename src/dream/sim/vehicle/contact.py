@@ -20,6 +20,8 @@ class Contact:
     """How often a contact began. Leaning on a wall, or sliding along it, is one."""
     touching: bool = False
     """Is it within 2 cm of what it touched last?"""
+    stuck: bool = False
+    """Did it touch something from the start, and has not been free since?"""
 
 
 def held(
@@ -35,7 +37,8 @@ def held(
     The body is the protocol's cylinder about the vehicle's centre; it stays level however the vehicle tilts.
     Contact is an inelastic impact without friction: the velocity towards the solid goes, by an impulse along
     its horizontal normal, or upwards or downwards, on the vehicle and the water that it moves; so kinetic
-    energy never grows. Turn rates stay. A vehicle that begins in contact can only rise.
+    energy never grows. Turn rates stay. A vehicle that begins in contact can only
+    rise.
 
     Args:
         vehicle: What moves.
@@ -46,7 +49,7 @@ def held(
         contact: Before the step.
     """
     x = State.of(after.vector).vector
-    memory = np.array([contact.collisions, contact.touching], np.float64)
+    memory = np.array([contact.collisions, contact.touching, contact.stuck], np.float64)
     _kernels.hold(
         vehicle.body,
         solids.index,
@@ -56,4 +59,4 @@ def held(
         x,
         memory,
     )
-    return State.of(x), Contact(int(memory[0]), bool(memory[1]))
+    return State.of(x), Contact(int(memory[0]), bool(memory[1]), bool(memory[2]))

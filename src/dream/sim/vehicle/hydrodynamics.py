@@ -21,8 +21,8 @@ from dream.sim.vehicle.thrusters import VECTORED, VECTORED_6DOF, Thrusters
 Float64Array = npt.NDArray[np.float64]
 Six = tuple[float, float, float, float, float, float]
 
-GRAVITY = 9.80665
-"""m/s², the standard value."""
+GRAVITY = 9.81
+"""m/s², as at middle latitudes."""
 WATER_DENSITY = 1000.0
 """kg/m³, fresh water, which the parameter sets below were found in."""
 
