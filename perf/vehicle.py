@@ -3,9 +3,9 @@
     python perf/vehicle.py          or: python perf/vehicle.py --world reef/string --rate 200
 
 Costs are of one compiled loop on one core, each row with all that the rows above it do; in the last one the
-vehicle is pressed to the ground and drifts against what stands there. Each takes the least of its rounds, since
-other programs only ever add time. The peer is the same step written with the book's 6 × 6 matrices in NumPy, to
-which the tests hold the compiled one.
+vehicle is pressed to the ground and drifts against what stands there. Each takes the least of its rounds,
+since other programs only ever add time. The peer is the same step written with the book's 6 × 6 matrices in
+NumPy, to which the tests hold the compiled one.
 """
 
 from __future__ import annotations
