@@ -326,7 +326,7 @@ def test_errors_are_as_large_as_the_covariance_says() -> None:
         log = sense(flight, Sensors(), rng)
         states = fly(FILTER, start, flight, log, every)
         sums += np.array([squared(state, flight, log, k * every) for k, state in enumerate(states)])
-    low, high = chi2.ppf([0.025, 0.975], 15 * seeds)
+    low, high = chi2.interval(0.95, 15 * seeds)
     assert np.mean((sums > low) & (sums < high)) >= 0.9
 
 
@@ -483,7 +483,7 @@ def test_a_clipped_gyro_is_trusted_less_and_the_heading_brings_the_yaw_back() ->
 
 def test_a_dvl_that_stays_refused_is_believed_in_the_end_and_the_covariance_owns_up() -> None:
     state = FILTER.begin(0.0, SE3.level(0.0, 0.0, -3.0, 0.0))
-    state = replace(state, covariance=1e-2 * state.covariance)
+    state = replace(state, covariance=1e-4 * state.covariance)
     still, alone = Imu(0.0, np.zeros(3), np.array([0.0, 0.0, 9.81])), replace(FILTER, T_base_dvl=ALIGNED)
     moves = Dvl(0.0, np.array([0.6, 0.0, 0.0]), 1e-4 * np.eye(3), 2.0, True)
     verdicts, times = [], []
@@ -498,7 +498,7 @@ def test_a_dvl_that_stays_refused_is_believed_in_the_end_and_the_covariance_owns
     assert set(verdicts[:-1]) == {Verdict.UNLIKELY}
     assert FILTER.patience < times[-1] - times[0] < FILTER.patience + 0.25
     assert state.velocity[0] > 0.5
-    assert np.trace(state.position_covariance) > 2.0 * np.trace(before.position_covariance)
+    assert state.yaw_sigma > 2.0 * before.yaw_sigma
     assert told(alone.correct(state, moves)) is Verdict.TAKEN
 
 
