@@ -13,10 +13,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from dream.estimation import InEkf, InEkfState, Source, Verdict
+from dream.estimation import InEkf, InEkfState, InertialUnit, Mounting, Source, Start, Verdict
 from dream.estimation._kernels import inekf as kernels
 from dream.estimation._kernels import kalman
-from dream.estimation.intake import ALIGNED
 from dream.geometry import SE3
 from dream.measurements import Depth, Dvl, Heading, Imu, Measurement
 from tests.estimation import textbook
@@ -24,10 +23,8 @@ from tests.estimation.flights import DVL, PRESSURE, Flight, Log, Sensors, sense,
 
 Array = npt.NDArray[np.float64]
 
-FILTER = InEkf(T_base_dvl=DVL, pressure_sensor=PRESSURE)
-NOISELESS = replace(
-    FILTER, gyro_noise=0.0, accelerometer_noise=0.0, gyro_walk=0.0, accelerometer_walk=0.0, dvl_floor=0.0
-)
+FILTER = InEkf(mounting=Mounting(DVL, PRESSURE))
+NOISELESS = replace(FILTER, imu=InertialUnit(0.0, 0.0, 0.0, 0.0))
 
 
 def some_state(seed: int, chosen: InEkf = FILTER) -> InEkfState:
@@ -112,11 +109,10 @@ def test_a_prediction_is_that_of_the_textbook(seed: int) -> None:
     after = FILTER.predict(state, imu, dt)
     X = textbook.extended(state.rotation, state.velocity, state.position)
     b = np.concatenate([state.gyro_bias, state.accelerometer_bias])
-    densities = np.array(
-        [FILTER.gyro_noise, FILTER.accelerometer_noise, FILTER.gyro_walk, FILTER.accelerometer_walk]
-    )
+    unit = FILTER.imu
+    densities = np.array([unit.gyro_noise, unit.accelerometer_noise, unit.gyro_walk, unit.accelerometer_walk])
     # Densities are taken as large as to count beside the covariance.
-    loud = replace(FILTER, **dict(zip(NAMES, 300.0 * densities, strict=True)))
+    loud = replace(FILTER, imu=InertialUnit(*(300.0 * densities)))
     for chosen, noise in ((FILTER, densities), (loud, 300.0 * densities)):
         after = chosen.predict(state, imu, dt)
         moved, P = textbook.predict(
@@ -127,9 +123,6 @@ def test_a_prediction_is_that_of_the_textbook(seed: int) -> None:
         )
         np.testing.assert_allclose(after.covariance, P, atol=1e-12)
     assert after.time == pytest.approx(dt)
-
-
-NAMES = ["gyro_noise", "accelerometer_noise", "gyro_walk", "accelerometer_walk"]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -281,7 +274,7 @@ def test_without_a_heading_yaw_and_place_never_grow_more_certain() -> None:
     """Along a direction d with H d = 0 and Φ d = d, what is known, dᵀ P⁻¹ d, can only be lost."""
     flight = survey(40.0, aggressive=True)
     log = sense(flight, Sensors(has_heading=False), np.random.default_rng(3))
-    chosen = replace(FILTER, position_sigma=0.1)
+    chosen = replace(FILTER, start=Start(position=0.1))
     states = fly(chosen, unsure(chosen, flight, np.random.default_rng(4)), flight, log, every=10)
     for direction in (2, 6, 7):
         known = np.array([np.linalg.inv(s.covariance)[direction, direction] for s in states])
@@ -307,8 +300,8 @@ def test_position_covariance_is_that_of_the_position() -> None:
 
 def test_a_start_is_as_certain_as_its_fields_say_wherever_it_is() -> None:
     state = FILTER.begin(0.0, SE3.level(100.0, -50.0, -5.0, 1.0), (0.5, 0.2, 0.0))
-    np.testing.assert_allclose(state.position_covariance, FILTER.position_sigma**2 * np.eye(3), atol=1e-9)
-    assert state.yaw_sigma == pytest.approx(FILTER.yaw_sigma)
+    np.testing.assert_allclose(state.position_covariance, FILTER.start.position**2 * np.eye(3), atol=1e-9)
+    assert state.yaw_sigma == pytest.approx(FILTER.start.yaw)
     assert state.outcome is None
 
 
@@ -369,7 +362,7 @@ def test_a_scale_error_of_the_dvl_is_drift_since_nothing_observes_it() -> None:
         log = sense(flight, Sensors(dvl_scale=scale), np.random.default_rng(0))
         start = FILTER.begin(0.0, flight.pose(0), flight.velocities[0])
         start = replace(start, rotation=flight.rotations[0])
-        last = fly(replace(FILTER, yaw_sigma=0.01), start, flight, log, flight.steps)[-1]
+        last = fly(replace(FILTER, start=Start(yaw=0.01)), start, flight, log, flight.steps)[-1]
         way, gone = flight.positions[-1] - flight.positions[0], last.position - flight.positions[0]
         ratio = float(gone[:2] @ way[:2] / (way[:2] @ way[:2]))
         assert ratio == pytest.approx(scale, abs=0.004)
@@ -381,7 +374,7 @@ def test_it_recovers_from_an_attitude_that_is_30_degrees_off() -> None:
     flight = survey(40.0)
     log = sense(flight, Sensors(), np.random.default_rng(1))
     wide = math.radians(30.0)
-    chosen = replace(FILTER, tilt_sigma=wide, yaw_sigma=wide)
+    chosen = replace(FILTER, start=Start(tilt=wide, yaw=wide))
     for axis in np.vstack([np.eye(3), [[0.6, -0.6, 0.52]]]):
         wrong = Rotation.from_rotvec(wide * axis / np.linalg.norm(axis)).as_matrix() @ flight.rotations[0]
         start = chosen.begin(0.0, SE3(wrong, flight.positions[0]), flight.velocities[0])
@@ -469,7 +462,7 @@ def test_a_clipped_gyro_is_trusted_less_and_the_heading_brings_the_yaw_back() ->
     clipped = [replace(imu, angular_velocity=np.clip(imu.angular_velocity, -limit, limit)) for imu in log.imu]
     log = replace(log, imu=clipped)
     start = FILTER.begin(0.0, flight.pose(0), flight.velocities[0])
-    knows, ignores = replace(FILTER, gyro_range=limit), FILTER
+    knows, ignores = replace(FILTER, imu=InertialUnit(gyro_range=limit)), FILTER
     errors = {}
     for chosen in (knows, ignores):
         states = fly(chosen, start, flight, log, every=10)
@@ -484,7 +477,7 @@ def test_a_clipped_gyro_is_trusted_less_and_the_heading_brings_the_yaw_back() ->
 def test_a_dvl_that_stays_refused_is_believed_in_the_end_and_the_covariance_owns_up() -> None:
     state = FILTER.begin(0.0, SE3.level(0.0, 0.0, -3.0, 0.0))
     state = replace(state, covariance=1e-4 * state.covariance)
-    still, alone = Imu(0.0, np.zeros(3), np.array([0.0, 0.0, 9.81])), replace(FILTER, T_base_dvl=ALIGNED)
+    still, alone = Imu(0.0, np.zeros(3), np.array([0.0, 0.0, 9.81])), replace(FILTER, mounting=Mounting())
     moves = Dvl(0.0, np.array([0.6, 0.0, 0.0]), 1e-4 * np.eye(3), 2.0, True)
     verdicts, times = [], []
     for _ in range(40):
@@ -496,7 +489,7 @@ def test_a_dvl_that_stays_refused_is_believed_in_the_end_and_the_covariance_owns
         if verdicts[-1] is Verdict.INSISTED:
             break
     assert set(verdicts[:-1]) == {Verdict.UNLIKELY}
-    assert FILTER.patience < times[-1] - times[0] < FILTER.patience + 0.25
+    assert FILTER.trust.patience < times[-1] - times[0] < FILTER.trust.patience + 0.25
     assert state.velocity[0] > 0.5
     assert state.yaw_sigma > 2.0 * before.yaw_sigma
     assert told(alone.correct(state, moves)) is Verdict.TAKEN

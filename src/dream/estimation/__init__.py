@@ -1,6 +1,23 @@
 """Imu, Dvl, Depth, Heading → NavState."""
 
+from dream.estimation.dead_reckoning import DeadReckoning, DeadReckoningState
+from dream.estimation.ekf import Ekf, EkfState
 from dream.estimation.inekf import InEkf, InEkfState
+from dream.estimation.instruments import InertialUnit, Mounting, Start, Trust
 from dream.estimation.intake import Outcome, Source, Verdict
 
-__all__ = ["InEkf", "InEkfState", "Outcome", "Source", "Verdict"]
+__all__ = [
+    "DeadReckoning",
+    "DeadReckoningState",
+    "Ekf",
+    "EkfState",
+    "InEkf",
+    "InEkfState",
+    "InertialUnit",
+    "Mounting",
+    "Outcome",
+    "Source",
+    "Start",
+    "Trust",
+    "Verdict",
+]

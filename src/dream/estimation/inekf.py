@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import chdtri
 
 from dream.estimation._kernels import inekf as kernels
+from dream.estimation._kernels.sensors import Parameters
+from dream.estimation.instruments import InertialUnit, Mounting, Start, Trust, parameters, start_sigmas
 from dream.estimation.intake import (
-    ALIGNED,
     VERDICTS,
     Outcome,
     Source,
@@ -108,46 +108,10 @@ class InEkf:
     nothing here observes it. A DVL that is wrong, and sure of itself, for longer than `patience` is believed.
     """
 
-    gyro_noise: float = 7.0e-5
-    """rad/s/√Hz. ICM-20602, the IMU of the BlueROV2's Navigator: 4 mdps/√Hz (TDK DS-000176)."""
-    accelerometer_noise: float = 9.8e-4
-    """m/s²/√Hz. The same data sheet: 100 µg/√Hz."""
-    gyro_walk: float = 1e-5
-    """rad/s²/√Hz by which the bias wanders: 0.004°/s in a minute. Ours; the data sheet gives none."""
-    accelerometer_walk: float = 1e-4
-    """m/s³/√Hz. Ours."""
-    gyro_range: float = math.radians(2000.0)
-    """rad/s at which an axis clips (TDK DS-000176)."""
-    accelerometer_range: float = 157.0
-    """m/s² at which an axis clips, 16 g (the same)."""
-    clipped: float = 0.25
-    """Share of the range by which a clipped sample may err, one sigma. Ours."""
-    gravity: float = 9.81
-    """m/s²."""
-    T_base_dvl: SE3 = ALIGNED
-    """Where the DVL's origin is, and how it is turned."""
-    pressure_sensor: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Metres, in `base`."""
-    dvl_floor: float = 0.005
-    """m/s: no axis of the DVL is believed to be better."""
-    gate: float = 0.999
-    """Share of the innovations of a consistent filter that are taken."""
-    patience: float = 2.0
-    """Seconds after which a DVL or a depth that is refused every time is believed over the state. Ours."""
-    tilt_sigma: float = math.radians(5.0)
-    """Radians, of roll and pitch where it begins."""
-    yaw_sigma: float = math.radians(5.0)
-    """Radians, where it begins."""
-    velocity_sigma: float = 0.1
-    """m/s, where it begins."""
-    position_sigma: float = 0.01
-    """Metres, where it begins: the origin of the map is where the mission starts."""
-    gyro_bias_sigma: float = math.radians(0.5)
-    """rad/s, where it begins."""
-    accelerometer_bias_sigma: float = 0.1
-    """m/s², where it begins: a hundredth of g."""
-    rest_sigma: float = 0.05
-    """m/s, to which a vehicle told to stop can be said to stand still. Weak, since a current drifts it."""
+    imu: InertialUnit = field(default_factory=InertialUnit)
+    mounting: Mounting = field(default_factory=Mounting)
+    start: Start = field(default_factory=Start)
+    trust: Trust = field(default_factory=Trust)
     rest_after: float = 0.5
     """Seconds since it was told to stop."""
     rest_speed: float = 0.05
@@ -159,15 +123,8 @@ class InEkf:
         """The state at the start: a pose and a velocity over ground (3,), as certain as the fields say."""
         start = (T_world_base.rotation, velocity, T_world_base.translation)
         rotation, speed, position = map(plain, start)
-        sigmas = [self.tilt_sigma] * 2 + [self.yaw_sigma]
-        for sigma in (
-            self.velocity_sigma,
-            self.position_sigma,
-            self.gyro_bias_sigma,
-            self.accelerometer_bias_sigma,
-        ):
-            sigmas += [sigma] * 3
-        covariance = kernels.initial_covariance(rotation, speed, position, np.array(sigmas))
+        sigmas = np.array(start_sigmas(self.start))
+        covariance = kernels.initial_covariance(rotation, speed, position, sigmas)
         # Before the first sample nothing is known of the rate: one radian a second.
         return InEkfState(
             time,
@@ -239,31 +196,14 @@ class InEkf:
         return InEkfState(*after, outcome=Outcome(Source.REST, VERDICTS[code], nis))
 
     @property
-    def compiled(self) -> kernels.Parameters:
+    def compiled(self) -> Parameters:
         """The fields as the kernels take them, for loops that are compiled themselves."""
         return _parameters(self)
 
 
 @lru_cache(maxsize=64)
-def _parameters(chosen: InEkf) -> kernels.Parameters:
-    return kernels.Parameters(
-        gyro_noise=chosen.gyro_noise,
-        accelerometer_noise=chosen.accelerometer_noise,
-        gyro_walk=chosen.gyro_walk,
-        accelerometer_walk=chosen.accelerometer_walk,
-        gyro_range=chosen.gyro_range,
-        accelerometer_range=chosen.accelerometer_range,
-        clipped=chosen.clipped,
-        gravity=chosen.gravity,
-        dvl_rotation=plain(chosen.T_base_dvl.rotation),
-        dvl_position=plain(chosen.T_base_dvl.translation),
-        pressure_position=plain(chosen.pressure_sensor),
-        dvl_floor=chosen.dvl_floor,
-        rest_sigma=chosen.rest_sigma,
-        gate_of_one=float(chdtri(1, 1.0 - chosen.gate)),
-        gate_of_three=float(chdtri(3, 1.0 - chosen.gate)),
-        patience=chosen.patience,
-    )
+def _parameters(chosen: InEkf) -> Parameters:
+    return parameters(chosen.imu, chosen.mounting, chosen.trust)
 
 
 def _packed(state: InEkfState) -> kernels.State:

@@ -9,19 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dream.geometry import SE3
+from dream.estimation._kernels.sensors import STEEP
 from dream.measurements import Depth, Dvl, Heading, Imu, Measurement
 
 Float64Array = npt.NDArray[np.float64]
 
-ALIGNED = SE3(np.eye(3), np.zeros(3))
-"""T_base_sensor of a sensor that sits where the IMU sits, and looks along its axes."""
 NEAREST_FLOOR = 0.05
 """Metres: below this altitude the A50 has no bottom track (Water Linked, DVL A50 data sheet)."""
 NOISIEST = 0.4
 """m/s: the figure of merit at which the A50's own driver calls a velocity worthless."""
-STEEPEST = math.acos(0.1)
-"""Radians of pitch up to which a heading means anything."""
 
 
 class Source(enum.StrEnum):
@@ -103,7 +99,8 @@ def refusal(measurement: Measurement) -> Verdict | None:
 
 def too_steep(measurement: Measurement, rotation: Float64Array) -> bool:
     """Is it a heading, and the vehicle upright on its nose or tail?"""
-    return isinstance(measurement, Heading) and abs(rotation[2, 0]) > math.sin(STEEPEST)
+    level = rotation[0, 0] ** 2 + rotation[1, 0] ** 2
+    return isinstance(measurement, Heading) and bool(level < STEEP)
 
 
 def finite(imu: Imu) -> bool:

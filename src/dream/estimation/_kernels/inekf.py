@@ -25,36 +25,9 @@ from dream.estimation._kernels.groups import (
     wrap,
     yaw_of,
 )
+from dream.estimation._kernels.sensors import STEEP, Parameters, squared_density
 
 Float64Array = npt.NDArray[np.float64]
-
-STEEP = 0.01
-"""Squared cosine of the pitch below which a heading means nothing: 84 degrees."""
-CLIPS_FOR = 1.0
-"""Seconds that an axis which clips errs alike."""
-
-
-class Parameters(NamedTuple):
-    """Fields of `dream.estimation.InEkf`, ready for the loops."""
-
-    gyro_noise: float
-    accelerometer_noise: float
-    gyro_walk: float
-    accelerometer_walk: float
-    gyro_range: float
-    accelerometer_range: float
-    clipped: float
-    gravity: float
-    dvl_rotation: Float64Array
-    """(3, 3) of T_base_dvl."""
-    dvl_position: Float64Array
-    pressure_position: Float64Array
-    dvl_floor: float
-    rest_sigma: float
-    gate_of_one: float
-    """Greatest normalised innovation squared of one row."""
-    gate_of_three: float
-    patience: float
 
 
 class State(NamedTuple):
@@ -86,17 +59,6 @@ def initial_covariance(
     out = np.diag(sigmas * sigmas)
     out[:9, :9] = mul(adjoint, mul(out[:9, :9], adjoint.T))
     return out
-
-
-@njit(cache=True, nogil=True)
-def squared_density(sample: Float64Array, density: float, limit: float, clipped: float) -> float:
-    """Of the noise of a sample. One that clips says only that the truth lies beyond.
-
-    Then it errs by `clipped` of its range, and alike for as long as it clips: for CLIPS_FOR seconds.
-    """
-    if max(abs(sample[0]), abs(sample[1]), abs(sample[2])) < limit:
-        return density**2
-    return density**2 + (clipped * limit) ** 2 * CLIPS_FOR
 
 
 @njit(cache=True, nogil=True)
@@ -256,14 +218,10 @@ def correct(
 
     `sensor` is its place in `refused_since`, or negative for one that is refused as long as it disagrees.
     """
-    since = s.refused_since.copy()
-    refused_for = s.time - since[sensor] if sensor >= 0 else 0.0
     limit = q.gate_of_one if len(V) == 1 else q.gate_of_three
-    code, nis, step, P = kalman.correct_in_time(s.covariance, H, V, N, limit, refused_for, q.patience)
-    if sensor >= 0 and code != kalman.REFUSED:
-        since[sensor] = math.nan
-    elif sensor >= 0 and not since[sensor] <= s.time:
-        since[sensor] = s.time
+    code, nis, step, P, since = kalman.correct_in_time(
+        s.covariance, H, V, N, limit, s.time, s.refused_since, sensor, q.patience
+    )
     turn, velocity, position = se23_exp(step[:9])
     velocity += apply(turn, s.velocity)
     position += apply(turn, s.position)

@@ -94,20 +94,43 @@ def correct_in_time(
     V: Float64Array,
     N: Float64Array,
     limit: float,
-    refused_for: float,
+    time: float,
+    refused_since: Float64Array,
+    sensor: int,
     patience: float,
-) -> tuple[int, float, Float64Array, Float64Array]:
+) -> tuple[int, float, Float64Array, Float64Array, Float64Array]:
     """As `correct`, but a sensor that has been refused for longer than `patience` seconds is believed.
 
     Then the filter has been too sure of itself, and would shut the sensor out for good. Its covariance grows
     by the factor by which the innovation is beyond the gate; as all of it grows, nothing is learnt that is
     not observed.
+
+    Args:
+        P: As for `correct`, and so are the next four.
+        H: As said.
+        V: As said.
+        N: As said.
+        limit: As said.
+        time: Now.
+        refused_since: Per sensor, the time of the first refusal in a row; NaN where the last was taken.
+        sensor: Its place there, or negative for one that is refused as long as it disagrees.
+        patience: Seconds.
+
+    Returns:
+        What `correct` does, and the new `refused_since`.
     """
+    since = refused_since.copy()
     code, nis, step, after = correct(P, H, V, N, limit)
-    if code != REFUSED or not refused_for > patience:
-        return code, nis, step, after
-    code, _, step, after = correct(nis / limit * P, H, V, N, math.inf)
-    return (INSISTED if code == TAKEN else code), nis, step, after
+    if sensor < 0:
+        return code, nis, step, after, since
+    if code == REFUSED and time - since[sensor] > patience:
+        code, _, step, after = correct(nis / limit * P, H, V, N, math.inf)
+        code = INSISTED if code == TAKEN else code
+    if code != REFUSED:
+        since[sensor] = math.nan
+    elif math.isnan(since[sensor]):
+        since[sensor] = time
+    return code, nis, step, after, since
 
 
 @njit(cache=True, nogil=True)

@@ -1,0 +1,50 @@
+"""What the filters with a covariance know of the sensors."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+Float64Array = npt.NDArray[np.float64]
+
+STEEP = 0.01
+"""Squared cosine of the pitch below which a heading means nothing: 84 degrees."""
+CLIPS_FOR = 1.0
+"""Seconds that an axis which clips errs alike."""
+
+
+class Parameters(NamedTuple):
+    """`InertialUnit`, `Mounting` and `Trust` of `dream.estimation.instruments`, ready for the loops."""
+
+    gyro_noise: float
+    accelerometer_noise: float
+    gyro_walk: float
+    accelerometer_walk: float
+    gyro_range: float
+    accelerometer_range: float
+    clipped: float
+    gravity: float
+    dvl_rotation: Float64Array
+    """(3, 3) of T_base_dvl."""
+    dvl_position: Float64Array
+    pressure_position: Float64Array
+    dvl_floor: float
+    rest_sigma: float
+    gate_of_one: float
+    """Greatest normalised innovation squared of one row."""
+    gate_of_three: float
+    patience: float
+
+
+@njit(cache=True, nogil=True)
+def squared_density(sample: Float64Array, density: float, limit: float, clipped: float) -> float:
+    """Of the noise of a sample. One that clips says only that the truth lies beyond.
+
+    Then it errs by `clipped` of its range, and alike for as long as it clips: for CLIPS_FOR seconds.
+    """
+    if max(abs(sample[0]), abs(sample[1]), abs(sample[2])) < limit:
+        return density**2
+    return density**2 + (clipped * limit) ** 2 * CLIPS_FOR

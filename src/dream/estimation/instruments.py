@@ -1,0 +1,112 @@
+"""What is known of a vehicle's instruments, whichever estimator reads them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtri
+
+from dream.estimation._kernels.sensors import Parameters
+from dream.estimation.intake import plain
+from dream.geometry import SE3
+
+ALIGNED = SE3(np.eye(3), np.zeros(3))
+"""T_base_sensor of a sensor that sits where the inertial unit sits, and looks along its axes."""
+
+
+@dataclass(frozen=True, slots=True)
+class InertialUnit:
+    """How an inertial unit errs: white noise, biases that walk, ranges. The defaults are a BlueROV2's
+    ICM-20602."""
+
+    gyro_noise: float = 7.0e-5
+    """rad/s/√Hz: 4 mdps/√Hz (TDK DS-000176)."""
+    accelerometer_noise: float = 9.8e-4
+    """m/s²/√Hz: 100 µg/√Hz (the same)."""
+    gyro_walk: float = 1e-5
+    """rad/s²/√Hz by which the bias wanders: 0.004°/s in a minute. Ours; the data sheet gives none."""
+    accelerometer_walk: float = 1e-4
+    """m/s³/√Hz. Ours."""
+    gyro_range: float = math.radians(2000.0)
+    """rad/s at which an axis clips (TDK DS-000176)."""
+    accelerometer_range: float = 157.0
+    """m/s² at which an axis clips: 16 g (the same)."""
+    clipped: float = 0.25
+    """Share of the range by which a clipped sample may err, one sigma. Ours."""
+    gravity: float = 9.81
+    """m/s² that it reads at rest."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mounting:
+    """Where the other instruments are; the inertial unit is the origin of `base`, and aligned with it."""
+
+    T_base_dvl: SE3 = ALIGNED
+    """The DVL's origin is where the axes of its beams meet."""
+    pressure_sensor: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Metres, in `base`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """How certain a filter is when it begins: one sigma of errors in the frame of the vehicle."""
+
+    tilt: float = math.radians(5.0)
+    """Radians, of roll and of pitch."""
+    yaw: float = math.radians(5.0)
+    """Radians."""
+    velocity: float = 0.1
+    """m/s."""
+    position: float = 0.01
+    """Metres: the map's origin is where the mission starts."""
+    gyro_bias: float = math.radians(0.5)
+    """rad/s."""
+    accelerometer_bias: float = 0.1
+    """m/s²: a hundredth of g."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trust:
+    """Which measurements a filter believes."""
+
+    gate: float = 0.999
+    """Share of the innovations of a consistent filter that are taken."""
+    patience: float = 2.0
+    """Seconds after which a DVL or a depth that is refused every time is believed over the state: a filter
+    that is too sure of itself would shut it out for good. Headings are not, as iron can turn a compass for
+    long. Ours."""
+    dvl_floor: float = 0.005
+    """m/s: no axis of the DVL is believed to be better."""
+    rest: float = 0.05
+    """m/s, to which a vehicle that was told to stop can be said to stand still. Weak, as a current drifts
+    it."""
+
+
+def start_sigmas(start: Start) -> list[float]:
+    """(15) of attitude, velocity, position and both biases, axis by axis."""
+    last = [start.velocity, start.position, start.gyro_bias, start.accelerometer_bias]
+    return [start.tilt, start.tilt, start.yaw, *(sigma for sigma in last for _ in range(3))]
+
+
+def parameters(imu: InertialUnit, mounting: Mounting, trust: Trust) -> Parameters:
+    """All of it, as the compiled filters take it."""
+    return Parameters(
+        gyro_noise=imu.gyro_noise,
+        accelerometer_noise=imu.accelerometer_noise,
+        gyro_walk=imu.gyro_walk,
+        accelerometer_walk=imu.accelerometer_walk,
+        gyro_range=imu.gyro_range,
+        accelerometer_range=imu.accelerometer_range,
+        clipped=imu.clipped,
+        gravity=imu.gravity,
+        dvl_rotation=plain(mounting.T_base_dvl.rotation),
+        dvl_position=plain(mounting.T_base_dvl.translation),
+        pressure_position=plain(mounting.pressure_sensor),
+        dvl_floor=trust.dvl_floor,
+        rest_sigma=trust.rest,
+        gate_of_one=float(chdtri(1, 1.0 - trust.gate)),
+        gate_of_three=float(chdtri(3, 1.0 - trust.gate)),
+        patience=trust.patience,
+    )
