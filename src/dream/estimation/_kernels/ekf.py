@@ -27,6 +27,7 @@ from dream.estimation._kernels.groups import (
     rotation_from,
     skew,
     so3_exp,
+    so3_integrals,
     wrap,
     yaw_of,
 )
@@ -57,11 +58,14 @@ class State(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def predict(q: Parameters, s: State, gyro: Float64Array, force: Float64Array, dt: float) -> State:
-    """Carry the state over one sample by Euler's rule, P⁺ = F P Fᵀ + Q (Solà, Eq. 260, 268 to 271)."""
+    """Carry the state over one sample, exactly, and P⁺ = F P Fᵀ + Q to first order (Solà, Eq. 268 to 271)."""
     rate, a = gyro - s.gyro_bias, force - s.accelerometer_bias
     R = rotation_from(s.wxyz)
-    acceleration = apply(R, a)
-    acceleration[2] -= q.gravity
+    _, once, twice = so3_integrals(dt * rate)
+    velocity = s.velocity + dt * apply(R, apply(once, a))
+    position = s.position + dt * s.velocity + dt * dt * apply(R, apply(twice, a))
+    velocity[2] -= q.gravity * dt
+    position[2] -= 0.5 * q.gravity * dt * dt
     F = np.eye(15)
     F[:3, :3] = so3_exp(-dt * rate)
     F[3:6, :3] = -dt * mul(R, skew(a))
@@ -80,8 +84,8 @@ def predict(q: Parameters, s: State, gyro: Float64Array, force: Float64Array, dt
     return State(
         s.time + dt,
         normalised(quaternion_product(s.wxyz, quaternion_exp(dt * rate))),
-        s.velocity + dt * acceleration,
-        s.position + dt * s.velocity + 0.5 * dt * dt * acceleration,
+        velocity,
+        position,
         s.gyro_bias.copy(),
         s.accelerometer_bias.copy(),
         0.5 * (P + P.T),
