@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dream.estimation import DeadReckoning, Ekf, InEkf, Mounting, Verdict
+from dream.estimation import Cipg, DeadReckoning, Ekf, InEkf, Mounting, Verdict
 from dream.geometry import SE3
 from dream.measurements import Depth, Dvl, Heading, Imu
 from tests.estimation.flights import DVL, PRESSURE, Flight, Log, Sensors, sense, survey
 
 MOUNTING = Mounting(DVL, PRESSURE)
-ESTIMATORS: list[Any] = [InEkf(mounting=MOUNTING), Ekf(mounting=MOUNTING), DeadReckoning(mounting=MOUNTING)]
+ESTIMATORS: list[Any] = [kind(mounting=MOUNTING) for kind in (InEkf, Ekf, Cipg, DeadReckoning)]
 
 every_estimator = pytest.mark.parametrize("estimator", ESTIMATORS, ids=lambda e: type(e).__name__)
 
@@ -44,7 +44,14 @@ def fly(estimator: Any, flight: Flight, log: Log, *, shift: SE3 | None = None) -
 
 
 def arrays(state: Any) -> dict[str, Any]:
-    return {f.name: np.asarray(getattr(state, f.name)) for f in fields(state) if f.name != "outcome"}
+    """All that a state holds but the outcome, down to arrays and numbers."""
+    found: dict[str, Any] = {}
+    for name, value in ((f.name, getattr(state, f.name)) for f in fields(state) if f.name != "outcome"):
+        if isinstance(value, tuple):
+            found |= {f"{name}.{part}": np.asarray(inner) for part, inner in value._asdict().items()}  # type: ignore[attr-defined]
+        else:
+            found[name] = np.asarray(value)
+    return found
 
 
 def assert_same(a: Any, b: Any) -> None:

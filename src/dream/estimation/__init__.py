@@ -1,5 +1,6 @@
 """Imu, Dvl, Depth, Heading → NavState."""
 
+from dream.estimation.cipg import Cipg, CipgState
 from dream.estimation.dead_reckoning import DeadReckoning, DeadReckoningState
 from dream.estimation.ekf import Ekf, EkfState
 from dream.estimation.inekf import InEkf, InEkfState
@@ -7,6 +8,8 @@ from dream.estimation.instruments import InertialUnit, Mounting, Start, Trust
 from dream.estimation.intake import Outcome, Source, Verdict
 
 __all__ = [
+    "Cipg",
+    "CipgState",
     "DeadReckoning",
     "DeadReckoningState",
     "Ekf",

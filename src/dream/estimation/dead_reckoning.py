@@ -73,7 +73,7 @@ class DeadReckoning:
     """
 
     mounting: Mounting = field(default_factory=Mounting)
-    tilt_time: float = 2.0
+    tilt_time: float = 5.0
     """Seconds in which an error of roll or pitch falls to a third. Ours."""
     heading_time: float = 2.0
     """Seconds in which an error of the yaw falls to a third. Ours."""
