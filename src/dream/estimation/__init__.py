@@ -6,6 +6,7 @@ from dream.estimation.ekf import Ekf, EkfState
 from dream.estimation.inekf import InEkf, InEkfState
 from dream.estimation.instruments import InertialUnit, Mounting, Start, Trust
 from dream.estimation.intake import Outcome, Source, Verdict
+from dream.estimation.timeline import Timeline
 
 __all__ = [
     "Cipg",
@@ -21,6 +22,7 @@ __all__ = [
     "Outcome",
     "Source",
     "Start",
+    "Timeline",
     "Trust",
     "Verdict",
 ]
