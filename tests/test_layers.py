@@ -9,7 +9,7 @@ ROOT = Path(dream.__file__).parent
 LAYERS = [
     {"compiling", "errors", "geometry", "names", "standin", "versions"},
     {"protocol"},
-    {"types", "measurements"},
+    {"types", "measurements", "vehicle"},
     {"orders"},
     {"perception", "mapping"},
     {"planning", "control", "estimation", "sim"},

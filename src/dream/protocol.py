@@ -82,6 +82,9 @@ class SurveyProtocol:
     """Where set, an individual counts when it passed under or in front of the vehicle this near."""
     noise: SensorNoise | None = None
     """What the sensor gets wrong; None where depth and labels are the truth."""
+    swims: bool = False
+    """The vehicle has inertia, drag and a current to fight, and knows its pose by its sensors of motion.
+    Where it has not, it moves exactly, and its pose is the truth."""
 
     def __post_init__(self) -> None:
         for name in ("altitude", "body_radius", "body_height", "max_depth", "reach", "cell", "lattice"):
@@ -192,6 +195,9 @@ DREAM_V1_NOISY = replace(
 )
 """`dream-v1` with a sensor that errs; a false target is about as large as one clump of shells."""
 
+DREAM_V1_NAV = replace(DREAM_V1_NOISY, name="dream-v1-nav", swims=True)
+"""`dream-v1-noisy` with a vehicle that has to swim, and knows where it is only by its sensors."""
+
 REACHES = (4.0, 6.0, 8.0, 10.0)
 """Metres: the reaches that `dream-v1` is swept over; 8 is its own."""
 
@@ -204,7 +210,8 @@ def reach_variant(reach: float) -> str:
 _OTHER_REACHES = [
     replace(DREAM_V1, name=reach_variant(reach), reach=reach) for reach in REACHES if reach != DREAM_V1.reach
 ]
-PROTOCOLS = {protocol.name: protocol for protocol in (DREAM_V1, POOL_V1, DREAM_V1_NOISY, *_OTHER_REACHES)}
+_ALL = (DREAM_V1, POOL_V1, DREAM_V1_NOISY, DREAM_V1_NAV, *_OTHER_REACHES)
+PROTOCOLS = {protocol.name: protocol for protocol in _ALL}
 
 
 def protocol_named(name: str) -> SurveyProtocol:

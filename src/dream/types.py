@@ -216,6 +216,20 @@ class Setpoint:
 
 
 @dataclass(frozen=True, slots=True)
+class BodyVelocity:
+    """What the vehicle is told to do over ground, in `base`; or what it does."""
+
+    surge: float
+    """m/s, ahead."""
+    sway: float
+    """m/s, to the left."""
+    heave: float
+    """m/s, up."""
+    yaw_rate: float
+    """rad/s, to the left."""
+
+
+@dataclass(frozen=True, slots=True)
 class Arrival:
     """Where a move really ended, and how it went."""
 
@@ -226,6 +240,9 @@ class Arrival:
     """Metres travelled over ground."""
     clearance: float
     """Least metres between body and terrain, boulders or hull on the way; inf where unknown."""
+    truth: SE3 | None = None
+    """`T_world_base` as it really is, which only a simulator knows, for scoring; None where the pose that is
+    believed is the true one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,6 +1,7 @@
 """Decision → Setpoint → BodyVelocity."""
 
 from dream.control.guard import guard
+from dream.control.pd import Pd
 from dream.control.setpoints import setpoint
 
-__all__ = ["guard", "setpoint"]
+__all__ = ["Pd", "guard", "setpoint"]

@@ -70,13 +70,13 @@ class InEkfState:
     @property
     def position_covariance(self) -> Float64Array:
         """(3, 3) m², of the position in the world."""
-        covariance: Float64Array = kernels.position_covariance(_packed(self))
+        covariance: Float64Array = kernels.position_covariance(packed(self))
         return covariance
 
     @property
     def yaw_sigma(self) -> float:
         """Radians; NaN beyond 84° of pitch, where there is no heading."""
-        return math.sqrt(kernels.yaw_variance(_packed(self)))
+        return math.sqrt(kernels.yaw_variance(packed(self)))
 
     def error(
         self,
@@ -87,7 +87,7 @@ class InEkfState:
     ) -> Float64Array:
         """(15,) what a truth differs by, in the coordinates of `covariance`."""
         truth = (T_world_base.rotation, velocity, T_world_base.translation, gyro_bias, accelerometer_bias)
-        error: Float64Array = kernels.error(_packed(self), *map(plain, truth))
+        error: Float64Array = kernels.error(packed(self), *map(plain, truth))
         return error
 
 
@@ -147,7 +147,7 @@ class InEkf:
         """
         check_sample(imu, dt)
         rates, forces = plain(imu.angular_velocity), plain(imu.specific_force)
-        moved = kernels.predict(_parameters(self), _packed(state), rates, forces, dt)
+        moved = kernels.predict(_parameters(self), packed(state), rates, forces, dt)
         return InEkfState(*moved, outcome=state.outcome)
 
     def correct(self, state: InEkfState, measurement: Measurement) -> InEkfState:
@@ -158,7 +158,7 @@ class InEkf:
             refused = Verdict.TOO_STEEP
         if refused is not None:
             return replace(state, outcome=Outcome(source, refused))
-        q, s = _parameters(self), _packed(state)
+        q, s = _parameters(self), packed(state)
         if isinstance(measurement, Dvl):
             velocity, covariance = plain(measurement.velocity), plain(measurement.covariance)
             after, code, nis = kernels.correct_dvl(q, s, velocity, covariance)
@@ -192,7 +192,7 @@ class InEkf:
         )
         if not still:
             return replace(state, outcome=Outcome(Source.REST, Verdict.MOVING))
-        after, code, nis = kernels.correct_rest(_parameters(self), _packed(state))
+        after, code, nis = kernels.correct_rest(_parameters(self), packed(state))
         return InEkfState(*after, outcome=Outcome(Source.REST, VERDICTS[code], nis))
 
     @property
@@ -206,5 +206,6 @@ def _parameters(chosen: InEkf) -> Parameters:
     return parameters(chosen.imu, chosen.mounting, chosen.trust)
 
 
-def _packed(state: InEkfState) -> kernels.State:
+def packed(state: InEkfState) -> kernels.State:
+    """A state as the kernels take it."""
     return kernels.State(*(getattr(state, name) for name in kernels.State._fields))

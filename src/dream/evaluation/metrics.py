@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dream.geometry import Bounds
+from dream.geometry import SE3, Bounds, Camera
 from dream.orders import Flown, Leg, Orders, Outcome, Task, place
 from dream.protocol import SurveyProtocol
 from dream.sim.render import Renderer
@@ -75,6 +75,7 @@ class _Entry:
     claimed: bool
     planner_s: float
     time: float
+    error: float
     waited: float
     asked: tuple[_Asked, ...]
     ended: str
@@ -115,10 +116,11 @@ class Scorer:
 
     def add(self, step: Step) -> Coverage:
         """Score one more step and say how much has been covered since the start."""
-        pose = step.observation.pose
+        T_world_base = step.observation.T_world_base if step.arrival.truth is None else step.arrival.truth
+        pose = T_world_base.se2
         seen = self._visibility.seen(np.array([[pose.x, pose.y, pose.yaw]]))[0]
         self._first_seen[seen & ~self._seen] = step.index
-        self._shown |= self._shows(step)
+        self._shown |= self._shows(step.observation.camera, T_world_base @ step.observation.T_base_camera)
         if step.leg is not None and self._orders is not None:
             self._legs[step.leg.number] = step.leg
             self._steps_of[step.leg.number] += step.index > 0
@@ -135,6 +137,7 @@ class Scorer:
                 claimed=step.decision.done,
                 planner_s=step.planner_s,
                 time=step.observation.time,
+                error=pose.distance(step.observation.pose),
                 waited=step.decision.waited,
                 asked=tuple(map(_digest, step.decision.exchanges)),
                 ended=step.ended,
@@ -168,10 +171,10 @@ class Scorer:
         x, y = self._positions.T
         return np.asarray((x >= area.x_min) & (x <= area.x_max) & (y >= area.y_min) & (y <= area.y_max))
 
-    def _shows(self, step: Step) -> BoolArray:
-        frame = self._renderer.measure(step.observation.camera, step.observation.T_world_camera)
-        points = step.observation.camera.back_project(frame.depth, step.observation.T_world_camera)
-        origin = step.observation.T_world_camera.translation
+    def _shows(self, camera: Camera, T_world_camera: SE3) -> BoolArray:
+        frame = self._renderer.measure(camera, T_world_camera)
+        points = camera.back_project(frame.depth, T_world_camera)
+        origin = T_world_camera.translation
         near = np.hypot(points[..., 0] - origin[0], points[..., 1] - origin[1]) <= self._protocol.reach
         pixels = np.bincount(frame.ids[near & (frame.ids >= 0)], minlength=len(self._shown))
         return pixels >= VISIBLE_PIXELS
@@ -218,6 +221,7 @@ class Scorer:
         vlm = self._vlm()
         # A model that never gave an answer has flown nothing.
         silent = vlm is not None and vlm["fallbacks"] == vlm["questions"]
+        distance = sum(entry.distance for entry in moves)
         missed = any(leg.outcome is Outcome.NOT_FOUND for leg in self._legs.values())
         return {
             "ended": ended or "aborted",
@@ -228,7 +232,8 @@ class Scorer:
             "coverage": coverage.as_dict(),
             "countable": int(self._countable.sum()),
             "collisions": collisions,
-            "distance_m": round(sum(entry.distance for entry in moves), 3),
+            "distance_m": round(distance, 3),
+            **self._navigation(distance),
             "turns": sum(entry.turned for entry in moves),
             "guarded": sum(entry.guarded for entry in moves),
             "min_clearance_m": round(clearance, 3) if math.isfinite(clearance) else None,
@@ -246,6 +251,12 @@ class Scorer:
             and not silent,
             **({} if self._orders is None else {"legs": self._flown(self._orders)}),
         }
+
+    def _navigation(self, distance: float) -> dict[str, Any]:
+        """How far the vehicle was from where it believed to be, over so many metres."""
+        errors = np.array([entry.error for entry in self._log] or [0.0])
+        error = {"rmse": round(float(np.sqrt((errors**2).mean())), 4), "end": round(float(errors[-1]), 4)}
+        return {"position_error_m": error, "drift": round(error["end"] / distance, 6) if distance else 0.0}
 
     def _waited(self) -> float:
         return math.fsum(entry.waited for entry in self._log)

@@ -42,7 +42,7 @@ from dream.orders import Orders, sentences, written
 from dream.planning import PLANNERS, AnyPlanner
 from dream.planning.vlm.asking import Asking
 from dream.protocol import SHOWN, SurveyProtocol, protocol_named
-from dream.robots import Teleport
+from dream.robots import Simulated, Teleport
 from dream.sim.files import world_hash
 from dream.sim.render import Renderer
 from dream.sim.solids import Solids
@@ -93,9 +93,8 @@ def simulate(
     check_fits(world, protocol)
     # A model is shown finer pictures than the map is made from; nobody else pays for them.
     fineness = SHOWN if isinstance(planner, Asking) else 1
-    robot = Teleport(
-        world, protocol, world.starts[start], renderer=renderer, solids=solids, fineness=fineness
-    )
+    kind = Simulated if protocol.swims else Teleport
+    robot = kind(world, protocol, world.starts[start], renderer=renderer, solids=solids, fineness=fineness)
     occupancy = OccupancyMap(world.bounds, protocol)
     return explore(robot, planner, occupancy, max_steps=max_steps, target=labelled_in(world), orders=orders)
 

@@ -6,8 +6,8 @@ import math
 
 from dream.geometry import SE2, SE3, wrap_angle
 from dream.protocol import SurveyProtocol
-from dream.sim.camera_noise import noise_generator, with_noise
-from dream.sim.render import Frame, Renderer
+from dream.robots.camera import SimulatedCamera
+from dream.sim.render import Renderer
 from dream.sim.solids import Solids
 from dream.sim.world import World
 from dream.types import Arrival, Observation, Setpoint
@@ -54,10 +54,9 @@ class Teleport:
             raise ValueError(f"start: expected a pose inside {world.bounds}, got ({pose.x}, {pose.y})")
         self._world = world
         self._protocol = protocol
-        self._renderer = renderer or Renderer(world)
         self._solids = solids or Solids(world)
-        self._pose = self._start = protocol.snap(pose)
-        self._fineness = fineness
+        self._pose = protocol.snap(pose)
+        self._camera = SimulatedCamera(world, protocol, self._pose, renderer, fineness)
         self._moves = 0
         self._time = 0.0
         if self._solids.clearance(self._pose.x, self._pose.y, protocol) <= 0.0:
@@ -66,30 +65,7 @@ class Teleport:
     def observe(self) -> Observation:
         """One frame from the present pose; the same again until it moves."""
         T_world_base = self._T_world_base()
-        T_base_camera = self._protocol.T_base_camera
-        T_world_camera = T_world_base @ T_base_camera
-        frame = self._frame(T_world_camera)
-        rgb = frame.rgb
-        if self._fineness > 1:
-            rgb = self._renderer.render(self._protocol.camera.scaled(self._fineness), T_world_camera).rgb
-        return Observation(
-            time=self._time,
-            rgb=rgb,
-            depth=frame.depth,
-            labels=frame.labels,
-            camera=self._protocol.camera,
-            T_world_base=T_world_base,
-            T_base_camera=T_base_camera,
-        )
-
-    def _frame(self, T_world_camera: SE3) -> Frame:
-        camera, noise = self._protocol.camera, self._protocol.noise
-        frame = self._renderer.render(camera, T_world_camera)
-        if noise is None:
-            return frame
-        rng = noise_generator(self._world, self._start, self._moves)
-        hull = self._world.targets_are_hull
-        return with_noise(frame, camera, T_world_camera, noise, rng, targets_are_hull=hull)
+        return self._camera.observe(self._time, self._moves, T_world_base, T_world_base)
 
     def go_to(self, setpoint: Setpoint) -> Arrival:
         """Turn, then advance; at contact, stop."""

@@ -25,8 +25,9 @@ from dream.sim.sensors import (
     PressureGauge,
 )
 from dream.sim.solids import Solids
-from dream.sim.vehicle import BLUEROV2_HEAVY, GRAVITY, Current, State
+from dream.sim.vehicle import BLUEROV2_HEAVY, Current, State
 from dream.sim.world import Terrain
+from dream.vehicle import GRAVITY
 from tests.sim.arenas import EYE, FLOOR, HALF, arena, flat, placed
 from tests.sim.test_solids import all_triangles, slow_range, soup
 

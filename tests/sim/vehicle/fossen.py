@@ -6,7 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from dream.sim.vehicle import GRAVITY, Current, Vehicle
+from dream.sim.vehicle import Current, Vehicle
+from dream.vehicle import GRAVITY
 
 Array = npt.NDArray[np.float64]
 

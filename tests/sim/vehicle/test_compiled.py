@@ -21,9 +21,9 @@ WATER = Current((0.1, 0.0, 0.0), gust=0.05)
 STEPS = 300
 
 
-def _flight(
+def _flight(  # type: ignore[no-untyped-def]
     body, flow, unit, log, gauge, compass, index, radius, height, x, commands, bias, zero, error, rng
-):  # type: ignore[no-untyped-def]
+):
     gust, pull, contact = np.zeros(2), np.zeros(3), np.zeros(3)
     sample, velocity, covariance, ranges = np.empty(6), np.empty(3), np.empty((3, 3)), np.empty(4)
     found = np.empty((STEPS, 12))

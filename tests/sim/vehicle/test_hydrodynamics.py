@@ -15,7 +15,6 @@ from dream.geometry import SE3
 from dream.sim.vehicle import (
     BLUEROV2,
     BLUEROV2_HEAVY,
-    GRAVITY,
     STILL,
     Current,
     Diverged,
@@ -24,6 +23,7 @@ from dream.sim.vehicle import (
     Tether,
     Vehicle,
 )
+from dream.vehicle import GRAVITY
 from tests.sim.vehicle import fossen
 
 Array = npt.NDArray[np.float64]

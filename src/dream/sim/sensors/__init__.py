@@ -1,7 +1,7 @@
 """Truth → Imu, Dvl, Depth, Heading: the sensors of motion, and how they err."""
 
 from dream.sim.sensors.compass import AHRS, Compass, Dipole
-from dream.sim.sensors.dvl import DVL_A50, DVL_A50_PERFORMANCE, DopplerLog, Ping
+from dream.sim.sensors.dvl import DVL_A50, DVL_A50_PERFORMANCE, RANGE_MODES, DopplerLog, Ping
 from dream.sim.sensors.imu import ICM_20602, InertialUnit
 from dream.sim.sensors.pressure import BAR30, PressureGauge
 
@@ -11,6 +11,7 @@ __all__ = [
     "DVL_A50",
     "DVL_A50_PERFORMANCE",
     "ICM_20602",
+    "RANGE_MODES",
     "Compass",
     "Dipole",
     "DopplerLog",

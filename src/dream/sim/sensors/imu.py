@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from dream.measurements import Imu
 from dream.sim.sensors import _kernels
-from dream.sim.vehicle import GRAVITY, State
+from dream.sim.vehicle import State
+from dream.vehicle import GRAVITY
 
 Float64Array = npt.NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dream.sim.vehicle import _kernels
+from dream.vehicle import _kernels
 
 Float64Array = npt.NDArray[np.float64]
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dream.sim.vehicle import VECTORED, VECTORED_6DOF, Thrusters
-from dream.sim.vehicle.thrusters import T200
+from dream.vehicle import VECTORED, VECTORED_6DOF, Thrusters
+from dream.vehicle.thrusters import T200
 
 BOTH = pytest.mark.parametrize("thrusters", [VECTORED, VECTORED_6DOF], ids=["vectored", "6dof"])
 commands = st.floats(-1.0, 1.0)

@@ -1,0 +1,270 @@
+"""Kernels of the autopilot: reference, velocity loop, disturbance, allocation, health.
+
+All take plain numbers, float64 arrays and tuples of those. What a controller remembers is one vector of
+`MEMORY` numbers: the reference's position (3) in the world and its yaw, its velocity (3) and yaw rate, and
+what pushes the vehicle by the controller's estimate: a force (3) in the world and a yawing moment.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from dream.vehicle._kernels import command
+
+Float64Array = npt.NDArray[np.float64]
+
+MEMORY = 12
+FINE, BLIND, LOST, DIVERGED, STALE = range(5)
+"""See `health.Condition`."""
+
+
+class Gains(NamedTuple):
+    """Fields of `autopilot.Autopilot`, ready for the loops."""
+
+    position: float
+    velocity: float
+    disturbance: float
+    yaw: float
+    yaw_rate: float
+    yaw_disturbance: float
+    level: float
+    level_rate: float
+    drag_share: float
+    speed: float
+    acceleration: float
+    turn_rate: float
+    turn_acceleration: float
+
+
+class Nominal(NamedTuple):
+    """The vehicle that the controller believes to drive; see `dream.vehicle`."""
+
+    inertia: Float64Array
+    """(6,) kg and kg m², with added mass."""
+    linear: Float64Array
+    """(6,) N s/m and N m s."""
+    quadratic: Float64Array
+    """(6,) N s²/m² and N m s²."""
+    lift: float
+    """N, upwards, of the vehicle left alone."""
+    sharing: Float64Array
+    """(n, 6) newtons of each thruster for one unit of each axis: the pseudo-inverse of the allocation."""
+    commands: Float64Array
+    """(K,) the thrust curve: commands, never falling."""
+    roots: Float64Array
+    """(K,) and the root of the force with its sign, √N."""
+
+
+class Limits(NamedTuple):
+    """Fields of `health.Watch`, ready for the loops."""
+
+    stale: float
+    blind: float
+    lost: float
+    velocity_sigma: float
+    position_sigma: float
+
+
+@njit(cache=True, nogil=True)
+def wrapped(angle: float) -> float:
+    """The same direction in [−π, π)."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+@njit(cache=True, nogil=True)
+def begin(position: Float64Array, yaw: float) -> Float64Array:
+    """(MEMORY,) of a controller whose reference stands there; nothing pushes as far as it knows."""
+    memory = np.zeros(MEMORY)
+    memory[:3] = position
+    memory[3] = yaw
+    return memory
+
+
+@njit(cache=True, nogil=True)
+def approach(gap: float, speed: float, top: float, acceleration: float, dt: float) -> float:
+    """Speed one step later on the way over a gap ≥ 0 that ends at rest: a trapezoid in time, no overshoot."""
+    # The fastest speed from which braking in steps of dt still ends within the gap.
+    step = 0.5 * acceleration * dt
+    fastest = math.sqrt(step * step + 2.0 * acceleration * gap) - step
+    wanted = min(top, fastest, gap / dt)
+    return min(max(wanted, speed - acceleration * dt), speed + acceleration * dt)
+
+
+@njit(cache=True, nogil=True)
+def guide(
+    memory: Float64Array, goal: Float64Array, gains: Gains, pace: float, dt: float
+) -> tuple[float, float, float, float]:
+    """Carry the reference on towards the goal (x, y, z, yaw), on a straight line where it starts at rest.
+
+    Args:
+        memory: Its reference is changed.
+        goal: (4,) metres in the world, and radians.
+        gains: With the limits of speed and acceleration.
+        pace: Share of these speeds that is allowed.
+        dt: Seconds.
+
+    Returns:
+        Accelerations of the reference: three in the world, and in yaw.
+    """
+    dx, dy, dz = goal[0] - memory[0], goal[1] - memory[1], goal[2] - memory[2]
+    gap = math.sqrt(dx * dx + dy * dy + dz * dz)
+    vx = vy = vz = 0.0
+    if gap > 1e-9:
+        nx, ny, nz = dx / gap, dy / gap, dz / gap
+        along = max(memory[4] * nx + memory[5] * ny + memory[6] * nz, 0.0)
+        speed = approach(gap, along, pace * gains.speed, gains.acceleration, dt)
+        vx, vy, vz = speed * nx, speed * ny, speed * nz
+    ax, ay, az = (vx - memory[4]) / dt, (vy - memory[5]) / dt, (vz - memory[6]) / dt
+    hard = math.sqrt(ax * ax + ay * ay + az * az)
+    # A goal that moves aside turns the velocity no faster than that, either.
+    if hard > 1.5 * gains.acceleration and gap > 1e-6:
+        part = gains.acceleration / hard
+        ax, ay, az = part * ax, part * ay, part * az
+        vx, vy, vz = memory[4] + ax * dt, memory[5] + ay * dt, memory[6] + az * dt
+    memory[0] += vx * dt
+    memory[1] += vy * dt
+    memory[2] += vz * dt
+    memory[4], memory[5], memory[6] = vx, vy, vz
+
+    turn = wrapped(goal[3] - memory[3])
+    side = 1.0 if turn >= 0.0 else -1.0
+    rate = side * approach(abs(turn), side * memory[7], pace * gains.turn_rate, gains.turn_acceleration, dt)
+    spin = (rate - memory[7]) / dt
+    memory[7] = rate
+    memory[3] = wrapped(memory[3] + rate * dt)
+    return ax, ay, az, spin
+
+
+@njit(cache=True, nogil=True)
+def wrench(
+    memory: Float64Array,
+    acceleration: tuple[float, float, float, float],
+    rotation: Float64Array,
+    position: Float64Array,
+    velocity: Float64Array,
+    rates: Float64Array,
+    gains: Gains,
+    nominal: Nominal,
+) -> tuple[Float64Array, Float64Array]:
+    """The wrench in `base` that follows the reference, and what the velocities lack.
+
+    Args:
+        memory: With the reference.
+        acceleration: Of the reference.
+        rotation: (3, 3) `R_world_base` by the estimate.
+        position: (3,) metres in the world, by the estimate.
+        velocity: (3,) m/s over ground in the world, by the estimate.
+        rates: (3,) rad/s in `base`.
+        gains: Of the loops.
+        nominal: The vehicle.
+
+    Returns:
+        (6,) N and N m in `base`, and (4,) m/s in the world and rad/s.
+    """
+    error, wanted, out = np.empty(4), np.empty(3), np.empty(6)
+    for i in range(3):
+        error[i] = memory[4 + i] + gains.position * (memory[i] - position[i]) - velocity[i]
+        wanted[i] = (
+            acceleration[i] + gains.position * (memory[4 + i] - velocity[i]) + gains.velocity * error[i]
+        )
+    for i in range(3):
+        along = speed = push = 0.0
+        for j in range(3):
+            along += rotation[j, i] * wanted[j]
+            speed += rotation[j, i] * memory[4 + j]
+            push += rotation[j, i] * memory[8 + j]
+        # Of the reference's speed, not the vehicle's: fed back, a drag that is too large by the model would
+        # drive instead of slow.
+        drag = (nominal.linear[i] + nominal.quadratic[i] * abs(speed)) * speed
+        out[i] = nominal.inertia[i] * along + gains.drag_share * drag - push - rotation[2, i] * nominal.lift
+    roll = math.atan2(rotation[2, 1], rotation[2, 2])
+    pitch = -math.asin(min(max(rotation[2, 0], -1.0), 1.0))
+    out[3] = -nominal.inertia[3] * (gains.level * roll + gains.level_rate * rates[0])
+    out[4] = -nominal.inertia[4] * (gains.level * pitch + gains.level_rate * rates[1])
+    r, yaw = memory[7], math.atan2(rotation[1, 0], rotation[0, 0])
+    error[3] = r + gains.yaw * wrapped(memory[3] - yaw) - rates[2]
+    spin = acceleration[3] + gains.yaw * (r - rates[2]) + gains.yaw_rate * error[3]
+    drag = (nominal.linear[5] + nominal.quadratic[5] * abs(r)) * r
+    out[5] = nominal.inertia[5] * spin + gains.drag_share * drag - memory[11]
+    return out, error
+
+
+@njit(cache=True, nogil=True)
+def blame(memory: Float64Array, error: Float64Array, gains: Gains, nominal: Nominal, dt: float) -> None:
+    """What the velocities fall short of, a push explains. It is held in the world, where a current stays."""
+    mass = 0.5 * (nominal.inertia[0] + nominal.inertia[1])
+    memory[8] -= gains.disturbance * mass * error[0] * dt
+    memory[9] -= gains.disturbance * mass * error[1] * dt
+    memory[10] -= gains.disturbance * nominal.inertia[2] * error[2] * dt
+    memory[11] -= gains.yaw_disturbance * nominal.inertia[5] * error[3] * dt
+
+
+@njit(cache=True, nogil=True)
+def allocate(demand: Float64Array, nominal: Nominal, commands: Float64Array) -> float:
+    """Write the thruster commands (n,) for a wrench; where one would saturate, all give less of it.
+
+    Returns:
+        The share of the wrench that is given.
+    """
+    lowest, highest = -nominal.roots[0] * nominal.roots[0], nominal.roots[-1] * nominal.roots[-1]
+    forces, share = np.dot(nominal.sharing, demand), 1.0
+    for force in forces:
+        if force > highest:
+            share = min(share, highest / force)
+        elif force < lowest:
+            share = min(share, lowest / force)
+    for i in range(len(commands)):
+        commands[i] = command(nominal.commands, nominal.roots, share * forces[i])
+    return share
+
+
+@njit(cache=True, nogil=True)
+def steer(
+    memory: Float64Array,
+    goal: Float64Array,
+    pace: float,
+    rotation: Float64Array,
+    position: Float64Array,
+    velocity: Float64Array,
+    rates: Float64Array,
+    gains: Gains,
+    nominal: Nominal,
+    dt: float,
+    commands: Float64Array,
+) -> float:
+    """One beat of the autopilot: goal and estimate in, thruster commands out; see `guide` and `wrench`.
+
+    Returns:
+        The share of the wrench that the thrusters can give.
+    """
+    acceleration = guide(memory, goal, gains, pace, dt)
+    demand, error = wrench(memory, acceleration, rotation, position, velocity, rates, gains, nominal)
+    share = allocate(demand, nominal, commands)
+    # While the thrusters give less than is asked, the shortfall says nothing of what pushes.
+    if share == 1.0:
+        blame(memory, error, gains, nominal, dt)
+    return share
+
+
+@njit(cache=True, nogil=True)
+def condition(
+    limits: Limits,
+    imu_age: float,
+    depth_age: float,
+    dvl_age: float,
+    velocity_sigma: float,
+    position_sigma: float,
+) -> int:
+    """See `health.Watch`; a comparison with NaN fails, so that what is not finite has diverged."""
+    if not (imu_age <= limits.stale and depth_age <= 10.0 * limits.stale):
+        return STALE
+    if not (velocity_sigma <= limits.velocity_sigma and position_sigma <= limits.position_sigma):
+        return DIVERGED
+    if dvl_age > limits.lost:
+        return LOST
+    return BLIND if dvl_age > limits.blind else FINE

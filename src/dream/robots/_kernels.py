@@ -1,0 +1,277 @@
+"""The whole vehicle in one compiled loop: water, sensors, estimate and autopilot."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from dream.control import _kernels as control
+from dream.estimation._kernels import inekf
+from dream.estimation._kernels.sensors import Parameters as Instruments
+from dream.sim import _kernels as world
+from dream.sim.sensors import _kernels as sensors
+from dream.sim.vehicle import _kernels as water
+
+Float64Array = npt.NDArray[np.float64]
+
+ARRIVED, COLLIDED, LATE, SURFACED = range(4)
+"""How a move ended: there, by contact, out of time, or given up because the estimate is not to be trusted."""
+MOST_BEATS = 64
+"""Beats that a ping may take until its report is there; a longer one is lost."""
+SEABED_TIME = 2.0
+"""Seconds over which the height of the seabed is smoothed: at half a metre a second, about the length of the
+vehicle's shadow, so that what lies on it hardly lifts the vehicle."""
+CHECKED = 10
+"""Beats between two looks at how sure the filter is."""
+
+# What `Voyage.clock` holds.
+CLOCK = 10
+TIME, NEXT_PING, ARRIVES, SENT, LAST_DVL, LAST_DEPTH, SEABED, DISTANCE, CLEARANCE, CONDITION = range(10)
+
+
+class Ship(NamedTuple):
+    """All that stays as it is during a mission."""
+
+    body: water.Body
+    flow: water.Flow
+    solids: world.Index
+    radius: float
+    height: float
+    inertial: sensors.Inertial
+    acoustic: sensors.Acoustic
+    gauge: sensors.Pressure
+    magnetic: sensors.Magnetic
+    ping_tops: Float64Array
+    ping_rates: Float64Array
+    depth_sigma: float
+    heading_sigma: float
+    heading_zero: float
+    """Radians that the compass reads too much, by what it read at the launch."""
+    scale: float
+    """Share by which the DVL reads long."""
+    filter: Instruments
+    gains: control.Gains
+    nominal: control.Nominal
+    limits: control.Limits
+    dt: float
+    depth_every: int
+    """Beats."""
+    heading_every: int
+
+
+class Voyage(NamedTuple):
+    """All that changes: vectors that the loop writes into."""
+
+    x: Float64Array
+    """(13 + n,) the true state."""
+    contact: Float64Array
+    """(3,) how often one began, whether one lasts, and whether there was one from the start."""
+    gust: Float64Array
+    bias: Float64Array
+    """(6,) of the inertial unit."""
+    gauge_error: Float64Array
+    compass_error: Float64Array
+    memory: Float64Array
+    """(12,) of the autopilot."""
+    commands: Float64Array
+    clock: Float64Array
+    """(10,) seconds, metres and a condition; see the names above."""
+    ping_velocity: Float64Array
+    ping_covariance: Float64Array
+    since: Float64Array
+    """(MOST_BEATS, 8) samples since the last ping: turn rate, force, depth and heading, NaN where none."""
+
+
+@njit(cache=True, nogil=True)
+def carried(ship: Ship, s: inekf.State, sample: Float64Array) -> inekf.State:
+    """The estimate one beat later, by what the sensors said in it."""
+    s = inekf.predict(ship.filter, s, sample[:3].copy(), sample[3:6].copy(), ship.dt)
+    if not math.isnan(sample[6]):
+        s = inekf.correct_depth(ship.filter, s, sample[6], ship.depth_sigma)[0]
+    if not math.isnan(sample[7]):
+        s = inekf.correct_heading(ship.filter, s, sample[7], ship.heading_sigma)[0]
+    return s
+
+
+@njit(cache=True, nogil=True)
+def velocity_sigma(s: inekf.State) -> float:
+    """m/s of the least certain axis over ground."""
+    J = np.zeros((3, 15))
+    J[0, 1], J[0, 2] = s.velocity[2], -s.velocity[1]
+    J[1, 0], J[1, 2] = -s.velocity[2], s.velocity[0]
+    J[2, 0], J[2, 1] = s.velocity[1], -s.velocity[0]
+    J[0, 3] = J[1, 4] = J[2, 5] = 1.0
+    spread = np.dot(J, np.dot(s.covariance, J.T))
+    return math.sqrt(max(spread[0, 0], spread[1, 1], spread[2, 2]))
+
+
+@njit(cache=True, nogil=True)
+def position_sigma(s: inekf.State) -> float:
+    """Metres of the less certain horizontal axis."""
+    spread = inekf.position_covariance(s)
+    return math.sqrt(max(spread[0, 0], spread[1, 1]))
+
+
+@njit(cache=True, nogil=True)
+def fly(
+    ship: Ship,
+    voyage: Voyage,
+    s: inekf.State,
+    at_ping: inekf.State,
+    goal: Float64Array,
+    altitude: float,
+    seconds: float,
+    near: float,
+    aligned: float,
+    slow: float,
+    stay: float,
+    rng: np.random.Generator,
+    track: Float64Array,
+) -> tuple[inekf.State, inekf.State, int, int]:
+    """Fly to a goal, until the vehicle believes to be there and still.
+
+    Args:
+        ship: Constants.
+        voyage: Where it is; changed.
+        s: The estimate.
+        at_ping: The estimate when the ping was sent whose report is on its way.
+        goal: (3,) x, y and yaw.
+        altitude: Metres above the seabed that it holds.
+        seconds: At most.
+        near: Metres and
+        aligned: radians from the goal, by the estimate, and
+        slow: m/s over ground that count as being there, for
+        stay: seconds on end.
+        rng: Of the mission.
+        track: (B, 9) is filled with a row each beat, as far as it goes: time, true x, y, z and yaw, and the
+            estimated ones.
+
+    Returns:
+        The estimate, that at the last ping, how it ended, and the beats that were flown.
+    """
+    clock, x = voyage.clock, voyage.x
+    target, sample, before = np.empty(4), np.empty(8), np.empty(len(x))
+    ranges, still, none = np.empty(4), 0.0, np.zeros(3)
+    target[0], target[1], target[3] = goal[0], goal[1], goal[2]
+    beats = math.ceil(seconds / ship.dt)
+    condition = int(clock[CONDITION])
+    for beat in range(beats):
+        now = clock[TIME]
+        # ------------------------------------------------------------------------------ what is to be done
+        if beat % CHECKED == 0:
+            condition = control.condition(
+                ship.limits,
+                0.0,
+                now - clock[LAST_DEPTH],
+                now - clock[LAST_DVL],
+                velocity_sigma(s),
+                position_sigma(s),
+            )
+            clock[CONDITION] = condition
+            if condition >= control.DIVERGED:
+                return s, at_ping, SURFACED, beat
+        target[2] = clock[SEABED] + altitude
+        pace = 1.0
+        if condition == control.BLIND:
+            pace = 0.5
+        elif condition == control.LOST:
+            # Where the reference is when it happens is where it stays.
+            target[0], target[1], target[3] = voyage.memory[0], voyage.memory[1], voyage.memory[3]
+        rates = s.gyro - s.gyro_bias
+        control.steer(
+            voyage.memory,
+            target,
+            pace,
+            s.rotation,
+            s.position,
+            s.velocity,
+            rates,
+            ship.gains,
+            ship.nominal,
+            ship.dt,
+            voyage.commands,
+        )
+        # ------------------------------------------------------------------------------ what happens
+        before[:] = x
+        water.stir(ship.flow, ship.dt, rng, voyage.gust)
+        if not water.advance(ship.body, ship.flow, voyage.gust, none, voyage.commands, ship.dt, x):
+            return s, at_ping, SURFACED, beat
+        clock[TIME] = now = now + ship.dt
+        clock[DISTANCE] += math.hypot(x[0] - before[0], x[1] - before[1])
+        touched = voyage.contact[0]
+        water.hold(ship.body, ship.solids, ship.radius, ship.height, before, x, voyage.contact)
+        if beat % CHECKED == 0:
+            clock[CLEARANCE] = min(clock[CLEARANCE], clearance(ship, x))
+        # A contact that goes on is one: so it can slide off the way it came.
+        if voyage.contact[0] > touched:
+            clock[CLEARANCE] = min(clock[CLEARANCE], 0.0)
+            return s, at_ping, COLLIDED, beat
+        # ------------------------------------------------------------------------------ what is felt
+        sensors.inertial(ship.inertial, before, x, ship.dt, voyage.bias, rng, sample)
+        count = round(now / ship.dt)
+        sample[6] = sample[7] = math.nan
+        if count % ship.depth_every == 0:
+            sample[6] = sensors.pressure(ship.gauge, x, ship.depth_every * ship.dt, voyage.gauge_error, rng)
+            clock[LAST_DEPTH] = now
+        if count % ship.heading_every == 0:
+            yaw = sensors.heading(ship.magnetic, x, ship.heading_every * ship.dt, voyage.compass_error, rng)
+            sample[7] = control.wrapped(yaw - ship.heading_zero)
+        sent = int(clock[SENT])
+        if sent >= 0 and now >= clock[ARRIVES]:
+            # The report is of when the ping was sent: from there it is reckoned anew.
+            s = inekf.correct_dvl(ship.filter, at_ping, voyage.ping_velocity, voyage.ping_covariance)[0]
+            for k in range(sent):
+                s = carried(ship, s, voyage.since[k])
+            clock[SENT] = sent = -1
+            clock[LAST_DVL] = now
+        s = carried(ship, s, sample)
+        if sent >= 0:
+            if sent < MOST_BEATS:
+                voyage.since[sent] = sample
+                clock[SENT] = sent + 1
+            else:
+                clock[SENT] = -1
+        elif now >= clock[NEXT_PING]:
+            above, delay, valid = sensors.ping(
+                ship.acoustic,
+                ship.solids,
+                x,
+                ship.scale,
+                rng,
+                voyage.ping_velocity,
+                voyage.ping_covariance,
+                ranges,
+            )
+            clock[NEXT_PING] = now + 1.0 / sensors.ping_rate(ship.ping_tops, ship.ping_rates, above)
+            if valid:
+                clock[SENT], clock[ARRIVES] = 0, now + delay
+                at_ping = s
+                seabed = s.position[2] + ship.acoustic.position[2] - above
+                part = min((clock[NEXT_PING] - now) / SEABED_TIME, 1.0)
+                clock[SEABED] += part * (seabed - clock[SEABED])
+        # ------------------------------------------------------------------------------ is it there?
+        yaw = math.atan2(s.rotation[1, 0], s.rotation[0, 0])
+        if beat < len(track):
+            r = water.rotation(x)
+            track[beat, 0], track[beat, 4], track[beat, 8] = now, math.atan2(r[3], r[0]), yaw
+            track[beat, 1:4], track[beat, 5:8] = x[:3], s.position
+        there = (
+            math.hypot(goal[0] - s.position[0], goal[1] - s.position[1]) <= near
+            and abs(control.wrapped(goal[2] - yaw)) <= aligned
+            and math.hypot(s.velocity[0], s.velocity[1]) <= slow
+        )
+        still = still + ship.dt if there else 0.0
+        if still >= stay:
+            return s, at_ping, ARRIVED, beat + 1
+    return s, at_ping, LATE, beats
+
+
+@njit(cache=True, nogil=True)
+def clearance(ship: Ship, x: Float64Array) -> float:
+    """Horizontal metres between the body, a level cylinder, and what is solid at its height; at most 5."""
+    low, high = x[2] - 0.5 * ship.height, x[2] + 0.5 * ship.height
+    return float(world.room(ship.solids, x[0], x[1], low, high, 5.0 + ship.radius) - ship.radius)

@@ -1,0 +1,69 @@
+"""The camera of a simulated robot."""
+
+from __future__ import annotations
+
+from dream.geometry import SE2, SE3
+from dream.protocol import SurveyProtocol
+from dream.sim.camera_noise import noise_generator, with_noise
+from dream.sim.render import Frame, Renderer
+from dream.sim.world import World
+from dream.types import Observation
+
+
+class SimulatedCamera:
+    """Draws what a robot sees, with the errors that the protocol declares.
+
+    Assumes: it is told of every move, since errors are drawn anew with each.
+    """
+
+    def __init__(
+        self, world: World, protocol: SurveyProtocol, start: SE2, renderer: Renderer | None, fineness: int
+    ) -> None:
+        """In a world.
+
+        Args:
+            world: Where.
+            protocol: How it looks, and what it gets wrong.
+            start: Where the mission began: its errors follow from that.
+            renderer: Of this world, where one is made already.
+            fineness: Pixels of colour along each side of a pixel of depth and labels.
+        """
+        self._world = world
+        self._protocol = protocol
+        self._start = start
+        self._renderer = renderer or Renderer(world)
+        self._fineness = fineness
+
+    def observe(self, time: float, moves: int, truth: SE3, believed: SE3) -> Observation:
+        """One frame.
+
+        Args:
+            time: When.
+            moves: Of the robot since the start.
+            truth: `T_world_base` that it is drawn from.
+            believed: `T_world_base` that the observation says.
+        """
+        T_base_camera = self._protocol.T_base_camera
+        frame = self._frame(truth @ T_base_camera, moves)
+        rgb = frame.rgb
+        if self._fineness > 1:
+            fine = self._protocol.camera.scaled(self._fineness)
+            rgb = self._renderer.render(fine, truth @ T_base_camera).rgb
+        return Observation(
+            time=time,
+            rgb=rgb,
+            depth=frame.depth,
+            labels=frame.labels,
+            camera=self._protocol.camera,
+            T_world_base=believed,
+            T_base_camera=T_base_camera,
+        )
+
+    def _frame(self, T_world_camera: SE3, moves: int) -> Frame:
+        camera, noise = self._protocol.camera, self._protocol.noise
+        frame = self._renderer.render(camera, T_world_camera)
+        if noise is None:
+            return frame
+        rng = noise_generator(self._world, self._start, moves)
+        hull = self._world.targets_are_hull
+        return with_noise(frame, camera, T_world_camera, noise, rng, targets_are_hull=hull)

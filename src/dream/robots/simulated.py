@@ -1,0 +1,271 @@
+"""A robot that has to swim, and knows where it is only by its sensors."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from dream.control._kernels import begin
+from dream.control.autopilot import Autopilot, nominal
+from dream.control.health import Condition, Watch
+from dream.errors import MissionAborted
+from dream.estimation import InEkf, Mounting, Start
+from dream.estimation.inekf import InEkfState, packed
+from dream.geometry import SE2, SE3, wrap_angle
+from dream.protocol import SurveyProtocol
+from dream.robots import _kernels
+from dream.robots.camera import SimulatedCamera
+from dream.sim.camera_noise import noise_generator
+from dream.sim.render import Renderer
+from dream.sim.sensors import (
+    AHRS,
+    BAR30,
+    DVL_A50,
+    ICM_20602,
+    RANGE_MODES,
+    Compass,
+    DopplerLog,
+    InertialUnit,
+    PressureGauge,
+)
+from dream.sim.solids import Solids
+from dream.sim.vehicle import BLUEROV2_HEAVY, Current, Spread, State, Vehicle
+from dream.sim.world import World
+from dream.types import Arrival, Observation, Setpoint
+
+BEAT = 0.01
+"""Seconds of water, inertial unit, estimate and autopilot."""
+HELD = 10.0
+"""Seconds that it is held still at the launch, for the biases of its gyroscopes and of its compass."""
+STEADY = 10.0
+"""Seconds for which a compass errs alike: iron turns it by the heading, not from reading to reading, so that
+the readings within that time say no more than one."""
+STAY = 0.3
+"""Seconds at a setpoint that count as having arrived."""
+ROOM = 30.0
+"""Seconds that a move may take beyond what its length and turn take at half the speeds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """What swims, in what, and by what it finds its way."""
+
+    vehicle: Vehicle = BLUEROV2_HEAVY
+    """As the autopilot believes it to be."""
+    spread: Spread = field(default_factory=Spread)
+    """How far the one in the water is from that."""
+    current: float = 0.1
+    """m/s of the mean current, from a direction that is drawn for each mission."""
+    gust: float = 0.03
+    """m/s by which it varies."""
+    imu: InertialUnit = ICM_20602
+    dvl: DopplerLog = DVL_A50
+    gauge: PressureGauge = BAR30
+    compass: Compass = AHRS
+    autopilot: Autopilot = field(default_factory=Autopilot)
+    watch: Watch = field(default_factory=Watch)
+    near: float = 0.05
+    """Metres from a setpoint, by the estimate, that count as there."""
+    aligned: float = math.radians(2.0)
+    """Radians, likewise."""
+    slow: float = 0.05
+    """m/s, likewise."""
+
+    @property
+    def estimator(self) -> InEkf:
+        """That knows where these instruments sit, and was held still at the launch."""
+        start = Start(
+            tilt=math.radians(1.0),
+            yaw=math.radians(0.5),
+            velocity=0.01,
+            gyro_bias=2.0 * self.imu.gyro_noise / math.sqrt(HELD),
+        )
+        return InEkf(mounting=Mounting(self.dvl.T_base_dvl, self.gauge.position), start=start)
+
+
+class Simulated:
+    """Swims to where it is sent, as far as it knows where it is.
+
+    What it does: the vehicle of `sim.vehicle` in a current, the sensors of `sim.sensors`, the invariant
+    filter of `estimation` and the autopilot of `control`, in one compiled loop at 100 Hz. What it observes is
+    drawn from where it really is, and says where it believes to be. A contact ends the move. At the launch it
+    was held still at a known pose, which frees the gyroscopes of their bias and sets the compass.
+
+    Assumes: a launch at a known pose: the map's frame is the vehicle's, there.
+    Fails when: the estimate is lost, which ends the mission by its name.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        protocol: SurveyProtocol,
+        start: SE2 | None = None,
+        *,
+        motion: Motion | None = None,
+        renderer: Renderer | None = None,
+        solids: Solids | None = None,
+        fineness: int = 1,
+    ) -> None:
+        """Put the robot into the world, at its first start pose unless told otherwise.
+
+        Args:
+            world: Where.
+            protocol: By which rules it looks and moves.
+            start: Snapped to the lattice.
+            motion: What swims, and by what it finds its way; a BlueROV2 Heavy with a DVL A50 unless given.
+            renderer: Of this world, where one is made already.
+            solids: Of this world, where they are made already.
+            fineness: Pixels of colour along each side of a pixel of depth and labels.
+
+        Raises:
+            MissionAborted: It cannot even hover.
+        """
+        pose = world.starts[0] if start is None else start
+        if not world.bounds.contains(pose.x, pose.y):
+            raise ValueError(f"start: expected a pose inside {world.bounds}, got ({pose.x}, {pose.y})")
+        pose = protocol.snap(pose)
+        self._motion = motion = Motion() if motion is None else motion
+        self._protocol = protocol
+        self._camera = SimulatedCamera(world, protocol, pose, renderer, fineness)
+        # The first move's randomness is the camera's, too; the vehicle's is its own.
+        self._rng = noise_generator(world, pose, -1)
+        seabed = float(world.terrain.height(pose.x, pose.y))
+        T_world_base = SE3.level(pose.x, pose.y, seabed + protocol.altitude, pose.yaw)
+        self._moves = 0
+        self._ship, self._voyage = _launched(
+            motion, protocol, solids or Solids(world), T_world_base, seabed, self._rng
+        )
+        if _kernels.clearance(self._ship, self._voyage.x) <= 0.0:
+            raise ValueError(f"start: ({pose.x}, {pose.y}) touches the world. See `dream draw`")
+        state = motion.estimator.begin(0.0, T_world_base)
+        rates = self._voyage.bias[:3] + motion.imu.gyro_noise / math.sqrt(HELD) * self._rng.standard_normal(3)
+        self._state = self._at_ping = packed(replace(state, gyro_bias=rates))
+
+    def observe(self) -> Observation:
+        """One frame from where it really is, with the pose that it believes in; the same until it moves."""
+        return self._camera.observe(
+            float(self._voyage.clock[_kernels.TIME]), self._moves, self.truth, self.estimate.pose
+        )
+
+    def go_to(self, setpoint: Setpoint) -> Arrival:
+        """Swim there; at contact, stop.
+
+        Raises:
+            MissionAborted: The estimate is not to be trusted any more; the vehicle has surfaced.
+        """
+        before, motion = self.truth.se2, self._motion
+        here = self.estimate.pose.se2
+        gap = math.hypot(setpoint.x - here.x, setpoint.y - here.y)
+        seconds = 2.0 * gap / motion.autopilot.speed + 2.0 * math.pi / motion.autopilot.turn_rate + ROOM
+        clock = self._voyage.clock
+        clock[_kernels.DISTANCE], clock[_kernels.CLEARANCE] = 0.0, math.inf
+        how = self._fly(SE2(setpoint.x, setpoint.y, setpoint.yaw), seconds)
+        self._moves += 1
+        if how == _kernels.SURFACED:
+            condition = Condition(int(clock[_kernels.CONDITION]))
+            raise MissionAborted(f"navigation: {condition.name.lower()}; the vehicle surfaced near {before}")
+        return Arrival(
+            self.estimate.pose.se2,
+            collided=how == _kernels.COLLIDED,
+            distance=float(clock[_kernels.DISTANCE]),
+            clearance=float(clock[_kernels.CLEARANCE]),
+            truth=self.truth,
+        )
+
+    @property
+    def truth(self) -> SE3:
+        """`T_world_base` as it is."""
+        return State.of(self._voyage.x).T_world_base
+
+    @property
+    def estimate(self) -> InEkfState:
+        """What it knows of its motion."""
+        return InEkfState(*self._state)
+
+    def _fly(self, goal: SE2, seconds: float) -> int:
+        motion = self._motion
+        self._state, self._at_ping, how, _ = _kernels.fly(
+            self._ship,
+            self._voyage,
+            self._state,
+            self._at_ping,
+            np.array([goal.x, goal.y, goal.yaw]),
+            self._protocol.altitude,
+            seconds,
+            motion.near,
+            motion.aligned,
+            motion.slow,
+            STAY,
+            self._rng,
+            np.empty((0, 9)),
+        )
+        if how == _kernels.COLLIDED:
+            # From where it stands now, the next move begins anew.
+            self._voyage.memory[:] = begin(self._state.position, self.estimate.pose.yaw)
+        return int(how)
+
+
+def _launched(
+    motion: Motion,
+    protocol: SurveyProtocol,
+    solids: Solids,
+    T_world_base: SE3,
+    seabed: float,
+    rng: np.random.Generator,
+) -> tuple[_kernels.Ship, _kernels.Voyage]:
+    """The vehicle at rest over ground, with all errors of its mission drawn."""
+    truth = motion.spread.draw(motion.vehicle, rng)
+    bearing = rng.uniform(-math.pi, math.pi)
+    east, north = motion.current * math.cos(bearing), motion.current * math.sin(bearing)
+    current = Current(mean=(east, north, 0.0), gust=motion.gust)
+    tops, rates = np.array(RANGE_MODES, np.float64).T.copy()
+    filtering = motion.estimator
+    x, error = truth.at_rest(T_world_base), motion.compass.begin(rng)
+    off = []
+    for k in range(round(HELD * motion.compass.rate)):
+        heading, error = motion.compass.read(k / motion.compass.rate, x, error, rng)
+        off.append(wrap_angle(heading.yaw - T_world_base.yaw))
+    zero = float(np.mean(off))
+    ship = _kernels.Ship(
+        body=truth.body,
+        flow=current.flow,
+        solids=solids.index,
+        radius=protocol.body_radius,
+        height=protocol.body_height,
+        inertial=motion.imu.constants,
+        acoustic=motion.dvl.constants,
+        gauge=motion.gauge.constants,
+        magnetic=motion.compass.constants,
+        ping_tops=tops,
+        ping_rates=rates,
+        depth_sigma=motion.gauge.sigma,
+        heading_sigma=motion.compass.sigma * math.sqrt(2.0 * motion.compass.rate * STEADY),
+        heading_zero=zero,
+        scale=motion.dvl.begin(rng),
+        filter=filtering.compiled,
+        gains=motion.autopilot.gains,
+        nominal=nominal(motion.vehicle.hull, motion.vehicle.thrusters),
+        limits=motion.watch.limits,
+        dt=BEAT,
+        depth_every=round(1.0 / (motion.gauge.rate * BEAT)),
+        heading_every=round(1.0 / (motion.compass.rate * BEAT)),
+    )
+    clock = np.zeros(_kernels.CLOCK)
+    clock[_kernels.SENT], clock[_kernels.SEABED] = -1.0, seabed
+    voyage = _kernels.Voyage(
+        x=x.vector,
+        contact=np.zeros(3),
+        gust=current.begin(rng),
+        bias=motion.imu.begin(rng),
+        gauge_error=motion.gauge.begin(rng),
+        compass_error=error,
+        memory=begin(x.position, T_world_base.yaw),
+        commands=np.zeros(truth.thrusters.count),
+        clock=clock,
+        ping_velocity=np.zeros(3),
+        ping_covariance=np.zeros((3, 3)),
+        since=np.zeros((_kernels.MOST_BEATS, 8)),
+    )
+    return ship, voyage

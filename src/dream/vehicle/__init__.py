@@ -1,0 +1,6 @@
+"""What a vehicle is made of, as its simulator and its autopilot both need to know."""
+
+from dream.vehicle.hull import GRAVITY, Hull
+from dream.vehicle.thrusters import VECTORED, VECTORED_6DOF, Thrusters
+
+__all__ = ["GRAVITY", "VECTORED", "VECTORED_6DOF", "Hull", "Thrusters"]
