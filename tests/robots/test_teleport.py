@@ -25,6 +25,11 @@ def sent(robot: Teleport, *places: tuple[float, float, float]) -> Observation:
     return robot.observe()
 
 
+def on_lattice(x: float, y: float) -> Setpoint:
+    pose = DREAM_V1.snap(SE2(x, y, 0.0))
+    return Setpoint(pose.x, pose.y, pose.yaw, DREAM_V1.altitude)
+
+
 def assert_alike(a: Observation, b: Observation) -> None:
     for name in ("rgb", "depth", "labels"):
         assert getattr(a, name).tobytes() == getattr(b, name).tobytes()
@@ -55,6 +60,18 @@ def test_colour_can_be_finer_than_depth_and_labels(string_reef: World) -> None:
         assert getattr(fine, name).tobytes() == getattr(plain, name).tobytes()
     with pytest.raises(ValueError, match=r"rgb: expected \(240, 320\) to match the camera, got \(300, 400\)"):
         replace(plain, rgb=np.zeros((300, 400, 3), np.uint8))
+
+
+def test_it_ends_exactly_on_its_setpoint_and_after_a_contact_on_the_lattice(string_reef: World) -> None:
+    robot, here = near(string_reef, DREAM_V1)
+    arrival = robot.go_to(Setpoint(here.x + 2.0, here.y, 0.5, DREAM_V1.altitude))
+    assert arrival.pose == SE2(here.x + 2.0, here.y, 0.5)
+    tall = np.argmax(string_reef.obstacles.scale[:, 2])
+    x, y = map(float, string_reef.obstacles.position[tall, :2])
+    robot.go_to(on_lattice(x - 6.0, y))
+    arrival = robot.go_to(on_lattice(x, y))
+    assert arrival.collided
+    assert arrival.pose == DREAM_V1.snap(arrival.pose)
 
 
 def test_with_noise_depth_and_labels_err_and_nothing_else_does(string_reef: World) -> None:

@@ -260,11 +260,11 @@ def condition(
     velocity_sigma: float,
     position_sigma: float,
 ) -> int:
-    """See `health.Watch`; a comparison with NaN fails, so that what is not finite has diverged."""
+    """See `health.Watch`; a comparison with NaN fails, so that what is not a number is over its limit."""
     if not (imu_age <= limits.stale and depth_age <= 10.0 * limits.stale):
         return STALE
     if not (velocity_sigma <= limits.velocity_sigma and position_sigma <= limits.position_sigma):
         return DIVERGED
-    if dvl_age > limits.lost:
+    if not dvl_age <= limits.lost:
         return LOST
     return BLIND if dvl_age > limits.blind else FINE

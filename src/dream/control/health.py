@@ -85,7 +85,7 @@ class Watch:
         velocity_sigma: float,
         position_sigma: float,
     ) -> Condition:
-        """The worst that holds; what is not finite counts as diverged, an age that is not as stale.
+        """The worst that holds; what is not a number is over its limit.
 
         Args:
             imu_age: Seconds since the last inertial sample.

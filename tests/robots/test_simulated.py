@@ -1,0 +1,136 @@
+"""A robot that has to swim: what it knows, and what happens when it does not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dream.control.health import Watch
+from dream.errors import MissionAborted
+from dream.estimation import InEkf
+from dream.geometry import SE2, wrap_angle
+from dream.protocol import DREAM_V1, DREAM_V1_NAV
+from dream.robots import Motion, Simulated, _kernels
+from dream.robots.simulated import BEAT
+from dream.sim.render import Renderer
+from dream.sim.sensors import DVL_A50
+from dream.sim.world import World
+from dream.types import Arrival, Setpoint
+
+CALM = Motion(current=0.0, gust=0.0)
+SQUARE = [(2.0, 0.0), (0.0, 2.0), (-2.0, 0.0), (0.0, -2.0)]
+
+
+def swum(robot: Simulated, *moves: tuple[float, float], turn: float = 0.0) -> list[Arrival]:
+    """What came of moves by so many metres east and north, each turned by so much from the last."""
+    here, arrivals = DREAM_V1.snap(robot.observe().pose), []
+    x, y, yaw = here.x, here.y, here.yaw
+    for east, north in moves:
+        x, y, yaw = x + east, y + north, wrap_angle(yaw + turn)
+        arrivals.append(robot.go_to(Setpoint(x, y, yaw, DREAM_V1.altitude)))
+    return arrivals
+
+
+def truly(arrival: Arrival) -> SE2:
+    assert arrival.truth is not None
+    return arrival.truth.se2
+
+
+@pytest.mark.parametrize("start", [SE2(0.0, 0.0, 0.0), SE2(1.0, -2.0, 2.0)])
+def test_it_stays_near_its_way_in_a_current_and_knows_how_well(empty_world: World, start: SE2) -> None:
+    robot = Simulated(empty_world, DREAM_V1_NAV, start, motion=Motion(current=0.2))
+    for _ in range(3):
+        for arrival in swum(robot, *SQUARE, turn=math.pi / 2):
+            error = truly(arrival).distance(arrival.pose)
+            sigma = _kernels.position_sigma(robot._state)
+            # One percent of scale that no filter here can see comes on top.
+            assert error < 4.0 * sigma + 0.01 * 24.0
+            assert not arrival.collided
+    assert robot.observe().time > 12 * 4.0
+
+
+def test_what_it_sees_is_drawn_from_where_it_is(string_reef: World) -> None:
+    robot = Simulated(string_reef, replace(DREAM_V1, name="swims", swims=True))
+    swum(robot, (1.0, 0.0), (0.0, -1.0))
+    seen = robot.observe()
+    frame = Renderer(string_reef).render(DREAM_V1.camera, robot.truth @ DREAM_V1.T_base_camera)
+    np.testing.assert_array_equal(seen.labels, frame.labels)
+    assert seen.T_world_base.translation.tolist() == robot.estimate.position.tolist()
+    assert seen.pose.distance(robot.truth.se2) > 1e-4
+
+
+def test_the_same_mission_swims_alike_and_another_start_otherwise(empty_world: World) -> None:
+    def track(start: SE2) -> list[float]:
+        robot = Simulated(empty_world, DREAM_V1_NAV, start)
+        ends = [truly(arrival) for arrival in swum(robot, *SQUARE)]
+        return [value for end in ends for value in (end.x - start.x, end.y - start.y)]
+
+    here = SE2(0.0, 0.0, 0.0)
+    assert track(here) == track(here)
+    assert track(here) != track(SE2(1.0, 0.0, 0.0))
+
+
+def test_the_seabed_is_followed(string_reef: World) -> None:
+    robot = Simulated(string_reef, DREAM_V1_NAV, motion=CALM)
+    heights = []
+    for arrival in swum(robot, *[(1.0, 0.0)] * 6):
+        assert arrival.truth is not None
+        x, y, z = arrival.truth.translation.tolist()
+        heights.append(z - float(string_reef.terrain.height(x, y)))
+    assert max(abs(height - DREAM_V1.altitude) for height in heights) < 0.2
+
+
+def test_without_bottom_track_it_slows_then_holds_and_at_last_surfaces(empty_world: World) -> None:
+    """By name: nothing of it is silent."""
+    deaf = replace(DVL_A50, dropout=1.0)
+    watch = Watch(blind=1.0, lost=4.0, position_sigma=1.0)
+    robot = Simulated(empty_world, DREAM_V1_NAV, motion=replace(CALM, dvl=deaf, watch=watch))
+    with pytest.raises(MissionAborted, match="navigation: diverged; the vehicle surfaced near"):
+        swum(robot, *[(10.0, 0.0)] * 5)
+    # It held from the fourth second on: ten metres take twenty.
+    assert robot.truth.se2.distance(SE2(0.0, 0.0, 0.0)) < 5.0
+
+
+def test_a_late_report_of_the_dvl_counts_from_when_it_was_true(empty_world: World) -> None:
+    """As if it had come at once, but for what was done meanwhile without it."""
+
+    def error(latency: float) -> float:
+        late = replace(
+            DVL_A50, latency=latency, latency_spread=0.0, scale_error=0.0, beam_noise=1e-5, dropout=0.0
+        )
+        robot = Simulated(empty_world, DREAM_V1_NAV, motion=replace(CALM, dvl=late))
+        return truly(swum(robot, *SQUARE * 2)[-1]).distance(robot.observe().pose)
+
+    assert abs(error(0.06) - error(0.0)) < 0.02
+
+
+def test_a_beat_of_the_loop_is_the_filter_of_the_package(empty_world: World) -> None:
+    """`carried` is `InEkf.predict` and `correct`."""
+    from dream.estimation.inekf import InEkfState, packed
+    from dream.measurements import Depth, Heading, Imu
+
+    robot = Simulated(empty_world, DREAM_V1_NAV)
+    swum(robot, (1.0, 0.0))
+    filtering: InEkf = robot._motion.estimator
+    before, rng = robot.estimate, np.random.default_rng(0)
+    gyro, force = rng.normal(0.0, 0.1, 3), np.array([0.1, 0.0, 9.8])
+    z, yaw = float(before.position[2]) + 0.02, before.pose.yaw + 0.01
+    sample = np.array([*gyro, *force, z, yaw])
+    after = InEkfState(*_kernels.carried(robot._ship, packed(before), sample))
+    slow = filtering.predict(before, Imu(before.time + BEAT, gyro, force), BEAT)
+    slow = filtering.correct(slow, Depth(slow.time, z, robot._ship.depth_sigma))
+    slow = filtering.correct(slow, Heading(slow.time, yaw, robot._ship.heading_sigma))
+    for name in ("rotation", "velocity", "position", "gyro_bias", "covariance"):
+        np.testing.assert_allclose(getattr(after, name), getattr(slow, name), rtol=1e-10, atol=1e-12)
+
+
+def test_a_start_outside_or_in_the_wall_is_refused(string_reef: World) -> None:
+    with pytest.raises(ValueError, match="start: expected a pose inside"):
+        Simulated(string_reef, DREAM_V1_NAV, SE2(100.0, 0.0, 0.0))
+    tall = np.argmax(string_reef.obstacles.scale[:, 2])
+    x, y = map(float, string_reef.obstacles.position[tall, :2])
+    with pytest.raises(ValueError, match="touches the world"):
+        Simulated(string_reef, DREAM_V1_NAV, SE2(x, y, 0.0))
