@@ -311,6 +311,19 @@ def test_ranges_are_those_of_all_triangles() -> None:
     assert met > 100
 
 
+def test_what_a_large_triangle_meets_far_off_may_lie_behind_a_small_one() -> None:
+    # A ramp that the ray meets at x = 0 and that lies over the cell where it starts; a sliver at x = −2.
+    ramp = [[-5.0, -6.0, -10.0], [-5.0, 6.0, -10.0], [7.0, 0.0, -5.2]]
+    sliver = [[-2.0, -0.3, -8.3], [-2.0, 0.3, -8.3], [-2.0, 0.0, -7.5]]
+    for parts, distance in (([ramp], 4.0), ([ramp, sliver], 2.0)):
+        vertices = np.array(parts, np.float32).reshape(-1, 3)
+        faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+        mesh = Mesh(vertices, faces, np.zeros((len(vertices), 3), np.uint8))
+        solids = Solids(replace(arena(placed(0, [[0, 0, 0]], 1.0)), meshes=(mesh,)))
+        found = solids.ranges([-4.0, 0.0, -8.0], [[1.0, 0.0, 0.0]], limit=20.0)[0]
+        assert found == pytest.approx(distance)
+
+
 def test_a_range_ends_at_the_limit_and_at_the_edge_of_the_terrain() -> None:
     solids = Solids(arena())
     down = [[0.0, 0.0, -2.0]]

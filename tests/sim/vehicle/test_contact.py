@@ -118,6 +118,11 @@ def test_what_begins_in_contact_can_only_rise() -> None:
     risen = [state for state in states if state.position[2] < FLOOR + HEIGHT / 2 - 0.01]
     assert max(abs(state.position[0]) for state in risen) == 0.0
     assert states[-1].position[2] > FLOOR + 0.5
+    after = replace(stuck, velocity=np.array([0.2, 0.0, -0.4]))
+    pressed, contact = held(SWIMMER, WALL, DREAM_V1, stuck, after, Contact())
+    assert np.array_equal(pressed.position, stuck.position)
+    assert np.array_equal(pressed.velocity, np.zeros(3))
+    assert contact == Contact(1, True, stuck=True)
 
 
 @settings(max_examples=40, deadline=None)
