@@ -55,12 +55,19 @@ def test_forces_out_of_reach_ask_for_full_throttle_and_no_force_for_none() -> No
     assert VECTORED.forces([-3.0, 3.0]).tolist() == pytest.approx([-39.9, 51.5])
 
 
-def test_an_empty_battery_is_weaker_by_the_makers_figures() -> None:
-    # 36.4 N at 12 V, 51.5 N at 16 V, 65.7 N at 20 V; the dead band stays.
-    for voltage, force in ((12.0, 36.4), (16.0, 51.5), (20.0, 65.7)):
-        weak = replace(VECTORED, voltage=voltage)
-        assert float(weak.forces(1.0)) == pytest.approx(force, rel=0.03)
-        assert float(weak.forces(0.07)) == 0.0
+@pytest.mark.parametrize(
+    ("voltage", "kilograms"),
+    [
+        (12.0, [-2.90, -1.95, -1.02, -0.32, 0.39, 1.28, 2.46, 3.71]),
+        (14.0, [-3.52, -2.35, -1.24, -0.40, 0.50, 1.55, 2.99, 4.52]),
+    ],
+)
+def test_an_empty_battery_is_weaker_as_in_the_makers_table(voltage: float, kilograms: list[float]) -> None:
+    command = np.array([-1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0])
+    found = replace(VECTORED, voltage=voltage).forces(command)
+    share = found / (9.80665 * np.array(kilograms)) - 1.0
+    assert np.abs(share[np.abs(command) >= 0.5]).max() < 0.03
+    assert np.abs(share).max() < 0.11
 
 
 def test_the_six_push_as_the_published_allocation_matrix_says() -> None:

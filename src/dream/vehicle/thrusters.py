@@ -33,8 +33,10 @@ September 2019; a command is (PWM − 1500 µs) / 400 µs)."""
 TABLE_VOLTAGE = 16.0
 """Volts that the table holds for."""
 VOLTAGE_POWER = 1.15
-"""Force grows with this power of the voltage. Assumption: a propeller on a motor without losses would give 2;
-the maker's forces at full throttle, 36 N at 12 V and 66 N at 20 V ahead, lie within 3 % of this."""
+"""Force grows with this power of the voltage. A propeller on a motor without losses would have 2. Fitted to
+the same table, which also has 12 and 14 V: from half throttle on they are met within 3 %, at a quarter within
+11 %, since the dead band widens to ±0.09 at 12 V and here does not. Above 17 V, which a battery of four cells
+does not have, part throttle gives less than this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +56,7 @@ class Thrusters:
     """(command, newtons) at 16 V, both rising. Between the points the root of the force, which goes with the
     propeller's speed, is linear in the command."""
     voltage: float = TABLE_VOLTAGE
+    """Volts at the thrusters, 12 to 17: a battery of four cells, full or under load."""
     lag: float = 0.08
     """Seconds. The slowest pole of von Benzon et al. (JMSE 10(12):1898, 2022) is at 13.2 rad/s."""
 

@@ -447,7 +447,9 @@ def test_a_shear_is_felt_by_height() -> None:
     assert water.velocity(-5.0).tolist() == pytest.approx([0.2, 0.0, 0.0])
     vehicle = neutral(BLUEROV2)
     for z, speed in ((-10.0, 0.1), (-5.0, 0.2)):
-        end = run(vehicle, vehicle.at_rest(SE3.level(0, 0, z, 0.5)), idle(vehicle), 60.0, dt=0.05, current=water)
+        end = run(
+            vehicle, vehicle.at_rest(SE3.level(0, 0, z, 0.5)), idle(vehicle), 60.0, dt=0.05, current=water
+        )
         assert end.velocity_world[0] == pytest.approx(speed, abs=1e-3)
 
 
