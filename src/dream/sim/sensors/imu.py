@@ -36,11 +36,11 @@ class InertialUnit:
     accel_noise: float = 100e-6 * GRAVITY
     """m/s²/√Hz: 100 µg/√Hz."""
     gyro_bias: float = 1.0 / 3.0 * DEGREE
-    """rad/s: deviation of the first bias. A third of the sheet's ±1 dps."""
+    """rad/s: deviation of the first bias. Assumption: three of them are 1°/s, before any calibration."""
     accel_bias: float = 0.025 / 3.0 * GRAVITY
-    """m/s²: deviation of the first bias. A third of the sheet's ±25 mg."""
+    """m/s²: deviation of the first bias. Assumption: three of them are 25 mg."""
     gyro_walk: float = 1e-5
-    """rad/s/√s. Assumption: 0.03 °/s in an hour, some of the drift that the sheet gives with temperature."""
+    """rad/s/√s. Assumption: 0.03°/s in an hour."""
     accel_walk: float = 1e-4
     """m/s²/√s. Assumption: 6 mm/s² in an hour."""
     gyro_range: float = 2000.0 * DEGREE
