@@ -35,6 +35,7 @@ def some_state(seed: int) -> EkfState:
         covariance=root @ root.T + 1e-4 * np.eye(15),
         gyro=rng.uniform(-0.5, 0.5, 3),
         gyro_variance=1e-4,
+        begun=-math.inf,
     )
 
 

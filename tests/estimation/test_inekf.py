@@ -41,6 +41,7 @@ def some_state(seed: int, chosen: InEkf = FILTER) -> InEkfState:
         covariance=root @ root.T + 1e-4 * np.eye(15),
         gyro=rng.uniform(-0.5, 0.5, 3),
         gyro_variance=1e-4,
+        begun=-math.inf,
     )
 
 
@@ -375,7 +376,7 @@ def test_it_recovers_from_an_attitude_that_is_30_degrees_off() -> None:
     log = sense(flight, Sensors(), np.random.default_rng(1))
     wide = math.radians(30.0)
     chosen = replace(FILTER, start=Start(tilt=wide, yaw=wide))
-    for axis in np.vstack([np.eye(3), [[0.6, -0.6, 0.52]]]):
+    for axis in np.vstack([np.eye(3), -np.eye(3), [[0.6, -0.6, 0.52]]]):
         wrong = Rotation.from_rotvec(wide * axis / np.linalg.norm(axis)).as_matrix() @ flight.rotations[0]
         start = chosen.begin(0.0, SE3(wrong, flight.positions[0]), flight.velocities[0])
         last = fly(chosen, start, flight, log, flight.steps)[-1]
@@ -383,6 +384,15 @@ def test_it_recovers_from_an_attitude_that_is_30_degrees_off() -> None:
         assert math.degrees(off) < 0.5
         assert np.linalg.norm(last.velocity - flight.velocities[-1]) < 0.02
         assert np.linalg.norm(last.position - flight.positions[-1]) < 0.3
+
+
+def test_while_it_settles_it_takes_what_it_would_refuse_later_but_not_everything() -> None:
+    begun = FILTER.begin(0.0, SE3.level(0.0, 0.0, -3.0, 0.0))
+    later = replace(begun, time=FILTER.trust.settling)
+    yaw = 2.0 * math.sqrt(chi2.ppf(FILTER.trust.gate, 1)) * begun.yaw_sigma
+    assert told(FILTER.correct(begun, Heading(0.0, yaw, 1e-3))) is Verdict.TAKEN
+    assert told(FILTER.correct(later, Heading(0.0, yaw, 1e-3))) is Verdict.UNLIKELY
+    assert told(FILTER.correct(begun, Heading(0.0, 2.0 * yaw, 1e-3))) is Verdict.UNLIKELY
 
 
 def test_it_recovers_from_ten_seconds_without_bottom_lock() -> None:
@@ -429,11 +439,11 @@ BAD = [
 def test_what_cannot_be_used_is_refused_by_name_and_changes_nothing(
     measurement: Any, verdict: Verdict
 ) -> None:
-    state = FILTER.begin(0.0, SE3.level(0.0, 0.0, -3.0, 0.0))
+    state = replace(FILTER.begin(0.0, SE3.level(0.0, 0.0, -3.0, 0.0)), begun=-10.0)
     after = FILTER.correct(state, measurement)
     assert told(after) is verdict
     assert not verdict.taken
-    for name in kernels.State._fields[:-1]:
+    for name in set(kernels.State._fields) - {"refused_since"}:
         np.testing.assert_array_equal(getattr(after, name), getattr(state, name))
 
 
@@ -476,7 +486,7 @@ def test_a_clipped_gyro_is_trusted_less_and_the_heading_brings_the_yaw_back() ->
 
 def test_a_dvl_that_stays_refused_is_believed_in_the_end_and_the_covariance_owns_up() -> None:
     state = FILTER.begin(0.0, SE3.level(0.0, 0.0, -3.0, 0.0))
-    state = replace(state, covariance=1e-4 * state.covariance)
+    state = replace(state, covariance=1e-4 * state.covariance, begun=-10.0)
     still, alone = Imu(0.0, np.zeros(3), np.array([0.0, 0.0, 9.81])), replace(FILTER, mounting=Mounting())
     moves = Dvl(0.0, np.array([0.6, 0.0, 0.0]), 1e-4 * np.eye(3), 2.0, True)
     verdicts, times = [], []

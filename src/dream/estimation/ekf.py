@@ -50,6 +50,8 @@ class EkfState:
     """(3,) rad/s, the last sample as it came."""
     gyro_variance: float
     """(rad/s)² of each axis of it."""
+    begun: float
+    """The time when it began."""
     refused_since: Float64Array
     """(2,) when the DVL and the depth began to be refused, each time since; NaN where the last was taken."""
     outcome: Outcome | None = None
@@ -126,6 +128,7 @@ class Ekf:
             np.diag(sigmas * sigmas),
             np.zeros(3),
             1.0,
+            time,
             np.full(2, np.nan),
         )
 

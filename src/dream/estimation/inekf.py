@@ -52,6 +52,8 @@ class InEkfState:
     """(3,) rad/s, the last sample as it came."""
     gyro_variance: float
     """(rad/s)² of each axis of it."""
+    begun: float
+    """The time when it began."""
     refused_since: Float64Array
     """(2,) when the DVL and the depth began to be refused, each time since; NaN where the last was taken."""
     outcome: Outcome | None = None
@@ -136,6 +138,7 @@ class InEkf:
             covariance,
             np.zeros(3),
             1.0,
+            time,
             np.full(2, np.nan),
         )
 

@@ -77,6 +77,9 @@ class Trust:
     """Seconds after which a DVL or a depth that is refused every time is believed over the state: a filter
     that is too sure of itself would shut it out for good. Headings are not, as iron can turn a compass for
     long. Ours."""
+    settling: float = 5.0
+    """Seconds from the start for which the gates are ten times as wide: an attitude that is far off makes
+    greater innovations than a filter foresees, and those are what corrects it. Ours."""
     dvl_floor: float = 0.005
     """m/s: no axis of the DVL is believed to be better."""
     rest: float = 0.05
@@ -109,4 +112,5 @@ def parameters(imu: InertialUnit, mounting: Mounting, trust: Trust) -> Parameter
         gate_of_one=float(chdtri(1, 1.0 - trust.gate)),
         gate_of_three=float(chdtri(3, 1.0 - trust.gate)),
         patience=trust.patience,
+        settling=trust.settling,
     )

@@ -25,7 +25,7 @@ from dream.estimation._kernels.groups import (
     wrap,
     yaw_of,
 )
-from dream.estimation._kernels.sensors import STEEP, Parameters, squared_density
+from dream.estimation._kernels.sensors import STEEP, Parameters, gate, squared_density
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -45,6 +45,8 @@ class State(NamedTuple):
     """The last sample, its bias included: the lever arm of the DVL needs it."""
     gyro_variance: float
     """Of each axis of that sample."""
+    begun: float
+    """The time when it began."""
     refused_since: Float64Array
     """(2,) the time of the first refusal in a row of the DVL and of the depth; NaN where the last was
     taken."""
@@ -93,6 +95,7 @@ def predict(q: Parameters, s: State, gyro: Float64Array, force: Float64Array, dt
         P,
         gyro.copy(),
         of_gyro / dt,
+        s.begun,
         s.refused_since.copy(),
     )
 
@@ -218,7 +221,7 @@ def correct(
 
     `sensor` is its place in `refused_since`, or negative for one that is refused as long as it disagrees.
     """
-    limit = q.gate_of_one if len(V) == 1 else q.gate_of_three
+    limit = gate(q, len(V), s.time - s.begun)
     code, nis, step, P, since = kalman.correct_in_time(
         s.covariance, H, V, N, limit, s.time, s.refused_since, sensor, q.patience
     )
@@ -235,6 +238,7 @@ def correct(
         P,
         s.gyro,
         s.gyro_variance,
+        s.begun,
         since,
     )
     return after, code, nis

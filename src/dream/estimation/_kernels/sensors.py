@@ -14,6 +14,8 @@ STEEP = 0.01
 """Squared cosine of the pitch below which a heading means nothing: 84 degrees."""
 CLIPS_FOR = 1.0
 """Seconds that an axis which clips errs alike."""
+WIDE = 10.0
+"""How many times as wide the gates are while a filter settles."""
 
 
 class Parameters(NamedTuple):
@@ -37,6 +39,7 @@ class Parameters(NamedTuple):
     """Greatest normalised innovation squared of one row."""
     gate_of_three: float
     patience: float
+    settling: float
 
 
 @njit(cache=True, nogil=True)
@@ -48,3 +51,10 @@ def squared_density(sample: Float64Array, density: float, limit: float, clipped:
     if max(abs(sample[0]), abs(sample[1]), abs(sample[2])) < limit:
         return density**2
     return density**2 + (clipped * limit) ** 2 * CLIPS_FOR
+
+
+@njit(cache=True, nogil=True)
+def gate(q: Parameters, rows: int, age: float) -> float:
+    """Greatest normalised innovation squared that is believed by a filter so many seconds after its start."""
+    limit = q.gate_of_one if rows == 1 else q.gate_of_three
+    return WIDE * limit if age < q.settling else limit
