@@ -25,6 +25,7 @@ from PIL import Image
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import from_json
 
+from dream.geometry import SE2
 from dream.types import Exchange, Float32Array, Label, Step, UInt8Array
 
 logger = logging.getLogger(__name__)
@@ -155,6 +156,8 @@ class RecordedStep(_Recorded):
     coverage: Coverage | None = None
     leg: int = 1
     """Of the orders that it belongs to, by number."""
+    truth: RecordedPose | None = None
+    """Where the vehicle really was, as only a simulator knows; None where that is `pose`."""
 
 
 class RunConfig(_Recorded):
@@ -374,11 +377,11 @@ def _line(step: Step, annotations: Mapping[str, Any]) -> str:
         raise ValueError(
             f"annotations of step {step.index}: expected names of their own, got {', '.join(taken)}"
         )
-    pose, carried_out, reasoning = step.arrival.pose, step.guarded.decision, step.decision.reasoning
+    carried_out, reasoning = step.guarded.decision, step.decision.reasoning
     recorded = RecordedStep(
         step=step.index,
         time=step.observation.time,
-        pose=RecordedPose(x=pose.x, y=pose.y, yaw=pose.yaw),
+        pose=_pose(step.arrival.pose),
         decision=RecordedDecision(
             turn=step.decision.turn, advance=step.decision.advance, done=step.decision.done
         ),
@@ -401,9 +404,14 @@ def _line(step: Step, annotations: Mapping[str, Any]) -> str:
         waited_s=step.decision.waited,
         asked=_asked(step.decision.exchanges),
         leg=1 if step.leg is None else step.leg.number,
+        truth=None if step.arrival.truth is None else _pose(step.arrival.truth.se2),
         **annotations,
     )
     return recorded.model_dump_json(fallback=_plain)
+
+
+def _pose(pose: SE2) -> RecordedPose:
+    return RecordedPose(x=pose.x, y=pose.y, yaw=pose.yaw)
 
 
 def _asked(exchanges: Sequence[Exchange]) -> RecordedAsked | None:

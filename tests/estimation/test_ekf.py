@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from dream.estimation import Ekf, EkfState, InertialUnit, Mounting, Start, Verdict
+from dream.estimation import Ekf, EkfState, InertialErrors, Mounting, Start, Verdict
 from dream.estimation._kernels import ekf as kernels
 from dream.geometry import SE3
 from dream.measurements import Depth, Dvl, Heading, Imu, Measurement
@@ -20,7 +20,7 @@ from tests.estimation.flights import DVL, PRESSURE, Flight, Log, Sensors, sense,
 Array = npt.NDArray[np.float64]
 
 FILTER = Ekf(mounting=Mounting(DVL, PRESSURE))
-NOISELESS = replace(FILTER, imu=InertialUnit(0.0, 0.0, 0.0, 0.0))
+NOISELESS = replace(FILTER, imu=InertialErrors(0.0, 0.0, 0.0, 0.0))
 
 
 def some_state(seed: int) -> EkfState:

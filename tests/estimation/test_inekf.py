@@ -13,7 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from dream.estimation import InEkf, InEkfState, InertialUnit, Mounting, Source, Start, Verdict
+from dream.estimation import InEkf, InEkfState, InertialErrors, Mounting, Source, Start, Verdict
 from dream.estimation._kernels import inekf as kernels
 from dream.estimation._kernels import kalman
 from dream.geometry import SE3
@@ -24,7 +24,7 @@ from tests.estimation.flights import DVL, PRESSURE, Flight, Log, Sensors, sense,
 Array = npt.NDArray[np.float64]
 
 FILTER = InEkf(mounting=Mounting(DVL, PRESSURE))
-NOISELESS = replace(FILTER, imu=InertialUnit(0.0, 0.0, 0.0, 0.0))
+NOISELESS = replace(FILTER, imu=InertialErrors(0.0, 0.0, 0.0, 0.0))
 
 
 def some_state(seed: int, chosen: InEkf = FILTER) -> InEkfState:
@@ -113,7 +113,7 @@ def test_a_prediction_is_that_of_the_textbook(seed: int) -> None:
     unit = FILTER.imu
     densities = np.array([unit.gyro_noise, unit.accelerometer_noise, unit.gyro_walk, unit.accelerometer_walk])
     # Densities are taken as large as to count beside the covariance.
-    loud = replace(FILTER, imu=InertialUnit(*(300.0 * densities)))
+    loud = replace(FILTER, imu=InertialErrors(*(300.0 * densities)))
     for chosen, noise in ((FILTER, densities), (loud, 300.0 * densities)):
         after = chosen.predict(state, imu, dt)
         moved, P = textbook.predict(
@@ -472,7 +472,7 @@ def test_a_clipped_gyro_is_trusted_less_and_the_heading_brings_the_yaw_back() ->
     clipped = [replace(imu, angular_velocity=np.clip(imu.angular_velocity, -limit, limit)) for imu in log.imu]
     log = replace(log, imu=clipped)
     start = FILTER.begin(0.0, flight.pose(0), flight.velocities[0])
-    knows, ignores = replace(FILTER, imu=InertialUnit(gyro_range=limit)), FILTER
+    knows, ignores = replace(FILTER, imu=InertialErrors(gyro_range=limit)), FILTER
     errors = {}
     for chosen in (knows, ignores):
         states = fly(chosen, start, flight, log, every=10)

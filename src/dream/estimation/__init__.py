@@ -4,7 +4,7 @@ from dream.estimation.cipg import Cipg, CipgState
 from dream.estimation.dead_reckoning import DeadReckoning, DeadReckoningState
 from dream.estimation.ekf import Ekf, EkfState
 from dream.estimation.inekf import InEkf, InEkfState
-from dream.estimation.instruments import InertialUnit, Mounting, Start, Trust
+from dream.estimation.instruments import InertialErrors, Mounting, Start, Trust
 from dream.estimation.intake import Outcome, Source, Verdict
 from dream.estimation.timeline import Timeline
 
@@ -17,7 +17,7 @@ __all__ = [
     "EkfState",
     "InEkf",
     "InEkfState",
-    "InertialUnit",
+    "InertialErrors",
     "Mounting",
     "Outcome",
     "Source",

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from dream.estimation._kernels import ekf as kernels
 from dream.estimation._kernels.groups import quaternion_from, rotation_from
 from dream.estimation._kernels.sensors import Parameters
-from dream.estimation.instruments import InertialUnit, Mounting, Start, Trust, parameters, start_sigmas
+from dream.estimation.instruments import InertialErrors, Mounting, Start, Trust, parameters, start_sigmas
 from dream.estimation.intake import (
     VERDICTS,
     Outcome,
@@ -109,7 +109,7 @@ class Ekf:
     it comes to believe that it knows the yaw, which nothing told it.
     """
 
-    imu: InertialUnit = field(default_factory=InertialUnit)
+    imu: InertialErrors = field(default_factory=InertialErrors)
     mounting: Mounting = field(default_factory=Mounting)
     start: Start = field(default_factory=Start)
     trust: Trust = field(default_factory=Trust)

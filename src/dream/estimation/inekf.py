@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from dream.estimation._kernels import inekf as kernels
 from dream.estimation._kernels.sensors import Parameters
-from dream.estimation.instruments import InertialUnit, Mounting, Start, Trust, parameters, start_sigmas
+from dream.estimation.instruments import InertialErrors, Mounting, Start, Trust, parameters, start_sigmas
 from dream.estimation.intake import (
     VERDICTS,
     Outcome,
@@ -110,7 +110,7 @@ class InEkf:
     nothing here observes it. A DVL that is wrong, and sure of itself, for longer than `patience` is believed.
     """
 
-    imu: InertialUnit = field(default_factory=InertialUnit)
+    imu: InertialErrors = field(default_factory=InertialErrors)
     mounting: Mounting = field(default_factory=Mounting)
     start: Start = field(default_factory=Start)
     trust: Trust = field(default_factory=Trust)

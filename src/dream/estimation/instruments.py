@@ -17,7 +17,7 @@ ALIGNED = SE3(np.eye(3), np.zeros(3))
 
 
 @dataclass(frozen=True, slots=True)
-class InertialUnit:
+class InertialErrors:
     """How an inertial unit errs: white noise, biases that walk, ranges. The defaults are a BlueROV2's
     ICM-20602."""
 
@@ -93,7 +93,7 @@ def start_sigmas(start: Start) -> list[float]:
     return [start.tilt, start.tilt, start.yaw, *(sigma for sigma in last for _ in range(3))]
 
 
-def parameters(imu: InertialUnit, mounting: Mounting, trust: Trust) -> Parameters:
+def parameters(imu: InertialErrors, mounting: Mounting, trust: Trust) -> Parameters:
     """All of it, as the compiled filters take it."""
     return Parameters(
         gyro_noise=imu.gyro_noise,

@@ -11,7 +11,7 @@ from dream.control._kernels import begin
 from dream.control.autopilot import Autopilot, nominal
 from dream.control.health import Condition, Watch
 from dream.errors import MissionAborted
-from dream.estimation import InEkf, Mounting, Start
+from dream.estimation import InEkf, InertialErrors, Mounting, Start
 from dream.estimation.inekf import InEkfState, packed
 from dream.geometry import SE2, SE3, wrap_angle
 from dream.protocol import SurveyProtocol
@@ -34,6 +34,7 @@ from dream.sim.solids import Solids
 from dream.sim.vehicle import BLUEROV2_HEAVY, Current, Spread, State, Vehicle
 from dream.sim.world import World
 from dream.types import Arrival, Observation, Setpoint
+from dream.vehicle import GRAVITY
 
 BEAT = 0.01
 """Seconds of water, inertial unit, estimate and autopilot."""
@@ -82,7 +83,17 @@ class Motion:
             velocity=0.01,
             gyro_bias=2.0 * self.imu.gyro_noise / math.sqrt(HELD),
         )
-        return InEkf(mounting=Mounting(self.dvl.T_base_dvl, self.gauge.position), start=start)
+        errors = InertialErrors(
+            gyro_noise=self.imu.gyro_noise,
+            accelerometer_noise=self.imu.accel_noise,
+            gyro_walk=self.imu.gyro_walk,
+            accelerometer_walk=self.imu.accel_walk,
+            gyro_range=self.imu.gyro_range,
+            accelerometer_range=self.imu.accel_range,
+            gravity=GRAVITY,
+        )
+        mounting = Mounting(self.dvl.T_base_dvl, self.gauge.position)
+        return InEkf(imu=errors, mounting=mounting, start=start)
 
 
 class Simulated:

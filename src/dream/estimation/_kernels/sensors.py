@@ -19,7 +19,7 @@ WIDE = 10.0
 
 
 class Parameters(NamedTuple):
-    """`InertialUnit`, `Mounting` and `Trust` of `dream.estimation.instruments`, ready for the loops."""
+    """`InertialErrors`, `Mounting` and `Trust` of `dream.estimation.instruments`, ready for the loops."""
 
     gyro_noise: float
     accelerometer_noise: float
