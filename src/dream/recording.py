@@ -144,6 +144,8 @@ class RecordedStep(_Recorded):
     distance_m: float
     clearance_m: float | None
     """None where unknown."""
+    arrival_note: str = ""
+    """What was wrong on the way."""
     map: dict[str, float]
     """Square metres of each layer."""
     open_region: str
@@ -397,6 +399,7 @@ def _line(step: Step, annotations: Mapping[str, Any]) -> str:
         collided=step.arrival.collided,
         distance_m=step.arrival.distance,
         clearance_m=step.arrival.clearance if np.isfinite(step.arrival.clearance) else None,
+        arrival_note=step.arrival.note,
         map=step.occupancy.areas(),
         open_region=step.open_region,
         ended=step.ended,

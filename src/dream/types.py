@@ -240,6 +240,8 @@ class Arrival:
     """Metres travelled over ground."""
     clearance: float
     """Least metres between body and terrain, boulders or hull on the way; inf where unknown."""
+    note: str = ""
+    """What was wrong on the way; empty where nothing was."""
     truth: SE3 | None = None
     """`T_world_base` as it really is, which only a simulator knows, for scoring; None where the pose that is
     believed is the true one."""

@@ -94,6 +94,19 @@ def test_without_bottom_track_it_slows_then_holds_and_at_last_surfaces(empty_wor
     assert robot.truth.se2.distance(SE2(0.0, 0.0, 0.0)) < 5.0
 
 
+def test_a_short_loss_of_bottom_track_is_told_and_survived(empty_world: World) -> None:
+    robot = Simulated(empty_world, DREAM_V1_NAV, motion=CALM)
+    swum(robot, (1.0, 0.0))
+    ship = robot._ship
+    robot._ship = ship._replace(acoustic=replace(DVL_A50, dropout=1.0).constants)
+    (blind,) = swum(robot, (1.0, 0.0))
+    assert blind.note == "no bottom track for a while: it went slowly"
+    robot._ship = ship
+    (_, well) = swum(robot, (1.0, 0.0), (1.0, 0.0))
+    assert well.note == ""
+    assert truly(well).distance(well.pose) < 0.3
+
+
 def test_a_late_report_of_the_dvl_counts_from_when_it_was_true(empty_world: World) -> None:
     """As if it had come at once, but for what was done meanwhile without it."""
 

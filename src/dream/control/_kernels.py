@@ -21,6 +21,8 @@ Float64Array = npt.NDArray[np.float64]
 MEMORY = 12
 FINE, BLIND, LOST, DIVERGED, STALE = range(5)
 """See `health.Condition`."""
+SLOW = 0.5
+"""Share of its speeds at which a vehicle goes that is blind."""
 
 
 class Gains(NamedTuple):

@@ -14,7 +14,7 @@ class Reaction(enum.StrEnum):
 
     GO = "go"
     SLOW = "slow"
-    """On to the goal at half the speed."""
+    """On to the goal at `SLOW` of the speeds."""
     HOLD = "hold"
     """Stay where the estimate is now."""
     SURFACE = "surface"
@@ -47,8 +47,7 @@ REACTIONS = {
     Condition.DIVERGED: Reaction.SURFACE,
     Condition.STALE: Reaction.SURFACE,
 }
-SLOW = 0.5
-"""Share of the speeds that `Reaction.SLOW` leaves."""
+SLOW = _kernels.SLOW
 
 
 @dataclass(frozen=True, slots=True)

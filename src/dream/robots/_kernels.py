@@ -79,7 +79,7 @@ class Voyage(NamedTuple):
     """(12,) of the autopilot."""
     commands: Float64Array
     clock: Float64Array
-    """(10,) seconds, metres and a condition; see the names above."""
+    """(10,) seconds, metres and the worst condition of the move; see the names above."""
     ping_velocity: Float64Array
     ping_covariance: Float64Array
     since: Float64Array
@@ -158,7 +158,7 @@ def fly(
     ranges, still, none = np.empty(4), 0.0, np.zeros(3)
     target[0], target[1], target[3] = goal[0], goal[1], goal[2]
     beats = math.ceil(seconds / ship.dt)
-    condition = int(clock[CONDITION])
+    condition = control.FINE
     for beat in range(beats):
         now = clock[TIME]
         # ------------------------------------------------------------------------------ what is to be done
@@ -171,13 +171,13 @@ def fly(
                 velocity_sigma(s),
                 position_sigma(s),
             )
-            clock[CONDITION] = condition
+            clock[CONDITION] = max(clock[CONDITION], condition)
             if condition >= control.DIVERGED:
                 return s, at_ping, SURFACED, beat
         target[2] = clock[SEABED] + altitude
         pace = 1.0
         if condition == control.BLIND:
-            pace = 0.5
+            pace = control.SLOW
         elif condition == control.LOST:
             # Where the reference is when it happens is where it stays.
             target[0], target[1], target[3] = voyage.memory[0], voyage.memory[1], voyage.memory[3]

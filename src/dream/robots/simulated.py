@@ -171,17 +171,18 @@ class Simulated:
         gap = math.hypot(setpoint.x - here.x, setpoint.y - here.y)
         seconds = 2.0 * gap / motion.autopilot.speed + 2.0 * math.pi / motion.autopilot.turn_rate + ROOM
         clock = self._voyage.clock
-        clock[_kernels.DISTANCE], clock[_kernels.CLEARANCE] = 0.0, math.inf
+        clock[_kernels.DISTANCE], clock[_kernels.CLEARANCE], clock[_kernels.CONDITION] = 0.0, math.inf, 0.0
         how = self._fly(SE2(setpoint.x, setpoint.y, setpoint.yaw), seconds)
         self._moves += 1
+        condition = Condition(int(clock[_kernels.CONDITION]))
         if how == _kernels.SURFACED:
-            condition = Condition(int(clock[_kernels.CONDITION]))
             raise MissionAborted(f"navigation: {condition.name.lower()}; the vehicle surfaced near {before}")
         return Arrival(
             self.estimate.pose.se2,
             collided=how == _kernels.COLLIDED,
             distance=float(clock[_kernels.DISTANCE]),
             clearance=float(clock[_kernels.CLEARANCE]),
+            note=_note(condition, late=how == _kernels.LATE),
             truth=self.truth,
         )
 
@@ -216,6 +217,17 @@ class Simulated:
             # From where it stands now, the next move begins anew.
             self._voyage.memory[:] = begin(self._state.position, self.estimate.pose.yaw)
         return int(how)
+
+
+def _note(condition: Condition, *, late: bool) -> str:
+    told = {
+        Condition.BLIND: "no bottom track for a while: it went slowly",
+        Condition.LOST: "no bottom track for long: it held",
+    }
+    parts = [told[condition]] if condition in told else []
+    if late:
+        parts.append("the move took too long and was broken off")
+    return "; ".join(parts)
 
 
 def _launched(
