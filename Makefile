@@ -50,6 +50,7 @@ perf: setup ## Measure speed and accuracy beside named peers; some forty minutes
 	@$(BIN)/python perf/completion.py
 	@$(BIN)/python perf/gain.py
 	@$(BIN)/python perf/vehicle.py
+	@$(BIN)/python perf/estimation.py
 	@$(BIN)/python perf/map.py --kilometre
 	@$(BIN)/python perf/map.py --memory
 	@$(BIN)/python perf/map.py

@@ -70,14 +70,16 @@ class Cipg:
 
     What it does: the first stage fits the attitude at the start of a window of samples to the attitudes
     measured in it, the second then the velocity to what the DVL measured; between samples both go by the
-    integrated IMU. Each makes a few iterations w ← w − δ K Jᵀ(H(w) − Y), K ← K − α((JᵀJ + βI)K − I), and both
-    start where they were left. Reference: Joshi, Liu and Chopra 2025, arXiv 2504.15235, of which we know the
-    abstract alone, so this is no measure of the paper; for the iteration, Chakrabarti and Chopra, arXiv
-    2405.09137. Left out: what aligns the sensors' times continuously. The attitude's measurement is the
-    heading with roll and pitch of a complementary filter, since no sensor here measures all three.
+    integrated IMU. Each makes a few iterations w ← w − δ K Jᵀ(H(w) − Y), K ← K − α((JᵀJ + βI)K − I), and
+    both start where they were left.
+    Reference: Joshi, Liu and Chopra 2025, arXiv 2504.15235, of which we know the abstract alone, so this is
+    no measure of the paper; for the iteration, Chakrabarti and Chopra, arXiv 2405.09137. Left out: what
+    aligns the sensors' times continuously. The attitude's measurement is the heading with roll and pitch of
+    a complementary filter, since no sensor here measures all three.
     Assumes: a heading several times a second, and no biases.
-    Fails when: the gyro has a bias; a measurement is far off, since a sliding mean without covariance
-    believes all that comes in.
+    Fails when: the gyro has a bias; the vehicle accelerates for long, which tilts the complementary filter,
+    and with it gravity; a measurement is far off, since a sliding mean without covariance believes all that
+    comes in.
     """
 
     mounting: Mounting = field(default_factory=Mounting)

@@ -100,13 +100,14 @@ class EkfState:
 class Ekf:
     """Attitude, velocity, position and the biases of the IMU, by the usual extended Kalman filter.
 
-    What it does: the same as `InEkf` with the same sensors, gates and Joseph form, but with the error in the
-    frame of the vehicle. The motion is as exact, since Euler's rule would err by more than the IMU does at
-    100 Hz. Reference: Solà, Quaternion kinematics for the error-state Kalman filter, arXiv 1711.02508. The
-    reset after a correction leaves the covariance as it is (his Eq. 285 to first order).
+    What it does: the same as `InEkf` with the same sensors, gates and Joseph form, but with the error in
+    the frame of the vehicle. The motion is as exact, since Euler's rule would err by more than the IMU does
+    at 100 Hz.
+    Reference: Solà, Quaternion kinematics for the error-state Kalman filter, arXiv 1711.02508. The reset
+    after a correction leaves the covariance as it is (right to first order).
     Assumes: what `InEkf` does.
-    Fails when: its errors are large. What its rows observe depends on the estimate, so that without a heading
-    it comes to believe that it knows the yaw, which nothing told it.
+    Fails when: its errors are large. What its rows observe depends on the estimate, so that without a
+    heading it comes to believe that it knows the yaw, which nothing told it.
     """
 
     imu: InertialErrors = field(default_factory=InertialErrors)

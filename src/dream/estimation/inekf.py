@@ -99,15 +99,17 @@ class InEkf:
 
     What it does: carries the extended pose (R, v, p) of SE_2(3) by the IMU, exactly for samples of constant
     rate and force, and corrects it by what the other sensors say, each behind a gate on its innovation. As
-    the error is defined in the world (right-invariant), its propagation does not depend on the trajectory but
-    through the biases, and what cannot be observed stays so: without a heading, yaw and horizontal position
-    never grow more certain. Reference: Barrau and Bonnabel, IEEE TAC 2017 (arXiv 1410.1465); Potokar, Norman
-    and Mangelson, RA-L 2021. The rate of the lever arm is freed of the gyro's bias, with its column in the
-    rows; depth is one scalar row, which is the same as the three with infinite variance on x and y that the
-    second paper uses. Assumes: the IMU at the origin of `base` and aligned with it; white noise of the stated
-    densities; biases that walk; a world that does not turn (the Earth's 7e-5 rad/s is taken for bias).
+    the error is defined in the world (right-invariant), its propagation does not depend on the trajectory
+    but through the biases, and what cannot be observed stays so: without a heading, yaw and horizontal
+    position never grow more certain.
+    Reference: Barrau and Bonnabel, IEEE TAC 2017 (arXiv 1410.1465); Potokar, Norman and Mangelson, RA-L
+    2021. The rate of the lever arm is freed of the gyro's bias, with its column in the rows; depth is one
+    scalar row, which is the same as the three with infinite variance on x and y that the second paper uses.
+    Assumes: the IMU at the origin of `base` and aligned with it; white noise of the stated densities;
+    biases that walk; a world that does not turn (the Earth's 7e-5 rad/s is taken for bias).
     Fails when: a scale error of the DVL is not in its covariance: it goes into the position in full, since
-    nothing here observes it. A DVL that is wrong, and sure of itself, for longer than `patience` is believed.
+    nothing here observes it. A DVL that is wrong, and sure of itself, for longer than `patience` is
+    believed.
     """
 
     imu: InertialErrors = field(default_factory=InertialErrors)

@@ -15,9 +15,10 @@ from dream.measurements import Depth, Dvl, Heading, Imu, Measurement
 Float64Array = npt.NDArray[np.float64]
 
 NEAREST_FLOOR = 0.05
-"""Metres: below this altitude the A50 has no bottom track (Water Linked, DVL A50 data sheet)."""
+"""Metres of altitude below which a DVL of the size of Water Linked's A50 is no use."""
 NOISIEST = 0.4
-"""m/s: the figure of merit at which the A50's own driver calls a velocity worthless."""
+"""m/s, one sigma: the figure of merit at which bluerobotics/BlueOS-Water-Linked-DVL has no confidence
+left."""
 
 
 class Source(enum.StrEnum):

@@ -60,9 +60,10 @@ class Timeline(Generic[S]):
     measurement is applied at the time it was true, in the middle of an inertial sample if need be, and what
     came since is applied again: the state is the same as if all had come in order. One that is ahead of the
     inertial samples waits for them. Whatever cannot be used is refused by name, and the vehicle goes on;
-    nothing here raises. Assumes: inertial samples whose times only grow, from a clock that all messages
-    share. Fails when: the clock of the inertial unit is set back, as all its samples are then refused: begin
-    a new one.
+    nothing here raises.
+    Assumes: inertial samples whose times only grow, from a clock that all messages share.
+    Fails when: the clock of the inertial unit is set back, as all its samples are then refused: begin a new
+    one.
     """
 
     def __init__(
@@ -83,11 +84,9 @@ class Timeline(Generic[S]):
             memory: Seconds for which a measurement may be late.
             ahead: Seconds by which a measurement may be ahead of the inertial samples.
             gap: Seconds between two inertial samples from which on some are missing. They are bridged by the
-            mean of
-                both, whose error no covariance is told.
+                mean of both, whose error no covariance is told.
             leap: Seconds between two inertial samples from which on the clock is not believed, unless the
-            next
-                sample agrees.
+                next sample agrees.
         """
         for name, value in (("memory", memory), ("ahead", ahead), ("gap", gap), ("leap", leap)):
             if not value >= 0.0:

@@ -60,7 +60,7 @@ class State(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def predict(q: Parameters, s: State, gyro: Float64Array, force: Float64Array, dt: float) -> State:
-    """Carry the state over one sample, exactly, and P⁺ = F P Fᵀ + Q to first order (Solà, Eq. 268 to 271)."""
+    """Carry the state over one sample, exactly, and P⁺ = F P Fᵀ + Q to first order (Solà, section 5)."""
     rate, a = gyro - s.gyro_bias, force - s.accelerometer_bias
     R = rotation_from(s.wxyz)
     _, once, twice = so3_integrals(dt * rate)
