@@ -1,5 +1,4 @@
-"""Motions with exact inertial samples, and the sensors of a vehicle that makes them. No simulator is behind
-it."""
+"""Motions with exact inertial samples, and what a vehicle that makes them senses; no simulator is behind."""
 
 from __future__ import annotations
 

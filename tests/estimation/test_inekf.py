@@ -386,6 +386,19 @@ def test_it_recovers_from_an_attitude_that_is_30_degrees_off() -> None:
         assert np.linalg.norm(last.position - flight.positions[-1]) < 0.3
 
 
+def test_it_recovers_from_far_worse_as_it_settles_anew_when_it_is_lost() -> None:
+    flight = survey(20.0)
+    log = sense(flight, Sensors(), np.random.default_rng(1))
+    wide = math.radians(30.0)
+    chosen = replace(FILTER, start=Start(tilt=wide, yaw=wide))
+    for axis in ([1.0, 1.0, 0.0], [-0.3, 0.8, 0.5]):
+        wrong = Rotation.from_rotvec(math.radians(75.0) * np.array(axis) / np.linalg.norm(axis)).as_matrix()
+        start = chosen.begin(0.0, SE3(wrong @ flight.rotations[0], flight.positions[0]), flight.velocities[0])
+        last = fly(chosen, start, flight, log, flight.steps)[-1]
+        off = Rotation.from_matrix(last.rotation.T @ flight.rotations[-1]).magnitude()
+        assert math.degrees(off) < 2.0
+
+
 def test_while_it_settles_it_takes_what_it_would_refuse_later_but_not_everything() -> None:
     begun = FILTER.begin(0.0, SE3.level(0.0, 0.0, -3.0, 0.0))
     later = replace(begun, time=FILTER.trust.settling)
@@ -502,6 +515,7 @@ def test_a_dvl_that_stays_refused_is_believed_in_the_end_and_the_covariance_owns
     assert FILTER.trust.patience < times[-1] - times[0] < FILTER.trust.patience + 0.25
     assert state.velocity[0] > 0.5
     assert state.yaw_sigma > 2.0 * before.yaw_sigma
+    assert state.begun == state.time
     assert told(alone.correct(state, moves)) is Verdict.TAKEN
 
 

@@ -93,6 +93,22 @@ def test_a_measurement_between_two_samples_is_applied_at_its_own_time() -> None:
     assert timeline.state.time == pytest.approx(imu.time)
 
 
+def test_a_report_right_after_a_sample_is_trusted_as_one_at_it() -> None:
+    """The sample that is cut there has the noise of a whole one, however thin the slice."""
+    at, after = begun(), begun()
+    for imu in LOG.imu[:50]:
+        at.take(imu)
+        after.take(imu)
+    report = next(m for m in LOG.after[50] if isinstance(m, Dvl))
+    at.take(report)
+    after.take(replace(report, time=report.time + 1e-7))
+    for timeline in (at, after):
+        timeline.take(LOG.imu[50])
+    # The lever arm reads the next sample, with its own noise.
+    np.testing.assert_allclose(after.state.velocity, at.state.velocity, atol=1e-3)
+    np.testing.assert_allclose(np.diag(after.state.covariance), np.diag(at.state.covariance), rtol=1e-3)
+
+
 def test_what_is_refused_is_named_and_changes_nothing() -> None:
     timeline = begun(memory=0.5)
     for message in LOG.messages():

@@ -51,7 +51,7 @@ class EkfState:
     gyro_variance: float
     """(rad/s)² of each axis of it."""
     begun: float
-    """The time when it began."""
+    """The time when it began, or began anew after it had been lost."""
     refused_since: Float64Array
     """(2,) when the DVL and the depth began to be refused, each time since; NaN where the last was taken."""
     outcome: Outcome | None = None

@@ -35,6 +35,8 @@ class InertialErrors:
     """m/s² at which an axis clips: 16 g (the same)."""
     clipped: float = 0.25
     """Share of the range by which a clipped sample may err, one sigma. Ours."""
+    rate: float = 100.0
+    """Hz of its samples, which with the density gives the noise of one."""
     gravity: float = 9.81
     """m/s² that it reads at rest."""
 
@@ -103,6 +105,7 @@ def parameters(imu: InertialErrors, mounting: Mounting, trust: Trust) -> Paramet
         gyro_range=imu.gyro_range,
         accelerometer_range=imu.accelerometer_range,
         clipped=imu.clipped,
+        rate=imu.rate,
         gravity=imu.gravity,
         dvl_rotation=plain(mounting.T_base_dvl.rotation),
         dvl_position=plain(mounting.T_base_dvl.translation),

@@ -25,7 +25,7 @@ from dream.estimation._kernels.groups import (
     wrap,
     yaw_of,
 )
-from dream.estimation._kernels.sensors import STEEP, Parameters, gate, squared_density
+from dream.estimation._kernels.sensors import STEEP, Parameters, gate, gyro_variance, squared_density
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -46,7 +46,7 @@ class State(NamedTuple):
     gyro_variance: float
     """Of each axis of that sample."""
     begun: float
-    """The time when it began."""
+    """The time when it began, or began anew after it had been lost."""
     refused_since: Float64Array
     """(2,) the time of the first refusal in a row of the DVL and of the depth; NaN where the last was
     taken."""
@@ -94,7 +94,7 @@ def predict(q: Parameters, s: State, gyro: Float64Array, force: Float64Array, dt
         s.accelerometer_bias.copy(),
         P,
         gyro.copy(),
-        of_gyro / dt,
+        gyro_variance(q, gyro),
         s.begun,
         s.refused_since.copy(),
     )
@@ -238,7 +238,7 @@ def correct(
         P,
         s.gyro,
         s.gyro_variance,
-        s.begun,
+        s.time if code == kalman.INSISTED else s.begun,
         since,
     )
     return after, code, nis

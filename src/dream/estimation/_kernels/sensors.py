@@ -28,6 +28,7 @@ class Parameters(NamedTuple):
     gyro_range: float
     accelerometer_range: float
     clipped: float
+    rate: float
     gravity: float
     dvl_rotation: Float64Array
     """(3, 3) of T_base_dvl."""
@@ -51,6 +52,15 @@ def squared_density(sample: Float64Array, density: float, limit: float, clipped:
     if max(abs(sample[0]), abs(sample[1]), abs(sample[2])) < limit:
         return density**2
     return density**2 + (clipped * limit) ** 2 * CLIPS_FOR
+
+
+@njit(cache=True, nogil=True)
+def gyro_variance(q: Parameters, gyro: Float64Array) -> float:
+    """(rad/s)² of each axis of a whole sample, however short the part of it that a filter is carried over."""
+    variance = q.gyro_noise**2 * q.rate
+    if max(abs(gyro[0]), abs(gyro[1]), abs(gyro[2])) < q.gyro_range:
+        return variance
+    return variance + (q.clipped * q.gyro_range) ** 2
 
 
 @njit(cache=True, nogil=True)
