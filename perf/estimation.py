@@ -342,13 +342,9 @@ def accuracy(seeds: int) -> None:
 def consistency(seeds: int) -> None:
     """Print how sure the filters are, over many flights."""
     flight = survey(DURATION)
-    print(
-        f"\nconsistency: {seeds} flights of {DURATION:g} s; share of instants in the 95 % band, median over"
-    )
-    print(
-        "flights of the normalised error squared over 15 (1 is right), seconds until the yaw errs by less than"
-    )
-    print("2° for good; all axes of the attitude err by the start's sigma, so that 30° are 50° in all\n")
+    print(f"\nconsistency: {seeds} flights of {DURATION:g} s; share of instants in the 95 % band, median")
+    print("of the normalised error squared over 15 (1 is right), seconds until the yaw errs by less than 2°")
+    print("for good; all axes of the attitude err by the start's sigma, so that 30° are 50° in all\n")
     print("| start | filter | in the band | error squared | settled, median | settled, worst |")
     print("|---|---|---|---|---|---|")
     wide = Start(tilt=math.radians(30.0), yaw=math.radians(30.0))
@@ -386,8 +382,7 @@ def _often(call: Callable[[], object], times: int) -> None:
 
 
 def repeated(step: Callable[..., Any], pick: bool) -> Callable[..., Any]:
-    """A compiled loop over one call, each on what the last one gave (predict) or all on the same
-    (correct)."""
+    """A compiled loop over one call: predictions in a row, corrections all of the same state."""
     if pick:
 
         @njit(cache=False)

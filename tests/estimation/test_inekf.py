@@ -213,8 +213,7 @@ def test_rows_are_slopes_of_the_innovations(seed: int) -> None:
 
 
 def test_the_depth_row_is_the_pseudo_measurement_with_infinite_variance() -> None:
-    """Potokar's three rows: z = (x̂, ŷ, z), with S⁻¹ = Σ − Σ (M⁻¹ + Σ)⁻¹ Σ, Σ = (H P Hᵀ)⁻¹, M⁻¹ = diag(0, 0,
-    1/σ²)."""
+    """Potokar's rows: z = (x̂, ŷ, z), S⁻¹ = Σ − Σ (M + Σ)⁻¹ Σ, Σ = (H P Hᵀ)⁻¹, M = diag(0, 0, 1/σ²)."""
     for seed in range(5):
         state, sigma = some_state(seed), 0.05
         P, at = state.covariance, state.position + state.rotation @ np.array(PRESSURE)

@@ -18,8 +18,7 @@ ALIGNED = SE3(np.eye(3), np.zeros(3))
 
 @dataclass(frozen=True, slots=True)
 class InertialErrors:
-    """How an inertial unit errs: white noise, biases that walk, ranges. The defaults are a BlueROV2's
-    ICM-20602."""
+    """How an inertial unit errs. The defaults are those of a BlueROV2's ICM-20602."""
 
     gyro_noise: float = 7.0e-5
     """rad/s/√Hz: 4 mdps/√Hz (TDK DS-000176)."""
@@ -85,8 +84,7 @@ class Trust:
     dvl_floor: float = 0.005
     """m/s: no axis of the DVL is believed to be better."""
     rest: float = 0.05
-    """m/s, to which a vehicle that was told to stop can be said to stand still. Weak, as a current drifts
-    it."""
+    """m/s, to which a vehicle that was told to stop stands still. Weak, as a current drifts it."""
 
 
 def start_sigmas(start: Start) -> list[float]:

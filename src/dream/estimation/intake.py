@@ -17,8 +17,7 @@ Float64Array = npt.NDArray[np.float64]
 NEAREST_FLOOR = 0.05
 """Metres of altitude below which a DVL of the size of Water Linked's A50 is no use."""
 NOISIEST = 0.4
-"""m/s, one sigma: the figure of merit at which bluerobotics/BlueOS-Water-Linked-DVL has no confidence
-left."""
+"""m/s, one sigma: where bluerobotics/BlueOS-Water-Linked-DVL has no confidence left."""
 
 
 class Source(enum.StrEnum):

@@ -173,8 +173,7 @@ class Timeline(Generic[S]):
         return self._events[low:high]
 
     def _insert(self, measurement: Measurement) -> int:
-        """Put it in its place, and say where that is. Which of two of one time came in first makes no
-        difference."""
+        """Put it in its place, whichever of two of one time came in first, and say where that is."""
         rank = [Source.DVL, Source.DEPTH, Source.HEADING].index(source_of(measurement)) + 1
         low = bisect_left(self._events, measurement.time - SAME, key=lambda event: event.time)
         while low < len(self._events):
@@ -204,8 +203,7 @@ class Timeline(Generic[S]):
                 event.state = self._estimator.correct(state, event.message)
 
     def _next_sample(self, index: int) -> int:
-        """Where the inertial sample is that covers the time before an event; past the end where none is
-        needed."""
+        """Where the inertial sample is that covers the time before an event; past the end without one."""
         while index < len(self._events) and not isinstance(self._events[index].message, Imu):
             index += 1
         return index

@@ -103,8 +103,7 @@ class State(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def predict(q: Parameters, s: State, gyro: Float64Array, force: Float64Array, dt: float) -> State:
-    """Carry the outputs over one sample, and add it to what is integrated since the last sample of the
-    window."""
+    """Carry the outputs over one inertial sample, and add it to what the window still lacks."""
     whole, once, twice = so3_integrals(dt * gyro)
     velocity = s.velocity + dt * apply(s.rotation, apply(once, force))
     position = s.position + dt * s.velocity + dt * dt * apply(s.rotation, apply(twice, force))
@@ -232,8 +231,7 @@ def solve_attitude(
 
 @njit(cache=True, nogil=True)
 def coasted(window: Window, wxyz: Float64Array, gravity: float) -> tuple[Float64Array, Float64Array]:
-    """Attitudes (n, 3, 3), and c_j (n, 3): what gravity and force add to the velocity from the start to
-    sample j."""
+    """Attitudes (n, 3, 3), and c_j (n, 3): what gravity and force add to the velocity up to sample j."""
     D = prefixes(window)
     rotations, added = np.empty((window.size, 3, 3)), np.zeros((window.size, 3))
     for j in range(window.size):

@@ -48,8 +48,7 @@ class State(NamedTuple):
     begun: float
     """The time when it began, or began anew after it had been lost."""
     refused_since: Float64Array
-    """(2,) the time of the first refusal in a row of the DVL and of the depth; NaN where the last was
-    taken."""
+    """(2,) when the DVL and the depth began to be refused; NaN where the last was taken."""
 
 
 @njit(cache=True, nogil=True)
