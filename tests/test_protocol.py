@@ -78,7 +78,12 @@ def test_dream_v1_noisy_is_dream_v1_with_the_noise_of_the_design() -> None:
 
 
 def test_only_noisy_protocols_declare_noise() -> None:
-    assert [p.name for p in PROTOCOLS.values() if p.noise is not None] == ["dream-v1-noisy"]
+    assert [p.name for p in PROTOCOLS.values() if p.noise is not None] == ["dream-v1-noisy", "dream-v1-nav"]
+    assert [p.name for p in PROTOCOLS.values() if p.swims] == ["dream-v1-nav"]
+
+
+def test_dream_v1_nav_is_the_noisy_one_with_a_vehicle_that_swims() -> None:
+    assert replace(protocol_named("dream-v1-nav"), name="dream-v1-noisy", swims=False) == DREAM_V1_NOISY
 
 
 def test_noisy_variants_differ_in_nothing_but_noise() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from dream.evaluation.oracle.graph import PoseGraph, actions_of, pose_graph
 from dream.geometry import SE2
-from dream.protocol import DREAM_V1
+from dream.protocol import DREAM_V1, DREAM_V1_NAV
 from dream.sim.solids import Solids
 from dream.sim.visibility import Visibility
 from dream.sim.world import World
@@ -118,3 +118,8 @@ def test_moves_pass_where_a_sweep_has_no_contact(string_reef: World) -> None:
     assert 0 < sum(sweeps) < 400
     with pytest.raises(ValueError, match=r"ends: expected \(400, 2\) like starts"):
         solids.passes(starts, ends[1:], DREAM_V1)
+
+
+def test_a_vehicle_that_swims_moves_on_no_graph(empty_world: World) -> None:
+    with pytest.raises(ValueError, match="expected one whose moves are exact, got dream-v1-nav"):
+        pose_graph(empty_world, DREAM_V1_NAV)

@@ -74,7 +74,15 @@ def pose_graph(
     """The graph of a world under a protocol, from one of its starts.
 
     Takes a few seconds of CPU and, for `dream-v1`, some 60 MB.
+
+    Raises:
+        ValueError: The protocol's vehicle swims: it does not move on a graph.
     """
+    if protocol.swims:
+        raise ValueError(
+            f"protocol: expected one whose moves are exact, got {protocol.name}, whose vehicle swims. "
+            "Bounds of dream-v1 are the nearest thing"
+        )
     visibility = visibility or Visibility(world, protocol)
     lattice = visibility.lattice
     rows, cols = np.nonzero(lattice.reachable)
