@@ -90,6 +90,7 @@ class Motion:
             accelerometer_walk=self.imu.accel_walk,
             gyro_range=self.imu.gyro_range,
             accelerometer_range=self.imu.accel_range,
+            rate=self.imu.rate,
             gravity=GRAVITY,
         )
         mounting = Mounting(self.dvl.T_base_dvl, self.gauge.position)
