@@ -17,8 +17,10 @@ from dream.robots import Motion, Simulated, _kernels
 from dream.robots.simulated import BEAT
 from dream.sim.render import Renderer
 from dream.sim.sensors import DVL_A50
+from dream.sim.solids import Solids
 from dream.sim.world import World
 from dream.types import Arrival, Setpoint
+from tests.robots.slowly import Slow
 
 CALM = Motion(current=0.0, gust=0.0)
 SQUARE = [(2.0, 0.0), (0.0, 2.0), (-2.0, 0.0), (0.0, -2.0)]
@@ -138,6 +140,23 @@ def test_a_beat_of_the_loop_is_the_filter_of_the_package(empty_world: World) -> 
     slow = filtering.correct(slow, Heading(slow.time, yaw, robot._ship.heading_sigma))
     for name in ("rotation", "velocity", "position", "gyro_bias", "covariance"):
         np.testing.assert_allclose(getattr(after, name), getattr(slow, name), rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("latency", [0.004, 0.2])
+def test_the_compiled_loop_is_the_objects_one_after_another(empty_world: World, latency: float) -> None:
+    start, goal = SE2(1.0, -2.0, 0.5 * math.pi), SE2(1.6, -2.3, 2.0)
+    motion, solids = Motion(dvl=replace(DVL_A50, latency=latency)), Solids(empty_world)
+    robot = Simulated(empty_world, DREAM_V1_NAV, start, motion=motion, solids=solids)
+    slow = Slow(empty_world, DREAM_V1_NAV, start, motion, solids)
+    robot.go_to(Setpoint(goal.x, goal.y, goal.yaw, DREAM_V1.altitude))
+    for _ in range(round(robot.observe().time / BEAT)):
+        slow.beat(goal)
+    assert slow.beats > 200
+    np.testing.assert_allclose(robot._voyage.x, slow.state.vector, rtol=0.0, atol=1e-10)
+    for name in ("rotation", "velocity", "position", "gyro_bias", "accelerometer_bias", "covariance"):
+        np.testing.assert_allclose(
+            getattr(robot.estimate, name), getattr(slow.estimate, name), rtol=0.0, atol=1e-10
+        )
 
 
 def test_a_start_outside_or_in_the_wall_is_refused(string_reef: World) -> None:
