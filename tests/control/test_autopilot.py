@@ -103,6 +103,32 @@ def test_turns_are_done_in_three_seconds(vehicle: Vehicle, degrees: int) -> None
     assert settled(error, 2.0) <= 3.0
 
 
+@pytest.mark.parametrize("factor", [0.15, 0.4, 1.0])
+def test_a_long_move_hardly_passes_its_goal_whatever_the_drag(factor: float) -> None:
+    """What it learns of drag on the way it does not take for a push when it brakes."""
+    goal = (2.0, 0.0, DEEP, 0.0)
+    track = flown(goal, 9.0, truth=dragging(BLUEROV2_HEAVY, factor))
+    assert track[:, 0].max() < 2.01
+    assert settled(off(track, goal[:3]), 0.02) < 6.7
+    if factor == 1.0:
+        deaf = flown(goal, 9.0, autopilot=Autopilot(drag_learning=0.0))
+        assert deaf[:, 0].max() > 2.02
+
+
+@pytest.mark.parametrize("factor", [0.15, 1.0])
+def test_going_to_and_fro_it_learns_how_much_of_the_drag_there_is(factor: float) -> None:
+    vehicle = dragging(BLUEROV2_HEAVY, factor)
+    state = vehicle.at_rest(SE3.level(0.0, 0.0, DEEP, 0.0))
+    helm = Autopilot().begin(BLUEROV2_HEAVY.hull, BLUEROV2_HEAVY.thrusters, state.T_world_base)
+    for k in range(1200):
+        goal = (2.0 if k < 350 or k >= 700 else 0.0, 0.0, DEEP, 0.0)
+        commands = helm.steer(
+            state.T_world_base, state.velocity_world, state.angular_velocity, goal, BEAT
+        )  # fmt: skip
+        state = vehicle.step(state, commands, BEAT)
+    assert helm.drag_share[0] == pytest.approx(factor, abs=0.15)
+
+
 @pytest.mark.parametrize("yaw", [0.0, 2.0, -2.5])
 def test_it_goes_straight_and_stays_level_at_every_heading(yaw: float) -> None:
     goal = (2.0 * math.cos(1.0), 2.0 * math.sin(1.0), DEEP, yaw)
@@ -138,7 +164,7 @@ def test_it_does_what_the_loop_in_the_water_does() -> None:
 @pytest.mark.parametrize("gap", [0.003, 0.1, 2.0, 7.3])
 def test_the_reference_reaches_its_goal_without_passing_it_within_its_limits(gap: float) -> None:
     pilot = Autopilot()
-    memory, goal = _kernels.begin(np.array([0.0, 0.0, DEEP]), 0.0), np.array([0.0, gap, DEEP, 0.0])
+    memory, goal = _kernels.begin(np.array([0.0, 0.0, DEEP]), 0.0, 0.5), np.array([0.0, gap, DEEP, 0.0])
     rows = []
     for _ in range(2000):
         _kernels.guide(memory, goal, pilot.gains, 1.0, STEP)
@@ -157,7 +183,7 @@ def test_the_reference_reaches_its_goal_without_passing_it_within_its_limits(gap
 
 def test_a_goal_that_moves_aside_is_followed_smoothly() -> None:
     pilot = Autopilot()
-    memory, speeds = _kernels.begin(np.zeros(3), 0.0), []
+    memory, speeds = _kernels.begin(np.zeros(3), 0.0, 0.5), []
     for beat in range(1500):
         goal = np.array([3.0, 0.0, 0.0, 0.0]) if beat < 200 else np.array([0.0, 2.0, 0.0, 0.0])
         _kernels.guide(memory, goal, pilot.gains, 1.0, STEP)

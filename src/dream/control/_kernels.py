@@ -1,8 +1,9 @@
 """Kernels of the autopilot: reference, velocity loop, disturbance, allocation, health.
 
 All take plain numbers, float64 arrays and tuples of those. What a controller remembers is one vector of
-`MEMORY` numbers: the reference's position (3) in the world and its yaw, its velocity (3) and yaw rate, and
-what pushes the vehicle by the controller's estimate: a force (3) in the world and a yawing moment.
+`MEMORY` numbers: the reference's position (3) in the world and its yaw, its velocity (3) and yaw rate, what
+pushes the vehicle by the controller's estimate: a force (3) in the world and a yawing moment, and the shares
+of the model's drag that it turned out to have, along and in yaw.
 """
 
 from __future__ import annotations
@@ -18,7 +19,9 @@ from dream.vehicle._kernels import command
 
 Float64Array = npt.NDArray[np.float64]
 
-MEMORY = 12
+MEMORY = 14
+MOST_DRAG = 1.5
+"""Of the model's, that it can learn."""
 FINE, BLIND, LOST, DIVERGED, STALE = range(5)
 """See `health.Condition`."""
 SLOW = 0.5
@@ -37,6 +40,7 @@ class Gains(NamedTuple):
     level: float
     level_rate: float
     drag_share: float
+    drag_learning: float
     speed: float
     acceleration: float
     turn_rate: float
@@ -79,11 +83,12 @@ def wrapped(angle: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def begin(position: Float64Array, yaw: float) -> Float64Array:
+def begin(position: Float64Array, yaw: float, drag_share: float) -> Float64Array:
     """(MEMORY,) of a controller whose reference stands there; nothing pushes as far as it knows."""
     memory = np.zeros(MEMORY)
     memory[:3] = position
     memory[3] = yaw
+    memory[12] = memory[13] = drag_share
     return memory
 
 
@@ -152,7 +157,7 @@ def wrench(
     rates: Float64Array,
     gains: Gains,
     nominal: Nominal,
-) -> tuple[Float64Array, Float64Array]:
+) -> tuple[Float64Array, Float64Array, tuple[float, float]]:
     """The wrench in `base` that follows the reference, and what the velocities lack.
 
     Args:
@@ -166,24 +171,27 @@ def wrench(
         nominal: The vehicle.
 
     Returns:
-        (6,) N and N m in `base`, and (4,) m/s in the world and rad/s.
+        (6,) N and N m in `base`; (4,) m/s in the world and rad/s that are lacking; and the power in watts that
+        these have against the model's drag, along and in yaw: above 0 where there is more drag than believed.
     """
-    error, wanted, out = np.empty(4), np.empty(3), np.empty(6)
+    error, wanted, out, along_drag = np.empty(4), np.empty(3), np.empty(6), 0.0
     for i in range(3):
         error[i] = memory[4 + i] + gains.position * (memory[i] - position[i]) - velocity[i]
         wanted[i] = (
             acceleration[i] + gains.position * (memory[4 + i] - velocity[i]) + gains.velocity * error[i]
         )
     for i in range(3):
-        along = speed = push = 0.0
+        along = speed = push = lack = 0.0
         for j in range(3):
             along += rotation[j, i] * wanted[j]
             speed += rotation[j, i] * memory[4 + j]
             push += rotation[j, i] * memory[8 + j]
+            lack += rotation[j, i] * error[j]
         # Of the reference's speed, not the vehicle's: fed back, a drag that is too large by the model would
         # drive instead of slow.
         drag = (nominal.linear[i] + nominal.quadratic[i] * abs(speed)) * speed
-        out[i] = nominal.inertia[i] * along + gains.drag_share * drag - push - rotation[2, i] * nominal.lift
+        out[i] = nominal.inertia[i] * along + memory[12] * drag - push - rotation[2, i] * nominal.lift
+        along_drag += drag * lack
     roll = math.atan2(rotation[2, 1], rotation[2, 2])
     pitch = -math.asin(min(max(rotation[2, 0], -1.0), 1.0))
     out[3] = -nominal.inertia[3] * (gains.level * roll + gains.level_rate * rates[0])
@@ -192,18 +200,38 @@ def wrench(
     error[3] = r + gains.yaw * wrapped(memory[3] - yaw) - rates[2]
     spin = acceleration[3] + gains.yaw * (r - rates[2]) + gains.yaw_rate * error[3]
     drag = (nominal.linear[5] + nominal.quadratic[5] * abs(r)) * r
-    out[5] = nominal.inertia[5] * spin + gains.drag_share * drag - memory[11]
-    return out, error
+    out[5] = nominal.inertia[5] * spin + memory[13] * drag - memory[11]
+    return out, error, (along_drag, drag * error[3])
 
 
 @njit(cache=True, nogil=True)
-def blame(memory: Float64Array, error: Float64Array, gains: Gains, nominal: Nominal, dt: float) -> None:
-    """What the velocities fall short of, a push explains. It is held in the world, where a current stays."""
+def blame(
+    memory: Float64Array,
+    error: Float64Array,
+    power: tuple[float, float],
+    gains: Gains,
+    nominal: Nominal,
+    dt: float,
+) -> None:
+    """What the velocities fall short of, a push explains, or a drag that is not the model's.
+
+    The push is held in the world, where a current stays. Drag comes and goes with the reference: were it taken
+    for a push, it would have to be unlearnt while braking, and carry the vehicle beyond its goal.
+    """
     mass = 0.5 * (nominal.inertia[0] + nominal.inertia[1])
     memory[8] -= gains.disturbance * mass * error[0] * dt
     memory[9] -= gains.disturbance * mass * error[1] * dt
     memory[10] -= gains.disturbance * nominal.inertia[2] * error[2] * dt
     memory[11] -= gains.yaw_disturbance * nominal.inertia[5] * error[3] * dt
+    # The gradient, in such units that at top speed it acts `drag_learning` times as fast as the push.
+    top = (nominal.linear[0] + nominal.quadratic[0] * gains.speed) * gains.speed
+    spin = (nominal.linear[5] + nominal.quadratic[5] * gains.turn_rate) * gains.turn_rate
+    if top > 0.0:
+        rate = gains.drag_learning * gains.disturbance * mass * power[0] / (top * top)
+        memory[12] = min(max(memory[12] + rate * dt, 0.0), MOST_DRAG)
+    if spin > 0.0:
+        rate = gains.drag_learning * gains.yaw_disturbance * nominal.inertia[5] * power[1] / (spin * spin)
+        memory[13] = min(max(memory[13] + rate * dt, 0.0), MOST_DRAG)
 
 
 @njit(cache=True, nogil=True)
@@ -245,11 +273,11 @@ def steer(
         The share of the wrench that the thrusters can give.
     """
     acceleration = guide(memory, goal, gains, pace, dt)
-    demand, error = wrench(memory, acceleration, rotation, position, velocity, rates, gains, nominal)
+    demand, error, power = wrench(memory, acceleration, rotation, position, velocity, rates, gains, nominal)
     share = allocate(demand, nominal, commands)
     # While the thrusters give less than is asked, the shortfall says nothing of what pushes.
     if share == 1.0:
-        blame(memory, error, gains, nominal, dt)
+        blame(memory, error, power, gains, nominal, dt)
     return share
 
 

@@ -23,11 +23,14 @@ class Autopilot:
     proportional law (`Pd`) turns what the position lacks into a velocity; a second loop turns what the
     velocity lacks into a wrench, adds what acceleration and drag of the reference need by the model, and
     takes off what pushes the vehicle by its own account: all that the velocities fell short of until now.
-    That push is held in the world, where a current stays when the vehicle turns, and it is not added to while
-    a thruster saturates. Where the frame can, roll and pitch are brought back to level.
+    That push is held in the world, where a current stays when the vehicle turns; what they fell short of on
+    the way, along the model's drag, also corrects how much of that drag there is. Neither is learnt while a
+    thruster saturates. Where the frame can, roll and pitch are brought back to level.
 
     Reference: Fossen, *Handbook of Marine Craft Hydrodynamics and Motion Control* (2011), chapters 10
-    (reference models) and 12 (model-based PID, allocation); DREAM (arXiv 2509.13666) for the outer loop.
+    (reference models) and 12 (model-based PID, allocation); Slotine and Li, *Applied Nonlinear Control*
+    (1991), chapter 8 (parameters that are learnt along the reference); DREAM (arXiv 2509.13666) for the outer
+    loop.
 
     Assumes: an estimate at every beat, at 50 Hz or more.
     Fails when: thrusters lag by much more than a tenth of a second: the velocity loop then rings.
@@ -51,7 +54,9 @@ class Autopilot:
     """1/s: rad/s² for a rad/s."""
     drag_share: float = 0.5
     """Share of the model's drag that is fed forward. Published drags differ sevenfold: half of the largest is
-    wrong by a factor of two or three either way, all of it by seven one way."""
+    wrong by a factor of two or three either way, all of it by seven one way. The share is where it begins."""
+    drag_learning: float = 8.0
+    """How many times as fast as a push that share is learnt, at top speed. 0 keeps it."""
     speed: float = 0.5
     """m/s of the reference."""
     acceleration: float = 0.2
@@ -76,7 +81,7 @@ class Autopilot:
 
     def begin(self, hull: Hull, thrusters: Thrusters, T_world_base: SE3) -> Helm:
         """At the helm of a vehicle that rests there."""
-        memory = _kernels.begin(T_world_base.translation.astype(np.float64), T_world_base.yaw)
+        memory = _kernels.begin(T_world_base.translation, T_world_base.yaw, self.drag_share)
         return Helm(self.gains, nominal(hull, thrusters), memory, np.zeros(thrusters.count))
 
 
@@ -87,7 +92,7 @@ class Helm:
     gains: _kernels.Gains
     nominal: _kernels.Nominal
     memory: Float64Array
-    """(12,) see the kernels."""
+    """(14,) see the kernels."""
     commands: Float64Array
     """(n,) in [−1, 1], the last ones."""
     share: float = field(default=1.0)
@@ -150,7 +155,12 @@ class Helm:
     @property
     def push(self) -> Float64Array:
         """(4,) what pushes the vehicle, by its account: N in the world, and N m about the vertical."""
-        return self.memory[8:].copy()
+        return self.memory[8:12].copy()
+
+    @property
+    def drag_share(self) -> tuple[float, float]:
+        """How much of the model's drag the vehicle has, by its account: along its way, and in yaw."""
+        return float(self.memory[12]), float(self.memory[13])
 
 
 def nominal(hull: Hull, thrusters: Thrusters) -> _kernels.Nominal:

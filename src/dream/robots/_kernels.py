@@ -76,7 +76,7 @@ class Voyage(NamedTuple):
     gauge_error: Float64Array
     compass_error: Float64Array
     memory: Float64Array
-    """(12,) of the autopilot."""
+    """(14,) of the autopilot."""
     commands: Float64Array
     clock: Float64Array
     """(10,) seconds, metres and the worst condition of the move; see the names above."""

@@ -216,7 +216,9 @@ class Simulated:
         )
         if how == _kernels.COLLIDED:
             # From where it stands now, the next move begins anew.
-            self._voyage.memory[:] = begin(self._state.position, self.estimate.pose.yaw)
+            self._voyage.memory[:] = begin(
+                self._state.position, self.estimate.pose.yaw, motion.autopilot.drag_share
+            )
         return int(how)
 
 
@@ -285,7 +287,7 @@ def _launched(
         bias=motion.imu.begin(rng),
         gauge_error=motion.gauge.begin(rng),
         compass_error=error,
-        memory=begin(x.position, T_world_base.yaw),
+        memory=begin(x.position, T_world_base.yaw, motion.autopilot.drag_share),
         commands=np.zeros(truth.thrusters.count),
         clock=clock,
         ping_velocity=np.zeros(3),
