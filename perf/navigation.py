@@ -105,8 +105,10 @@ def told(body, flow, gains, model, goals, waits, dt, every, x, rows, references)
         if k % every == 0:
             for i in range(3):
                 velocity[i] = R[i, 0] * x[7] + R[i, 1] * x[8] + R[i, 2] * x[9]
+            goal = goals[min(k // waits, len(goals) - 1)]
+            beat = every * dt
             control.steer(
-                memory, goals[min(k // waits, len(goals) - 1)], 1.0, R, x[:3], velocity, x[10:13], gains, model, every * dt, commands
+                memory, goal, 1.0, R, x[:3], velocity, x[10:13], gains, model, beat, commands
             )  # fmt: skip
         advance(body, flow, still, pull, commands, dt, x)
         r = rotation(x)
@@ -319,6 +321,11 @@ class Move:
     """Radians."""
 
     @property
+    def goal(self) -> Goal:
+        """From the origin."""
+        return self.forward, 0.0, DEEP, self.turn
+
+    @property
     def tolerance(self) -> float:
         """Metres or radians."""
         return math.radians(2.0) if self.turn else 0.02
@@ -337,9 +344,8 @@ class Move:
     def said(self, judged: Sequence[tuple[float, float]]) -> str:
         """The worst of several, in cm or degrees, and in seconds."""
         beyond, settled = np.max(judged, axis=0)
-        return f"{math.degrees(beyond):.1f}°, {settled:.1f} s" if self.turn else (
-            f"{100 * beyond:.1f} cm, {settled:.1f} s"
-        )  # fmt: skip
+        took = f"{settled:.1f} s" if settled < SETTLE - BEAT else "never"
+        return f"{math.degrees(beyond):.1f}°, {took}" if self.turn else f"{100.0 * beyond:.1f} cm, {took}"
 
 
 MOVES = (
@@ -363,65 +369,68 @@ def left_to_go(rows: Array, goal: Array, start_yaw: float) -> Array:
 def after_waiting(move: Move, factor: float, bearing: float, pilot: Autopilot) -> Array:
     """(B, 4) true poses of a Heavy on a move, from where it has kept its station in a current for 10 s."""
     waits = round(10.0 / BEAT)
-    goals = np.array([[0.0, 0.0, DEEP, 0.0], [move.forward, 0.0, DEEP, move.turn]])
-    rows, _ = by_truth(goals, 10.0 + SETTLE, vehicle=BLUEROV2_HEAVY, factor=factor, bearing=bearing,
-                       autopilot=pilot, waits=waits)  # fmt: skip
+    rows, _ = by_truth(
+        [(0.0, 0.0, DEEP, 0.0), move.goal],
+        10.0 + SETTLE,
+        vehicle=BLUEROV2_HEAVY,
+        factor=factor,
+        autopilot=pilot,
+        bearing=bearing,
+        waits=waits,
+    )
     return rows[waits:, TRUTH]
 
 
 def moves(repeats: int) -> None:
     """Print overshoot and time to settle."""
-    print(
-        "\nmoves from rest: overshoot, and seconds until within 2 cm or 2° for good on the ground plane; worst"
-    )
-    print(
-        f"of the three drags in still water, of them and eight sides of a current of {FLOW:g} m/s after 10 s in"
-    )
-    print(
-        f"it, or of {repeats} launches in it with vehicle and sensors as they are drawn, by the estimate; targets:"
-    )
-    print("1 cm or 2°, and 3 s for a step of 0.1 m and turns up to 90°\n")
-    columns = ("reference", "Heavy", "six thrusters", "Heavy, 50 Hz", "Heavy, drag not learnt", "PD as a force",
-               "Heavy in the current", "so, drag not learnt", "estimate, true", "estimate, believed")  # fmt: skip
-    print("| move | " + " | ".join(columns) + " |")
-    print("|---|" + "--:|" * len(columns))
+    found: dict[str, list[str]] = {}
+
+    def add(name: str, move: Move, ways: Sequence[Array]) -> None:
+        judged = [move.judged(left_to_go(way, np.array(move.goal), 0.0)) for way in ways]
+        found.setdefault(name, []).append(move.said(judged))
+
     fixed = Autopilot(drag_learning=0.0)
     for move in track(MOVES, description="moving", transient=True, console=BAR):
-        goal = np.array([move.forward, 0.0, DEEP, move.turn])
-        goals: Goal = (move.forward, 0.0, DEEP, move.turn)
 
-        def worst(vehicle: Vehicle, pilot: Autopilot | None = None, every: int = 1) -> str:
-            flown = [
-                by_truth(goals, SETTLE, vehicle=vehicle, factor=f, autopilot=pilot, every=every)[0]  # noqa: B023
-                for f in DRAGS
+        def ways(vehicle: Vehicle, **options: Any) -> list[Array]:
+            return [
+                by_truth(move.goal, SETTLE, vehicle=vehicle, factor=factor, **options)[0][:, TRUTH]  # noqa: B023
+                for factor in DRAGS
             ]
-            return move.said([move.judged(left_to_go(rows[:, TRUTH], goal, 0.0)) for rows in flown])  # noqa: B023
 
-        _, references = by_truth(goals, SETTLE, vehicle=BLUEROV2_HEAVY)
-        row = [move.said([move.judged(left_to_go(references, goal, 0.0))])]
-        row += [worst(BLUEROV2_HEAVY), worst(BLUEROV2), worst(BLUEROV2_HEAVY, every=2)]
-        row.append(worst(BLUEROV2_HEAVY, fixed))
-        pd = [np.repeat(by_pd(goals, SETTLE, factor=factor), 2, axis=0) for factor in DRAGS]
-        row.append(move.said([move.judged(left_to_go(rows[:, TRUTH], goal, 0.0)) for rows in pd]))
-        for pilot in (Autopilot(), fixed):
-            row.append(
-                move.said([
-                    move.judged(left_to_go(after_waiting(move, factor, bearing, pilot), goal, 0.0))
-                    for factor in DRAGS
-                    for bearing in BEARINGS
-                ])
-            )  # fmt: skip
+        add("reference", move, [by_truth(move.goal, SETTLE, vehicle=BLUEROV2_HEAVY)[1]])
+        add("Heavy", move, ways(BLUEROV2_HEAVY))
+        add("six thrusters", move, ways(BLUEROV2))
+        add("Heavy, commands at 50 Hz", move, ways(BLUEROV2_HEAVY, every=2))
+        add("Heavy, drag not learnt", move, ways(BLUEROV2_HEAVY, autopilot=fixed))
+        pd = [by_pd(move.goal, SETTLE, factor=factor)[:, TRUTH] for factor in DRAGS]
+        add("Heavy, the paper's PD as a force", move, [np.repeat(way, 2, axis=0) for way in pd])
+        for name, pilot in (("Heavy in the current", Autopilot()), ("so, drag not learnt", fixed)):
+            waited = [after_waiting(move, factor, b, pilot) for factor in DRAGS for b in BEARINGS]
+            add(name, move, waited)
         true, believed = [], []
         for k, start in enumerate(starts(repeats)):
             robot = launched(start, Motion(), current=water(BEARINGS[k % len(BEARINGS)]))
             # It has come to rest, and knows the height of the ground.
             swum(robot, start, 10.0, stay=math.inf)
-            z = float(robot.truth.translation[2])
             end = ahead(start, move.forward, 0.0, move.turn)
-            rows, at = swum(robot, end, SETTLE, stay=math.inf), np.array([end.x, end.y, z, end.yaw])
-            true.append(move.judged(left_to_go(rows[:, TRUTH], at, start.yaw)))
-            believed.append(move.judged(left_to_go(rows[:, BELIEF], at, start.yaw)))
-        print(f"| {move.name} | " + " | ".join([*row, move.said(true), move.said(believed)]) + " |")
+            rows = swum(robot, end, SETTLE, stay=math.inf)
+            goal = np.array([end.x, end.y, 0.0, end.yaw])
+            true.append(move.judged(left_to_go(rows[:, TRUTH], goal, start.yaw)))
+            believed.append(move.judged(left_to_go(rows[:, BELIEF], goal, start.yaw)))
+        found.setdefault("Heavy in it by the estimate: truth", []).append(move.said(true))
+        found.setdefault("Heavy in it by the estimate: belief", []).append(move.said(believed))
+
+    print("\nmoves from rest: overshoot, and seconds until within 2 cm or 2° for good, on the ground plane;")
+    print(
+        "worst of three drags in still water; of them and eight sides of the current, after 10 s in it; or of"
+    )
+    print(f"{repeats} launches in the current, with vehicle and sensors as they are drawn.")
+    print("targets: 1 cm or 2°, and 3 s for a step of 0.1 m and turns up to 90°\n")
+    print("| | " + " | ".join(move.name for move in MOVES) + " |")
+    print("|---|" + "--:|" * len(MOVES))
+    for name, said in found.items():
+        print(f"| {name} | " + " | ".join(said) + " |")
 
 
 # ---- drift ----
@@ -654,11 +663,39 @@ def drifting(count: int) -> Picture:
         figure = Figure(figsize=(9.6, 4.3), layout="constrained", facecolor=theme.ground)
         left, right = figure.subplots(1, 2)
         true, believed = local(one.rows[::20, 1:3]), local(one.rows[::20, 5:7])
-        for axes in (left, left.inset_axes((0.66, 0.06, 0.32, 0.32))):
-            axes.plot(*believed.T, color=theme.tracks[1], linewidth=1.4, label="where it believes to be")
-            axes.plot(*true.T, color=theme.tracks[0], linewidth=1.4, label="where it is")
-            axes.plot(*believed[-1], "o", color=theme.tracks[1], markersize=4.5)
-            axes.plot(*true[-1], "o", color=theme.tracks[0], markersize=4.5)
+        left.plot(*believed.T, color=theme.tracks[1], linewidth=1.4, label="where it believes to be")
+        left.plot(*true.T, color=theme.tracks[0], linewidth=1.4, label="where it is")
+        left.plot(*true[0], "o", color=theme.ink, markersize=4.5)
+        left.plot(*believed[-1], "o", color=theme.tracks[1], markersize=4.5)
+        left.plot(*true[-1], "o", color=theme.tracks[0], markersize=4.5)
+        left.set_aspect("equal")
+        left.set_title(f"A survey of {LAWNMOWER.length:g} m, from above")
+        left.set(xlabel="m", ylabel="m", xticks=range(0, 21, 5), yticks=range(0, 17, 4))
+        for k, each in enumerate(flown):
+            if k != shown:
+                right.plot(
+                    each.distance[::200], each.error[::200], color=theme.soft, linewidth=0.7, alpha=0.45,
+                    label=f"{count - 1} other launches" if k == (shown == 0) else None,
+                )  # fmt: skip
+        right.plot(one.distance[::20], one.error[::20], color=theme.tracks[1], label="its error")
+        right.plot(
+            one.sigma[:, 0],
+            2.0 * one.sigma[:, 1],
+            color=theme.tracks[2],
+            linewidth=1.3,
+            linestyle=(0, (3, 2)),
+            label="the filter's own 2 sigma",
+        )
+        right.set_title("Horizontal error over the way")
+        right.set(xlabel="m of way", ylabel="m", xlim=(0, None), ylim=(0, None))
+        named = [axes.get_legend_handles_labels() for axes in (left, right)]
+        figure.legend(
+            [handle for handles, _ in named for handle in handles],
+            [name for _, names in named for name in names],
+            loc="outside lower center",
+            ncols=5,
+            handlelength=2.2,
+        )
         return figure
 
     return Picture("navigation-drift", "Drift", "", draw)

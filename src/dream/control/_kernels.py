@@ -171,8 +171,8 @@ def wrench(
         nominal: The vehicle.
 
     Returns:
-        (6,) N and N m in `base`; (4,) m/s in the world and rad/s that are lacking; and the power in watts that
-        these have against the model's drag, along and in yaw: above 0 where there is more drag than believed.
+        (6,) N and N m in `base`; (4,) m/s in the world and rad/s that are lacking; and these times the
+        model's drag, along and in yaw, in watts: above 0 where it drags more than believed.
     """
     error, wanted, out, along_drag = np.empty(4), np.empty(3), np.empty(6), 0.0
     for i in range(3):
@@ -215,8 +215,8 @@ def blame(
 ) -> None:
     """What the velocities fall short of, a push explains, or a drag that is not the model's.
 
-    The push is held in the world, where a current stays. Drag comes and goes with the reference: were it taken
-    for a push, it would have to be unlearnt while braking, and carry the vehicle beyond its goal.
+    The push is held in the world, where a current stays. Drag comes and goes with the reference: taken for a
+    push, it would have to be unlearnt while braking, and carry the vehicle beyond its goal.
     """
     mass = 0.5 * (nominal.inertia[0] + nominal.inertia[1])
     memory[8] -= gains.disturbance * mass * error[0] * dt

@@ -40,9 +40,9 @@ BEAT = 0.01
 """Seconds of water, inertial unit, estimate and autopilot."""
 HELD = 10.0
 """Seconds that it is held still at the launch, for the biases of its gyroscopes and of its compass."""
-STEADY = 10.0
-"""Seconds for which a compass errs alike: iron turns it by the heading, not from reading to reading, so that
-the readings within that time say no more than one."""
+STEADY = 40.0
+"""Seconds for which a compass errs alike: iron turns it by the heading, which a survey keeps for a lane, so
+that the readings within that time say no more than one."""
 STAY = 0.3
 """Seconds at a setpoint that count as having arrived."""
 ROOM = 30.0
