@@ -256,8 +256,9 @@ def worst_and_mean(values: Sequence[float]) -> str:
 def stations(repeats: int) -> None:
     """Print how far off it is while it keeps its station."""
     print(f"\nstation keeping, {STATION:g} s from rest in a current of {FLOW:g} m/s from eight sides:")
-    print("RMSE of the position in cm, worst (mean); targets: 3 by the truth, 6 by the estimate\n")
-    heads = ("truth, 100 Hz", "truth, 50 Hz", "estimate, 100 Hz", "estimate, 50 Hz", "believed, 100 Hz")
+    print("RMSE of the true position in cm, worst (mean); targets: 3 by the truth, 6 by the estimate;")
+    print("what is believed, on the ground plane\n")
+    heads = ("truth, 100 Hz", "truth, 50 Hz", "estimate, 100 Hz", "estimate, 50 Hz", "so, believed")
     print("| vehicle | drag | " + " | ".join((*heads, "no disturbance", "PD as a force")) + " |")
     print("|---|" + "--:|" * 8)
     deaf = Autopilot(disturbance=0.0, yaw_disturbance=0.0)
@@ -297,11 +298,11 @@ def stations(repeats: int) -> None:
                     at = np.array([start.x, start.y, z])
                     true.append(rms(rows[:, 1:4] - at))
                     if every == 1:
-                        believed.append(rms(rows[:, 5:8] - at))
+                        believed.append(rms(rows[:, 5:7] - at[:2]))
         row += [worst_and_mean(held[1]), worst_and_mean(held[2]), worst_and_mean(believed)]
         row.append(worst_and_mean(by(deaf, 1)))
         if name == "Heavy":
-            pd = [by_pd((*spot, 0.0), STATION, factor=factor, bearing=bearing) for bearing in BEARINGS[:3]]
+            pd = [by_pd((*spot, 0.0), STATION, factor=factor, bearing=bearing) for bearing in BEARINGS]
             row.append(worst_and_mean([rms(rows[:, 1:4] - spot) for rows in pd]))
         else:
             row.append("")
@@ -515,6 +516,7 @@ def drifts(count: int) -> None:
             LAWNMOWER,
             replace(performance, compass=EXACT_COMPASS),
         ),
+        ("DVL A50, six thrusters", LAWNMOWER, Motion(vehicle=BLUEROV2)),
         ("DVL A50, straight", STRAIGHT, Motion()),
         ("DVL A50 performance, straight", STRAIGHT, performance),
     ]  # fmt: skip
