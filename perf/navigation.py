@@ -258,7 +258,7 @@ def stations(repeats: int) -> None:
     print(f"\nstation keeping, {STATION:g} s from rest in a current of {FLOW:g} m/s from eight sides:")
     print("RMSE of the true position in cm, worst (mean); targets: 3 by the truth, 6 by the estimate;")
     print("what is believed, on the ground plane\n")
-    heads = ("truth, 100 Hz", "truth, 50 Hz", "estimate, 100 Hz", "estimate, 50 Hz", "so, believed")
+    heads = ("truth, 100 Hz", "truth, 50 Hz", "estimate, 100 Hz", "estimate, 50 Hz", "believed, 100 Hz")
     print("| vehicle | drag | " + " | ".join((*heads, "no disturbance", "PD as a force")) + " |")
     print("|---|" + "--:|" * 8)
     deaf = Autopilot(disturbance=0.0, yaw_disturbance=0.0)
