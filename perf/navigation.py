@@ -161,10 +161,12 @@ def by_pd(goal: Goal, seconds: float, *, factor: float = 1.0, bearing: float | N
     target, beat = Setpoint(goal[0], goal[1], goal[3], 2.0), 2 * BEAT
     for k in range(round(seconds / beat)):
         pose, rates = state.T_world_base, state.angular_velocity
+        R = pose.rotation.astype(np.float64)
+        # Of the autopilot only what keeps it at its depth, and level.
         there = np.array([*state.position[:2], goal[2], pose.yaw])
         changes = control.guide(memory, there, pilot.gains, 1.0, beat)
         demand, error, _ = control.wrench(
-            memory, changes, pose.rotation, state.position, state.velocity_world, rates, pilot.gains, model
+            memory, changes, R, state.position, state.velocity_world, rates, pilot.gains, model
         )
         control.blame(memory, np.array([0.0, 0.0, error[2], 0.0]), (0.0, 0.0), pilot.gains, model, beat)
         u, v, w = state.velocity.tolist()

@@ -81,7 +81,9 @@ class Autopilot:
 
     def begin(self, hull: Hull, thrusters: Thrusters, T_world_base: SE3) -> Helm:
         """At the helm of a vehicle that rests there."""
-        memory = _kernels.begin(T_world_base.translation, T_world_base.yaw, self.drag_share)
+        memory = _kernels.begin(
+            T_world_base.translation.astype(np.float64), T_world_base.yaw, self.drag_share
+        )
         return Helm(self.gains, nominal(hull, thrusters), memory, np.zeros(thrusters.count))
 
 
