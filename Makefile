@@ -54,6 +54,7 @@ perf: setup ## Measure speed and accuracy beside named peers; some forty minutes
 	@$(BIN)/python perf/map.py --kilometre
 	@$(BIN)/python perf/map.py --memory
 	@$(BIN)/python perf/map.py
+	@$(BIN)/python perf/navigation.py
 
 clean: ## Remove what setup built
 	@rm -rf .venv .tools

@@ -358,6 +358,11 @@ MOVES = (
     Move("90°", turn=math.radians(90.0)),
     Move("180°", turn=math.pi - 1e-6),
 )
+SWIMMERS = {
+    "Heavy": Motion(),
+    "six thrusters": Motion(vehicle=BLUEROV2),
+    "six thrusters at 0.25 m/s": Motion(vehicle=BLUEROV2, autopilot=Autopilot(speed=0.25)),
+}
 SETTLE = 15.0
 """Seconds that a move is watched for."""
 
@@ -411,18 +416,19 @@ def moves(repeats: int) -> None:
         for name, pilot in (("Heavy in the current", Autopilot()), ("so, drag not learnt", fixed)):
             waited = [after_waiting(move, factor, b, pilot) for factor in DRAGS for b in BEARINGS]
             add(name, move, waited)
-        true, believed = [], []
-        for k, start in enumerate(starts(repeats)):
-            robot = launched(start, Motion(), current=water(BEARINGS[k % len(BEARINGS)]))
-            # It has come to rest, and knows the height of the ground.
-            swum(robot, start, 10.0, stay=math.inf)
-            end = ahead(start, move.forward, 0.0, move.turn)
-            rows = swum(robot, end, SETTLE, stay=math.inf)
-            goal = np.array([end.x, end.y, 0.0, end.yaw])
-            true.append(move.judged(left_to_go(rows[:, TRUTH], goal, start.yaw)))
-            believed.append(move.judged(left_to_go(rows[:, BELIEF], goal, start.yaw)))
-        found.setdefault("Heavy in it by the estimate: truth", []).append(move.said(true))
-        found.setdefault("Heavy in it by the estimate: belief", []).append(move.said(believed))
+        for name, motion in SWIMMERS.items():
+            true, believed = [], []
+            for k, start in enumerate(starts(repeats)):
+                robot = launched(start, motion, current=water(BEARINGS[k % len(BEARINGS)]))
+                # It has come to rest, and knows the height of the ground.
+                swum(robot, start, 10.0, stay=math.inf)
+                end = ahead(start, move.forward, 0.0, move.turn)
+                rows = swum(robot, end, SETTLE, stay=math.inf)
+                goal = np.array([end.x, end.y, 0.0, end.yaw])
+                true.append(move.judged(left_to_go(rows[:, TRUTH], goal, start.yaw)))
+                believed.append(move.judged(left_to_go(rows[:, BELIEF], goal, start.yaw)))
+            found.setdefault(f"{name} by the estimate: truth", []).append(move.said(true))
+            found.setdefault(f"{name} by the estimate: belief", []).append(move.said(believed))
 
     print("\nmoves from rest: overshoot, and seconds until within 2 cm or 2° for good, on the ground plane;")
     print(
@@ -518,7 +524,8 @@ def drifts(count: int) -> None:
             LAWNMOWER,
             replace(performance, compass=EXACT_COMPASS),
         ),
-        ("DVL A50, six thrusters", LAWNMOWER, Motion(vehicle=BLUEROV2)),
+        ("DVL A50, six thrusters", LAWNMOWER, SWIMMERS["six thrusters"]),
+        ("DVL A50, six thrusters at 0.25 m/s", LAWNMOWER, SWIMMERS["six thrusters at 0.25 m/s"]),
         ("DVL A50, straight", STRAIGHT, Motion()),
         ("DVL A50 performance, straight", STRAIGHT, performance),
     ]  # fmt: skip
