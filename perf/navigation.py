@@ -2,7 +2,7 @@
 
     python perf/navigation.py                     all four tables, some minutes
     python perf/navigation.py --only drift --starts 5
-    python perf/navigation.py --figure docs/results        the pictures instead
+    python perf/navigation.py --figure docs                the pictures instead
 
 Station and moves: the autopilot is told the true motion, or flies the whole `Simulated` vehicle by its
 estimate. The paper's PD is carried out as a force here, as sticks do without a velocity loop: a command of
