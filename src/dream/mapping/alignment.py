@@ -1,4 +1,4 @@
-"""Where a frame fits the map best."""
+"""Where a frame fits best on what other frames showed of the same ground."""
 
 from __future__ import annotations
 
@@ -6,22 +6,23 @@ import itertools
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from dream.geometry import SE2, SE3, Bounds, Camera
-from dream.mapping.layers import Layers
-from dream.mapping.occupancy import OccupancyMap
+from dream.geometry import SE2, SE3, Camera
+from dream.protocol import SurveyProtocol
 from dream.types import Label
 
 Float64Array = npt.NDArray[np.float64]
+EAST, NORTH, TARGET, HEIGHT = range(4)
+"""Columns of ground points: metres in the world, the share of target, world z in metres."""
+PART = 0.125
+"""Metres: what falls into a square of this side is one ground point, so that what is near, and shown by more
+pixels, does not outweigh what is far."""
 PIXELS = 2
 """Of the rows and columns of an image every so many-th is looked at."""
-PARTS = 2
-"""Points along the side of a cell, at most: so that what is near does not outweigh what is far."""
-SOLID_SHARE = 0.05
-"""Share of a part's pixels in the height band that make it solid, as in the map's own rule."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,205 +32,221 @@ class Alignment:
     offset: SE2
     """What to add to the vehicle's x, y and yaw, metres and radians in the world."""
     information: Float64Array
-    """(3, 3) inverse covariance of the offset; along a straight edge it is singular, and 0 along it."""
+    """(3, 3) inverse of the offset's covariance; singular where a direction says nothing, as along a straight
+    edge."""
     mismatch: float
-    """Mean squared difference between the frame and the map there, 0 to 1."""
+    """Mean squared difference there: 1 where target lies on bare seabed throughout."""
     overlap: float
-    """Square metres of known map that the frame fell on."""
+    """Square metres of ground that both show."""
 
 
 @dataclass(frozen=True, slots=True)
 class Matching:
-    """Correlative matching of a frame to a map.
+    """Correlative matching of ground points.
 
-    What it does: the frame's ground points say target or not, and solid or not. So does the map, between its
-    cells' centres by interpolation. The offset with the least mean squared difference is looked for on a grid
-    over the whole window, then by quadrics. Their curvature says how sure each direction is. Other minima that
-    fit about as well take away all information along the line to them, so that a straight edge corrects only
-    across it, and a pattern that repeats not at all.
+    What it does: the other frames' points make a grid of how much is target and how high the ground is, between
+    its cells' centres by interpolation. Over a whole window of offsets, the one with the least mean squared
+    difference is looked for, then refined by quadrics. Their curvature says how sure each direction is.
+    Another minimum that fits about as well takes away all information along the line to it: a straight edge
+    corrects only across, a pattern that repeats not at all.
 
-    Reference: Olson, Real-Time Correlative Scan Matching, ICRA 2009: the search, and the covariance from its
-    scores.
+    Reference: Olson, Real-Time Correlative Scan Matching, ICRA 2009: a search of the whole window, and the
+    covariance from its scores. The numbers were chosen on recorded missions.
 
-    Assumes: a level vehicle with the camera at its centre; a map of what is there now.
-    Fails when: the error is greater than the window.
+    Assumes: a vehicle that is level but for a few degrees, with its camera at its centre.
+    Fails when: the offset is greater than the window.
     """
 
     window: float = 0.5
-    """Metres east, west, north and south that are searched."""
+    """Metres that are searched to the east, west, north and south."""
     turn: float = math.radians(3.0)
-    """Radians to both sides, likewise."""
+    """Radians that are searched to both sides."""
     step: float = 0.125
     """Metres between offsets."""
     turn_step: float = math.radians(1.0)
     """Radians between turns."""
+    cell: float = 0.2
+    """Side of the grid's cells, metres."""
+    height_scale: float = 0.9
+    """Metres in height that count as much as target instead of bare seabed."""
+    relief: float = 1.0
+    """Metres above and below the mean height within which heights are told apart: the sides of what is higher are
+    not seen alike from everywhere."""
     min_overlap: float = 6.0
-    """Square metres of known map below which nothing is said."""
+    """Square metres of common ground below which nothing is said."""
     floor: float = 0.02
     """Least mean squared difference that is believed."""
     trust: float = 0.25
-    """Independent witnesses a cell: neighbours err alike, and so do the frames that the map was made from."""
+    """Ground points that are as good as one witness, inverted: neighbours err alike."""
     rival: float = 4.0
-    """Nats by which another minimum must be worse than the best."""
+    """Nats by which another minimum must be worse than the best, or it is as good."""
     sigma: float = 0.2
-    """Metres: a direction that is less sure is not known at all."""
+    """Metres: what is less sure than this says nothing."""
     leverage: float = 4.0
-    """Metres at which a turn counts as the shift that it causes."""
+    """Metres from the vehicle at which a turn is judged by the shift that it causes."""
 
-    def align(
-        self,
-        occupancy: OccupancyMap,
-        depth: npt.NDArray[np.floating],
-        labels: npt.NDArray[np.integer],
-        camera: Camera,
-        T_world_camera: SE3,
-    ) -> Alignment | None:
-        """Where a frame fits a map that does not hold it yet.
+    def __post_init__(self) -> None:
+        for name in ("window", "turn", "step", "turn_step", "cell", "height_scale", "relief", "sigma"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: expected a number above 0, got {getattr(self, name)}")
+
+    def align(self, points: Float64Array, pivot: tuple[float, float], others: Float64Array) -> Alignment | None:
+        """Where the points of a frame fit those of others.
 
         Args:
-            occupancy: The map; not changed.
-            depth: (H, W) metres along the optical axis; NaN for no return.
-            labels: (H, W) values of `Label`.
-            camera: Intrinsics of both images.
-            T_world_camera: Where the optical frame is taken to be.
+            points: (n, 4) ground points of the frame; see `ground_points`.
+            pivot: World x and y of the vehicle, about which they are turned.
+            others: (m, 4) ground points of other frames.
 
         Returns:
-            None where too little of the map is in view, it has too little structure, or the best offset is not
-            inside the window.
+            None where they have too little in common, no direction is sure, or the best offset is not inside
+            the window.
         """
-        protocol = occupancy.protocol
-        x, y = (float(a) for a in T_world_camera.translation[:2])
-        half = protocol.reach * (1.0 + self.turn) + self.window + 2.0 * protocol.cell
-        layers = occupancy.over(Bounds(x - half, y - half, x + half, y + half))
-        points, said = _said(layers, depth, labels, camera, T_world_camera)
-        if not len(points):
+        if not (len(points) and len(others)):
             return None
-        fit = _Fit(self, layers, points, said, (x, y))
-        if fit.overlap(np.zeros((1, 3)))[0] < self.min_overlap:
-            return None
-        return _best(self, fit)
+        fit = _Fit(self, points, pivot, others)
+        return _best(self, fit) if fit.overlap(np.zeros(3)) >= self.min_overlap else None
+
+
+def ground_points(
+    depth: npt.NDArray[Any],
+    labels: npt.NDArray[Any],
+    camera: Camera,
+    T_world_camera: SE3,
+    protocol: SurveyProtocol,
+) -> Float64Array:
+    """(n, 4) what a frame shows of the ground within reach, one point for each part that it shows of it.
+
+    Args:
+        depth: (H, W) metres along the optical axis; NaN for no return.
+        labels: (H, W) values of `Label`.
+        camera: Intrinsics of both images.
+        T_world_camera: Where the optical frame was.
+        protocol: Depth limits and reach.
+    """
+    camera.check(depth, "depth")
+    camera.check(labels, "labels")
+    half = 0.5 * (PIXELS - 1) / PIXELS
+    depth, labels = depth[::PIXELS, ::PIXELS], labels[::PIXELS, ::PIXELS]
+    # The first pixel's centre, half a pixel from the corner, stays where it was.
+    thinned = Camera(
+        width=depth.shape[1],
+        height=depth.shape[0],
+        fx=camera.fx / PIXELS,
+        fy=camera.fy / PIXELS,
+        cx=camera.cx / PIXELS + half,
+        cy=camera.cy / PIXELS + half,
+    )
+    offsets = thinned.back_project(depth, SE3(T_world_camera.rotation, np.zeros(3)))
+    counts = (depth > protocol.min_depth) & (depth <= protocol.max_depth) & (labels != Label.WATER)
+    counts &= np.hypot(offsets[..., 0], offsets[..., 1]) <= protocol.reach
+    offsets, target = offsets[counts], labels[counts] == Label.TARGET
+    side = 2 * math.ceil(protocol.reach / PART) + 2
+    col, row = (np.floor(offsets[:, axis] / PART).astype(np.intp) + side // 2 for axis in (0, 1))
+    values = (offsets[:, 0], offsets[:, 1], target, offsets[:, 2])
+    parts = _means(row * side + col, values, side * side)
+    points = np.column_stack(parts[1:])[parts[0] > 0.0]
+    points[:, [EAST, NORTH, HEIGHT]] += T_world_camera.translation
+    return points
+
+
+def moved(points: Float64Array, pivot: tuple[float, float], offset: SE2) -> Float64Array:
+    """Ground points turned about a pivot, then shifted."""
+    c, s = math.cos(offset.yaw), math.sin(offset.yaw)
+    x, y = points[:, EAST] - pivot[0], points[:, NORTH] - pivot[1]
+    east, north = pivot[0] + offset.x + c * x - s * y, pivot[1] + offset.y + s * x + c * y
+    return np.column_stack([east, north, points[:, TARGET], points[:, HEIGHT]])
 
 
 class _Fit:
-    """Log-likelihood of offsets, in metres and radians."""
+    """How well the points fit at any offset."""
 
     def __init__(
-        self,
-        matching: Matching,
-        layers: Layers,
-        points: Float64Array,
-        said: Float64Array,
-        position: tuple[float, float],
+        self, matching: Matching, points: Float64Array, pivot: tuple[float, float], others: Float64Array
     ) -> None:
-        self._cell = cell = layers.protocol.cell
-        known = np.stack([layers.voted, layers.known]).astype(np.float64)
-        values = np.stack([layers.target_probability, layers.solid]).astype(np.float64)
-        self._known, self._weighted = known, known * values
-        self._points, self._said = points / cell, said
-        row, col = layers.low
-        (x, y), corner = position, layers.center_of(0, 0)
-        self._center = ((x - float(corner[0])) / cell + 0.5, (y - float(corner[1])) / cell + 0.5)
-        self._matching = matching
+        cell = matching.cell
+        place = points[:, [EAST, NORTH]] - pivot
+        # As far as they reach, at any offset.
+        half = math.ceil((np.hypot(*place.T).max() + math.sqrt(2.0) * matching.window) / cell) + 1
+        side = 2 * half
+        col, row = (np.floor((others[:, axis] - pivot[axis]) / cell).astype(np.intp) + half for axis in (0, 1))
+        inside = (row >= 0) & (row < side) & (col >= 0) & (col < side)
+        datum = float(others[inside, HEIGHT].mean()) if inside.any() else 0.0
+        values = _channels(matching, others[inside], datum)
+        count, *means = _means((row * side + col)[inside], values.T, side * side)
+        known = np.tile(count > 0.0, (2, 1)).reshape(2, side, side)
+        self._known = known.astype(np.float64)
+        self._weighted = np.reshape(means, known.shape) * self._known
+        self._points, self._said = place / cell, _channels(matching, points, datum)
+        self._center = (float(half), float(half))
         self._unit = np.array([1.0 / cell, 1.0 / cell, 1.0])
 
     def mismatch(self, offsets: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """(m,) mean squared differences, and (m,) points that counted, for (m, 3) offsets."""
         from dream.mapping._kernels import alignment as kernels
 
-        return kernels.mismatch(  # type: ignore[no-any-return]
+        mean, weight = kernels.mismatch(
             self._points, self._said, self._known, self._weighted, self._center, offsets * self._unit
         )
+        return mean, weight / len(self._known)
 
-    def overlap(self, offsets: Float64Array) -> Float64Array:
+    def overlap(self, offset: Float64Array) -> float:
         """Square metres."""
-        channels = len(self._known)
-        square: Float64Array = self.mismatch(offsets)[1] / channels * (self._cell / PARTS) ** 2
-        return square
+        return float(self.mismatch(offset[None, :])[1][0]) * PART**2
 
 
-def _said(
-    layers: Layers,
-    depth: npt.NDArray[np.floating],
-    labels: npt.NDArray[np.integer],
-    camera: Camera,
-    T_world_camera: SE3,
-) -> tuple[Float64Array, Float64Array]:
-    """(n, 2) metres east and north from the camera, and (n, 2) shares of target and, 0 or 1, solid."""
-    protocol = layers.protocol
-    lower, upper = protocol.band
-    depth, labels = depth[::PIXELS, ::PIXELS], labels[::PIXELS, ::PIXELS]
-    rays = Camera(
-        depth.shape[1], depth.shape[0], *(a / PIXELS for a in (camera.fx, camera.fy, camera.cx, camera.cy))
-    )
-    offsets = rays.back_project(depth, SE3(T_world_camera.rotation, np.zeros(3)))
-    near = (depth > protocol.min_depth) & (depth <= protocol.max_depth) & (labels != Label.WATER)
-    near &= np.hypot(offsets[..., 0], offsets[..., 1]) <= protocol.reach
-    offsets, kinds = offsets[near], labels[near]
-    places = offsets + T_world_camera.translation
-    row, col = layers.cell_of(places[:, 0], places[:, 1])
-    height = places[:, 2] - layers.ground[row, col]
-    sees = height <= upper
-    offsets, kinds, height = offsets[sees], kinds[sees], height[sees]
-    part = protocol.cell / PARTS
-    span = 2 * math.ceil(protocol.reach / part) + 1
-    i, j = (np.floor(offsets[:, axis] / part + span / 2).astype(np.intp) for axis in (1, 0))
-    flat = i * span + j
-    count = np.bincount(flat, minlength=span * span)
-    some = count > 0
-    sums = [
-        np.bincount(flat, weights=values, minlength=span * span)[some] / count[some]
-        for values in (offsets[:, 0], offsets[:, 1], kinds == Label.TARGET, height >= lower)
-    ]
-    east, north, target, inside = sums
-    return np.column_stack([east, north]), np.column_stack([target, inside >= SOLID_SHARE]).astype(np.float64)
+def _channels(matching: Matching, points: Float64Array, datum: float) -> Float64Array:
+    """(n, 2): target, and height as its differences count."""
+    height = np.clip(points[:, HEIGHT] - datum, -matching.relief, matching.relief)
+    return np.column_stack([points[:, TARGET], height / matching.height_scale])
+
+
+def _means(flat: npt.NDArray[np.intp], values: Any, size: int) -> list[Float64Array]:
+    """How many fall on each of `size` places, and the mean of each of the values there, 0 where none."""
+    count = np.bincount(flat, minlength=size).astype(np.float64)
+    sums = (np.bincount(flat, weights=value, minlength=size) for value in values)
+    return [count, *(total / np.maximum(count, 1.0) for total in sums)]
 
 
 def _best(matching: Matching, fit: _Fit) -> Alignment | None:
     window, turn = matching.window, matching.turn
-    steps, turns = round(window / matching.step), round(turn / matching.turn_step)
-    shifts = np.arange(-steps, steps + 1) * matching.step
-    angles = np.arange(-turns, turns + 1) * matching.turn_step
+    limits, h = np.array([window, window, turn]), np.array([matching.step, matching.step, matching.turn_step])
+    shifts, angles = (
+        np.arange(-n, n + 1) * step
+        for n, step in ((round(window / h[0]), h[0]), (round(turn / h[2]), h[2]))
+    )
     grid = np.array(list(itertools.product(shifts, shifts, angles)))
     mean, weight = fit.mismatch(grid)
-    least = max(float(mean.min()), matching.floor)
-    witnesses = matching.trust * float(np.median(weight)) / (2 * PARTS**2)
-    weak = np.array([1.0 / window**2, 1.0 / window**2, 1.0 / turn**2])
+    # An offset that loses the common ground must not win by what little is left.
+    mean = np.where(weight >= 0.5 * weight.max(), mean, np.inf)
+    per_mismatch = 0.5 * matching.trust * float(np.median(weight)) / max(float(mean.min()), matching.floor)
+    # Weak, so that of those that fit alike the nearest is the best.
+    weak = np.diag(1.0 / limits**2)
 
-    def cost(offsets: Float64Array, mean: Float64Array) -> Float64Array:
-        """Nats; of those that fit alike the nearest is the best."""
-        total: Float64Array = 0.5 * witnesses * mean / least + 0.5 * (offsets**2 @ weak)
-        return total
+    def nats(offsets: Float64Array, mean: Float64Array) -> Float64Array:
+        pulled: Float64Array = 0.5 * np.einsum("ni,ij,nj->n", offsets, weak, offsets)
+        return per_mismatch * mean + pulled
 
-    nats = cost(grid, mean).reshape(len(shifts), len(shifts), len(angles))
-    here = grid[int(np.argmin(nats))]
-    h = np.array([matching.step, matching.step, matching.turn_step])
+    cost = nats(grid, mean).reshape(len(shifts), len(shifts), len(angles))
+    best = grid[int(np.argmin(cost))]
     curvature = np.zeros((3, 3))
-    for _ in range(2):
-        around = here + _CUBE * h
-        near = fit.mismatch(around)[0]
-        gradient, curvature = _quadric(cost(around, near))
-        move = _downhill(gradient, curvature)
-        here = here + np.clip(move, -1.0, 1.0) * h
-    if (np.abs(here) > np.array([window, window, turn])).any():
+    for _ in range(3):
+        near = best + _CUBE * h
+        gradient, curvature = _quadric(nats(near, fit.mismatch(near)[0]))
+        best = best + np.clip(_downhill(gradient, curvature), -1.0, 1.0) * h
+    if (np.abs(best) > limits).any():
         return None
-    information = curvature / np.outer(h, h) - np.diag(weak)
-    flat = nats.min(axis=2)
+    information = curvature / np.outer(h, h) - weak
+    flat = cost.min(axis=2)
     for i, j in _minima(flat):
-        rival = np.array([shifts[i], shifts[j]]) - here[:2]
-        if flat[i, j] - flat.min() < matching.rival and np.abs(rival).max() > 1.5 * matching.step:
-            line = np.array([*rival, 0.0])
-            along = float(line @ information @ line)
-            if along > 0.0:
-                information = information - np.outer(information @ line, information @ line) / along
+        line = np.array([shifts[i] - best[0], shifts[j] - best[1], 0.0])
+        if flat[i, j] - flat.min() < matching.rival and np.abs(line).max() > 1.5 * matching.step:
+            information = _without(information, line)
     information = _sure(information, matching.sigma, matching.leverage)
     if not information.any():
         return None
-    mean, _ = fit.mismatch(here[None, :])
-    return Alignment(
-        SE2(float(here[0]), float(here[1]), float(here[2])),
-        information,
-        float(mean[0]),
-        float(fit.overlap(here[None, :])[0]),
-    )
+    mean, weight = fit.mismatch(best[None, :])
+    return Alignment(SE2(*best.tolist()), information, float(mean[0]), float(weight[0]) * PART**2)
 
 
 _CUBE = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3)))
@@ -237,20 +254,20 @@ _CUBE = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3)))
 
 @lru_cache(maxsize=1)
 def _to_quadric() -> Float64Array:
-    """(10, 27): values on `_CUBE` to the coefficients of 1, x, y, z, xx, yy, zz, xy, xz, yz."""
+    """(10, 27): values on `_CUBE` to the coefficients of 1, x, y, z, xx, yy, zz, xy, xz and yz."""
     x, y, z = _CUBE.T
     terms = np.column_stack([np.ones(27), x, y, z, x * x, y * y, z * z, x * y, x * z, y * z])
     return np.asarray(np.linalg.pinv(terms))
 
 
 def _quadric(values: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Gradient (3,) and second derivatives (3, 3) of the quadric nearest to the values on `_CUBE`."""
+    """Gradient (3,) and second derivatives (3, 3), in the middle, of the quadric nearest to values on `_CUBE`."""
     _, x, y, z, xx, yy, zz, xy, xz, yz = _to_quadric() @ values
     return np.array([x, y, z]), np.array([[2.0 * xx, xy, xz], [xy, 2.0 * yy, yz], [xz, yz, 2.0 * zz]])
 
 
 def _downhill(gradient: Float64Array, curvature: Float64Array) -> Float64Array:
-    """To the least of a quadric; along directions in which it has none, nowhere."""
+    """To the least of a quadric; nowhere along directions in which it has none."""
     values, vectors = np.linalg.eigh(curvature)
     slopes = vectors.T @ gradient
     return np.asarray(vectors @ np.where(values > 1e-9, -slopes / np.maximum(values, 1e-9), 0.0))
@@ -260,14 +277,21 @@ def _minima(values: Float64Array) -> list[tuple[int, int]]:
     """Places that are no greater than their eight neighbours."""
     wide = np.pad(values, 1, constant_values=np.inf)
     rows, cols = values.shape
-    least = np.min(
-        [wide[i : i + rows, j : j + cols] for i, j in itertools.product(range(3), repeat=2)], axis=0
-    )
-    return [(int(i), int(j)) for i, j in np.argwhere(values <= least)]
+    around = [wide[i : i + rows, j : j + cols] for i, j in itertools.product(range(3), repeat=2)]
+    return [(int(i), int(j)) for i, j in np.argwhere(values <= np.min(around, axis=0))]
+
+
+def _without(information: Float64Array, line: Float64Array) -> Float64Array:
+    """What is left when nothing is known along a line."""
+    along = float(line @ information @ line)
+    if along <= 0.0:
+        return information
+    pushed = information @ line
+    return np.asarray(information - np.outer(pushed, pushed) / along)
 
 
 def _sure(information: Float64Array, sigma: float, leverage: float) -> Float64Array:
-    """Without the directions that are less sure than a sigma; a turn counts as a shift at the leverage."""
+    """Without the directions that are less sure than sigma; a turn is judged at the leverage."""
     scale = np.array([1.0, 1.0, 1.0 / leverage])
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
     kept = np.where(values >= 1.0 / sigma**2, values, 0.0)

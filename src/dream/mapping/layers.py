@@ -294,11 +294,6 @@ class Layers:
         return self._layer("solid", lambda: self._cells("log_odds") > 0)
 
     @property
-    def voted(self) -> BoolArray:
-        """Some frame was a witness on whether it is target."""
-        return self._layer("voted", lambda: self._cells("votes") > 0)
-
-    @property
     def target(self) -> BoolArray:
         """More likely target than not."""
         return self._layer("target", lambda: self.target_probability > 0.5)

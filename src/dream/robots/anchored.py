@@ -1,131 +1,167 @@
-"""A robot that holds on to what it has mapped."""
+"""A robot that holds on to the ground it has seen."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from dream.geometry import SE2, SE3, wrap_angle
-from dream.mapping import OccupancyMap
-from dream.mapping.alignment import Alignment, Matching
+from dream.geometry import SE2, SE3
+from dream.mapping.alignment import Alignment, Float64Array, Matching, ground_points, moved
 from dream.mission import Robot
+from dream.protocol import SurveyProtocol
 from dream.types import Arrival, Observation, Setpoint
-
-Float64Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class Anchoring:
-    """How fast a robot's own pose may drift, and what a match to the map must be like to correct it."""
+    """How a robot's own pose may err, and which matches are allowed to correct it."""
 
     matching: Matching = field(default_factory=Matching)
     drift: float = 0.02
-    """Standard deviation of what the position gains in error, over the square root of metres: m/√m."""
-    turning: float = math.radians(0.15)
-    """Likewise of the heading, rad/√m."""
-    start: tuple[float, float] = (0.02, math.radians(0.5))
-    """Metres and radians at the launch, which is where the map's frame is."""
+    """Standard deviation of what the position gains in error, over the square root of the metres on the way."""
+    heading: float = math.radians(1.0)
+    """Standard deviation of the heading, as that of a compass on a vehicle of iron: it does not grow."""
+    launch: float = 0.01
+    """Metres, standard deviation of the position at the launch, where the map's frame is the robot's own."""
+    age: float = 15.0
+    """Metres of way after which a frame may correct others. Those before err as the present one does: to match
+    them only adds the errors of the match."""
     gate: float = 11.34
-    """Squared distance in sigmas beyond which a match is not believed: 99 of 100 good ones are nearer."""
+    """Squared sigmas beyond which a match is not believed: the 99th percentile for three degrees of freedom."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Look:
+    points: Float64Array
+    place: SE2
+    way: float
 
 
 class Anchored:
-    """Corrects where another robot believes to be by what it sees again of the map.
+    """Corrects where another robot believes to be by the ground that it sees again.
 
-    What it does: the other robot's poses are in a frame that drifts, `odom`; those that are told here are in
-    that of the map (REP-105). Between them is one level transform, `T_map_odom`. Each observation is matched to
-    the map before that takes it in; a Kalman filter on the pose's error weighs the match by its curvature
-    against what the robot may have drifted since, and drops those beyond its gate. Setpoints go back the
-    other way.
+    What it does: the other robot's poses are in a frame that drifts, `odom`; those told here are in that of the
+    map (REP-105). Between them is one level transform, `T_map_odom`. What a frame shows of the ground is
+    matched to what frames of long ago showed of it, where they were put into the map; a Kalman filter weighs
+    that by its curvature against what the robot may have drifted, and drops what is beyond its gate. A heading
+    is corrected for its own frame and the way to the next: a compass errs by the heading, not by the way.
+    Setpoints go back the other way.
+
+    Why not the map itself: its cells mix old frames with new ones, which err as the present one does. Matched to
+    these, a pose follows the errors of its matches: true poses came to be wrong by 0.2 m, where the old frames
+    alone left 0.05 to 0.14 m.
 
     Reference: REP-105; Olson, Real-Time Correlative Scan Matching, ICRA 2009.
 
-    Assumes: the map is the one that the mission takes the observations into, after each.
-    Fails when: the drift between two looks at the same ground exceeds the window of the matching.
+    Assumes: the launch is where the robot believes; ground that does not change.
+    Fails when: it drifts farther than the matching's window between two looks at the same ground. What was
+    mapped on the way out keeps its error: only later frames are put where the first ones were.
     """
 
-    def __init__(self, robot: Robot, occupancy: OccupancyMap, anchoring: Anchoring | None = None) -> None:
+    def __init__(self, robot: Robot, protocol: SurveyProtocol, anchoring: Anchoring | None = None) -> None:
         """Around a robot that has not moved yet.
 
         Args:
             robot: What observes and goes.
-            occupancy: The map of its mission; not changed.
-            anchoring: How fast the robot's pose drifts.
+            protocol: Depth limits and reach of its camera.
+            anchoring: How its pose errs.
         """
         self._robot = robot
-        self._occupancy = occupancy
+        self._protocol = protocol
         self._anchoring = Anchoring() if anchoring is None else anchoring
-        place, heading = self._anchoring.start
-        self._covariance: Float64Array = np.diag([place**2, place**2, heading**2])
+        place, heading = self._anchoring.launch**2, self._anchoring.heading**2
+        self._covariance: Float64Array = np.diag([place, place, heading])
         self._T_map_odom = SE3.level(0.0, 0.0, 0.0, 0.0)
-        self._last: SE2 | None = None
         self._seen: Observation | None = None
+        self._looks: list[_Look] = []
+        self._way = 0.0
         self.alignment: Alignment | None = None
-        """What the last observation said; None where it said nothing that was believed."""
+        """By which the last observation was corrected; None where it was not."""
 
     def observe(self) -> Observation:
-        """One frame with the pose in the map; the same again until it moves."""
-        if self._seen is None:
-            seen = self._robot.observe()
-            self._drift(self._in_map(seen.pose))
-            self.alignment = self._match(replace(seen, T_world_base=self._T_map_odom @ seen.T_world_base))
-            self._seen = seen
-        return replace(self._seen, T_world_base=self._T_map_odom @ self._seen.T_world_base)
+        """One frame with its pose in the map; the same again until it moves."""
+        seen = self._look() if self._seen is None else self._seen
+        return replace(seen, T_world_base=self._T_map_odom @ seen.T_world_base)
 
     def go_to(self, setpoint: Setpoint) -> Arrival:
-        """Send the robot to where a place in the map is by its own reckoning."""
-        goal = (
-            self._T_map_odom.inverse @ SE3.level(setpoint.x, setpoint.y, setpoint.altitude, setpoint.yaw)
-        ).se2
+        """Send the robot to where a place in the map is by its own reckoning, and look around there."""
+        goal = _through(self._T_map_odom.inverse, SE2(setpoint.x, setpoint.y, setpoint.yaw))
         arrival = self._robot.go_to(Setpoint(goal.x, goal.y, goal.yaw, setpoint.altitude))
-        self._seen = None
-        return replace(arrival, pose=self._in_map(arrival.pose))
+        self._look()
+        return replace(arrival, pose=_through(self._T_map_odom, arrival.pose))
 
     @property
     def T_map_odom(self) -> SE3:
-        """Level."""
+        """From the robot's own frame to that of the map; level."""
         return self._T_map_odom
 
     @property
     def covariance(self) -> Float64Array:
-        """(3, 3) of x, y and yaw in the map: square metres and radians."""
+        """(3, 3) of x, y and yaw in the map: metres and radians."""
         return self._covariance.copy()
 
-    def _in_map(self, pose: SE2) -> SE2:
-        return (self._T_map_odom @ SE3.level(pose.x, pose.y, 0.0, pose.yaw)).se2
+    def _look(self) -> Observation:
+        seen = self._robot.observe()
+        here = self._carried(_through(self._T_map_odom, seen.pose), seen.pose)
+        T_map_camera = self._T_map_odom @ seen.T_world_camera
+        points = ground_points(seen.depth, seen.labels, seen.camera, T_map_camera, self._protocol)
+        step = self._correction(points, here)
+        self._turn_and_shift(here, step)
+        there = SE2(here.x + step.x, here.y + step.y, here.yaw + step.yaw)
+        self._looks.append(_Look(moved(points, (here.x, here.y), step), there, self._way))
+        self._seen = seen
+        return seen
 
-    def _drift(self, here: SE2) -> None:
-        """Carry the pose's covariance on, from the last observation to here."""
-        if self._last is not None:
-            east, north = here.x - self._last.x, here.y - self._last.y
-            by = np.array([[1.0, 0.0, -north], [0.0, 1.0, east], [0.0, 0.0, 1.0]])
-            moved = math.hypot(east, north) + abs(wrap_angle(here.yaw - self._last.yaw))
-            place, heading = self._anchoring.drift**2 * moved, self._anchoring.turning**2 * moved
-            self._covariance = by @ self._covariance @ by.T + np.diag([place, place, heading])
-        self._last = here
+    def _carried(self, here: SE2, odom: SE2) -> SE2:
+        """The pose after a move, whose heading is the robot's own again, and its covariance."""
+        anchoring = self._anchoring
+        if not self._looks:
+            return here
+        last = self._looks[-1]
+        east, north = here.x - last.place.x, here.y - last.place.y
+        length = math.hypot(east, north)
+        self._way = last.way + length
+        by = np.array([[1.0, 0.0, -north], [0.0, 1.0, east], [0.0, 0.0, 0.0]])
+        drift = anchoring.drift**2 * length
+        self._covariance = by @ self._covariance @ by.T + np.diag([drift, drift, anchoring.heading**2])
+        self._turn_and_shift(here, SE2(0.0, 0.0, -self._T_map_odom.yaw))
+        return SE2(here.x, here.y, odom.yaw)
 
-    def _match(self, seen: Observation) -> Alignment | None:
-        """Correct the transform by what fits; None where nothing does."""
-        found = self._anchoring.matching.align(
-            self._occupancy, seen.depth, seen.labels, seen.camera, seen.T_world_camera
-        )
+    def _turn_and_shift(self, here: SE2, step: SE2) -> None:
+        """Turn the map's view of the robot's frame about the vehicle, then shift it."""
+        about = SE3.level(here.x + step.x, here.y + step.y, 0.0, step.yaw)
+        self._T_map_odom = about @ SE3.level(-here.x, -here.y, 0.0, 0.0) @ self._T_map_odom
+
+    def _correction(self, points: Float64Array, here: SE2) -> SE2:
+        """What to add to the pose; zeros where nothing is believed."""
+        self.alignment = None
+        found = self._anchoring.matching.align(points, (here.x, here.y), self._of_long_ago(here))
         if found is None:
-            return None
-        offset = np.array([found.offset.x, found.offset.y, found.offset.yaw])
-        information, before = found.information, self._covariance
-        after = np.linalg.inv(np.linalg.inv(before) + information)
-        # Of (P + R)⁻¹ with R⁻¹ the information, which may be singular.
-        surprise = float(offset @ information @ after @ np.linalg.inv(before) @ offset)
-        if surprise > self._anchoring.gate:
-            return None
-        step = after @ information @ offset
+            return SE2(0.0, 0.0, 0.0)
+        offset, information = np.array([found.offset.x, found.offset.y, found.offset.yaw]), found.information
+        before = np.linalg.inv(self._covariance)
+        after = np.linalg.inv(before + information)
+        # (P + R)⁻¹ = R⁻¹ (P⁻¹ + R⁻¹)⁻¹ P⁻¹, also where R⁻¹ is singular.
+        if offset @ information @ after @ before @ offset > self._anchoring.gate:
+            return SE2(0.0, 0.0, 0.0)
+        self.alignment = found
         self._covariance = 0.5 * (after + after.T)
-        here = seen.pose
-        corrected = SE2(here.x + float(step[0]), here.y + float(step[1]), here.yaw + float(step[2]))
-        T_odom_base = self._T_map_odom.inverse @ SE3.level(here.x, here.y, 0.0, here.yaw)
-        self._T_map_odom = SE3.level(corrected.x, corrected.y, 0.0, corrected.yaw) @ T_odom_base.inverse
-        self._last = corrected
-        return found
+        return SE2(*(after @ information @ offset).tolist())
+
+    def _of_long_ago(self, here: SE2) -> Float64Array:
+        """Ground points of the frames that may correct one that is taken here."""
+        near = 2.0 * self._protocol.reach + self._anchoring.matching.window
+        old: Sequence[Float64Array] = [
+            look.points
+            for look in self._looks
+            if self._way - look.way >= self._anchoring.age and look.place.distance(here) <= near
+        ]
+        return np.concatenate(old) if old else np.empty((0, 4))
+
+
+def _through(T: SE3, pose: SE2) -> SE2:
+    """A level pose through a level transform."""
+    return (T @ SE3.level(pose.x, pose.y, 0.0, pose.yaw)).se2
