@@ -12,7 +12,7 @@ from dream.control import setpoint
 from dream.geometry import SE2
 from dream.mission import Robot
 from dream.protocol import DREAM_V1, DREAM_V1_NAV, DREAM_V1_NOISY
-from dream.robots import Simulated, Teleport
+from dream.robots import Anchored, Simulated, Teleport
 from dream.sim.world import World
 from dream.types import Decision, Label
 
@@ -20,6 +20,7 @@ ROBOTS: dict[str, Callable[[World], Robot]] = {
     "teleport": lambda world: Teleport(world, DREAM_V1),
     "teleport with noise": lambda world: Teleport(world, DREAM_V1_NOISY),
     "swimming": lambda world: Simulated(world, DREAM_V1_NAV),
+    "anchored": lambda world: Anchored(Simulated(world, DREAM_V1_NAV), DREAM_V1_NAV),
 }
 
 NEAR, ALIGNED = 0.06, math.radians(2.1)

@@ -21,7 +21,7 @@ EAST, NORTH, TARGET, HEIGHT = range(4)
 PART = 0.125
 """Metres: what falls into a square of this side is one ground point, so that what is near, and shown by more
 pixels, does not outweigh what is far."""
-PIXELS = 2
+PIXELS = 1
 """Of the rows and columns of an image every so many-th is looked at."""
 
 
@@ -67,7 +67,7 @@ class Matching:
     """Radians between turns."""
     cell: float = 0.2
     """Side of the grid's cells, metres."""
-    height_scale: float = 0.9
+    height_scale: float = 4.0
     """Metres in height that count as much as target instead of bare seabed."""
     relief: float = 1.0
     """Metres above and below the mean height within which heights are told apart: the sides of what is higher are
@@ -76,7 +76,7 @@ class Matching:
     """Square metres of common ground below which nothing is said."""
     floor: float = 0.02
     """Least mean squared difference that is believed."""
-    trust: float = 0.25
+    trust: float = 0.1
     """Ground points that are as good as one witness, inverted: neighbours err alike."""
     rival: float = 4.0
     """Nats by which another minimum must be worse than the best, or it is as good."""
@@ -90,7 +90,9 @@ class Matching:
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: expected a number above 0, got {getattr(self, name)}")
 
-    def align(self, points: Float64Array, pivot: tuple[float, float], others: Float64Array) -> Alignment | None:
+    def align(
+        self, points: Float64Array, pivot: tuple[float, float], others: Float64Array
+    ) -> Alignment | None:
         """Where the points of a frame fit those of others.
 
         Args:
@@ -169,7 +171,9 @@ class _Fit:
         # As far as they reach, at any offset.
         half = math.ceil((np.hypot(*place.T).max() + math.sqrt(2.0) * matching.window) / cell) + 1
         side = 2 * half
-        col, row = (np.floor((others[:, axis] - pivot[axis]) / cell).astype(np.intp) + half for axis in (0, 1))
+        col, row = (
+            np.floor((others[:, axis] - pivot[axis]) / cell).astype(np.intp) + half for axis in (0, 1)
+        )
         inside = (row >= 0) & (row < side) & (col >= 0) & (col < side)
         datum = float(others[inside, HEIGHT].mean()) if inside.any() else 0.0
         values = _channels(matching, others[inside], datum)
@@ -210,10 +214,10 @@ def _means(flat: npt.NDArray[np.intp], values: Any, size: int) -> list[Float64Ar
 
 def _best(matching: Matching, fit: _Fit) -> Alignment | None:
     window, turn = matching.window, matching.turn
-    limits, h = np.array([window, window, turn]), np.array([matching.step, matching.step, matching.turn_step])
+    limits, steps = np.array([window, window, turn]), np.array([matching.step] * 2 + [matching.turn_step])
     shifts, angles = (
         np.arange(-n, n + 1) * step
-        for n, step in ((round(window / h[0]), h[0]), (round(turn / h[2]), h[2]))
+        for n, step in ((round(window / steps[0]), steps[0]), (round(turn / steps[2]), steps[2]))
     )
     grid = np.array(list(itertools.product(shifts, shifts, angles)))
     mean, weight = fit.mismatch(grid)
@@ -229,8 +233,9 @@ def _best(matching: Matching, fit: _Fit) -> Alignment | None:
 
     cost = nats(grid, mean).reshape(len(shifts), len(shifts), len(angles))
     best = grid[int(np.argmin(cost))]
-    curvature = np.zeros((3, 3))
-    for _ in range(3):
+    h, curvature = steps, np.zeros((3, 3))
+    for finer in (1.0, 0.5, 0.5, 0.5):
+        h = finer * steps
         near = best + _CUBE * h
         gradient, curvature = _quadric(nats(near, fit.mismatch(near)[0]))
         best = best + np.clip(_downhill(gradient, curvature), -1.0, 1.0) * h

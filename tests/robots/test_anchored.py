@@ -1,0 +1,168 @@
+"""A robot that holds on to the ground it has seen, around one that moves exactly and believes otherwise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from dream.geometry import SE2, SE3
+from dream.mapping.alignment import Matching
+from dream.protocol import DREAM_V1
+from dream.robots.anchored import Anchored, Anchoring
+from dream.types import Arrival, Observation, Setpoint
+from tests.mapping.analytic import CAMERA, SEABED, Disc, Pillar, render
+
+RGB = np.zeros((240, 320, 3), np.uint8)
+ROUND = [(k % 8 * math.pi / 4.0, 1.5) for k in range(24)]
+"""Three times round an eighth-cornered way, 12 m long."""
+AROUND = [
+    Disc(2.0 + r * math.cos(a), 2.0 + r * math.sin(a), size)
+    for r, a, size in [
+        (3.5, 0.1, 0.3),
+        (4.2, 0.9, 0.4),
+        (3.8, 1.7, 0.25),
+        (5.0, 2.4, 0.5),
+        (4.1, 3.0, 0.3),
+        (3.6, 3.9, 0.35),
+        (4.8, 4.5, 0.4),
+        (4.0, 5.1, 0.25),
+        (5.2, 5.7, 0.45),
+        (6.3, 0.5, 0.4),
+        (6.5, 1.9, 0.4),
+        (6.1, 3.5, 0.5),
+        (6.6, 4.9, 0.4),
+    ]
+]
+
+
+@dataclass
+class Believing:
+    """Moves exactly, from the origin, and believes in what a function makes of the truth."""
+
+    belief: Callable[[SE2, float], SE2]
+    """Of the true pose and the metres that lie behind it."""
+    things: Sequence[Disc | Pillar] = ()
+    truth: SE2 = SE2(0.0, 0.0, 0.0)
+    way: float = 0.0
+    sent: Setpoint | None = None
+
+    def observe(self) -> Observation:
+        T = level(self.truth)
+        depth, labels = render(T @ DREAM_V1.T_base_camera, *self.things)
+        believed = level(self.belief(self.truth, self.way))
+        return Observation(self.way, RGB, depth, labels, CAMERA, believed, DREAM_V1.T_base_camera)
+
+    def go_to(self, setpoint: Setpoint) -> Arrival:
+        """As far as it believes to have to, in its own axes."""
+        self.sent = setpoint
+        here = self.belief(self.truth, self.way)
+        step = level(here).inverse @ level(SE2(setpoint.x, setpoint.y, setpoint.yaw))
+        self.truth = (level(self.truth) @ step).se2
+        length = math.hypot(setpoint.x - here.x, setpoint.y - here.y)
+        self.way += length
+        there = self.belief(self.truth, self.way)
+        return Arrival(there, collided=False, distance=length, clearance=1.0, truth=level(self.truth))
+
+
+def level(pose: SE2) -> SE3:
+    return SE3.level(pose.x, pose.y, SEABED + DREAM_V1.altitude, pose.yaw)
+
+
+def exact(truth: SE2, way: float) -> SE2:
+    return truth
+
+
+def drifting(truth: SE2, way: float) -> SE2:
+    """A metre in a hundred, to the east."""
+    return SE2(truth.x + 0.01 * way, truth.y, truth.yaw)
+
+
+def errors(robot: Believing, anchored: Anchored) -> list[float]:
+    """Metres between where it is and where it believes to be, after each move of three rounds."""
+    off = []
+    anchored.observe()
+    x, y = 0.0, 0.0
+    for bearing, length in ROUND:
+        x, y = x + length * math.cos(bearing), y + length * math.sin(bearing)
+        arrival = anchored.go_to(Setpoint(x, y, bearing, DREAM_V1.altitude))
+        off.append(arrival.pose.distance(robot.truth))
+    return off
+
+
+def test_a_drift_does_not_grow_where_the_ground_is_seen_again() -> None:
+    robot = Believing(drifting, AROUND)
+    off = errors(robot, Anchored(robot, DREAM_V1, Anchoring(age=6.0)))
+    assert drifting(robot.truth, robot.way).distance(robot.truth) > 0.3
+    assert off[-1] < 0.15
+    assert max(off) < 0.2
+
+
+def test_a_true_pose_stays_true() -> None:
+    robot = Believing(exact, AROUND)
+    assert max(errors(robot, Anchored(robot, DREAM_V1, Anchoring(age=6.0)))) < 0.02
+
+
+def test_over_bare_ground_it_believes_the_robot() -> None:
+    robot = Believing(drifting)
+    anchored = Anchored(robot, DREAM_V1)
+    errors(robot, anchored)
+    believed = drifting(robot.truth, robot.way)
+    assert anchored.observe().pose.distance(believed) < 1e-9
+    np.testing.assert_allclose(anchored.T_map_odom.translation, 0.0, atol=1e-12)
+    assert anchored.alignment is None
+
+
+def test_frames_of_just_now_do_not_correct() -> None:
+    robot = Believing(drifting, AROUND)
+    anchored = Anchored(robot, DREAM_V1, Anchoring(age=1e6))
+    errors(robot, anchored)
+    assert anchored.observe().pose.distance(drifting(robot.truth, robot.way)) < 1e-9
+
+
+def test_what_it_tells_and_what_it_sends_are_in_frames_that_fit() -> None:
+    robot = Believing(drifting, AROUND)
+    anchored = Anchored(robot, DREAM_V1, Anchoring(age=6.0))
+    errors(robot, anchored)
+    shift = anchored.T_map_odom
+    assert np.hypot(*shift.translation[:2]) > 0.1
+    assert shift.translation[2] == 0.0
+    told = anchored.observe()
+    np.testing.assert_allclose(
+        told.T_world_base.translation, (shift @ robot.observe().T_world_base).translation
+    )
+    goal = SE2(told.pose.x + 0.5, told.pose.y - 0.25, 1.0)
+    anchored.go_to(Setpoint(goal.x, goal.y, goal.yaw, DREAM_V1.altitude))
+    assert robot.sent is not None
+    sent = (shift @ level(SE2(robot.sent.x, robot.sent.y, robot.sent.yaw))).se2
+    assert sent.distance(goal) < 1e-9
+    assert sent.yaw == pytest.approx(goal.yaw)
+    assert robot.sent.altitude == DREAM_V1.altitude
+
+
+def test_a_jump_that_no_drift_explains_is_not_believed() -> None:
+    def jumping(truth: SE2, way: float) -> SE2:
+        return truth if way < 24.0 else SE2(truth.x + 0.45, truth.y, truth.yaw)
+
+    robot = Believing(jumping, AROUND)
+    anchored = Anchored(robot, DREAM_V1, Anchoring(age=6.0, drift=0.001))
+    errors(robot, anchored)
+    assert anchored.alignment is None
+    wide = replace(Anchoring(age=6.0), drift=0.1, matching=Matching(window=0.75))
+    robot = Believing(jumping, AROUND)
+    assert errors(robot, Anchored(robot, DREAM_V1, wide))[-1] < 0.1
+
+
+def test_it_is_less_sure_the_farther_it_went_and_surer_by_what_it_sees_again() -> None:
+    robot = Believing(exact, AROUND)
+    blind = Anchored(Believing(exact), DREAM_V1)
+    seeing = Anchored(robot, DREAM_V1, Anchoring(age=6.0))
+    sigmas = []
+    for anchored in (blind, seeing):
+        errors(robot if anchored is seeing else Believing(exact), anchored)
+        sigmas.append(math.sqrt(anchored.covariance[0, 0]))
+    assert sigmas[0] > 0.1
+    assert sigmas[1] < 0.5 * sigmas[0]
