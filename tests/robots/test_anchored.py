@@ -16,7 +16,9 @@ from dream.robots.anchored import Anchored, Anchoring
 from dream.types import Arrival, Observation, Setpoint
 from tests.mapping.analytic import CAMERA, SEABED, Disc, Pillar, render
 
-RGB = np.zeros((240, 320, 3), np.uint8)
+COARSE = CAMERA.scaled(0.5)
+RGB = np.zeros((COARSE.height, COARSE.width, 3), np.uint8)
+LAUNCH = SE2(0.0, 0.0, 0.0)
 ROUND = [(k % 8 * math.pi / 4.0, 1.5) for k in range(24)]
 """Three times round an eighth-cornered way, 12 m long."""
 AROUND = [
@@ -46,15 +48,15 @@ class Believing:
     belief: Callable[[SE2, float], SE2]
     """Of the true pose and the metres that lie behind it."""
     things: Sequence[Disc | Pillar] = ()
-    truth: SE2 = SE2(0.0, 0.0, 0.0)
+    truth: SE2 = LAUNCH
     way: float = 0.0
     sent: Setpoint | None = None
 
     def observe(self) -> Observation:
         T = level(self.truth)
-        depth, labels = render(T @ DREAM_V1.T_base_camera, *self.things)
+        depth, labels = render(T @ DREAM_V1.T_base_camera, *self.things, camera=COARSE)
         believed = level(self.belief(self.truth, self.way))
-        return Observation(self.way, RGB, depth, labels, CAMERA, believed, DREAM_V1.T_base_camera)
+        return Observation(self.way, RGB, depth, labels, COARSE, believed, DREAM_V1.T_base_camera)
 
     def go_to(self, setpoint: Setpoint) -> Arrival:
         """As far as it believes to have to, in its own axes."""
@@ -103,7 +105,7 @@ def test_a_drift_does_not_grow_where_the_ground_is_seen_again() -> None:
 
 def test_a_true_pose_stays_true() -> None:
     robot = Believing(exact, AROUND)
-    assert max(errors(robot, Anchored(robot, DREAM_V1, Anchoring(age=6.0)))) < 0.02
+    assert max(errors(robot, Anchored(robot, DREAM_V1, Anchoring(age=6.0)))) < 0.06
 
 
 def test_over_bare_ground_it_believes_the_robot() -> None:

@@ -44,11 +44,11 @@ class Alignment:
 class Matching:
     """Correlative matching of ground points.
 
-    What it does: the other frames' points make a grid of how much is target and how high the ground is, between
-    its cells' centres by interpolation. Over a whole window of offsets, the one with the least mean squared
-    difference is looked for, then refined by quadrics. Their curvature says how sure each direction is.
-    Another minimum that fits about as well takes away all information along the line to it: a straight edge
-    corrects only across, a pattern that repeats not at all.
+    What it does: the other frames' points make a grid of how much is target and how high the ground is,
+    between its cells' centres by interpolation. In a whole window of offsets the one with the least mean
+    squared difference is looked for, then refined by quadrics. Their curvature says how sure each direction
+    is. Another minimum that fits about as well takes away all information along the line to it: a straight
+    edge corrects only across, a pattern that repeats not at all.
 
     Reference: Olson, Real-Time Correlative Scan Matching, ICRA 2009: a search of the whole window, and the
     covariance from its scores. The numbers were chosen on recorded missions.
@@ -68,16 +68,17 @@ class Matching:
     cell: float = 0.2
     """Side of the grid's cells, metres."""
     height_scale: float = 4.0
-    """Metres in height that count as much as target instead of bare seabed."""
+    """Metres in height that count as much as target instead of bare seabed. Heights are weak witnesses: what
+    stands up hides ground behind it, and shows other sides from elsewhere."""
     relief: float = 1.0
-    """Metres above and below the mean height within which heights are told apart: the sides of what is higher are
-    not seen alike from everywhere."""
+    """Metres above and below the mean height within which heights are told apart: the sides of what is higher
+    are not seen alike from everywhere."""
     min_overlap: float = 6.0
     """Square metres of common ground below which nothing is said."""
     floor: float = 0.02
     """Least mean squared difference that is believed."""
     trust: float = 0.1
-    """Ground points that are as good as one witness, inverted: neighbours err alike."""
+    """Witnesses that one ground point is worth: neighbours err alike."""
     rival: float = 4.0
     """Nats by which another minimum must be worse than the best, or it is as good."""
     sigma: float = 0.2
@@ -266,7 +267,7 @@ def _to_quadric() -> Float64Array:
 
 
 def _quadric(values: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Gradient (3,) and second derivatives (3, 3), in the middle, of the quadric nearest to values on `_CUBE`."""
+    """Gradient (3,) and second derivatives (3, 3), in the middle, of the quadric nearest to the values."""
     _, x, y, z, xx, yy, zz, xy, xz, yz = _to_quadric() @ values
     return np.array([x, y, z]), np.array([[2.0 * xx, xy, xz], [xy, 2.0 * yy, yz], [xz, yz, 2.0 * zz]])
 

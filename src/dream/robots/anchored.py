@@ -21,16 +21,17 @@ class Anchoring:
 
     matching: Matching = field(default_factory=Matching)
     drift: float = 0.02
-    """Standard deviation of what the position gains in error, over the square root of the metres on the way."""
+    """Standard deviation of what the position gains in error, over the square root of the metres moved."""
     heading: float = math.radians(1.0)
     """Standard deviation of the heading, as that of a compass on a vehicle of iron: it does not grow."""
     launch: float = 0.01
     """Metres, standard deviation of the position at the launch, where the map's frame is the robot's own."""
     age: float = 15.0
-    """Metres of way after which a frame may correct others. Those before err as the present one does: to match
+    """Metres of way after which a frame may correct others. Later ones err as the present one does: to match
     them only adds the errors of the match."""
     gate: float = 11.34
-    """Squared sigmas beyond which a match is not believed: the 99th percentile for three degrees of freedom."""
+    """Squared sigmas beyond which a match is not believed: 99 of 100 good ones are nearer, in three
+    dimensions."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,22 +44,22 @@ class _Look:
 class Anchored:
     """Corrects where another robot believes to be by the ground that it sees again.
 
-    What it does: the other robot's poses are in a frame that drifts, `odom`; those told here are in that of the
-    map (REP-105). Between them is one level transform, `T_map_odom`. What a frame shows of the ground is
+    What it does: the other robot's poses are in a frame that drifts, `odom`; those told here are in that of
+    the map (REP-105). Between them is one level transform, `T_map_odom`. What a frame shows of the ground is
     matched to what frames of long ago showed of it, where they were put into the map; a Kalman filter weighs
-    that by its curvature against what the robot may have drifted, and drops what is beyond its gate. A heading
-    is corrected for its own frame and the way to the next: a compass errs by the heading, not by the way.
-    Setpoints go back the other way.
+    that by its curvature against what the robot may have drifted, and drops what is beyond its gate. A
+    heading is corrected for its own frame and the way to the next: a compass errs by the heading, not by the
+    way. Setpoints go back the other way.
 
-    Why not the map itself: its cells mix old frames with new ones, which err as the present one does. Matched to
-    these, a pose follows the errors of its matches: true poses came to be wrong by 0.2 m, where the old frames
-    alone left 0.05 to 0.14 m.
+    Why not the map itself: its cells mix old frames with new ones, which err as the present one does, and so
+    let the errors of the matches add up. Poses that were true came to be wrong by 0.19 m in 200 m on a patch
+    reef with frames of any age, and by 0.04 m with those of 15 m ago and before.
 
     Reference: REP-105; Olson, Real-Time Correlative Scan Matching, ICRA 2009.
 
     Assumes: the launch is where the robot believes; ground that does not change.
-    Fails when: it drifts farther than the matching's window between two looks at the same ground. What was
-    mapped on the way out keeps its error: only later frames are put where the first ones were.
+    Fails when: it drifts farther than the matching's window between two looks at the same ground. And what
+    was mapped on the way out keeps its error: later frames are put where the first ones were.
     """
 
     def __init__(self, robot: Robot, protocol: SurveyProtocol, anchoring: Anchoring | None = None) -> None:
