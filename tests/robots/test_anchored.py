@@ -103,6 +103,21 @@ def test_a_drift_does_not_grow_where_the_ground_is_seen_again() -> None:
     assert max(off) < 0.2
 
 
+def test_it_ends_where_it_was_sent_in_the_map() -> None:
+    robot = Believing(drifting, AROUND)
+    anchored = Anchored(robot, DREAM_V1, Anchoring(age=6.0, settle=0.01))
+    anchored.observe()
+    x, y, corrected = 0.0, 0.0, 0
+    for bearing, length in ROUND:
+        x, y = x + length * math.cos(bearing), y + length * math.sin(bearing)
+        arrival = anchored.go_to(Setpoint(x, y, bearing, DREAM_V1.altitude))
+        corrected += anchored.alignment is not None
+        assert arrival.pose.distance(anchored.observe().pose) < 1e-9
+        assert arrival.pose.distance(SE2(x, y, bearing)) < 0.04
+        assert arrival.distance > 1.0
+    assert corrected > 5
+
+
 def test_a_true_pose_stays_true() -> None:
     robot = Believing(exact, AROUND)
     assert max(errors(robot, Anchored(robot, DREAM_V1, Anchoring(age=6.0)))) < 0.06

@@ -29,6 +29,8 @@ class Anchoring:
     age: float = 15.0
     """Metres of way after which a frame may correct others. Later ones err as the present one does: to match
     them only adds the errors of the match."""
+    settle: float = 0.06
+    """Metres that a correction may leave it away from where it was sent, or it goes there."""
     gate: float = 11.34
     """Squared sigmas beyond which a match is not believed: 99 of 100 good ones are nearer, in three
     dimensions."""
@@ -52,8 +54,8 @@ class Anchored:
     way. Setpoints go back the other way.
 
     Why not the map itself: its cells mix old frames with new ones, which err as the present one does, and so
-    let the errors of the matches add up. Poses that were true came to be wrong by 0.19 m in 200 m on a patch
-    reef with frames of any age, and by 0.04 m with those of 15 m ago and before.
+    let the errors of the matches add up. Poses that were true came to be wrong by 0.08 m (rms) in 200 m of a
+    patch reef with frames of any age, and by 0.04 m with those of 15 m ago and before.
 
     Reference: REP-105; Olson, Real-Time Correlative Scan Matching, ICRA 2009.
 
@@ -89,8 +91,24 @@ class Anchored:
 
     def go_to(self, setpoint: Setpoint) -> Arrival:
         """Send the robot to where a place in the map is by its own reckoning, and look around there."""
-        goal = _through(self._T_map_odom.inverse, SE2(setpoint.x, setpoint.y, setpoint.yaw))
-        arrival = self._robot.go_to(Setpoint(goal.x, goal.y, goal.yaw, setpoint.altitude))
+        goal = SE2(setpoint.x, setpoint.y, setpoint.yaw)
+        arrival = self._leg(goal, setpoint.altitude)
+        off = arrival.pose.distance(goal)
+        if self.alignment is not None and off > self._anchoring.settle and not arrival.collided:
+            # What it saw there moved it in the map: the rest of the way.
+            rest = self._leg(goal, setpoint.altitude)
+            arrival = replace(
+                rest,
+                distance=arrival.distance + rest.distance,
+                clearance=min(arrival.clearance, rest.clearance),
+            )
+        return arrival
+
+    def _leg(self, goal: SE2, altitude: float) -> Arrival:
+        if self._seen is None:
+            self._look()
+        odom = _through(self._T_map_odom.inverse, goal)
+        arrival = self._robot.go_to(Setpoint(odom.x, odom.y, odom.yaw, altitude))
         self._look()
         return replace(arrival, pose=_through(self._T_map_odom, arrival.pose))
 
