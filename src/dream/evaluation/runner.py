@@ -37,12 +37,12 @@ from dream.evaluation.results import (
 )
 from dream.evaluation.suites import Case
 from dream.mapping import OccupancyMap
-from dream.mission import Planner, explore
+from dream.mission import Planner, Robot, explore
 from dream.orders import Orders, sentences, written
 from dream.planning import PLANNERS, AnyPlanner
 from dream.planning.vlm.asking import Asking
 from dream.protocol import SHOWN, SurveyProtocol, protocol_named
-from dream.robots import Simulated, Teleport
+from dream.robots import Anchored, Simulated, Teleport
 from dream.sim.files import world_hash
 from dream.sim.render import Renderer
 from dream.sim.solids import Solids
@@ -94,7 +94,11 @@ def simulate(
     # A model is shown finer pictures than the map is made from; nobody else pays for them.
     fineness = SHOWN if isinstance(planner, Asking) else 1
     kind = Simulated if protocol.swims else Teleport
-    robot = kind(world, protocol, world.starts[start], renderer=renderer, solids=solids, fineness=fineness)
+    robot: Robot = kind(
+        world, protocol, world.starts[start], renderer=renderer, solids=solids, fineness=fineness
+    )
+    if protocol.swims:
+        robot = Anchored(robot, protocol)
     occupancy = OccupancyMap(world.bounds, protocol)
     return explore(robot, planner, occupancy, max_steps=max_steps, target=labelled_in(world), orders=orders)
 
