@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from dream.geometry import SE2, SE3
+from dream.geometry import SE2, SE3, wrap_angle
 from dream.mapping.alignment import Matching
 from dream.protocol import DREAM_V1
 from dream.robots.anchored import Anchored, Anchoring
@@ -158,6 +158,23 @@ def test_what_it_tells_and_what_it_sends_are_in_frames_that_fit() -> None:
     assert sent.distance(goal) < 1e-9
     assert sent.yaw == pytest.approx(goal.yaw)
     assert robot.sent.altitude == DREAM_V1.altitude
+
+
+def test_a_heading_is_corrected_for_its_frame_and_forgotten() -> None:
+    def turned(truth: SE2, way: float) -> SE2:
+        return truth if way < 12.0 else SE2(truth.x, truth.y, truth.yaw + 0.02)
+
+    robot = Believing(turned, AROUND)
+    anchored = Anchored(robot, DREAM_V1, Anchoring(age=6.0))
+    errors(robot, anchored)
+    assert anchored.alignment is not None
+    assert abs(wrap_angle(anchored.observe().pose.yaw - robot.truth.yaw)) < 0.01
+    assert anchored.T_map_odom.yaw < -0.01
+    robot.things = ()
+    there = anchored.observe().pose
+    after = anchored.go_to(Setpoint(there.x, there.y, there.yaw, DREAM_V1.altitude))
+    assert anchored.T_map_odom.yaw == pytest.approx(0.0, abs=1e-9)
+    assert after.pose.distance(there) < 1e-6
 
 
 def test_a_jump_that_no_drift_explains_is_not_believed() -> None:
