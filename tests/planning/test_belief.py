@@ -291,11 +291,14 @@ def test_new_ground_after_done_is_looked_at() -> None:
 # ---------------------------------------------------------------------------------------- refusals, watchdog
 
 
-def test_a_refused_done_raises_its_patience_and_only_that_does() -> None:
+@pytest.mark.parametrize("sway", [0.0, 0.03])
+def test_a_refused_done_raises_its_patience_and_only_that_does(sway: float) -> None:
+    """Also where the vehicle swims, so that it stays only about where it was."""
     pilot = Belief().begin(MISSION)
     before = pilot.patience
-    observation, complete = observed_at(3.0, -4.0, 0.0), map_with(explored=all_but())
+    complete = map_with(explored=all_but())
     for refused in range(4):
+        observation = observed_at(3.0 + sway * (refused % 2), -4.0, sway)
         assert pilot.decide(observation, complete).done
         assert pilot.patience == before + refused
     assert not pilot.decide(observation, map_with(explored=_half_known())).done

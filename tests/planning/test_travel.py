@@ -123,3 +123,23 @@ def test_ground_never_seen_is_not_reached(travel: Travel) -> None:
     near = np.minimum(np.hypot(x, y), np.hypot(x - 3.5, y - 1.0))
     assert near.max() <= DREAM_V1.launch_radius - DREAM_V1.body_radius
     assert (x > 3.0).any(), "the second disc is reached through the first"
+
+
+def test_a_first_move_is_one_that_the_guard_lets_pass_from_where_the_vehicle_is(
+    occupancy: OccupancyMap,
+) -> None:
+    """It swims: it is never quite on the lattice, and the guard looks from there."""
+    rng, narrow = np.random.default_rng(0), 0
+    for _ in range(40):
+        x, y = rng.uniform(-0.2, 0.2, 2)
+        here = SE2(2.0 + x, 0.5 + y, 0.0)
+        travel = travel_from(here, occupancy)
+        row, col, _ = travel.start
+        for heading in range(DREAM_V1.headings):
+            for k, advance in enumerate(DREAM_V1.advances):
+                turn = heading * DREAM_V1.heading_step
+                end = setpoint(SE2(here.x, here.y, turn), Decision(0.0, advance), DREAM_V1)
+                passes = occupancy.passable(np.array([[here.x, here.y]]), np.array([[end.x, end.y]]))[0]
+                assert passes or not travel.free[row, col, heading, k]
+                narrow += not passes
+    assert narrow

@@ -160,6 +160,7 @@ class Thought:
     """What the planner holds of the situation, and what it would do."""
 
     pose: SE2
+    """Snapped to the lattice: a vehicle that swims is never twice at quite the same place."""
     travel: Travel
     moves: npt.NDArray[np.uint8]
     """See `Outlook.moves`."""
@@ -217,7 +218,7 @@ class BeliefPilot:
         pose, protocol = observation.pose, self.mission.protocol
         here = (*self.outlook.node(pose.x, pose.y), protocol.heading_index(pose.yaw))
         # Still there: it was refused. Whoever flies it may also have gone on without it.
-        refused, self.claimed = self.claimed == pose, None
+        refused, self.claimed = self.claimed == protocol.snap(pose), None
         if refused:
             # It stood still, so that there was no new look; what was given up is worth one more.
             self.patience += 1
@@ -244,7 +245,7 @@ class BeliefPilot:
             target_area=sentences.target_area(area, completion),
             completion=self._certainty(completion, expected),
         )
-        thought = Thought(pose, travel, moves, completion, expected, reasoning)
+        thought = Thought(protocol.snap(pose), travel, moves, completion, expected, reasoning)
         enclosed = completion.complete and bool(completion.regions)
         looked_over = expected.hull_left <= self.planner.hull_left
         if enclosed and looked_over and expected.risk <= self.planner.risk:

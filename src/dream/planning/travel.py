@@ -158,8 +158,9 @@ def _free_moves(
     free = free_moves(occupancy, pose, corner, shape)
     # The vehicle may leave where it is, even where it could not go to now.
     ends = np.add(start[::-1], corner[::-1]) + offsets.reshape(-1, 2)
-    begin = np.broadcast_to(np.add(start[::-1], corner[::-1]), ends.shape)
-    free[start] = occupancy.passable(begin * spacing, ends * spacing).reshape(offsets.shape[:2])
+    # And from exactly there the guard looks at its first move.
+    begin = np.broadcast_to((pose.x, pose.y), ends.shape)
+    free[start] = occupancy.passable(begin, ends * spacing).reshape(offsets.shape[:2])
 
     y, x = ((np.arange(n) + first) * spacing for n, first in zip(shape, corner, strict=True))
     row, col = occupancy.cell_of(x, y)
