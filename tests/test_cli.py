@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
+import math
 import os
 import re
 import shutil
@@ -244,6 +245,25 @@ def test_a_run_with_a_sensor_that_errs_is_repeated_to_the_bit(
         assert json.loads((folder / "config.json").read_text())["protocol"] == "dream-v1-noisy"
         pictures.append([path.read_bytes() for path in sorted((folder / "frames").iterdir())])
     assert pictures[0] == pictures[1]
+
+
+def test_a_vehicle_that_swims_says_how_far_it_was_from_where_it_believed_to_be(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--world", "flat/empty", "--protocol", "dream-v1-nav", "--max-steps", "5"]
+    assert run_command(["run", "lawnmower", *options, "--out", str(tmp_path)]) == 0
+    assert "m (rms) from where it believed to be" in capsys.readouterr().out
+    folder = next(tmp_path.glob("2*"))
+    summary = json.loads((folder / "summary.json").read_text())
+    steps = [json.loads(line) for line in (folder / "steps.jsonl").read_text().splitlines()]
+    errors = [
+        math.dist((step["pose"]["x"], step["pose"]["y"]), (step["truth"]["x"], step["truth"]["y"]))
+        for step in steps[1:]
+    ]
+    assert summary["position_error_m"]["end"] == pytest.approx(errors[-1], abs=1e-4)
+    assert 0.0 < summary["position_error_m"]["rmse"] < 0.2
+    assert summary["drift"] == pytest.approx(errors[-1] / summary["distance_m"], abs=1e-4)
+    assert all(step["position_sigma_m"] > 0.0 for step in steps[1:])
 
 
 def test_an_unwritable_folder_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

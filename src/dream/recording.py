@@ -146,6 +146,8 @@ class RecordedStep(_Recorded):
     """None where unknown."""
     arrival_note: str = ""
     """What was wrong on the way."""
+    position_sigma_m: float = 0.0
+    """See `types.Arrival`."""
     map: dict[str, float]
     """Square metres of each layer."""
     open_region: str
@@ -400,6 +402,7 @@ def _line(step: Step, annotations: Mapping[str, Any]) -> str:
         distance_m=step.arrival.distance,
         clearance_m=step.arrival.clearance if np.isfinite(step.arrival.clearance) else None,
         arrival_note=step.arrival.note,
+        position_sigma_m=step.arrival.sigma,
         map=step.occupancy.areas(),
         open_region=step.open_region,
         ended=step.ended,

@@ -242,6 +242,8 @@ class Arrival:
     """Least metres between body and terrain, boulders or hull on the way; inf where unknown."""
     note: str = ""
     """What was wrong on the way; empty where nothing was."""
+    sigma: float = 0.0
+    """Metres by which the position may err along its less certain axis, by the vehicle's own account."""
     truth: SE3 | None = None
     """`T_world_base` as it really is, which only a simulator knows, for scoring; None where the pose that is
     believed is the true one."""

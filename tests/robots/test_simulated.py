@@ -45,11 +45,11 @@ def truly(arrival: Arrival) -> SE2:
 def test_it_stays_near_its_way_in_a_current_and_knows_how_well(empty_world: World, start: SE2) -> None:
     robot = Simulated(empty_world, DREAM_V1_NAV, start, motion=Motion(current=0.2))
     for _ in range(3):
-        for arrival in swum(robot, *SQUARE, turn=math.pi / 2):
-            error = truly(arrival).distance(arrival.pose)
-            sigma = _kernels.position_sigma(robot._state)
+        arrivals = swum(robot, *SQUARE, turn=math.pi / 2)
+        assert arrivals[-1].sigma == pytest.approx(_kernels.position_sigma(robot._state))
+        for arrival in arrivals:
             # One percent of scale that no filter here can see comes on top.
-            assert error < 4.0 * sigma + 0.01 * 24.0
+            assert truly(arrival).distance(arrival.pose) < 4.0 * arrival.sigma + 0.01 * 24.0
             assert not arrival.collided
     assert robot.observe().time > 12 * 4.0
 

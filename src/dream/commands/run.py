@@ -254,6 +254,12 @@ def _print_outcome(
         f"  {summary['collisions']} collisions, {summary['distance_m']:.0f} m "
         f"in {summary['mission_s']:.0f} s of the mission; computed in {summary['wall_s']:.1f} s"
     )
+    if summary["position_error_m"]["rmse"] > 0.0:
+        error = summary["position_error_m"]
+        print(
+            f"  it was {error['rmse']:.2f} m (rms) from where it believed to be, "
+            f"{error['end']:.2f} m at the end: {summary['drift']:.2%} of the way"
+        )
     if summary["vlm"] is not None:
         print(f"  {_asked(summary, 'replayed' if replayed else 'asked')}")
         print(f"  {_decided(summary['vlm'])}")

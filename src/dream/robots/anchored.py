@@ -114,7 +114,8 @@ class Anchored:
         odom = _through(self._T_map_odom.inverse, goal)
         arrival = self._robot.go_to(Setpoint(odom.x, odom.y, odom.yaw, altitude))
         self._look()
-        return replace(arrival, pose=_through(self._T_map_odom, arrival.pose))
+        sigma = math.sqrt(float(np.linalg.eigvalsh(self._covariance[:2, :2])[-1]))
+        return replace(arrival, pose=_through(self._T_map_odom, arrival.pose), sigma=sigma)
 
     @property
     def T_map_odom(self) -> SE3:

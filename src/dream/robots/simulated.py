@@ -184,6 +184,7 @@ class Simulated:
             distance=float(clock[_kernels.DISTANCE]),
             clearance=float(clock[_kernels.CLEARANCE]),
             note=_note(condition, late=how == _kernels.LATE),
+            sigma=float(_kernels.position_sigma(self._state)),
             truth=self.truth,
         )
 
