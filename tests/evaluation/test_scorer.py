@@ -401,3 +401,18 @@ def test_waiting_counts_on_the_missions_clock() -> None:
 
 def test_a_price_that_is_not_known_makes_the_sum_unknown() -> None:
     assert asked(cost_usd=None)["vlm"]["cost_usd"] is None
+
+
+def test_what_is_seen_goes_by_where_the_vehicle_really_is() -> None:
+    """It believes to be 12 m from there: beside one clump of shells it sees the other."""
+    world = arena(targets=clumps([(2.5, 0.1), (-9.5, 0.1)]))
+    scorer = Scorer(world, NEAR)
+    scorer.add(step(0, look(0.0, 0.0, math.pi / 2)))
+    there = SE3.level(-12.0, 0.0, FLOOR + 2.0, 0.0)
+    swum = step(1, look(0.0, 0.0), distance=10.0, ended="cap")
+    scorer.add(replace(swum, arrival=replace(swum.arrival, truth=there)))
+    said = scorer.summary()
+    assert scorer._seen.tolist() == [False, True]
+    assert said["coverage"]["instances"] == 0.5
+    assert said["position_error_m"] == {"rmse": pytest.approx(12.0 / math.sqrt(2.0), abs=1e-3), "end": 12.0}
+    assert said["drift"] == pytest.approx(1.2)

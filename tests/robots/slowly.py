@@ -110,6 +110,11 @@ class Slow:
             estimate = self.filter.correct(self.at_ping, self.ping.dvl)
             for earlier in self.since:
                 estimate = self.carried(estimate, earlier)
+            # Nothing is refused in these flights.
+            dvl = self.ping.dvl
+            seabed = self.at_ping.position[2] + motion.dvl.position[2] - dvl.altitude
+            part = min(1.0 / motion.dvl.rate(dvl.altitude) / _kernels.SEABED_TIME, 1.0)
+            self.seabed += part * (float(seabed) - self.seabed)
             self.ping, self.since, self.last_dvl = None, [], now
         self.estimate = estimate = self.carried(estimate, felt)
         if self.ping is not None:
@@ -119,6 +124,3 @@ class Slow:
             self.next_ping = now + 1.0 / motion.dvl.rate(ping.dvl.altitude)
             if ping.dvl.valid:
                 self.ping, self.at_ping = ping, estimate
-                seabed = estimate.position[2] + motion.dvl.position[2] - ping.dvl.altitude
-                part = min((self.next_ping - now) / _kernels.SEABED_TIME, 1.0)
-                self.seabed += part * (float(seabed) - self.seabed)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from dream.protocol import DREAM_V1, DREAM_V1_NAV
 from dream.robots import Motion, Simulated, _kernels
 from dream.robots.simulated import BEAT
 from dream.sim.render import Renderer
-from dream.sim.sensors import DVL_A50
+from dream.sim.sensors import AHRS, BAR30, DVL_A50, ICM_20602
 from dream.sim.solids import Solids
 from dream.sim.world import World
 from dream.types import Arrival, Setpoint
@@ -90,7 +91,7 @@ def test_without_bottom_track_it_slows_then_holds_and_at_last_surfaces(empty_wor
     deaf = replace(DVL_A50, dropout=1.0)
     watch = Watch(blind=1.0, lost=4.0, position_sigma=1.0)
     robot = Simulated(empty_world, DREAM_V1_NAV, motion=replace(CALM, dvl=deaf, watch=watch))
-    with pytest.raises(MissionAborted, match="navigation: diverged; the vehicle surfaced near"):
+    with pytest.raises(MissionAborted, match="navigation: diverged; the vehicle has to surface"):
         swum(robot, *[(10.0, 0.0)] * 5)
     # It held from the fourth second on: ten metres take twenty.
     assert robot.truth.se2.distance(SE2(0.0, 0.0, 0.0)) < 5.0
@@ -109,17 +110,46 @@ def test_a_short_loss_of_bottom_track_is_told_and_survived(empty_world: World) -
     assert truly(well).distance(well.pose) < 0.3
 
 
-def test_a_late_report_of_the_dvl_counts_from_when_it_was_true(empty_world: World) -> None:
-    """As if it had come at once, but for what was done meanwhile without it."""
+def test_a_contact_is_felt_so_that_the_estimate_outlasts_it(string_reef: World) -> None:
+    tall = np.argmax(string_reef.obstacles.scale[:, 2])
+    x, y = map(float, string_reef.obstacles.position[tall, :2])
+    robot = Simulated(string_reef, DREAM_V1_NAV, SE2(x - 4.0, y, 0.0), motion=CALM)
+    for _ in range(2):
+        arrival = robot.go_to(Setpoint(x, y, 0.0, DREAM_V1.altitude))
+        assert arrival.collided
+        truth = robot._voyage.x
+        speed = robot.truth.rotation @ truth[7:10]
+        assert robot.estimate.time == pytest.approx(robot._voyage.clock[_kernels.TIME])
+        assert np.linalg.norm(robot.estimate.velocity - speed) < 0.05
+        assert truly(arrival).distance(arrival.pose) < 0.1
+    back = robot.go_to(Setpoint(x - 4.0, y, 0.0, DREAM_V1.altitude))
+    assert not back.collided
+    assert truly(back).distance(back.pose) < 0.15
 
-    def error(latency: float) -> float:
-        late = replace(
-            DVL_A50, latency=latency, latency_spread=0.0, scale_error=0.0, beam_noise=1e-5, dropout=0.0
-        )
-        robot = Simulated(empty_world, DREAM_V1_NAV, motion=replace(CALM, dvl=late))
-        return truly(swum(robot, *SQUARE * 2)[-1]).distance(robot.observe().pose)
 
-    assert abs(error(0.06) - error(0.0)) < 0.02
+def test_what_it_hands_out_is_no_part_of_it(empty_world: World) -> None:
+    robot = Simulated(empty_world, DREAM_V1_NAV)
+    before = robot.estimate.position.copy()
+    robot.observe().T_world_base.translation[:] += 5.0
+    robot.truth.translation[:] += 5.0
+    np.testing.assert_array_equal(robot.estimate.position, before)
+    assert robot.truth.se2.distance(robot.observe().pose) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("wrong", "complaint"),
+    [
+        ({"current": -1.0}, "current: expected"),
+        ({"near": math.nan}, "near: expected"),
+        ({"slow": 0.0}, "slow: expected"),
+        ({"compass": replace(AHRS, rate=500.0)}, r"compass.rate: expected a part of 100 Hz, got 500"),
+        ({"gauge": replace(BAR30, rate=30.0)}, r"gauge.rate: expected a part of 100 Hz, got 30"),
+        ({"imu": replace(ICM_20602, rate=200.0)}, r"imu.rate: expected 100 Hz"),
+    ],
+)
+def test_what_cannot_swim_is_refused_by_name(wrong: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        Motion(**wrong)
 
 
 def test_a_beat_of_the_loop_is_the_filter_of_the_package(empty_world: World) -> None:

@@ -62,7 +62,7 @@ class InEkfState:
     @property
     def pose(self) -> SE3:
         """T_world_base."""
-        return SE3(self.rotation, self.position)
+        return SE3(self.rotation.copy(), self.position.copy())
 
     @property
     def angular_velocity(self) -> Float64Array:

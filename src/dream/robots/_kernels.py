@@ -10,7 +10,7 @@ import numpy.typing as npt
 from numba import njit
 
 from dream.control import _kernels as control
-from dream.estimation._kernels import inekf
+from dream.estimation._kernels import inekf, kalman
 from dream.estimation._kernels.sensors import Parameters as Instruments
 from dream.sim import _kernels as world
 from dream.sim.sensors import _kernels as sensors
@@ -18,8 +18,11 @@ from dream.sim.vehicle import _kernels as water
 
 Float64Array = npt.NDArray[np.float64]
 
-ARRIVED, COLLIDED, LATE, SURFACED = range(4)
-"""How a move ended: there, by contact, out of time, or given up because the estimate is not to be trusted."""
+ARRIVED, COLLIDED, LATE, SURFACED, BROKEN = range(5)
+"""How a move ended: there, by contact, out of time, given up because the estimate is not to be trusted, or
+because the simulated motion is not."""
+FARTHEST = 1e5
+"""Metres from the origin beyond which it is not."""
 MOST_BEATS = 64
 """Beats that a ping may take until its report is there; a longer one is lost."""
 SEABED_TIME = 2.0
@@ -29,8 +32,10 @@ CHECKED = 10
 """Beats between two looks at how sure the filter is."""
 
 # What `Voyage.clock` holds.
-CLOCK = 10
-TIME, NEXT_PING, ARRIVES, SENT, LAST_DVL, LAST_DEPTH, SEABED, DISTANCE, CLEARANCE, CONDITION = range(10)
+CLOCK = 11
+TIME, NEXT_PING, ARRIVES, SENT, ABOVE, LAST_DVL, LAST_DEPTH, SEABED, DISTANCE, CLEARANCE, CONDITION = range(
+    11
+)
 
 
 class Ship(NamedTuple):
@@ -79,7 +84,7 @@ class Voyage(NamedTuple):
     """(14,) of the autopilot."""
     commands: Float64Array
     clock: Float64Array
-    """(10,) seconds, metres and the worst condition of the move; see the names above."""
+    """(11,) seconds, metres and the worst condition of the move; see the names above."""
     ping_velocity: Float64Array
     ping_covariance: Float64Array
     since: Float64Array
@@ -199,17 +204,18 @@ def fly(
         before[:] = x
         water.stir(ship.flow, ship.dt, rng, voyage.gust)
         if not water.advance(ship.body, ship.flow, voyage.gust, none, voyage.commands, ship.dt, x):
-            return s, at_ping, SURFACED, beat
+            return s, at_ping, BROKEN, beat
+        if abs(x[0]) + abs(x[1]) + abs(x[2]) > FARTHEST:
+            return s, at_ping, BROKEN, beat
         clock[TIME] = now = now + ship.dt
         clock[DISTANCE] += math.hypot(x[0] - before[0], x[1] - before[1])
         touched = voyage.contact[0]
         water.hold(ship.body, ship.solids, ship.radius, ship.height, before, x, voyage.contact)
         if beat % CHECKED == 0:
             clock[CLEARANCE] = min(clock[CLEARANCE], clearance(ship, x))
-        # A contact that goes on is one: so it can slide off the way it came.
-        if voyage.contact[0] > touched:
+        struck = voyage.contact[0] > touched
+        if struck:
             clock[CLEARANCE] = min(clock[CLEARANCE], 0.0)
-            return s, at_ping, COLLIDED, beat
         # ------------------------------------------------------------------------------ what is felt
         sensors.inertial(ship.inertial, before, x, ship.dt, voyage.bias, rng, sample)
         count = round(now / ship.dt)
@@ -223,11 +229,15 @@ def fly(
         sent = int(clock[SENT])
         if sent >= 0 and now >= clock[ARRIVES]:
             # The report is of when the ping was sent: from there it is reckoned anew.
-            s = inekf.correct_dvl(ship.filter, at_ping, voyage.ping_velocity, voyage.ping_covariance)[0]
+            s, code, _ = inekf.correct_dvl(ship.filter, at_ping, voyage.ping_velocity, voyage.ping_covariance)
             for k in range(sent):
                 s = carried(ship, s, voyage.since[k])
             clock[SENT] = sent = -1
-            clock[LAST_DVL] = now
+            if code != kalman.REFUSED:
+                clock[LAST_DVL] = now
+            seabed = at_ping.position[2] + ship.acoustic.position[2] - clock[ABOVE]
+            period = 1.0 / sensors.ping_rate(ship.ping_tops, ship.ping_rates, clock[ABOVE])
+            clock[SEABED] += min(period / SEABED_TIME, 1.0) * (seabed - clock[SEABED])
         s = carried(ship, s, sample)
         if sent >= 0:
             if sent < MOST_BEATS:
@@ -248,17 +258,17 @@ def fly(
             )
             clock[NEXT_PING] = now + 1.0 / sensors.ping_rate(ship.ping_tops, ship.ping_rates, above)
             if valid:
-                clock[SENT], clock[ARRIVES] = 0, now + delay
+                clock[SENT], clock[ARRIVES], clock[ABOVE] = 0, now + delay, above
                 at_ping = s
-                seabed = s.position[2] + ship.acoustic.position[2] - above
-                part = min((clock[NEXT_PING] - now) / SEABED_TIME, 1.0)
-                clock[SEABED] += part * (seabed - clock[SEABED])
         # ------------------------------------------------------------------------------ is it there?
         yaw = math.atan2(s.rotation[1, 0], s.rotation[0, 0])
         if beat < len(track):
             r = water.rotation(x)
             track[beat, 0], track[beat, 4], track[beat, 8] = now, math.atan2(r[3], r[0]), yaw
             track[beat, 1:4], track[beat, 5:8] = x[:3], s.position
+        if struck:
+            # A contact that goes on is one: so it can slide off the way it came.
+            return s, at_ping, COLLIDED, beat + 1
         there = (
             math.hypot(goal[0] - s.position[0], goal[1] - s.position[1]) <= near
             and abs(control.wrapped(goal[2] - yaw)) <= aligned
@@ -267,7 +277,8 @@ def fly(
         still = still + ship.dt if there else 0.0
         if still >= stay:
             return s, at_ping, ARRIVED, beat + 1
-    return s, at_ping, LATE, beats
+    # One that still leans on what it touched did not come to stand by itself.
+    return s, at_ping, COLLIDED if voyage.contact[1] != 0.0 else LATE, beats
 
 
 @njit(cache=True, nogil=True)

@@ -105,6 +105,7 @@ class Anchored:
                 rest,
                 distance=arrival.distance + rest.distance,
                 clearance=min(arrival.clearance, rest.clearance),
+                note="; ".join(filter(None, (arrival.note, rest.note))),
             )
         return arrival
 

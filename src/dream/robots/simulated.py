@@ -31,7 +31,7 @@ from dream.sim.sensors import (
     PressureGauge,
 )
 from dream.sim.solids import Solids
-from dream.sim.vehicle import BLUEROV2_HEAVY, Current, Spread, State, Vehicle
+from dream.sim.vehicle import BLUEROV2_HEAVY, Current, Diverged, Spread, State, Vehicle
 from dream.sim.world import World
 from dream.types import Arrival, Observation, Setpoint
 from dream.vehicle import GRAVITY
@@ -73,6 +73,20 @@ class Motion:
     """Radians, likewise."""
     slow: float = 0.05
     """m/s, likewise."""
+
+    def __post_init__(self) -> None:
+        for name in ("current", "gust"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: expected 0 m/s or more, got {getattr(self, name)}")
+        for name in ("near", "aligned", "slow"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: expected a tolerance above 0, got {getattr(self, name)}")
+        for name, rate in (("gauge", self.gauge.rate), ("compass", self.compass.rate)):
+            every = 1.0 / (rate * BEAT)
+            if every < 1.0 - 1e-9 or abs(every - round(every)) > 1e-6:
+                raise ValueError(f"{name}.rate: expected a part of {1.0 / BEAT:g} Hz, got {rate:g}")
+        if abs(self.imu.rate * BEAT - 1.0) > 1e-9:
+            raise ValueError(f"imu.rate: expected {1.0 / BEAT:g} Hz, as the loop, got {self.imu.rate:g}")
 
     @property
     def estimator(self) -> InEkf:
@@ -165,19 +179,26 @@ class Simulated:
         """Swim there; at contact, stop.
 
         Raises:
-            MissionAborted: The estimate is not to be trusted any more; the vehicle has surfaced.
+            MissionAborted: The estimate is not to be trusted any more; the vehicle has to surface.
+            Diverged: The simulated motion is not: a parameter is wrong.
         """
-        before, motion = self.truth.se2, self._motion
+        before, motion = self.estimate.pose.se2, self._motion
         here = self.estimate.pose.se2
         gap = math.hypot(setpoint.x - here.x, setpoint.y - here.y)
         seconds = 2.0 * gap / motion.autopilot.speed + 2.0 * math.pi / motion.autopilot.turn_rate + ROOM
         clock = self._voyage.clock
         clock[_kernels.DISTANCE], clock[_kernels.CLEARANCE], clock[_kernels.CONDITION] = 0.0, math.inf, 0.0
-        how = self._fly(SE2(setpoint.x, setpoint.y, setpoint.yaw), seconds)
+        how = self._fly(SE2(setpoint.x, setpoint.y, setpoint.yaw), setpoint.altitude, seconds)
         self._moves += 1
         condition = Condition(int(clock[_kernels.CONDITION]))
         if how == _kernels.SURFACED:
-            raise MissionAborted(f"navigation: {condition.name.lower()}; the vehicle surfaced near {before}")
+            raise MissionAborted(
+                f"navigation: {condition.name.lower()}; the vehicle has to surface. It set out from {before}"
+            )
+        if how == _kernels.BROKEN:
+            raise Diverged(
+                f"motion: expected one that stays near the world, got none on the way to {setpoint}"
+            )
         return Arrival(
             self.estimate.pose.se2,
             collided=how == _kernels.COLLIDED,
@@ -198,7 +219,7 @@ class Simulated:
         """What it knows of its motion."""
         return InEkfState(*self._state)
 
-    def _fly(self, goal: SE2, seconds: float) -> int:
+    def _fly(self, goal: SE2, altitude: float, seconds: float) -> int:
         motion = self._motion
         self._state, self._at_ping, how, _ = _kernels.fly(
             self._ship,
@@ -206,7 +227,7 @@ class Simulated:
             self._state,
             self._at_ping,
             np.array([goal.x, goal.y, goal.yaw]),
-            self._protocol.altitude,
+            altitude,
             seconds,
             motion.near,
             motion.aligned,
