@@ -377,7 +377,12 @@ def test_a_mission_that_asked_nothing_has_nothing_to_say_of_a_model(tour: Tour) 
 
 def test_what_was_asked_of_a_model_is_summed_up() -> None:
     said = asked(
-        prompt="dream 2", requests=2, tokens_in=100, tokens_out=11, fallback="timeout: none within 9 s"
+        prompt="dream 2",
+        requests=2,
+        tokens_in=100,
+        tokens_out=11,
+        fallback="timeout: none within 9 s",
+        seconds=9.25,
     )
     assert said["vlm"] == {
         "model": "openai:painted",
@@ -392,6 +397,7 @@ def test_what_was_asked_of_a_model_is_summed_up() -> None:
         "reasons": {"timeout": 1},
         "outcomes": {},
         "waited_s": 36.0,
+        "latency_s": {"p50": 6.25, "p99": 9.19},
     }
 
 

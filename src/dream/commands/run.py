@@ -275,6 +275,7 @@ def _asked(summary: Mapping[str, Any], done: str) -> str:
     vlm = summary["vlm"]
     return (
         f"{done} {vlm['model']}: {vlm['calls']} calls, {vlm['tokens']} tokens, {price(vlm['cost_usd'])}, "
+        f"{vlm['latency_s']['p50']:.1f} s an answer, "
         f"waited {vlm['waited_s']:.0f} s of {summary['mission_s']:.0f} s"
         + (f"; a wire test, {WIRE_TEST}" if stands_in(vlm["model"]) else "")
     )

@@ -56,6 +56,7 @@ class _Asked:
     tokens_in: int
     tokens_out: int
     cost_usd: float | None
+    seconds: float
     reason: str
     """In a word, why no reply counted; empty where one did."""
     outcome: str
@@ -268,6 +269,7 @@ class Scorer:
             return None
         costs = [question.cost_usd for question in asked]
         known = [cost for cost in costs if cost is not None]
+        seconds = [question.seconds for question in asked]
         tokens_in = sum(question.tokens_in for question in asked)
         tokens_out = sum(question.tokens_out for question in asked)
         reasons = Counter(question.reason for question in asked if question.reason)
@@ -286,6 +288,7 @@ class Scorer:
             "fallbacks": reasons.total(),
             "reasons": dict(sorted(reasons.items())),
             "waited_s": round(self._waited(), 3),
+            "latency_s": {f"p{p}": round(float(np.percentile(seconds, p)), 3) for p in (50, 99)},
         }
 
     def _flown(self, orders: Orders) -> list[dict[str, Any]]:
@@ -319,6 +322,7 @@ def _digest(exchange: Exchange) -> _Asked:
         tokens_in=exchange.tokens_in,
         tokens_out=exchange.tokens_out,
         cost_usd=exchange.cost_usd,
+        seconds=exchange.seconds,
         reason=exchange.fallback.partition(":")[0],
         outcome=exchange.outcome.partition(":")[0],
     )
