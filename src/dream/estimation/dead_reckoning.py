@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -10,18 +10,9 @@ import numpy.typing as npt
 
 from dream.estimation._kernels import dead_reckoning as kernels
 from dream.estimation.instruments import Mounting
-from dream.estimation.intake import (
-    VERDICTS,
-    Outcome,
-    Verdict,
-    check_sample,
-    plain,
-    refusal,
-    source_of,
-    too_steep,
-)
+from dream.estimation.intake import Outcome, check_sample, corrected, plain
 from dream.geometry import SE3
-from dream.measurements import Depth, Dvl, Imu, Measurement
+from dream.measurements import Imu, Measurement
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -99,21 +90,8 @@ class DeadReckoning:
 
     def correct(self, state: DeadReckoningState, measurement: Measurement) -> DeadReckoningState:
         """The state after a measurement of its own time; where that is refused, the outcome says why."""
-        source = source_of(measurement)
-        refused = refusal(measurement)
-        if refused is None and too_steep(measurement, state.rotation):
-            refused = Verdict.TOO_STEEP
-        if refused is not None:
-            return replace(state, outcome=Outcome(source, refused))
-        q, s = _parameters(self), _packed(state)
-        if isinstance(measurement, Dvl):
-            velocity, covariance = plain(measurement.velocity), plain(measurement.covariance)
-            after, code, _ = kernels.correct_dvl(q, s, velocity, covariance)
-        elif isinstance(measurement, Depth):
-            after, code, _ = kernels.correct_depth(q, s, float(measurement.z), float(measurement.sigma))
-        else:
-            after, code, _ = kernels.correct_heading(q, s, float(measurement.yaw), float(measurement.sigma))
-        return DeadReckoningState(*after, outcome=Outcome(source, VERDICTS[code]))
+        after, outcome = corrected(kernels, _parameters(self), _packed(state), measurement, state.rotation)
+        return DeadReckoningState(*after, outcome=outcome)
 
     @property
     def compiled(self) -> kernels.Parameters:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -13,18 +13,9 @@ from dream.estimation._kernels import ekf as kernels
 from dream.estimation._kernels.groups import quaternion_from, rotation_from
 from dream.estimation._kernels.sensors import Parameters
 from dream.estimation.instruments import InertialErrors, Mounting, Start, Trust, parameters, start_sigmas
-from dream.estimation.intake import (
-    VERDICTS,
-    Outcome,
-    Verdict,
-    check_sample,
-    plain,
-    refusal,
-    source_of,
-    too_steep,
-)
+from dream.estimation.intake import Outcome, check_sample, corrected, plain
 from dream.geometry import SE3
-from dream.measurements import Depth, Dvl, Imu, Measurement
+from dream.measurements import Imu, Measurement
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -146,21 +137,8 @@ class Ekf:
 
     def correct(self, state: EkfState, measurement: Measurement) -> EkfState:
         """The state after a measurement of its own time; where that is refused, the outcome says why."""
-        source = source_of(measurement)
-        refused = refusal(measurement)
-        if refused is None and too_steep(measurement, state.rotation):
-            refused = Verdict.TOO_STEEP
-        if refused is not None:
-            return replace(state, outcome=Outcome(source, refused))
-        q, s = _parameters(self), _packed(state)
-        if isinstance(measurement, Dvl):
-            velocity, covariance = plain(measurement.velocity), plain(measurement.covariance)
-            after, code, nis = kernels.correct_dvl(q, s, velocity, covariance)
-        elif isinstance(measurement, Depth):
-            after, code, nis = kernels.correct_depth(q, s, float(measurement.z), float(measurement.sigma))
-        else:
-            after, code, nis = kernels.correct_heading(q, s, float(measurement.yaw), float(measurement.sigma))
-        return EkfState(*after, outcome=Outcome(source, VERDICTS[code], nis))
+        after, outcome = corrected(kernels, _parameters(self), _packed(state), measurement, state.rotation)
+        return EkfState(*after, outcome=outcome)
 
     @property
     def compiled(self) -> Parameters:

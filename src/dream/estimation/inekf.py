@@ -18,13 +18,12 @@ from dream.estimation.intake import (
     Source,
     Verdict,
     check_sample,
+    corrected,
     plain,
     refusal,
-    source_of,
-    too_steep,
 )
 from dream.geometry import SE3
-from dream.measurements import Depth, Dvl, Imu, Measurement
+from dream.measurements import Dvl, Imu, Measurement
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -157,21 +156,8 @@ class InEkf:
 
     def correct(self, state: InEkfState, measurement: Measurement) -> InEkfState:
         """The state after a measurement of its own time; where that is refused, the outcome says why."""
-        source = source_of(measurement)
-        refused = refusal(measurement)
-        if refused is None and too_steep(measurement, state.rotation):
-            refused = Verdict.TOO_STEEP
-        if refused is not None:
-            return replace(state, outcome=Outcome(source, refused))
-        q, s = _parameters(self), packed(state)
-        if isinstance(measurement, Dvl):
-            velocity, covariance = plain(measurement.velocity), plain(measurement.covariance)
-            after, code, nis = kernels.correct_dvl(q, s, velocity, covariance)
-        elif isinstance(measurement, Depth):
-            after, code, nis = kernels.correct_depth(q, s, float(measurement.z), float(measurement.sigma))
-        else:
-            after, code, nis = kernels.correct_heading(q, s, float(measurement.yaw), float(measurement.sigma))
-        return InEkfState(*after, outcome=Outcome(source, VERDICTS[code], nis))
+        after, outcome = corrected(kernels, _parameters(self), packed(state), measurement, state.rotation)
+        return InEkfState(*after, outcome=outcome)
 
     def rest(self, state: InEkfState, stopped_for: float, dvl: Dvl | None) -> InEkfState:
         """The state after the word that the vehicle rests, where nothing speaks against it.
