@@ -99,6 +99,8 @@ class Helm:
     """(n,) in [−1, 1], the last ones."""
     share: float = field(default=1.0)
     """Of the wrench, that the thrusters could give."""
+    _error: Float64Array = field(default_factory=lambda: np.zeros(4))
+    _power: tuple[float, float] = (0.0, 0.0)
 
     def steer(
         self,
@@ -123,6 +125,24 @@ class Helm:
         Raises:
             ValueError: Something is not finite. The commands stay what they were.
         """
+        wrench = self.demand(T_world_base, velocity, angular_velocity, goal, dt, pace=pace)
+        self.learn(_kernels.allocate(wrench, self.nominal, self.commands), dt)
+        return self.commands.copy()
+
+    def demand(
+        self,
+        T_world_base: SE3,
+        velocity: Float64Array,
+        angular_velocity: Float64Array,
+        goal: tuple[float, float, float, float],
+        dt: float,
+        *,
+        pace: float = 1.0,
+    ) -> Float64Array:
+        """(6,) N and N m in `base` that carry it along the reference, for whoever allocates them.
+
+        Takes and refuses what `steer` does. `learn` has to follow, with what the thrusters could give of it.
+        """
         target = np.array(goal, np.float64)
         for name, values in (
             ("goal", target),
@@ -133,20 +153,29 @@ class Helm:
                 raise ValueError(f"{name}: expected finite numbers, got {values}. Is the estimate alive?")
         if not 0.0 < dt < 1.0:
             raise ValueError(f"dt: expected seconds above 0 and below 1, got {dt}. Is the loop alive?")
-        self.share = _kernels.steer(
+        acceleration = _kernels.guide(self.memory, target, self.gains, pace, dt)
+        wrench, self._error, self._power = _kernels.wrench(
             self.memory,
-            target,
-            pace,
+            acceleration,
             np.ascontiguousarray(T_world_base.rotation, np.float64),
             np.ascontiguousarray(T_world_base.translation, np.float64),
             np.ascontiguousarray(velocity, np.float64),
             np.ascontiguousarray(angular_velocity, np.float64),
             self.gains,
             self.nominal,
-            dt,
-            self.commands,
         )
-        return self.commands.copy()
+        return np.asarray(wrench, np.float64)
+
+    def learn(self, share: float, dt: float) -> None:
+        """Take what the velocities lacked at the last `demand` for a push, or for drag.
+
+        Args:
+            share: Of that wrench, what the thrusters can give. Of less than all of it nothing is learnt.
+            dt: Seconds since the beat before.
+        """
+        self.share = share
+        if share == 1.0:
+            _kernels.blame(self.memory, self._error, self._power, self.gains, self.nominal, dt)
 
     @property
     def reference(self) -> tuple[float, float, float, float]:

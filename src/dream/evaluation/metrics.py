@@ -82,7 +82,123 @@ class _Entry:
     ended: str
 
 
-class Scorer:
+class Logbook:
+    """Keeps what a summary needs of every step: hand it each, in order. It knows nothing of a truth."""
+
+    def __init__(self, protocol: SurveyProtocol, orders: Orders | None = None) -> None:
+        self._protocol, self._orders = protocol, orders
+        self._legs: dict[int, Flown] = {}
+        self._steps_of: Counter[int] = Counter()
+        self._log: list[_Entry] = []
+
+    def note(self, step: Step) -> None:
+        """Take in one more step."""
+        if step.leg is not None and self._orders is not None:
+            self._legs[step.leg.number] = step.leg
+            self._steps_of[step.leg.number] += step.index > 0
+        truth = step.observation.T_world_base if step.arrival.truth is None else step.arrival.truth
+        self._log.append(
+            _Entry(
+                index=step.index,
+                collided=step.arrival.collided,
+                distance=step.arrival.distance,
+                clearance=step.arrival.clearance,
+                turned=step.guarded.decision.turn != 0.0,
+                guarded=bool(step.guarded.note),
+                claimed=step.decision.done,
+                planner_s=step.planner_s,
+                time=step.observation.time,
+                error=truth.se2.distance(step.observation.pose),
+                waited=step.decision.waited,
+                asked=tuple(map(_digest, step.decision.exchanges)),
+                ended=step.ended,
+            )
+        )
+
+    def summary(self) -> dict[str, Any]:
+        """What `summary.json` says of a finished mission. What only a truth could tell is None."""
+        moves = self._log[1:]
+        steps, ended = (self._log[-1].index, self._log[-1].ended) if self._log else (0, "")
+        claims = [entry.index for entry in moves if entry.claimed]
+        clearance = min((entry.clearance for entry in moves), default=math.inf)
+        planner_ms = [1e3 * entry.planner_s for entry in moves] or [0.0]
+        distance = sum(entry.distance for entry in moves)
+        return {
+            "ended": ended or "aborted",
+            "steps": steps,
+            "t_stop": steps if ended == "done" else None,
+            "t_claimed": claims[0] if claims else None,
+            **dict.fromkeys(MILESTONES),
+            "coverage": dict.fromkeys(Coverage.__slots__),
+            "countable": None,
+            "collisions": sum(entry.collided for entry in moves),
+            "distance_m": round(distance, 3),
+            "position_error_m": None,
+            "drift": None,
+            "turns": sum(entry.turned for entry in moves),
+            "guarded": sum(entry.guarded for entry in moves),
+            "min_clearance_m": round(clearance, 3) if math.isfinite(clearance) else None,
+            "planner_ms": {
+                "p50": round(float(np.percentile(planner_ms, 50)), 2),
+                "p99": round(float(np.percentile(planner_ms, 99)), 2),
+            },
+            "mission_s": round((self._log[-1].time if self._log else 0.0) + self._waited(), 3),
+            "vlm": self._vlm(),
+            "success": None,
+            **({} if self._orders is None else {"legs": self._flown(self._orders)}),
+        }
+
+    def _waited(self) -> float:
+        return math.fsum(entry.waited for entry in self._log)
+
+    def _vlm(self) -> dict[str, Any] | None:
+        """What was asked of a model, all mission long; None where nothing was."""
+        asked = [question for entry in self._log for question in entry.asked]
+        if not asked:
+            return None
+        costs = [question.cost_usd for question in asked]
+        known = [cost for cost in costs if cost is not None]
+        seconds = [question.seconds for question in asked]
+        tokens_in = sum(question.tokens_in for question in asked)
+        tokens_out = sum(question.tokens_out for question in asked)
+        reasons = Counter(question.reason for question in asked if question.reason)
+        return {
+            "model": ", ".join(dict.fromkeys(question.model for question in asked)),
+            "prompts": list(dict.fromkeys(question.prompt for question in asked)),
+            "calls": sum(question.requests for question in asked),
+            "questions": len(asked),
+            "tokens": tokens_in + tokens_out,
+            "tokens_in": tokens_in,
+            "tokens_out": tokens_out,
+            "cost_usd": round(math.fsum(known), 6) if len(known) == len(costs) else None,
+            "outcomes": dict(
+                Counter(question.outcome for question in asked if question.outcome).most_common()
+            ),
+            "fallbacks": reasons.total(),
+            "reasons": dict(sorted(reasons.items())),
+            "waited_s": round(self._waited(), 3),
+            "latency_s": {f"p{p}": round(float(np.percentile(seconds, p)), 3) for p in (50, 99)},
+        }
+
+    def _flown(self, orders: Orders) -> list[dict[str, Any]]:
+        """What came of each leg of the orders, as in `summary.json`."""
+        legs = []
+        for number, leg in enumerate(orders.legs, start=1):
+            flown = self._legs.get(number)
+            outcome = "not flown" if flown is None else flown.outcome or "not ended"
+            legs.append(
+                {
+                    "task": leg.task.value,
+                    "target": leg.target.value,
+                    "area": None if flown is None else _as_list(flown.area),
+                    "outcome": str(outcome),
+                    "steps": self._steps_of[number],
+                }
+            )
+        return legs
+
+
+class Scorer(Logbook):
     """Scores a mission while it runs: hand it every step, in order.
 
     Seeing is geometry (`sim.visibility`), so that scoring, simulator and oracle agree exactly. Where there
@@ -101,10 +217,7 @@ class Scorer:
     ) -> None:
         """Score by the visibility and the renderer of this world where they are made already."""
         self._bounds, self._positions = world.bounds, np.asarray(world.targets.position[:, :2], np.float64)
-        self._orders = orders
-        self._legs: dict[int, Flown] = {}
-        self._steps_of: Counter[int] = Counter()
-        self._protocol = protocol
+        super().__init__(protocol, orders)
         self._visibility = Visibility(world, protocol) if visibility is None else visibility
         self._renderer = renderer or Renderer(world)
         self._countable = self._counted()
@@ -113,7 +226,6 @@ class Scorer:
         self._first_seen = np.full(len(world.targets), -1)
         """The step; −1 where not yet."""
         self._shown = np.zeros(len(world.targets), dtype=bool)
-        self._log: list[_Entry] = []
 
     def add(self, step: Step) -> Coverage:
         """Score one more step and say how much has been covered since the start."""
@@ -122,29 +234,9 @@ class Scorer:
         seen = self._visibility.seen(np.array([[pose.x, pose.y, pose.yaw]]))[0]
         self._first_seen[seen & ~self._seen] = step.index
         self._shown |= self._shows(step.observation.camera, T_world_base @ step.observation.T_base_camera)
-        if step.leg is not None and self._orders is not None:
-            self._legs[step.leg.number] = step.leg
-            self._steps_of[step.leg.number] += step.index > 0
-            self._countable = self._counted()
-        coverage = self._coverage()
-        self._log.append(
-            _Entry(
-                index=step.index,
-                collided=step.arrival.collided,
-                distance=step.arrival.distance,
-                clearance=step.arrival.clearance,
-                turned=step.guarded.decision.turn != 0.0,
-                guarded=bool(step.guarded.note),
-                claimed=step.decision.done,
-                planner_s=step.planner_s,
-                time=step.observation.time,
-                error=pose.distance(step.observation.pose),
-                waited=step.decision.waited,
-                asked=tuple(map(_digest, step.decision.exchanges)),
-                ended=step.ended,
-            )
-        )
-        return coverage
+        self.note(step)
+        self._countable = self._counted()
+        return self._coverage()
 
     @property
     def _seen(self) -> BoolArray:
@@ -212,45 +304,26 @@ class Scorer:
 
     def summary(self) -> dict[str, Any]:
         """The scores of the finished mission, as in `summary.json`."""
-        moves = self._log[1:]
-        steps, ended = (self._log[-1].index, self._log[-1].ended) if self._log else (0, "")
-        claims = [entry.index for entry in moves if entry.claimed]
-        collisions = sum(entry.collided for entry in moves)
-        clearance = min((entry.clearance for entry in moves), default=math.inf)
-        planner_ms = [1e3 * entry.planner_s for entry in moves] or [0.0]
-        coverage = self._coverage()
-        vlm = self._vlm()
+        coverage, told = self._coverage(), super().summary()
+        vlm, distance = told["vlm"], sum(entry.distance for entry in self._log[1:])
         # A model that never gave an answer has flown nothing.
         silent = vlm is not None and vlm["fallbacks"] == vlm["questions"]
-        distance = sum(entry.distance for entry in moves)
         missed = any(leg.outcome is Outcome.NOT_FOUND for leg in self._legs.values())
+        success = (
+            told["ended"] == "done"
+            and told["steps"] <= self._protocol.cap
+            and coverage.instances >= COMPLETE
+            and told["collisions"] == 0
+            and not missed
+            and not silent
+        )
         return {
-            "ended": ended or "aborted",
-            "steps": steps,
-            "t_stop": steps if ended == "done" else None,
-            "t_claimed": claims[0] if claims else None,
+            **told,
             **{name: self._time_to(share) for name, share in MILESTONES.items()},
             "coverage": coverage.as_dict(),
             "countable": int(self._countable.sum()),
-            "collisions": collisions,
-            "distance_m": round(distance, 3),
             **self._navigation(distance),
-            "turns": sum(entry.turned for entry in moves),
-            "guarded": sum(entry.guarded for entry in moves),
-            "min_clearance_m": round(clearance, 3) if math.isfinite(clearance) else None,
-            "planner_ms": {
-                "p50": round(float(np.percentile(planner_ms, 50)), 2),
-                "p99": round(float(np.percentile(planner_ms, 99)), 2),
-            },
-            "mission_s": round((self._log[-1].time if self._log else 0.0) + self._waited(), 3),
-            "vlm": vlm,
-            "success": ended == "done"
-            and steps <= self._protocol.cap
-            and coverage.instances >= COMPLETE
-            and collisions == 0
-            and not missed
-            and not silent,
-            **({} if self._orders is None else {"legs": self._flown(self._orders)}),
+            "success": success,
         }
 
     def _navigation(self, distance: float) -> dict[str, Any]:
@@ -258,55 +331,6 @@ class Scorer:
         errors = np.array([entry.error for entry in self._log] or [0.0])
         error = {"rmse": round(float(np.sqrt((errors**2).mean())), 4), "end": round(float(errors[-1]), 4)}
         return {"position_error_m": error, "drift": round(error["end"] / distance, 6) if distance else 0.0}
-
-    def _waited(self) -> float:
-        return math.fsum(entry.waited for entry in self._log)
-
-    def _vlm(self) -> dict[str, Any] | None:
-        """What was asked of a model, all mission long; None where nothing was."""
-        asked = [question for entry in self._log for question in entry.asked]
-        if not asked:
-            return None
-        costs = [question.cost_usd for question in asked]
-        known = [cost for cost in costs if cost is not None]
-        seconds = [question.seconds for question in asked]
-        tokens_in = sum(question.tokens_in for question in asked)
-        tokens_out = sum(question.tokens_out for question in asked)
-        reasons = Counter(question.reason for question in asked if question.reason)
-        return {
-            "model": ", ".join(dict.fromkeys(question.model for question in asked)),
-            "prompts": list(dict.fromkeys(question.prompt for question in asked)),
-            "calls": sum(question.requests for question in asked),
-            "questions": len(asked),
-            "tokens": tokens_in + tokens_out,
-            "tokens_in": tokens_in,
-            "tokens_out": tokens_out,
-            "cost_usd": round(math.fsum(known), 6) if len(known) == len(costs) else None,
-            "outcomes": dict(
-                Counter(question.outcome for question in asked if question.outcome).most_common()
-            ),
-            "fallbacks": reasons.total(),
-            "reasons": dict(sorted(reasons.items())),
-            "waited_s": round(self._waited(), 3),
-            "latency_s": {f"p{p}": round(float(np.percentile(seconds, p)), 3) for p in (50, 99)},
-        }
-
-    def _flown(self, orders: Orders) -> list[dict[str, Any]]:
-        """What came of each leg of the orders, as in `summary.json`."""
-        legs = []
-        for number, leg in enumerate(orders.legs, start=1):
-            flown = self._legs.get(number)
-            outcome = "not flown" if flown is None else flown.outcome or "not ended"
-            legs.append(
-                {
-                    "task": leg.task.value,
-                    "target": leg.target.value,
-                    "area": None if flown is None else _as_list(flown.area),
-                    "outcome": str(outcome),
-                    "steps": self._steps_of[number],
-                }
-            )
-        return legs
 
     def _time_to(self, share: float) -> int | None:
         first = self._first_seen[self._countable]
