@@ -1,0 +1,150 @@
+"""The operator's console of a dive: what goes on, and the keys that rule it."""
+
+from __future__ import annotations
+
+import contextlib
+import enum
+import os
+import select
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+SHOWN = 5.0
+"""Times a second that the console is drawn."""
+KEYS = {
+    "p": "pause after this step",
+    "h": "hold here now",
+    "r": "resume",
+    "e": "end the dive",
+    "s": "surface",
+}
+
+
+class Will(enum.StrEnum):
+    """What the operator wants."""
+
+    GO = "go"
+    PAUSE = "pause"
+    """Wait once the present step is done."""
+    HOLD = "hold"
+    """Stay where it is, now."""
+    END = "end"
+    SURFACE = "surface"
+
+
+_OF = {"p": Will.PAUSE, "h": Will.HOLD, "r": Will.GO, "e": Will.END, "s": Will.SURFACE}
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """One line of the console."""
+
+    name: str
+    value: str
+    well: bool = True
+
+
+@dataclass(slots=True)
+class Operator:
+    """What the operator wants, and whether there is one."""
+
+    willed: Callable[[Will], None]
+    """Told at once of every wish, on the console's thread."""
+    alive: Callable[[], None]
+    """Called several times a second for as long as the terminal is there."""
+    will: Will = Will.GO
+    _over: bool = field(default=False)
+
+    def press(self, key: str) -> None:
+        """A key; others than those of `KEYS` mean nothing. An end is for good."""
+        will = _OF.get(key.lower())
+        if will is None or self._over:
+            return
+        self.will = will
+        self._over = will in (Will.END, Will.SURFACE)
+        self.willed(will)
+
+
+@contextlib.contextmanager
+def console(title: str, read: Callable[[], list[Reading]], operator: Operator) -> Iterator[None]:
+    """Show the dive on standard error, and read keys, while the block lasts.
+
+    Without a terminal nothing is shown, and there is no operator: nobody calls `alive`.
+
+    Args:
+        title: Above all.
+        read: What to show, asked for again and again on another thread.
+        operator: Who is told of keys.
+    """
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        yield
+        return
+    over = threading.Event()
+    # The terminal is given back as it was, whatever happens.
+    import termios
+    import tty
+
+    keyboard = sys.stdin.fileno()
+    before = termios.tcgetattr(keyboard)
+    watching = threading.Thread(
+        target=_watch, args=(title, read, operator, keyboard, over), name="console", daemon=True
+    )
+    try:
+        tty.setcbreak(keyboard)
+        watching.start()
+        yield
+    finally:
+        over.set()
+        watching.join(timeout=1.0)
+        termios.tcsetattr(keyboard, termios.TCSADRAIN, before)
+
+
+def _watch(
+    title: str,
+    read: Callable[[], list[Reading]],
+    operator: Operator,
+    keyboard: int,
+    over: threading.Event,
+) -> None:
+    from rich.console import Console
+    from rich.live import Live
+
+    with Live(console=Console(stderr=True), auto_refresh=False, transient=True) as live:
+        drawn = 0.0
+        while not over.is_set():
+            ready, _, _ = select.select([keyboard], [], [], 0.05)
+            if ready:
+                try:
+                    pressed = os.read(keyboard, 64).decode("ascii", "ignore")
+                except OSError:
+                    return  # The terminal is gone, and the operator with it.
+                if not pressed:
+                    return
+                for key in pressed:
+                    operator.press(key)
+            operator.alive()
+            if time.monotonic() - drawn > 1.0 / SHOWN:
+                drawn = time.monotonic()
+                live.update(page(title, read(), operator.will), refresh=True)
+
+
+def page(title: str, readings: list[Reading], will: Will) -> RenderableType:
+    """What the console shows."""
+    from rich.panel import Panel
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table.grid(padding=(0, 2))
+    for reading in readings:
+        style = "" if reading.well else "bold red"
+        table.add_row(Text(reading.name, style="dim"), Text(reading.value, style=style))
+    keys = "   ".join(f"{key} {what}" for key, what in KEYS.items())
+    wants = "" if will is Will.GO else f" · the operator wants: {will}"
+    return Panel(table, title=f"{title}{wants}", subtitle=keys, title_align="left", subtitle_align="left")

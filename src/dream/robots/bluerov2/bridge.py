@@ -1,0 +1,345 @@
+"""Who has the vehicle: the goal it is held to, and whether it may move at all."""
+
+from __future__ import annotations
+
+import enum
+import logging
+import math
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from dream.control.health import SLOW, Condition, Watch
+from dream.geometry import SE2, Bounds
+from dream.robots.bluerov2.navigation import Fix, Navigator
+
+logger = logging.getLogger(__name__)
+
+LEASE = 0.5
+"""Seconds after which a command that was not renewed is neutral."""
+
+
+class Stance(enum.StrEnum):
+    """What the bridge does, whatever the goal."""
+
+    GO = "go"
+    SLOW = "slow"
+    """On to the goal at a part of the speeds."""
+    NEUTRAL = "neutral"
+    """No motion is asked for; the autopilot holds depth and heading. If it lasts, the last resort comes."""
+    YIELD = "yield"
+    """Somebody else has the vehicle: nothing is sent that moves it."""
+    OVER = "over"
+    """The dive cannot go on: neutral, then the last resort."""
+
+
+class LastResort(enum.StrEnum):
+    """What is done with a vehicle that must not go on."""
+
+    HOLD = "hold"
+    """Depth and heading, for the operator to take over."""
+    SURFACE = "surface"
+    DISARM = "disarm"
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """What the bridge does, and why."""
+
+    stance: Stance
+    reason: str = ""
+    """Empty where all is well."""
+
+
+FINE = Standing(Stance.GO)
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Where and how long the vehicle may be."""
+
+    area: Bounds
+    """Of the map's frame."""
+    margin: float = 0.5
+    """Metres beyond the area at which the dive is over."""
+    depth: float = 10.0
+    """Metres below the surface, at most."""
+    minutes: float = 60.0
+    voltage: float = 14.0
+    """Volts, at least: four cells of 3.5 V."""
+    patience: float = 5.0
+    """Seconds in neutral after which the last resort is taken."""
+    last_resort: LastResort = LastResort.SURFACE
+
+    def __post_init__(self) -> None:
+        for name in ("depth", "minutes", "patience"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: expected a limit above 0, got {getattr(self, name)}")
+        for name in ("margin", "voltage"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: expected 0 or more, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, slots=True)
+class Craft:
+    """What the vehicle itself reports."""
+
+    armed: bool
+    link_age: float
+    """Seconds since its last heartbeat."""
+    voltage: float
+    """NaN where it does not say."""
+    depth: float
+    """Metres; NaN likewise."""
+    leak: bool = False
+    taken: str = ""
+    """Who else has it, and how that is known; empty where nobody."""
+    lost: str = ""
+    """Why it will not be moved any more: disarmed by somebody, or begun anew; empty where it may."""
+
+
+class Drive(Protocol):
+    """One way to move the vehicle: goal and estimate in, commands out on the wire."""
+
+    def begin(self, fix: Fix) -> None:
+        """Stand here; what was learnt of the water is kept."""
+
+    def steer(self, fix: Fix, goal: SE2, z: float, dt: float, pace: float, expires: float) -> None:
+        """Send the command of this beat, which turns neutral by itself at that time."""
+
+    def neutral(self) -> None:
+        """Send, now, that nothing shall move it."""
+
+    def release(self) -> None:
+        """Send nothing any more that could move it: somebody else has it."""
+
+    def resort(self, how: LastResort) -> None:
+        """Begin the last resort; returns at once."""
+
+    def craft(self) -> Craft:
+        """What the vehicle reports."""
+
+
+class Bridge:
+    """Steers to the goal at a fixed rate while everything that has to be well is; else says why not.
+
+    What it does: every beat takes the estimate up to date and judges, in this order: who has the vehicle, is
+    it within its limits, do mission and operator live, can the estimate be relied on. Only then it steers. A
+    command lives for `LEASE` seconds: when this loop dies, the link itself falls to neutral.
+    Assumes: `beat` is called on one thread; all else on any.
+    """
+
+    def __init__(
+        self,
+        navigator: Navigator,
+        drive: Drive,
+        limits: Limits,
+        now: Callable[[], float],
+        *,
+        watch: Watch | None = None,
+        rate: float = 25.0,
+        said: Callable[[Standing], None] | None = None,
+    ) -> None:
+        """On a vehicle whose navigator is aligned.
+
+        Args:
+            navigator: Says where it is.
+            drive: How it is moved.
+            limits: Where and how long it may be.
+            now: The dive's clock.
+            watch: When the estimate is too old or too vague.
+            rate: Beats a second.
+            said: Told of every change of what it does.
+        """
+        self._navigator, self._drive, self._limits, self._now = navigator, drive, limits, now
+        self._watch = watch or Watch()
+        self._period = 1.0 / rate
+        self._said = said
+        self._lock = threading.Lock()
+        self._goal: tuple[SE2, float] | None = None
+        self._asked = math.nan
+        self._mission_until = self._operator_until = math.inf
+        self._ended: str = ""
+        self._resorted = False
+        self._standing = FINE
+        self._neutral_since = math.nan
+        self._began = self._last_beat = now()
+        self._wake = threading.Event()
+        self._stopping = threading.Event()
+        self._thread: threading.Thread | None = None
+        self.fix = navigator.update()
+        self.lags: list[float] = []
+        """Seconds from each new goal to the command that begins to follow it."""
+        self.late_beats = 0
+        """Beats that came later than twice their time."""
+        self._drive.begin(self.fix)
+
+    def start(self) -> None:
+        """Begin to beat, on a thread of its own."""
+        self._thread = threading.Thread(target=self._run, name="bridge", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Neutral, and no beat any more."""
+        self._stopping.set()
+        self._wake.set()
+        if self._thread is not None:
+            self._thread.join(timeout=2.0)
+        if self._standing.stance is not Stance.YIELD:
+            self._drive.neutral()
+
+    def go(self, goal: SE2, altitude: float) -> None:
+        """Hold the vehicle to this pose of the map, this high above the seabed, from now on."""
+        with self._lock:
+            self._goal, self._asked = (goal, altitude), self._now()
+        self._wake.set()
+
+    def renew(self, seconds: float = LEASE) -> None:
+        """The mission lives, and will say so again within that time."""
+        with self._lock:
+            self._mission_until = self._now() + seconds
+
+    def renew_operator(self, seconds: float) -> None:
+        """The operator is there, and will show it again within that time."""
+        with self._lock:
+            self._operator_until = self._now() + seconds
+
+    def end(self, why: str) -> None:
+        """The dive is over: neutral, then the last resort."""
+        with self._lock:
+            self._ended = self._ended or why
+        self._wake.set()
+
+    @property
+    def standing(self) -> Standing:
+        """What it does now, and why."""
+        return self._standing
+
+    @property
+    def goal(self) -> SE2 | None:
+        """Where it is held to."""
+        goal = self._goal
+        return None if goal is None else goal[0]
+
+    def beat(self) -> None:
+        """Take in, judge, and steer or not."""
+        now = self._now()
+        dt = min(max(now - self._last_beat, 1e-3), 0.5)
+        self.late_beats += dt > 2.0 * self._period
+        self._last_beat = now
+        self.fix = fix = self._navigator.update()
+        standing = self._judge(fix, now)
+        self._change(standing, now)
+        if standing.stance in (Stance.GO, Stance.SLOW):
+            self._steer(fix, dt, SLOW if standing.stance is Stance.SLOW else 1.0)
+        elif standing.stance is Stance.YIELD:
+            self._drive.release()
+        else:
+            self._drive.neutral()
+            if now - self._neutral_since >= self._limits.patience and not self._resorted:
+                self._resorted = True
+                logger.warning("%s; last resort: %s", standing.reason, self._limits.last_resort)
+                self._drive.resort(self._limits.last_resort)
+
+    def _run(self) -> None:
+        due = self._now()
+        while not self._stopping.is_set():
+            due += self._period
+            self._wake.wait(max(due - self._now(), 0.0))
+            if self._wake.is_set():
+                # A new goal is not kept waiting for the next beat.
+                self._wake.clear()
+                due = self._now()
+            if self._stopping.is_set():
+                return
+            due = max(due, self._now() - self._period)
+            try:
+                self.beat()
+            except Exception as error:  # the loop must outlive whatever it meets, and say so.
+                logger.exception("bridge: a beat failed")
+                self.end(f"bridge: {type(error).__name__}: {error}")
+                self._drive.neutral()
+
+    def _steer(self, fix: Fix, dt: float, pace: float) -> None:
+        with self._lock:
+            goal, asked = self._goal, self._asked
+            self._asked = math.nan
+            alive = min(self._mission_until, self._operator_until)
+        if goal is None:
+            self._drive.neutral()
+            return
+        pose, altitude = goal
+        height = float(fix.T_world_base.translation[2])
+        z = max(fix.seabed + altitude if math.isfinite(fix.seabed) else height, -self._limits.depth)
+        self._drive.steer(fix, pose, z, dt, pace, min(self._now() + LEASE, alive))
+        if not math.isnan(asked):
+            self.lags.append(self._now() - asked)
+
+    def _change(self, standing: Standing, now: float) -> None:
+        if standing.stance in (Stance.NEUTRAL, Stance.OVER):
+            if math.isnan(self._neutral_since):
+                self._neutral_since = now
+        else:
+            self._neutral_since = math.nan
+            moves = (Stance.GO, Stance.SLOW)
+            if standing.stance in moves and self._standing.stance not in moves:
+                self._drive.begin(self.fix)
+        if standing != self._standing:
+            self._standing = standing
+            if self._said is not None:
+                self._said(standing)
+
+    def _judge(self, fix: Fix, now: float) -> Standing:
+        craft = self._drive.craft()
+        if self._resorted:
+            return Standing(Stance.OVER, self._standing.reason)
+        with self._lock:
+            ended, mission, operator = self._ended, self._mission_until, self._operator_until
+        if craft.lost:
+            return Standing(Stance.OVER, craft.lost)
+        if craft.taken:
+            return Standing(Stance.YIELD, craft.taken)
+        if ended:
+            return Standing(Stance.OVER, ended)
+        if broken := self._broken_limit(fix, craft, now):
+            return Standing(Stance.OVER, broken)
+        if craft.link_age > 3.0:
+            return Standing(Stance.NEUTRAL, f"no heartbeat from the vehicle for {craft.link_age:.0f} s")
+        for until, who in ((mission, "the mission"), (operator, "the operator")):
+            if now > until:
+                return Standing(Stance.NEUTRAL, f"no sign of life from {who}")
+        condition = self._watch.condition(
+            imu_age=fix.imu_age,
+            depth_age=fix.depth_age,
+            dvl_age=fix.dvl_age,
+            velocity_sigma=fix.velocity_sigma,
+            position_sigma=fix.position_sigma,
+        )
+        if condition is Condition.BLIND:
+            return Standing(Stance.SLOW, "no bottom track for a while")
+        if condition is not Condition.FINE:
+            return Standing(Stance.NEUTRAL, _TROUBLE[condition])
+        return FINE
+
+    def _broken_limit(self, fix: Fix, craft: Craft, now: float) -> str:
+        """Which limit does not hold, in words; empty where all do."""
+        limits, area = self._limits, self._limits.area
+        x, y, _ = fix.T_world_base.translation
+        beyond = max(area.x_min - x, x - area.x_max, area.y_min - y, y - area.y_max)
+        if beyond > limits.margin:
+            return f"{beyond:.1f} m outside the area"
+        if craft.depth > limits.depth + 0.5:
+            return f"{craft.depth:.1f} m deep, {limits.depth:g} m are allowed"
+        if now - self._began > 60.0 * limits.minutes:
+            return f"the {limits.minutes:g} minutes of the dive are over"
+        if craft.voltage < limits.voltage:
+            return f"battery at {craft.voltage:.1f} V, {limits.voltage:g} V are needed"
+        return "water in the hull" if craft.leak else ""
+
+
+_TROUBLE = {
+    Condition.LOST: "no bottom track for long",
+    Condition.DIVERGED: "the estimate does not know any more where it is",
+    Condition.STALE: "no inertial samples, or no depth",
+}
