@@ -100,9 +100,10 @@ def altitude_up(z: float, surface: float = 0.0) -> float:
 class Joystick:
     """What ArduSub makes of MANUAL_CONTROL, and the sticks for what one wants.
 
-    What it does: sticks become channels of 1500 + 0.4·gain·stick µs; for z it is
-    1500 + 0.8·gain·throttle gain·(z − 500). x and y go straight to the horizontal thrusters in all modes. In ALT_HOLD r asks for a turn rate, linear
-    beyond its dead zone, at which 0 means: hold the heading; and z for a rate of climb, likewise.
+    What it does: sticks become channels of 1500 + 0.4·gain·stick µs; that of z is
+    1500 + 0.8·gain·throttle gain·(z − 500). x and y go straight to the horizontal thrusters in all modes. In
+    ALT_HOLD r asks for a turn rate, linear beyond its dead zone, at which 0 means: hold the heading; and z
+    for a rate of climb, likewise.
     Reference: ArduSub 4.7, `joystick.cpp`, `mode_althold.cpp`, `Attitude.cpp`, `AP_Motors6DOF.cpp`, and its
     parameters' documentation. Against its own simulation: r = 300 for 3 s gives 48° here, 42° there, where
     the vehicle first has to get going.

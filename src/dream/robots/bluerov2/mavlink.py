@@ -1,0 +1,1118 @@
+"""The link to ArduSub: telemetry and measurements in, requests and motion out."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import logging
+import math
+import statistics
+import struct
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Self
+
+from dream.measurements import Depth, Heading, Imu
+from dream.robots.bluerov2.clocks import DeviceClock
+from dream.robots.bluerov2.messages import (
+    FRESH,
+    MODES,
+    NUMBERS,
+    Attitude,
+    Strange,
+    attitude_of,
+    depth_of,
+    heading_of,
+    imu_of,
+    pressure_of,
+    tilt_of,
+)
+from dream.robots.bluerov2.motion import Motion, Order
+from dream.robots.bluerov2.parameters import JOYSTICK_PARAMETERS, STATION_ID, Check, rules
+from dream.robots.bluerov2.sticks import (
+    ALTITUDE_ONLY,
+    BODY_NED,
+    GLOBAL_INT,
+    NEUTRAL,
+    STILL,
+    VELOCITY_AND_YAW_RATE,
+    Joystick,
+    Sticks,
+    altitude_up,
+    forward_right_down,
+)
+from dream.robots.bluerov2.wire import Pipe, Tcp, Udp, open_pipe
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+logger = logging.getLogger(__name__)
+
+Measurement = Imu | Heading | Depth
+Tap = Callable[[float, str, bool, object], None]
+
+PERIOD = 0.05
+"""Seconds between two motion messages."""
+LIFELINE = 3.0
+"""Seconds for which the link speaks for a dive that does not say that it is alive."""
+LOST = 3.0
+"""Seconds without a heartbeat of the vehicle after which the link counts as broken."""
+EXPECTED = 3.0
+"""Seconds within which a mode or an arming that was asked for shows in the heartbeat."""
+RATES = MappingProxyType(
+    {
+        "RAW_IMU": 50.0,
+        "ATTITUDE": 50.0,
+        "SCALED_PRESSURE2": 20.0,
+        "SYS_STATUS": 2.0,
+        "NAMED_VALUE_FLOAT": 2.0,
+        "GIMBAL_DEVICE_ATTITUDE_STATUS": 5.0,
+    }
+)
+"""Hertz that are asked for; ArduSub's own loop for them has 50."""
+OPTIONAL = ("NAMED_VALUE_FLOAT", "GIMBAL_DEVICE_ATTITUDE_STATUS")
+"""Of these, what some versions of ArduSub do not have an interval for."""
+BRIGHTER, DIMMER = 32, 33
+"""BTNn_FUNCTION of the buttons for the lights. Lights are moved as a pilot does: DO_SET_SERVO is refused for
+the output function Lights1 that ArduSub has since 4.5.6, and before that MANUAL_CONTROL overrode it."""
+PRESS = 0.15
+"""Seconds for which a button is held, and then let go."""
+ECHOES = 512
+"""Messages of ours that are remembered, to know them again when a router sends them back."""
+STATION_MESSAGES = (
+    "HEARTBEAT",
+    "MANUAL_CONTROL",
+    "RC_CHANNELS_OVERRIDE",
+    "COMMAND_LONG",
+    "COMMAND_INT",
+    "SET_MODE",
+    "PARAM_SET",
+    "SET_POSITION_TARGET_LOCAL_NED",
+    "SET_POSITION_TARGET_GLOBAL_INT",
+    "SET_ATTITUDE_TARGET",
+)
+"""What only a station that drives sends."""
+
+
+class Refused(RuntimeError):  # noqa: N818 - it names what happened.
+    """The vehicle answered, and the answer was no."""
+
+
+@dataclass(frozen=True, slots=True)
+class Telemetry:
+    """What the vehicle says of itself, at one moment. Ages are in seconds, infinite before the first."""
+
+    time: float
+    """Seconds on the dive's clock."""
+    mode: str = "UNKNOWN"
+    armed: bool = False
+    voltage: float = math.nan
+    """Volts at the battery."""
+    battery: float = math.nan
+    """Share that is left, 0 to 1."""
+    depth: float = math.nan
+    """Metres below the surface; NaN until the pressure there is known."""
+    attitude: Attitude | None = None
+    pilot_gain: float = math.nan
+    """What buttons have made of JS_GAIN_DEFAULT."""
+    input_hold: bool = False
+    """The autopilot keeps old sticks until all are near neutral."""
+    lights: float = math.nan
+    """0 to 1."""
+    camera_tilt: float = math.nan
+    """Radians up."""
+    leak: bool = False
+    failsafe: bool = False
+    """The vehicle's state is critical: one of its failsafes acts."""
+    version: str = ""
+    heartbeat_age: float = math.inf
+    imu_age: float = math.inf
+    attitude_age: float = math.inf
+    pressure_age: float = math.inf
+    loss: float = 0.0
+    """Share of the vehicle's packets that never came, by their numbers."""
+    jitter: float = math.nan
+    """Seconds, as `DeviceClock` tells it."""
+    reboots: int = 0
+
+
+class Link:
+    """Talks to one ArduSub as its ground station.
+
+    What it does: one thread receives, checks who sent it, keeps telemetry and hands measurements on; one
+    thread sends. While the vehicle is armed by this link it repeats the order that holds at 20 Hz, and
+    neutral sticks (in GUIDED also a velocity and a yaw rate of zero) when none does. It falls silent, so that
+    the vehicle's own failsafe acts, when the dive no longer calls `operator_alive`; and it yields, so that
+    somebody else may drive, when another station uses its system id or changes mode or arming.
+
+    Reference: ArduSub 4.7 (`GCS_MAVLink_Sub.cpp`, `joystick.cpp`, `failsafe.cpp`), MAVLink's common.xml.
+
+    Assumes: MAV_GCS_SYSID of the vehicle is `system`; nothing else may send with it.
+    Fails when: a router hides other stations' messages from us: then a rival shows only by what it changes.
+
+    Methods that ask (`connect`, `arm`, `set_mode`, `param`, …) wait for the answer, try three times, and
+    raise TimeoutError when none comes and `Refused` when it is no. They count as signs of life, too.
+    """
+
+    def __init__(
+        self,
+        address: str | Pipe = "udpin:127.0.0.1:14550",
+        *,
+        now: Callable[[], float],
+        deliver: Callable[[Measurement], None] = lambda _: None,
+        tap: Tap | None = None,
+        vehicle: int = 1,
+        system: int = 255,
+        component: int = 190,
+        density: float = FRESH,
+        surface_pressure: float = math.nan,
+        heading_sigma: float = 0.05,
+        depth_sigma: float = 0.02,
+        imu_from: str = "RAW_IMU",
+        heading_from: str = "ATTITUDE",
+        rates: Mapping[str, float] = RATES,
+        retry: float = 0.5,
+    ) -> None:
+        """Open the port; the threads begin in the with-block.
+
+        Args:
+            address: udpin:HOST:PORT (or HOST:PORT) listens, port 0 takes any free one; udpout:HOST:PORT and
+                tcp:HOST:PORT go there. Or anything that carries datagrams.
+            now: The dive's clock.
+            deliver: Takes measurements, in the receiving thread.
+            tap: Takes (time, "mavlink", sent, message) for each message.
+            vehicle: System id of the vehicle; its autopilot has component id 1.
+            system: System id of ours, which MAV_GCS_SYSID of the vehicle must be.
+            component: Component id of ours.
+            density: kg/m³ of the water.
+            surface_pressure: hPa at the surface, if known; else `zero_depth` finds it.
+            heading_sigma: Radians that a heading is uncertain by.
+            depth_sigma: Metres that a depth is uncertain by.
+            imu_from: RAW_IMU, SCALED_IMU or SCALED_IMU2.
+            heading_from: ATTITUDE or ATTITUDE_QUATERNION.
+            rates: Names of messages and the hertz to ask for.
+            retry: Seconds to wait for an answer before asking again.
+        """
+        if not (1 <= vehicle <= 255 and 1 <= system <= 255 and vehicle != system):
+            raise ValueError(
+                f"system ids: expected two different ones of 1 to 255, got {vehicle} and {system}"
+            )
+        if not 900.0 <= density <= 1200.0:
+            raise ValueError(f"density: expected 900 to 1200 kg/m³ of water, got {density}")
+        self._dialect = _dialect()
+        self._now = now
+        self._deliver = deliver
+        self._tap = tap
+        self.vehicle, self.system, self.component = vehicle, system, component
+        self._density, self._surface = density, surface_pressure
+        self._heading_sigma, self._depth_sigma = heading_sigma, depth_sigma
+        self._imu_from, self._heading_from = imu_from, heading_from
+        self._rates = dict(rates)
+        self._retry = retry
+        self._pipe = open_pipe(address) if isinstance(address, str) else address
+        self._datagrams = not isinstance(self._pipe, Tcp)
+        for name in self._rates:
+            self._message_id(name)
+
+        self.refused: Counter[str] = Counter()
+        """What came and was not taken, by reason."""
+        self.rival = ""
+        """Who else uses our system id; empty for nobody."""
+        self.mode_changed_by_other = ""
+        self.armed_by_other = ""
+        """Arming or disarming that nobody here asked for; empty for none."""
+        self.problem = ""
+        """Why the port does not work; empty while it does."""
+        self.texts: deque[tuple[float, int, str]] = deque(maxlen=200)
+        """(time, severity, text) of what the vehicle said; severity 0 is worst."""
+
+        self._news = threading.Condition(threading.RLock())
+        self._out = threading.Lock()
+        self._wake = threading.Event()
+        self._closed = False
+        self._threads: list[threading.Thread] = []
+        self._reader = self._parser()
+        self._writer = self._dialect.MAVLink(None, srcSystem=system, srcComponent=component)
+        self._own: deque[bytes] = deque(maxlen=ECHOES)
+        self._waiting: list[tuple[Callable[[Any], bool], list[Any]]] = []
+
+        self._motion = Motion()
+        self._engaged = False
+        self._ours = False
+        self._expected_armed: tuple[bool, float] = (False, -math.inf)
+        self._expected_mode: tuple[str, float] = ("", -math.inf)
+        self._alive_until = -math.inf
+        self._press: tuple[int, float] = (0, -math.inf)
+        self._next_heartbeat = -math.inf
+        self._next_beat = -math.inf
+        self._asked_again = -math.inf
+
+        self._clocks = {"boot": DeviceClock(), "usec": DeviceClock()}
+        self._last_stamp: dict[str, float] = {}
+        self._last_time: dict[str, float] = {}
+        self._trips: dict[int, float] = {}
+        self._values: dict[str, Any] = {}
+        self._seen: dict[str, float] = {}
+        self._pressures: deque[tuple[float, float]] = deque(maxlen=400)
+        self._sequence = -1
+        self._packets = self._missing = 0
+        self._boot = -math.inf
+        self._backwards = 0
+        self._reboots = 0
+        self._before: dict[str, float] = {}
+        self._types: dict[str, int] = {}
+        self._spelling: dict[str, str] = {}
+
+    # Opening and closing
+
+    def __enter__(self) -> Self:
+        for work in (self._receiving, self._sending):
+            thread = threading.Thread(target=work, name=f"mavlink {work.__name__}", daemon=True)
+            self._threads.append(thread)
+            thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Send neutral if the vehicle moves by our orders, and let go of the port."""
+        if self._closed:
+            return
+        self.stop()
+        self._closed = True
+        self._wake.set()
+        for thread in self._threads:
+            thread.join(2.0)
+        self._pipe.close()
+
+    @property
+    def port(self) -> int:
+        """The port it listens on; 0 where it does not listen."""
+        return self._pipe.port if isinstance(self._pipe, Udp) else 0
+
+    @property
+    def connected(self) -> bool:
+        """Whether the vehicle's heartbeat is there."""
+        return self.age < LOST
+
+    @property
+    def age(self) -> float:
+        """Seconds since the vehicle's last heartbeat; infinite before the first."""
+        return self._now() - self._seen.get("heartbeat", -math.inf)
+
+    @property
+    def engaged(self) -> bool:
+        """Whether this link armed the vehicle, and it still is."""
+        return self._ours
+
+    @property
+    def yielding(self) -> str:
+        """Why it leaves the vehicle to somebody else; empty when it does not."""
+        return self.rival or self.mode_changed_by_other or self.armed_by_other
+
+    @property
+    def telemetry(self) -> Telemetry:
+        """What is known of the vehicle now."""
+        now = self._now()
+        with self._news:
+            received = self._packets + self._missing
+            return Telemetry(
+                time=now,
+                **self._values,
+                heartbeat_age=now - self._seen.get("heartbeat", -math.inf),
+                imu_age=now - self._seen.get("imu", -math.inf),
+                attitude_age=now - self._seen.get("attitude", -math.inf),
+                pressure_age=now - self._seen.get("pressure", -math.inf),
+                loss=self._missing / received if received else 0.0,
+                jitter=self._clocks["boot"].jitter,
+                reboots=self._reboots,
+            )
+
+    # Signs of life
+
+    def operator_alive(self) -> None:
+        """Say that the dive's main loop runs: for `LIFELINE` seconds from now the link speaks for it."""
+        with self._news:
+            self._alive_until = self._now() + LIFELINE
+
+    # Motion
+
+    def command(self, order: Order, expires: float) -> float:
+        """Move so until then.
+
+        Args:
+            order: `Sticks` in ALT_HOLD and other modes, `BodyVelocity` in GUIDED.
+            expires: Seconds on the dive's clock. More than 0.5 s ahead is cut to that.
+
+        Returns:
+            When it will expire.
+
+        Raises:
+            ValueError: Not finite, or faster than a BlueROV2 can be. The order before it holds on.
+        """
+        with self._news:
+            return self._motion.command(order, expires, self._now())
+
+    def pilot(self, sticks: Sticks, expires: float) -> float:
+        """A person's sticks, through this program: outrank the mission until then. As `command` else."""
+        with self._news:
+            return self._motion.pilot(sticks, expires, self._now())
+
+    def stop(self) -> None:
+        """Forget all orders and send neutral at once."""
+        with self._news:
+            self._motion.stop()
+            self._drive(self._now())
+
+    def resume(self) -> None:
+        """Take over again after it yielded: whoever asks for this knows that nobody else drives."""
+        with self._news:
+            self._motion.stop()
+            self.rival = self.mode_changed_by_other = self.armed_by_other = ""
+            self._expected_mode = self._values.get("mode", ""), self._now()
+
+    def depth_target(self, z: float, surface: float = 0.0) -> None:
+        """Have ALT_HOLD go to a height in the world, in metres, and hold it.
+
+        Args:
+            z: Metres, negative below the surface.
+            surface: Metres in the world where the autopilot's own altitude is 0.
+
+        Raises:
+            ValueError: Above the surface or deeper than a BlueROV2 bears.
+            RuntimeError: The vehicle is not armed by this link, not in ALT_HOLD, or left to somebody else.
+        """
+        altitude = altitude_up(z, surface)
+        with self._news:
+            mode = self._values.get("mode")
+            if not self._ours or mode != "ALT_HOLD" or self.yielding:
+                raise RuntimeError(
+                    f"depth target: expected a vehicle in ALT_HOLD that this link armed, got mode {mode}, "
+                    f"{'armed' if self._ours else 'not armed'} by us. {self.yielding}"
+                )
+            self._send(
+                self._dialect.MAVLink_set_position_target_global_int_message(
+                    0, self.vehicle, 1, GLOBAL_INT, ALTITUDE_ONLY, 0, 0, altitude, *[0.0] * 8
+                )
+            )
+
+    # Questions
+
+    def connect(self, timeout: float = 30.0) -> Telemetry:
+        """Wait for the vehicle's heartbeat, learn its version and ask for the messages of `rates`.
+
+        Raises:
+            TimeoutError: No heartbeat came, or no answer.
+            Refused: It does not send one of the messages.
+        """
+        if not self._wait(lambda: self.connected, timeout):
+            others = ", ".join(reason for reason in self.refused if "system" in reason)
+            raise TimeoutError(
+                f"vehicle: expected a heartbeat of system {self.vehicle} within {timeout} s, got none"
+                f"{' but ' + others if others else ''}. {self.problem} "
+                "Does BlueOS have an endpoint to this computer and port?"
+            )
+        for name, rate in self._rates.items():
+            with contextlib.suppress(Refused) if name in OPTIONAL else contextlib.nullcontext():
+                self.set_message_interval(name, rate)
+        with contextlib.suppress(TimeoutError, Refused):
+            self._command("REQUEST_MESSAGE", self._dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, tries=1)
+            self._wait(lambda: "version" in self._values, self._retry)
+        return self.telemetry
+
+    def arm(self) -> None:
+        """Arm, with sticks at neutral from before that on.
+
+        Raises:
+            TimeoutError: No answer, or the heartbeat never showed it.
+            Refused: The vehicle's checks before arming failed; the text says which.
+            RuntimeError: The link yields: somebody else drives.
+        """
+        if self.yielding:
+            raise RuntimeError(f"arm: expected nobody else to drive, got: {self.yielding}. See resume()")
+        with self._news:
+            self.operator_alive()
+            self._motion.stop()
+            already = bool(self._values.get("armed"))
+            self._engaged = True
+            self._expected_armed = True, self._now() + EXPECTED + 3 * self._retry
+            self._drive(self._now())
+        try:
+            self._command("COMPONENT_ARM_DISARM", 1.0)
+            if not self._wait(lambda: self._ours or (already and bool(self._values.get("armed"))), EXPECTED):
+                raise TimeoutError(f"arm: expected an armed heartbeat within {EXPECTED} s, got none")
+            with self._news:
+                self._ours = bool(self._values.get("armed"))
+        except (TimeoutError, Refused):
+            with self._news:
+                self._engaged = False
+                self._expected_armed = False, self._now() + EXPECTED
+            raise
+
+    def disarm(self) -> None:
+        """Stop, and disarm.
+
+        Raises:
+            TimeoutError: No answer, or the heartbeat never showed it.
+            Refused: The vehicle said no.
+        """
+        self.stop()
+        with self._news:
+            self._ours = False
+            self._expected_armed = False, self._now() + EXPECTED + 3 * self._retry
+        self._command("COMPONENT_ARM_DISARM", 0.0)
+        if not self._wait(lambda: not self._values.get("armed", True), EXPECTED):
+            raise TimeoutError(f"disarm: expected a disarmed heartbeat within {EXPECTED} s, got none")
+        with self._news:
+            self._engaged = False
+
+    def set_mode(self, name: str) -> None:
+        """Change the mode, and stop: an order for one mode is none for the next.
+
+        Raises:
+            ValueError: There is no such mode.
+            TimeoutError: No answer, or the heartbeat never showed it.
+            Refused: The vehicle said no: GUIDED, say, needs a position.
+        """
+        if name not in NUMBERS:
+            raise ValueError(f"mode: expected one of {', '.join(NUMBERS)}, got {name!r}")
+        self.stop()
+        with self._news:
+            before = self._expected_mode
+            self._expected_mode = name, self._now() + EXPECTED + 3 * self._retry
+        try:
+            self._command("DO_SET_MODE", self._dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, NUMBERS[name])
+            if not self._wait(lambda: self._values.get("mode") == name, EXPECTED):
+                raise TimeoutError(
+                    f"mode: expected a heartbeat with {name} within {EXPECTED} s, "
+                    f"got {self._values.get('mode')}"
+                )
+        except Refused:
+            with self._news:
+                self._expected_mode = before
+            raise
+        self.stop()
+
+    def set_message_interval(self, name: str, rate: float) -> None:
+        """Have a message sent `rate` times a second.
+
+        Raises:
+            ValueError: There is no such message, or no such rate.
+            TimeoutError: No answer.
+            Refused: The vehicle does not send it.
+        """
+        if not 0.0 < rate <= 400.0:
+            raise ValueError(f"rate of {name}: expected hertz above 0 and up to 400, got {rate}")
+        self._command("SET_MESSAGE_INTERVAL", self._message_id(name), round(1e6 / rate))
+
+    def param(self, name: str) -> float:
+        """A parameter's value; both names of the station's id will do.
+
+        Raises:
+            TimeoutError: No answer: mostly, there is no such parameter.
+        """
+        known = self._spelling.get(name, "")
+        spellings = (known,) if known else STATION_ID if name in STATION_ID else (name,)
+        for spelling in spellings:
+            with contextlib.suppress(TimeoutError):
+                value = self._ask_param(spelling)
+                self._spelling[name] = spelling
+                return value
+        raise TimeoutError(
+            f"parameter {' or '.join(spellings)}: expected a value, got no answer in 3 tries. "
+            "Does this version of ArduSub have it?"
+        )
+
+    def set_param(self, name: str, value: float) -> None:
+        """Change a parameter and see it changed; `restore` puts the old value back.
+
+        Raises:
+            ValueError: Not finite.
+            TimeoutError: No answer.
+            Refused: The vehicle kept another value.
+        """
+        if not math.isfinite(value):
+            raise ValueError(f"parameter {name}: expected a finite number, got {value}")
+        old = self.param(name)
+        spelling = self._spelling[name]
+        with self._news:
+            self._before.setdefault(spelling, old)
+        message = self._dialect.MAVLink_param_set_message(
+            self.vehicle, 1, spelling.encode(), value, self._types[spelling]
+        )
+
+        def taken(answer: Any) -> bool:
+            return (
+                answer.get_type() == "PARAM_VALUE"
+                and _text(answer.param_id) == spelling
+                and math.isclose(answer.param_value, value, rel_tol=1e-6, abs_tol=1e-9)
+            )
+
+        try:
+            self._ask(lambda: message, taken, f"parameter {spelling}")
+        except TimeoutError:
+            kept = self._ask_param(spelling)
+            raise Refused(f"parameter {spelling}: expected {value}, got {kept} from the vehicle") from None
+
+    def restore(self) -> dict[str, float]:
+        """Put all parameters that `set_param` changed back, and return them.
+
+        Raises:
+            TimeoutError: No answer for one of them; those not yet back stay remembered.
+            Refused: As `set_param`.
+        """
+        done = {}
+        for name, value in reversed(list(self._before.items())):
+            self.set_param(name, value)
+            done[name] = value
+            with self._news:
+                del self._before[name]
+        return done
+
+    def check_parameters(self) -> list[Check]:
+        """Read what safety hangs on. Changes nothing: see `correct`."""
+        checks = []
+        for rule in rules(self.system):
+            try:
+                value = self.param(rule.name)
+            except TimeoutError:
+                value = math.nan
+            checks.append(rule.check(self._spelling.get(rule.name, rule.name), value))
+        return checks
+
+    def correct(self, checks: list[Check]) -> None:
+        """Set those of the checks that are not ok and have a wanted value, as `set_param`."""
+        for check in checks:
+            if not check.ok and math.isfinite(check.wanted):
+                self.set_param(check.name, check.wanted)
+
+    def joystick(self) -> Joystick:
+        """What this vehicle makes of sticks, by its parameters and its present gain.
+
+        Raises:
+            TimeoutError: FRAME_CONFIG has no answer; others that are missing keep their defaults.
+            ValueError: The frame is neither of those that DREAM knows.
+        """
+        values = {"FRAME_CONFIG": self.param("FRAME_CONFIG")}
+        for name in JOYSTICK_PARAMETERS[1:]:
+            with contextlib.suppress(TimeoutError):
+                values[name] = self.param(name)
+        gain = self.telemetry.pilot_gain
+        return Joystick.of(values, gain=gain if math.isfinite(gain) else None)
+
+    def zero_depth(self) -> float:
+        """Take the present pressure for that at the surface, in hPa, and return it.
+
+        Raises:
+            RuntimeError: Too few readings within 2 s, or the vehicle bobs by more than a hand's breadth.
+        """
+        now = self._now()
+        with self._news:
+            recent = [pressure for when, pressure in self._pressures if when > now - 2.0]
+            if len(recent) < 5:
+                raise RuntimeError(
+                    f"surface pressure: expected 5 readings within 2 s, got {len(recent)}. "
+                    "Is the Bar30 connected, and SCALED_PRESSURE2 asked for?"
+                )
+            if max(recent) - min(recent) > 10.0:
+                raise RuntimeError(
+                    f"surface pressure: expected readings within 10 hPa, got {min(recent)} to {max(recent)}. "
+                    "Let the vehicle float still"
+                )
+            self._surface = statistics.median(recent)
+            return self._surface
+
+    def tilt_camera(self, up: float, *, tolerance: float = math.radians(3.0), timeout: float = 4.0) -> float:
+        """Point the camera and see it point there.
+
+        Args:
+            up: Radians; negative looks down.
+            tolerance: Radians that it may be off by.
+            timeout: Seconds it may take.
+
+        Returns:
+            Radians up, as the vehicle reports them.
+
+        Raises:
+            ValueError: Beyond what the mount can.
+            TimeoutError: No report of the mount, or it stays elsewhere.
+            Refused: The vehicle has no mount.
+        """
+        if not abs(up) <= math.radians(60.0):
+            raise ValueError(f"camera tilt: expected at most 60° either way, got {math.degrees(up)}°")
+        with self._news:
+            self._values.pop("camera_tilt", None)
+        self._command("DO_MOUNT_CONTROL", math.degrees(up), last=2.0)
+        if not self._wait(lambda: abs(self.telemetry.camera_tilt - up) <= tolerance, timeout):
+            got = math.degrees(self.telemetry.camera_tilt)
+            raise TimeoutError(
+                f"camera tilt: expected {math.degrees(up):.0f}° within {timeout} s, got {got:.0f}°. "
+                "Is the mount set up in BlueOS?"
+            )
+        return self.telemetry.camera_tilt
+
+    def set_lights(self, share: float) -> float:
+        """Press the buttons for the lights until they are as bright as can be to that share, 0 to 1.
+
+        Returns:
+            The share that the vehicle reports.
+
+        Raises:
+            ValueError: Not a share.
+            RuntimeError: No buttons for the lights, no report of them, or the link yields.
+            TimeoutError: The lights do not change.
+        """
+        if not 0.0 <= share <= 1.0:
+            raise ValueError(f"lights: expected a share from 0 to 1, got {share}")
+        if self.yielding or not self._wait(lambda: "lights" in self._values, 4.0):
+            raise RuntimeError(f"lights: expected the vehicle's report Lights1, got none. {self.yielding}")
+        buttons = self._light_buttons()
+        step = 1.0 / 8.0
+        for _ in range(24):
+            lights = self.telemetry.lights
+            if abs(lights - share) <= 0.5 * step + 0.01:
+                return lights
+            begin = self._now()
+            with self._news:
+                # Held for three messages, and let go for three, or the next press would be none.
+                self._press = 1 << buttons[BRIGHTER if share > lights else DIMMER], begin
+            self._wait(lambda: self._now() > begin + 2.0 * PRESS, 1.0)  # noqa: B023 - it is called here
+            if not self._wait(partial(self._lights_moved, lights), 2.0):
+                break
+            step = abs(self.telemetry.lights - lights)
+        raise TimeoutError(f"lights: expected {share:.2f}, got {self.telemetry.lights:.2f} and no change")
+
+    # What the threads do; tests call these with a clock of their own
+
+    def receive(self, data: bytes) -> None:
+        """Take what came in: a datagram, or any piece of a stream."""
+        messages = []
+        try:
+            message = self._reader.parse_char(data)
+            while message is not None:
+                messages.append(message)
+                message = self._reader.parse_char(b"")
+        except (self._dialect.MAVError, struct.error, ValueError, IndexError, TypeError) as error:
+            self.refused[f"broken packet: {type(error).__name__}"] += 1
+            self._reader = self._parser()
+        if self._datagrams and self._reader.buf_len():
+            # A packet ends with its datagram: what is cut off must not eat the next one.
+            self.refused["truncated packet"] += 1
+            self._reader = self._parser()
+        for message in messages:
+            self._take(message)
+
+    def beat(self) -> float:
+        """Send what is due, and return the seconds until the next time."""
+        now = self._now()
+        with self._news:
+            alive = now < self._alive_until
+            if alive and now >= self._next_heartbeat:
+                self._next_heartbeat = now + 1.0
+                self._heartbeat(now)
+            if now >= self._next_beat:
+                self._drive(now)
+                self._next_beat = now + min(PERIOD, self._motion.next_expiry(now))
+            return max(0.001, self._next_beat - now)
+
+    # Receiving
+
+    def _receiving(self) -> None:
+        pause = 0.1
+        while not self._closed:
+            try:
+                data = self._pipe.receive()
+                if data:
+                    self.problem, pause = "", 0.1
+                    self.receive(data)
+            except OSError as error:
+                self._trouble(f"cannot receive: {error}")
+                self._wake.wait(pause)
+                pause = min(2.0 * pause, 5.0)
+            except Exception:
+                logger.exception("a message of the vehicle was lost")
+
+    def _take(self, message: Any) -> None:
+        now = self._now()
+        kind = message.get_type()
+        if kind == "BAD_DATA":
+            reason = str(message.reason)
+            self.refused["wrong checksum" if "CRC" in reason else "no packet"] += 1
+            return
+        if self._tap is not None:
+            self._tap(now, "mavlink", False, message)
+        sender, component = message.get_srcSystem(), message.get_srcComponent()
+        with self._news:
+            if sender == self.system:
+                self._station(message, kind, component)
+                return
+            if sender != self.vehicle:
+                self.refused[f"from system {sender}"] += 1
+                return
+            if component != 1:
+                if kind not in ("MOUNT_STATUS", "MOUNT_ORIENTATION", "GIMBAL_DEVICE_ATTITUDE_STATUS"):
+                    self.refused[f"from component {component}"] += 1
+                    return
+            else:
+                self._count(message.get_seq())
+            measurement: Measurement | None = None
+            try:
+                measurement = self._heard(message, kind, now)
+            except Strange as error:
+                self.refused[str(error)] += 1
+            for wanted, answers in self._waiting:
+                if wanted(message):
+                    answers.append(message)
+            self._news.notify_all()
+        if measurement is not None:
+            self._deliver(measurement)
+
+    def _station(self, message: Any, kind: str, component: int) -> None:
+        """A message under our own id: an echo of ours, or somebody who takes it for theirs."""
+        if bytes(message.get_msgbuf()) in self._own:
+            self.refused["our own, sent back"] += 1
+            return
+        self.refused["from our own system id"] += 1
+        if kind in STATION_MESSAGES and not self.rival:
+            self._motion.stop()
+            self.rival = (
+                f"another station uses our system id {self.system}: {kind} from its component {component}. "
+                "Close it, or give one of the two another id"
+            )
+            logger.warning("%s", self.rival)
+
+    def _count(self, sequence: int) -> None:
+        gap = (sequence - self._sequence - 1) % 256 if self._sequence >= 0 else 0
+        if gap >= 128:
+            return  # overtaken on its way, or a second copy
+        self._sequence = sequence
+        self._packets += 1
+        self._missing += gap
+
+    def _heard(self, message: Any, kind: str, now: float) -> Measurement | None:
+        if hasattr(message, "time_boot_ms") and message.get_srcComponent() == 1:
+            self._look_for_reboot(message.time_boot_ms / 1000.0)
+        values = self._values
+        if kind == "HEARTBEAT":
+            self._heartbeat_of(message, now)
+        elif kind == self._imu_from:
+            imu = imu_of(message, self._time(message, kind, now))
+            self._seen["imu"] = now
+            return imu
+        elif kind in ("ATTITUDE", "ATTITUDE_QUATERNION"):
+            attitude = attitude_of(message)
+            values["attitude"] = attitude
+            if kind == self._heading_from:
+                heading = heading_of(attitude, self._time(message, kind, now), self._heading_sigma)
+                self._seen["attitude"] = now
+                return heading
+        elif kind == "SCALED_PRESSURE2":
+            pressure = pressure_of(message)
+            when = self._time(message, kind, now)
+            self._seen["pressure"] = now
+            self._pressures.append((now, pressure))
+            if math.isfinite(self._surface):
+                depth = depth_of(pressure, self._surface, self._density, when, self._depth_sigma)
+                values["depth"] = -depth.z
+                return depth
+            self.refused["depth: surface pressure not known yet"] += 1
+        elif kind == "SYS_STATUS":
+            self._status(message)
+        elif kind == "NAMED_VALUE_FLOAT":
+            self._named(_text(message.name), float(message.value))
+        elif kind == "STATUSTEXT":
+            text = _text(message.text)
+            self.texts.append((now, int(message.severity), text))
+            if "leak" in text.lower():
+                values["leak"] = True
+        elif kind == "AUTOPILOT_VERSION":
+            v = int(message.flight_sw_version)
+            values["version"] = f"{v >> 24 & 255}.{v >> 16 & 255}.{v >> 8 & 255}"
+        elif kind == "TIMESYNC":
+            self._synchronise(message, now)
+        elif kind in ("MOUNT_STATUS", "MOUNT_ORIENTATION", "GIMBAL_DEVICE_ATTITUDE_STATUS"):
+            values["camera_tilt"] = tilt_of(message)
+        return None
+
+    def _time(self, message: Any, kind: str, now: float) -> float:
+        """When it was true, later than any before it of its kind."""
+        if hasattr(message, "time_boot_ms"):
+            name, stamp = "boot", message.time_boot_ms / 1e3
+        else:
+            name, stamp = "usec", message.time_usec / 1e6
+        clock = self._clocks[name]
+        jumps = clock.jumps
+        when = clock.time(stamp, now)
+        if clock.jumps != jumps:
+            self._last_stamp.clear()
+        if stamp <= self._last_stamp.get(kind, -math.inf) or when <= self._last_time.get(kind, -math.inf):
+            raise Strange(f"{kind}: repeated or overtaken")
+        self._last_stamp[kind] = stamp
+        self._last_time[kind] = when
+        return when
+
+    def _look_for_reboot(self, boot: float) -> None:
+        """The boot clock went back, twice: once may be a packet that came late."""
+        if boot < self._boot - 1.0:
+            self._backwards += 1
+            if self._backwards < 2:
+                return
+            self._reboots += 1
+            self._sequence = -1
+            self._ours = self._engaged = False
+            self._motion.stop()
+            self._values.pop("version", None)
+            self._asked_again = -math.inf
+            self.texts.append((self._now(), 0, "the autopilot started anew"))
+            logger.warning("the autopilot started anew: it is not armed by us any more")
+            self._boot = boot
+        self._backwards = 0
+        self._boot = max(self._boot, boot)
+
+    def _heartbeat_of(self, message: Any, now: float) -> None:
+        d = self._dialect
+        if message.type != d.MAV_TYPE_SUBMARINE or message.autopilot != d.MAV_AUTOPILOT_ARDUPILOTMEGA:
+            raise Strange("heartbeat: not of an ArduSub")
+        values, mode = self._values, MODES.get(message.custom_mode, f"MODE_{message.custom_mode}")
+        armed = bool(message.base_mode & d.MAV_MODE_FLAG_SAFETY_ARMED)
+        old_mode, old_armed = values.get("mode", mode), values.get("armed", armed)
+        wanted_mode, until = self._expected_mode
+        if mode != old_mode and not (mode == wanted_mode and now <= until):
+            self._motion.stop()
+            self.mode_changed_by_other = f"mode {mode} instead of {old_mode}, which nobody here asked for"
+            logger.warning("%s", self.mode_changed_by_other)
+        if armed != old_armed:
+            wanted_armed, until = self._expected_armed
+            if armed == wanted_armed and now <= until:
+                self._ours = armed and self._engaged
+            else:
+                self._motion.stop()
+                self._ours = False
+                self.armed_by_other = (
+                    f"{'armed' if armed else 'disarmed'}, which nobody here asked for{self._last_words(now)}"
+                )
+                logger.warning("%s", self.armed_by_other)
+        values["mode"], values["armed"] = mode, armed
+        values["failsafe"] = message.system_status == d.MAV_STATE_CRITICAL
+        self._seen["heartbeat"] = now
+        self._pipe.answered(LOST)
+
+    def _status(self, message: Any) -> None:
+        millivolts, percent = message.voltage_battery, message.battery_remaining
+        self._values["voltage"] = millivolts / 1000.0 if 0 < millivolts < 65535 else math.nan
+        self._values["battery"] = percent / 100.0 if 0 <= percent <= 100 else math.nan
+        leak = self._dialect.MAV_SYS_STATUS_SENSOR_LEAK
+        if message.onboard_control_sensors_present & self._dialect.MAV_SYS_STATUS_EXTENSION_USED:
+            enabled = message.onboard_control_sensors_enabled_extended & leak
+            if enabled and not message.onboard_control_sensors_health_extended & leak:
+                self._values["leak"] = True
+
+    def _named(self, name: str, value: float) -> None:
+        if not math.isfinite(value):
+            raise Strange("named value: not finite")
+        if name == "PilotGain":
+            self._values["pilot_gain"] = value
+        elif name == "Lights1":
+            self._values["lights"] = value
+        elif name == "InputHold":
+            self._values["input_hold"] = value > 0.5
+
+    def _synchronise(self, message: Any, now: float) -> None:
+        sent = self._trips.pop(message.ts1, None)
+        if sent is None or message.tc1 <= 0 or not sent <= now <= sent + 1.0:
+            return
+        stamp = message.tc1 / 1e9
+        for clock in self._clocks.values():
+            if abs(clock.newest - stamp) < 10.0:  # not a clock that counts from elsewhere
+                clock.round_trip(sent, stamp, now)
+
+    # Sending
+
+    def _sending(self) -> None:
+        while not self._closed:
+            pause = PERIOD
+            try:
+                pause = self.beat()
+            except Exception:
+                logger.exception("a message to the vehicle was lost")
+            self._wake.wait(pause)
+
+    def _heartbeat(self, now: float) -> None:
+        d = self._dialect
+        self._send(
+            d.MAVLink_heartbeat_message(d.MAV_TYPE_GCS, d.MAV_AUTOPILOT_INVALID, 0, 0, d.MAV_STATE_ACTIVE, 3)
+        )
+        if self.connected:
+            stamp = int(now * 1e9) + 1
+            if len(self._trips) > 16:
+                self._trips.clear()
+            self._trips[stamp] = now
+            self._send(d.MAVLink_timesync_message(0, stamp))
+            if self._asked_again == -math.inf and self._reboots:
+                self._asked_again = now
+                for name, rate in self._rates.items():
+                    self._send(self._long("SET_MESSAGE_INTERVAL", self._message_id(name), round(1e6 / rate)))
+
+    def _drive(self, now: float) -> None:
+        """Send the order that holds, or neutral; or nothing where that is not ours to do."""
+        if now >= self._alive_until:
+            self._motion.stop()
+            return
+        mode = self._values.get("mode", "")
+        pressed = now - self._press[1]
+        buttons = self._press[0] if pressed < PRESS else 0
+        if not (self._engaged or pressed < 2.0 * PRESS) or self.rival:
+            return
+        if self.yielding and mode != "SURFACE":
+            return  # SURFACE needs a pilot's neutral, or the vehicle would disarm on its way up
+        guided = mode == "GUIDED"
+        sticks, velocity = NEUTRAL, STILL if guided and self._ours else None
+        if self._ours and self.connected and not self.yielding:
+            sticks, velocity = self._motion.due(now, guided=guided)
+        if velocity is not None:
+            vx, vy, vz, yaw_rate = forward_right_down(velocity)
+            numbers = 0.0, 0.0, 0.0, vx, vy, vz, 0.0, 0.0, 0.0, 0.0, yaw_rate
+            self._send(
+                self._dialect.MAVLink_set_position_target_local_ned_message(
+                    0, self.vehicle, 1, BODY_NED, VELOCITY_AND_YAW_RATE, *numbers
+                )
+            )
+        self._send(
+            self._dialect.MAVLink_manual_control_message(
+                self.vehicle, sticks.x, sticks.y, sticks.z, sticks.r, buttons
+            )
+        )
+
+    def _send(self, message: Any) -> None:
+        with self._out:
+            data = bytes(message.pack(self._writer))
+            self._writer.seq = (self._writer.seq + 1) % 256
+            self._own.append(data)
+            try:
+                if not self._pipe.send(data):
+                    return
+            except OSError as error:
+                self._trouble(f"cannot send: {error}")
+                return
+        if self._tap is not None:
+            self._tap(self._now(), "mavlink", True, message)
+
+    # Asking
+
+    def _command(self, name: str, *numbers: float, last: float = 0.0, tries: int = 3) -> None:
+        number = getattr(self._dialect, f"MAV_CMD_{name}")
+        d = self._dialect
+
+        def answer(message: Any) -> bool:
+            return (
+                message.get_type() == "COMMAND_ACK"
+                and message.command == number
+                and message.target_system in (0, self.system)
+                and message.result not in (d.MAV_RESULT_IN_PROGRESS, d.MAV_RESULT_TEMPORARILY_REJECTED)
+            )
+
+        asked = self._now()
+        reply = self._ask(lambda: self._long(name, *numbers, last=last), answer, name, tries)
+        if reply.result != d.MAV_RESULT_ACCEPTED:
+            result = d.enums["MAV_RESULT"].get(reply.result)
+            word = result.name.removeprefix("MAV_RESULT_") if result else str(reply.result)
+            raise Refused(f"{name}: expected ACCEPTED, got {word}{self._last_words(asked + 2.0)}")
+
+    def _long(self, name: str, *numbers: float, last: float = 0.0) -> Any:
+        number = getattr(self._dialect, f"MAV_CMD_{name}")
+        seven = [*map(float, numbers), *[0.0] * (6 - len(numbers)), last]
+        return self._dialect.MAVLink_command_long_message(self.vehicle, 1, number, 0, *seven)
+
+    def _ask_param(self, name: str) -> float:
+        answer = self._ask(
+            lambda: self._dialect.MAVLink_param_request_read_message(self.vehicle, 1, name.encode(), -1),
+            lambda m: m.get_type() in ("PARAM_VALUE", "PARAM_ERROR") and _text(m.param_id) == name,
+            f"parameter {name}",
+        )
+        if answer.get_type() == "PARAM_ERROR" or not math.isfinite(answer.param_value):
+            raise TimeoutError(f"parameter {name}: expected a value, got an error from the vehicle")
+        self._types[name] = answer.param_type
+        return float(answer.param_value)
+
+    def _ask(
+        self, message: Callable[[], Any], answer: Callable[[Any], bool], what: str, tries: int = 3
+    ) -> Any:
+        answers: list[Any] = []
+        entry = answer, answers
+        with self._news:
+            self._waiting.append(entry)
+        try:
+            for _ in range(tries):
+                self.operator_alive()
+                self._send(message())
+                if self._wait(lambda: bool(answers), self._retry):
+                    return answers[0]
+        finally:
+            with self._news:
+                self._waiting.remove(entry)
+        raise TimeoutError(
+            f"{what}: expected an answer of the vehicle, got none in {tries} tries. "
+            f"Its last heartbeat is {self.age:.1f} s old"
+        )
+
+    def _wait(self, true: Callable[[], bool], timeout: float) -> bool:
+        end = time.monotonic() + timeout
+        with self._news:
+            while not (true() or self._closed) and time.monotonic() < end:
+                self.operator_alive()
+                self._news.wait(min(0.5, max(0.0, end - time.monotonic())))
+            return true()
+
+    def _last_words(self, now: float) -> str:
+        """What the vehicle said a moment ago: mostly, why."""
+        with self._news:
+            words = [text for when, severity, text in self.texts if when > now - 3.0 and severity <= 4]
+        return f'. It said: "{"; ".join(words[-3:])}"' if words else ""
+
+    def _lights_moved(self, old: float) -> bool:
+        return abs(self.telemetry.lights - old) > 0.01
+
+    def _light_buttons(self) -> dict[int, int]:
+        found: dict[int, int] = {}
+        for button in range(16):
+            with contextlib.suppress(TimeoutError):
+                found.setdefault(int(self.param(f"BTN{button}_FUNCTION")), button)
+        if BRIGHTER not in found or DIMMER not in found:
+            raise RuntimeError(
+                f"lights: expected buttons with functions {BRIGHTER} and {DIMMER} (BTNn_FUNCTION), "
+                f"got {sorted(found)}. Set them up in Cockpit or QGroundControl"
+            )
+        return found
+
+    def _message_id(self, name: str) -> int:
+        number = getattr(self._dialect, f"MAVLINK_MSG_ID_{name}", None)
+        if number is None:
+            raise ValueError(f"message: expected a name of MAVLink's, got {name!r}")
+        return int(number)
+
+    def _parser(self) -> Any:
+        parser = self._dialect.MAVLink(None)
+        parser.robust_parsing = True
+        return parser
+
+    def _trouble(self, problem: str) -> None:
+        if problem != self.problem:
+            logger.warning("%s", problem)
+        self.problem = problem
+
+
+def _dialect() -> ModuleType:
+    try:
+        return importlib.import_module("pymavlink.dialects.v20.ardupilotmega")
+    except ImportError as error:
+        raise ImportError('A BlueROV2 needs pymavlink: pip install "dream-auv[rov]"') from error
+
+
+def _text(field: str | bytes) -> str:
+    return field if isinstance(field, str) else field.split(b"\0")[0].decode("ascii", "replace")

@@ -1,0 +1,1114 @@
+from __future__ import annotations
+
+import math
+import socket
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from dream.geometry import wrap_angle
+from dream.measurements import Depth, Heading, Imu
+from dream.robots.bluerov2.mavlink import LIFELINE, LOST, PERIOD, Link, Refused
+from dream.robots.bluerov2.messages import GRAVITY, SEA
+from dream.robots.bluerov2.motion import LONGEST, Motion
+from dream.robots.bluerov2.sticks import NEUTRAL, STILL, Sticks
+from dream.types import BodyVelocity
+from dream.vehicle import VECTORED_6DOF
+
+AHEAD = Sticks(x=400, r=-100)
+FASTER = BodyVelocity(0.3, 0.1, -0.05, 0.4)
+NO_MESSAGES: dict[str, float] = {}
+PARAMETERS = {
+    "MAV_GCS_SYSID": 255.0,
+    "FS_PILOT_INPUT": 1.0,
+    "FS_PILOT_TIMEOUT": 3.0,
+    "FS_GCS_ENABLE": 2.0,
+    "FS_LEAK_ENABLE": 1.0,
+    "FRAME_CONFIG": 2.0,
+    "JS_GAIN_DEFAULT": 0.5,
+    "JS_THR_GAIN": 1.0,
+    "PILOT_SPEED_UP": 50.0,
+    "BTN13_FUNCTION": 33.0,
+    "BTN14_FUNCTION": 32.0,
+}
+
+
+class Clock:
+    """A clock that a test winds."""
+
+    def __init__(self) -> None:
+        self.time = 100.0
+
+    def __call__(self) -> float:
+        return self.time
+
+
+class Vehicle:
+    """A scripted ArduSub at the end of a wire without length: it answers while it is spoken to."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self.clock = clock
+        self.writer = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+        self.reader = dialect.MAVLink(None)
+        self.hear: Callable[[bytes], None] = lambda _: None
+        self.sent: list[tuple[float, Any]] = []
+        self.parameters = dict(PARAMETERS)
+        self.mode, self.armed = 19, False
+        self.deaf = Counter[str]()
+        self.results: dict[int, int] = {}
+        self.why = ""
+        self.booted = 90.0
+        self.tilt, self.tilt_reported = 0.0, True
+        self.lights, self.buttons = 0.0, 0
+        self.stuck = ""
+
+    # The wire
+
+    def send(self, data: bytes) -> bool:
+        for message in self.reader.parse_buffer(data) or ():
+            self.sent.append((self.clock(), message))
+            self.answer(message)
+        return True
+
+    def receive(self) -> bytes:
+        time.sleep(0.01)
+        return b""
+
+    def answered(self, lost: float) -> None: ...
+
+    def close(self) -> None: ...
+
+    def pack(self, message: Any, system: int = 1, component: int = 1) -> bytes:
+        self.writer.srcSystem, self.writer.srcComponent = system, component
+        data = bytes(message.pack(self.writer))
+        self.writer.seq = (self.writer.seq + 1) % 256
+        return data
+
+    def say(self, message: Any, system: int = 1, component: int = 1) -> None:
+        self.hear(self.pack(message, system, component))
+
+    # What it says
+
+    @property
+    def boot_ms(self) -> int:
+        return round(1000 * (self.clock() - self.booted))
+
+    def heartbeat(self) -> None:
+        armed = dialect.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0
+        self.say(dialect.MAVLink_heartbeat_message(12, 3, 1 | armed, self.mode, 4, 3))
+
+    def attitude(self, yaw: float = 0.0, roll: float = 0.0, pitch: float = 0.0) -> None:
+        self.say(dialect.MAVLink_attitude_message(self.boot_ms, roll, pitch, yaw, 0.0, 0.0, 0.0))
+
+    def pressure(self, hpa: float) -> None:
+        self.say(dialect.MAVLink_scaled_pressure2_message(self.boot_ms, hpa, 0.0, 2000))
+
+    def imu(self, acc: tuple[int, int, int], gyro: tuple[int, int, int] = (0, 0, 0)) -> None:
+        self.say(dialect.MAVLink_raw_imu_message(1000 * self.boot_ms, *acc, *gyro, 0, 0, 0))
+
+    def named(self, name: str, value: float) -> None:
+        self.say(dialect.MAVLink_named_value_float_message(self.boot_ms, name.encode(), value))
+
+    # How it answers
+
+    def answer(self, message: Any) -> None:
+        kind = message.get_type()
+        if self.deaf[kind] > 0:
+            self.deaf[kind] -= 1
+            return
+        if kind == "COMMAND_LONG":
+            result = self.results.get(message.command, 0)
+            if self.why:
+                self.say(dialect.MAVLink_statustext_message(2, self.why.encode()))
+            self.say(dialect.MAVLink_command_ack_message(message.command, result))
+            if result == 0:
+                self.obey(message)
+        elif kind == "PARAM_REQUEST_READ" and message.param_id in self.parameters:
+            self.value(message.param_id)
+        elif kind == "PARAM_SET" and message.param_id in self.parameters:
+            if message.param_id != self.stuck:
+                self.parameters[message.param_id] = message.param_value
+            self.value(message.param_id)
+        elif kind == "TIMESYNC" and message.tc1 == 0:
+            self.say(dialect.MAVLink_timesync_message(self.boot_ms * 1_000_000 + 1, message.ts1))
+        elif kind == "MANUAL_CONTROL":
+            pressed = message.buttons & ~self.buttons
+            self.buttons = message.buttons
+            if pressed & 1 << 14 or pressed & 1 << 13:
+                step = 0.125 if pressed & 1 << 14 else -0.125
+                self.lights = min(1.0, max(0.0, self.lights + step))
+                self.named("Lights1", self.lights)
+
+    def value(self, name: str) -> None:
+        self.say(dialect.MAVLink_param_value_message(name.encode(), self.parameters[name], 9, 900, 7))
+
+    def obey(self, message: Any) -> None:
+        if message.command == dialect.MAV_CMD_COMPONENT_ARM_DISARM:
+            self.armed = message.param1 == 1.0
+            self.heartbeat()
+        elif message.command == dialect.MAV_CMD_DO_SET_MODE:
+            self.mode = int(message.param2)
+            self.heartbeat()
+        elif message.command == dialect.MAV_CMD_REQUEST_MESSAGE:
+            self.say(
+                dialect.MAVLink_autopilot_version_message(
+                    0, 4 << 24 | 5 << 16 | 6 << 8, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0
+                )
+            )
+        elif message.command == dialect.MAV_CMD_DO_MOUNT_CONTROL:
+            self.tilt = message.param1
+            if self.tilt_reported:
+                self.say(dialect.MAVLink_mount_status_message(255, 190, round(100 * self.tilt), 0, 0))
+
+    # What a test asks of it
+
+    def heard(self, kind: str) -> list[Any]:
+        return [message for _, message in self.sent if message.get_type() == kind]
+
+    def moves(self) -> list[Any]:
+        return self.heard("MANUAL_CONTROL") + self.heard("SET_POSITION_TARGET_LOCAL_NED")
+
+
+def is_neutral(message: Any) -> bool:
+    if message.get_type() == "MANUAL_CONTROL":
+        return (message.x, message.y, message.z, message.r) == (0, 0, 500, 0)
+    if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED":
+        assert message.type_mask == 0x5C7
+        assert message.coordinate_frame == 8
+        return (message.vx, message.vy, message.vz, message.yaw_rate) == (0.0, 0.0, 0.0, 0.0)
+    return True
+
+
+class Dive:
+    """A link, its vehicle, and the clock of both."""
+
+    def __init__(self, **options: Any) -> None:
+        self.clock = Clock()
+        self.vehicle = Vehicle(self.clock)
+        self.delivered: list[Any] = []
+        self.tapped: list[tuple[float, str, bool, Any]] = []
+        self.link = Link(
+            self.vehicle,
+            now=self.clock,
+            deliver=self.delivered.append,
+            tap=lambda *record: self.tapped.append(record),
+            rates=options.pop("rates", NO_MESSAGES),
+            retry=0.01,
+            **options,
+        )
+        self.vehicle.hear = self.link.receive
+
+    def run(self, seconds: float, *, alive: bool = True, heartbeat: bool = True) -> None:
+        """Beat as the sending thread does; the vehicle's heartbeat comes five times a second."""
+        end = self.clock.time + seconds
+        beats = 0
+        while self.clock.time < end - 1e-9:
+            if alive:
+                self.link.operator_alive()
+            if heartbeat and beats % 4 == 0:
+                self.vehicle.heartbeat()
+            pause = self.link.beat()
+            assert pause > 0.0
+            self.clock.time = min(end, self.clock.time + min(pause, PERIOD))
+            beats += 1
+
+    def armed(self, mode: str = "ALT_HOLD") -> Dive:
+        self.vehicle.heartbeat()
+        self.link.connect(0.1)
+        self.link.set_mode(mode)
+        self.link.arm()
+        self.vehicle.sent.clear()
+        return self
+
+
+@pytest.fixture
+def dive() -> Dive:
+    return Dive()
+
+
+# Motion
+
+
+def test_nothing_is_sent_before_arming(dive: Dive) -> None:
+    dive.vehicle.heartbeat()
+    dive.link.connect(0.1)
+    dive.link.command(AHEAD, dive.clock() + 0.4)
+    dive.run(1.0)
+    dive.link.stop()
+    assert dive.vehicle.moves() == []
+    assert dive.vehicle.heard("HEARTBEAT")
+
+
+def test_sticks_are_neutral_before_the_vehicle_arms(dive: Dive) -> None:
+    dive.vehicle.heartbeat()
+    dive.link.arm()
+    kinds = [message.get_type() for _, message in dive.vehicle.sent]
+    assert kinds.index("MANUAL_CONTROL") < kinds.index("COMMAND_LONG")
+    assert all(map(is_neutral, dive.vehicle.moves()))
+    assert dive.link.engaged
+
+
+def test_a_vehicle_that_somebody_else_armed_does_not_move(dive: Dive) -> None:
+    dive.vehicle.armed = True
+    dive.vehicle.heartbeat()
+    dive.link.connect(0.1)
+    dive.link.command(AHEAD, dive.clock() + 0.5)
+    dive.run(0.5)
+    assert not dive.link.engaged
+    assert dive.vehicle.moves() == []
+
+
+def test_an_order_is_repeated_at_20_hz_until_it_expires_and_neutral_follows(dive: Dive) -> None:
+    dive.armed()
+    start = dive.clock()
+    assert dive.link.command(AHEAD, start + 0.3) == start + 0.3
+    dive.run(1.0)
+    sticks = [(t - start, m) for t, m in dive.vehicle.sent if m.get_type() == "MANUAL_CONTROL"]
+    moving = [t for t, m in sticks if not is_neutral(m)]
+    assert 5 <= len(moving) <= 7
+    assert max(moving) < 0.3
+    after = [t for t, m in sticks if is_neutral(m)]
+    assert after[0] <= 0.3 + PERIOD
+    assert len(after) >= 12
+    assert np.diff([t for t, _ in sticks]).max() <= PERIOD + 1e-9
+    assert {(m.x, m.r) for t, m in sticks if t < 0.29} == {(400, -100)}
+
+
+def test_an_expiry_far_ahead_is_cut(dive: Dive) -> None:
+    dive.armed()
+    start = dive.clock()
+    assert dive.link.command(AHEAD, start + 60.0) == start + LONGEST
+    dive.run(1.0)
+    moving = [t for t, m in dive.vehicle.sent if not is_neutral(m)]
+    assert moving
+    assert max(moving) < start + LONGEST
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["command", "pilot", "stop", "velocity", "mode", "rival", "disarm", "resume"]),
+            st.floats(-0.2, 1.0),
+            st.floats(0.0, 0.7),
+        ),
+        max_size=12,
+    )
+)
+def test_never_a_motion_without_a_valid_order_of_an_armed_vehicle(
+    script: list[tuple[str, float, float]],
+) -> None:
+    dive = Dive().armed()
+    link, vehicle, clock = dive.link, dive.vehicle, dive.clock
+    valid = -math.inf
+    for what, ahead, wait in script:
+        if what in ("command", "velocity"):
+            order = AHEAD if what == "command" else FASTER
+            valid = max(valid, link.command(order, clock() + ahead))
+        elif what == "pilot":
+            valid = max(valid, link.pilot(Sticks(y=-300), clock() + ahead))
+        elif what == "stop":
+            link.stop()
+            valid = -math.inf
+        elif what == "mode":
+            vehicle.mode = 4 if vehicle.mode == 2 else 2
+            vehicle.heartbeat()
+        elif what == "rival":
+            vehicle.say(dialect.MAVLink_manual_control_message(1, 0, 0, 500, 0, 0), system=255)
+        elif what == "disarm":
+            vehicle.armed = False
+            vehicle.heartbeat()
+        else:
+            link.resume()
+        quiet = bool(link.yielding)
+        vehicle.sent.clear()
+        dive.run(wait)
+        for when, message in vehicle.sent:
+            if not is_neutral(message):
+                assert when < valid
+                assert link.engaged
+                assert not quiet
+        if quiet:
+            assert vehicle.moves() == []
+            valid = -math.inf
+
+
+def test_stop_sends_neutral_at_once(dive: Dive) -> None:
+    dive.armed()
+    dive.link.command(AHEAD, dive.clock() + 0.5)
+    dive.run(0.1)
+    dive.vehicle.sent.clear()
+    dive.link.stop()
+    assert [is_neutral(m) for m in dive.vehicle.moves()] == [True]
+    dive.run(0.3)
+    assert all(map(is_neutral, dive.vehicle.moves()))
+
+
+def test_in_guided_a_velocity_goes_out_and_stopping_clears_the_yaw_rate(dive: Dive) -> None:
+    dive.armed("GUIDED")
+    start = dive.clock()
+    dive.link.command(FASTER, start + 0.2)
+    dive.run(0.6)
+    targets = [(t, m) for t, m in dive.vehicle.sent if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
+    moving = [m for t, m in targets if t < start + 0.2]
+    assert moving
+    first = moving[0]
+    assert (first.vx, first.vy, first.vz, first.yaw_rate) == pytest.approx((0.3, -0.1, 0.05, -0.4))
+    assert (first.target_system, first.target_component) == (1, 1)
+    still = [m for t, m in targets if t >= start + 0.2]
+    assert len(still) > 5
+    assert all(map(is_neutral, still))
+    # The pilot's time-out acts in GUIDED, too: sticks at neutral go out beside the velocity.
+    assert all(map(is_neutral, dive.vehicle.heard("MANUAL_CONTROL")))
+    assert len(dive.vehicle.heard("MANUAL_CONTROL")) >= len(targets) - 1
+
+
+def test_leaving_guided_first_clears_velocity_and_yaw_rate(dive: Dive) -> None:
+    dive.armed("GUIDED")
+    dive.link.command(FASTER, dive.clock() + 0.5)
+    dive.run(0.1)
+    dive.vehicle.sent.clear()
+    dive.link.set_mode("ALT_HOLD")
+    kinds = [m.get_type() for _, m in dive.vehicle.sent]
+    assert kinds.index("SET_POSITION_TARGET_LOCAL_NED") < kinds.index("COMMAND_LONG")
+    assert all(map(is_neutral, dive.vehicle.moves()))
+
+
+def test_sticks_are_no_order_in_guided_nor_a_velocity_elsewhere() -> None:
+    motion = Motion()
+    motion.command(FASTER, 0.4, 0.0)
+    assert motion.due(0.1, guided=True) == (NEUTRAL, FASTER)
+    assert motion.due(0.1, guided=False) == (NEUTRAL, None)
+    motion.command(AHEAD, 0.4, 0.0)
+    assert motion.due(0.1, guided=True) == (NEUTRAL, STILL)
+    assert motion.due(0.1, guided=False) == (AHEAD, None)
+    assert motion.due(0.4, guided=False) == (NEUTRAL, None)
+
+
+def test_a_person_outranks_the_mission_as_long_as_renewed(dive: Dive) -> None:
+    dive.armed()
+    person = Sticks(y=500)
+    for _ in range(10):
+        dive.link.command(AHEAD, dive.clock() + 0.5)
+        dive.link.pilot(person, dive.clock() + 0.15)
+        dive.run(0.1)
+    assert {(m.x, m.y) for m in dive.vehicle.heard("MANUAL_CONTROL")} == {(0, 500)}
+    dive.vehicle.sent.clear()
+    dive.run(0.3)
+    assert (400, 0) in {(m.x, m.y) for m in dive.vehicle.heard("MANUAL_CONTROL")}
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_orders_that_are_none_are_refused_and_the_last_one_holds(dive: Dive, bad: float) -> None:
+    dive.armed()
+    dive.link.command(AHEAD, dive.clock() + 0.3)
+    with pytest.raises(ValueError, match="expires"):
+        dive.link.command(AHEAD, bad)
+    with pytest.raises(ValueError, match="velocity"):
+        dive.link.command(BodyVelocity(bad, 0.0, 0.0, 0.0), dive.clock() + 0.3)
+    with pytest.raises(ValueError, match="velocity"):
+        dive.link.command(BodyVelocity(0.0, 0.0, 0.0, 50.0), dive.clock() + 0.3)
+    dive.run(0.1)
+    assert {m.x for m in dive.vehicle.heard("MANUAL_CONTROL")} == {400}
+
+
+def test_a_vehicle_that_is_not_heard_is_not_driven(dive: Dive) -> None:
+    dive.armed()
+    for _ in range(30):
+        dive.link.command(AHEAD, dive.clock() + 0.4)
+        dive.run(0.2, heartbeat=False)
+    assert not dive.link.connected
+    late = [m for t, m in dive.vehicle.sent if t > dive.clock() - 6.0 + LOST + 0.1]
+    assert late
+    assert all(map(is_neutral, late))
+
+
+def test_depth_target_by_hand(dive: Dive) -> None:
+    with pytest.raises(RuntimeError, match="ALT_HOLD"):
+        dive.link.depth_target(-1.0)
+    dive.armed()
+    dive.link.depth_target(-1.5, surface=-0.25)
+    (message,) = dive.vehicle.heard("SET_POSITION_TARGET_GLOBAL_INT")
+    assert message.alt == -1.25
+    assert not message.type_mask & 4
+    assert message.type_mask & 3 == 3
+    with pytest.raises(ValueError, match="surface"):
+        dive.link.depth_target(0.2)
+
+
+# Signs of life
+
+
+def test_the_heartbeat_goes_at_1_hz_and_stops_when_it_is_not_renewed(dive: Dive) -> None:
+    dive.armed()
+    dive.run(5.0)
+    assert 4 <= len(dive.vehicle.heard("HEARTBEAT")) <= 6
+    dive.vehicle.sent.clear()
+    dive.link.command(AHEAD, dive.clock() + 0.5)
+    silent = dive.clock() + LIFELINE
+    dive.run(10.0, alive=False)
+    times = [t for t, _ in dive.vehicle.sent]
+    assert times
+    # Sticks refresh the same failsafe as heartbeats: they must end, too.
+    assert max(times) <= silent + 1e-9
+    dive.run(1.2)
+    assert dive.vehicle.heard("MANUAL_CONTROL")[-1].x == 0
+
+
+def test_a_heartbeat_of_ours_is_that_of_a_ground_station(dive: Dive) -> None:
+    dive.run(0.2)
+    heartbeat = dive.vehicle.heard("HEARTBEAT")[0]
+    assert (heartbeat.type, heartbeat.autopilot) == (dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID)
+    assert (heartbeat.get_srcSystem(), heartbeat.get_srcComponent()) == (255, 190)
+
+
+# Others
+
+
+def rivals() -> list[Any]:
+    return [
+        dialect.MAVLink_manual_control_message(1, 0, 0, 500, 0, 0),
+        dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3),
+        dialect.MAVLink_rc_channels_override_message(1, 1, *[1500] * 8),
+        dialect.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0),
+        dialect.MAVLink_set_mode_message(1, 1, 0),
+    ]
+
+
+@pytest.mark.parametrize("message", rivals(), ids=lambda m: m.get_type())
+def test_another_station_with_our_id_is_left_the_vehicle(dive: Dive, message: Any) -> None:
+    dive.armed()
+    dive.link.command(AHEAD, dive.clock() + 0.5)
+    dive.vehicle.say(message, system=255, component=191)
+    assert message.get_type() in dive.link.rival
+    dive.run(0.2)
+    dive.link.command(AHEAD, dive.clock() + 0.5)
+    dive.link.stop()
+    dive.run(0.5)
+    assert dive.vehicle.moves() == []
+    with pytest.raises(RuntimeError, match="station"):
+        dive.link.arm()
+    dive.link.resume()
+    assert dive.link.yielding == ""
+    dive.link.command(AHEAD, dive.clock() + 0.5)
+    dive.run(0.2)
+    assert dive.vehicle.heard("MANUAL_CONTROL")[-1].x == 400
+
+
+def test_our_own_messages_sent_back_are_no_rival(dive: Dive) -> None:
+    dive.armed()
+    dive.link.command(AHEAD, dive.clock() + 0.5)
+    dive.run(0.3)
+    for _, message in list(dive.vehicle.sent):
+        dive.link.receive(bytes(message.get_msgbuf()))
+    assert dive.link.rival == ""
+    assert dive.link.refused["our own, sent back"] == len(dive.vehicle.sent)
+
+
+def test_a_mode_that_nobody_asked_for_makes_it_yield(dive: Dive) -> None:
+    dive.armed()
+    dive.link.command(AHEAD, dive.clock() + 0.5)
+    dive.vehicle.mode = 19
+    dive.run(0.4)
+    assert "MANUAL" in dive.link.mode_changed_by_other
+    dive.vehicle.sent.clear()
+    dive.run(0.5)
+    assert dive.vehicle.moves() == []
+    dive.link.resume()
+    dive.run(0.3)
+    assert dive.vehicle.moves()
+    assert all(map(is_neutral, dive.vehicle.moves()))
+
+
+def test_on_its_way_up_the_vehicle_keeps_neutral_sticks(dive: Dive) -> None:
+    # SURFACE is what a leak makes of it; without a pilot's sticks it would disarm under way.
+    dive.armed()
+    dive.vehicle.mode = 9
+    dive.run(0.5)
+    dive.vehicle.sent.clear()
+    dive.link.command(AHEAD, dive.clock() + 0.5)
+    dive.run(0.5)
+    assert dive.link.mode_changed_by_other
+    assert dive.vehicle.heard("MANUAL_CONTROL")
+    assert all(map(is_neutral, dive.vehicle.moves()))
+
+
+def test_modes_that_we_ask_for_are_ours(dive: Dive) -> None:
+    dive.armed()
+    for mode in ("GUIDED", "ALT_HOLD", "POSHOLD"):
+        dive.link.set_mode(mode)
+        dive.run(0.5)
+        assert dive.link.yielding == ""
+        assert dive.link.telemetry.mode == mode
+
+
+def test_a_disarm_that_nobody_asked_for_ends_it(dive: Dive) -> None:
+    dive.armed()
+    dive.vehicle.say(dialect.MAVLink_statustext_message(2, b"Lost manual control"))
+    dive.vehicle.armed = False
+    dive.vehicle.heartbeat()
+    assert "disarmed" in dive.link.armed_by_other
+    assert "Lost manual control" in dive.link.armed_by_other
+    dive.link.command(AHEAD, dive.clock() + 0.5)
+    dive.run(0.5)
+    assert dive.vehicle.moves() == []
+    dive.link.resume()
+    dive.link.command(AHEAD, dive.clock() + 0.5)
+    dive.run(0.5)
+    assert all(map(is_neutral, dive.vehicle.moves()))
+
+
+def test_other_systems_and_components_are_counted_and_not_believed(dive: Dive) -> None:
+    dive.armed()
+    before = dive.link.telemetry.mode
+    dive.vehicle.say(dialect.MAVLink_heartbeat_message(12, 3, 128, 19, 4, 3), system=2)
+    dive.vehicle.say(dialect.MAVLink_heartbeat_message(18, 8, 128, 19, 4, 3), component=194)
+    dive.vehicle.say(dialect.MAVLink_heartbeat_message(2, 3, 128, 19, 4, 3))
+    assert dive.link.telemetry.mode == before
+    assert dive.link.refused["from system 2"] == 1
+    assert dive.link.refused["from component 194"] == 1
+    assert dive.link.refused["heartbeat: not of an ArduSub"] == 1
+
+
+def test_a_reboot_ends_our_arming(dive: Dive) -> None:
+    dive.armed()
+    dive.run(1.0)
+    dive.vehicle.attitude()
+    dive.vehicle.booted = dive.clock() - 0.5
+    dive.vehicle.attitude()
+    assert dive.link.telemetry.reboots == 0  # one packet may have come late
+    dive.clock.time += 0.1
+    dive.vehicle.attitude(yaw=0.1)
+    assert dive.link.telemetry.reboots == 1
+    assert not dive.link.engaged
+    dive.link.command(AHEAD, dive.clock() + 0.5)
+    dive.vehicle.sent.clear()
+    dive.run(0.3)
+    assert all(map(is_neutral, dive.vehicle.moves()))
+    assert abs(dive.delivered[-1].time - (dive.clock() - 0.3)) < 0.01
+
+
+def test_after_a_reboot_messages_are_asked_for_again() -> None:
+    dive = Dive(rates={"ATTITUDE": 20.0})
+    dive.vehicle.heartbeat()
+    dive.link.connect(0.1)
+    dive.vehicle.attitude()
+    dive.vehicle.booted = dive.clock()
+    for _ in range(2):
+        dive.clock.time += 0.1
+        dive.vehicle.attitude()
+    dive.vehicle.sent.clear()
+    dive.run(2.5)
+    asked = [m for m in dive.vehicle.heard("COMMAND_LONG") if m.command == 511]
+    assert [(m.param1, m.param2) for m in asked] == [(30.0, 50000.0)]
+
+
+# Measurements
+
+
+def test_at_rest_and_level_the_specific_force_is_g_up(dive: Dive) -> None:
+    dive.vehicle.imu((0, 0, -1000))
+    (imu,) = dive.delivered
+    assert isinstance(imu, Imu)
+    assert np.allclose(imu.specific_force, [0.0, 0.0, 9.80665])
+    assert imu.time == pytest.approx(100.0)
+
+
+def test_imu_by_hand(dive: Dive) -> None:
+    dive.vehicle.imu((100, 200, -900), (10, -20, 500))
+    imu = dive.delivered[0]
+    assert np.allclose(imu.specific_force, [0.980665, -1.96133, 8.825985])
+    assert np.allclose(imu.angular_velocity, [0.01, 0.02, -0.5])
+
+
+def test_scaled_imu2_is_the_same() -> None:
+    dive = Dive(imu_from="SCALED_IMU2")
+    dive.vehicle.imu((0, 0, -1000))
+    dive.vehicle.say(dialect.MAVLink_scaled_imu2_message(10000, 0, 0, -1000, 0, 0, 250, 0, 0, 0))
+    (imu,) = dive.delivered
+    assert np.allclose(imu.specific_force, [0.0, 0.0, 9.80665])
+    assert np.allclose(imu.angular_velocity, [0.0, 0.0, -0.25])
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(-3.0, 3.0), st.floats(-1.5, 1.5))
+def test_headings_agree_whichever_message_brings_them(yaw_ned: float, roll: float, pitch: float) -> None:
+    one, two = Dive(), Dive(heading_from="ATTITUDE_QUATERNION")
+    one.vehicle.attitude(yaw_ned, roll, pitch)
+    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
+    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
+    cy, sy = math.cos(yaw_ned / 2), math.sin(yaw_ned / 2)
+    q = (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+    two.vehicle.say(dialect.MAVLink_attitude_quaternion_message(10000, *q, 0.0, 0.0, 0.0))
+    a, b = one.delivered[0], two.delivered[0]
+    assert isinstance(a, Heading)
+    assert abs(wrap_angle(a.yaw - b.yaw)) < 1e-5
+    assert abs(wrap_angle(a.yaw - (math.pi / 2 - yaw_ned))) < 1e-6
+    assert a.sigma == 0.05
+
+
+def test_heading_by_hand(dive: Dive) -> None:
+    dive.vehicle.attitude(yaw=math.radians(90.0), pitch=0.1, roll=0.2)  # compass east
+    assert dive.delivered[0].yaw == pytest.approx(0.0, abs=1e-7)
+    attitude = dive.link.telemetry.attitude
+    assert attitude is not None
+    assert attitude.pitch == pytest.approx(-0.1)  # nose up about the axis to the left is negative
+    assert attitude.roll == pytest.approx(0.2)
+
+
+def test_depth_by_hand() -> None:
+    dive = Dive(density=SEA, surface_pressure=1013.25)
+    dive.vehicle.pressure(1013.25 + SEA * GRAVITY * 2.0 / 100.0)
+    (depth,) = dive.delivered
+    assert isinstance(depth, Depth)
+    assert depth.z == pytest.approx(-2.0, abs=1e-5)
+    assert dive.link.telemetry.depth == pytest.approx(2.0, abs=1e-5)
+
+
+def test_depth_waits_for_the_pressure_at_the_surface(dive: Dive) -> None:
+    with pytest.raises(RuntimeError, match="5 readings"):
+        dive.link.zero_depth()
+    for k in range(10):
+        dive.clock.time += 0.05
+        dive.vehicle.pressure(1000.0 + 0.1 * (k % 3))
+    assert dive.delivered == []
+    assert dive.link.zero_depth() == pytest.approx(1000.1)
+    dive.clock.time += 0.05
+    dive.vehicle.pressure(1000.1 + 997.0 * GRAVITY / 100.0)
+    assert dive.delivered[0].z == pytest.approx(-1.0, abs=1e-4)
+    dive.clock.time += 0.05
+    dive.vehicle.pressure(1100.0)
+    with pytest.raises(RuntimeError, match="float still"):
+        dive.link.zero_depth()
+
+
+def test_stamps_are_mapped_onto_the_dives_clock(dive: Dive) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(400):
+        truth = dive.clock.time
+        stamp = dive.vehicle.boot_ms
+        dive.clock.time += 0.003 + rng.exponential(0.01)
+        dive.vehicle.say(dialect.MAVLink_attitude_message(stamp, 0, 0, 0.0, 0, 0, 0))
+        dive.clock.time = max(dive.clock.time, truth + 0.02)
+        if dive.delivered:
+            assert dive.delivered[-1].time <= dive.clock.time
+    times = np.array([m.time for m in dive.delivered])
+    assert (np.diff(times) > 0.0).all()
+    assert np.std(np.diff(times)[50:]) < 0.02
+    assert dive.link.telemetry.jitter < 0.05
+
+
+def test_round_trips_take_half_of_a_constant_way_out() -> None:
+    dive = Dive()
+    dive.armed()
+    delays = 0.04
+
+    def later(data: bytes) -> None:
+        dive.clock.time += delays
+        dive.link.receive(data)
+
+    for _ in range(10):
+        dive.vehicle.hear = later
+        stamp = dive.clock.time
+        dive.vehicle.attitude()
+        lateness = dive.delivered[-1].time - stamp
+        dive.vehicle.hear = dive.link.receive
+        dive.run(0.3)
+    assert lateness < 0.012
+
+
+def test_what_repeats_or_is_overtaken_is_delivered_once(dive: Dive) -> None:
+    data = dive.vehicle.pack(dialect.MAVLink_attitude_message(10000, 0, 0, 0, 0, 0, 0))
+    older = dive.vehicle.pack(dialect.MAVLink_attitude_message(9990, 0, 0, 0, 0, 0, 0))
+    for packet in (data, data, older):
+        dive.link.receive(packet)
+    assert len(dive.delivered) == 1
+    assert dive.link.refused["ATTITUDE: repeated or overtaken"] == 2
+
+
+# Rubbish
+
+
+def test_garbage_truncation_and_wrong_checksums_do_no_harm(dive: Dive) -> None:
+    good = dive.vehicle.pack(dialect.MAVLink_raw_imu_message(1, 0, 0, -1000, 0, 0, 0, 0, 0, 0))
+    bad = bytearray(good)
+    bad[-1] ^= 0xFF
+    for packet in (
+        b"\x00\x01garbage",
+        b"\xfd",
+        good[:9],
+        good[:-3],
+        bytes(bad),
+        b"\xfd" * 300,
+        b"\xfe\xff\x00",
+    ):
+        dive.link.receive(packet)
+    assert dive.delivered == []
+    dive.link.receive(b"\x00\x01\x02" + good)
+    assert len(dive.delivered) == 1
+    assert dive.link.refused["wrong checksum"] == 1
+    assert dive.link.refused["truncated packet"] >= 3
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=400))
+def test_no_bytes_raise(data: bytes) -> None:
+    dive = Dive()
+    dive.link.receive(data)
+    dive.link.receive(b"\xfd" + data)
+    dive.vehicle.imu((0, 0, -1000))
+    assert len(dive.delivered) == 1
+
+
+def strange() -> list[tuple[str, Any]]:
+    nan, huge = math.nan, 1e30
+    d = dialect
+    return [
+        ("attitude", d.MAVLink_attitude_message(1, nan, 0.0, 0.0, 0.0, 0.0, 0.0)),
+        ("attitude", d.MAVLink_attitude_message(1, 0.0, 0.0, huge, 0.0, 0.0, 0.0)),
+        ("attitude", d.MAVLink_attitude_quaternion_message(1, nan, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
+        ("attitude", d.MAVLink_attitude_quaternion_message(1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
+        ("pressure", d.MAVLink_scaled_pressure2_message(1, nan, 0.0, 0)),
+        ("pressure", d.MAVLink_scaled_pressure2_message(1, 0.0, 0.0, 0)),
+        ("pressure", d.MAVLink_scaled_pressure2_message(1, huge, 0.0, 0)),
+        ("imu: force", d.MAVLink_raw_imu_message(1, 32767, 0, 0, 0, 0, 0, 0, 0, 0)),
+        ("imu: turn rate", d.MAVLink_raw_imu_message(1, 0, 0, -1000, 0, 0, 32767, 0, 0, 0)),
+        ("camera tilt", d.MAVLink_mount_orientation_message(1, 0.0, nan, 0.0)),
+        ("camera tilt", d.MAVLink_gimbal_device_attitude_status_message(0, 0, 1, 0, [nan] * 4, 0, 0, 0, 0)),
+        ("named value", d.MAVLink_named_value_float_message(1, b"PilotGain", nan)),
+    ]
+
+
+@pytest.mark.parametrize(("reason", "message"), strange())
+def test_numbers_that_cannot_be_are_refused(reason: str, message: Any) -> None:
+    dive = Dive(surface_pressure=1000.0)
+    before = repr(dive.link.telemetry)
+    dive.vehicle.say(message)
+    assert dive.delivered == []
+    assert [r for r in dive.link.refused if r.startswith(reason)]
+    assert repr(dive.link.telemetry).replace("reboots", "") == before.replace("reboots", "")
+
+
+# Telemetry
+
+
+def test_telemetry(dive: Dive) -> None:
+    assert dive.link.telemetry.heartbeat_age == math.inf
+    dive.armed()
+    vehicle = dive.vehicle
+    vehicle.say(dialect.MAVLink_sys_status_message(0, 0, 0, 0, 15800, -1, 62, 0, 0, 0, 0, 0, 0))
+    vehicle.named("PilotGain", 0.75)
+    vehicle.named("InputHold", 1.0)
+    vehicle.imu((0, 0, -1000))
+    dive.clock.time += 0.5
+    telemetry = dive.link.telemetry
+    assert (telemetry.mode, telemetry.armed) == ("ALT_HOLD", True)
+    assert (telemetry.voltage, telemetry.battery) == (15.8, 0.62)
+    assert (telemetry.pilot_gain, telemetry.input_hold) == (0.75, True)
+    assert telemetry.version == "4.5.6"
+    assert telemetry.imu_age == pytest.approx(0.5)
+    assert telemetry.pressure_age == math.inf
+    assert not telemetry.leak
+    vehicle.say(dialect.MAVLink_statustext_message(1, b"Leak Detected"))
+    assert dive.link.telemetry.leak
+    assert dive.link.texts[-1][1:] == (1, "Leak Detected")
+
+
+def test_a_leak_shows_in_the_sensors_health_too(dive: Dive) -> None:
+    extended = dialect.MAV_SYS_STATUS_EXTENSION_USED
+    leak = dialect.MAV_SYS_STATUS_SENSOR_LEAK
+    status = dialect.MAVLink_sys_status_message
+    seen = []
+    for health in (leak, 0):
+        dive.vehicle.say(status(extended, 0, 0, 0, 0, -1, -1, 0, 0, 0, 0, 0, 0, leak, leak, health))
+        seen.append(dive.link.telemetry.leak)
+    assert seen == [False, True]
+    assert math.isnan(dive.link.telemetry.voltage)
+
+
+def test_loss_is_counted_by_sequence_numbers(dive: Dive) -> None:
+    for k in range(300):
+        dive.clock.time += 0.01
+        if k % 10 == 9:
+            dive.vehicle.writer.seq = (dive.vehicle.writer.seq + 1) % 256  # one that never came
+        dive.vehicle.attitude()
+    assert dive.link.telemetry.loss == pytest.approx(30 / 330, abs=1e-9)
+
+
+def test_every_message_is_tapped(dive: Dive) -> None:
+    dive.armed()
+    sent = [m for _, channel, out, m in dive.tapped if out and channel == "mavlink"]
+    came = [m for _, channel, out, m in dive.tapped if not out and channel == "mavlink"]
+    assert {m.get_type() for m in sent} >= {"COMMAND_LONG", "MANUAL_CONTROL"}
+    assert {m.get_type() for m in came} >= {"HEARTBEAT", "COMMAND_ACK"}
+
+
+# Questions
+
+
+def test_lost_questions_are_asked_three_times(dive: Dive) -> None:
+    dive.vehicle.heartbeat()
+    dive.vehicle.deaf["COMMAND_LONG"] = 2
+    dive.link.arm()
+    assert len(dive.vehicle.heard("COMMAND_LONG")) == 3
+    dive.vehicle.deaf["COMMAND_LONG"] = 3
+    with pytest.raises(TimeoutError, match=r"COMPONENT_ARM_DISARM.*3 tries"):
+        dive.link.disarm()
+
+
+def test_a_refusal_says_why(dive: Dive) -> None:
+    dive.vehicle.heartbeat()
+    dive.vehicle.results[dialect.MAV_CMD_COMPONENT_ARM_DISARM] = dialect.MAV_RESULT_FAILED
+    dive.vehicle.why = "Arm: Check your compass"
+    with pytest.raises(Refused, match=r"FAILED.*Check your compass"):
+        dive.link.arm()
+    assert not dive.link.engaged
+    dive.vehicle.sent.clear()
+    dive.run(0.3)
+    assert dive.vehicle.moves() == []
+
+
+def test_a_refused_mode_changes_nothing(dive: Dive) -> None:
+    dive.armed()
+    dive.vehicle.results[dialect.MAV_CMD_DO_SET_MODE] = dialect.MAV_RESULT_FAILED
+    with pytest.raises(Refused, match="DO_SET_MODE"):
+        dive.link.set_mode("GUIDED")
+    with pytest.raises(ValueError, match="expected one of"):
+        dive.link.set_mode("LOITER")
+    dive.run(0.3)
+    assert dive.link.yielding == ""
+    assert dive.link.telemetry.mode == "ALT_HOLD"
+
+
+def test_disarming_sends_neutral_first_and_nothing_after(dive: Dive) -> None:
+    dive.armed()
+    dive.link.command(AHEAD, dive.clock() + 0.5)
+    dive.link.disarm()
+    assert all(map(is_neutral, dive.vehicle.moves()))
+    assert not dive.link.engaged
+    assert dive.link.yielding == ""
+    dive.vehicle.sent.clear()
+    dive.link.command(AHEAD, dive.clock() + 0.5)
+    dive.run(0.5)
+    assert dive.vehicle.moves() == []
+
+
+def test_connecting_asks_for_messages_and_says_who_is_missing() -> None:
+    dive = Dive(rates={"RAW_IMU": 50.0, "NAMED_VALUE_FLOAT": 2.0})
+    with pytest.raises(TimeoutError, match="heartbeat of system 1"):
+        dive.link.connect(0.02)
+    dive.vehicle.say(dialect.MAVLink_heartbeat_message(12, 3, 0, 0, 4, 3), system=3)
+    with pytest.raises(TimeoutError, match="from system 3"):
+        dive.link.connect(0.02)
+    dive.vehicle.heartbeat()
+    assert dive.link.connect(0.1).mode == "MANUAL"
+    asked = [m for m in dive.vehicle.heard("COMMAND_LONG") if m.command == 511]
+    assert [(m.param1, m.param2) for m in asked] == [(27.0, 20000.0), (251.0, 500000.0)]
+    with pytest.raises(ValueError, match="hertz"):
+        dive.link.set_message_interval("RAW_IMU", 0.0)
+    with pytest.raises(ValueError, match="a name of MAVLink"):
+        dive.link.set_message_interval("RAW_IMUU", 1.0)
+
+
+@pytest.mark.parametrize("name", ["MAV_GCS_SYSID", "SYSID_MYGCS"])
+def test_the_stations_id_is_found_by_either_name(dive: Dive, name: str) -> None:
+    dive.vehicle.parameters.pop("MAV_GCS_SYSID")
+    dive.vehicle.parameters[name] = 254.0
+    for asked in ("MAV_GCS_SYSID", "SYSID_MYGCS"):
+        assert dive.link.param(asked) == 254.0
+    dive.link.set_param("MAV_GCS_SYSID", 255.0)
+    assert dive.vehicle.parameters[name] == 255.0
+    assert dive.link.restore() == {name: 254.0}
+    assert dive.vehicle.parameters[name] == 254.0
+    assert dive.link.restore() == {}
+
+
+def test_parameters_are_set_seen_and_restored(dive: Dive) -> None:
+    before = dict(dive.vehicle.parameters)
+    dive.vehicle.deaf["PARAM_SET"] = 2
+    dive.link.set_param("FS_PILOT_TIMEOUT", 1.0)
+    dive.link.set_param("FS_PILOT_TIMEOUT", 0.5)
+    dive.link.set_param("FS_PILOT_INPUT", 2.0)
+    assert dive.vehicle.parameters["FS_PILOT_TIMEOUT"] == 0.5
+    assert dive.link.restore() == {"FS_PILOT_INPUT": 1.0, "FS_PILOT_TIMEOUT": 3.0}
+    assert dive.vehicle.parameters == before
+
+
+def test_a_parameter_that_keeps_its_value_is_a_refusal(dive: Dive) -> None:
+    dive.vehicle.stuck = "FS_PILOT_INPUT"
+    with pytest.raises(Refused, match=r"expected 2\.0, got 1\.0"):
+        dive.link.set_param("FS_PILOT_INPUT", 2.0)
+    with pytest.raises(TimeoutError, match=r"NO_SUCH_ONE.*no answer"):
+        dive.link.param("NO_SUCH_ONE")
+    with pytest.raises(ValueError, match="finite"):
+        dive.link.set_param("FS_PILOT_INPUT", math.nan)
+
+
+def test_checking_changes_nothing_and_correcting_only_what_is_wrong(dive: Dive) -> None:
+    checks = dive.link.check_parameters()
+    assert dive.vehicle.heard("PARAM_SET") == []
+    wrong = {check.name for check in checks if not check.ok}
+    assert wrong == {"FS_PILOT_INPUT", "FS_PILOT_TIMEOUT"}
+    dive.link.correct(checks)
+    assert {m.param_id for m in dive.vehicle.heard("PARAM_SET")} == wrong
+    assert all(check.ok for check in dive.link.check_parameters())
+    dive.vehicle.parameters["MAV_GCS_SYSID"] = 252.0
+    dive.vehicle.parameters["FRAME_CONFIG"] = 7.0
+    del dive.vehicle.parameters["FS_GCS_ENABLE"]
+    wrong = {check.name for check in dive.link.check_parameters() if not check.ok}
+    assert wrong == {"MAV_GCS_SYSID", "FRAME_CONFIG", "FS_GCS_ENABLE"}
+
+
+def test_the_joystick_is_that_of_the_vehicle(dive: Dive) -> None:
+    joystick = dive.link.joystick()
+    assert joystick.thrusters is VECTORED_6DOF
+    assert (joystick.gain, joystick.climb, joystick.yaw_p) == (0.5, 0.5, 3.375)
+    dive.vehicle.named("PilotGain", 0.75)
+    assert dive.link.joystick().gain == 0.75
+
+
+def test_the_camera_is_tilted_and_seen_to_be(dive: Dive) -> None:
+    dive.vehicle.heartbeat()
+    assert dive.link.tilt_camera(math.radians(-30.0)) == pytest.approx(math.radians(-30.0), abs=1e-4)
+    (command,) = dive.vehicle.heard("COMMAND_LONG")
+    assert (command.command, command.param1, command.param7) == (205, pytest.approx(-30.0), 2.0)
+    dive.vehicle.tilt_reported = False
+    dive.clock.time += 1.0
+    with pytest.raises(TimeoutError, match="camera tilt"):
+        dive.link.tilt_camera(0.2, timeout=0.02)
+    with pytest.raises(ValueError, match="60"):
+        dive.link.tilt_camera(math.nan)
+
+
+# Over a real socket, with threads
+
+
+@pytest.fixture
+def wired() -> Iterator[tuple[Link, Vehicle, Callable[[], float]]]:
+    begin = time.monotonic()
+
+    def now() -> float:
+        return time.monotonic() - begin
+
+    vehicle = Vehicle(now)
+    vehicle.booted = -1.0
+    link = Link("127.0.0.1:0", now=now, rates=NO_MESSAGES, retry=0.1)
+    wire = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    wire.bind(("127.0.0.1", 0))
+    wire.settimeout(0.05)
+    there = "127.0.0.1", link.port
+    vehicle.hear = lambda data: (wire.sendto(data, there), None)[1]
+    ended = threading.Event()
+
+    def work() -> None:
+        beat = 0.0
+        while not ended.is_set():
+            if now() > beat:
+                beat = now() + 0.1
+                vehicle.heartbeat()
+                wire.sendto(b"\xfd\x09garbage", there)
+            try:
+                vehicle.send(wire.recv(2048))
+            except TimeoutError:
+                continue
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    with link:
+        yield link, vehicle, now
+    ended.set()
+    thread.join(2.0)
+    wire.close()
+
+
+def until(true: Callable[[], bool]) -> None:
+    end = time.monotonic() + 5.0
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+def test_a_dive_over_a_socket(wired: tuple[Link, Vehicle, Callable[[], float]]) -> None:
+    link, vehicle, now = wired
+    assert link.connect(5.0).mode == "MANUAL"
+    link.set_mode("ALT_HOLD")
+    link.arm()
+    vehicle.sent.clear()
+    expires = link.command(AHEAD, now() + 0.3)
+    until(lambda: sum(map(is_neutral, vehicle.heard("MANUAL_CONTROL"))) > 4)
+    moving = [t for t, m in list(vehicle.sent) if not is_neutral(m)]
+    assert moving
+    assert max(moving) < expires + PERIOD
+    assert link.connected
+    assert link.problem == ""
+    link.disarm()
+    assert not vehicle.armed
+
+
+def test_lights_are_switched_by_buttons(wired: tuple[Link, Vehicle, Callable[[], float]]) -> None:
+    link, vehicle, _ = wired
+    link.connect(5.0)
+    vehicle.parameters |= {f"BTN{n}_FUNCTION": 0.0 for n in range(16) if n not in (13, 14)}
+    vehicle.named("Lights1", 0.0)
+    assert link.set_lights(0.4) == pytest.approx(0.375)
+    assert link.set_lights(0.0) == pytest.approx(0.0, abs=0.07)
+    assert all(map(is_neutral, vehicle.moves()))
+    with pytest.raises(ValueError, match="share"):
+        link.set_lights(1.5)
+
+
+def test_closing_sends_neutral_and_frees_the_port() -> None:
+    dive = Dive().armed()
+    dive.link.command(AHEAD, dive.clock() + 0.5)
+    dive.link.close()
+    dive.link.close()
+    assert is_neutral(dive.vehicle.moves()[-1])
+    link = Link("127.0.0.1:0", now=time.monotonic)
+    port = link.port
+    with link, pytest.raises(OSError, match="in use"):
+        Link(f"udpin:127.0.0.1:{port}", now=time.monotonic)
+    with Link(f"udpin:127.0.0.1:{port}", now=time.monotonic):
+        pass
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1", "udpin:127.0.0.1:99999", "tcp::1", "udpout:host:x"])
+def test_addresses_are_checked(address: str) -> None:
+    with pytest.raises(ValueError, match="address"):
+        Link(address, now=time.monotonic)
+
+
+def test_a_tcp_peer_that_is_not_there_is_a_problem_and_no_error() -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    with Link(f"tcp:127.0.0.1:{port}", now=time.monotonic) as link:
+        until(lambda: "refused" in link.problem)
+        with socket.create_server(("127.0.0.1", port)) as server:
+            server.settimeout(5.0)
+            peer, _ = server.accept()
+            with peer:
+                vehicle = Vehicle(time.monotonic)
+                vehicle.hear = peer.sendall
+                vehicle.heartbeat()
+                until(lambda: link.connected)
+                assert link.problem == ""
+
+
+@pytest.mark.parametrize(
+    "options", [{"vehicle": 0}, {"system": 256}, {"system": 1}, {"density": 1.0}, {"rates": {"NONE": 1.0}}]
+)
+def test_options_are_checked(options: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="expected"):
+        Dive(**options)
