@@ -1,0 +1,555 @@
+"""The link to a Water Linked A50: lines of JSON over TCP → velocity over ground.
+
+Protocol: json_v3.x of waterlinked/docs, docs/dvl/dvl-json-protocol.md (firmware 2.7.2). Its reports are in
+the DVL's frame, forward-right-down; here everything is forward-left-up. Devices and clocks of it are in
+microseconds and degrees, which do not leave this module.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import queue
+import socket
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from datetime import datetime
+from types import TracebackType
+from typing import Annotated, Any, Literal, Protocol, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import from_json
+
+from dream.measurements import Dvl, Float64Array
+
+logger = logging.getLogger(__name__)
+
+PORT = 16171
+CHANNEL = "a50"
+MAX_LINE = 1 << 16
+"""Bytes. A velocity report has about a thousand."""
+VELOCITY_FLOOR = 0.005
+"""m/s, one sigma: no axis is believed to be better."""
+NOISIEST = 0.4
+"""m/s of the figure of merit, where bluerobotics/BlueOS-Water-Linked-DVL has no confidence left."""
+NEAREST = 0.05
+"""Metres of altitude below which the beams cannot be told apart (data sheet of the A50)."""
+CONNECTING = 3.0
+"""Seconds to wait for a connection."""
+QUIET = 5.0
+"""Seconds without a byte after which the connection is made anew: `position_local` comes five times a second
+also where there is no bottom lock."""
+PAUSES = (0.25, 5.0)
+"""Seconds between attempts to connect: the first, and the longest."""
+SLOWEST = 2.0
+"""Seconds from validity to transmission that are believed; about 0.2 in the documentation's example."""
+
+_FLU_FRD = np.diag([1.0, -1.0, -1.0])
+
+_Speed = Annotated[float, Field(ge=-20.0, le=20.0)]
+_Variance = Annotated[float, Field(ge=-1e4, le=1e4)]
+_Microseconds = Annotated[int, Field(ge=0, le=1 << 62)]
+
+
+class Clock(Protocol):
+    """Maps stamps of a device onto the dive's clock."""
+
+    def to_dive(self, stamp: float, arrived: float) -> float:
+        """The dive's time of what the device stamped with `stamp` and what came in at `arrived`; seconds."""
+        ...
+
+
+class _Heard(BaseModel):
+    """Something that the A50 says. Fields that we do not know are ignored, numbers are finite."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False, strict=True)
+
+    format: str = Field(pattern=r"^json_v3(\.\d{1,4})?$")
+    """A minor version may add fields; another major one may mean something else by the same name."""
+
+
+class VelocityReport(_Heard):
+    """`velocity`: over ground, in the DVL's frame; forward, right, down."""
+
+    type: Literal["velocity"]
+    vx: _Speed
+    vy: _Speed
+    vz: _Speed
+    fom: float = Field(ge=0.0)
+    """m/s, figure of merit."""
+    covariance: list[Annotated[list[_Variance], Field(min_length=3, max_length=3)]] = Field(
+        min_length=3, max_length=3
+    )
+    altitude: float = Field(ge=-1e4, le=1e4)
+    """Metres; means nothing where the velocity is not valid."""
+    velocity_valid: bool
+    status: int = Field(ge=0)
+    """Bit 0: so hot that it is about to shut down."""
+    time_of_validity: _Microseconds
+    time_of_transmission: _Microseconds
+
+
+class Response(_Heard):
+    """`response` to a command."""
+
+    type: Literal["response"]
+    response_to: str = Field(max_length=64)
+    success: bool
+    error_message: str = ""
+    result: Any = None
+
+
+class Config(BaseModel):
+    """What of `get_config` matters for how a velocity is read."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False, strict=True)
+
+    speed_of_sound: float | None = None
+    """m/s, by which velocities scale: about 1480 in a fresh tank, 1500 in the sea."""
+    mounting_rotation_offset: float | None = None
+    """Degrees by which the device turns what it reports."""
+    acoustic_enabled: bool | None = None
+    range_mode: str | None = None
+
+
+class BadLine(ValueError):  # noqa: N818 - it names what was found.
+    """A line that is not used; the message is the reason, short enough to be counted by."""
+
+
+def read_line(line: bytes) -> VelocityReport | Response | None:
+    """What a line says; None where it is of no concern here, as `velocity_water` and `position_local` are.
+
+    Raises:
+        BadLine: It is not JSON, or not what the protocol says.
+    """
+    try:
+        said = from_json(line, allow_inf_nan=False)
+    except ValueError as error:
+        raise BadLine("not JSON") from error
+    if not isinstance(said, dict):
+        raise BadLine("not a JSON object")
+    kinds: Mapping[Any, type[VelocityReport] | type[Response]] = {
+        "velocity": VelocityReport,
+        "response": Response,
+    }
+    kind = said.get("type")
+    if not isinstance(kind, str):
+        raise BadLine("no type")
+    if kind not in kinds:
+        return None
+    try:
+        return kinds[kind].model_validate(said)
+    except ValidationError as error:
+        field = str(error.errors(include_url=False)[0]["loc"][0])
+        raise BadLine(f"{kind}: {field}") from error
+
+
+def measurement(report: VelocityReport, time: float) -> Dvl:
+    """The measurement that a report is, true at `time` on the dive's clock."""
+    altitude = report.altitude if report.velocity_valid and report.altitude > 0.0 else math.nan
+    return Dvl(
+        time=time,
+        velocity=_FLU_FRD @ np.array([report.vx, report.vy, report.vz]),
+        covariance=_floored(_FLU_FRD @ np.array(report.covariance) @ _FLU_FRD),
+        altitude=altitude,
+        valid=report.velocity_valid and report.fom < NOISIEST and altitude > NEAREST,
+    )
+
+
+def _floored(covariance: Float64Array) -> Float64Array:
+    """Symmetric, and in no direction below the floor: a sick matrix gives a usable one."""
+    variances, axes = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    floored: Float64Array = (axes * np.maximum(variances, VELOCITY_FLOOR**2)) @ axes.T
+    return 0.5 * (floored + floored.T)
+
+
+class LeastDelay:
+    """Device clock → the dive's clock: of the last messages, that with the least delay tells the offset.
+
+    What it does: arrived − stamp is the offset plus a delay that is never negative, so that its least value
+    of a window is nearest to the offset. A clock that jumps begins a new window.
+    """
+
+    def __init__(self, window: float = 20.0, jump: float = 1.0) -> None:
+        """Seconds of messages to choose from, and seconds that count as a jump."""
+        self._window, self._jump = window, jump
+        self._offsets: deque[tuple[float, float]] = deque()
+
+    def to_dive(self, stamp: float, arrived: float) -> float:
+        """The dive's time of a stamp; never after it came in."""
+        offset = arrived - stamp
+        if self._offsets and abs(offset - self._offsets[-1][1]) > self._jump:
+            self._offsets.clear()
+        self._offsets.append((arrived, offset))
+        while self._offsets[0][0] < arrived - self._window:
+            self._offsets.popleft()
+        return stamp + min(offset for _, offset in self._offsets)
+
+
+class DvlA50:
+    """A Water Linked A50 on the network.
+
+    What it does: a thread of its own connects, reads line by line and delivers a `Dvl` for every good
+    velocity report, also for those without bottom lock. A broken link is a state (`connected`, `problem`),
+    and is made anew after a growing pause. What cannot be used is counted in `refused`, by reason. The time
+    of a velocity is when it was true: the device says how long it took to make and send it, and only the
+    sending is compared with the dive's clock.
+
+    Reference: json_v3.x, see the module.
+
+    Assumes: stamps of one report share a clock, which may be set at any time. Lines that come in all at once
+    before the clock is known seem to be of one time, and but one of them is used.
+    Fails when: the device turns its velocities by a `mounting_rotation_offset` other than `rotation_deg`;
+    `problem` then says so.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int = PORT,
+        *,
+        now: Callable[[], float],
+        deliver: Callable[[Dvl], None],
+        rotation_deg: float = 0.0,
+        clock: Clock | None = None,
+        quiet: float = QUIET,
+        pauses: tuple[float, float] = PAUSES,
+        tap: Callable[[float, str, bool, object], None] | None = None,
+    ) -> None:
+        """Begin to connect.
+
+        Args:
+            host: Name or address.
+            port: Of the JSON protocol.
+            now: The dive's clock.
+            deliver: Takes each measurement, in the thread of the link; quick.
+            rotation_deg: `mounting_rotation_offset` that the device is expected to have. Where the DVL sits
+                and looks is for the estimator to know (`estimation.Mounting`).
+            clock: Of the device.
+            quiet: Seconds without a byte after which to connect anew.
+            pauses: Seconds before another attempt: first and longest.
+            tap: Is told of every line, as it came or went.
+        """
+        self._host, self._port = host, port
+        self._now, self._deliver, self._tap = now, deliver, tap
+        self._rotation_deg = rotation_deg
+        self._clock: Clock = LeastDelay() if clock is None else clock
+        self._quiet, self._pauses = quiet, pauses
+        self._lock = threading.Lock()
+        self._asking = threading.Lock()
+        self._closing = threading.Event()
+        self._socket: socket.socket | None = None
+        self._pending: dict[str, queue.SimpleQueue[Response]] = {}
+        self._lost = "not tried yet"
+        self._version = ""
+        self._config: Config | None = None
+        self._heard = math.nan
+        self._delivered = math.nan
+        self._status = 0
+        self._last_stamp = -1
+        self._last_time = -math.inf
+        self._refused: Counter[str] = Counter()
+        self._thread = threading.Thread(target=self._run, name=f"a50 {host}:{port}", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the link; nothing is delivered afterwards."""
+        self._closing.set()
+        self._hang_up()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(CONNECTING + 1.0)
+
+    @property
+    def connected(self) -> bool:
+        """Is there a connection?"""
+        return self._socket is not None
+
+    @property
+    def age(self) -> float:
+        """Seconds since a measurement was delivered, with bottom lock or without; inf where none was."""
+        return math.inf if math.isnan(self._delivered) else self._now() - self._delivered
+
+    @property
+    def hot(self) -> bool:
+        """The last report said that it is about to shut down, as it is too hot."""
+        return bool(self._status & 1)
+
+    @property
+    def config(self) -> Config | None:
+        """As the device told when the connection was made; None until then."""
+        return self._config
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """Lines that were not used, by reason."""
+        with self._lock:
+            return dict(self._refused)
+
+    @property
+    def problem(self) -> str:
+        """What is wrong, in a line; empty where nothing is."""
+        where = f"the DVL at {self._host}:{self._port}"
+        if not self.connected:
+            hot = (
+                " It was too hot: is it out of the water?" if self.hot else " Is it powered, and on this net?"
+            )
+            return f"no connection to {where} ({self._lost}).{hot}"
+        if self.hot:
+            return f"{where} is too hot and about to shut down. Is it out of the water?"
+        if self._version:
+            return f"{where} speaks {self._version}, expected json_v3"
+        config = self._config
+        if config is not None:
+            if config.acoustic_enabled is False:
+                return f"{where} is told not to ping. Set acoustic_enabled"
+            turned = config.mounting_rotation_offset
+            if turned is not None and abs(math.remainder(turned - self._rotation_deg, 360.0)) > 0.01:
+                return (
+                    f"{where}: expected mounting_rotation_offset {self._rotation_deg:g}°, got {turned:g}°. "
+                    "One of both is to be changed"
+                )
+        silent = self._now() - self._heard
+        if not self.age <= self._quiet:
+            return f"no velocity from {where}" + (f" for {self.age:.1f} s" if self.age < math.inf else "")
+        return f"nothing heard of {where} for {silent:.1f} s" if silent > self._quiet else ""
+
+    # Commands. Each waits for the answer; none may be called from `deliver`, which would wait for itself.
+
+    def ask(
+        self, command: str, parameters: Mapping[str, Any] | None = None, *, timeout: float = 2.0
+    ) -> object:
+        """Send a command and wait for the `result` of its response.
+
+        Raises:
+            ConnectionError: There is no connection, or it broke.
+            TimeoutError: No response came.
+            ValueError: The device refused; the message says why.
+        """
+        said: dict[str, Any] = {"command": command}
+        if parameters is not None:
+            said["parameters"] = dict(parameters)
+        line = json.dumps(said, allow_nan=False)
+        with self._asking:
+            answers: queue.SimpleQueue[Response] = queue.SimpleQueue()
+            with self._lock:
+                self._pending[command] = answers
+            try:
+                self._send(line)
+                answer = answers.get(timeout=timeout)
+            except queue.Empty:
+                raise TimeoutError(
+                    f"{command}: expected a response of the DVL within {timeout:g} s, got none. "
+                    f"{self.problem}"
+                ) from None
+            finally:
+                with self._lock:
+                    self._pending.pop(command, None)
+        if not answer.success:
+            raise ValueError(f"{command}: the DVL refuses: {answer.error_message or 'without a reason'}")
+        return answer.result
+
+    def get_config(self) -> Config:
+        """How the device is set. Raises as `ask` does."""
+        self._take_config(self.ask("get_config"))
+        if self._config is None:
+            raise ValueError("get_config: expected settings of the DVL, got something else")
+        return self._config
+
+    def set_config(
+        self,
+        *,
+        speed_of_sound: float | None = None,
+        mounting_rotation_offset_deg: float | None = None,
+        acoustic_enabled: bool | None = None,
+        dark_mode_enabled: bool | None = None,
+        range_mode: str | None = None,
+        periodic_cycling_enabled: bool | None = None,
+    ) -> None:
+        """Change what is given, and leave the rest. Raises as `ask` does.
+
+        Args:
+            speed_of_sound: m/s, 1000 to 2000.
+            mounting_rotation_offset_deg: Degrees, 0 to 360.
+            acoustic_enabled: Ping at all.
+            dark_mode_enabled: Lights of the device off.
+            range_mode: `auto`, or as the protocol says.
+            periodic_cycling_enabled: Look for the bottom at all ranges from time to time.
+        """
+        if speed_of_sound is not None and not 1000.0 <= speed_of_sound <= 2000.0:
+            raise ValueError(f"speed_of_sound: expected 1000 to 2000 m/s, got {speed_of_sound}")
+        if mounting_rotation_offset_deg is not None and not 0.0 <= mounting_rotation_offset_deg <= 360.0:
+            raise ValueError(
+                f"mounting_rotation_offset_deg: expected 0 to 360, got {mounting_rotation_offset_deg}"
+            )
+        wanted = {
+            "speed_of_sound": speed_of_sound,
+            "mounting_rotation_offset": mounting_rotation_offset_deg,
+            "acoustic_enabled": acoustic_enabled,
+            "dark_mode_enabled": dark_mode_enabled,
+            "range_mode": range_mode,
+            "periodic_cycling_enabled": periodic_cycling_enabled,
+        }
+        self.ask("set_config", {name: value for name, value in wanted.items() if value is not None})
+        self.get_config()
+
+    def calibrate_gyro(self) -> None:
+        """Let it learn what its gyroscope reads at rest, in up to 15 s: hold still. Raises as `ask` does."""
+        self.ask("calibrate_gyro", timeout=16.0)
+
+    def reset_dead_reckoning(self) -> None:
+        """Let its own `position_local` begin here. Raises as `ask` does."""
+        self.ask("reset_dead_reckoning")
+
+    def trigger_ping(self) -> None:
+        """One ping, where `acoustic_enabled` is off. Raises as `ask` does."""
+        self.ask("trigger_ping")
+
+    def set_time_manual(self, time: datetime) -> None:
+        """Set its clock; refused where it is synchronised by NTP. Raises as `ask` does.
+
+        Args:
+            time: With a time zone.
+        """
+        if time.tzinfo is None:
+            raise ValueError(f"time: expected one with a time zone, got {time}")
+        self.ask("set_time_manual", {"now": time.isoformat(timespec="milliseconds")})
+
+    # The thread.
+
+    def _run(self) -> None:
+        pause = self._pauses[0]
+        while not self._closing.is_set():
+            heard = self._heard
+            try:
+                with socket.create_connection((self._host, self._port), timeout=CONNECTING) as link:
+                    self._converse(link)
+                self._lost = "it hung up"
+            except OSError as error:
+                self._lost = error.strerror or str(error) or type(error).__name__
+            finally:
+                self._socket = None
+            if self._heard != heard and not math.isnan(self._heard):
+                pause = self._pauses[0]
+            if self._closing.wait(pause):
+                return
+            pause = min(2.0 * pause, self._pauses[1])
+
+    def _converse(self, link: socket.socket) -> None:
+        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        link.settimeout(self._quiet)
+        self._version = ""
+        self._socket = link
+        if self._closing.is_set():
+            return
+        self._send(json.dumps({"command": "get_config"}))
+        rest, skipping = bytearray(), False
+        while not self._closing.is_set():
+            try:
+                got = link.recv(1 << 14)
+            except TimeoutError:
+                if self._pending:  # Whoever waits for an answer has a time-out of his own.
+                    continue
+                raise TimeoutError(f"nothing heard for {self._quiet:g} s") from None
+            if not got:
+                return
+            arrived = self._now()
+            rest += got
+            *lines, last = rest.split(b"\n")
+            rest = bytearray(last)
+            for line in lines:
+                if not skipping:
+                    self._take_line(bytes(line), arrived)
+                skipping = False
+            if len(rest) > MAX_LINE:
+                if not skipping:
+                    self._take_line(bytes(rest), arrived)
+                rest, skipping = bytearray(), True
+
+    def _take_line(self, line: bytes, arrived: float) -> None:
+        line = line.strip()
+        if not line:
+            return
+        self._heard = arrived
+        self._tell(arrived, False, line[:MAX_LINE].decode("utf-8", "backslashreplace"))
+        try:
+            if len(line) > MAX_LINE:
+                raise BadLine("longer than a report")
+            said = read_line(line)
+            if isinstance(said, VelocityReport):
+                self._take_velocity(said, arrived)
+            elif isinstance(said, Response):
+                self._take_response(said)
+        except BadLine as reason:
+            if str(reason).endswith(": format"):
+                self._version = "another protocol"
+            with self._lock:
+                self._refused[str(reason)] += 1
+            logger.debug("a line of the A50 is refused (%s): %.200r", reason, line)
+
+    def _take_velocity(self, report: VelocityReport, arrived: float) -> None:
+        self._version, self._status = "", report.status
+        if report.time_of_validity == self._last_stamp:
+            raise BadLine("said before")
+        self._last_stamp = report.time_of_validity
+        took = 1e-6 * (report.time_of_transmission - report.time_of_validity)
+        if not 0.0 <= took <= SLOWEST:
+            raise BadLine("sent before it was true, or long after")
+        sent = self._clock.to_dive(1e-6 * report.time_of_transmission, arrived)
+        time = min(sent, arrived) - took
+        if time <= self._last_time:
+            raise BadLine("older than the one before")
+        self._last_time = time
+        try:
+            self._deliver(measurement(report, time))
+        except Exception as error:
+            logger.exception("a velocity of the DVL could not be delivered")
+            raise BadLine("could not be delivered") from error
+        self._delivered = arrived
+
+    def _take_response(self, response: Response) -> None:
+        with self._lock:
+            answers = self._pending.get(response.response_to)
+        if answers is not None:
+            answers.put(response)
+        elif response.response_to == "get_config" and response.success:
+            self._take_config(response.result)
+
+    def _take_config(self, result: object) -> None:
+        try:
+            self._config = Config.model_validate(result)
+        except ValidationError as error:
+            self._config = None
+            logger.warning("settings of the DVL are not understood: %s", error.errors(include_url=False)[0])
+
+    def _send(self, line: str) -> None:
+        link = self._socket
+        if link is None:
+            raise ConnectionError(self.problem)
+        self._tell(self._now(), True, line)
+        link.sendall(line.encode() + b"\n")
+
+    def _tell(self, time: float, sent: bool, line: str) -> None:
+        if self._tap is not None:
+            try:
+                self._tap(time, CHANNEL, sent, line)
+            except Exception:
+                logger.exception("a line of the A50 could not be logged")
+
+    def _hang_up(self) -> None:
+        link = self._socket
+        if link is not None:
+            try:
+                link.shutdown(socket.SHUT_RDWR)
+            except OSError:
+                logger.debug("the link to the A50 was down already")

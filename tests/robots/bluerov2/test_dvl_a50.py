@@ -1,0 +1,497 @@
+"""The link to the A50, against a server that says what a test wants."""
+
+from __future__ import annotations
+
+import json
+import math
+import queue
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dream.measurements import Dvl
+from dream.robots.bluerov2.dvl_a50 import (
+    MAX_LINE,
+    BadLine,
+    DvlA50,
+    LeastDelay,
+    VelocityReport,
+    measurement,
+    read_line,
+)
+
+SOON = 5.0
+"""Seconds within which whatever a test waits for has come, also on a busy machine."""
+
+
+def said(**changes: Any) -> dict[str, Any]:
+    """A velocity report as in Water Linked's documentation, but moving."""
+    return {
+        "time": 106.39,
+        "vx": 0.3,
+        "vy": 0.1,
+        "vz": -0.05,
+        "fom": 0.002,
+        "covariance": [[4e-4, 1e-4, 2e-4], [1e-4, 5e-4, 3e-4], [2e-4, 3e-4, 6e-4]],
+        "altitude": 1.25,
+        "transducers": [{"id": 0, "velocity": 0.1, "distance": 1.3, "rssi": -30.5, "nsd": -88.7}],
+        "velocity_valid": True,
+        "status": 0,
+        "format": "json_v3.3",
+        "type": "velocity",
+        "time_of_validity": 1638191471563017,
+        "time_of_transmission": 1638191471752336,
+        **changes,
+    }
+
+
+def line(**changes: Any) -> bytes:
+    return json.dumps(said(**changes)).encode() + b"\n"
+
+
+def stamped(seconds: float, *, took: float = 0.1, **changes: Any) -> bytes:
+    """A report that was true at a second of the device's clock."""
+    validity = round(1e6 * seconds)
+    return line(time_of_validity=validity, time_of_transmission=validity + round(1e6 * took), **changes)
+
+
+def report(**changes: Any) -> VelocityReport:
+    read = read_line(line(**changes))
+    assert isinstance(read, VelocityReport)
+    return read
+
+
+class TestReading:
+    def test_a_velocity_is_turned_from_front_right_down_to_front_left_up(self) -> None:
+        dvl = measurement(report(), 12.5)
+        np.testing.assert_allclose(dvl.velocity, [0.3, -0.1, 0.05])
+        np.testing.assert_allclose(
+            dvl.covariance, [[4e-4, -1e-4, -2e-4], [-1e-4, 5e-4, 3e-4], [-2e-4, 3e-4, 6e-4]], atol=1e-12
+        )
+        assert (dvl.time, dvl.altitude, dvl.valid) == (12.5, 1.25, True)
+
+    @pytest.mark.parametrize(
+        "covariance",
+        [
+            [[0.0, 0.0, 0.0]] * 3,
+            [[-1.0, 0.0, 0.0], [0.0, 1e-9, 0.0], [0.0, 0.0, 1e-2]],
+            [[1e-6, 5.0, 0.0], [-5.0, 1e-6, 0.0], [0.0, 0.0, 1e-6]],
+        ],
+        ids=["zero", "negative", "not symmetric"],
+    )
+    def test_no_covariance_is_below_the_floor(self, covariance: list[list[float]]) -> None:
+        made = measurement(report(covariance=covariance), 0.0).covariance
+        np.testing.assert_array_equal(made, made.T)
+        assert np.linalg.eigvalsh(made)[0] >= 0.005**2 * (1.0 - 1e-9)
+
+    @pytest.mark.parametrize(
+        ("changes", "valid", "altitude"),
+        [
+            ({}, True, 1.25),
+            ({"velocity_valid": False}, False, math.nan),
+            ({"fom": 0.4}, False, 1.25),
+            ({"altitude": 0.05}, False, 0.05),
+            ({"altitude": -1.0}, False, math.nan),
+            ({"altitude": 0.0}, False, math.nan),
+        ],
+    )
+    def test_what_is_valid(self, changes: dict[str, Any], valid: bool, altitude: float) -> None:
+        dvl = measurement(report(**changes), 0.0)
+        assert dvl.valid is valid
+        assert dvl.altitude == pytest.approx(altitude, nan_ok=True)
+
+    @pytest.mark.parametrize("version", ["json_v3", "json_v3.1", "json_v3.12"])
+    def test_a_minor_version_and_more_fields_are_fine(self, version: str) -> None:
+        assert report(format=version, salinity=[1, {"new": None}]).vx == 0.3
+
+    @pytest.mark.parametrize(
+        ("raw", "reason"),
+        [
+            (b"not JSON", "not JSON"),
+            (b"\xff\xfe\x00", "not JSON"),
+            (b"[" * 50_000, "not JSON"),
+            (b"[1, 2]", "not a JSON object"),
+            (b'"velocity"', "not a JSON object"),
+            (b"{}", "no type"),
+            (b'{"type": 7}', "no type"),
+            (line().replace(b"0.3", b"NaN"), "not JSON"),
+            (line().replace(b"0.3", b"Infinity"), "not JSON"),
+            (line().replace(b"0.3", b"1e999"), "velocity: vx"),
+            (line(vx="0.3"), "velocity: vx"),
+            (line(vx=None), "velocity: vx"),
+            (line(vx=True), "velocity: vx"),
+            (line(vx=21.0), "velocity: vx"),
+            (line(vy=[0.1]), "velocity: vy"),
+            (line(fom=-1.0), "velocity: fom"),
+            (line(covariance=[[1.0, 0.0], [0.0, 1.0]]), "velocity: covariance"),
+            (line(covariance=[1.0] * 9), "velocity: covariance"),
+            (line(altitude="1.25"), "velocity: altitude"),
+            (line(velocity_valid=1), "velocity: velocity_valid"),
+            (line(time_of_validity=1.5), "velocity: time_of_validity"),
+            (line(time_of_validity=-1), "velocity: time_of_validity"),
+            (line(time_of_validity=10**30), "velocity: time_of_validity"),
+            (line(format="json_v4"), "velocity: format"),
+            (line(format="json_v3.1 "), "velocity: format"),
+            (b'{"type": "response", "format": "json_v3"}', "response: response_to"),
+        ],
+    )
+    def test_what_is_wrong_is_refused_by_name(self, raw: bytes, reason: str) -> None:
+        with pytest.raises(BadLine, match=f"^{reason}$"):
+            read_line(raw)
+
+    @pytest.mark.parametrize("kind", ["velocity_water", "position_local", "something_new"])
+    def test_other_reports_are_of_no_concern(self, kind: str) -> None:
+        assert read_line(line(type=kind)) is None
+
+
+class TestLeastDelay:
+    def test_the_message_with_the_least_delay_tells_the_offset(self) -> None:
+        clock = LeastDelay()
+        delays = [0.02, 0.004, 0.3, 0.05]
+        times = [clock.to_dive(1000.0 + k, 7.0 + k + delay) for k, delay in enumerate(delays)]
+        np.testing.assert_allclose(times, [7.02, 8.004, 9.004, 10.004])
+
+    def test_a_jump_begins_anew(self) -> None:
+        clock = LeastDelay()
+        clock.to_dive(1000.0, 7.0)
+        assert clock.to_dive(5.0, 8.0) == 8.0
+
+    def test_old_messages_are_forgotten(self) -> None:
+        clock = LeastDelay(window=5.0)
+        clock.to_dive(0.0, 10.0)
+        assert clock.to_dive(6.0, 16.5) == 16.5
+
+
+class Server:
+    """Plays one script for each connection, one after the other; the last stays open until the end."""
+
+    def __init__(self, *scripts: Callable[[socket.socket], None]) -> None:
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port: int = self._listener.getsockname()[1]
+        self.heard: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+        self.failures: list[BaseException] = []
+        self.over = threading.Event()
+        self._scripts = scripts
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        try:
+            for number, script in enumerate(self._scripts, start=1):
+                link, _ = self._listener.accept()
+                with link:
+                    script(link)
+                    if number == len(self._scripts):
+                        self.over.wait()
+        except OSError as error:
+            self.failures.append(error)
+
+    def close(self) -> None:
+        self.over.set()
+        self._thread.join(SOON)
+        self._listener.close()
+        assert not self.failures
+
+
+def says(*pieces: bytes) -> Callable[[socket.socket], None]:
+    def script(link: socket.socket) -> None:
+        for piece in pieces:
+            link.sendall(piece)
+
+    return script
+
+
+class Clock:
+    """Moves on a little at each look."""
+
+    def __init__(self, step: float = 1e-4) -> None:
+        self.time, self.step = 100.0, step
+
+    def __call__(self) -> float:
+        self.time += self.step
+        return self.time
+
+
+class Known:
+    """The device's clock is 90 s behind the dive's, and that is known."""
+
+    def to_dive(self, stamp: float, arrived: float) -> float:
+        return stamp + 90.0
+
+
+Opened = Callable[..., tuple[DvlA50, "queue.SimpleQueue[Dvl]", Server]]
+
+
+@pytest.fixture
+def opened() -> Iterator[Opened]:
+    """Opens a link to a server with scripts."""
+    links: list[DvlA50] = []
+    servers: list[Server] = []
+
+    def begin(
+        *scripts: Callable[[socket.socket], None], **options: Any
+    ) -> tuple[DvlA50, queue.SimpleQueue[Dvl], Server]:
+        server = Server(*scripts)
+        servers.append(server)
+        got: queue.SimpleQueue[Dvl] = queue.SimpleQueue()
+        options = {"now": Clock(), "deliver": got.put, "pauses": (0.01, 0.05), **options}
+        links.append(DvlA50("127.0.0.1", server.port, **options))
+        return links[-1], got, server
+
+    yield begin
+    for link in links:
+        link.close()
+    for server in servers:
+        server.close()
+
+
+def test_half_lines_and_many_at_once_are_put_together(opened: Opened) -> None:
+    three = stamped(10.0) + stamped(10.2, vx=0.4) + b"\r\n" + stamped(10.4, vx=0.5)
+    pieces = [three[:7], three[7:900], three[900:]]
+    _, got, _ = opened(says(*pieces), clock=Known(), now=Clock(step=1.0))
+    assert [got.get(timeout=SOON).velocity[0] for _ in range(3)] == [0.3, 0.4, 0.5]
+
+
+def test_it_is_true_when_it_was_measured_not_when_it_came(opened: Opened) -> None:
+    _, got, _ = opened(says(stamped(10.0, took=0.19) + stamped(10.2, took=0.05)))
+    first, second = got.get(timeout=SOON), got.get(timeout=SOON)
+    # 10.0 was sent at 10.19 and 10.2 at 10.25: both came in at the same time, so the second tells the offset.
+    assert first.time == pytest.approx(100.0 - 0.19, abs=0.01)
+    assert second.time > first.time
+    assert second.time == pytest.approx(100.0 - 0.05, abs=0.01)
+
+
+def test_bad_lines_are_counted_and_the_good_ones_go_on(opened: Opened) -> None:
+    stream = (
+        b"garbage\n"
+        + line(vx="fast")
+        + line().replace(b"0.3", b"NaN")
+        + line(type="velocity_water", vx=9.0)
+        + line(type="brand_new")
+        + b"x" * (3 * MAX_LINE)
+        + b"\n"
+        + stamped(10.0, vx=0.7)
+    )
+    link, got, _ = opened(says(stream))
+    assert got.get(timeout=SOON).velocity[0] == 0.7
+    assert got.empty()
+    assert link.refused == {"not JSON": 2, "velocity: vx": 1, "longer than a report": 1}
+
+
+def test_an_endless_line_takes_no_room(opened: Opened) -> None:
+    link, got, _ = opened(says(*[b"y" * MAX_LINE] * 20, b"\n", stamped(10.0)))
+    got.get(timeout=SOON)
+    assert link.refused == {"longer than a report": 1}
+
+
+def test_repeated_and_older_velocities_are_left_out(opened: Opened) -> None:
+    stream = stamped(10.0) + stamped(10.0, vx=0.9) + stamped(9.8, vx=0.9) + stamped(10.2, vx=0.5)
+    link, got, _ = opened(says(stream), clock=Known(), now=Clock(step=1.0))
+    assert [got.get(timeout=SOON).velocity[0] for _ in range(2)] == [0.3, 0.5]
+    assert link.refused == {"said before": 1, "older than the one before": 1}
+
+
+@pytest.mark.parametrize("took", [-0.5, 30.0])
+def test_a_report_that_took_no_possible_time_is_left_out(opened: Opened, took: float) -> None:
+    link, got, _ = opened(says(stamped(100.0, took=took, vx=0.9) + stamped(101.0)))
+    assert got.get(timeout=SOON).velocity[0] == 0.3
+    assert link.refused == {"sent before it was true, or long after": 1}
+
+
+def test_a_clock_that_is_set_does_not_stop_it(opened: Opened) -> None:
+    got: queue.SimpleQueue[Dvl] = queue.SimpleQueue()
+    taken = threading.Semaphore()
+
+    def script(link: socket.socket) -> None:
+        for stamp in (10.0, 10.2, 1.7e9, 1.7e9 + 0.2, 50.0):
+            taken.acquire(timeout=SOON)
+            link.sendall(stamped(stamp))
+
+    def deliver(dvl: Dvl) -> None:
+        got.put(dvl)
+        taken.release()
+
+    opened(script, deliver=deliver, now=Clock(step=0.2))
+    times = [got.get(timeout=SOON).time for _ in range(5)]
+    assert np.all(np.diff(times) > 0.0)
+    assert times[-1] < 103.0
+
+
+def test_it_connects_anew_when_the_other_side_hangs_up(opened: Opened) -> None:
+    link, got, _ = opened(says(stamped(10.0) + b'{"type": "velo'), says(), says(stamped(20.0, vx=0.8)))
+    assert [got.get(timeout=SOON).velocity[0] for _ in range(2)] == [0.3, 0.8]
+    assert link.connected
+    assert link.refused == {}
+
+
+def test_it_connects_anew_when_nothing_is_said(opened: Opened) -> None:
+    def silent(link: socket.socket) -> None:
+        while link.recv(100):
+            pass
+
+    _, got, _ = opened(silent, says(stamped(20.0)), quiet=0.1)
+    got.get(timeout=SOON)
+
+
+def test_where_nobody_listens_it_says_so_and_closes_quickly() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    with DvlA50("127.0.0.1", port, now=Clock(), deliver=lambda _: None) as link:
+        assert not link.connected
+        assert link.age == math.inf
+        assert f"no connection to the DVL at 127.0.0.1:{port}" in link.problem
+        with pytest.raises(ConnectionError, match="no connection"):
+            link.ask("get_config")
+
+
+def test_a_hot_device_says_so(opened: Opened) -> None:
+    link, got, _ = opened(says(stamped(10.0, status=1)))
+    got.get(timeout=SOON)
+    assert link.hot
+    assert "too hot" in link.problem
+
+
+def test_another_protocol_is_named(opened: Opened) -> None:
+    cold = threading.Event()
+
+    def tap(_time: float, _channel: str, sent: bool, payload: object) -> None:
+        if not sent and "json_v4" in str(payload):
+            cold.set()
+
+    link, _, server = opened(says(line(format="json_v4")), tap=tap)
+    assert cold.wait(SOON)
+    server.over.set()
+    link.close()
+    assert link.refused == {"velocity: format": 1}
+
+
+def test_a_failing_receiver_does_not_end_the_link(opened: Opened) -> None:
+    got: queue.SimpleQueue[Dvl] = queue.SimpleQueue()
+
+    def deliver(dvl: Dvl) -> None:
+        if dvl.velocity[0] < 0.35:
+            raise RuntimeError("not ready")
+        got.put(dvl)
+
+    link, _, _ = opened(
+        says(stamped(10.0) + stamped(10.2, vx=0.4)), deliver=deliver, clock=Known(), now=Clock(step=1.0)
+    )
+    assert got.get(timeout=SOON).velocity[0] == 0.4
+    assert link.refused == {"could not be delivered": 1}
+
+
+def test_everything_that_came_and_went_is_tapped(opened: Opened) -> None:
+    tapped: list[tuple[str, bool, object]] = []
+    first = stamped(10.0)
+    _, got, _ = opened(
+        says(b"garbage\xff\n", first),
+        tap=lambda _, channel, sent, payload: tapped.append((channel, sent, payload)),
+    )
+    got.get(timeout=SOON)
+    assert tapped[:3] == [
+        ("a50", True, '{"command": "get_config"}'),
+        ("a50", False, "garbage\\xff"),
+        ("a50", False, first.decode().strip()),
+    ]
+
+
+def test_nothing_is_delivered_after_close(opened: Opened) -> None:
+    link, got, _ = opened(says(stamped(10.0)))
+    got.get(timeout=SOON)
+    link.close()
+    assert not link.connected
+    assert got.empty()
+
+
+def answers(*replies: tuple[str, dict[str, Any]]) -> Callable[[socket.socket], None]:
+    """Answers commands by name, each with what is given for it in turn; silent on others."""
+    left = {name: [reply for other, reply in replies if other == name] for name, _ in replies}
+
+    def script(link: socket.socket) -> None:
+        link.sendall(stamped(10.0))
+        with link.makefile("rb") as lines:
+            for raw in lines:
+                name = json.loads(raw)["command"]
+                if left.get(name):
+                    body = {
+                        "type": "response",
+                        "format": "json_v3.1",
+                        "response_to": name,
+                        "success": True,
+                        "error_message": "",
+                        **left[name].pop(0),
+                    }
+                    link.sendall(json.dumps(body).encode() + b"\n")
+                if not any(left.values()):
+                    return
+
+    return script
+
+
+def config(**changes: Any) -> tuple[str, dict[str, Any]]:
+    result = {
+        "speed_of_sound": 1480,
+        "mounting_rotation_offset": 0.0,
+        "acoustic_enabled": True,
+        "range_mode": "auto",
+        **changes,
+    }
+    return "get_config", {"result": result}
+
+
+def test_commands_are_answered(opened: Opened) -> None:
+    link, got, _ = opened(
+        answers(config(), ("set_config", {}), config(speed_of_sound=1500), ("set_time_manual", {}))
+    )
+    got.get(timeout=SOON)
+    link.set_config(speed_of_sound=1500.0)
+    assert link.config is not None
+    assert link.config.speed_of_sound == 1500.0
+    link.set_time_manual(datetime(2026, 11, 22, 12, 0, tzinfo=UTC))
+
+
+def test_a_refusal_is_told(opened: Opened) -> None:
+    link, got, _ = opened(answers(("calibrate_gyro", {"success": False, "error_message": "moving"})))
+    got.get(timeout=SOON)
+    with pytest.raises(ValueError, match="calibrate_gyro: the DVL refuses: moving"):
+        link.calibrate_gyro()
+
+
+def test_no_answer_is_a_time_out(opened: Opened) -> None:
+    link, got, _ = opened(says(stamped(10.0)))
+    got.get(timeout=SOON)
+    with pytest.raises(TimeoutError, match="reset_dead_reckoning: expected a response"):
+        link.ask("reset_dead_reckoning", timeout=0.05)
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({}, "^$"),
+        ({"mounting_rotation_offset": 360.0}, "^$"),
+        ({"mounting_rotation_offset": 90.0}, "expected mounting_rotation_offset 0°, got 90°"),
+        ({"acoustic_enabled": False}, "told not to ping"),
+    ],
+)
+def test_settings_that_would_mislead_are_a_problem(
+    opened: Opened, changes: dict[str, Any], problem: str
+) -> None:
+    link, got, _ = opened(answers(config(), config(**changes)))
+    got.get(timeout=SOON)
+    link.get_config()
+    with pytest.raises(AssertionError, match=problem):
+        raise AssertionError(link.problem)
+
+
+@pytest.mark.parametrize("speed", [999.0, math.nan])
+def test_a_wrong_argument_is_never_sent(opened: Opened, speed: float) -> None:
+    link, _, _ = opened(says())
+    with pytest.raises(ValueError, match="speed_of_sound: expected 1000 to 2000"):
+        link.set_config(speed_of_sound=speed)
+    with pytest.raises(ValueError, match="time zone"):
+        link.set_time_manual(datetime(2026, 11, 22, 12, 0))  # noqa: DTZ001
