@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from dream.measurements import Depth, Heading, Imu
 from dream.robots.bluerov2.clocks import DeviceClock
-from dream.robots.bluerov2.messages import (
+from dream.robots.bluerov2.reports import (
     FRESH,
     MODES,
     NUMBERS,
