@@ -1,0 +1,300 @@
+"""What a robot saw and where it came, kept on disk; and a robot that plays it back.
+
+All that passes between a mission and its robot is kept, one file a move: `observations/NNNN.npz` holds the
+move that led there, where it ended, and what was seen, to the last bit (`frames/` of a run folder rounds
+depth to millimetres, and has no camera). 0000 is the first look. A file is there whole or not at all.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import zipfile
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, UnidentifiedImageError
+
+from dream.geometry import SE2, SE3, Camera, wrap_angle
+from dream.types import Arrival, Observation, Setpoint, UInt8Array
+
+if TYPE_CHECKING:
+    from dream.mission import Robot
+
+FOLDER = "observations"
+SAME = 1e-6
+"""Metres and radians between setpoints that are the same: another machine may round otherwise."""
+MOST_BYTES = 64 << 20
+"""Of a file; a larger one is refused."""
+
+Arrays = Mapping[str, npt.NDArray[Any]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Move:
+    """Where a robot was sent, and where it came."""
+
+    setpoint: Setpoint
+    arrival: Arrival
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Kept:
+    """One file: the move that led there, None for the first look, and what was seen there."""
+
+    move: Move | None
+    observation: Observation
+
+
+class Keeping:
+    """Keeps what another robot sees and where it comes, and is that robot in all else.
+
+    What it does: after every move the first observation is written before it is handed on, and is the same
+    until the next move, so that a replay sees what the mission saw.
+    Fails when: the disk is full; it then raises, and all before is kept.
+    """
+
+    def __init__(self, robot: Robot, folder: Path) -> None:
+        """Around a robot that was not used yet.
+
+        Args:
+            robot: What observes and goes.
+            folder: Of the run; `observations` is made in it.
+
+        Raises:
+            ValueError: There are observations in it already.
+            OSError: It cannot be written.
+        """
+        self._robot = robot
+        self._folder = folder / FOLDER
+        if any(self._folder.glob("*.npz")):
+            raise ValueError(
+                f"observations: expected a folder without any, got {self._folder}. Keep them in a new one"
+            )
+        self._folder.mkdir(exist_ok=True)
+        self._moves = 0
+        self._move: Move | None = None
+        self._seen: Observation | None = None
+
+    def observe(self) -> Observation:
+        """One frame; the same again until it moves."""
+        if self._seen is None:
+            seen = self._robot.observe()
+            write(self._folder / f"{self._moves:04d}.npz", Kept(self._move, seen))
+            self._seen = seen
+        return _copied(self._seen)
+
+    def go_to(self, setpoint: Setpoint) -> Arrival:
+        """Send the other robot there."""
+        self.observe()  # So that no move is without what was seen before it.
+        arrival = self._robot.go_to(setpoint)
+        self._moves += 1
+        self._move, self._seen = Move(setpoint, arrival), None
+        return arrival
+
+
+class Replayed:
+    """Plays back what was kept of a run; wherever it is sent, it goes where the run went.
+
+    What it does: observations come in the order of the record, so that a map and a planner make of them what
+    they made then. A move to another place than then is counted, and noted in its arrival: what follows is
+    how the planner would have decided *there*, not a mission that it flew.
+    Assumes: at most `moves` moves.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Open a run.
+
+        Args:
+            folder: Of the run, with `observations` in it.
+
+        Raises:
+            FileNotFoundError: Nothing was kept.
+            ValueError: Some of it is missing.
+        """
+        self._files = sorted((folder / FOLDER).glob("*.npz"))
+        if not self._files:
+            raise FileNotFoundError(
+                f"{folder}: expected a run with its observations, got no {FOLDER}/*.npz in it. "
+                "They are kept where one asks for them"
+            )
+        for number, file in enumerate(self._files):
+            if file.name != f"{number:04d}.npz":
+                raise ValueError(f"{file}: expected {number:04d}.npz before it, which is missing")
+        self._index = 0
+        self._now = read(self._files[0])
+        self._diverged: list[int] = []
+
+    @property
+    def moves(self) -> int:
+        """How many were kept: that many may be made."""
+        return len(self._files) - 1
+
+    @property
+    def divergences(self) -> tuple[int, ...]:
+        """Moves that led elsewhere than in the record, by number; the first move is 1."""
+        return tuple(self._diverged)
+
+    def observe(self) -> Observation:
+        """What was seen there."""
+        return _copied(self._now.observation)
+
+    def go_to(self, setpoint: Setpoint) -> Arrival:
+        """Go where the record went.
+
+        Raises:
+            ValueError: The record is over, or damaged.
+        """
+        if self._index == self.moves:
+            raise ValueError(
+                f"replay: expected at most {self.moves} moves, got another. The record is over: "
+                "let the mission have that many steps"
+            )
+        kept = read(self._files[self._index + 1])
+        if kept.move is None:
+            raise ValueError(f"{self._files[self._index + 1]}: expected the move that led there, got none")
+        self._index, self._now = self._index + 1, kept
+        arrival, then = kept.move.arrival, kept.move.setpoint
+        if _same(setpoint, then):
+            return arrival
+        self._diverged.append(self._index)
+        other = f"replay: sent to {_place(setpoint)}, and follows the record to {_place(then)}"
+        return replace(arrival, note="; ".join(filter(None, (arrival.note, other))))
+
+
+def write(path: Path, kept: Kept) -> None:
+    """Write a file whole or not at all.
+
+    Raises:
+        OSError: It could not be written.
+    """
+    seen = kept.observation
+    camera = seen.camera
+    arrays: dict[str, npt.ArrayLike] = {
+        "time": seen.time,
+        "rgb_png": np.frombuffer(_png(seen.rgb), np.uint8),
+        "depth": seen.depth,
+        "labels": seen.labels,
+        "camera": [camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy],
+        "T_world_base": _matrix(seen.T_world_base),
+        "T_base_camera": _matrix(seen.T_base_camera),
+    }
+    if kept.move is not None:
+        to, arrival = kept.move.setpoint, kept.move.arrival
+        arrays |= {
+            "setpoint": [to.x, to.y, to.yaw, to.altitude],
+            "arrival": [arrival.pose.x, arrival.pose.y, arrival.pose.yaw],
+            "travelled": [arrival.distance, arrival.clearance, arrival.sigma],
+            "collided": arrival.collided,
+            "note": np.frombuffer(arrival.note.encode(), np.uint8),
+        }
+        if arrival.truth is not None:
+            arrays["truth"] = _matrix(arrival.truth)
+    partial = path.with_name(f".partial.{path.name}")
+    try:
+        with partial.open("wb") as file:
+            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+        partial.replace(path)
+    except OSError as error:
+        raise OSError(f"could not write {path} ({error.strerror or error})") from error
+    finally:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
+def read(path: Path) -> Kept:
+    """What a file holds.
+
+    Raises:
+        FileNotFoundError: There is none.
+        ValueError: It is damaged.
+    """
+    if path.stat().st_size > MOST_BYTES:
+        raise ValueError(f"{path}: expected at most {MOST_BYTES} bytes, got more")
+    raw = path.read_bytes()
+    try:
+        with np.load(io.BytesIO(raw), allow_pickle=False) as arrays:
+            return _kept(arrays)
+    except (KeyError, TypeError, ValueError, EOFError, UnidentifiedImageError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path}: expected what was seen and done, got a damaged file ({error})") from error
+
+
+def _kept(arrays: Arrays) -> Kept:
+    width, height, *lens = _numbers(arrays, "camera", (6,)).tolist()
+    rgb = np.array(Image.open(io.BytesIO(arrays["rgb_png"].tobytes())).convert("RGB"))
+    seen = Observation(
+        time=float(_numbers(arrays, "time", ())),
+        rgb=rgb,
+        depth=_typed(arrays, "depth", np.float32),
+        labels=_typed(arrays, "labels", np.uint8),
+        camera=Camera(int(width), int(height), *lens),
+        T_world_base=_transform(arrays, "T_world_base"),
+        T_base_camera=_transform(arrays, "T_base_camera"),
+    )
+    if "setpoint" not in arrays:
+        return Kept(None, seen)
+    distance, clearance, sigma = _numbers(arrays, "travelled", (3,), inf=True).tolist()
+    arrival = Arrival(
+        pose=SE2(*_numbers(arrays, "arrival", (3,)).tolist()),
+        collided=bool(arrays["collided"]),
+        distance=distance,
+        clearance=clearance,
+        note=arrays["note"].tobytes().decode(),
+        sigma=sigma,
+        truth=_transform(arrays, "truth") if "truth" in arrays else None,
+    )
+    return Kept(Move(Setpoint(*_numbers(arrays, "setpoint", (4,)).tolist()), arrival), seen)
+
+
+def _numbers(arrays: Arrays, name: str, shape: tuple[int, ...], *, inf: bool = False) -> npt.NDArray[Any]:
+    array = arrays[name]
+    good: Callable[[Any], Any] = (lambda values: ~np.isnan(values)) if inf else np.isfinite
+    if array.shape != shape or not good(array).all():
+        raise ValueError(f"{name}: expected finite numbers {shape}, got {array.shape}")
+    return array
+
+
+def _typed(arrays: Arrays, name: str, kind: type[np.generic]) -> npt.NDArray[Any]:
+    array = arrays[name]
+    if array.dtype != kind or array.ndim != 2:
+        raise ValueError(f"{name}: expected (H, W) {kind.__name__}, got {array.shape} {array.dtype}")
+    return array
+
+
+def _matrix(T: SE3) -> npt.NDArray[np.float64]:
+    """(3, 4): rotation and translation."""
+    return np.column_stack([T.rotation, T.translation])
+
+
+def _transform(arrays: Arrays, name: str) -> SE3:
+    matrix = _numbers(arrays, name, (3, 4))
+    return SE3(np.ascontiguousarray(matrix[:, :3]), np.ascontiguousarray(matrix[:, 3]))
+
+
+def _png(rgb: UInt8Array) -> bytes:
+    buffer = io.BytesIO()
+    Image.fromarray(rgb).save(buffer, "PNG", compress_level=1)
+    return buffer.getvalue()
+
+
+def _copied(seen: Observation) -> Observation:
+    return replace(seen, rgb=seen.rgb.copy(), depth=seen.depth.copy(), labels=seen.labels.copy())
+
+
+def _same(one: Setpoint, other: Setpoint) -> bool:
+    apart = (
+        one.x - other.x,
+        one.y - other.y,
+        wrap_angle(one.yaw - other.yaw),
+        one.altitude - other.altitude,
+    )
+    return all(abs(by) <= SAME for by in apart)
+
+
+def _place(to: Setpoint) -> str:
+    return f"({to.x:.2f}, {to.y:.2f}) heading {math.degrees(to.yaw):.0f}°"
