@@ -1,5 +1,7 @@
 """Pixels → Observation."""
 
+from dream.perception.depth import DepthModel, Perception, Segmenter
+from dream.perception.flat_floor import FlatFloor
 from dream.perception.points import (
     PointSets,
     free_points,
@@ -9,9 +11,15 @@ from dream.perception.points import (
     valid_depth,
     valid_points,
 )
+from dream.perception.shells import Shells
 
 __all__ = [
+    "DepthModel",
+    "FlatFloor",
+    "Perception",
     "PointSets",
+    "Segmenter",
+    "Shells",
     "free_points",
     "obstacle_points",
     "partition",

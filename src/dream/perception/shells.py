@@ -1,12 +1,245 @@
-"""Labels without a model: light shells on a liner, the wall around it and pipes in front of it."""
+"""Labels without a model: shells on a tank's floor, its wall, and pipes that stand in it.
+
+Of a colour only a ratio is used, log(R/B): it does not change with light and shade, nor do the
+bright lines of caustics show in it. Water takes the red, so everything is bluer the farther it is; what
+counts is how much a pixel differs from what lies around it.
+"""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from dream.types import BoolArray, Float32Array, Label, UInt8Array
 
-_LOG = np.log(np.arange(256, dtype=np.float32) + 1.0)
+Line = tuple[float, float]
+IntArray = npt.NDArray[np.signedinteger[Any]]
+_LOG = np.log(np.arange(256) + 1.0).astype(np.float32)
+STRIDE = 2
+"""Columns to a step of the search for the floor's edge."""
+STEEPEST = 7
+"""Rows that the edge may rise or fall over a step, at most."""
+BEND = 0.004
+"""What each of these rows costs, in log brightness."""
+COOL = 0.3
+"""Quantile of log(R/B) over an image that is liner or wall, however many shells are in it."""
+GLARE = 0.25
+"""log(R/B) above that from which a pixel has no part in the search for the floor's edge."""
+HALF = 0.5
+BLUR = 7
+PIPE_ABOVE = 12
+"""Rows above the floor's edge in which a pipe is looked for."""
+SMOOTH = 0.018
+"""Median change of log brightness from row to row that no shell has."""
+SMOOTH_PIXELS = 40
+"""Pixels, two or more from its rim, that a patch must have to be judged so."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shells:
+    """Shells, floor, wall and pipes by colour.
+
+    What it does: finds the upper edge of the floor, the one line across the image with the greatest step
+    of brightness (dynamic programming over columns). What lies above is wall. What is warmer than the floor
+    below the edge is shell; a warm upright stripe that comes down over the edge is a pipe, to its foot. Far
+    bluer than the floor is open water.
+
+    Assumes: a liner and a wall of a bluish colour, things of interest warmer than both; a camera that is not
+    rolled by more than some 20°.
+
+    Fails when: floor and wall are of one colour and no shade marks their joint. A view without any edge is
+    called wall.
+    """
+
+    warm: float = 0.2
+    """log(R/B) by which a shell exceeds the floor around it."""
+    pipe_warm: float = 0.2
+    """log(R/B) by which a pipe exceeds the wall behind it."""
+    edge: float = 0.15
+    """Step of log brightness that the floor's edge has at least, on average."""
+    open_water: float = 0.5
+    """log(R/B) by which the foot of the image exceeds open water."""
+    smallest: int = 5
+    """Pixels of the smallest patch that counts as shell."""
+
+    def segment(self, rgb: UInt8Array) -> tuple[UInt8Array, Float32Array]:
+        """See `Segmenter.segment`."""
+        from scipy import ndimage
+
+        red_blue, brightness = _features(rgb)
+        cool = float(np.quantile(red_blue[::4, ::4], COOL))
+        edge, sharp = self._floor_edge(brightness, red_blue > cool + GLARE)
+        height, width = red_blue.shape
+        rows = np.arange(height)[:, None]
+        above = rows < edge
+        wall = red_blue[::4][above[::4]]
+        behind = float(np.median(wall)) if len(wall) else cool
+        pipes = _pipes(red_blue - behind > self.pipe_warm, brightness, edge)
+        excess = red_blue - _floor_colour(red_blue, above | pipes, cool)
+        # A picture's colours are blurred: a patch ends where half of its excess is left.
+        peak = ndimage.maximum_filter(np.where(above | pipes, 0.0, excess), BLUR)
+        shells = (excess > np.maximum(self.warm, HALF * peak)) & ~above & ~pipes
+        shells = _cleaned(shells, self.smallest)
+        labels = np.full(rgb.shape[:2], Label.SEABED, np.uint8)
+        labels[above | pipes] = Label.OBSTACLE
+        labels[shells] = Label.TARGET
+        confidence = np.ones(labels.shape, np.float32)
+        return labels, confidence
+
+    def _floor_edge(self, brightness: Float32Array, warm: BoolArray) -> tuple[IntArray, Float32Array]:
+        """First row of the floor in every column, H where there is none; and the step of brightness there.
+
+        Args:
+            brightness: (H, W) log.
+            warm: (H, W) pixels of shells and pipes, whose outlines are no edge of the floor.
+        """
+        height, width = brightness.shape
+        score = _step(brightness) - self.edge
+        near = np.zeros((height + 1, width), np.bool_)
+        near[:-1] = warm
+        near[1:] |= warm
+        for _ in range(2):
+            near[1:] |= near[:-1]
+            near[:-1] |= near[1:]
+        score[near] = 0.0
+        score[:3] = -self.edge
+        score[-1] = 0.0
+        score = score[:, STRIDE // 2 :: STRIDE]
+        cost = BEND * np.abs(np.arange(-STEEPEST, STEEPEST + 1, dtype=np.float32))
+        best = np.ascontiguousarray(score.T)
+        came = np.zeros(best.shape, np.int8)
+        padded = np.full(height + 1 + 2 * STEEPEST, -np.inf, np.float32)
+        windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * STEEPEST + 1)
+        at = np.arange(height + 1)
+        for step in range(1, len(best)):
+            padded[STEEPEST:-STEEPEST] = best[step - 1]
+            moved = windows - cost
+            choice = moved.argmax(axis=1)
+            came[step] = choice
+            best[step] += moved[at, choice]
+        path = np.empty(len(best), np.intp)
+        path[-1] = best[-1].argmax()
+        for step in range(len(best) - 1, 0, -1):
+            path[step - 1] = path[step] + came[step, path[step]] - STEEPEST
+        columns = np.arange(width)
+        edge = np.rint(np.interp(columns, STRIDE // 2 + STRIDE * np.arange(len(path)), path)).astype(np.intp)
+        return edge, score[edge.clip(0, height), np.minimum(columns // STRIDE, len(best) - 1)] + self.edge
+
+
+def _features(rgb: UInt8Array) -> tuple[Float32Array, Float32Array]:
+    """log(R/B), a mean over 3 × 3 pixels, and log G; both (H, W)."""
+    from scipy import ndimage
+
+    red, green, blue = (_LOG[rgb[..., channel]] for channel in range(3))
+    return ndimage.uniform_filter(red - blue, 3, mode="nearest"), green
+
+
+def _step(image: Float32Array) -> Float32Array:
+    """(H + 1, W): by how much the two rows above every boundary between rows differ from those below."""
+    height = len(image)
+    at = np.arange(height + 1)
+    rows = [image[np.clip(at + shift, 0, height - 1)] for shift in (-2, -1, 0, 1)]
+    return np.abs(0.5 * (rows[2] + rows[3] - rows[0] - rows[1]))
+
+
+def _floor_colour(red_blue: Float32Array, other: BoolArray, cool: float) -> Float32Array:
+    """(H, 1): log(R/B) of the bare floor in every row: farther rows are bluer.
+
+    Args:
+        red_blue: (H, W).
+        other: (H, W) what is not floor.
+        cool: Where no row shows any floor.
+    """
+    thin = red_blue[:, ::2]
+    floor = np.where(other[:, ::2], np.inf, thin)
+    count = np.isfinite(floor).sum(axis=1)
+    ordered = np.sort(floor, axis=1)
+    colour = ordered[np.arange(len(floor)), (COOL * np.maximum(count - 1, 0)).astype(np.intp)]
+    known = np.nonzero(count >= 8)[0]
+    if len(known) == 0:
+        return np.full((len(floor), 1), cool, np.float32)
+    return np.interp(np.arange(len(floor)), known, colour[known]).astype(np.float32)[:, None]
+
+
+def _pipes(warm: BoolArray, brightness: Float32Array, edge: IntArray) -> BoolArray:
+    """(H, W): warm upright stripes that come down from above the floor's edge, to their feet.
+
+    A stripe of which the image shows only what is below the edge, at its side, is told by its smoothness.
+
+    Args:
+        warm: (H, W).
+        brightness: (H, W) log.
+        edge: (W,) first row of the floor.
+    """
+    from scipy import ndimage
+
+    height, width = warm.shape
+    above = np.arange(height)[:, None] < edge
+    marks, _ = ndimage.label(warm & above)
+    pipes = np.zeros_like(warm)
+    for n, box in enumerate(ndimage.find_objects(marks), 1):
+        # Where the edge is higher on one side of the stripe, only rows above all of it show both its sides.
+        first, past = box[0].start, min(box[0].stop, int(edge[box[1]].min()))
+        if past - first < PIPE_ABOVE:
+            continue
+        part = marks[first:past] == n
+        pipes[box] |= marks[box] == n
+        left, right = _sides(part, first)
+        for row in range(past, height):
+            a, b = (int(np.clip(round(side[0] * row + side[1]), 0, width)) for side in (left, right))
+            if b <= a or warm[row, a:b].mean() < 0.5:
+                break
+            pipes[row, a:b] = True
+    return pipes | _smooth(warm & ~above & ~pipes, brightness)
+
+
+def _sides(part: BoolArray, first: int) -> tuple[Line, Line]:
+    """The left and the right side of a stripe: slope and intercept of the column over the row.
+
+    Args:
+        part: (rows, W) the stripe; at least two rows of it.
+        first: Row of the image that `part` begins with.
+    """
+    width = part.shape[1]
+    rows = np.nonzero(part.any(axis=1))[0]
+    left, right = part[rows].argmax(axis=1), width - part[rows, ::-1].argmax(axis=1)
+    lines = []
+    for side, border in ((left, 0), (right, width)):
+        inside = side != border
+        if inside.sum() < 4:
+            lines.append((0.0, float(border)))
+            continue
+        slope, intercept = np.polyfit(rows[inside] + first, side[inside], 1)
+        lines.append((float(slope), float(intercept)))
+    return lines[0], lines[1]
+
+
+def _smooth(warm: BoolArray, brightness: Float32Array) -> BoolArray:
+    """Patches at the left or right border of the image that are as smooth as a pipe."""
+    from scipy import ndimage
+
+    smooth = np.zeros_like(warm)
+    marks, _ = ndimage.label(warm)
+    for n, box in enumerate(ndimage.find_objects(marks), 1):
+        if box[1].start > 0 and box[1].stop < warm.shape[1]:
+            continue
+        patch = marks[box] == n
+        core = ndimage.binary_erosion(patch, iterations=2, border_value=1)
+        if core.sum() >= SMOOTH_PIXELS:
+            change = np.abs(np.diff(brightness[box], axis=0))[core[:-1] & core[1:]]
+            if len(change) and np.median(change) < SMOOTH:
+                smooth[box] |= patch
+    return smooth
+
+
+def _cleaned(mask: BoolArray, smallest: int) -> BoolArray:
+    """The mask without patches of fewer pixels."""
+    from scipy import ndimage
+
+    marks, _ = ndimage.label(mask, np.ones((3, 3)))
+    large = np.bincount(marks.ravel()) >= smallest
+    large[0] = False
+    return large[marks]

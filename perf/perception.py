@@ -1,0 +1,273 @@
+"""How well depth and labels are told from colour alone, against the simulator, pose by pose and in a map.
+
+    python perf/perception.py                       or: --world reef/patch --seeds 1 2 --poses 20
+
+Pictures go through JPEG with its colour at half resolution (4:2:0), as that of H.264 is, unless --clean.
+Poses are free positions of the protocol's altitude at any heading, rolled and pitched by up to --tilt.
+Figures are within the protocol's reach over ground.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from PIL import Image
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from scipy import ndimage
+
+from dream.geometry import SE3, Bounds
+from dream.mapping import OccupancyMap
+from dream.perception import FlatFloor, Perception, Shells
+from dream.protocol import SurveyProtocol, protocol_named
+from dream.sim.render import Frame, Renderer
+from dream.sim.solids import Solids
+from dream.sim.world import World
+from dream.sim.worlds import make_world
+from dream.types import BoolArray, Label, UInt8Array
+
+CHEBYSHEV = np.ones((3, 3), np.bool_)
+BINS = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """What stands between the simulator's picture and what perception is given."""
+
+    quality: int | None
+    """Of the JPEG; None without."""
+    tilt: float
+    """Radians: roll and pitch are drawn from ± this; both are known."""
+    altitude_error: float
+    """Standard deviation of the altitude, as a share of it, each frame anew."""
+    attitude_error: float
+    """Radians: standard deviation of the roll and the pitch that are told."""
+
+
+@dataclass(slots=True)
+class Tally:
+    """Sums over the frames of one world."""
+
+    confusion: np.ndarray = field(default_factory=lambda: np.zeros((4, 4), np.int64))
+    """Truth by said, within the reach."""
+    floor_errors: list[np.ndarray] = field(default_factory=list)
+    """Shares of the true depth, of pixels that are seabed or target."""
+    obstacle_errors: list[np.ndarray] = field(default_factory=list)
+    """Metres over ground, of pixels that are rightly called obstacle."""
+    unknown: list[float] = field(default_factory=list)
+    """Share of the obstacle pixels without a depth."""
+    sure: np.ndarray = field(default_factory=lambda: np.zeros((BINS, 3)))
+    """Pixels, sum of the confidence in the label, right ones; by bin of confidence."""
+    seconds: list[float] = field(default_factory=list)
+    maps: list[tuple[float, float, float, float]] = field(default_factory=list)
+    """Free cells called solid and solid ones missed: as they are, and one cell of tolerance given."""
+
+    def add(self, other: Tally) -> None:
+        """Take in another."""
+        self.confusion += other.confusion
+        self.sure += other.sure
+        for name in ("floor_errors", "obstacle_errors", "unknown", "seconds", "maps"):
+            getattr(self, name).extend(getattr(other, name))
+
+
+def tilted(x: float, y: float, z: float, yaw: float, pitch: float, roll: float) -> SE3:
+    """`T_world_base`; pitch is nose down, roll to the right."""
+    cp, sp, cr, sr = math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)
+    about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    level = SE3.level(x, y, z, yaw)
+    return SE3(level.rotation @ about_y @ about_x, level.translation)
+
+
+def compressed(rgb: UInt8Array, quality: int) -> UInt8Array:
+    """A picture after JPEG with 4:2:0 chroma."""
+    buffer = io.BytesIO()
+    Image.fromarray(rgb).save(buffer, "JPEG", quality=quality, subsampling=2)
+    return np.asarray(Image.open(buffer))
+
+
+def places(world: World, protocol: SurveyProtocol, count: int, rng: np.random.Generator) -> list[list[float]]:
+    """Free positions with a heading, (x, y, yaw) each."""
+    solids, box, found = Solids(world), world.bounds, []
+    while len(found) < count:
+        x, y = rng.uniform(box.x_min, box.x_max), rng.uniform(box.y_min, box.y_max)
+        if solids.clearance(x, y, protocol) > 0.02:
+            found.append([x, y, rng.uniform(-math.pi, math.pi)])
+    return found
+
+
+def views(
+    world: World, protocol: SurveyProtocol, count: int, conditions: Conditions, rng: np.random.Generator
+) -> Iterator[tuple[Frame, UInt8Array, SE3, SE3, float]]:
+    """Frame, picture, true and told `T_world_base`, told altitude."""
+    renderer = Renderer(world)
+    for x, y, yaw in places(world, protocol, count, rng):
+        z = float(world.terrain.height(x, y)) + protocol.altitude
+        pitch, roll = rng.uniform(-conditions.tilt, conditions.tilt, 2)
+        truth = tilted(x, y, z, yaw, pitch, roll)
+        frame = renderer.render(protocol.camera, truth @ protocol.T_base_camera)
+        rgb = frame.rgb if conditions.quality is None else compressed(frame.rgb, conditions.quality)
+        wrong = rng.normal(0.0, conditions.attitude_error, 2) if conditions.attitude_error else (0.0, 0.0)
+        told = tilted(x, y, z, yaw, pitch + wrong[0], roll + wrong[1])
+        factor = 1.0 + (rng.normal(0.0, conditions.altitude_error) if conditions.altitude_error else 0.0)
+        yield frame, rgb, truth, told, protocol.altitude * factor
+
+
+def judge(
+    world: World,
+    protocol: SurveyProtocol,
+    count: int,
+    conditions: Conditions,
+    perception: Perception,
+    frames_a_map: int,
+) -> Tally:
+    """All figures of one world."""
+    rng = np.random.default_rng(1000 + world.seed)
+    tally, camera, mount = Tally(), protocol.camera, protocol.T_base_camera
+    box = world.bounds
+    wide = Bounds(*(math.floor(a) - 1.0 for a in (box.x_min, box.y_min)), *(math.ceil(a) + 1.0 for a in (box.x_max, box.y_max)))
+    told_map, true_map = OccupancyMap(wide, protocol), OccupancyMap(wide, protocol)
+    for n, (frame, rgb, truth, told, altitude) in enumerate(views(world, protocol, count, conditions, rng), 1):
+        start = time.process_time()
+        depth, labels, confidence = perception.perceive(rgb, camera, told, mount, altitude)
+        tally.seconds.append(time.process_time() - start)
+        _, sure = perception.segmenter.segment(rgb)
+        add_pixels(tally, frame, labels, sure, depth, truth @ mount, protocol)
+        told_map.integrate(depth, labels, camera, told @ mount)
+        true_map.integrate(frame.depth, frame.labels, camera, truth @ mount)
+        if n % frames_a_map == 0:
+            tally.maps.append(compared(told_map, true_map))
+            told_map, true_map = OccupancyMap(wide, protocol), OccupancyMap(wide, protocol)
+    return tally
+
+
+def add_pixels(tally, frame, labels, sure, depth, T_world_camera, protocol) -> None:
+    """One frame."""
+    points = protocol.camera.back_project(frame.depth, T_world_camera)
+    away = np.hypot(*(points[..., i] - T_world_camera.translation[i] for i in (0, 1)))
+    near = away <= protocol.reach
+    truth = frame.labels
+    tally.confusion += np.bincount(4 * truth[near].astype(np.intp) + labels[near], minlength=16).reshape(4, 4)
+    ground = near & ((truth == Label.SEABED) | (truth == Label.TARGET)) & (labels != Label.OBSTACLE)
+    tally.floor_errors.append((np.abs(depth - frame.depth) / frame.depth)[ground & np.isfinite(depth)][::7])
+    solid = near & (truth == Label.OBSTACLE) & (labels == Label.OBSTACLE)
+    if solid.any():
+        tally.unknown.append(float(np.isnan(depth[solid]).mean()))
+        tally.obstacle_errors.append((np.abs(depth - frame.depth) * away / frame.depth)[solid & np.isfinite(depth)][::7])
+    seen = near.ravel()
+    bins = np.minimum((sure.ravel()[seen] * BINS).astype(np.intp), BINS - 1)
+    for column, value in enumerate((np.ones(bins.size), sure.ravel()[seen], (labels == truth).ravel()[seen])):
+        tally.sure[:, column] += np.bincount(bins, value, BINS)
+
+
+def compared(told: OccupancyMap, true: OccupancyMap) -> tuple[float, float, float, float]:
+    """See `Tally.maps`."""
+    free, solid = true.known & ~true.solid, true.solid
+    false, missed = free & told.solid, solid & ~told.solid
+
+    def share(part: BoolArray, whole: BoolArray) -> float:
+        return float(part.sum() / max(whole.sum(), 1))
+
+    return (
+        share(false, free),
+        share(missed, solid),
+        share(false & ~ndimage.binary_dilation(solid, CHEBYSHEV), free),
+        share(missed & ~ndimage.binary_dilation(told.solid, CHEBYSHEV), solid),
+    )
+
+
+def percent(value: float) -> str:
+    """As text."""
+    return f"{100.0 * value:.1f} %"
+
+
+def figures(tally: Tally) -> list[tuple[str, str]]:
+    """Name and value of every figure."""
+    table = tally.confusion.astype(float)
+    t, o = int(Label.TARGET), int(Label.OBSTACLE)
+
+    def iou(k: int) -> float:
+        return table[k, k] / max(table[k].sum() + table[:, k].sum() - table[k, k], 1.0)
+
+    floor, obstacle = np.concatenate(tally.floor_errors), np.concatenate(tally.obstacle_errors or [np.zeros(1)])
+    maps = np.array(tally.maps).mean(axis=0) if tally.maps else np.full(4, math.nan)
+    return [
+        ("target IoU", percent(iou(t))),
+        ("target recall", percent(table[t, t] / max(table[t].sum(), 1.0))),
+        ("target precision", percent(table[t, t] / max(table[:, t].sum(), 1.0))),
+        ("obstacle recall", percent(table[o, o] / max(table[o].sum(), 1.0))),
+        ("obstacle precision", percent(table[o, o] / max(table[:, o].sum(), 1.0))),
+        ("floor depth, median error", percent(float(np.median(floor)))),
+        ("floor depth, 95 % of pixels within", percent(float(np.quantile(floor, 0.95)))),
+        ("obstacle over ground, median error", f"{100.0 * np.median(obstacle):.1f} cm"),
+        ("obstacle over ground, 95 % within", f"{100.0 * np.quantile(obstacle, 0.95):.1f} cm"),
+        ("obstacle without depth", percent(float(np.mean(tally.unknown or [0.0])))),
+        ("map: free cells called solid", percent(maps[0])),
+        ("map: solid cells missed", percent(maps[1])),
+        ("map: free called solid, >1 cell off", percent(maps[2])),
+        ("map: solid missed, >1 cell off", percent(maps[3])),
+        ("CPU a frame, median", f"{1e3 * float(np.median(tally.seconds)):.1f} ms"),
+    ]
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--world", default="pool/arc")
+    parser.add_argument("--tuned", type=int, nargs="*", default=[1, 2, 3], help="seeds it was tuned on")
+    parser.add_argument("--seeds", type=int, nargs="*", default=[4, 5], help="seeds it was not tuned on")
+    parser.add_argument("--poses", type=int, default=40)
+    parser.add_argument("--frames", type=int, default=8, help="frames a map")
+    parser.add_argument("--quality", type=int, default=75, help="of the JPEG")
+    parser.add_argument("--clean", action="store_true", help="pictures as they are drawn")
+    parser.add_argument("--tilt", type=float, default=0.0, help="most roll and pitch, degrees")
+    parser.add_argument("--altitude-error", type=float, default=0.0, help="standard deviation, as a share")
+    parser.add_argument("--attitude-error", type=float, default=0.0, help="standard deviation, degrees")
+    arguments = parser.parse_args()
+    conditions = Conditions(
+        quality=None if arguments.clean else arguments.quality,
+        tilt=math.radians(arguments.tilt),
+        altitude_error=arguments.altitude_error,
+        attitude_error=math.radians(arguments.attitude_error),
+    )
+    console, perception = Console(), Perception(Shells(), FlatFloor())
+    columns: list[tuple[str, Tally]] = []
+    for title, seeds in (("tuned", arguments.tuned), ("not tuned", arguments.seeds)):
+        together = Tally()
+        for seed in track(seeds, description=f"{arguments.world}, {title}", console=console):
+            world = make_world(arguments.world, seed)
+            tally = judge(
+                world, protocol_named(world.protocol), arguments.poses, conditions, perception, arguments.frames
+            )
+            columns.append((f"seed {seed}", tally))
+            together.add(tally)
+        if seeds:
+            columns.append((title, together))
+    table = Table(title=f"{arguments.world}, {arguments.poses} poses each, {conditions}")
+    table.add_column("")
+    for name, _ in columns:
+        table.add_column(name, justify="right")
+    for row in zip(*(figures(tally) for _, tally in columns), strict=True):
+        table.add_row(row[0][0], *(value for _, value in row))
+    console.print(table)
+    sure = sum((tally.sure for name, tally in columns if not name.startswith("seed")), np.zeros((BINS, 3)))
+    reliability = Table(title="Confidence in a label, and how often it is right")
+    for name in ("confidence", "mean", "right", "share of pixels"):
+        reliability.add_column(name, justify="right")
+    for n, (count, total, right) in enumerate(sure):
+        if count:
+            reliability.add_row(
+                f"{n / BINS:.1f} to {(n + 1) / BINS:.1f}", percent(total / count), percent(right / count), percent(count / sure[:, 0].sum())
+            )
+    console.print(reliability)
+
+
+if __name__ == "__main__":
+    main()
