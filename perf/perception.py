@@ -23,7 +23,7 @@ from rich.progress import track
 from rich.table import Table
 from scipy import ndimage
 
-from dream.geometry import SE3, Bounds
+from dream.geometry import SE2, SE3, Bounds
 from dream.mapping import OccupancyMap
 from dream.perception import FlatFloor, Perception, Shells
 from dream.protocol import SurveyProtocol, protocol_named
@@ -35,6 +35,8 @@ from dream.types import BoolArray, Label, UInt8Array
 
 CHEBYSHEV = np.ones((3, 3), np.bool_)
 BINS = 5
+ROOM = 0.02
+"""Metres between the vehicle and anything solid."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,14 +95,17 @@ def compressed(rgb: UInt8Array, quality: int) -> UInt8Array:
     return np.asarray(Image.open(buffer))
 
 
-def places(world: World, protocol: SurveyProtocol, count: int, rng: np.random.Generator) -> list[list[float]]:
-    """Free positions with a heading, (x, y, yaw) each."""
-    solids, box, found = Solids(world), world.bounds, []
-    while len(found) < count:
-        x, y = rng.uniform(box.x_min, box.x_max), rng.uniform(box.y_min, box.y_max)
-        if solids.clearance(x, y, protocol) > 0.02:
-            found.append([x, y, rng.uniform(-math.pi, math.pi)])
-    return found
+def places(world: World, protocol: SurveyProtocol, count: int, rng: np.random.Generator) -> list[SE2]:
+    """Free poses at any heading, each with a straight free way to an earlier one or to a start."""
+    solids, box, known = Solids(world), world.bounds, list(world.starts)
+    while len(known) < count + len(world.starts):
+        x, y, yaw = rng.uniform((box.x_min, box.y_min, -math.pi), (box.x_max, box.y_max, math.pi))
+        place = SE2(x, y, yaw)
+        if solids.clearance(x, y, protocol) > ROOM and any(
+            not solids.sweep(other, place, protocol).contact for other in known
+        ):
+            known.append(place)
+    return known[len(world.starts) :]
 
 
 def views(
@@ -108,7 +113,8 @@ def views(
 ) -> Iterator[tuple[Frame, UInt8Array, SE3, SE3, float]]:
     """Frame, picture, true and told `T_world_base`, told altitude."""
     renderer = Renderer(world)
-    for x, y, yaw in places(world, protocol, count, rng):
+    for place in places(world, protocol, count, rng):
+        x, y, yaw = place.x, place.y, place.yaw
         z = float(world.terrain.height(x, y)) + protocol.altitude
         pitch, roll = rng.uniform(-conditions.tilt, conditions.tilt, 2)
         truth = tilted(x, y, z, yaw, pitch, roll)
