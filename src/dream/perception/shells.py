@@ -29,7 +29,15 @@ COOL = 0.3
 GLARE = 0.25
 """log(R/B) above that from which a pixel has no part in the search for the floor's edge."""
 HALF = 0.5
+"""Of a patch's greatest excess of log(R/B): where it ends, since a picture's colours are blurred."""
 BLUR = 7
+"""Pixels around, in which that excess is looked for."""
+COLOUR_SPREAD = 0.08
+"""log(R/B) from where a label changes within which it is often wrong; found on simulated pictures."""
+EDGE_SPREAD = 0.6
+"""Rows from the floor's edge within which labels are often wrong; likewise."""
+STEP_SPREAD = 0.08
+"""Step of log brightness at the floor's edge within which there may be none; likewise."""
 PIPE_ABOVE = 12
 """Rows above the floor's edge in which a pipe is looked for."""
 SMOOTH = 0.018
@@ -81,13 +89,16 @@ class Shells:
         excess = red_blue - _floor_colour(red_blue, above | pipes, cool)
         # A picture's colours are blurred: a patch ends where half of its excess is left.
         peak = ndimage.maximum_filter(np.where(above | pipes, 0.0, excess), BLUR)
-        shells = (excess > np.maximum(self.warm, HALF * peak)) & ~above & ~pipes
-        shells = _cleaned(shells, self.smallest)
-        labels = np.full(rgb.shape[:2], Label.SEABED, np.uint8)
+        least = np.maximum(self.warm, HALF * peak)
+        shells = _cleaned((excess > least) & ~above & ~pipes, self.smallest)
+        labels = np.full(above.shape, Label.SEABED, np.uint8)
         labels[above | pipes] = Label.OBSTACLE
         labels[shells] = Label.TARGET
-        confidence = np.ones(labels.shape, np.float32)
-        return labels, confidence
+        colour = np.where(above | pipes, np.inf, np.abs(excess - least) / COLOUR_SPREAD)
+        place = (np.abs(rows + 0.5 - edge) - 0.5) / EDGE_SPREAD
+        seen = np.where(above & ~pipes, sharp / STEP_SPREAD, np.inf)
+        doubt = np.exp(-colour) + np.exp(-place) + np.exp(-seen)
+        return labels, np.maximum(1.0 - 0.5 * doubt, 0.5).astype(np.float32)
 
     def _floor_edge(self, brightness: Float32Array, warm: BoolArray) -> tuple[IntArray, Float32Array]:
         """First row of the floor in every column, H where there is none; and the step of brightness there.
