@@ -138,11 +138,16 @@ def judge(
     rng = np.random.default_rng(1000 + world.seed)
     tally, camera, mount = Tally(), protocol.camera, protocol.T_base_camera
     box = world.bounds
-    wide = Bounds(*(math.floor(a) - 1.0 for a in (box.x_min, box.y_min)), *(math.ceil(a) + 1.0 for a in (box.x_max, box.y_max)))
+    wide = Bounds(
+        *(math.floor(a) - 1.0 for a in (box.x_min, box.y_min)),
+        *(math.ceil(a) + 1.0 for a in (box.x_max, box.y_max)),
+    )
     told_map, true_map = OccupancyMap(wide, protocol), OccupancyMap(wide, protocol)
-    for n, (frame, rgb, truth, told, altitude) in enumerate(views(world, protocol, count, conditions, rng), 1):
+    for n, (frame, rgb, truth, told, altitude) in enumerate(
+        views(world, protocol, count, conditions, rng), 1
+    ):
         start = time.process_time()
-        depth, labels, confidence = perception.perceive(rgb, camera, told, mount, altitude)
+        depth, labels, _ = perception.perceive(rgb, camera, told, mount, altitude)
         tally.seconds.append(time.process_time() - start)
         _, sure = perception.segmenter.segment(rgb)
         add_pixels(tally, frame, labels, sure, depth, truth @ mount, protocol)
@@ -166,7 +171,9 @@ def add_pixels(tally, frame, labels, sure, depth, T_world_camera, protocol) -> N
     solid = near & (truth == Label.OBSTACLE) & (labels == Label.OBSTACLE)
     if solid.any():
         tally.unknown.append(float(np.isnan(depth[solid]).mean()))
-        tally.obstacle_errors.append((np.abs(depth - frame.depth) * away / frame.depth)[solid & np.isfinite(depth)][::7])
+        tally.obstacle_errors.append(
+            (np.abs(depth - frame.depth) * away / frame.depth)[solid & np.isfinite(depth)][::7]
+        )
     seen = near.ravel()
     bins = np.minimum((sure.ravel()[seen] * BINS).astype(np.intp), BINS - 1)
     for column, value in enumerate((np.ones(bins.size), sure.ravel()[seen], (labels == truth).ravel()[seen])):
@@ -202,7 +209,10 @@ def figures(tally: Tally) -> list[tuple[str, str]]:
     def iou(k: int) -> float:
         return table[k, k] / max(table[k].sum() + table[:, k].sum() - table[k, k], 1.0)
 
-    floor, obstacle = np.concatenate(tally.floor_errors), np.concatenate(tally.obstacle_errors or [np.zeros(1)])
+    floor, obstacle = (
+        np.concatenate(tally.floor_errors),
+        np.concatenate(tally.obstacle_errors or [np.zeros(1)]),
+    )
     maps = np.array(tally.maps).mean(axis=0) if tally.maps else np.full(4, math.nan)
     return [
         ("target IoU", percent(iou(t))),
@@ -250,7 +260,12 @@ def main() -> None:
         for seed in track(seeds, description=f"{arguments.world}, {title}", console=console):
             world = make_world(arguments.world, seed)
             tally = judge(
-                world, protocol_named(world.protocol), arguments.poses, conditions, perception, arguments.frames
+                world,
+                protocol_named(world.protocol),
+                arguments.poses,
+                conditions,
+                perception,
+                arguments.frames,
             )
             columns.append((f"seed {seed}", tally))
             together.add(tally)
@@ -270,7 +285,10 @@ def main() -> None:
     for n, (count, total, right) in enumerate(sure):
         if count:
             reliability.add_row(
-                f"{n / BINS:.1f} to {(n + 1) / BINS:.1f}", percent(total / count), percent(right / count), percent(count / sure[:, 0].sum())
+                f"{n / BINS:.1f} to {(n + 1) / BINS:.1f}",
+                percent(total / count),
+                percent(right / count),
+                percent(count / sure[:, 0].sum()),
             )
     console.print(reliability)
 

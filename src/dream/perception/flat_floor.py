@@ -61,9 +61,7 @@ def rays(camera: Camera, altitude: float, T_world_base: SE3, T_base_camera: SE3)
     rotation = level @ T_base_camera.rotation
     u = ((np.arange(camera.width) + 0.5 - camera.cx) / camera.fx).astype(np.float32)[None, :]
     v = ((np.arange(camera.height) + 0.5 - camera.cy) / camera.fy).astype(np.float32)[:, None]
-    x, y, z = (
-        np.float32(row[0]) * u + (np.float32(row[1]) * v + np.float32(row[2])) for row in rotation
-    )
+    x, y, z = (np.float32(row[0]) * u + (np.float32(row[1]) * v + np.float32(row[2])) for row in rotation)
     height = altitude + float((level @ T_base_camera.translation)[2])
     return Rays(-z, np.hypot(x, y), np.arctan2(y, x), height, rotation)
 
@@ -155,7 +153,9 @@ def _feet(obstacle: BoolArray, looks: Rays, camera: Camera) -> tuple[Float32Arra
     a = (first + (np.arange(cols, dtype=np.float32) + 0.5) * pitch)[None, :]
     # The pixel of every sample; the direction is scaled so that it goes one metre over ground.
     x, y, z = (
-        np.float32(column[0]) * np.cos(a) + np.float32(column[1]) * np.sin(a) + np.float32(column[2]) * np.tan(e)
+        np.float32(column[0]) * np.cos(a)
+        + np.float32(column[1]) * np.sin(a)
+        + np.float32(column[2]) * np.tan(e)
         for column in looks.rotation.T
     )
     ahead = z > 1e-3

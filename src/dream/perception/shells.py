@@ -52,14 +52,15 @@ class Shells:
 
     What it does: finds the upper edge of the floor, the one line across the image with the greatest step
     of brightness (dynamic programming over columns). What lies above is wall. What is warmer than the floor
-    below the edge is shell; a warm upright stripe that comes down over the edge is a pipe, to its foot. Far
-    bluer than the floor is open water.
+    below the edge is shell. A warm upright stripe that comes down over the edge is a pipe, as far as its
+    foot; so is a smooth warm patch at the image's side, where only the lower part of a pipe is seen.
 
-    Assumes: a liner and a wall of a bluish colour, things of interest warmer than both; a camera that is not
-    rolled by more than some 20°.
+    Assumes: a tank, so that something solid is above the floor's edge; a liner and a wall of a bluish
+    colour; shells and pipes that are warmer than both; a camera that is not rolled by more than some 20°.
 
-    Fails when: floor and wall are of one colour and no shade marks their joint. A view without any edge is
-    called wall.
+    Fails when: floor and wall are of one colour and no shade marks their joint; a pipe is as blue as the
+    wall; there is open water: a view without an edge is called wall, with a confidence of a half, which
+    stops a vehicle but maps no reef.
     """
 
     warm: float = 0.2
@@ -68,10 +69,20 @@ class Shells:
     """log(R/B) by which a pipe exceeds the wall behind it."""
     edge: float = 0.15
     """Step of log brightness that the floor's edge has at least, on average."""
-    open_water: float = 0.5
-    """log(R/B) by which the foot of the image exceeds open water."""
+    highest: float = 0.15
+    """Share of the image's height below its top where the horizon is at the highest: no floor is above. So
+    the water's surface is not taken for the floor's edge."""
     smallest: int = 5
     """Pixels of the smallest patch that counts as shell."""
+
+    def __post_init__(self) -> None:
+        for name in ("warm", "pipe_warm", "edge"):
+            if not 0.0 < getattr(self, name) < 5.0:
+                raise ValueError(
+                    f"{name}: expected a logarithm above 0 and below 5, got {getattr(self, name)}"
+                )
+        if not 0.0 <= self.highest < 1.0:
+            raise ValueError(f"highest: expected a share of the image's height, got {self.highest}")
 
     def segment(self, rgb: UInt8Array) -> tuple[UInt8Array, Float32Array]:
         """See `Segmenter.segment`."""
@@ -80,8 +91,7 @@ class Shells:
         red_blue, brightness = _features(rgb)
         cool = float(np.quantile(red_blue[::4, ::4], COOL))
         edge, sharp = self._floor_edge(brightness, red_blue > cool + GLARE)
-        height, width = red_blue.shape
-        rows = np.arange(height)[:, None]
+        rows = np.arange(len(red_blue))[:, None]
         above = rows < edge
         wall = red_blue[::4][above[::4]]
         behind = float(np.median(wall)) if len(wall) else cool
@@ -116,7 +126,7 @@ class Shells:
             near[1:] |= near[:-1]
             near[:-1] |= near[1:]
         score[near] = 0.0
-        score[:3] = -self.edge
+        score[: max(3, round(self.highest * height))] = -self.edge
         score[-1] = 0.0
         score = score[:, STRIDE // 2 :: STRIDE]
         cost = BEND * np.abs(np.arange(-STEEPEST, STEEPEST + 1, dtype=np.float32))
