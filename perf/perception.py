@@ -31,7 +31,7 @@ from dream.sim.render import Frame, Renderer
 from dream.sim.solids import Solids
 from dream.sim.world import World
 from dream.sim.worlds import make_world
-from dream.types import BoolArray, Label, UInt8Array
+from dream.types import BoolArray, Float32Array, Label, UInt8Array
 
 CHEBYSHEV = np.ones((3, 3), np.bool_)
 BINS = 5
@@ -159,7 +159,15 @@ def judge(
     return tally
 
 
-def add_pixels(tally, frame, labels, sure, depth, T_world_camera, protocol) -> None:
+def add_pixels(
+    tally: Tally,
+    frame: Frame,
+    labels: UInt8Array,
+    sure: Float32Array,
+    depth: Float32Array,
+    T_world_camera: SE3,
+    protocol: SurveyProtocol,
+) -> None:
     """One frame."""
     points = protocol.camera.back_project(frame.depth, T_world_camera)
     away = np.hypot(*(points[..., i] - T_world_camera.translation[i] for i in (0, 1)))
@@ -207,7 +215,7 @@ def figures(tally: Tally) -> list[tuple[str, str]]:
     t, o = int(Label.TARGET), int(Label.OBSTACLE)
 
     def iou(k: int) -> float:
-        return table[k, k] / max(table[k].sum() + table[:, k].sum() - table[k, k], 1.0)
+        return float(table[k, k] / max(table[k].sum() + table[:, k].sum() - table[k, k], 1.0))
 
     floor, obstacle = (
         np.concatenate(tally.floor_errors),

@@ -2,6 +2,7 @@
 
 from dream.perception.depth import DepthModel, Perception, Segmenter
 from dream.perception.flat_floor import FlatFloor
+from dream.perception.learned import LearnedDepth, LearnedLabels
 from dream.perception.points import (
     PointSets,
     free_points,
@@ -12,17 +13,22 @@ from dream.perception.points import (
     valid_points,
 )
 from dream.perception.shells import Shells
+from dream.perception.sidecar import Sidecar, read_sidecar
 
 __all__ = [
     "DepthModel",
     "FlatFloor",
+    "LearnedDepth",
+    "LearnedLabels",
     "Perception",
     "PointSets",
     "Segmenter",
     "Shells",
+    "Sidecar",
     "free_points",
     "obstacle_points",
     "partition",
+    "read_sidecar",
     "target_points",
     "valid_depth",
     "valid_points",

@@ -102,4 +102,5 @@ def averaged(rgb: UInt8Array, camera: Camera) -> UInt8Array:
     if k == 1:
         return rgb
     blocks = rgb.reshape(camera.height, k, camera.width, k, 3)
-    return np.rint(blocks.mean(axis=(1, 3), dtype=np.float32)).astype(np.uint8)
+    means: UInt8Array = np.rint(blocks.mean(axis=(1, 3), dtype=np.float32)).astype(np.uint8)
+    return means

@@ -163,7 +163,8 @@ def _step(image: Float32Array) -> Float32Array:
     height = len(image)
     at = np.arange(height + 1)
     rows = [image[np.clip(at + shift, 0, height - 1)] for shift in (-2, -1, 0, 1)]
-    return np.abs(0.5 * (rows[2] + rows[3] - rows[0] - rows[1]))
+    step: Float32Array = np.abs(0.5 * (rows[2] + rows[3] - rows[0] - rows[1]))
+    return step
 
 
 def _floor_colour(red_blue: Float32Array, other: BoolArray, cool: float) -> Float32Array:
@@ -182,7 +183,8 @@ def _floor_colour(red_blue: Float32Array, other: BoolArray, cool: float) -> Floa
     known = np.nonzero(count >= 8)[0]
     if len(known) == 0:
         return np.full((len(floor), 1), cool, np.float32)
-    return np.interp(np.arange(len(floor)), known, colour[known]).astype(np.float32)[:, None]
+    everywhere: Float32Array = np.interp(np.arange(len(floor)), known, colour[known]).astype(np.float32)
+    return everywhere[:, None]
 
 
 def _pipes(warm: BoolArray, brightness: Float32Array, edge: IntArray) -> BoolArray:
