@@ -172,10 +172,11 @@ def _feet(obstacle: BoolArray, looks: Rays, camera: Camera) -> tuple[Float32Arra
     at = np.clip(low + np.arange(rows) * pitch, -0.5 * math.pi, -1e-6)
     away_of_row = np.where(low + np.arange(rows) * pitch < -1e-6, looks.height / -np.tan(at), np.inf)
     away = np.where(solid, away_of_row[foot], np.inf).astype(np.float32)
+    hidden = begins & ~below[1]
+    seen = ~(solid & np.take_along_axis(hidden, np.maximum(foot, 0), axis=0))
     # A pixel at the rim may fall on a sample that is not solid; it belongs to what is next to it.
     away = np.where(solid, away, ndimage.minimum_filter(away, 3, mode="nearest"))
-    hidden = begins & ~below[1]
-    seen = ~np.take_along_axis(hidden, np.maximum(foot, 0), axis=0)
+    seen = np.where(solid, seen, ndimage.minimum_filter(seen, 3, mode="nearest"))
 
     r = np.minimum(((elevation[obstacle] - low) / pitch).astype(np.intp), rows - 1)
     c = np.minimum(((looks.azimuth[obstacle] - first) / pitch).astype(np.intp), cols - 1)

@@ -1,8 +1,8 @@
 """A neural network from a file that someone else made: checked, then run on the CPU by ONNX Runtime.
 
-The file is looked through before ONNX Runtime sees it. That keeps out what is damaged, mistaken or reaches for
-other files; a graph may still ask for more time or memory than there is, so take models only from where you
-would take a program.
+The file is looked through before ONNX Runtime sees it. That keeps out what is damaged, mistaken or reaches
+for other files; a graph may still ask for more time or memory than there is, so take models only from where
+you would take a program.
 """
 
 from __future__ import annotations

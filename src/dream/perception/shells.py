@@ -100,7 +100,8 @@ class Shells:
         # A picture's colours are blurred: a patch ends where half of its excess is left.
         peak = ndimage.maximum_filter(np.where(above | pipes, 0.0, excess), BLUR)
         least = np.maximum(self.warm, HALF * peak)
-        shells = _cleaned((excess > least) & ~above & ~pipes, self.smallest)
+        rim = ndimage.binary_dilation(pipes, np.ones((3, 3)))
+        shells = _cleaned((excess > least) & ~above & ~rim, self.smallest)
         labels = np.full(above.shape, Label.SEABED, np.uint8)
         labels[above | pipes] = Label.OBSTACLE
         labels[shells] = Label.TARGET
@@ -128,7 +129,7 @@ class Shells:
         score[near] = 0.0
         score[: max(3, round(self.highest * height))] = -self.edge
         score[-1] = 0.0
-        score = score[:, STRIDE // 2 :: STRIDE]
+        score = score[:, ::STRIDE]
         cost = BEND * np.abs(np.arange(-STEEPEST, STEEPEST + 1, dtype=np.float32))
         best = np.ascontiguousarray(score.T)
         came = np.zeros(best.shape, np.int8)
@@ -146,8 +147,9 @@ class Shells:
         for step in range(len(best) - 1, 0, -1):
             path[step - 1] = path[step] + came[step, path[step]] - STEEPEST
         columns = np.arange(width)
-        edge = np.rint(np.interp(columns, STRIDE // 2 + STRIDE * np.arange(len(path)), path)).astype(np.intp)
-        return edge, score[edge.clip(0, height), np.minimum(columns // STRIDE, len(best) - 1)] + self.edge
+        edge = np.rint(np.interp(columns, STRIDE * np.arange(len(path)), path)).astype(np.intp)
+        step_there = score[edge, columns // STRIDE] + self.edge
+        return edge, np.where(edge < height, step_there, np.float32(0.0))
 
 
 def _features(rgb: UInt8Array) -> tuple[Float32Array, Float32Array]:
