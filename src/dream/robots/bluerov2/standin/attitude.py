@@ -9,14 +9,14 @@ from dream.measurements import Depth, Heading, Imu
 from dream.vehicle import GRAVITY
 
 CALIBRATED = 1.0
-"""Seconds after it starts over which the gyroscopes are averaged for their bias."""
+"""Seconds after it starts over which turn rates and force are averaged for their bias."""
 LEVELLING = 0.15
 """rad/s by which a radian of tilt against the felt vertical is turned back."""
 LEARNING = 0.003
 """rad/s² by which the bias follows it."""
 TURNING = 0.05
 """Share of a compass error that a reading takes away."""
-SETTLING = (0.16, 0.10, 0.025)
+SETTLING = (0.3, 0.4, 0.15)
 """Share of a depth error that a reading takes from depth, and how much it changes vertical speed (1/s) and
 bias (1/s²) by it."""
 
@@ -45,7 +45,7 @@ class Ahrs:
         self.z, self.climb = depth.z, 0.0
         """Metres in the world, and m/s upwards."""
         self._lift_bias = 0.0
-        self._still: list[tuple[float, float, float]] = []
+        self._still: list[tuple[float, float, float, float]] = []
 
     @property
     def euler(self) -> tuple[float, float, float]:
@@ -62,9 +62,11 @@ class Ahrs:
         p, q, r = imu.angular_velocity.tolist()
         fx, fy, fz = imu.specific_force.tolist()
         still = self._still
-        if len(still) * dt < CALIBRATED:
-            still.append((p, q, r))
-            self.bias = [sum(column) / len(still) for column in zip(*still, strict=True)]
+        calibrating = len(still) * dt < CALIBRATED
+        if calibrating:
+            still.append((p, q, r, math.sqrt(fx * fx + fy * fy + fz * fz)))
+            *self.bias, felt = (sum(column) / len(still) for column in zip(*still, strict=True))
+            self._lift_bias = felt - GRAVITY
         bias = self.bias
         p, q, r = p - bias[0], q - bias[1], r - bias[2]
         self.rates = (p, q, r)
@@ -90,6 +92,8 @@ class Ahrs:
         )
         length = math.sqrt(w * w + x * x + y * y + z * z)
         self.q = (w / length, x / length, y / length, z / length)
+        if calibrating:
+            return
         self.climb += (ux * fx + uy * fy + uz * fz - GRAVITY - self._lift_bias) * dt
         self.z += self.climb * dt
 
