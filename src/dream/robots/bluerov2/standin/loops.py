@@ -13,15 +13,15 @@ from dream.robots.bluerov2.standin.attitude import Ahrs
 
 ANGLE = 5.0
 """rad/s for a radian of attitude error."""
-HEADING = 2.0
+HEADING = 3.0
 """rad/s for a radian of heading error."""
 MOST_TURN = 1.0
 """rad/s that a heading error may ask for."""
-TURN = ((0.25, 0.5), (0.25, 0.5), (0.25, 0.25))
+TURN = ((0.25, 0.5), (0.25, 0.5), (0.5, 1.0))
 """Output for an error of one rad/s, and by how much it grows a second, in roll, pitch and yaw."""
-RISE = 1.5
+RISE = 1.2
 """m/s for a metre of depth error."""
-CLIMB = (0.5, 0.35)
+CLIMB = (1.2, 1.2)
 """Output for an error of one m/s, and growth."""
 LEASH = 1.0
 """Metres that the depth target may run ahead of the vehicle."""

@@ -20,7 +20,7 @@ MOST_WAITING = 10_000
 
 
 @dataclass(frozen=True, slots=True)
-class Faults:
+class LinkFaults:
     """What befalls datagrams, each on its own, both ways."""
 
     loss: float = 0.0
@@ -48,7 +48,7 @@ class Wire:
     def __init__(self, ground: Address | None, *, host: str = "127.0.0.1", seed: int = 1) -> None:
         """Bind to a free port."""
         self.ground = ground
-        self.faults = Faults()
+        self.faults = LinkFaults()
         self._rng = np.random.default_rng(seed)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind((host, 0))
