@@ -9,7 +9,7 @@ ROOT = Path(dream.__file__).parent
 LAYERS = [
     {"compiling", "errors", "geometry", "names", "standin", "versions"},
     {"protocol"},
-    {"types", "measurements", "vehicle"},
+    {"types", "measurements", "traversal", "vehicle"},
     {"orders"},
     {"perception", "mapping"},
     {"planning", "control", "estimation", "sim"},

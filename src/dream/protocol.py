@@ -101,6 +101,18 @@ class SurveyProtocol:
             raise ValueError(f"headings: expected 1 to 3600, got {self.headings}")
         if self.cap < 1:
             raise ValueError(f"cap: expected at least 1, got {self.cap}")
+        if self.traversal is not None:
+            # A camera narrower than a heading step would leave ground that no pose passes in front of it.
+            if self.camera.horizontal_fov < 2.0 * self.heading_step:
+                fov, step = math.degrees(self.camera.horizontal_fov), math.degrees(self.heading_step)
+                raise ValueError(
+                    f"camera: expected a view of two heading steps, {2.0 * step:g}°, for a traversal, got {fov:g}°"
+                )
+            if not self.cell < self.traversal <= self.reach:
+                raise ValueError(
+                    f"traversal: expected more than a cell's {self.cell} m and no more than the reach of "
+                    f"{self.reach} m, got {self.traversal} m"
+                )
 
     @property
     def T_base_camera(self) -> SE3:

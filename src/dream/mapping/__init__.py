@@ -9,6 +9,7 @@ from dream.mapping.completion import (
     hiding_places,
     reachable,
     that_would_show,
+    traversal_margin,
 )
 from dream.mapping.drawing import draw_map
 from dream.mapping.frontiers import Frontier, frontiers
@@ -35,6 +36,7 @@ __all__ = [
     "hiding_places",
     "reachable",
     "that_would_show",
+    "traversal_margin",
     "view",
     "visible_weight",
     "within",

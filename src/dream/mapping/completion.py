@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from dream.geometry import SE2, Bounds
 from dream.mapping.nearness import within
+from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, IntArray
 
 if TYPE_CHECKING:
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 Float64Array = npt.NDArray[np.float64]
 
+NO_CELLS: IntArray = np.empty((0, 2), np.intp)
+NO_CELLS.flags.writeable = False
 MARGIN_CELLS = 2
 """Cells around a region's target cells that must be observed for it to be enclosed."""
 
@@ -51,11 +54,13 @@ class Completion:
     """(m, 2) all cells that keep the map from being complete."""
     open_region: str
     """A sentence that names the most open region and where it is; empty when complete."""
+    untraversed: IntArray = field(default_factory=lambda: NO_CELLS)
+    """(n, 2) target cells that the protocol wants traversed, that were not and could be."""
 
     @property
     def complete(self) -> bool:
-        """Nothing is open."""
-        return len(self.open_cells) == 0
+        """Nothing is open, and nothing is left to traverse."""
+        return len(self.open_cells) == 0 and len(self.untraversed) == 0
 
 
 def check_completion(occupancy: OccupancyMap, pose: SE2) -> Completion:
@@ -64,13 +69,52 @@ def check_completion(occupancy: OccupancyMap, pose: SE2) -> Completion:
     Observed is what was explored or seen by a return of its own, and what lies outside the map's area; see
     `Layers.observed`. Cells that no reachable pose could see do not count, and the bounds count as
     enclosure. Where no target was seen beside or in the area, everything in it that a reachable pose could
-    see must be observed. Arrays are read-only.
+    see must be observed. Under a protocol with a `traversal`, the target cells in the area must be traversed,
+    too, but for those that no reachable pose traverses. Arrays are read-only.
 
     Args:
         occupancy: What is known.
         pose: Where the vehicle is; what is reachable is so from here.
     """
-    return occupancy.progress.check(pose, _window(occupancy))
+    completion = occupancy.progress.check(pose, _window(occupancy))
+    left = _untraversed(occupancy, pose)
+    if not len(left):
+        return completion
+    sentence = completion.open_region
+    if not sentence:
+        x, y = (float(k.mean()) for k in occupancy.center_of(*left.T))
+        sentence = f"{len(left)} target cell{'s' if len(left) != 1 else ''} around ({x:.1f}, {y:.1f}) "
+        sentence += f"{'were' if len(left) != 1 else 'was'} not traversed"
+    return replace(completion, open_region=sentence, untraversed=left)
+
+
+def traversal_margin(protocol: SurveyProtocol) -> float:
+    """Metres from the edges of what a pose traverses that a cell's middle must keep to be counted on.
+
+    So all that lies in it is traversed in about every case, also by a vehicle that is a little beside.
+    """
+    return 0.5 * protocol.cell
+
+
+def _untraversed(occupancy: OccupancyMap, pose: SE2) -> IntArray:
+    """Target cells that were not traversed; those that no reachable pose could, with its margin, left out.
+
+    A camera is wider than a heading step, so that a place has some heading for every cell around it.
+    """
+    from scipy.spatial import cKDTree
+
+    protocol = occupancy.protocol
+    if protocol.traversal is None:
+        return NO_CELLS
+    left = np.argwhere(occupancy.target & ~occupancy.traversed & occupancy.to_see)
+    places = reachable(occupancy, pose) if len(left) else np.empty((0, 2))
+    if not len(places):
+        return NO_CELLS
+    near = protocol.traversal - traversal_margin(protocol)
+    away, _ = cKDTree(places).query(np.stack(occupancy.center_of(*left.T), axis=-1))
+    left = left[away <= near]
+    left.flags.writeable = False
+    return left
 
 
 def hiding_places(occupancy: OccupancyMap, pose: SE2, radius: float) -> BoolArray:

@@ -21,6 +21,8 @@ from dream.types import BoolArray, Float32Array, IntArray
 
 CELLS = ("log_odds", "flags", "votes")
 """What a map remembers of every cell."""
+TRAVERSED = "traversed"
+"""What it remembers beside them under a protocol with a `traversal`."""
 POSTS = ("ground_sum", "ground_count")
 """What it remembers of the seabed, on a coarser grid."""
 POST = 0.64
@@ -137,6 +139,11 @@ def probability_of_votes(evidence: Evidence) -> Float32Array:
 def post_bits(protocol: SurveyProtocol) -> int:
     """A post is 2 to this many cells wide."""
     return min(max(round(math.log2(POST / protocol.cell)), 0), 4)
+
+
+def cells_of(protocol: SurveyProtocol) -> tuple[str, ...]:
+    """What a map remembers of every cell under a protocol."""
+    return CELLS if protocol.traversal is None else (*CELLS, TRAVERSED)
 
 
 def _is_crossable(bits: npt.NDArray[np.uint8]) -> BoolArray:
@@ -346,6 +353,16 @@ class Layers:
     def crossed(self) -> BoolArray:
         """A ray at the vehicle's own height passed through, or the launch was there. Never forgets."""
         return self._layer("crossed", lambda: self._flag(flags.CROSSED))
+
+    @property
+    def traversed(self) -> BoolArray:
+        """Its middle passed under the body, or ahead of it as near as the protocol asks. Never forgets.
+
+        Nowhere under a protocol that asks for no traversal.
+        """
+        if self.protocol.traversal is None:
+            return self._layer(TRAVERSED, lambda: np.zeros(self.shape, np.bool_))
+        return self._layer(TRAVERSED, lambda: self._cells(TRAVERSED) != 0)
 
     @property
     def traversable(self) -> BoolArray:

@@ -26,14 +26,19 @@ from dream.mapping.layers import (
     CELLS,
     EDGE,
     POSTS,
+    TRAVERSED,
     Evidence,
     Layers,
+    cells_of,
     cells_within,
     post_bits,
 )
 from dream.mapping.progress import Progress
 from dream.protocol import SurveyProtocol
+from dream.traversal import traversed
 from dream.types import BoolArray, Label
+
+Float64Array = npt.NDArray[np.float64]
 
 FORMAT = "dream-map-2"
 MOST_TEXT = 1 << 16
@@ -103,15 +108,16 @@ class OccupancyMap(Layers):
                 )
         bits = post_bits(protocol)
         posts = (BLOCK >> bits, BLOCK >> bits)
-        store = BlockStore(
-            {
-                "log_odds": (np.int8, (BLOCK, BLOCK)),
-                "flags": (np.uint8, (BLOCK, BLOCK)),
-                "votes": (np.uint8, (BLOCK, BLOCK)),
-                "ground_sum": (np.float32, posts),
-                "ground_count": (np.float32, posts),
-            }
-        )
+        layers: dict[str, tuple[npt.DTypeLike, tuple[int, ...]]] = {
+            "log_odds": (np.int8, (BLOCK, BLOCK)),
+            "flags": (np.uint8, (BLOCK, BLOCK)),
+            "votes": (np.uint8, (BLOCK, BLOCK)),
+            "ground_sum": (np.float32, posts),
+            "ground_count": (np.float32, posts),
+        }
+        if protocol.traversal is not None:
+            layers[TRAVERSED] = (np.uint8, (BLOCK, BLOCK))
+        store = BlockStore(layers)
         if bounds is not None:
             for side, length in (("depth", bounds.depth), ("width", bounds.width)):
                 cells = length / protocol.cell
@@ -137,17 +143,25 @@ class OccupancyMap(Layers):
         """Take the ground within the protocol's launch radius for free: traversable, not explored."""
         if not (math.isfinite(x) and math.isfinite(y)):
             raise ValueError(f"launch: expected a finite position, got ({x}, {y})")
-        cell, radius = self.protocol.cell, self.protocol.launch_radius
+        radius = self.protocol.launch_radius
+        low, east, north, inside = self._around(x, y, radius)
+        marked = self._store.read("flags", low, inside.shape)
+        marked[inside & (np.hypot(east, north) <= radius)] |= flags.CROSSED
+        self._write("flags", low, marked)
+
+    def _around(
+        self, x: float, y: float, radius: float
+    ) -> tuple[tuple[int, int], Float64Array, Float64Array, BoolArray]:
+        """The cells of the store up to so far from a position: the first row and column of their box, how far
+        east and north of it each middle lies, and which are in the bounds."""
+        cell = self.protocol.cell
         (row, col), half = self._global(x, y), math.ceil(radius / cell) + 1
         rows, cols = np.mgrid[row - half : row + half + 1, col - half : col + half + 1]
-        center_x, center_y = self._origin[0] + (cols + 0.5) * cell, self._origin[1] + (rows + 0.5) * cell
-        near = np.hypot(center_x - x, center_y - y) <= radius
+        east, north = self._origin[0] + (cols + 0.5) * cell - x, self._origin[1] + (rows + 0.5) * cell - y
+        inside = np.ones(rows.shape, np.bool_)
         if self._bounded:
-            near &= (rows >= 0) & (rows < self.shape[0]) & (cols >= 0) & (cols < self.shape[1])
-        low = (row - half, col - half)
-        marked = self._store.read("flags", low, near.shape)
-        marked[near] |= flags.CROSSED
-        self._write("flags", low, marked)
+            inside = (rows >= 0) & (rows < self.shape[0]) & (cols >= 0) & (cols < self.shape[1])
+        return (row - half, col - half), east, north, inside
 
     def restrict(self, area: Bounds | None) -> None:
         """Only this area has to be seen from now on; None for everything.
@@ -222,6 +236,17 @@ class OccupancyMap(Layers):
         if blocks is not None:
             self._extend(*blocks)
         self._changed(outlines, window.cells)
+        if self.protocol.traversal is not None:
+            self._traverse(T_world_camera)
+
+    def _traverse(self, T_world_camera: SE3) -> None:
+        """Mark what a frame from there traverses; the camera sits at the vehicle's centre and looks ahead."""
+        assert self.protocol.traversal is not None
+        (x, y), axis = T_world_camera.translation[:2].tolist(), T_world_camera.rotation[:, 2]
+        low, east, north, inside = self._around(x, y, self.protocol.traversal)
+        marked = self._store.read(TRAVERSED, low, inside.shape)
+        marked[inside & traversed(east, north, math.atan2(axis[1], axis[0]), self.protocol)] = 1
+        self._write(TRAVERSED, low, marked)
 
     def _global(self, x: float, y: float) -> tuple[int, int]:
         """Row and column in the store."""
@@ -296,7 +321,7 @@ class OccupancyMap(Layers):
             self._store, low, window, self.protocol, self.evidence, self._origin, self._datum, self.area
         )
         # Read now, since the store goes on.
-        for name in CELLS:
+        for name in cells_of(self.protocol):
             layers._wide(name)
         layers._layer("ground", layers._smooth_ground)
         return layers
@@ -357,7 +382,7 @@ class OccupancyMap(Layers):
         self._renew_edges()
         store, used = self._store, 1 + len(self._store)
         keys = np.array(list(store.slot_of), np.int64).reshape(-1, 2)
-        arrays: dict[str, Any] = {name: store.pools[name][1:used] for name in (*CELLS, *POSTS)}
+        arrays: dict[str, Any] = {name: store.pools[name][1:used] for name in (*cells_of(self.protocol), *POSTS)}
         arrays |= {"about": np.array(json.dumps(about)), "blocks": keys, "stamps": store.stamps[1:used]}
         with Path(path).open("wb") as file:
             np.savez_compressed(file, **arrays)
@@ -397,12 +422,14 @@ class _About(BaseModel):
 def _read(path: Path) -> OccupancyMap:
     names = {"about", "blocks", "stamps", *CELLS, *POSTS}
     with path.open("rb") as opened:
-        headers = _headers(opened, names)
+        headers = _headers(opened, names, {TRAVERSED})
         shape, dtype = headers.pop("about")
         if shape != () or dtype.kind != "U" or dtype.itemsize > MOST_TEXT:
             raise ValueError(f"about: expected a text, got {shape} {dtype}")
         with np.load(opened, allow_pickle=False) as content:
             about = _About.model_validate_json(str(content["about"]))
+            if (TRAVERSED in headers) != (about.protocol.traversal is not None):
+                raise ValueError(f"{TRAVERSED}: expected where the protocol has a traversal, and only there")
             occupancy = OccupancyMap(about.bounds, about.protocol, about.evidence)
             store, count = occupancy._store, headers["blocks"][0][0] if headers["blocks"][0] else 0
             expected = {name: (dtype, (count, *shape)) for name, (dtype, shape) in store.layers.items()}
@@ -442,12 +469,17 @@ def _read(path: Path) -> OccupancyMap:
     return occupancy
 
 
-def _headers(opened: BinaryIO, names: set[str]) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
-    """Shape and type of each array of an .npz file, which must be these, read without unpacking them."""
+def _headers(
+    opened: BinaryIO, names: set[str], optional: set[str]
+) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
+    """Shape and type of each array of an .npz file, which must be these, read without unpacking them.
+
+    Those that are optional may be missing.
+    """
     headers = {}
     with zipfile.ZipFile(opened) as file:
         members = {member.filename.removesuffix(".npy"): member for member in file.infolist()}
-        if set(members) != names or len(members) != len(file.infolist()):
+        if set(members) - optional != names or len(members) != len(file.infolist()):
             raise ValueError(f"expected the arrays {', '.join(sorted(names))}, got others")
         for name, member in members.items():
             with file.open(member) as stream:

@@ -19,7 +19,7 @@ from dream.planning.parameters import check_count, check_range
 from dream.planning.travel import Pose, Travel, careful_standoff, careful_travel, nearest_open, travel_from
 from dream.planning.vain import VainLooks
 from dream.planning.views import all_views_from
-from dream.types import BoolArray, Decision, IntArray, Mission, Observation, Reasoning
+from dream.types import BoolArray, Decision, Float32Array, IntArray, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
@@ -187,17 +187,20 @@ class BeliefPilot:
     """Grows with every `done` that was refused."""
     claimed: SE2 | None = None
     """Where the last decision was `done`."""
+    passed_in_vain: BoolArray = field(init=False)
+    """(rows, cols) cells that are not worth another try to traverse them."""
     tried: dict[int, IntArray] = field(default_factory=dict)
     """By node, what of the hull it was foretold to show and did not: from there nothing of it ever will."""
     visits: Counter[Pose] = field(default_factory=Counter)
     """How often a pose was returned to since anything was new."""
     news: int = 0
-    """Cells observed and patches of hull found when anything was last new."""
+    """What was `achieved` and patches of hull found when anything was last new."""
 
     def __post_init__(self) -> None:
         self.outlook = Outlook(self.mission, self.size)
         self.hull = Hull(self.mission.bounds, self.mission.protocol)
         self.vain = VainLooks(self.mission)
+        self.passed_in_vain = np.zeros_like(self.vain.observed)
         self.patience = self.planner.patience
 
     @property
@@ -223,6 +226,7 @@ class BeliefPilot:
             # It stood still, so that there was no new look; what was given up is worth one more.
             self.patience += 1
             np.minimum(self.vain.count, self.patience + 1, out=self.vain.count)
+            self.passed_in_vain[:] = False
         else:
             # What it had foretold, with the solids that it knew of then, counts as looked at too.
             self.vain.note(pose, occupancy, self.outlook.shown(here)[0] if self.news else None)
@@ -393,8 +397,21 @@ class BeliefPilot:
             hiding=self.outlook.on_tiles(hiding),
             targets=self.outlook.on_tiles(np.where(todo, expected.beside * square, 0.0)),
             hidden=self.outlook.on_tiles(expected.hiding * square),
+            passing=self._passing(completion, occupancy),
             listed=self._hull_views(expected, travel, occupancy),
         )
+
+    def _passing(self, completion: Completion, occupancy: OccupancyMap) -> Float32Array:
+        """(tiles,) square metres of targets to traverse; see `Prospect.passing`."""
+        if self.mission.protocol.traversal is None:
+            return np.zeros(0, np.float32)
+        return self.outlook.on_tiles(self._to_traverse(completion, occupancy) * self.mission.protocol.cell**2)
+
+    def _to_traverse(self, completion: Completion, occupancy: OccupancyMap) -> BoolArray:
+        """(rows, cols) target cells that are left to traverse, without those that were given up."""
+        left = np.zeros(occupancy.shape, np.bool_)
+        left[tuple(completion.untraversed.T)] = True
+        return left & ~self.passed_in_vain
 
     @property
     def look_ahead(self) -> LookAhead:
@@ -459,19 +476,26 @@ class BeliefPilot:
         could_hold = within(expected.hiding, self.size, self.mission.protocol.cell)
         weights[could_hold & ~occupancy.observed] = 1.0
         weights[self.vain.count >= self.patience + 2] = 0.0
+        nothing = np.zeros(self.outlook.tiles, np.float32)
+        passing = Prospect(
+            self.outlook, nothing, nothing, nothing, nothing, self._passing(completion, occupancy)
+        )
         for search in (careful_travel, travel_from):
             travel = search(pose, occupancy)
             views = all_views_from(travel, occupancy, weights)
             best = views.best(views.rates)
             if best is not None and best.rate > NOTHING:
                 return travel, Plan(travel.path(best.pose), rate=0.0, later=0.0, cells=best.gain)
+            plan = self.look_ahead.nearest(passing, travel)
+            if plan is not None:
+                return travel, plan
         return travel, None
 
     # ----------------------------------------------------------------------------------------- watchdog
 
     def _visits(self, pose: Pose, occupancy: OccupancyMap) -> int:
         """How often it has come to this pose since anything was new."""
-        seen = int(np.count_nonzero(occupancy.observed)) + int(self.hull.found)
+        seen = achieved(occupancy) + int(self.hull.found)
         if seen != self.news:
             self.news = seen
             self.visits.clear()
@@ -487,7 +511,13 @@ class BeliefPilot:
             yaw = pose[2] * self.mission.protocol.heading_step
             shown = view(occupancy, *self.outlook.position(*pose[:2]), yaw) | ground | middles
             self.vain.count[shown & ~occupancy.observed] = GIVEN_UP
+            self.passed_in_vain |= self.outlook.passed(pose) & ~occupancy.traversed
             self._try_hull(pose)
+
+
+def achieved(occupancy: OccupancyMap) -> int:
+    """Cells observed, and targets among them that the protocol wants traversed and that were."""
+    return int(np.count_nonzero(occupancy.observed) + np.count_nonzero(occupancy.traversed & occupancy.target))
 
 
 def _away_from_hull(occupancy: OccupancyMap) -> FloatArray | None:

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from dream import traversal
 from dream.geometry import wrap_angle
 from dream.protocol import SurveyProtocol
 from dream.sim import _kernels
@@ -226,11 +227,4 @@ def lattice_yaws(protocol: SurveyProtocol) -> Float64Array:
 
 def traversed(point: Float64Array, poses: Float64Array, protocol: SurveyProtocol) -> BoolArray:
     """(P,) bool: did the point (3,) pass under the body, or ahead of it within `traversal` over ground?"""
-    camera = protocol.camera
-    dx, dy = point[0] - poses[:, 0], point[1] - poses[:, 1]
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    ahead, right, distance = c * dx + s * dy, s * dx - c * dy, np.hypot(dx, dy)
-    u = camera.fx * right + camera.cx * ahead
-    in_front = (ahead > 0.0) & (u >= 0.0) & (u <= camera.width * ahead)
-    seen = (distance <= (protocol.traversal or 0.0)) & (in_front | (distance <= protocol.body_radius))
-    return np.asarray(seen, np.bool_)
+    return traversal.traversed(point[0] - poses[:, 0], point[1] - poses[:, 1], poses[:, 2], protocol)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dream.geometry import SE2
-from dream.planning.belief import Belief
+from dream.planning.belief import Belief, achieved
 from dream.planning.lookahead import Plan
 from dream.planning.parameters import check_count, check_range
 from dream.planning.travel import Pose
@@ -123,8 +123,8 @@ class RankedPilot:
     """What was decided at the last event: until it is reached, or another comes, nobody is asked again."""
     enclosed: int = 0
     """Regions at the last event."""
-    observed: int = 0
-    """Cells."""
+    achieved: int = 0
+    """Cells; see `belief.achieved`."""
     idle: int = 0
     """Steps since more of them were."""
     resting: int = 0
@@ -166,9 +166,9 @@ class RankedPilot:
 
     def _watch(self, occupancy: OccupancyMap) -> None:
         """Who goes round in circles on advice goes on without it."""
-        observed = int(np.count_nonzero(occupancy.observed))
-        self.idle = 0 if observed > self.observed else self.idle + 1
-        self.observed = max(observed, self.observed)
+        now = achieved(occupancy)
+        self.idle = 0 if now > self.achieved else self.idle + 1
+        self.achieved = max(now, self.achieved)
         self.resting = max(self.resting - 1, 0)
         if self.idle >= STUCK and self.chosen is not None:
             self.chosen, self.resting = None, REST
