@@ -58,9 +58,14 @@ class Completion:
     """(n, 2) target cells that the protocol wants traversed, that were not and could be."""
 
     @property
+    def seen(self) -> bool:
+        """Nothing is open."""
+        return len(self.open_cells) == 0
+
+    @property
     def complete(self) -> bool:
         """Nothing is open, and nothing is left to traverse."""
-        return len(self.open_cells) == 0 and len(self.untraversed) == 0
+        return self.seen and len(self.untraversed) == 0
 
 
 def check_completion(occupancy: OccupancyMap, pose: SE2) -> Completion:

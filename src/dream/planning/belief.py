@@ -19,7 +19,8 @@ from dream.planning.parameters import check_count, check_range
 from dream.planning.travel import Pose, Travel, careful_standoff, careful_travel, nearest_open, travel_from
 from dream.planning.vain import VainLooks
 from dream.planning.views import all_views_from
-from dream.types import BoolArray, Decision, Float32Array, IntArray, Mission, Observation, Reasoning
+from dream.planning.walk import Walk
+from dream.types import BoolArray, Decision, IntArray, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
@@ -187,6 +188,8 @@ class BeliefPilot:
     """Grows with every `done` that was refused."""
     claimed: SE2 | None = None
     """Where the last decision was `done`."""
+    walk: Walk | None = field(init=False)
+    """None where the protocol asks for no traversal."""
     passed_in_vain: BoolArray = field(init=False)
     """(rows, cols) cells that are not worth another try to traverse them."""
     tried: dict[int, IntArray] = field(default_factory=dict)
@@ -200,6 +203,7 @@ class BeliefPilot:
         self.outlook = Outlook(self.mission, self.size)
         self.hull = Hull(self.mission.bounds, self.mission.protocol)
         self.vain = VainLooks(self.mission)
+        self.walk = None if self.mission.protocol.traversal is None else Walk(self.mission)
         self.passed_in_vain = np.zeros_like(self.vain.observed)
         self.patience = self.planner.patience
 
@@ -254,7 +258,11 @@ class BeliefPilot:
         looked_over = expected.hull_left <= self.planner.hull_left
         if enclosed and looked_over and expected.risk <= self.planner.risk:
             return replace(thought, why="Every region is enclosed and little can have been missed: done.")
-        # 4 Next target: what shows most soonest, with the tour over what is left.
+        # 4 Next target: what was found is traversed first, where the protocol asks for that ...
+        walk = self._walk(thought, travel, occupancy)
+        if walk is not None:
+            return walk
+        # ... and then what shows most soonest, with the tour over what is left.
         prospect = self.prospect(thought, occupancy)
         plan = self.look_ahead.plan(prospect, travel, moves, self.outlook.known_tiles(occupancy))
         visits = self._visits(travel.start, occupancy)
@@ -263,11 +271,31 @@ class BeliefPilot:
             plan = None
         if plan is not None:
             return replace(thought, plan=plan)
+        walk = self._walk(thought, travel_from(pose, occupancy), occupancy)
+        if walk is not None:
+            return walk
         travel, plan = self._leftover(completion, expected, pose, occupancy)
         if plan is not None and visits >= 2 * MOST_VISITS:
             self._give_up(plan, occupancy)
         why = "" if plan else "Nothing is left that any known way leads to a view of: done."
         return replace(thought, travel=travel, plan=plan, why=why)
+
+    def _walk(self, thought: Thought, travel: Travel, occupancy: OccupancyMap) -> Thought | None:
+        """With the way to traverse what is left; None where no way leads to any of it."""
+        untraversed = thought.completion.untraversed
+        left = untraversed[~self.passed_in_vain[tuple(untraversed.T)]]
+        if self.walk is None or not len(left):
+            return None
+        while True:
+            path = self.walk.plan(left, travel)
+            passes = self.walk.traverses(path)[tuple(left.T)]
+            if len(path) == 1:
+                return None
+            if self._visits(travel.start, occupancy) < MOST_VISITS:
+                plan = Plan(path, rate=0.0, later=0.0, passed=int(passes.sum()))
+                return replace(thought, travel=travel, plan=plan)
+            self.passed_in_vain[tuple(left[passes].T)] = True
+            left = left[~passes]
 
     def act(self, thought: Thought, plan: Plan | None, occupancy: OccupancyMap) -> Decision:
         """The first move of a plan; done without one."""
@@ -322,7 +350,7 @@ class BeliefPilot:
         places = self._places(occupancy, pose)
         hopeless = ~within(places, protocol.reach, cell) | (self.vain.count >= self.patience)
         hiding = could_hide(occupancy, self.size, hopeless)
-        if completion.complete:
+        if completion.seen:
             # Here the mission may end, so that what no known place can see is left out: behind a wall, say.
             # But places that the vehicle might yet get to may see more than that; only elsewhere it is asked.
             hopeful = within(places & ~occupancy.observed, protocol.reach, cell)
@@ -397,21 +425,8 @@ class BeliefPilot:
             hiding=self.outlook.on_tiles(hiding),
             targets=self.outlook.on_tiles(np.where(todo, expected.beside * square, 0.0)),
             hidden=self.outlook.on_tiles(expected.hiding * square),
-            passing=self._passing(completion, occupancy),
             listed=self._hull_views(expected, travel, occupancy),
         )
-
-    def _passing(self, completion: Completion, occupancy: OccupancyMap) -> Float32Array:
-        """(tiles,) square metres of targets to traverse; see `Prospect.passing`."""
-        if self.mission.protocol.traversal is None:
-            return np.zeros(0, np.float32)
-        return self.outlook.on_tiles(self._to_traverse(completion, occupancy) * self.mission.protocol.cell**2)
-
-    def _to_traverse(self, completion: Completion, occupancy: OccupancyMap) -> BoolArray:
-        """(rows, cols) target cells that are left to traverse, without those that were given up."""
-        left = np.zeros(occupancy.shape, np.bool_)
-        left[tuple(completion.untraversed.T)] = True
-        return left & ~self.passed_in_vain
 
     @property
     def look_ahead(self) -> LookAhead:
@@ -476,19 +491,12 @@ class BeliefPilot:
         could_hold = within(expected.hiding, self.size, self.mission.protocol.cell)
         weights[could_hold & ~occupancy.observed] = 1.0
         weights[self.vain.count >= self.patience + 2] = 0.0
-        nothing = np.zeros(self.outlook.tiles, np.float32)
-        passing = Prospect(
-            self.outlook, nothing, nothing, nothing, nothing, self._passing(completion, occupancy)
-        )
         for search in (careful_travel, travel_from):
             travel = search(pose, occupancy)
             views = all_views_from(travel, occupancy, weights)
             best = views.best(views.rates)
             if best is not None and best.rate > NOTHING:
                 return travel, Plan(travel.path(best.pose), rate=0.0, later=0.0, cells=best.gain)
-            plan = self.look_ahead.nearest(passing, travel)
-            if plan is not None:
-                return travel, plan
         return travel, None
 
     # ----------------------------------------------------------------------------------------- watchdog
@@ -511,7 +519,6 @@ class BeliefPilot:
             yaw = pose[2] * self.mission.protocol.heading_step
             shown = view(occupancy, *self.outlook.position(*pose[:2]), yaw) | ground | middles
             self.vain.count[shown & ~occupancy.observed] = GIVEN_UP
-            self.passed_in_vain |= self.outlook.passed(pose) & ~occupancy.traversed
             self._try_hull(pose)
 
 

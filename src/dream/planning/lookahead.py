@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,10 +39,10 @@ class Plan:
     """Square metres of targets beside known ones."""
     cleared: float = 0.0
     """Square metres on which the middle of a group could lie."""
-    passed: float = 0.0
-    """Square metres of known targets that it traverses."""
     patches: float = 0.0
     """Further elements, by what is expected in each."""
+    passed: int = 0
+    """Target cells that it traverses, where it is a walk for that."""
     cells: float = 0.0
     """Cells that only the map's own view of a pose still promises."""
 
@@ -69,15 +69,12 @@ class Prospect:
     """(tiles,) square metres of targets to be expected."""
     hidden: Float32Array
     """(tiles,) square metres on which the middle of a group could lie."""
-    passing: Float32Array = field(default_factory=lambda: np.zeros(0, np.float32))
-    """(tiles,) square metres of targets to traverse, which is their weight, too; empty where the protocol
-    asks for no traversal."""
     listed: Listed | None = None
 
     @property
     def weights(self) -> Float32Array:
-        """(elements,) of the ground, of the hiding places, of what is to traverse and of what is listed."""
-        parts = [self.ground, self.hiding, self.passing]
+        """(elements,) of the ground, of the hiding places and of what is listed."""
+        parts = [self.ground, self.hiding]
         if self.listed is not None:
             parts.append(np.asarray(self.listed.weights, np.float32))
         return np.concatenate(parts)
@@ -86,13 +83,12 @@ class Prospect:
         """A plan by the bits of what it shows; see `_kernels.lookahead.look`."""
         shown = np.unpackbits(seen.view(np.uint8), bitorder="little").astype(np.bool_)
         tiles, patches = self.outlook.tiles, 0.0
-        past = 2 * tiles + len(self.passing)
         if self.listed is not None:
-            patches = float(self.listed.expected[shown[past : past + len(self.listed.expected)]].sum())
+            patches = float(
+                self.listed.expected[shown[2 * tiles : 2 * tiles + len(self.listed.expected)]].sum()
+            )
         targets = float(self.targets[shown[:tiles]].sum())
-        cleared = float(self.hidden[shown[tiles : 2 * tiles]].sum())
-        passed = float(self.passing[shown[2 * tiles : past]].sum())
-        return Plan(path, rate, later, targets, cleared, passed, patches)
+        return Plan(path, rate, later, targets, float(self.hidden[shown[tiles : 2 * tiles]].sum()), patches)
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,9 +200,9 @@ class LookAhead:
             *prospect.outlook.places(prospect.listed),
             prospect.outlook.areas,
             protocol.lattice,
-            SERVICE * prospect.outlook.view_size,
+            SERVICE * views.first[1],
             max(protocol.advances),
-            0.5 * prospect.outlook.range,
+            0.5 * protocol.reach,
             self.discount,
             self.keep * total,
         )
@@ -251,28 +247,11 @@ class LookAhead:
         rows, cols, steps = _viewpoints(travel)
         return PoseViews(rows, cols, steps, lookahead.gains(weights, views, rows, cols))
 
-    def nearest(self, prospect: Prospect, travel: Travel) -> Plan | None:
-        """The way to the view of the best rate, from any node; slow. None where none shows anything."""
-        rows, cols = np.nonzero(travel.reached)
-        places = rows, cols, travel.steps[rows, cols]
-        return self._to_view(prospect, prospect.weights, prospect.outlook.views(prospect.listed), travel, places)
-
     def _view(self, prospect: Prospect, weights: Float32Array, views: Views, travel: Travel) -> Plan | None:
-        """The way to the view of the best rate, from a choice of nodes."""
-        return self._to_view(prospect, weights, views, travel, _viewpoints(travel))
-
-    def _to_view(
-        self,
-        prospect: Prospect,
-        weights: Float32Array,
-        views: Views,
-        travel: Travel,
-        places: tuple[IntArray, IntArray, IntArray],
-    ) -> Plan | None:
-        """The way to the view of the best rate, from places given by rows, columns and steps."""
+        """The way to the view of the best rate."""
         from dream.planning._kernels import lookahead
 
-        rows, cols, steps = places
+        rows, cols, steps = _viewpoints(travel)
         shown = PoseViews(rows, cols, steps, lookahead.best_gains(weights, views, rows, cols, steps))
         best = shown.best(shown.rates)
         if best is None or best.rate <= NOTHING:

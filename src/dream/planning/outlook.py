@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.planning.travel import IntArray, Pose, lattice_in, offsets_of
-from dream.traversal import traversed
 from dream.types import BoolArray, Float32Array, Mission
 
 if TYPE_CHECKING:
@@ -51,9 +50,8 @@ class Outlook:
     """What each pose of the lattice would show of the ground.
 
     Ground is taken in tiles, squares between four nodes of the lattice. Each tile is there twice: as ground
-    to see, and as the middle of a group of targets that would be noticed when some of it is seen; and once more,
-    as ground to traverse, where the protocol asks for that. What a pose shows is a fixed list for each heading,
-    less what lies behind something solid, which hides nothing from being traversed. How far each bearing
+    to see, and as the middle of a group of targets that would be noticed when some of it is seen. What a
+    pose shows is a fixed list for each heading, less what lies behind something solid. How far each bearing
     is open from a node is kept, and found anew only where something solid near it came or went.
     """
 
@@ -67,8 +65,6 @@ class Outlook:
     cols: int = field(init=False)
     tiles: int = field(init=False)
     """In the grid of tiles, the padding around the lattice included."""
-    layers: int = field(init=False)
-    """How many times each tile is there."""
     _pad: int = field(init=False)
     _stride: int = field(init=False)
     _tile_of: IntArray = field(init=False)
@@ -93,7 +89,6 @@ class Outlook:
         self._pad = math.ceil((protocol.reach + self.notice) / lattice) + 2
         self._stride = self.cols + 2 * self._pad
         self.tiles = self._stride * (self.rows + 2 * self._pad)
-        self.layers = 2 if protocol.traversal is None else 3
 
         shape = round(bounds.depth / cell), round(bounds.width / cell)
         y = bounds.y_min + (np.arange(shape[0]) + 0.5) * cell
@@ -111,26 +106,10 @@ class Outlook:
 
         row, col = np.divmod(np.arange(self.tiles), self._stride)
         self._place = np.stack([(k - self._pad + 0.5) * lattice for k in (col, row)]).astype(np.float32)
-        side = max(AREA * self.range, max(bounds.width, bounds.depth) / MOST_AREAS)
+        side = max(AREA * protocol.reach, max(bounds.width, bounds.depth) / MOST_AREAS)
         east, north = np.floor((self._place + self._pad * lattice) / side).astype(np.int32)
         self._area_of = north * (east.max() + 1) + east
         self.areas = int(self._area_of.max()) + 1
-
-    @property
-    def range(self) -> float:
-        """Metres from which ground counts at last."""
-        protocol = self.mission.protocol
-        return protocol.reach if protocol.traversal is None else protocol.traversal
-
-    @property
-    def view_size(self) -> int:
-        """Elements that a view holds where all of them count."""
-        first, offset, *_ = self._lists
-        if self.layers == 2:
-            return int(first[1])
-        # Where ground must be traversed, that is what takes the time.
-        from_first = offset[: first[1]] + self._pad * (self._stride + 1)
-        return int(np.count_nonzero(from_first >= 2 * self.tiles))
 
     @property
     def _limit(self) -> int:
@@ -140,7 +119,6 @@ class Outlook:
         """`Views.first`, `offset`, `bearing` and `far`: near tiles first."""
         from scipy.spatial import cKDTree
 
-        from dream.mapping import traversal_margin
         from dream.planning._kernels.lookahead import BEARINGS
 
         protocol = self.mission.protocol
@@ -159,13 +137,10 @@ class Outlook:
             seen &= ahead >= protocol.blind
             # A group is noticed when some tile of it is seen; half a tile is lost to rounding.
             noticed = cKDTree(np.stack([x[seen], y[seen]], axis=1)).query(np.stack([x, y], axis=1))[0]
-            passed = traversed(x, y, angle, protocol, margin=traversal_margin(protocol))
-            layers = (
-                (seen, 0.0),
-                (noticed <= max(self.notice - 0.5 * lattice, 0.0), max(self.notice - lattice, 0.0)),
-                (passed, np.inf),
-            )
-            for layer, (shown, slack) in enumerate(layers[: self.layers]):
+            for layer, shown, slack in (
+                (0, seen, 0.0),
+                (1, noticed <= max(self.notice - 0.5 * lattice, 0.0), max(self.notice - lattice, 0.0)),
+            ):
                 k = np.flatnonzero(shown)
                 k = k[np.argsort(away[k], kind="stable")]
                 offsets.append(layer * self.tiles + in_row_of_tiles[k])
@@ -236,23 +211,13 @@ class Outlook:
 
     def shown(self, pose: Pose) -> tuple[BoolArray, BoolArray]:
         """(map rows, map cols) ground that a pose should show, and middles of groups it should notice."""
-        ground, middles, *_ = self._shown(pose)
-        return ground, middles
-
-    def passed(self, pose: Pose) -> BoolArray:
-        """(map rows, map cols) ground that a pose traverses; none where the protocol asks for no traversal."""
-        _, _, *passed = self._shown(pose)
-        return passed[0] if passed else np.zeros(self._solid.shape, np.bool_)
-
-    def _shown(self, pose: Pose) -> list[BoolArray]:
-        """(map rows, map cols) of each layer."""
         row, col, heading = pose
         first, offset, bearing, far = self._lists
         here = slice(first[heading], first[heading + 1])
         clear = far[here] <= self._depth[row * self.cols + col][bearing[here]]
-        shown = np.zeros(self.layers * self.tiles, np.bool_)
+        shown = np.zeros(2 * self.tiles, np.bool_)
         shown[(row + self._pad) * self._stride + col + self._pad + offset[here][clear]] = True
-        return [layer[self._tile_of] for layer in shown.reshape(self.layers, self.tiles)]
+        return shown[: self.tiles][self._tile_of], shown[self.tiles :][self._tile_of]
 
     def on_tiles(self, cells: FloatArray) -> Float32Array:
         """(tiles,) the sums of (map rows, map cols)."""
@@ -266,7 +231,7 @@ class Outlook:
         return known
 
     def views(self, listed: Listed | None = None) -> Views:
-        """Which elements each pose shows: the tiles of each layer, then what is listed."""
+        """Which elements each pose shows: tiles as ground, tiles as hiding places, then what is listed."""
         from dream.planning._kernels.lookahead import Views
 
         row_of = np.full(self.rows * self.cols, -1, np.int64)
@@ -274,16 +239,15 @@ class Outlook:
         if listed is not None:
             row_of[listed.nodes] = np.arange(len(listed.nodes))
             starts = np.asarray(listed.starts, np.int64)
-            elements = np.asarray(listed.elements + self.layers * self.tiles, np.int32)
-        grid = (self._depth, self.cols, self._pad, self._stride, self.layers)
-        return Views(*self._lists, *grid, row_of, starts, elements)
+            elements = np.asarray(listed.elements + 2 * self.tiles, np.int32)
+        return Views(*self._lists, self._depth, self.cols, self._pad, self._stride, row_of, starts, elements)
 
     def places(
         self, listed: Listed | None = None
     ) -> tuple[Float32Array, Float32Array, npt.NDArray[np.int32]]:
         """(elements,) metres east and north of node (0, 0), and the area, of each element."""
-        x, y = (np.tile(k, self.layers) for k in self._place)
-        area = np.tile(self._area_of, self.layers)
+        x, y = (np.concatenate([k, k]) for k in self._place)
+        area = np.concatenate([self._area_of, self._area_of])
         if listed is not None:
             lattice = self.mission.protocol.lattice
             east = listed.positions[:, 0] - self.west * lattice

@@ -1,8 +1,7 @@
 """Search over the real actions, several steps deep, and what is left to do after them.
 
-Elements are what can be looked at, once each: tiles of ground, tiles as places where a group may hide, tiles to
-traverse where the protocol asks for that, and whatever else a caller lists pose by pose. A tile is a square
-between four nodes of the lattice.
+Elements are what can be looked at, once each: tiles of ground, tiles as places where a group may hide, and
+whatever else a caller lists pose by pose. A tile is a square between four nodes of the lattice.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -47,8 +46,6 @@ class Views(NamedTuple):
     """Tiles around the lattice, so that no view leaves the grid of tiles."""
     stride: int
     """Tiles in a row of that grid."""
-    layers: int
-    """How many times each tile is there."""
     listed: npt.NDArray[np.int64]
     """(nodes,) row in the list of further elements; −1 without."""
     listed_first: npt.NDArray[np.int64]
@@ -171,10 +168,10 @@ def look(weights, seen, views, row, col, heading):
 
 @njit(cache=True, nogil=True)
 def sums(weights, views):
-    """(layers, rows + 1, cols + 1) sums of the tiles below and left of each corner of the grid of tiles."""
+    """(2, rows + 1, cols + 1) sums of the tiles below and left of each corner of the grid of tiles."""
     rows, cols = len(views.depth) // views.cols + 2 * views.pad, views.stride
-    total = np.zeros((views.layers, rows + 1, cols + 1))
-    for layer in range(views.layers):
+    total = np.zeros((2, rows + 1, cols + 1))
+    for layer in range(2):
         for r in range(rows):
             row = 0.0
             for c in range(cols):
@@ -185,10 +182,10 @@ def sums(weights, views):
 
 @njit(cache=True, nogil=True)
 def boxes(views):
-    """(headings, layers, 4) rows and columns, first and past, of the tiles of each view, from that of the node."""
+    """(headings, 2, 4) rows and columns, first and past, of the tiles of each view, from that of the node."""
     headings, stride = len(views.first) - 1, views.stride
     tiles = (len(views.depth) // views.cols + 2 * views.pad) * stride
-    box = np.zeros((headings, views.layers, 4), np.int64)
+    box = np.zeros((headings, 2, 4), np.int64)
     for h in range(headings):
         for k in range(views.first[h], views.first[h + 1]):
             # From the first node, so that no row or column is below 0.
@@ -228,7 +225,7 @@ def best_gains(weights, views, rows, cols, steps):
         for h in range(headings):
             if steps[n, h] <= 0:
                 continue
-            for layer in range(views.layers):
+            for layer in range(2):
                 low, high, left, right = box[h, layer]
                 most[n, h] += total[layer, r + high, c + right] - total[layer, r + high, c + left]
                 most[n, h] -= total[layer, r + low, c + right] - total[layer, r + low, c + left]
