@@ -259,7 +259,7 @@ class BeliefPilot:
         if enclosed and looked_over and expected.risk <= self.planner.risk:
             return replace(thought, why="Every region is enclosed and little can have been missed: done.")
         # 4 Next target: what was found is traversed first, where the protocol asks for that ...
-        walk = self._walk(thought, travel, occupancy)
+        walk = self._walk(thought, travel, moves, occupancy)
         if walk is not None:
             return walk
         # ... and then what shows most soonest, with the tour over what is left.
@@ -271,7 +271,8 @@ class BeliefPilot:
             plan = None
         if plan is not None:
             return replace(thought, plan=plan)
-        walk = self._walk(thought, travel_from(pose, occupancy), occupancy)
+        near_solids = travel_from(pose, occupancy)
+        walk = self._walk(thought, near_solids, near_solids.free, occupancy)
         if walk is not None:
             return walk
         travel, plan = self._leftover(completion, expected, pose, occupancy)
@@ -280,18 +281,23 @@ class BeliefPilot:
         why = "" if plan else "Nothing is left that any known way leads to a view of: done."
         return replace(thought, travel=travel, plan=plan, why=why)
 
-    def _walk(self, thought: Thought, travel: Travel, occupancy: OccupancyMap) -> Thought | None:
+    def _walk(
+        self, thought: Thought, travel: Travel, moves: npt.NDArray[np.uint8], occupancy: OccupancyMap
+    ) -> Thought | None:
         """With the way to traverse what is left; None where no way leads to any of it."""
         untraversed = thought.completion.untraversed
         left = untraversed[~self.passed_in_vain[tuple(untraversed.T)]]
         if self.walk is None or not len(left):
             return None
+        visits = self._visits(travel.start, occupancy)
+        if visits > 1:
+            moves = travel.free  # What is unknown stays so from here.
         while True:
-            path = self.walk.plan(left, travel)
+            path = self.walk.plan(left, travel, moves)
             passes = self.walk.traverses(path)[tuple(left.T)]
             if len(path) == 1:
                 return None
-            if self._visits(travel.start, occupancy) < MOST_VISITS:
+            if visits < MOST_VISITS:
                 plan = Plan(path, rate=0.0, later=0.0, passed=int(passes.sum()))
                 return replace(thought, travel=travel, plan=plan)
             self.passed_in_vain[tuple(left[passes].T)] = True

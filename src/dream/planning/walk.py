@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ import numpy.typing as npt
 from dream.planning.travel import IntArray, Pose, Travel, lattice_in, offsets_of
 from dream.traversal import traversed
 from dream.types import BoolArray, Mission
+
+FloatArray = npt.NDArray[np.floating[Any]]
 
 WIDTH = 48
 """Sequences of actions that the search keeps."""
@@ -80,22 +83,27 @@ class Walk:
             lists.append((rows * self._stride + cols)[passed])
         return np.cumsum([0, *map(len, lists)]), np.concatenate(lists)
 
-    def plan(self, left: IntArray, travel: Travel) -> list[Pose]:
+    def plan(self, left: IntArray, travel: Travel, moves: npt.NDArray[np.uint8]) -> list[Pose]:
         """The poses of the walk, the present one first; that alone where nothing is left that a way leads to.
 
         Args:
             left: (n, 2) rows and columns of the cells to traverse.
             travel: Known ways.
+            moves: See `Outlook.moves`. Only the first one is known to be free.
         """
         from scipy.spatial import cKDTree
 
         from dream.planning._kernels import walk as kernels
+        from dream.planning._kernels.search import search
 
         protocol = self.mission.protocol
         assert protocol.traversal is not None
-        rest = self._rest(travel)
+        rest = self._rest(travel, moves)
         self.path = [travel.start]
-        left = self._near(left, travel)
+        offsets, turns = offsets_of(protocol), np.array(protocol.turns, np.int64)
+        steps, _ = search(moves, offsets, turns, *travel.start)
+        reached = steps.max(axis=2) >= 0
+        left = self._near(left, travel.position(*np.nonzero(reached)))
         if not len(left):
             return self.path
         radius = AROUND * protocol.traversal / protocol.cell
@@ -105,21 +113,19 @@ class Walk:
         weights[index] = 1.0 / crowd**CROWD
         side = round(radius)
         _, part_of = np.unique(left[:, 0] // side * self._stride + left[:, 1] // side, return_inverse=True)
-        offsets, near = offsets_of(protocol), self._reach / protocol.cell
-        moves = kernels.moves_to(
-            part_of, int(part_of.max()) + 1, left + self._pad, travel.free, offsets, travel.reached, near, self._grid
-        )
+        near, parts = self._reach / protocol.cell, int(part_of.max()) + 1
+        ways = kernels.ways_to(part_of, parts, left + self._pad, moves, offsets, reached, near, self._grid)
         first, offset = self._lists
         footprint = (weights, first, offset, self._stride, self._grid)
         found, leaves = kernels.walk(
             *footprint,
-            travel.free,
+            moves,
             offsets,
-            np.array(protocol.turns, np.int64),
+            turns,
             travel.start,
             index,
             part_of,
-            moves,
+            ways,
             WIDTH,
             HORIZON,
             MOVE,
@@ -151,24 +157,26 @@ class Walk:
         protocol = self.mission.protocol
         return (protocol.traversal or 0.0) - traversal_margin(protocol)
 
-    def _near(self, left: IntArray, travel: Travel) -> IntArray:
-        """Those that are near a node to which a way leads."""
+    def _near(self, left: IntArray, places: FloatArray) -> IntArray:
+        """Those that are near some place."""
         from scipy.spatial import cKDTree
 
         protocol, bounds = self.mission.protocol, self.mission.bounds
-        places = travel.position(*np.nonzero(travel.reached))
         middles = (left[:, ::-1] + 0.5) * protocol.cell + (bounds.x_min, bounds.y_min)
         away, _ = cKDTree(places).query(middles)
         return left[away <= self._reach]
 
-    def _rest(self, travel: Travel) -> list[Pose]:
-        """What of the last walk is still to go; empty where the vehicle is not on it, or it is not free."""
+    def _rest(self, travel: Travel, moves: npt.NDArray[np.uint8]) -> list[Pose]:
+        """What of the last walk is still to go; empty where the vehicle is not on it, or it is blocked."""
+        from dream.planning._kernels.lookahead import FREE
+
         if len(self.path) < 2 or self.path[1] != travel.start:
             return []
         rest, advances = self.path[1:], self.mission.protocol.advances
-        for before, after in zip(rest, rest[1:], strict=False):
+        for step, (before, after) in enumerate(pairwise(rest)):
             _, advance = travel.move(before, after)
-            if advance and not travel.free[(*before[:2], after[2], advances.index(advance))]:
+            kind = moves[(*before[:2], after[2], advances.index(advance))] if advance else FREE
+            if kind == 0 or (kind != FREE and step == 0):
                 return []
         return rest
 

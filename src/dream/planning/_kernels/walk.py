@@ -9,14 +9,10 @@ import math
 import numpy as np
 from numba import njit
 
+from dream.planning._kernels.lookahead import FREE, is_in
+
 NO_WAY = 255
 """Moves to where no way leads."""
-
-
-@njit(cache=True, nogil=True)
-def is_in(cells, cell):
-    """Is the cell's bit set?"""
-    return (cells[cell >> 6] >> np.uint64(cell & 63)) & np.uint64(1) != 0
 
 
 @njit(cache=True, nogil=True)
@@ -40,14 +36,14 @@ def cross(weights, done, first, offset, base, heading):
 
 
 @njit(cache=True, nogil=True)
-def moves_to(part_of, parts, cells, free, offsets, reached, near, grid):
+def ways_to(part_of, parts, cells, moves, offsets, reached, near, grid):
     """Fewest moves from each node to where most of each part is near.
 
     Args:
         part_of: (n,) the part of each cell.
         parts: How many there are.
         cells: (n, 2) rows and columns.
-        free: (rows, cols, headings, advances) uint8, is the advance from a node along a heading free?
+        moves: (rows, cols, headings, advances) uint8, FREE, UNKNOWN or 0; see `lookahead.possible_moves`.
         offsets: (headings, advances, 2) lattice steps (east, north).
         reached: (rows, cols) bool, the nodes that can be reached.
         near: Cells.
@@ -56,9 +52,9 @@ def moves_to(part_of, parts, cells, free, offsets, reached, near, grid):
     Returns:
         (parts, rows, cols) uint8; NO_WAY where none leads there.
     """
-    rows, cols, headings, advances = free.shape
+    rows, cols, headings, advances = moves.shape
     y0, x0, scale = grid
-    moves = np.full((parts, rows, cols), NO_WAY, np.uint8)
+    ways = np.full((parts, rows, cols), NO_WAY, np.uint8)
     queue = np.empty(rows * cols, np.int32)
     count = np.zeros((rows, cols), np.int64)
     for part in range(parts):
@@ -76,36 +72,36 @@ def moves_to(part_of, parts, cells, free, offsets, reached, near, grid):
         for r in range(rows):
             for c in range(cols):
                 if most > 0 and count[r, c] == most:
-                    moves[part, r, c] = 0
+                    ways[part, r, c] = 0
                     queue[tail] = r * cols + c
                     tail += 1
         while head < tail:
             r, c = divmod(queue[head], cols)
             head += 1
-            next_moves = min(moves[part, r, c] + 1, NO_WAY - 1)
+            next_one = min(ways[part, r, c] + 1, NO_WAY - 1)
             # As if a way could be gone in both directions.
             for h in range(headings):
                 for a in range(advances):
-                    if free[r, c, h, a]:
+                    if moves[r, c, h, a]:
                         r_to, c_to = r + offsets[h, a, 1], c + offsets[h, a, 0]
-                        if moves[part, r_to, c_to] == NO_WAY:
-                            moves[part, r_to, c_to] = next_moves
+                        if ways[part, r_to, c_to] == NO_WAY:
+                            ways[part, r_to, c_to] = next_one
                             queue[tail] = r_to * cols + c_to
                             tail += 1
-    return moves
+    return ways
 
 
 @njit(cache=True, nogil=True)
-def moves_between(moves):
-    """(parts, parts) fewest moves from where one part is near to where another is; see `moves_to`."""
-    parts, rows, cols = moves.shape
+def ways_between(ways):
+    """(parts, parts) fewest moves from where one part is near to where another is; see `ways_to`."""
+    parts, rows, cols = ways.shape
     between = np.full((parts, parts), NO_WAY, np.int64)
     for i in range(parts):
         for r in range(rows):
             for c in range(cols):
-                if moves[i, r, c] == 0:
+                if ways[i, r, c] == 0:
                     for k in range(parts):
-                        between[i, k] = min(between[i, k], moves[k, r, c])
+                        between[i, k] = min(between[i, k], ways[k, r, c])
     return between
 
 
@@ -130,9 +126,9 @@ def tree(between, which, n):
 
 @njit(cache=True, nogil=True)
 def walk(
-    weights, first, offset, stride, grid, free, offsets, turns, start, index, part_of, moves, width, horizon, far
+    weights, first, offset, stride, grid, moves, offsets, turns, start, index, part_of, ways, width, horizon, far
 ):
-    """A short walk over free ground that traverses all cells of any weight, or most of them.
+    """A short walk that traverses all cells of any weight, or most of them.
 
     Level by level those sequences of actions are kept that leave least: in weight, and in moves to the nearest
     part that is left and along the shortest tree over these parts.
@@ -142,14 +138,14 @@ def walk(
         first: (headings + 1,) where the list of each heading begins.
         offset: (m,) cells that a pose traverses, from that of its node.
         stride: Cells in a row.
-        grid: See `moves_to`; of the cells that `weights` is of.
-        free: See `moves_to`.
-        offsets: See `moves_to`.
+        grid: See `ways_to`; of the cells that `weights` is of.
+        moves: See `ways_to`. The first one is free for sure.
+        offsets: See `ways_to`.
         turns: (turns,) in heading steps.
         start: Row, column and heading.
         index: (n,) the cells of any weight.
-        part_of: See `moves_to`.
-        moves: See there.
+        part_of: See `ways_to`.
+        ways: See `ways_to`.
         width: Sequences kept at each level; they differ in their pose, positions taken to pairs of nodes.
         horizon: Levels at most.
         far: Weight that a move counts as much as.
@@ -157,9 +153,9 @@ def walk(
     Returns:
         (steps + 1,) flat (row, col, heading) of the walk's poses, the start first; and the weight it leaves.
     """
-    rows, cols, headings, advances = free.shape
-    parts = len(moves)
-    between = moves_between(moves)
+    rows, cols, headings, advances = moves.shape
+    parts = len(ways)
+    between = ways_between(ways)
     most, branches = 1 + width * horizon, len(turns) * (advances + 1)
     pose, parent = np.zeros(most, np.int32), np.full(most, -1, np.int32)
     left = np.zeros(most)
@@ -193,14 +189,15 @@ def walk(
                 for a in range(-1, advances):
                     r_to, c_to = r, c
                     if a >= 0:
-                        if not free[r, c, to, a]:
+                        kind = moves[r, c, to, a]
+                        if kind == 0 or (kind != FREE and level == 1):
                             continue
                         r_to, c_to = r + offsets[to, a, 1], c + offsets[to, a, 0]
                     elif turn == 0:
                         continue
                     away = NO_WAY
                     for i in range(count):
-                        away = min(away, moves[open_parts[i], r_to, c_to])
+                        away = min(away, ways[open_parts[i], r_to, c_to])
                     base = (grid[0] + r_to * grid[2]) * stride + grid[1] + c_to * grid[2]
                     next_left[n] = left[node] - gain(weights, done[node], first, offset, base, to)
                     value[n] = next_left[n] + far * (away + along)
