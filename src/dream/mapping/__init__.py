@@ -9,6 +9,7 @@ from dream.mapping.completion import (
     hiding_places,
     reachable,
     that_would_show,
+    to_traverse,
     traversal_margin,
 )
 from dream.mapping.drawing import draw_map
@@ -36,6 +37,7 @@ __all__ = [
     "hiding_places",
     "reachable",
     "that_would_show",
+    "to_traverse",
     "traversal_margin",
     "view",
     "visible_weight",

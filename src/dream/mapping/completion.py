@@ -93,6 +93,17 @@ def check_completion(occupancy: OccupancyMap, pose: SE2) -> Completion:
     return replace(completion, open_region=sentence, untraversed=left)
 
 
+def to_traverse(occupancy: OccupancyMap) -> BoolArray:
+    """(rows, cols) target cells in the area that were not traversed, whether or not they can be.
+
+    None under a protocol that asks for no traversal.
+    """
+    if occupancy.protocol.traversal is None:
+        return np.zeros(occupancy.shape, np.bool_)
+    left: BoolArray = occupancy.target & ~occupancy.traversed & occupancy.to_see
+    return left
+
+
 def traversal_margin(protocol: SurveyProtocol) -> float:
     """Metres from the edges of what a pose traverses that a cell's middle must keep to be counted on.
 
@@ -111,7 +122,7 @@ def _untraversed(occupancy: OccupancyMap, pose: SE2) -> IntArray:
     protocol = occupancy.protocol
     if protocol.traversal is None:
         return NO_CELLS
-    left = np.argwhere(occupancy.target & ~occupancy.traversed & occupancy.to_see)
+    left = np.argwhere(to_traverse(occupancy))
     places = reachable(occupancy, pose) if len(left) else np.empty((0, 2))
     if not len(places):
         return NO_CELLS

@@ -27,6 +27,8 @@ Drawer = Callable[["ImageDraw.ImageDraw", Callable[[Point], Point]], None]
 UNKNOWN: Color = (255, 255, 255)
 EXPLORED: Color = (127, 127, 127)
 TARGET: Color = (0, 200, 0)
+TRAVERSED: Color = (0, 165, 110)
+"""A target that was traversed, where the protocol asks for that; of all other colours nearest to a target's."""
 SOLID: Color = (0, 0, 0)
 SOLID_TARGET: Color = (0, 95, 0)
 """A wreck's wall: target, and yet not to be run into."""
@@ -82,7 +84,8 @@ def draw_map(
     Cells keep their exact colours, save under the thin lines: unknown white, explored grey, target green,
     solid black, solid target dark green; the vehicle, its field of view out to the reach, and where it came
     from in blue; marks in yellow, with a thin line along the way there. A thin line in magenta is around the
-    area that has to be seen, where that is not everything; only then it is in the legend, too.
+    area that has to be seen, where that is not everything; only then it is in the legend, too. Under a protocol
+    that asks for targets to be traversed, those that were are bluish green.
 
     Args:
         occupancy: What is known; only read.
@@ -103,8 +106,12 @@ def draw_map(
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise ValueError(f"trail: expected (N, 2) metres, got {points.shape}")
     sheet = _Sheet(occupancy.bounds, occupancy.protocol, scale)
-    area = occupancy.area
-    picture = _blank(sheet, LEGEND if area is None else (*LEGEND, (OUTLINE, "area"))).copy()
+    area, legend = occupancy.area, LEGEND
+    if occupancy.protocol.traversal is not None:
+        legend = (*legend[:3], (TRAVERSED, "traversed"), *legend[3:])
+    if area is not None:
+        legend = (*legend, (OUTLINE, "area"))
+    picture = _blank(sheet, legend).copy()
     cells = Image.fromarray(_paint(occupancy).repeat(scale, 0).repeat(scale, 1))
     picture.paste(cells, (sheet.left, sheet.top))
     _draw_grid(picture, sheet)
@@ -269,6 +276,7 @@ def _paint(occupancy: OccupancyMap) -> npt.NDArray[np.uint8]:
     colors = np.full((*occupancy.shape, 3), UNKNOWN, np.uint8)
     colors[occupancy.seen] = EXPLORED
     colors[occupancy.target] = TARGET
+    colors[occupancy.target & occupancy.traversed] = TRAVERSED
     colors[occupancy.solid] = SOLID
     colors[occupancy.solid & occupancy.target] = SOLID_TARGET
     return colors[::-1]

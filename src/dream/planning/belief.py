@@ -253,6 +253,12 @@ class BeliefPilot:
             target_area=sentences.target_area(area, completion),
             completion=self._certainty(completion, expected),
         )
+        if self.walk is not None:
+            reasoning = replace(
+                reasoning, completion=reasoning.completion + sentences.traversal(occupancy, completion)
+            )
+            if len(completion.untraversed):
+                reasoning = replace(reasoning, target_area=sentences.left_to_traverse(occupancy, completion))
         thought = Thought(protocol.snap(pose), travel, moves, completion, expected, reasoning)
         enclosed = completion.complete and bool(completion.regions)
         looked_over = expected.hull_left <= self.planner.hull_left
@@ -285,10 +291,12 @@ class BeliefPilot:
         self, thought: Thought, travel: Travel, moves: npt.NDArray[np.uint8], occupancy: OccupancyMap
     ) -> Thought | None:
         """With the way to traverse what is left; None where no way leads to any of it."""
-        untraversed = thought.completion.untraversed
-        left = untraversed[~self.passed_in_vain[tuple(untraversed.T)]]
-        if self.walk is None or not len(left):
+        if self.walk is None:
             return None
+        from dream.mapping import to_traverse
+
+        # Beyond what completion asks for: what no known way leads to may come in reach on the way.
+        left = np.argwhere(to_traverse(occupancy) & ~self.passed_in_vain)
         visits = self._visits(travel.start, occupancy)
         if visits > 1:
             moves = travel.free  # What is unknown stays so from here.
@@ -423,6 +431,12 @@ class BeliefPilot:
         if expected.away_from_hull is not None:
             ground[expected.away_from_hull <= ADJOINING] *= BENEATH
             search *= planner.alone
+        if self.walk is not None:
+            # What lies beside targets comes into view where they are traversed: only what keeps it open counts.
+            is_open = np.zeros_like(todo)
+            is_open[tuple(completion.open_cells.T)] = True
+            ground[~is_open] = 0.0
+            search *= expected.risk > planner.risk
         ground = np.where(todo, ground + NEGLIGIBLE, 0.0)
         hiding = np.where(expected.hiding, search * square, 0.0)
         return Prospect(

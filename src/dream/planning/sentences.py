@@ -80,6 +80,20 @@ def certificate(completion: Completion, unseen: float) -> str:
     return f"{_enclosed(completion)}. {unseen:.1f} m² that can be seen were not yet, and all must be."
 
 
+def traversal(occupancy: OccupancyMap, completion: Completion) -> str:
+    """Step 3, where targets must be traversed."""
+    targets = occupancy.target & occupancy.to_see
+    done, total = np.count_nonzero(targets & occupancy.traversed), np.count_nonzero(targets)
+    left = len(completion.untraversed) or "none"
+    return f" {done} of {total} target cells were traversed; {left} of the rest can be by known ways."
+
+
+def left_to_traverse(occupancy: OccupancyMap, completion: Completion) -> str:
+    """Step 2, where targets must be traversed and some were not."""
+    middle = np.mean(np.stack(occupancy.center_of(*completion.untraversed.T), axis=-1), axis=0)
+    return f"What is left to traverse: {len(completion.untraversed)} target cells around {_place(middle)}."
+
+
 def plan(ahead: Plan, travel: Travel) -> str:
     """Step 4: where the next actions lead, and what they are expected to show."""
     row, col, heading = ahead.path[-1]
@@ -96,6 +110,8 @@ def plan(ahead: Plan, travel: Travel) -> str:
     if ahead.cells:
         shown.append(f"{ahead.cells:.0f} of the cells that keep the map open")
     what = f", and may show {' and '.join(shown)}" if shown else ""
+    if ahead.passed:
+        what = f", and traverse {ahead.passed} target cell{'s' if ahead.passed != 1 else ''}"
     later = f" What is left then takes about {ahead.later:.0f} more." if ahead.later >= 0.5 else ""
     return f"{lead} to {_place(travel.position(row, col))}, looking towards {towards:.0f}°{what}.{later}"
 

@@ -18,6 +18,8 @@ UNKNOWN, EXPLORED, TARGET, SOLID, SOLID_TARGET = range(5)
 """What a cell of the map may be."""
 COLORS: tuple[Color, ...] = ((255, 255, 255), (127, 127, 127), (0, 200, 0), (0, 0, 0), (0, 95, 0))
 """Of what a cell may be, in that order."""
+TRAVERSED: Color = (0, 165, 110)
+"""Of a target that was traversed, where that is asked for: a target like any other."""
 VEHICLE: Color = (0, 70, 255)
 TRAIL: Color = (0, 150, 255)
 MARK: Color = (255, 201, 14)
@@ -96,7 +98,7 @@ def _table() -> UInt8:
     for color in (VEHICLE, TRAIL, MARK, INK):
         enter(color, OVERLAY)
         enter(_blend(color, VEHICLE, VIEW_OPACITY), OVERLAY)
-    for meaning, color in enumerate(COLORS):
+    for meaning, color in (*enumerate(COLORS), (TARGET, TRAVERSED)):
         lined = _blend(color, GRID_LINE, LINE_OPACITY)
         for plain in (color, lined):
             enter(plain, meaning)

@@ -61,10 +61,15 @@ def instructions(name: str, mission: Mission, occupancy: OccupancyMap, **further
         "pixels": f"{scale_of(occupancy) / occupancy.protocol.cell:g}",
         "far": f"{FAR:g}",
     }
+    parts = [prompt, legend, *([knowledge] if "$knowledge" in prompt.text else [])]
+    told = Template(legend.text).substitute(drawn)
+    if protocol.traversal is not None:
+        parts.append(load("traversal"))
+        told += "\n\n" + Template(parts[-1].text).substitute(traversal=f"{protocol.traversal:g}")
     values = {
         "mission": knowledge.heads["mission"],
         "knowledge": knowledge.text,
-        "legend": Template(legend.text).substitute(drawn),
+        "legend": told,
         "group": f"{2.0 * protocol.group_radius:g}",
         "fov": f"{math.degrees(protocol.camera.horizontal_fov):.0f}",
         "reach": f"{protocol.reach:g}",
@@ -72,7 +77,6 @@ def instructions(name: str, mission: Mission, occupancy: OccupancyMap, **further
         "standoff": f"{careful_standoff(protocol):.1f}",
         **further,
     }
-    parts = [prompt, legend, *([knowledge] if "$knowledge" in prompt.text else [])]
     return Template(prompt.text).substitute(values), ", ".join(part.label for part in parts)
 
 

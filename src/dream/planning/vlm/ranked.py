@@ -175,6 +175,8 @@ class RankedPilot:
 
     def _event(self, thought: Thought) -> bool:
         """Has something changed that makes the choice a new one?"""
+        if _walks(thought):
+            return False
         closed = sum(region.enclosed for region in thought.completion.regions)
         more, self.enclosed = closed > self.enclosed, closed
         if thought.plan is None:
@@ -362,6 +364,8 @@ class RankedPilot:
 
     def _follow(self, thought: Thought, occupancy: OccupancyMap) -> tuple[Plan | None, str]:
         """The plan to carry out, and why it is not the offline planner's own."""
+        if _walks(thought):
+            self.chosen = None
         if self.chosen is None:
             return thought.plan, ""
         now = again(self.offline, thought, occupancy, self.chosen.pose)
@@ -369,6 +373,11 @@ class RankedPilot:
             self.chosen = None
             return thought.plan, ""
         return now[0], self.chosen.why
+
+
+def _walks(thought: Thought) -> bool:
+    """Is it about to traverse what was found? The way to do that is no matter of opinion."""
+    return thought.plan is not None and thought.plan.passed > 0
 
 
 def _told(outcome: str, asked: _Asked, answers: list[Answer[Ranking]]) -> list[Exchange]:
