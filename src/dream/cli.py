@@ -24,6 +24,7 @@ usage: dream COMMAND [OPTIONS]
 An underwater robot that finds and maps a habitat without knowing where it is.
 
   run      one mission in a simulated world, with its recording and its report
+  dive     a mission with a real BlueROV2, or with its stand-in
   mission  an operator's words, turned into orders that a planner obeys
   bench    many missions side by side: planners over the worlds of a suite
   sweep    the same missions with one reach after another
@@ -36,7 +37,9 @@ An underwater robot that finds and maps a habitat without knowing where it is.
 
 `dream COMMAND --help` explains a command. To begin with: dream run --world reef/string
 """
-COMMANDS = ("run", "mission", "bench", "sweep", "results", "oracle", "probe", "worlds", "draw", "report")
+COMMANDS = (
+    *("run", "dive", "mission", "bench", "sweep", "results", "oracle", "probe", "worlds", "draw", "report"),
+)
 
 FAILED, BAD_INPUT = 1, 2
 
@@ -101,7 +104,7 @@ def _dispatch(name: str, arguments: list[str]) -> int:
     except SystemExit as end:
         if end.code:
             complaint = _one_line(complaints.getvalue())
-            if name == "run":
+            if name in ("run", "dive"):
                 _check_planner(complaint)
             return _fail(complaint, BAD_INPUT)
         return 0

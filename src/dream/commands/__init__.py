@@ -1,6 +1,7 @@
 """What each command of `dream` does. Its fields are its options; calling it runs it."""
 
 from dream.commands.bench import Bench
+from dream.commands.dive import Dive
 from dream.commands.mission import Mission
 from dream.commands.oracle import Oracle
 from dream.commands.probe import Probe
@@ -12,6 +13,7 @@ from dream.commands.worlds import Draw, Worlds
 
 __all__ = [
     "Bench",
+    "Dive",
     "Draw",
     "Mission",
     "Oracle",

@@ -192,6 +192,8 @@ class Navigator:
             self._bias = bias
         self._timeline = Timeline(estimator, state)
         self._past.clear()
+        # What waits was heard before, or will be missed by a few hundredths of a second.
+        self._drained()
         for message in heard:
             self._note(message)
 

@@ -1,0 +1,516 @@
+"""`dream dive`: a mission with a real BlueROV2, or with its stand-in."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import importlib.util
+import logging
+import math
+import socket
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Self
+
+import numpy as np
+import tyro
+
+from dream import __version__
+from dream.commands.console import compiling_told, kept_interrupts, print_json, with_progress
+from dream.commands.dive_console import Operator, Reading, Will, console
+from dream.commands.run import planner_name
+from dream.errors import MissionAborted
+from dream.geometry import SE2, SE3, Bounds
+from dream.planning import PLANNERS, AnyPlanner
+from dream.protocol import SurveyProtocol, protocol_named
+from dream.types import Setpoint
+from dream.versions import commit
+
+if TYPE_CHECKING:
+    from dream.evaluation.metrics import Logbook
+    from dream.robots.bluerov2.bridge import Bridge, Limits, Standing
+    from dream.robots.bluerov2.check import Finding
+    from dream.robots.bluerov2.devices import Devices
+    from dream.robots.bluerov2.mavlink import Link
+    from dream.robots.bluerov2.rov import BlueRov2
+    from dream.robots.bluerov2.standin.process import StandInProcess
+    from dream.sim.world import World
+    from dream.types import Step
+
+    ChosenPlanner = AnyPlanner
+else:
+    ChosenPlanner = tyro.extras.subcommand_type_from_defaults(PLANNERS, sort_subcommands=False)
+
+logger = logging.getLogger(__name__)
+
+STILL = 4.0
+"""Seconds that the sensors are listened to before the dive, with the vehicle lying still."""
+FIRST_FRAME = 15.0
+"""Seconds that the first frame of the camera may take."""
+
+
+@dataclass(frozen=True, slots=True)
+class Dive:
+    """Fly one mission with a BlueROV2; leave its recording, its log and its report.
+
+    --check only goes through the list before a dive. --stand-in needs no vehicle: it starts programs that
+    speak the same protocols, and explores a simulated tank through them.
+    """
+
+    planner: ChosenPlanner = PLANNERS["belief"]
+    """Who decides."""
+    vehicle: str = "udpin:0.0.0.0:14550"
+    """MAVLink: udpin:HOST:PORT listens (BlueOS sends to 14550), udpout: and tcp:HOST:PORT go there."""
+    dvl: str = "192.168.2.95"
+    """HOST or HOST:PORT of the A50."""
+    camera: str = "rtp:5600"
+    """rtp:PORT for H.264 over UDP, an rtsp:// address, a video file, or the number of a device."""
+    calibration: Path | None = None
+    """OpenCV's YAML of the camera; without it the lens is taken for a BlueROV2's in water."""
+    tilt: float = 20.0
+    """Degrees that the camera looks down."""
+    labels: Path | None = None
+    """ONNX file that labels pictures; light shells on a dark floor are found without one."""
+    depth: Path | None = None
+    """ONNX file that estimates depth; without one the floor is taken for flat, at the DVL's altitude."""
+    area: tuple[float, float, float, float] | None = None
+    """x_min y_min x_max y_max of what to survey, metres in the map. Needed, but with --stand-in."""
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """x, y and heading in degrees where the vehicle lies at the launch, in the map: 0 looks along x."""
+    protocol: str = "pool-v1"
+    """Survey protocol."""
+    drive: Literal["alt-hold", "guided"] = "alt-hold"
+    """ALT_HOLD and sticks, which needs no position of the autopilot; or GUIDED and velocities."""
+    estimator: Literal["inekf", "ekf", "cipg", "dead-reckoning"] = "inekf"
+    """What reckons the pose."""
+    max_steps: int | None = None
+    """Decisions at most; the protocol's cap unless given."""
+    max_depth: float = 10.0
+    """Metres."""
+    minutes: float = 60.0
+    """Of the dive, at most."""
+    min_voltage: float = 14.0
+    """Volts of the battery, at least."""
+    last_resort: Literal["hold", "surface", "disarm"] = "surface"
+    """What is done with a vehicle that must not go on."""
+    water: Literal["fresh", "sea"] = "fresh"
+    """For its density."""
+    surface_pressure: float | None = None
+    """hPa at the surface; measured where the vehicle lies, unless given: then it has to lie there."""
+    set_parameters: bool = False
+    """Set those parameters of the vehicle that the list wants otherwise, and put them back at the end."""
+    unattended: bool = False
+    """Dive without an operator at this terminal."""
+    check: bool = False
+    """Only go through the list, and say go or no-go."""
+    stand_in: bool = False
+    """Dive in a simulated tank, through programs that stand in for vehicle, DVL and camera."""
+    world: str = "pool/arc"
+    """Of the stand-in."""
+    seed: int = 1
+    """Likewise."""
+    out: Path = Path("runs")
+    """Folder that the dive's own folder is made in."""
+    json: bool = False
+    """Print the summary, or the list, as one JSON object and nothing else."""
+
+    def __call__(self) -> int:
+        """Exit status 0; 1 for a no-go; a MissionAborted where the mission did not end by itself."""
+        from dream import recording
+
+        if self.max_steps is not None and self.max_steps < 1:
+            raise ValueError(f"--max-steps: expected at least 1, got {self.max_steps}")
+        if self.area is None and not self.stand_in:
+            raise ValueError("--area: expected x_min y_min x_max y_max in metres, got none")
+        _check_extra()
+        protocol = protocol_named(self.protocol)
+        name = planner_name(self.planner)
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(compiling_told())
+            interrupted = stack.enter_context(kept_interrupts())
+            begun = datetime.datetime.now(datetime.UTC)
+            tank = _Tank(self.world, self.seed) if self.stand_in else None
+            where = "dive" if tank is None else tank.world.name
+            folder = recording.new_run_folder(self.out, where, self.seed, name, begun)
+            if tank is not None:
+                stack.enter_context(tank)
+            dive = stack.enter_context(_opened(self, protocol, folder, begun, tank))
+            _tell(f"listening to the sensors for {STILL:g} s: the vehicle has to lie still", quiet=self.json)
+            found = dive.listen()
+            interrupted()
+            ready = all(finding.ok for finding in found)
+            if self.check or not ready:
+                return _print_findings(found, ready, as_json=self.json)
+            return dive.fly(name)
+
+
+def _check_extra() -> None:
+    missing = [name for name in ("pymavlink", "cv2", "rosbags") if importlib.util.find_spec(name) is None]
+    if missing:
+        raise ValueError(
+            f"dive: expected the extra rov, got none ({', '.join(missing)}). "
+            'Say: pip install "dream-auv[rov]"'
+        )
+
+
+def _tell(line: str, *, quiet: bool) -> None:
+    if not quiet:
+        print(f"dream: {line}", file=sys.stderr)
+
+
+class _Tank:
+    """A simulated tank, in a process of its own once it is entered."""
+
+    def __init__(self, world: str, seed: int) -> None:
+        from dream.sim.worlds import make_world
+
+        self.world: World = make_world(world, seed)
+        self._seed = seed
+        self.ground = _free_port()
+        self.video = _free_port()
+        self.process: StandInProcess | None = None
+
+    def __enter__(self) -> Self:
+        from dream.robots.bluerov2.standin.process import StandInProcess
+
+        loopback = "127.0.0.1"
+        self.process = StandInProcess(
+            self.world.name, self._seed, ground=(loopback, self.ground), video=(loopback, self.video)
+        )
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.process is not None:
+            self.process.close()
+
+    @property
+    def running(self) -> StandInProcess:
+        assert self.process is not None
+        return self.process
+
+    def truth(self) -> tuple[SE3, int]:
+        """`T_world_base` as it is, and how often the vehicle ran into something."""
+        told = self.running.truth()
+        return told.T_world_base, told.collisions
+
+
+def _free_port() -> int:
+    """A UDP port of this computer that nobody uses just now."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@contextlib.contextmanager
+def _opened(
+    told: Dive, protocol: SurveyProtocol, folder: Path, begun: datetime.datetime, tank: _Tank | None
+) -> Iterator[_Ready]:
+    """All devices, connected; closed again in the end, and the vehicle's parameters put back."""
+    from dream.robots.bluerov2.bridge import LastResort, Limits
+    from dream.robots.bluerov2.devices import DENSITY, Addresses, Devices
+    from dream.robots.bluerov2.mavlink import Refused
+    from dream.robots.bluerov2.navigation import Instruments
+
+    pressure = math.nan if told.surface_pressure is None else told.surface_pressure
+    addresses = Addresses(told.vehicle, told.dvl, told.camera)
+    if tank is None:
+        assert told.area is not None
+        bounds, (x, y, heading) = Bounds(*told.area), told.at
+        start = SE2(x, y, math.radians(heading))
+    else:
+        bounds, start = tank.world.bounds, protocol.snap(tank.world.starts[0])
+        host, port = tank.running.a50
+        pressure = tank.running.surface_pressure
+        addresses = Addresses(
+            f"udpin:127.0.0.1:{tank.ground}", f"{host}:{port}", f"rtp:127.0.0.1:{tank.video}"
+        )
+    limits = Limits(
+        area=bounds,
+        depth=told.max_depth,
+        minutes=told.minutes,
+        voltage=told.min_voltage,
+        last_resort=LastResort(told.last_resort),
+    )
+    with Devices(
+        addresses,
+        Instruments(estimator=told.estimator),
+        folder,
+        epoch_ns=round(1e9 * begun.timestamp()),
+        density=DENSITY[told.water],
+        surface_pressure=pressure,
+    ) as devices:
+        try:
+            devices.connect()
+            if told.set_parameters or tank is not None:
+                devices.link.correct(devices.link.check_parameters())
+            yield _Ready(told, protocol, devices, limits, start, folder, tank)
+        except (TimeoutError, Refused) as error:
+            raise MissionAborted(f"vehicle: {error}") from error
+        finally:
+            with contextlib.suppress(TimeoutError, Refused, OSError):
+                devices.link.restore()
+
+
+@dataclass(slots=True)
+class _Ready:
+    """A dive whose devices answer."""
+
+    told: Dive
+    protocol: SurveyProtocol
+    devices: Devices
+    limits: Limits
+    start: SE2
+    folder: Path
+    tank: _Tank | None
+
+    def listen(self) -> list[Finding]:
+        """The pre-dive list; the camera is pointed before, since its pictures are part of it."""
+        from dream.robots.bluerov2.mavlink import Refused
+
+        link = self.devices.link
+        with contextlib.suppress(Refused, TimeoutError):
+            link.tilt_camera(-math.radians(self.told.tilt))
+        began = time.monotonic()
+        while not self.devices.camera.connected and time.monotonic() - began < FIRST_FRAME:
+            link.operator_alive()
+            time.sleep(0.1)
+        return self.devices.findings(STILL, self.start, self.limits, self.folder)
+
+    def fly(self, name: str) -> int:
+        """Arm, dive, explore, and leave all of it on disk."""
+        from dream import recording
+        from dream.evaluation.metrics import Logbook, Scorer
+        from dream.mapping import OccupancyMap
+        from dream.mission import explore
+        from dream.report import write_report
+        from dream.robots.bluerov2.bridge import Bridge
+        from dream.robots.bluerov2.drives import AltHold, Guided
+        from dream.robots.bluerov2.navigation import NotReady
+        from dream.robots.replay import Keeping
+
+        told, devices, protocol = self.told, self.devices, self.protocol
+        began = time.perf_counter()
+        recording.write_config(self.folder, self._config(name))
+        link = devices.link
+        link.set_mode("GUIDED" if told.drive == "guided" else "ALT_HOLD")
+        link.arm()
+        drive = (Guided if told.drive == "guided" else AltHold)(link, link.joystick())
+        bridge = Bridge(devices.navigator, drive, self.limits, devices.now, said=self._log_standing)
+        operator = Operator(
+            willed=lambda will: bridge.end(_ENDS[will]) if will in _ENDS else None,
+            alive=lambda: bridge.renew_operator(1.0),
+        )
+        vehicle = self._robot(bridge, operator)
+        logbook: Logbook = Logbook(protocol) if self.tank is None else Scorer(self.tank.world, protocol)
+        stopped: BaseException | None = None
+        bridge.start()
+        try:
+            with console(f"{name} · {self.folder.name}", lambda: self._readings(bridge), operator):
+                vehicle.go_to(Setpoint(self.start.x, self.start.y, self.start.yaw, protocol.altitude))
+                occupancy = OccupancyMap(self.limits.area, protocol)
+                steps = explore(
+                    Keeping(vehicle, self.folder), told.planner, occupancy, max_steps=told.max_steps
+                )
+                recorded = recording.record(
+                    self._logged(steps), self.folder, annotate=lambda step: self._annotated(step, logbook)
+                )
+                with contextlib.closing(recorded):
+                    for _ in with_progress(recorded, name, told.max_steps or protocol.cap):
+                        pass
+        except (KeyboardInterrupt, MissionAborted, NotReady, OSError) as error:
+            stopped = error
+        finally:
+            bridge.close()
+            self._leave(link)
+        summary = self._summary(name, logbook, bridge, vehicle, time.perf_counter() - began)
+        recording.write_summary(self.folder, summary)
+        page = write_report(self.folder)
+        if told.json:
+            print_json(summary)
+        else:
+            _print_outcome(summary, page)
+        if stopped is not None:
+            what = "interrupted" if isinstance(stopped, KeyboardInterrupt) else str(stopped)
+            raise MissionAborted(f"aborted: {what}; {summary['steps']} steps are kept in {self.folder}")
+        return 0
+
+    def _robot(self, bridge: Bridge, operator: Operator) -> BlueRov2:
+        from dream.perception import FlatFloor, LearnedDepth, LearnedLabels, Perception, Shells
+        from dream.planning.vlm import Asking
+        from dream.protocol import SHOWN
+        from dream.robots.bluerov2.camera import mounted
+        from dream.robots.bluerov2.devices import LiveEye
+        from dream.robots.bluerov2.rov import BlueRov2
+
+        told = self.told
+        perception = Perception(
+            Shells() if told.labels is None else LearnedLabels(told.labels),
+            FlatFloor() if told.depth is None else LearnedDepth(told.depth),
+        )
+        return BlueRov2(
+            bridge,
+            self.devices.navigator,
+            LiveEye(self.devices.camera),
+            perception,
+            self.protocol,
+            self.devices.now,
+            T_base_camera=mounted(math.radians(told.tilt)),
+            fineness=SHOWN if isinstance(told.planner, Asking) else 1,
+            waits=lambda: operator.will is not Will.GO,
+            holds=lambda: operator.will is Will.HOLD,
+            truth=None if self.tank is None else self.tank.truth,
+        )
+
+    def _leave(self, link: Link) -> None:
+        """The vehicle as it was found: disarmed, where DREAM armed it and the dive went well."""
+        from dream.robots.bluerov2.mavlink import Refused
+
+        if self.tank is not None:
+            with contextlib.suppress(TimeoutError, Refused, OSError):
+                link.disarm()
+
+    def _logged(self, steps: Iterator[Step]) -> Iterator[Step]:
+        """Tell the log of each decision."""
+        for step in steps:
+            decision = step.decision
+            told = {
+                "step": step.index,
+                "turn": decision.turn,
+                "advance": decision.advance,
+                "done": decision.done,
+                "note": step.guarded.note,
+                "reasoning": asdict(decision.reasoning),
+                "arrival": step.arrival.note,
+            }
+            self.devices.log.tap(self.devices.now(), "decision", True, told)
+            yield step
+
+    def _annotated(self, step: Step, logbook: Logbook) -> Mapping[str, Any]:
+        from dream.evaluation.metrics import Scorer
+
+        if isinstance(logbook, Scorer):
+            return {"coverage": logbook.add(step).as_dict()}
+        logbook.note(step)
+        return {}
+
+    def _log_standing(self, standing: Standing) -> None:
+        self.devices.log.tap(
+            self.devices.now(), "standing", True, {"stance": str(standing.stance), "reason": standing.reason}
+        )
+        if standing.reason:
+            logger.warning("%s: %s", standing.stance, standing.reason)
+
+    def _readings(self, bridge: Bridge) -> list[Reading]:
+        """What the operator's console shows."""
+        devices, standing, fix = self.devices, bridge.standing, bridge.fix
+        said, pose, goal = devices.link.telemetry, bridge.fix.T_world_base.se2, bridge.goal
+        here = f"{pose.x:+.2f} {pose.y:+.2f} m, heading {math.degrees(pose.yaw):+.0f}°"
+        there = "none" if goal is None else f"{goal.x:+.2f} {goal.y:+.2f} m, {math.degrees(goal.yaw):+.0f}°"
+        ages = (
+            f"IMU {fix.imu_age:.2f}, depth {fix.depth_age:.2f}, DVL {fix.dvl_age:.2f}, "
+            f"camera {devices.camera.age:.2f} s"
+        )
+        return [
+            Reading(
+                "it",
+                f"{standing.stance}: {standing.reason}" if standing.reason else str(standing.stance),
+                not standing.reason,
+            ),
+            Reading("vehicle", f"{said.mode}, {'armed' if said.armed else 'disarmed'}", said.armed),
+            Reading("is at", f"{here} ± {fix.position_sigma:.2f} m"),
+            Reading("goes to", there),
+            Reading("depth", f"{said.depth:.2f} m, {fix.altitude:.2f} m above the floor"),
+            Reading("battery", f"{said.voltage:.1f} V", not said.voltage < self.limits.voltage + 0.3),
+            Reading("ages", ages, max(fix.imu_age, fix.dvl_age - 0.8, devices.camera.age - 0.8) < 0.2),
+            Reading("log", devices.log.problem or f"{devices.log.written} messages", not devices.log.problem),
+        ]
+
+    def _config(self, name: str) -> dict[str, Any]:
+        """`config.json`: what the dive was begun with."""
+        told = asdict(replace(self.told, planner=PLANNERS["belief"]))
+        del told["planner"]
+        return {
+            "version": __version__,
+            "commit": commit(),
+            "protocol": self.protocol.name,
+            "world": "dive" if self.tank is None else self.tank.world.name,
+            "seed": self.told.seed,
+            "planner": name,
+            "planner_parameters": asdict(self.told.planner),
+            "max_steps": self.told.max_steps,
+            "dive": {key: str(value) if isinstance(value, Path) else value for key, value in told.items()},
+        }
+
+    def _summary(
+        self, name: str, logbook: Logbook, bridge: Bridge, robot: BlueRov2, wall_s: float
+    ) -> dict[str, Any]:
+        """`summary.json`: of the mission, and of the devices."""
+        from dream.sim.files import world_hash
+
+        devices = self.devices
+        lags = [1e3 * lag for lag in bridge.lags] or [0.0]
+        ages = [1e3 * age for age in robot.picture_ages] or [0.0]
+        counts, seconds = devices.camera.counts, devices.now()
+        tank = self.tank
+        return {
+            "protocol": self.protocol.name,
+            "world": "dive" if tank is None else tank.world.name,
+            "seed": self.told.seed,
+            "world_hash": "" if tank is None else world_hash(tank.world),
+            "planner": name,
+            **logbook.summary(),
+            "wall_s": round(wall_s, 3),
+            "dive": {
+                "estimator": self.told.estimator,
+                "drive": self.told.drive,
+                "command_lag_ms": {f"p{p}": round(float(np.percentile(lags, p)), 1) for p in (50, 99)},
+                "late_beats": bridge.late_beats,
+                "picture_age_ms": {f"p{p}": round(float(np.percentile(ages, p)), 1) for p in (50, 99)},
+                "pictures": counts.received,
+                "pictures_per_s": round(counts.received / seconds, 2),
+                "packets_lost": counts.lost,
+                "link_loss": round(devices.link.telemetry.loss, 4),
+                "refused": {**devices.link.refused, **devices.dvl.refused, **devices.navigator.refused},
+                "log_lost": devices.log.lost,
+                "behind_s": None if tank is None else round(tank.running.truth().behind, 3),
+            },
+        }
+
+
+_ENDS = {Will.END: "ended by the operator", Will.SURFACE: "the operator wants it at the surface"}
+
+
+def _print_findings(found: list[Finding], ready: bool, *, as_json: bool) -> int:
+    """The pre-dive list; returns the exit status."""
+    if as_json:
+        print_json({"go": ready, "findings": [asdict(finding) for finding in found]})
+        return 0 if ready else 1
+    width = max(len(finding.name) for finding in found)
+    for finding in found:
+        mark = "ok" if finding.ok else "NO"
+        wanted = "" if finding.ok else f"   wanted: {finding.wanted}"
+        print(f"  {mark}  {finding.name:<{width}}  {finding.said}{wanted}")
+    wrong = sum(not finding.ok for finding in found)
+    print("go" if ready else f"no-go: {wrong} of {len(found)} are not well")
+    return 0 if ready else 1
+
+
+def _print_outcome(summary: Mapping[str, Any], page: Path) -> None:
+    ended = {"done": "done", "cap": "out of steps", "aborted": "aborted"}[summary["ended"]]
+    print(f"{summary['world']} {summary['seed']} · {summary['planner']} · {summary['protocol']}")
+    print(f"  {ended} after {summary['steps']} steps and {summary['distance_m']:.1f} m")
+    if summary["coverage"]["instances"] is not None:
+        error = summary["position_error_m"]
+        print(
+            f"  traversed {summary['coverage']['instances']:.1%} of the targets, {summary['collisions']} "
+            f"collisions; {error['rmse']:.3f} m (rms) from where it believed to be"
+        )
+    dive = summary["dive"]
+    print(
+        f"  {dive['pictures_per_s']:.1f} pictures a second; from goal to command "
+        f"{dive['command_lag_ms']['p50']:.0f} ms, at most {dive['command_lag_ms']['p99']:.0f} ms in 99 of 100"
+    )
+    print(f"  report: {page}")

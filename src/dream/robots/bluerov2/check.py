@@ -1,0 +1,153 @@
+"""Go or no-go: what has to be well before a dive, each with what was found."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from dream.robots.bluerov2.bridge import Limits
+from dream.robots.bluerov2.mavlink import Telemetry
+from dream.robots.bluerov2.parameters import Check
+
+ROOM = 2 << 30
+"""Bytes free on the disk: an hour of log takes about half of it."""
+WORST_LOSS = 0.05
+"""Share of the vehicle's packets that may be missing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One item of the list."""
+
+    name: str
+    ok: bool
+    said: str
+    """What was found."""
+    wanted: str = ""
+    """What was expected, and what to do; for an item that is not ok."""
+
+
+class Sonar(Protocol):
+    """What is asked of the DVL."""
+
+    @property
+    def connected(self) -> bool: ...  # noqa: D102
+    @property
+    def age(self) -> float: ...  # noqa: D102
+    @property
+    def hot(self) -> bool: ...  # noqa: D102
+    @property
+    def problem(self) -> str: ...  # noqa: D102
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What the camera gave in the seconds of the check."""
+
+    frames: int
+    seconds: float
+    age: float
+    """Seconds, of the newest."""
+    problem: str = ""
+
+
+def findings(
+    telemetry: Telemetry,
+    parameters: Sequence[Check],
+    sonar: Sonar,
+    seen: Seen,
+    aligned: str,
+    limits: Limits,
+    folder: Path,
+) -> list[Finding]:
+    """The whole list, in the order in which one would mend it.
+
+    Args:
+        telemetry: What the vehicle says.
+        parameters: What safety hangs on.
+        sonar: The DVL.
+        seen: What the camera gave.
+        aligned: Why the estimate cannot begin; empty where it can.
+        limits: Of the dive.
+        folder: Where the dive is kept.
+    """
+    free = shutil.disk_usage(folder).free
+    rate = seen.frames / seen.seconds if seen.seconds > 0.0 else 0.0
+    battery = telemetry.voltage
+    return [
+        Finding(
+            "link",
+            telemetry.heartbeat_age < 2.0 and telemetry.loss <= WORST_LOSS,
+            f"heartbeat {telemetry.heartbeat_age:.1f} s old, {telemetry.loss:.1%} of the packets missing",
+            f"a heartbeat every second, at most {WORST_LOSS:.0%} missing. Look at the tether and BlueOS",
+        ),
+        Finding(
+            "autopilot",
+            bool(telemetry.version),
+            telemetry.version or "no version",
+            "ArduSub 4.1 or newer that answers",
+        ),
+        Finding(
+            "mode",
+            not telemetry.armed,
+            f"{telemetry.mode}, {'armed' if telemetry.armed else 'disarmed'}",
+            "a vehicle that is disarmed: DREAM only moves one that it armed itself",
+        ),
+        *(
+            Finding(
+                check.name,
+                check.ok,
+                "not there" if math.isnan(check.value) else f"{check.value:g}",
+                check.why
+                + ("" if math.isnan(check.wanted) else f"; --set-parameters makes it {check.wanted:g}"),
+            )
+            for check in parameters
+        ),
+        Finding(
+            "inertial unit",
+            telemetry.imu_age < 0.2 and telemetry.attitude_age < 0.5,
+            f"sample {telemetry.imu_age:.2f} s old, attitude {telemetry.attitude_age:.2f} s",
+            "RAW_IMU and ATTITUDE at 50 Hz",
+        ),
+        Finding(
+            "depth",
+            telemetry.pressure_age < 1.0 and math.isfinite(telemetry.depth),
+            f"{telemetry.depth:.2f} m, {telemetry.pressure_age:.1f} s old",
+            "a Bar30 that was zeroed at the surface: --surface-pressure, or begin there",
+        ),
+        Finding(
+            "battery",
+            battery >= limits.voltage,
+            "unknown" if math.isnan(battery) else f"{battery:.1f} V",
+            f"{limits.voltage:g} V or more",
+        ),
+        Finding("hull", not telemetry.leak, "water!" if telemetry.leak else "dry", "a dry hull"),
+        Finding(
+            "DVL",
+            sonar.connected and sonar.age < 1.0 and not sonar.hot,
+            sonar.problem or f"report {sonar.age:.1f} s old",
+            "an A50 that pings, in the water, below 45 °C",
+        ),
+        Finding(
+            "camera",
+            rate >= 5.0 and seen.age < 0.5 and not seen.problem,
+            seen.problem or f"{rate:.0f} frames a second, the newest {seen.age:.2f} s old",
+            "five frames a second or more. Is the stream sent to this computer?",
+        ),
+        Finding(
+            "navigation",
+            not aligned,
+            aligned or "begins: all sensors agree that the vehicle lies still",
+            "a vehicle that lies still, with bottom lock",
+        ),
+        Finding("disk", free >= ROOM, f"{free / (1 << 30):.0f} GiB free", f"{ROOM >> 30} GiB or more"),
+    ]
+
+
+def go(found: Sequence[Finding]) -> bool:
+    """Is everything well?"""
+    return all(finding.ok for finding in found)

@@ -1,0 +1,235 @@
+"""All that DREAM talks to during a dive, opened together and closed in order."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from dream.geometry import SE2, Camera
+from dream.measurements import Imu, Measurement
+from dream.robots.bluerov2.bridge import Limits
+from dream.robots.bluerov2.camera import (
+    LiveCamera,
+    RtpVideo,
+    RtspVideo,
+    Source,
+    VideoDevice,
+    VideoFile,
+)
+from dream.robots.bluerov2.check import Finding, Seen, findings
+from dream.robots.bluerov2.dvl_a50 import DvlA50
+from dream.robots.bluerov2.log import DiveLog
+from dream.robots.bluerov2.mavlink import Link
+from dream.robots.bluerov2.navigation import Instruments, Navigator, NotReady
+from dream.robots.bluerov2.rov import Picture
+from dream.types import BoolArray, UInt8Array
+
+A50_PORT = 16171
+DENSITY = {"fresh": 997.0, "sea": 1025.0}
+"""kg/m³."""
+
+
+@dataclass(frozen=True, slots=True)
+class Addresses:
+    """Where the devices are."""
+
+    vehicle: str
+    """MAVLink, see `mavlink.Link`."""
+    dvl: str
+    """HOST or HOST:PORT."""
+    camera: str
+    """rtp:PORT, rtp:HOST:PORT, an rtsp:// address, a file, or the number of a device."""
+
+
+def source_of(camera: str) -> Source:
+    """A camera's source by its address.
+
+    Raises:
+        ValueError: It is none of those.
+    """
+    kind, _, rest = camera.partition(":")
+    if kind == "rtp":
+        host, _, port = rest.rpartition(":")
+        if not port.isdigit():
+            raise ValueError(f"--camera: expected rtp:PORT or rtp:HOST:PORT, got {camera}")
+        return RtpVideo(host=host or "127.0.0.1", port=int(port))
+    if kind in ("rtsp", "rtsps"):
+        return RtspVideo(camera)
+    if camera.isdigit():
+        return VideoDevice(int(camera))
+    if not Path(camera).is_file():
+        raise ValueError(
+            f"--camera: expected rtp:PORT, an rtsp:// address, a file or a number, got {camera}, "
+            "where there is no file"
+        )
+    return VideoFile(Path(camera))
+
+
+class Devices:
+    """Vehicle, DVL, camera, estimate and log of one dive.
+
+    What it does: every measurement goes to the navigator and to the log, every packet, line and picture to
+    the log. `listen` collects what the sensors say while the vehicle lies still, which is what the pre-dive
+    list and the estimate begin with.
+    """
+
+    def __init__(
+        self,
+        addresses: Addresses,
+        instruments: Instruments,
+        folder: Path,
+        *,
+        epoch_ns: int,
+        density: float = DENSITY["fresh"],
+        surface_pressure: float = math.nan,
+    ) -> None:
+        """Open all of it. The dive's clock begins.
+
+        Args:
+            addresses: Where the devices are.
+            instruments: Which estimator reads which instruments.
+            folder: Of the run, that the log goes to.
+            epoch_ns: UTC of now, nanoseconds since 1970.
+            density: kg/m³ of the water.
+            surface_pressure: hPa at the surface; NaN where it has to be measured.
+
+        Raises:
+            ValueError: An address is none.
+            OSError: The log cannot be written, or a port is taken.
+        """
+        began = time.monotonic()
+        self.now: Callable[[], float] = lambda: time.monotonic() - began
+        self.navigator = Navigator(instruments, self.now)
+        self._heard: list[Imu | Measurement] = []
+        self._listening = threading.Event()
+        source = source_of(addresses.camera)
+        host, _, port = addresses.dvl.rpartition(":") if ":" in addresses.dvl else (addresses.dvl, "", "")
+        with ExitStack() as stack:
+            self.log = stack.enter_context(DiveLog(folder, epoch_ns=epoch_ns))
+            self.link = Link(
+                addresses.vehicle,
+                now=self.now,
+                deliver=self._deliver,
+                tap=self.log.tap,
+                density=density,
+                surface_pressure=surface_pressure,
+            )
+            stack.enter_context(self.link)
+            self.camera = stack.enter_context(LiveCamera(source, self.now, self.log.tap))
+            self.dvl = stack.enter_context(
+                DvlA50(
+                    host,
+                    int(port) if port else A50_PORT,
+                    now=self.now,
+                    deliver=self._deliver,
+                    tap=self.log.tap,
+                )
+            )
+            self._stack = stack.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    def connect(self, timeout: float = 30.0) -> None:
+        """Find the vehicle, and have it send what is needed.
+
+        Raises:
+            TimeoutError: It does not answer.
+            Refused: It does not send something that is needed.
+        """
+        self.link.operator_alive()
+        self.link.connect(timeout)
+
+    def zero_depth(self) -> None:
+        """Take the pressure of now for that at the surface, unless it was given.
+
+        Raises:
+            NotReady: There are too few readings, or they differ.
+        """
+        if math.isnan(self.link.telemetry.depth):
+            try:
+                self.link.zero_depth()
+            except RuntimeError as error:
+                raise NotReady(str(error)) from error
+
+    def listen(self, seconds: float, start: SE2) -> tuple[str, Seen]:
+        """Hear what the sensors say of a vehicle that lies still, and begin the estimate there.
+
+        Args:
+            seconds: How long.
+            start: Where it lies in the map.
+
+        Returns:
+            Why the estimate cannot begin, empty where it can; and what the camera gave meanwhile.
+        """
+        self._heard = []
+        before, began = self.camera.counts.received, self.now()
+        self._listening.set()
+        while self.now() - began < seconds:
+            self.link.operator_alive()
+            time.sleep(0.05)
+        self._listening.clear()
+        seen = Seen(
+            self.camera.counts.received - before, self.now() - began, self.camera.age, self.camera.problem
+        )
+        try:
+            self.navigator.align(start, self._heard)
+        except NotReady as not_ready:
+            return str(not_ready), seen
+        return "", seen
+
+    def findings(self, seconds: float, start: SE2, limits: Limits, folder: Path) -> list[Finding]:
+        """Go through the pre-dive list; the estimate has begun where it says so."""
+        try:
+            self.zero_depth()
+            aligned, seen = self.listen(seconds, start)
+        except NotReady as not_ready:
+            aligned, seen = self.listen(seconds, start)
+            aligned = str(not_ready)
+        parameters = self.link.check_parameters()
+        return findings(self.link.telemetry, parameters, self.dvl, seen, aligned, limits, folder)
+
+    def _deliver(self, message: Imu | Measurement) -> None:
+        if self._listening.is_set():
+            self._heard.append(message)
+        self.navigator.deliver(message)
+        self.log.tap(self.now(), "measurement", False, message)
+
+
+@dataclass(frozen=True, slots=True)
+class LiveEye:
+    """The live camera as the robot asks for it; its pictures are already those of a pinhole."""
+
+    camera: LiveCamera
+    latency: float = 0.25
+    """Seconds that a picture may be older than it seems: what is taken for one after a move has to be."""
+
+    def newest(self, after: float, timeout: float) -> Picture | None:
+        """The first picture that was seen after a time; None where none comes."""
+        try:
+            return self.camera.after(after + self.latency, timeout + self.latency)
+        except TimeoutError:
+            return None
+
+    def view(self, picture: Picture, camera: Camera) -> tuple[UInt8Array, BoolArray]:
+        """The picture at the size of that camera, and which of its pixels were seen: all."""
+        import cv2
+        import numpy as np
+
+        rgb = picture.rgb
+        if rgb.shape[:2] != (camera.height, camera.width):
+            how = cv2.INTER_AREA if rgb.shape[1] > camera.width else cv2.INTER_CUBIC
+            rgb = np.asarray(cv2.resize(rgb, (camera.width, camera.height), interpolation=how), np.uint8)
+        return rgb, np.ones((camera.height, camera.width), np.bool_)
