@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from dream.robots.bluerov2.check import Finding
     from dream.robots.bluerov2.devices import Devices
     from dream.robots.bluerov2.mavlink import Link
+    from dream.robots.bluerov2.navigation import Fix
     from dream.robots.bluerov2.rov import BlueRov2
     from dream.robots.bluerov2.standin.process import StandInProcess
     from dream.sim.world import World
@@ -48,6 +49,10 @@ logger = logging.getLogger(__name__)
 
 STILL = 4.0
 """Seconds that the sensors are listened to before the dive, with the vehicle lying still."""
+HEARTBEAT = 30.0
+"""Seconds that the first heartbeat of the vehicle may take."""
+REHEARSED = 12
+"""Steps of a simulated mission before the dive."""
 FIRST_FRAME = 15.0
 """Seconds that the first frame of the camera may take."""
 
@@ -131,6 +136,9 @@ class Dive:
         with contextlib.ExitStack() as stack:
             stack.enter_context(compiling_told())
             interrupted = stack.enter_context(kept_interrupts())
+            if not self.check:
+                _rehearse(protocol)
+                interrupted()
             begun = datetime.datetime.now(datetime.UTC)
             tank = _Tank(self.world, self.seed) if self.stand_in else None
             where = "dive" if tank is None else tank.world.name
@@ -243,7 +251,7 @@ def _opened(
         surface_pressure=pressure,
     ) as devices:
         try:
-            devices.connect()
+            devices.connect(HEARTBEAT)
             if told.set_parameters or tank is not None:
                 devices.link.correct(devices.link.check_parameters())
             yield _Ready(told, protocol, devices, limits, start, folder, tank)
@@ -298,7 +306,9 @@ class _Ready:
         link.set_mode("GUIDED" if told.drive == "guided" else "ALT_HOLD")
         link.arm()
         drive = (Guided if told.drive == "guided" else AltHold)(link, link.joystick())
-        bridge = Bridge(devices.navigator, drive, self.limits, devices.now, said=self._log_standing)
+        bridge = Bridge(
+            devices.navigator, drive, self.limits, devices.now, said=self._log_standing, fixed=self._log_fix
+        )
         operator = Operator(
             willed=lambda will: bridge.end(_ENDS[will]) if will in _ENDS else None,
             alive=lambda: bridge.renew_operator(1.0),
@@ -403,6 +413,9 @@ class _Ready:
         if standing.reason:
             logger.warning("%s: %s", standing.stance, standing.reason)
 
+    def _log_fix(self, fix: Fix) -> None:
+        self.devices.log.tap(fix.time, "estimate", False, fix)
+
     def _readings(self, bridge: Bridge) -> list[Reading]:
         """What the operator's console shows."""
         devices, standing, fix = self.devices, bridge.standing, bridge.fix
@@ -478,6 +491,17 @@ class _Ready:
                 "behind_s": None if tank is None else round(tank.running.truth().behind, 3),
             },
         }
+
+
+def _rehearse(protocol: SurveyProtocol) -> None:
+    """Explore a simulated place for some steps: what is compiled now stops nothing under water."""
+    from dream.evaluation.runner import simulate
+    from dream.planning.belief import Belief
+    from dream.sim.worlds import make_world
+
+    world = make_world("pool/arc" if protocol.traversal is not None else "reef/patch", 1)
+    for _ in simulate(world, Belief(), protocol, max_steps=REHEARSED):
+        pass
 
 
 _ENDS = {Will.END: "ended by the operator", Will.SURFACE: "the operator wants it at the surface"}

@@ -382,7 +382,9 @@ class OccupancyMap(Layers):
         self._renew_edges()
         store, used = self._store, 1 + len(self._store)
         keys = np.array(list(store.slot_of), np.int64).reshape(-1, 2)
-        arrays: dict[str, Any] = {name: store.pools[name][1:used] for name in (*cells_of(self.protocol), *POSTS)}
+        arrays: dict[str, Any] = {
+            name: store.pools[name][1:used] for name in (*cells_of(self.protocol), *POSTS)
+        }
         arrays |= {"about": np.array(json.dumps(about)), "blocks": keys, "stamps": store.stamps[1:used]}
         with Path(path).open("wb") as file:
             np.savez_compressed(file, **arrays)

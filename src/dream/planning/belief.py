@@ -544,7 +544,9 @@ class BeliefPilot:
 
 def achieved(occupancy: OccupancyMap) -> int:
     """Cells observed, and targets among them that the protocol wants traversed and that were."""
-    return int(np.count_nonzero(occupancy.observed) + np.count_nonzero(occupancy.traversed & occupancy.target))
+    return int(
+        np.count_nonzero(occupancy.observed) + np.count_nonzero(occupancy.traversed & occupancy.target)
+    )
 
 
 def _away_from_hull(occupancy: OccupancyMap) -> FloatArray | None:

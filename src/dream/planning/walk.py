@@ -63,14 +63,15 @@ class Walk:
         self._shape = rows + 2 * self._pad, self._stride
         west, south, *_ = lattice_in(bounds, protocol)
         # All nodes lie at the same place in their cells.
-        x, y = (west * protocol.lattice - bounds.x_min) / cell, (south * protocol.lattice - bounds.y_min) / cell
+        x, y = (
+            (west * protocol.lattice - bounds.x_min) / cell,
+            (south * protocol.lattice - bounds.y_min) / cell,
+        )
         col, row = math.floor(x + 1e-9), math.floor(y + 1e-9)
         self._grid = row + self._pad, col + self._pad, scale
         self._lists = self._footprints(x - col, y - row)
 
-    def _footprints(
-        self, x: float, y: float
-    ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    def _footprints(self, x: float, y: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
         from dream.mapping import traversal_margin
 
         protocol, span = self.mission.protocol, self._pad
@@ -179,5 +180,3 @@ class Walk:
             if kind == 0 or (kind != FREE and step == 0):
                 return []
         return rest
-
-

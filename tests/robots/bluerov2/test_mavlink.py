@@ -17,8 +17,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from dream.geometry import wrap_angle
 from dream.measurements import Depth, Heading, Imu
 from dream.robots.bluerov2.mavlink import LIFELINE, LOST, PERIOD, Link, Refused
-from dream.robots.bluerov2.reports import GRAVITY, SEA
 from dream.robots.bluerov2.motion import LONGEST, Motion
+from dream.robots.bluerov2.reports import GRAVITY, SEA
 from dream.robots.bluerov2.sticks import NEUTRAL, STILL, Sticks
 from dream.types import BodyVelocity
 from dream.vehicle import VECTORED_6DOF

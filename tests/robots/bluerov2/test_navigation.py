@@ -152,6 +152,14 @@ def test_what_is_refused_is_counted_and_ages_grow() -> None:
     assert math.isnan(fix.altitude)
 
 
+def test_messages_that_were_lost_are_the_end_of_the_estimate() -> None:
+    navigator = aligned()
+    for message in messages(3.0, 70.0)[0]:
+        navigator.deliver(message)
+    with pytest.raises(NotReady, match="others are lost"):
+        navigator.update()
+
+
 def test_an_estimator_that_there_is_not_is_named() -> None:
     with pytest.raises(ValueError, match="expected one of inekf, ekf, cipg"):
         Instruments(estimator="ukf")

@@ -126,7 +126,21 @@ def tree(between, which, n):
 
 @njit(cache=True, nogil=True)
 def walk(
-    weights, first, offset, stride, grid, moves, offsets, turns, start, index, part_of, ways, width, horizon, far
+    weights,
+    first,
+    offset,
+    stride,
+    grid,
+    moves,
+    offsets,
+    turns,
+    start,
+    index,
+    part_of,
+    ways,
+    width,
+    horizon,
+    far,
 ):
     """A short walk that traverses all cells of any weight, or most of them.
 

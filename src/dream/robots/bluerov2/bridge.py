@@ -140,6 +140,7 @@ class Bridge:
         watch: Watch | None = None,
         rate: float = 25.0,
         said: Callable[[Standing], None] | None = None,
+        fixed: Callable[[Fix], None] | None = None,
     ) -> None:
         """On a vehicle whose navigator is aligned.
 
@@ -151,11 +152,12 @@ class Bridge:
             watch: When the estimate is too old or too vague.
             rate: Beats a second.
             said: Told of every change of what it does.
+            fixed: Told of the estimate at every beat.
         """
         self._navigator, self._drive, self._limits, self._now = navigator, drive, limits, now
         self._watch = watch or Watch()
         self._period = 1.0 / rate
-        self._said = said
+        self._said, self._fixed = said, fixed
         self._lock = threading.Lock()
         self._goal: tuple[SE2, float] | None = None
         self._asked = math.nan
@@ -229,6 +231,8 @@ class Bridge:
         self.late_beats += dt > 2.0 * self._period
         self._last_beat = now
         self.fix = fix = self._navigator.update()
+        if self._fixed is not None:
+            self._fixed(fix)
         standing = self._judge(fix, now)
         self._change(standing, now)
         if standing.stance in (Stance.GO, Stance.SLOW):

@@ -223,6 +223,11 @@ class LiveEye:
         except TimeoutError:
             return None
 
+    @property
+    def unchanged(self) -> float:
+        """Seconds for which all pictures up to the newest are the same to the last bit."""
+        return self.camera.unchanged
+
     def view(self, picture: Picture, camera: Camera) -> tuple[UInt8Array, BoolArray]:
         """The picture at the size of that camera, and which of its pixels were seen: all."""
         import cv2

@@ -68,6 +68,11 @@ class Fix:
     seabed: float
     """Metres: height of the seabed below the vehicle, smoothed; NaN where it was never measured."""
 
+    @property
+    def pose(self) -> SE3:
+        """`T_world_base`, by the name that estimators' states have for it."""
+        return self.T_world_base
+
 
 class NotReady(ValueError):  # noqa: N818 - it says what is.
     """The sensors do not allow to begin; the message says which, and why."""
@@ -131,12 +136,14 @@ class Navigator:
         self._altitude = self._seabed = math.nan
         self._seabed_time = -math.inf
         self._past: deque[tuple[float, SE3]] = deque()
+        self._overrun = False
         self.refused: dict[str, int] = {}
         """Messages that the estimate did not take, by source and reason."""
 
     def deliver(self, message: Imu | Measurement) -> None:
-        """Take a message to the queue; the oldest are lost when nobody takes them in."""
+        """Take a message to the queue. Where nobody takes them in for long, `update` will say so."""
         with self._lock:
+            self._overrun |= len(self._waiting) == MOST_WAITING
             self._waiting.append(message)
 
     def align(self, start: SE2, messages: list[Imu | Measurement] | None = None) -> None:
@@ -194,6 +201,7 @@ class Navigator:
         self._past.clear()
         # What waits was heard before, or will be missed by a few hundredths of a second.
         self._drained()
+        self._overrun = False
         for message in heard:
             self._note(message)
 
@@ -201,10 +209,14 @@ class Navigator:
         """Take in all that waits, and say where the vehicle is.
 
         Raises:
-            NotReady: It was never aligned.
+            NotReady: It was never aligned, or messages were lost since.
         """
         if self._timeline is None:
             raise NotReady("navigation: expected align() before, got none")
+        if self._overrun:
+            raise NotReady(
+                f"navigation: expected messages to be taken in, got {MOST_WAITING} that wait; others are lost"
+            )
         for message in self._drained():
             self._note(message)
             if isinstance(message, Heading):

@@ -20,6 +20,8 @@ from dream.types import Arrival, BoolArray, Observation, Setpoint, UInt8Array
 
 POLL = 0.02
 """Seconds between two looks at how a move goes."""
+MOVED = 0.04
+"""Metres or radians of a move that no picture survives unchanged."""
 
 
 class Picture(Protocol):
@@ -36,6 +38,10 @@ class Eye(Protocol):
 
     def newest(self, after: float, timeout: float) -> Picture | None:
         """The first frame taken after a time, or None where none comes within the time-out."""
+
+    @property
+    def unchanged(self) -> float:
+        """Seconds for which all pictures up to the newest are the same to the last bit."""
 
     def view(self, picture: Picture, camera: Camera) -> tuple[UInt8Array, BoolArray]:
         """The picture as that camera would have taken it, and which of its pixels the lens really saw."""
@@ -121,7 +127,8 @@ class BlueRov2:
         self._waits, self._holds = waits, holds
         self._truth = truth
         self._contacts = truth()[1] if truth is not None else 0
-        self._arrived = now()
+        self._arrived = self._set_out = now()
+        self._moved = False
         self.picture_ages: list[float] = []
         """Seconds from each frame that was used to its use."""
 
@@ -136,6 +143,11 @@ class BlueRov2:
         if picture is None:
             raise MissionAborted(
                 f"camera: expected a frame within {self._manners.fresh:g} s, got none. Is the stream up?"
+            )
+        if self._moved and self._eye.unchanged > self._arrived - self._set_out:
+            raise MissionAborted(
+                "camera: expected pictures that change while the vehicle moves, got the same for "
+                f"{self._eye.unchanged:.1f} s. Is the stream frozen?"
             )
         self.picture_ages.append(self._now() - picture.time)
         T_world_base = self._navigator.at(picture.time)
@@ -172,7 +184,8 @@ class BlueRov2:
         goal = SE2(setpoint.x, setpoint.y, setpoint.yaw)
         here = bridge.fix.T_world_base.se2
         turn = abs(wrap_angle(goal.yaw - here.yaw))
-        deadline = self._now() + 10.0 * (here.distance(goal) + turn) + manners.room
+        set_out = self._now()
+        deadline = set_out + 10.0 * (here.distance(goal) + turn) + manners.room
         bridge.renew()
         bridge.go(goal, setpoint.altitude)
         notes: list[str] = []
@@ -210,7 +223,8 @@ class BlueRov2:
             elif now > deadline:
                 notes.append("the move took too long and was broken off")
                 break
-        self._arrived = self._now()
+        self._arrived, self._set_out = self._now(), set_out
+        self._moved = way > MOVED or turn > MOVED
         bridge.renew(manners.thinking)
         truth, collided = None, False
         if self._truth is not None:

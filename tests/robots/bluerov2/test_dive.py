@@ -1,0 +1,131 @@
+"""`dream dive --stand-in`: the paper's tank trial, end to end, over the real protocols."""
+
+import json
+import math
+import socket
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dream.cli import run_command
+from dream.estimation import Timeline
+from dream.mapping import OccupancyMap
+from dream.mission import explore
+from dream.planning.belief import Belief
+from dream.protocol import POOL_V1
+from dream.recording import read_steps
+from dream.robots.bluerov2.log import read_log, read_measurements, read_wire
+from dream.robots.bluerov2.navigation import Instruments
+from dream.robots.replay import Replayed
+from dream.sim.worlds import make_world
+
+STEPS = 40
+
+
+@pytest.fixture(scope="module")
+def dive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of forty steps, or fewer where all was seen before."""
+    out = tmp_path_factory.mktemp("dive")
+    fly = ["dive", "--stand-in", "--world", "pool/arc", "--max-steps", str(STEPS), "--json"]
+    assert run_command([*fly, "--out", str(out)]) == 0
+    return out / (out / "latest").readlink()
+
+
+def summary_of(folder: Path) -> dict:  # type: ignore[type-arg]
+    told: dict = json.loads((folder / "summary.json").read_text())  # type: ignore[type-arg]
+    return told
+
+
+@pytest.mark.slow
+def test_the_tank_is_explored(dive: Path) -> None:
+    told = summary_of(dive)
+    assert told["coverage"]["instances"] >= 0.95
+    assert told["collisions"] == 0
+    assert told["position_error_m"]["rmse"] < 0.1
+    assert told["dive"]["behind_s"] < 5.0
+    assert told["dive"]["pictures_per_s"] > 8.0
+    assert told["dive"]["log_lost"] == {}
+
+
+@pytest.mark.slow
+def test_both_pipes_are_on_the_map(dive: Path) -> None:
+    world = make_world("pool/arc", 1)
+    solid = np.argwhere(OccupancyMap.load(dive / "map.npz").solid)
+    cell = POOL_V1.cell
+    x = world.bounds.x_min + (solid[:, 1] + 0.5) * cell
+    y = world.bounds.y_min + (solid[:, 0] + 0.5) * cell
+    for pipe in np.asarray(world.obstacles.position)[1:, :2]:
+        assert np.hypot(x - pipe[0], y - pipe[1]).min() < 0.15
+
+
+@pytest.mark.slow
+def test_no_motion_outlives_the_dive_and_none_comes_before_arming(dive: Path) -> None:
+    from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+    parser = dialect.MAVLink(None)
+    packets = [(time, packet) for time, out, packet in read_wire(dive / "log.mcap", "mavlink") if out]
+    sent = [(time, message) for time, packet in packets for message in parser.parse_buffer(packet) or ()]
+    sticks = [(t, m) for t, m in sent if m.get_type() == "MANUAL_CONTROL"]
+    moving = [t for t, m in sticks if (m.x, m.y, m.z, m.r) != (0, 0, 500, 0)]
+    armed = [t for t, m in sent if m.get_type() == "COMMAND_LONG" and m.command == 400 and m.param1 == 1.0]
+    assert len(moving) > 100
+    assert min(moving) > min(armed)
+    last = sticks[-1][1]
+    assert (last.x, last.y, last.z, last.r) == (0, 0, 500, 0)
+
+
+@pytest.mark.slow
+def test_the_log_holds_all_that_the_estimate_was_made_of(dive: Path) -> None:
+    measurements = list(read_measurements(dive / "log.mcap"))
+    assert len(measurements) > 1000
+    estimator = Instruments().filter
+    first = next(read_log(dive / "log.mcap", ["/estimate"]))
+    told = list(read_log(dive / "log.mcap", ["/estimate"]))
+    assert len(told) > 20 * (told[-1].time - first.time) * 0.5
+    begun = estimator.begin(measurements[0].time, _pose(first))
+    ends = []
+    for _ in range(2):
+        timeline = Timeline(estimator, begun)
+        for measurement in measurements:
+            timeline.take(measurement)
+        ends.append(timeline.state.position)
+    assert ends[0].tolist() == ends[1].tolist()
+
+
+def _pose(logged):  # type: ignore[no-untyped-def]
+    from dream.geometry import SE3
+
+    position = logged.message.pose.pose.position
+    q = logged.message.pose.pose.orientation
+    return SE3.level(position.x, position.y, position.z, 2.0 * math.atan2(q.z, q.w))
+
+
+@pytest.mark.slow
+def test_a_replay_decides_as_the_dive_did(dive: Path) -> None:
+    flown = read_steps(dive)
+    replayed = Replayed(dive)
+    occupancy = OccupancyMap(make_world("pool/arc", 1).bounds, POOL_V1)
+    again = list(explore(replayed, Belief(), occupancy, max_steps=len(flown) - 1))
+    assert replayed.divergences == ()
+    assert [(step.decision.turn, step.decision.advance) for step in again] == [
+        (step.decision.turn, step.decision.advance) for step in flown
+    ]
+
+
+def test_without_an_area_there_is_no_dive(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["dive"]) == 2
+    assert "--area: expected x_min y_min x_max y_max" in capsys.readouterr().err
+
+
+def test_a_vehicle_that_does_not_answer_is_told_in_a_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dream.commands.dive.HEARTBEAT", 0.5)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+    ask = ["dive", "--area", "-1", "-1", "1", "1", "--check", "--vehicle", f"udpin:127.0.0.1:{port}"]
+    ask += ["--dvl", "127.0.0.1:9", "--camera", "rtp:0", "--out", str(tmp_path)]
+    assert run_command(ask) == 1
+    assert "expected a heartbeat of system 1" in capsys.readouterr().err

@@ -1,0 +1,209 @@
+"""The robot: it waits, holds, gives up and says so, on a bridge and an eye that are ours."""
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from dream.errors import MissionAborted
+from dream.geometry import SE2, SE3, Camera
+from dream.protocol import POOL_V1
+from dream.robots.bluerov2 import rov
+from dream.robots.bluerov2.bridge import FINE, Stance, Standing
+from dream.robots.bluerov2.navigation import Fix
+from dream.robots.bluerov2.rov import BlueRov2, Manners
+from dream.types import BoolArray, Float32Array, Label, Setpoint, UInt8Array
+from tests.robots.bluerov2.test_bridge import fix_at
+
+GOAL = Setpoint(0.3, 0.0, 0.0, 0.6)
+
+
+@dataclass(frozen=True)
+class Shot:
+    time: float
+    rgb: UInt8Array = field(default_factory=lambda: np.zeros((240, 320, 3), np.uint8))
+
+
+@dataclass
+class Scene:
+    """Bridge, navigator, eye and perception of a vehicle of steady speed; sleeping passes time."""
+
+    now: float = 10.0
+    speed: float = 0.1
+    fix: Fix = field(default_factory=fix_at)
+    standing: Standing = FINE
+    goals: list[SE2] = field(default_factory=list)
+    renewed: list[float] = field(default_factory=list)
+    blind: bool = False
+    unchanged: float = 0.0
+    will: str = "go"
+    asked_after: float = 0.0
+    each: object = None
+
+    def robot(self, monkeypatch: pytest.MonkeyPatch, **options: object) -> BlueRov2:
+        monkeypatch.setattr(rov.time, "sleep", self.sleep)
+        return BlueRov2(
+            self,  # type: ignore[arg-type]
+            self,  # type: ignore[arg-type]
+            self,
+            self,  # type: ignore[arg-type]
+            POOL_V1,
+            lambda: self.now,
+            waits=lambda: self.will != "go",
+            holds=lambda: self.will == "hold",
+            **options,  # type: ignore[arg-type]
+        )
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+        x = float(self.fix.T_world_base.translation[0])
+        if self.goals and self.standing.stance is Stance.GO:
+            gap = self.goals[-1].x - x
+            x += math.copysign(min(abs(gap), self.speed * seconds), gap)
+            speed = self.speed if abs(gap) > 1e-9 else 0.0
+            self.fix = replace(fix_at(x), velocity=np.array([speed, 0.0, 0.0]))
+        if callable(self.each):
+            self.each()
+
+    def go(self, goal: SE2, altitude: float) -> None:
+        assert altitude == 0.6
+        self.goals.append(goal)
+
+    def renew(self, seconds: float = 0.5) -> None:
+        self.renewed.append(self.now + seconds)
+
+    def at(self, time: float) -> SE3:
+        return self.fix.T_world_base
+
+    def newest(self, after: float, timeout: float) -> Shot | None:
+        self.asked_after = after
+        return None if self.blind else Shot(after + 0.1)
+
+    def view(self, picture: object, camera: Camera) -> tuple[UInt8Array, BoolArray]:
+        seen = np.ones((camera.height, camera.width), np.bool_)
+        seen[:, :10] = False
+        return np.zeros((camera.height, camera.width, 3), np.uint8), seen
+
+    def perceive(
+        self, rgb: UInt8Array, camera: Camera, T_world_base: SE3, T_base_camera: SE3, altitude: float
+    ) -> tuple[Float32Array, UInt8Array, Float32Array]:
+        assert altitude == pytest.approx(0.6)
+        shape = (camera.height, camera.width)
+        return np.ones(shape, np.float32), np.full(shape, Label.SEABED, np.uint8), np.ones(shape, np.float32)
+
+
+def test_it_arrives_and_looks_after_that(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene()
+    robot = scene.robot(monkeypatch)
+    arrival = robot.go_to(GOAL)
+    assert arrival.pose.distance(SE2(0.3, 0.0, 0.0)) <= Manners().near
+    assert arrival.distance == pytest.approx(arrival.pose.x, abs=1e-9)
+    assert (arrival.note, arrival.collided, arrival.truth) == ("", False, None)
+    arrived = scene.now
+    observation = robot.observe()
+    assert scene.asked_after == arrived
+    assert observation.time > arrived
+    # What the lens did not see is no depth.
+    assert np.isnan(observation.depth[:, :10]).all()
+    assert np.isfinite(observation.depth[:, 10:]).all()
+
+
+def test_it_shows_that_the_mission_lives(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene()
+    robot = scene.robot(monkeypatch)
+    robot.go_to(GOAL)
+    assert max(np.diff([until - 0.5 for until in scene.renewed[:-1]])) <= 0.5
+    # The planner may think for longer than a move takes to be renewed.
+    assert scene.renewed[-1] == pytest.approx(scene.now + Manners().thinking)
+
+
+def test_a_dive_that_is_over_is_an_aborted_mission(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene()
+
+    def leak() -> None:
+        if scene.now > 11.0:
+            scene.standing = Standing(Stance.OVER, "water in the hull")
+
+    scene.each = leak
+    with pytest.raises(MissionAborted, match="water in the hull"):
+        scene.robot(monkeypatch).go_to(GOAL)
+    assert scene.now < 11.1
+
+
+def test_it_waits_while_it_may_not_move_and_notes_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene(standing=Standing(Stance.YIELD, "somebody else drives"))
+
+    def free() -> None:
+        if scene.now > 100.0:
+            scene.standing = Standing(Stance.GO)
+
+    scene.each = free
+    arrival = scene.robot(monkeypatch).go_to(GOAL)
+    assert scene.now > 100.0
+    assert arrival.pose.distance(SE2(0.3, 0.0, 0.0)) <= Manners().near
+    assert arrival.note == "somebody else drives"
+
+
+def test_a_move_that_does_not_end_is_broken_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene(speed=0.0)
+    arrival = scene.robot(monkeypatch).go_to(GOAL)
+    assert "too long" in arrival.note
+    assert scene.now < 10.0 + Manners().room + 10.0
+
+
+def test_the_operator_pauses_and_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene()
+
+    def rule() -> None:
+        if 11.0 < scene.now < 20.0:
+            scene.will = "hold"
+        elif scene.now >= 20.0:
+            scene.will = "go"
+
+    scene.each = rule
+    robot = scene.robot(monkeypatch)
+    robot.go_to(GOAL)
+    assert scene.now > 20.0
+    here = scene.goals[1]
+    assert 0.05 < here.x < 0.15
+    assert scene.goals[2] == SE2(0.3, 0.0, 0.0)
+
+    before = len(scene.goals)
+    scene.will = "pause"
+    scene.each = lambda: setattr(scene, "will", "go") if scene.now > 60.0 else None
+    robot.go_to(Setpoint(0.0, 0.0, 0.0, 0.6))
+    assert scene.now > 60.0
+    assert len(scene.goals) == before + 1
+
+
+def test_without_pictures_it_gives_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene(blind=True)
+    with pytest.raises(MissionAborted, match="camera: expected a frame"):
+        scene.robot(monkeypatch).observe()
+
+
+def test_a_frozen_camera_is_found_after_a_move_and_not_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene(unchanged=120.0)
+    robot = scene.robot(monkeypatch)
+    robot.observe()
+    robot.go_to(GOAL)
+    with pytest.raises(MissionAborted, match="frozen"):
+        robot.observe()
+    scene.unchanged = 0.2
+    robot.observe()
+
+
+def test_contacts_of_a_stand_in_are_those_of_the_move(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, contacts = Scene(), iter([2, 3, 3])
+    pose = SE3.level(0.31, 0.0, -0.9, 0.0)
+    robot = scene.robot(monkeypatch, truth=lambda: (pose, next(contacts)))
+    first, second = robot.go_to(GOAL), robot.go_to(GOAL)
+    assert first.collided
+    assert first.truth is pose
+    assert not second.collided
+
+
+def test_manners_are_checked() -> None:
+    with pytest.raises(ValueError, match="near: expected a number above 0"):
+        Manners(near=0.0)
