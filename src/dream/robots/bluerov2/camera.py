@@ -17,7 +17,6 @@ import io
 import os
 import socket
 import threading
-from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -189,7 +188,7 @@ class LiveCamera:
         Raises:
             ImportError: OpenCV is missing.
         """
-        _opencv()
+        opencv()
         self.source = source
         self.port = 0
         """UDP port that is listened to; 0 while there is none."""
@@ -294,8 +293,8 @@ class LiveCamera:
 
         Args:
             max_age: Seconds since the newest picture was seen, at most.
-            moving: The vehicle has moved all the while, so that the picture must change. A real sensor's noise
-                changes it at rest too; a simulated camera's does not.
+            moving: The vehicle has moved all the while, so that the picture must change. Noise changes it at
+                rest too, except in a simulation.
         """
         if self._newest is None:
             return State.WAITING
@@ -337,7 +336,7 @@ class LiveCamera:
         return self._from_capture(self.source)
 
     def _keep(self, time: float, bgr: UInt8Array) -> None:
-        cv2 = _opencv()
+        cv2 = opencv()
         rgb = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
         rgb.flags.writeable = False
         with self._changed:
@@ -350,7 +349,7 @@ class LiveCamera:
             self._tap(time, CHANNEL, False, Picture(time, rgb, 0.0))
 
     def _from_packets(self, source: RtpVideo) -> Iterator[tuple[float, UInt8Array]]:
-        cv2 = _opencv()
+        cv2 = opencv()
         with _listening(source, self.port) as receiver:
             self.port = receiver.getsockname()[1]
             self._bound.set()
@@ -361,13 +360,14 @@ class LiveCamera:
                 feed = _Feed(unit, units)
                 capture = cv2.VideoCapture(feed, cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
                 feed.opened()
-                fed = -1
+                fed, shown = -1, False
                 while capture.isOpened() and not feed.ended:
                     good = capture.grab()
-                    if good and feed.fed:
+                    if good and (feed.fed or not shown):
                         good, bgr = capture.retrieve()
                         if good:
                             yield feed.unit.time, bgr
+                            shown = True
                     if not good and not feed.ended:
                         self._undecoded += 1
                         if fed == feed.fed:
@@ -393,7 +393,7 @@ class LiveCamera:
     def _from_capture(
         self, source: RtspVideo | VideoFile | VideoDevice
     ) -> Iterator[tuple[float, UInt8Array]]:
-        cv2 = _opencv()
+        cv2 = opencv()
         self._bound.set()
         timeouts = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, 3000, cv2.CAP_PROP_READ_TIMEOUT_MSEC, 1000]
         period = 0.0
@@ -436,6 +436,7 @@ class _Feed(io.BufferedIOBase):
         """The picture that needs a new decoder, since its parameters differ: another size, for one."""
         self._following = following
         self._first = first
+        self._data, self._at = b"", 0
         self._primes: int | None = 0
         self._load(first)
 
@@ -535,7 +536,12 @@ def _check_latency(latency: float) -> None:
         raise ValueError(f"latency: expected 0 to 10 s, got {latency}")
 
 
-def _opencv() -> Any:
+def opencv() -> Any:
+    """The module cv2.
+
+    Raises:
+        ImportError: It is missing; the message says what to install.
+    """
     try:
         import cv2
     except ImportError as error:

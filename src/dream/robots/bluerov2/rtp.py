@@ -77,21 +77,27 @@ class Depacketizer:
             time: When it came; seconds on the dive's clock.
         """
         if len(packet) < _HEADER.size:
-            return self._refuse("too short")
+            self._refuse("too short")
+            return None
         first, second, sequence, stamp, ssrc = _HEADER.unpack_from(packet)
         if first >> 6 != 2:
-            return self._refuse("not RTP version 2")
+            self._refuse("not RTP version 2")
+            return None
         if second & 0x7F != self._type:
-            return self._refuse(f"not payload type {self._type}")
+            self._refuse(f"not payload type {self._type}")
+            return None
         if ssrc != self._ssrc and not self._adopt(ssrc, time):
-            return self._refuse("another sender")
+            self._refuse("another sender")
+            return None
         self._heard = time
         if not self._in_order(sequence, time):
-            return self._refuse("out of order")
+            self._refuse("out of order")
+            return None
         begin, end = _payload(packet, first)
         if begin >= end:
             self._clean = self._clean_start = False
-            return self._refuse("no payload")
+            self._refuse("no payload")
+            return None
         if stamp != self._stamp:
             if self._size:
                 # The last one never said that it ended.

@@ -32,7 +32,7 @@ _FU_A = 28
 _BURST = 16
 """Packets that are sent at once."""
 _BETWEEN_BURSTS = 0.0008
-"""Seconds. A socket's usual buffer holds some 90 packets of this size: a picture of 330 must not come at once."""
+"""Seconds. A socket's usual buffer holds some 90 packets of this size, and a picture has 330."""
 
 
 @dataclass(frozen=True, slots=True)

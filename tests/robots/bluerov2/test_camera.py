@@ -1,0 +1,317 @@
+"""A live camera gives the newest picture or a reason, whatever its source does."""
+
+import itertools
+import queue
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dream.geometry import camera_mount
+from dream.robots.bluerov2.camera import (
+    LATE,
+    LiveCamera,
+    Picture,
+    RtpVideo,
+    RtspVideo,
+    Source,
+    State,
+    VideoDevice,
+    VideoFile,
+    mounted,
+)
+from dream.robots.bluerov2.rtp import AccessUnit
+from dream.robots.bluerov2.standin import h264
+from dream.robots.bluerov2.standin.video import Faults, UInt8Array, VideoSource, packets
+
+WAIT = 8.0
+"""Seconds that a picture is waited for; it comes within a tenth of one."""
+
+
+def level(k: int) -> UInt8Array:
+    """A picture that says its number, 0 to 31, in its brightness."""
+    return np.full((48, 64, 3), 4 + 8 * (k % 32), np.uint8)
+
+
+def number(rgb: UInt8Array) -> int:
+    return round((float(rgb.mean()) - 4.0) / 8.0)
+
+
+def counting() -> Callable[[], UInt8Array]:
+    count = itertools.count()
+    return lambda: level(next(count))
+
+
+class Hand:
+    """Sends single pictures, and tells the camera the time it should see."""
+
+    def __init__(self, **more: object) -> None:
+        self.time = 0.0
+        self.told: list[tuple[float, str, bool, object]] = []
+        self.camera = LiveCamera(
+            RtpVideo(port=0, **more),  # type: ignore[arg-type]
+            lambda: self.time,
+            lambda *record: self.told.append(record),
+        )
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._sequence = self._sent = 0
+
+    def __enter__(self) -> "Hand":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.camera.close()
+        self._socket.close()
+
+    def send(self, rgb: UInt8Array, at: float, *, stamp: float | None = None) -> Picture:
+        """The picture that the camera makes of it."""
+        self.time = at
+        units = h264.encode(h264.yuv420(rgb), self._sent)
+        ticks = round(90_000 * (at if stamp is None else stamp))
+        for packet in packets(units, sequence=self._sequence, stamp=ticks, ssrc=1):
+            self._socket.sendto(packet, ("127.0.0.1", self.camera.port))
+            self._sequence += 1
+        self._sent += 1
+        return self.camera.after(at - self.camera.source.latency, WAIT)
+
+
+def test_each_picture_comes_without_waiting_for_the_next() -> None:
+    with Hand() as hand:
+        for k in range(12):
+            picture = hand.send(level(k), 0.1 * (k + 1))
+            assert number(picture.rgb) == k
+            assert picture.time == pytest.approx(0.1 * (k + 1))
+        assert hand.camera.counts.received == 12
+        assert hand.camera.counts.corrupt == 0
+
+
+def test_a_picture_is_as_large_as_it_was_sent_and_in_the_right_colours() -> None:
+    red = np.zeros((50, 70, 3), np.uint8)
+    red[...] = (200, 40, 90)
+    with Hand() as hand:
+        picture = hand.send(red, 1.0)
+    assert picture.rgb.shape == red.shape
+    assert np.abs(picture.rgb.astype(int) - red).max() <= 4
+    with pytest.raises(ValueError):
+        picture.rgb[0, 0] = 0
+
+
+def test_what_it_was_seen_before_it_came_is_taken_off() -> None:
+    with Hand(latency=0.25) as hand:
+        picture = hand.send(level(1), 3.0)
+        assert picture.time == pytest.approx(2.75)
+        assert picture.age == pytest.approx(0.25)
+        hand.time = 3.5
+        assert hand.camera.newest(1.0).age == pytest.approx(0.75)
+
+
+def test_an_old_picture_is_not_given_and_the_reason_is() -> None:
+    with Hand() as hand:
+        with pytest.raises(TimeoutError, match=r"no picture yet \(limit 0.5 s\).*RTP at 127.0.0.1:\d+"):
+            hand.camera.newest(0.5)
+        assert hand.camera.state(0.5, moving=True) is State.WAITING
+        hand.send(level(0), 2.0)
+        assert hand.camera.connected
+        assert hand.camera.problem == ""
+        assert hand.camera.state(0.5, moving=True) is State.LIVE
+        hand.time = 3.25
+        with pytest.raises(TimeoutError, match=r"no picture for 1.2 s \(limit 0.5 s\)"):
+            hand.camera.newest(0.5)
+        assert hand.camera.state(0.5, moving=True) is State.STALE
+        assert not hand.camera.connected
+        assert "1.2 s" in hand.camera.problem
+        assert hand.camera.newest(2.0).age == pytest.approx(1.25)
+
+
+def test_the_same_picture_while_the_vehicle_moves_is_frozen() -> None:
+    with Hand() as hand:
+        for at in (1.0, 2.0, 2.9):
+            hand.send(level(5), at)
+        assert hand.camera.state(0.5, moving=True) is State.LIVE
+        hand.send(level(5), 3.1)
+        assert hand.camera.unchanged == pytest.approx(2.1)
+        assert hand.camera.state(0.5, moving=True) is State.FROZEN
+        assert hand.camera.state(0.5, moving=False) is State.LIVE
+        hand.send(level(6), 3.2)
+        assert hand.camera.unchanged == 0.0
+        assert hand.camera.state(0.5, moving=True) is State.LIVE
+
+
+def test_a_picture_that_was_held_up_counts_as_late() -> None:
+    with Hand() as hand:
+        for k in range(5):
+            hand.send(level(k), 1.0 + 0.1 * k)
+        assert hand.camera.counts.late == 0
+        hand.send(level(6), 1.5 + 1.1 * LATE, stamp=1.5)
+        assert hand.camera.counts.late == 1
+        hand.send(level(7), 1.8, stamp=1.8)
+        assert hand.camera.counts.late == 1
+
+
+def test_another_size_needs_no_new_camera() -> None:
+    with Hand() as hand:
+        hand.send(level(0), 1.0)
+        for k, shape in enumerate([(96, 128, 3), (32, 32, 3), (48, 64, 3)]):
+            picture = hand.send(np.full(shape, 100, np.uint8), 2.0 + k)
+            assert picture.rgb.shape == shape
+            assert abs(picture.rgb.mean() - 100) < 4
+
+
+def test_what_came_is_told_as_it_came() -> None:
+    with Hand() as hand:
+        hand.send(level(3), 1.0)
+        hand.send(level(4), 2.0)
+    units = [payload for _, _, _, payload in hand.told if isinstance(payload, AccessUnit)]
+    assert [record[:3] for record in hand.told] == [(1.0, "camera", False), (2.0, "camera", False)]
+    start = b"\x00\x00\x00\x01"
+    assert units[1].data == b"".join(start + unit for unit in h264.encode(h264.yuv420(level(4)), 1))
+
+
+def test_a_steady_source_is_seen_in_order() -> None:
+    with LiveCamera(RtpVideo(port=0), time.monotonic) as camera:
+        with VideoSource(counting(), ("127.0.0.1", camera.port), fps=40.0):
+            seen, since = [], 0.0
+            for _ in range(10):
+                picture = camera.after(since, WAIT)
+                since = np.nextafter(picture.time, np.inf)
+                seen.append(number(picture.rgb))
+        assert all(0 < (b - a) % 32 < 16 for a, b in itertools.pairwise(seen))
+        assert camera.counts.corrupt == 0
+
+
+@pytest.mark.parametrize("faults", [Faults(loss=0.05), Faults(corrupt=0.05)])
+def test_lost_and_broken_packets_are_counted_and_lived_with(faults: Faults) -> None:
+    with LiveCamera(RtpVideo(port=0), time.monotonic) as camera:
+        with VideoSource(counting(), ("127.0.0.1", camera.port), fps=100.0) as source:
+            camera.after(0.0, WAIT)
+            source.faults = faults
+            while camera.counts.corrupt < 3:
+                camera.after(time.monotonic(), WAIT)
+            source.faults = Faults()
+            camera.after(time.monotonic(), WAIT)
+            counts = camera.counts
+        assert counts.lost > 0
+        assert counts.received > 0
+        assert sum(counts.refused.values()) > 0 or not faults.corrupt
+
+
+def test_a_source_that_ends_and_begins_again_is_seen_again() -> None:
+    with LiveCamera(RtpVideo(port=0), time.monotonic) as camera:
+        for seed in range(2):
+            with VideoSource(counting(), ("127.0.0.1", camera.port), fps=50.0, seed=seed):
+                camera.after(time.monotonic(), WAIT)
+        with VideoSource(counting(), ("127.0.0.1", camera.port), fps=50.0, seed=3) as source:
+            camera.after(time.monotonic(), WAIT)
+            source.faults = Faults(silent=True)
+            sent = source.sent
+            source.faults = Faults()
+            camera.after(time.monotonic(), WAIT)
+            assert source.sent >= sent
+
+
+def test_closing_ends_the_thread_and_whoever_waits() -> None:
+    camera = LiveCamera(RtpVideo(port=0), time.monotonic)
+    ended: queue.Queue[str] = queue.Queue()
+
+    def wait() -> None:
+        try:
+            camera.after(0.0, 100.0)
+        except TimeoutError as error:
+            ended.put(str(error))
+
+    waiting = threading.Thread(target=wait)
+    waiting.start()
+    camera.close()
+    assert "no picture" in ended.get(timeout=WAIT)
+    waiting.join(WAIT)
+    assert not [thread for thread in threading.enumerate() if thread.name == "camera"]
+
+
+def test_closing_while_pictures_come_ends_the_thread() -> None:
+    with LiveCamera(RtpVideo(port=0), time.monotonic) as camera:
+        with VideoSource(counting(), ("127.0.0.1", camera.port), fps=50.0):
+            camera.after(0.0, WAIT)
+            camera.close()
+        assert not [thread for thread in threading.enumerate() if thread.name == "camera"]
+        camera.newest(WAIT)
+
+
+def test_a_port_that_is_taken_is_a_problem_until_it_is_free() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+        camera = LiveCamera(RtpVideo(port=port), time.monotonic)
+        with pytest.raises(TimeoutError, match="in use"):
+            camera.newest(1.0)
+    with camera, VideoSource(counting(), ("127.0.0.1", port), fps=50.0):
+        camera.after(0.0, WAIT)
+        assert camera.problem == ""
+
+
+def test_a_film_is_shown_once(tmp_path: Path) -> None:
+    path = tmp_path / "film.h264"
+    path.write_bytes(
+        b"".join(
+            b"\x00\x00\x00\x01" + unit
+            for k in range(4)
+            for unit in h264.encode(h264.yuv420(level(k)), k, fps=60.0)
+        )
+    )
+    told: list[object] = []
+    ticks = itertools.count()
+    with LiveCamera(
+        VideoFile(path), lambda: float(next(ticks)), lambda *record: told.append(record[3])
+    ) as camera:
+        with pytest.raises(TimeoutError, match="film.h264 ended"):
+            camera.after(float("inf"), 0.5)
+    assert [number(picture.rgb) for picture in told if isinstance(picture, Picture)] == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        (VideoFile(Path("no/such/film.mp4")), "film.mp4: there is no such file"),
+        (RtspVideo("rtsp://someone:secret@127.0.0.1:1/video"), "rtsp://127.0.0.1/video: it cannot be opened"),
+        (VideoDevice(201), "video device 201: it cannot be opened"),
+    ],
+)
+def test_a_source_that_is_not_there_is_a_problem(source: Source, message: str) -> None:
+    with LiveCamera(source, time.monotonic) as camera:
+        with pytest.raises(TimeoutError):
+            camera.after(0.0, 0.3)
+        assert message in camera.problem
+        assert "secret" not in camera.problem
+
+
+def test_without_opencv_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    with pytest.raises(ImportError, match=r"dream-auv\[rov\]"):
+        LiveCamera(RtpVideo(port=0), time.monotonic)
+
+
+def test_a_mounted_camera_looks_down_by_its_tilt() -> None:
+    mount = mounted(0.3, (0.2, 0.0, -0.05))
+    assert np.array_equal(mount.rotation, camera_mount(0.3).rotation)
+    ahead = mount @ np.array([0.0, 0.0, 1.0])
+    assert ahead == pytest.approx([0.2 + np.cos(0.3), 0.0, -0.05 - np.sin(0.3)])
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: RtpVideo(port=70000), "port"),
+        (lambda: RtpVideo(payload_type=26), "payload_type"),
+        (lambda: RtpVideo(latency=-1.0), "latency"),
+        (lambda: RtspVideo("http://camera"), "url"),
+        (lambda: VideoDevice(-1), "number"),
+        (lambda: VideoFile(Path("x"), float("nan")), "latency"),
+    ],
+)
+def test_a_source_that_cannot_be_is_refused(make: Callable[[], Source], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make()

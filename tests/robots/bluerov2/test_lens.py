@@ -1,0 +1,256 @@
+"""A lens's pictures become a pinhole camera's, and files that cannot be a lens are named."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from dream.geometry import Camera
+from dream.robots.bluerov2.lens import WATER_INDEX, Calibrated, Lens, Rectifier, in_air
+
+MATRIX = np.array([[330.0, 0.0, 325.0], [0.0, 332.0, 236.0], [0.0, 0.0, 1.0]])
+BARREL = np.array([-0.22, 0.06, 0.001, -0.0008, -0.006])
+FISHEYE = np.array([0.05, -0.02, 0.004, -0.001])
+CAMERA = Camera.from_fov(320, 240, np.pi / 2)
+
+
+def lens(
+    distortion: np.ndarray = BARREL, *, fisheye: bool = False, where: Calibrated = Calibrated.WATER
+) -> Lens:
+    return Lens(640, 480, MATRIX, distortion, fisheye, where)
+
+
+LENSES = [
+    lens(),
+    lens(np.zeros(4)),
+    lens(np.array([0.1, 0.02, 0.0, 0.0, 0.001, 0.3, 0.05, 0.002])),
+    lens(FISHEYE, fisheye=True),
+    lens(where=Calibrated.AIR_FLAT_PORT),
+    lens(FISHEYE, fisheye=True, where=Calibrated.AIR_FLAT_PORT),
+    lens(where=Calibrated.AIR_DOME_PORT),
+]
+
+
+def as_seen(x: float, y: float, seen_by: Lens) -> np.ndarray:
+    """The pixel of one ray, step by step: refraction, then the model of OpenCV's manual."""
+    if seen_by.calibrated is Calibrated.AIR_FLAT_PORT:
+        direction = np.array([x, y, 1.0]) / np.sqrt(x * x + y * y + 1.0)
+        sideways = WATER_INDEX * direction[:2]
+        x, y = sideways / np.sqrt(1.0 - sideways @ sideways)
+    k = np.pad(seen_by.distortion, (0, 12 - len(seen_by.distortion)))
+    r = np.hypot(x, y)
+    if seen_by.fisheye:
+        angle = np.arctan(r)
+        factor = angle * (1 + k[0] * angle**2 + k[1] * angle**4 + k[2] * angle**6 + k[3] * angle**8) / r
+        x, y = x * factor, y * factor
+    else:
+        r2 = r * r
+        radial = (1 + k[0] * r2 + k[1] * r2**2 + k[4] * r2**3) / (1 + k[5] * r2 + k[6] * r2**2 + k[7] * r2**3)
+        x, y = (
+            x * radial + 2 * k[2] * x * y + k[3] * (r2 + 2 * x * x),
+            y * radial + k[2] * (r2 + 2 * y * y) + 2 * k[3] * x * y,
+        )
+    fx, fy, cx, cy = seen_by.matrix[[0, 1, 0, 1], [0, 1, 2, 2]]
+    return np.array([fx * x + cx, fy * y + cy])
+
+
+def painted(seen_by: Lens, spots: np.ndarray) -> np.ndarray:
+    """What the lens sees of small round white spots in these directions, (n, 2)."""
+    rows, cols = np.mgrid[: seen_by.height, : seen_by.width]
+    picture = np.zeros((seen_by.height, seen_by.width))
+    for x, y in spots:
+        u, v = as_seen(x, y, seen_by)
+        picture += np.exp(-((cols - u) ** 2 + (rows - v) ** 2) / (2 * 2.0**2))
+    return np.repeat(np.round(255 * np.clip(picture, 0, 1)).astype(np.uint8)[..., None], 3, axis=2)
+
+
+@pytest.mark.parametrize("seen_by", LENSES)
+def test_rays_land_where_the_model_says(seen_by: Lens) -> None:
+    rng = np.random.default_rng(0)
+    rays = rng.uniform(-0.5, 0.5, (40, 2))
+    want = np.array([as_seen(x, y, seen_by) for x, y in rays])
+    assert np.abs(seen_by.pixels(rays) - want).max() < 1e-6
+
+
+@pytest.mark.parametrize("seen_by", LENSES)
+@pytest.mark.parametrize("factor", [1, 2])
+def test_a_distorted_grid_becomes_straight(seen_by: Lens, factor: int) -> None:
+    camera = CAMERA.scaled(factor)
+    grid = np.stack(np.meshgrid(np.linspace(-0.45, 0.45, 5), np.linspace(-0.36, 0.36, 4)), axis=-1)
+    picture = Rectifier(seen_by, camera).rectified(painted(seen_by, grid.reshape(-1, 2)))
+    bright = picture[..., 0].astype(float)
+    for x, y in grid.reshape(-1, 2):
+        u, v = camera.fx * x + camera.cx, camera.fy * y + camera.cy
+        row, col = int(v), int(u)
+        window = bright[row - 8 : row + 9, col - 8 : col + 9]
+        rows, cols = np.mgrid[row - 8 : row + 9, col - 8 : col + 9] + 0.5
+        found = np.array([(window * cols).sum(), (window * rows).sum()]) / window.sum()
+        assert np.abs(found - [u, v]).max() < 0.5
+
+
+def test_in_water_the_focal_length_of_a_flat_port_grows_by_the_index() -> None:
+    air, water = lens(np.zeros(4), where=Calibrated.AIR_FLAT_PORT), lens(np.zeros(4))
+    small = np.array([[1e-4, 0.0], [0.0, 1e-4]])
+    centre = MATRIX[:2, 2]
+    ratio = np.diag(air.pixels(small) - centre) / np.diag(water.pixels(small) - centre)
+    assert ratio == pytest.approx([WATER_INDEX] * 2, rel=1e-6)
+
+
+def test_rays_bend_by_snells_law() -> None:
+    angles = np.radians([5.0, 20.0, 40.0, 48.0])
+    rays = np.stack([0.6 * np.tan(angles), 0.8 * np.tan(angles)], axis=-1)
+    bent = np.arctan(np.linalg.norm(in_air(rays), axis=-1))
+    assert np.sin(bent) == pytest.approx(WATER_INDEX * np.sin(angles))
+    assert in_air(rays)[:, 0] / in_air(rays)[:, 1] == pytest.approx(0.75)
+    assert np.isnan(in_air(np.tan(np.radians([[48.7, 0.0]])))).all()
+
+
+def test_what_the_lens_does_not_see_is_masked_and_black() -> None:
+    narrow = Lens(
+        640,
+        480,
+        np.array([[600.0, 0, 320], [0, 600.0, 240], [0, 0, 1]]),
+        np.zeros(4),
+        False,
+        Calibrated.WATER,
+    )
+    rectifier = Rectifier(narrow, CAMERA)
+    picture = rectifier.rectified(np.full((480, 640, 3), 200, np.uint8))
+    assert np.array_equal(picture[..., 0] == 200, rectifier.seen)
+    assert (picture[~rectifier.seen] == 0).all()
+    # It sees 320 / 600 to each side, of the 1 that the camera looks.
+    assert rectifier.seen[120].sum() == pytest.approx(2 * 160 * 320 / 600, abs=3)
+    assert rectifier.seen[:, 160].sum() == pytest.approx(2 * 160 * 240 / 600, abs=3)
+
+
+def test_no_ray_is_shown_where_the_model_turns_back() -> None:
+    """r (1 − 0.3 r²) grows up to r = 1.054 only; what lies further out would be shown a second time."""
+    folding = Lens(
+        640,
+        480,
+        np.array([[400.0, 0, 320], [0, 400.0, 240], [0, 0, 1]]),
+        np.array([-0.3, 0, 0, 0]),
+        False,
+        Calibrated.WATER,
+    )
+    x = np.array([[1.0, 0.0], [1.04, 0.0], [1.07, 0.0], [1.5, 0.0]])
+    assert np.isnan(folding.pixels(x)[:, 0]).tolist() == [False, False, True, True]
+    wide = Rectifier(folding, Camera.from_fov(320, 240, 2.2))
+    assert not wide.seen[120, 0]
+    assert wide.seen[120, 160]
+
+
+def test_a_stream_of_another_size_shows_the_same_directions() -> None:
+    small, rays = lens(), np.random.default_rng(1).uniform(-0.5, 0.5, (20, 2))
+    large = small.at(1280, 960)
+    assert large.pixels(rays) + 0.5 == pytest.approx(2.0 * (small.pixels(rays) + 0.5))
+    with pytest.raises(ValueError, match="1280 x 720"):
+        small.at(1280, 720)
+    with pytest.raises(ValueError, match=r"rgb: expected \(480, 640, 3\)"):
+        Rectifier(small, CAMERA).rectified(np.zeros((960, 1280, 3), np.uint8))
+
+
+@pytest.mark.parametrize("seen_by", LENSES)
+def test_a_lens_is_read_as_it_was_written(tmp_path: Path, seen_by: Lens) -> None:
+    path = tmp_path / "lens.yaml"
+    seen_by.write(path)
+    again = Lens.read(path)
+    assert np.array_equal(again.matrix, seen_by.matrix)
+    assert np.array_equal(again.distortion, seen_by.distortion)
+    assert (again.width, again.height, again.fisheye) == (640, 480, seen_by.fisheye)
+    assert again.calibrated is seen_by.calibrated
+
+
+def test_opencvs_own_calibration_finds_the_lens_that_took_the_pictures(tmp_path: Path) -> None:
+    """From points seen by a known lens to a file and back to straight lines."""
+    truth = lens(np.array([-0.2, 0.05, 0.0005, -0.0005, 0.0]))
+    board = np.concatenate([np.mgrid[0:9, 0:6].T.reshape(-1, 2) * 0.03, np.zeros((54, 1))], axis=1).astype(
+        np.float32
+    )
+    rng = np.random.default_rng(4)
+    boards, corners = [], []
+    for _ in range(12):
+        turn, _ = cv2.Rodrigues(rng.uniform(-0.4, 0.4, 3))
+        placed = (board - board.mean(axis=0)) @ turn.T + [
+            *rng.uniform(-0.06, 0.06, 2),
+            rng.uniform(0.2, 0.35),
+        ]
+        seen = truth.pixels(placed[:, :2] / placed[:, 2:])
+        boards.append(board)
+        corners.append(seen.astype(np.float32)[:, None])
+    _, matrix, distortion, _, _ = cv2.calibrateCamera(boards, corners, (640, 480), np.eye(3), np.zeros(5))
+    found = Lens(640, 480, matrix, distortion, False, Calibrated.WATER)
+    rays = rng.uniform(-0.5, 0.5, (50, 2))
+    assert np.abs(found.pixels(rays) - truth.pixels(rays)).max() < 0.5
+
+
+GOOD = """%YAML:1.0
+---
+calibrated_in: water
+image_width: 640
+image_height: 480
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 330., 0., 325., 0., 332., 236., 0., 0., 1. ]
+distortion_coefficients: !!opencv-matrix
+   rows: 5
+   cols: 1
+   dt: d
+   data: [ -0.22, 0.06, 0.001, -0.0008, -0.006 ]
+"""
+
+
+def test_a_file_of_opencvs_calibration_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "lens.yaml"
+    path.write_text(GOOD)
+    read = Lens.read(path)
+    assert np.array_equal(read.matrix, MATRIX)
+    assert not read.fisheye
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (GOOD, "", "expected YAML|missing"),
+        (GOOD, "just words", "expected YAML"),
+        (GOOD, "%YAML:1.0\n---\na: [", "expected YAML"),
+        ("calibrated_in: water\n", "", "calibrated_in is missing"),
+        ("water", "soup", "calibrated_in: expected one of water, air_dome_port, air_flat_port, got soup"),
+        ("640", "64.5", "image size: expected two whole numbers"),
+        ("640", "-640", "image size"),
+        ("640", "wide", "image size"),
+        ("330.", "0.", "focal lengths"),
+        ("330.", ".Nan", "finite"),
+        ("325.", "900.", "centre within the picture"),
+        ("330., 0.,", "330., 5.,", "fx 0 cx"),
+        ("rows: 5", "rows: 3", "expected YAML|missing"),
+        (
+            "   rows: 5\n   cols: 1\n   dt: d\n   data: [ -0.22,",
+            "   rows: 6\n   cols: 1\n   dt: d\n   data: [ 0., -0.22,",
+            "distortion_coefficients: expected",
+        ),
+        (
+            "calibrated_in: water",
+            "calibrated_in: water\nfisheye_model: 1",
+            "distortion_coefficients: expected",
+        ),
+        ("camera_matrix: !!opencv-matrix", "camera_matrix:", "camera_matrix"),
+    ],
+)
+def test_a_file_that_cannot_be_a_lens_is_named(tmp_path: Path, old: str, new: str, message: str) -> None:
+    path = tmp_path / "lens.yaml"
+    path.write_text(GOOD.replace(old, new))
+    with pytest.raises(ValueError, match=message) as caught:
+        Lens.read(path)
+    assert str(path) in str(caught.value)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"lens.yaml.*Calibrate"):
+        Lens.read(tmp_path / "lens.yaml")
+    (tmp_path / "large.yaml").write_bytes(b"#" * (2 << 20))
+    with pytest.raises(ValueError, match="at most"):
+        Lens.read(tmp_path / "large.yaml")
