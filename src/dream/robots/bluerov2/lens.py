@@ -136,22 +136,15 @@ class Lens:
         Returns:
             (..., 2) float64, in OpenCV's pixels, also outside of the picture; NaN where no light comes from.
         """
-        cv2 = opencv()
         rays = np.asarray(rays, np.float64)
-        flat = rays.reshape(-1, 2)
         if self.calibrated is Calibrated.AIR_FLAT_PORT:
-            flat = in_air(flat)
-        radius = np.hypot(flat[:, 0], flat[:, 1])
-        seen = radius <= self._widest()
-        points = np.where(seen[:, None], flat, 0.0)
-        if self.fisheye:
-            shown, _ = _fisheye_points(cv2, points, self.matrix, self.distortion)
-        else:
-            points = np.concatenate([points, np.ones((len(points), 1))], axis=1)
-            zero = np.zeros(3)
-            shown, _ = cv2.projectPoints(points, zero, zero, self.matrix, self.distortion)
-        shown = np.asarray(shown, np.float64).reshape(-1, 2)
-        return np.where(seen[:, None], shown, np.nan).reshape(rays.shape)
+            rays = in_air(rays)
+        x, y = rays[..., 0], rays[..., 1]
+        radius = np.hypot(x, y)
+        x, y = (np.where(radius <= self._widest(), side, np.nan) for side in (x, y))
+        x, y = (_fisheye if self.fisheye else _pinhole)(x, y, self.distortion)
+        (fx, _, cx), (_, fy, cy) = self.matrix[:2]
+        return np.stack([fx * x + cx, fy * y + cy], axis=-1)
 
     def _widest(self) -> float:
         """Tangent of the widest angle up to which what lies further out is shown further out.
@@ -241,12 +234,24 @@ def in_air(rays: Float64Array, index: float = WATER_INDEX) -> Float64Array:
     return np.asarray(rays * (index / np.sqrt(np.where(left > 0.0, left, np.nan)))[..., None])
 
 
-def _fisheye_points(cv2: Any, points: Float64Array, matrix: Float64Array, k: Float64Array) -> tuple[Any, Any]:
-    """OpenCV takes the points of a fisheye as (1, N, 3)."""
-    deep = np.concatenate([points, np.ones((len(points), 1))], axis=1)[None]
-    zero = np.zeros((3, 1))
-    shown, jacobian = cv2.fisheye.projectPoints(deep, zero, zero, matrix, k)
-    return shown, jacobian
+def _pinhole(x: Float64Array, y: Float64Array, k: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Radial, tangential and thin prism, in OpenCV's order: k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4."""
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = np.pad(k, (0, 12 - len(k)))
+    r2 = x * x + y * y
+    radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    shown_x = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) + r2 * (s1 + r2 * s2)
+    shown_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y + r2 * (s3 + r2 * s4)
+    return shown_x, shown_y
+
+
+def _fisheye(x: Float64Array, y: Float64Array, k: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Kannala and Brandt: the distance from the centre is a polynomial of the angle."""
+    radius = np.hypot(x, y)
+    angle = np.arctan(radius)
+    square = angle * angle
+    shown = angle * (1.0 + square * (k[0] + square * (k[1] + square * (k[2] + square * k[3]))))
+    factor = np.where(radius > 0.0, shown / np.where(radius > 0.0, radius, 1.0), 1.0)
+    return x * factor, y * factor
 
 
 def _parse(path: Path) -> Lens:

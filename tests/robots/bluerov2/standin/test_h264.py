@@ -24,7 +24,7 @@ def coarse(rng: np.random.Generator, height: int, width: int) -> UInt8Array:
 def as_yuv(rgb: UInt8Array) -> np.ndarray:
     """Rec. ITU-R BT.601 with 8 bits, 16 to 235, of each pixel: (H, W, 3)."""
     matrix = np.array([[65.481, 128.553, 24.966], [-37.797, -74.203, 112.0], [112.0, -93.786, -18.214]])
-    return rgb / 255.0 @ matrix.T + [16.0, 128.0, 128.0]
+    return np.asarray(rgb / 255.0 @ matrix.T + [16.0, 128.0, 128.0])
 
 
 def as_rgb(yuv: np.ndarray) -> np.ndarray:
@@ -38,7 +38,7 @@ def decoded(path: Path, pictures: list[UInt8Array], *, luma: bool = False) -> li
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     if luma:
         capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
-    shown = []
+    shown: list[UInt8Array] = []
     while True:
         good, picture = capture.read()
         if not good:
@@ -132,4 +132,4 @@ def test_what_is_no_picture_is_refused() -> None:
     with pytest.raises(ValueError, match="even sides"):
         yuv420(np.zeros((5, 4, 3), np.uint8))
     with pytest.raises(ValueError, match="uint8"):
-        h264.yuv420(np.zeros((4, 4, 3), np.float32))  # type: ignore[arg-type]
+        h264.yuv420(np.zeros((4, 4, 3), np.float32))

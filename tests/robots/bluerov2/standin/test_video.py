@@ -31,7 +31,7 @@ def listening() -> Iterator[socket.socket]:
 
 def picture(receiver: socket.socket) -> list[bytes]:
     """The packets up to and with the next marker."""
-    got = []
+    got: list[bytes] = []
     while not got or not got[-1][1] & 0x80:
         got.append(receiver.recv(65536))
     return got
@@ -55,7 +55,7 @@ def test_the_header_is_that_of_rfc_3550() -> None:
 
 
 def test_a_long_unit_goes_in_fragments() -> None:
-    """RFC 6184, section 5.8: indicator with type 28, header with start and end bits and the unit's own type."""
+    """RFC 6184, section 5.8: indicator with type 28, header with start and end bits and the unit's type."""
     unit = b"\x65" + np.random.default_rng(0).bytes(4000)
     bodies = [packet[12:] for packet in packets([unit], sequence=0, stamp=0, ssrc=0)]
     assert {body[0] for body in bodies} == {0x60 | 28}
@@ -110,12 +110,8 @@ def test_a_silent_source_sends_nothing_and_goes_on() -> None:
             assert drawn.acquire(timeout=WAIT)
         assert source.sent == sent
         source.faults = Faults()
-        receiver.settimeout(0.0)
-        with pytest.raises(BlockingIOError):
-            while True:
-                receiver.recv(65536)
-        receiver.settimeout(WAIT)
         picture(receiver)
+        assert source.problem == ""
 
 
 def test_lost_packets_leave_gaps_in_the_numbers() -> None:
@@ -189,7 +185,7 @@ def test_it_can_send_what_a_camera_on_the_vehicle_sees() -> None:
 )
 def test_faults_that_cannot_be_are_refused(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=name):
-        Faults(**{name: value})
+        Faults(**{name: value})  # type: ignore[arg-type]
 
 
 def test_a_rate_that_cannot_be_is_refused() -> None:
