@@ -12,9 +12,11 @@ of a 5 Mbit/s stream.
 
 from __future__ import annotations
 
+import contextlib
 import enum
 import io
 import os
+import queue
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -47,6 +49,8 @@ _LOOK = 0.1
 _PAUSES = (0.1, 2.0)
 """Seconds before the first and between later attempts to open a source."""
 _MOST_PRIMES = 400
+_MOST_WAITING = 60
+"""Pictures that wait for the decoder; more are left out up to the next whole one."""
 _DELIMITER = b"\x00\x00\x00\x01\x09\xf0"
 
 
@@ -144,7 +148,7 @@ class Counts:
     received: int = 0
     """Pictures that could be asked for."""
     dropped: int = 0
-    """Pictures that came whole and were not shown, since one that they build on was lost."""
+    """Pictures that came whole and were not decoded: one that they build on was lost, or they came too fast."""
     late: int = 0
     """Pictures that were under way for `LATE` longer than others; they are shown."""
     corrupt: int = 0
@@ -168,7 +172,7 @@ def mounted(tilt: float, position: tuple[float, float, float] = (0.0, 0.0, 0.0))
 class LiveCamera:
     """Keeps the newest picture of a source, which it opens again whenever it breaks.
 
-    What it does: a thread of its own reads all pictures and keeps one.
+    What it does: a thread of its own decodes all pictures and keeps one; over RTP a second one receives.
     Assumes: the stream has no B-pictures, which an encoder for live video leaves out. Each would make the
     times of pictures one picture too late.
     Fails when: bytes of a picture change on the way although UDP's checksum holds; it shows noise then.
@@ -265,7 +269,12 @@ class LiveCamera:
         """What is wrong; empty while pictures come."""
         if self.connected:
             return ""
-        return self._trouble or f"No picture for {self.age:.1f} s from {_described(self.source, self.port)}."
+        if self._trouble:
+            return self._trouble
+        where, packets = _described(self.source, self.port), self._depacketizer
+        if packets is not None and packets.heard > self._now() - LOST:
+            return f"Packets come to {where}, but no whole picture with its parameters."
+        return f"No picture for {self.age:.1f} s from {where}."
 
     @property
     def unchanged(self) -> float:
@@ -320,7 +329,8 @@ class LiveCamera:
                 for arrival, bgr in self._frames():
                     self._keep(arrival - self.source.latency, bgr)
                     pause = _PAUSES[0]
-                self._trouble = f"{_described(self.source, self.port)} ended."
+                if not isinstance(self.source, RtpVideo):
+                    self._trouble = f"{_described(self.source, self.port)} ended."
             except Exception as error:  # noqa: BLE001 - whatever breaks is a state; the thread goes on.
                 self._trouble = f"{_described(self.source, self.port)}: {error}"
             self._bound.set()
@@ -344,51 +354,84 @@ class LiveCamera:
                 self._same_since = time
             self._newest = time, rgb
             self._received += 1
+            self._trouble = ""
             self._changed.notify_all()
         if self._tap is not None and not isinstance(self.source, RtpVideo):
             self._tap(time, CHANNEL, False, Picture(time, rgb, 0.0))
 
     def _from_packets(self, source: RtpVideo) -> Iterator[tuple[float, UInt8Array]]:
-        cv2 = opencv()
         with _listening(source, self.port) as receiver:
             self.port = receiver.getsockname()[1]
             self._bound.set()
-            self._depacketizer = self._depacketizer or Depacketizer(source.payload_type)
-            units = self._units(receiver, self._depacketizer)
-            unit = next((unit for unit in units if unit.whole and unit.parameters), None)
-            while unit is not None:
-                feed = _Feed(unit, units)
-                capture = cv2.VideoCapture(feed, cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
-                feed.opened()
-                fed, shown = -1, False
-                while capture.isOpened() and not feed.ended:
-                    good = capture.grab()
-                    if good and (feed.fed or not shown):
-                        good, bgr = capture.retrieve()
-                        if good:
-                            yield feed.unit.time, bgr
-                            shown = True
-                    if not good and not feed.ended:
-                        self._undecoded += 1
-                        if fed == feed.fed:
-                            break  # It fails without asking for more: it has to be opened anew.
-                    fed = feed.fed
-                capture.release()
-                unit = feed.other or next((unit for unit in units if unit.whole and unit.parameters), None)
-
-    def _units(self, receiver: socket.socket, packets: Depacketizer) -> Iterator[AccessUnit]:
-        lateness = _Lateness()
-        while not self._closed.is_set():
+            packets = self._depacketizer = self._depacketizer or Depacketizer(source.payload_type)
+            waiting: queue.SimpleQueue[AccessUnit | None] = queue.SimpleQueue()
+            stopped = threading.Event()
+            # Received apart from decoding, so that the time of arrival is right even while that is behind.
+            reader = threading.Thread(
+                target=self._receive, args=(receiver, packets, waiting, stopped), name="video", daemon=True
+            )
+            reader.start()
             try:
-                packet = receiver.recv(65536)
-            except TimeoutError:
-                continue
-            unit = packets.push(packet, self._now())
-            if unit is not None:
+                yield from self._decoded(iter(waiting.get, None))
+            finally:
+                stopped.set()
+                reader.join()
+
+    def _receive(
+        self,
+        receiver: socket.socket,
+        packets: Depacketizer,
+        waiting: queue.SimpleQueue[AccessUnit | None],
+        stopped: threading.Event,
+    ) -> None:
+        lateness = _Lateness()
+        try:
+            while not (stopped.is_set() or self._closed.is_set()):
+                try:
+                    packet = receiver.recv(65536)
+                except TimeoutError:
+                    continue
+                unit = packets.push(packet, self._now())
+                if unit is None:
+                    continue
                 self._late += lateness.of(unit) > LATE
                 if self._tap is not None:
                     self._tap(unit.time, CHANNEL, False, unit)
-                yield unit
+                behind = waiting.qsize()
+                if unit.whole and behind:
+                    # The decoder can begin with this one; what waits is older.
+                    packets.skipped += _emptied(waiting)
+                if behind < _MOST_WAITING or unit.whole:
+                    waiting.put(unit)
+                else:
+                    packets.skip(unit.time)
+        except Exception as error:  # noqa: BLE001 - whatever breaks is a state; it is opened anew.
+            self._trouble = f"{_described(self.source, self.port)}: {error}"
+        finally:
+            waiting.put(None)
+
+    def _decoded(self, units: Iterator[AccessUnit]) -> Iterator[tuple[float, UInt8Array]]:
+        cv2 = opencv()
+        unit = next((unit for unit in units if unit.parameters), None)
+        while unit is not None:
+            feed = _Feed(unit, units)
+            capture = cv2.VideoCapture(feed, cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
+            feed.opened()
+            fed, shown = -1, False
+            while capture.isOpened() and not feed.ended:
+                good = capture.grab()
+                if good and (feed.fed or not shown):
+                    good, bgr = capture.retrieve()
+                    if good:
+                        yield feed.unit.time, bgr
+                        shown = True
+                if not good and not feed.ended:
+                    self._undecoded += 1
+                    if fed == feed.fed:
+                        break  # It fails without asking for more: it has to be opened anew.
+                fed = feed.fed
+            capture.release()
+            unit = feed.other or next((unit for unit in units if unit.parameters), None)
 
     def _from_capture(
         self, source: RtspVideo | VideoFile | VideoDevice
@@ -474,7 +517,7 @@ class _Feed(io.BufferedIOBase):
 
     def _load(self, unit: AccessUnit) -> None:
         # The parameters may have come long before.
-        self._data = (unit.parameters if unit.whole else b"") + unit.data + _DELIMITER
+        self._data = (unit.parameters if unit.whole or unit is self._first else b"") + unit.data + _DELIMITER
         self._at = 0
 
 
@@ -502,6 +545,16 @@ class _Lateness:
             self._quickest_before, self._quickest, self._since = self._quickest, way, unit.time
         self._quickest = min(self._quickest, way)
         return way - min(self._quickest, self._quickest_before)
+
+
+def _emptied(waiting: queue.SimpleQueue[AccessUnit | None]) -> int:
+    """How many pictures waited; none does any more."""
+    count = 0
+    with contextlib.suppress(queue.Empty):
+        while True:
+            waiting.get_nowait()
+            count += 1
+    return count
 
 
 def _listening(source: RtpVideo, port: int) -> socket.socket:

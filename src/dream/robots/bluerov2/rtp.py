@@ -24,7 +24,7 @@ because some encoders refresh piece by piece and never send a whole one."""
 
 _HEADER = struct.Struct(">BBHII")
 _START = b"\x00\x00\x00\x01"
-_IDR, _SPS, _PPS, _DELIMITER, _STAP_A, _FU_A = 5, 7, 8, 9, 24, 28
+_IDR, _SEI, _SPS, _PPS, _DELIMITER, _STAP_A, _FU_A = 5, 6, 7, 8, 9, 24, 28
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,15 +59,16 @@ class Depacketizer:
         self.damaged = 0
         """Pictures that a packet is missing from."""
         self.skipped = 0
-        """Pictures that came whole and build on one that did not."""
+        """Pictures that came whole and were not decoded: they build on one that did not, or came too fast."""
         self._type = payload_type
         self._ssrc = -1
-        self._heard = -1e9
+        self.heard = -1e9
+        """When the last good packet came."""
         self._expected = -1
         self._restart = -1
         self._sets: dict[int, bytes] = {}
         self._broken_since: float | None = None
-        self._begin(0, clean=False)
+        self._begin(-1, clean=False)
 
     def push(self, packet: bytes, time: float) -> AccessUnit | None:
         """The picture that this packet completes, if it completes one.
@@ -89,7 +90,7 @@ class Depacketizer:
         if ssrc != self._ssrc and not self._adopt(ssrc, time):
             self._refuse("another sender")
             return None
-        self._heard = time
+        self.heard = time
         if not self._in_order(sequence, time):
             self._refuse("out of order")
             return None
@@ -110,15 +111,20 @@ class Depacketizer:
             return None
         return self._finish(time)
 
+    def skip(self, time: float) -> None:
+        """The last picture was not decoded: what builds on it is of no use."""
+        self.skipped += 1
+        self._broken_since = time
+
     def _refuse(self, reason: str) -> None:
         self.refused[reason] += 1
 
     def _adopt(self, ssrc: int, time: float) -> bool:
         """Listens to this sender from now on, unless the one before still speaks."""
-        if time - self._heard < TAKEOVER:
+        if time - self.heard < TAKEOVER:
             return False
         self._ssrc, self._expected, self._restart = ssrc, -1, -1
-        self._begin(0, clean=False)
+        self._begin(-1, clean=False)
         self._clean_start = False
         self._broken_since = time
         self._sets.clear()
@@ -232,6 +238,6 @@ def _payload(packet: bytes, first: int) -> tuple[int, int]:
 
 
 def _opens(packet: bytes, begin: int, end: int) -> bool:
-    """Does a picture surely begin with this packet: with a delimiter, or with parameters?"""
+    """Does a picture surely begin with this packet: with what comes before slices (H.264, 7.4.1.2.3)?"""
     aggregate = packet[begin] & 0x1F == _STAP_A and begin + 3 < end
-    return packet[begin + 3 if aggregate else begin] & 0x1F in (_SPS, _DELIMITER)
+    return packet[begin + 3 if aggregate else begin] & 0x1F in (_SEI, _SPS, _DELIMITER)
