@@ -52,11 +52,12 @@ class Hand:
 
     def __init__(self, **more: object) -> None:
         self.time = 0.0
-        self.told: list[tuple[float, str, bool, object]] = []
+        self.told: list[tuple[object, ...]] = []
+        self._heard = threading.Condition()
         self.camera = LiveCamera(
             RtpVideo(port=0, **more),  # type: ignore[arg-type]
             lambda: self.time,
-            lambda *record: self.told.append(record),
+            self._tap,
         )
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._sequence = self._sent = 0
@@ -70,14 +71,26 @@ class Hand:
 
     def send(self, rgb: UInt8Array, at: float, *, stamp: float | None = None) -> Picture:
         """The picture that the camera makes of it."""
+        self.send_units(h264.encode(h264.yuv420(rgb), self._sent), at, stamp=stamp)
+        return self.camera.after(at - self.camera.source.latency, WAIT)
+
+    def send_units(self, units: list[bytes], at: float, *, stamp: float | None = None) -> None:
         self.time = at
-        units = h264.encode(h264.yuv420(rgb), self._sent)
         ticks = round(90_000 * (at if stamp is None else stamp))
         for packet in packets(units, sequence=self._sequence, stamp=ticks, ssrc=1):
             self._socket.sendto(packet, ("127.0.0.1", self.camera.port))
             self._sequence += 1
         self._sent += 1
-        return self.camera.after(at - self.camera.source.latency, WAIT)
+
+    def wait_until_told(self, count: int) -> None:
+        """Until that many pictures were received, decoded or not."""
+        with self._heard:
+            assert self._heard.wait_for(lambda: len(self.told) >= count, WAIT)
+
+    def _tap(self, *record: object) -> None:
+        with self._heard:
+            self.told.append(record)
+            self._heard.notify_all()
 
 
 def test_each_picture_comes_without_waiting_for_the_next() -> None:
@@ -161,11 +174,54 @@ def test_another_size_needs_no_new_camera() -> None:
             assert abs(picture.rgb.mean() - 100) < 4
 
 
+def as_before(frame: int) -> list[bytes]:
+    """A P picture of 48 × 64 pixels that skips all 12 macroblocks (H.264, 7.3.3 and 7.3.4)."""
+    # first_mb 0, slice_type P, PPS 0, frame_num, no overrides, QP as it is, filter off, skip 12, stop bit.
+    bits = "1" + "00110" + "1" + format(frame, "04b") + "0" + "0" + "1" + "010" + "0001101" + "1"
+    bits += "0" * (-len(bits) % 8)
+    return [b"\x01" + int(bits, 2).to_bytes(len(bits) // 8, "big")]
+
+
+def test_a_picture_that_builds_on_the_one_before_is_decoded() -> None:
+    with Hand() as hand:
+        first = hand.send(level(9), 1.0)
+        for k in range(5):
+            hand.send_units(as_before(1), 2.0 + k)
+            again = hand.camera.after(2.0 + k, WAIT)
+            assert np.array_equal(again.rgb, first.rgb)
+        assert number(hand.send(level(3), 9.0).rgb) == 3
+        assert hand.camera.counts.received == 7
+
+
+def test_a_decoder_that_is_behind_goes_on_with_the_newest_picture() -> None:
+    with Hand() as hand:
+        hand.send(level(0), 1.0)
+        with hand.camera._changed:  # The decoder waits here with the next picture.
+            for k in range(1, 9):
+                hand.send_units(h264.encode(h264.yuv420(level(k)), k), 1.0 + k)
+                hand.wait_until_told(1 + k)
+        picture = hand.camera.after(9.0, WAIT)
+        assert number(picture.rgb) == 8
+        assert picture.time == pytest.approx(9.0)
+        counts = hand.camera.counts
+        assert counts.dropped >= 5
+        assert counts.received + counts.dropped == 9
+
+
+def test_a_stream_without_parameters_says_what_is_missing() -> None:
+    with Hand() as hand:
+        hand.send_units(h264.encode(h264.yuv420(level(0)), 0)[2:], 1.0)
+        hand.send_units(h264.encode(h264.yuv420(level(0)), 1)[2:], 2.0)
+        hand.wait_until_told(1)
+        with pytest.raises(TimeoutError, match="no whole picture with its parameters"):
+            hand.camera.newest(1.0)
+
+
 def test_what_came_is_told_as_it_came() -> None:
     with Hand() as hand:
         hand.send(level(3), 1.0)
         hand.send(level(4), 2.0)
-    units = [payload for _, _, _, payload in hand.told if isinstance(payload, AccessUnit)]
+    units = [record[3] for record in hand.told if isinstance(record[3], AccessUnit)]
     assert [record[:3] for record in hand.told] == [(1.0, "camera", False), (2.0, "camera", False)]
     start = b"\x00\x00\x00\x01"
     assert units[1].data == b"".join(start + unit for unit in h264.encode(h264.yuv420(level(4)), 1))

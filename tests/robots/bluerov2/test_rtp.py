@@ -28,7 +28,7 @@ def stream(pictures: list[list[bytes]], ssrc: int = 1, sequence: int = 65534) ->
     """The packets of each, numbered on."""
     sent = []
     for index, units in enumerate(pictures):
-        sent.append(list(packets(units, sequence=sequence, stamp=9000 * (index + 1), ssrc=ssrc)))
+        sent.append(list(packets(units, sequence=sequence, stamp=9000 * index, ssrc=ssrc)))
         sequence += len(sent[-1])
     return sent
 
@@ -85,6 +85,22 @@ def test_a_stream_is_joined_at_the_next_whole_picture() -> None:
     receiver = Depacketizer()
     units = received(receiver, sent[0][3:] + flat(sent[1:]))
     assert [unit.data[-1] for unit in units] == [2]
+
+
+@pytest.mark.parametrize("first", [b"\x06note", b"\x09\xf0"])
+def test_a_picture_may_begin_with_a_note_or_a_delimiter(first: bytes) -> None:
+    (unit,) = received(Depacketizer(), flat(stream([[first, *whole()]])))
+    assert unit.data.startswith(START + first + START + SPS)
+
+
+def test_what_builds_on_a_picture_that_was_left_out_is_of_no_use() -> None:
+    sent = stream([whole(), partial(), partial(), whole(fill=2)])
+    receiver = Depacketizer()
+    assert len(received(receiver, flat(sent[:2]))) == 2
+    receiver.skip(0.0)
+    (unit,) = received(receiver, flat(sent[2:]))
+    assert unit.whole
+    assert receiver.skipped == 2
 
 
 def test_a_duplicate_and_a_late_packet_are_refused() -> None:

@@ -148,7 +148,7 @@ class Counts:
     received: int = 0
     """Pictures that could be asked for."""
     dropped: int = 0
-    """Pictures that came whole and were not decoded: one that they build on was lost, or they came too fast."""
+    """Pictures that came whole and were not decoded: one they build on was lost, or they came too fast."""
     late: int = 0
     """Pictures that were under way for `LATE` longer than others; they are shown."""
     corrupt: int = 0
