@@ -163,6 +163,9 @@ def test_a_picture_that_was_held_up_counts_as_late() -> None:
         assert hand.camera.counts.late == 1
         hand.send(level(7), 1.8, stamp=1.8)
         assert hand.camera.counts.late == 1
+        # What was quickest is remembered for longer than until the next look at the clocks' drift.
+        hand.send(level(8), 11.0 + 1.1 * LATE, stamp=11.0)
+        assert hand.camera.counts.late == 2
 
 
 def test_another_size_needs_no_new_camera() -> None:

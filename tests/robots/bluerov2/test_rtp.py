@@ -103,6 +103,14 @@ def test_what_builds_on_a_picture_that_was_left_out_is_of_no_use() -> None:
     assert receiver.skipped == 2
 
 
+def test_a_picture_that_is_joined_between_its_slices_is_not_given() -> None:
+    slices = [SPS, PPS, b"\x65first", b"\x65second"]
+    sent = stream([slices, whole(fill=2)])
+    receiver = Depacketizer()
+    units = received(receiver, sent[0][3:] + sent[1])
+    assert [unit.data[-1] for unit in units] == [2]
+
+
 def test_a_duplicate_and_a_late_packet_are_refused() -> None:
     sent = flat(stream([whole(fill=1), whole(fill=2)]))
     receiver = Depacketizer()
