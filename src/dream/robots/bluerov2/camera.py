@@ -238,7 +238,7 @@ class LiveCamera:
             return self._picture(max_age)
 
     def after(self, time: float, patience: float) -> Picture:
-        """The first picture that was seen at `time` or later, once it is there.
+        """The newest picture, once one is there that was seen at `time` or later.
 
         Args:
             time: Seconds on the dive's clock.
