@@ -153,18 +153,18 @@ class TestLeastDelay:
     def test_the_message_with_the_least_delay_tells_the_offset(self) -> None:
         clock = LeastDelay()
         delays = [0.02, 0.004, 0.3, 0.05]
-        times = [clock.to_dive(1000.0 + k, 7.0 + k + delay) for k, delay in enumerate(delays)]
+        times = [clock.time(1000.0 + k, 7.0 + k + delay) for k, delay in enumerate(delays)]
         np.testing.assert_allclose(times, [7.02, 8.004, 9.004, 10.004])
 
     def test_a_jump_begins_anew(self) -> None:
         clock = LeastDelay()
-        clock.to_dive(1000.0, 7.0)
-        assert clock.to_dive(5.0, 8.0) == 8.0
+        clock.time(1000.0, 7.0)
+        assert clock.time(5.0, 8.0) == 8.0
 
     def test_old_messages_are_forgotten(self) -> None:
         clock = LeastDelay(window=5.0)
-        clock.to_dive(0.0, 10.0)
-        assert clock.to_dive(6.0, 16.5) == 16.5
+        clock.time(0.0, 10.0)
+        assert clock.time(6.0, 16.5) == 16.5
 
 
 class Server:
@@ -220,7 +220,7 @@ class Clock:
 class Known:
     """The device's clock is 90 s behind the dive's, and that is known."""
 
-    def to_dive(self, stamp: float, arrived: float) -> float:
+    def time(self, stamp: float, arrival: float) -> float:
         return stamp + 90.0
 
 
@@ -281,6 +281,13 @@ def test_bad_lines_are_counted_and_the_good_ones_go_on(opened: Opened) -> None:
     assert got.get(timeout=SOON).velocity[0] == 0.7
     assert got.empty()
     assert link.refused == {"not JSON": 2, "velocity: vx": 1, "longer than a report": 1}
+
+
+def test_a_velocity_through_the_water_is_never_delivered(opened: Opened) -> None:
+    stream = stamped(10.0, tracking_mode="water", vx=0.9) + stamped(10.2, type="velocity_water", vx=0.9)
+    link, got, _ = opened(says(stream + stamped(10.4, tracking_mode="bottom")))
+    assert got.get(timeout=SOON).velocity[0] == 0.3
+    assert link.refused == {"does not track the ground": 1}
 
 
 def test_an_endless_line_takes_no_room(opened: Opened) -> None:
@@ -476,14 +483,15 @@ def test_no_answer_is_a_time_out(opened: Opened) -> None:
         ({"mounting_rotation_offset": 360.0}, "^$"),
         ({"mounting_rotation_offset": 90.0}, "expected mounting_rotation_offset 0°, got 90°"),
         ({"acoustic_enabled": False}, "told not to ping"),
+        ({"range_mode": "wt"}, "told to track the water"),
     ],
 )
 def test_settings_that_would_mislead_are_a_problem(
     opened: Opened, changes: dict[str, Any], problem: str
 ) -> None:
-    link, got, _ = opened(answers(config(), config(**changes)))
+    link, got, _ = opened(answers(config(**changes), ("trigger_ping", {})))
     got.get(timeout=SOON)
-    link.get_config()
+    link.trigger_ping()  # Answered after the question that the link itself asks.
     with pytest.raises(AssertionError, match=problem):
         raise AssertionError(link.problem)
 

@@ -57,8 +57,8 @@ _Microseconds = Annotated[int, Field(ge=0, le=1 << 62)]
 class Clock(Protocol):
     """Maps stamps of a device onto the dive's clock."""
 
-    def to_dive(self, stamp: float, arrived: float) -> float:
-        """The dive's time of what the device stamped with `stamp` and what came in at `arrived`; seconds."""
+    def time(self, stamp: float, arrival: float) -> float:
+        """When the stamp was taken, in seconds of the dive; it came in at `arrival`."""
         ...
 
 
@@ -86,6 +86,8 @@ class VelocityReport(_Heard):
     altitude: float = Field(ge=-1e4, le=1e4)
     """Metres; means nothing where the velocity is not valid."""
     velocity_valid: bool
+    tracking_mode: str = "bottom"
+    """Since json_v3.2; in `water` there is nothing about the ground."""
     status: int = Field(ge=0)
     """Bit 0: so hot that it is about to shut down."""
     time_of_validity: _Microseconds
@@ -178,13 +180,13 @@ class LeastDelay:
         self._window, self._jump = window, jump
         self._offsets: deque[tuple[float, float]] = deque()
 
-    def to_dive(self, stamp: float, arrived: float) -> float:
+    def time(self, stamp: float, arrival: float) -> float:
         """The dive's time of a stamp; never after it came in."""
-        offset = arrived - stamp
+        offset = arrival - stamp
         if self._offsets and abs(offset - self._offsets[-1][1]) > self._jump:
             self._offsets.clear()
-        self._offsets.append((arrived, offset))
-        while self._offsets[0][0] < arrived - self._window:
+        self._offsets.append((arrival, offset))
+        while self._offsets[0][0] < arrival - self._window:
             self._offsets.popleft()
         return stamp + min(offset for _, offset in self._offsets)
 
@@ -313,6 +315,8 @@ class DvlA50:
         if config is not None:
             if config.acoustic_enabled is False:
                 return f"{where} is told not to ping. Set acoustic_enabled"
+            if config.range_mode == "wt":
+                return f"{where} is told to track the water. Set range_mode to auto"
             turned = config.mounting_rotation_offset
             if turned is not None and abs(math.remainder(turned - self._rotation_deg, 360.0)) > 0.01:
                 return (
@@ -499,13 +503,15 @@ class DvlA50:
 
     def _take_velocity(self, report: VelocityReport, arrived: float) -> None:
         self._version, self._status = "", report.status
+        if report.tracking_mode != "bottom":
+            raise BadLine("does not track the ground")
         if report.time_of_validity == self._last_stamp:
             raise BadLine("said before")
         self._last_stamp = report.time_of_validity
         took = 1e-6 * (report.time_of_transmission - report.time_of_validity)
         if not 0.0 <= took <= SLOWEST:
             raise BadLine("sent before it was true, or long after")
-        sent = self._clock.to_dive(1e-6 * report.time_of_transmission, arrived)
+        sent = self._clock.time(1e-6 * report.time_of_transmission, arrived)
         time = min(sent, arrived) - took
         if time <= self._last_time:
             raise BadLine("older than the one before")

@@ -5,7 +5,7 @@
     /imu  /dvl/velocity  /dvl/altitude  /depth  /heading   measurements, on the dive's clock
     /measurements                                          the same, as text whose numbers are exact
     /estimate  /tf                                         where the vehicle believes to be
-    /camera/image                                          JPEG or PNG
+    /camera/video  /camera/image                           H.264 as it came; else JPEG or PNG
     /mavlink/received  /mavlink/sent                       packets, byte by byte
     /a50/received  /a50/sent                               lines
     /<channel>                                             whatever else is told, as JSON
@@ -31,9 +31,9 @@ import numpy as np
 
 from dream import __version__
 from dream.measurements import Depth, Dvl, Heading, Imu, Measurement
-from dream.robots.bluerov2 import messages
+from dream.robots.bluerov2 import ros
 from dream.robots.bluerov2.mcap import McapFile, McapWriter
-from dream.robots.bluerov2.messages import Typed
+from dream.robots.bluerov2.ros import Typed
 
 logger = logging.getLogger(__name__)
 
@@ -88,7 +88,7 @@ class DiveLog:
         self.path = folder / NAME
         self.epoch_ns = epoch_ns
         self._room = room
-        messages.typestore()
+        ros.typestore()
         try:
             self._file = McapWriter(
                 self.path,
@@ -133,8 +133,8 @@ class DiveLog:
             time: On the dive's clock.
             channel: From where or to where; see the module for what becomes of it.
             sent: Went out, else came in.
-            payload: A measurement, an estimator's state, a MAVLink message, a line of text, bytes, a picture
-                (or what has one as `rgb`), or anything that can be told as JSON.
+            payload: A measurement, an estimator's state, a MAVLink message, a line of text, bytes, an access
+                unit of a video, a picture (or what has one as `rgb`), or anything that JSON can tell.
         """
         size = _ALONE + _size(payload)
         with self._lock:
@@ -213,7 +213,7 @@ class DiveLog:
             if lost != self._told_lost and self._file.pending:
                 # Said once the file takes something again; where it does not, it is said the next time.
                 text = json.dumps({"lost": self.lost, "why": self._problem})
-                self._put(messages.of_text(text, "/log"), self._stamp(self._last_time))
+                self._put(ros.of_text(text, "/log"), self._stamp(self._last_time))
             self._written += self._file.flush()
             if lost == self._told_lost and not self._closing.is_set():
                 self._problem = ""
@@ -227,10 +227,10 @@ class DiveLog:
     def _put(self, typed: Typed, stamp_ns: int) -> None:
         if typed.topic not in self._topics:
             if typed.type not in self._types:
-                text, _ = messages.typestore().generate_msgdef(typed.type, ros_version=2)
+                text, _ = ros.typestore().generate_msgdef(typed.type, ros_version=2)
                 self._types[typed.type] = self._file.add_schema(typed.type, "ros2msg", text)
             self._topics[typed.topic] = self._file.add_channel(typed.topic, self._types[typed.type])
-        data = messages.typestore().serialize_cdr(typed.message, typed.type)
+        data = ros.typestore().serialize_cdr(typed.message, typed.type)
         self._file.write(self._topics[typed.topic], stamp_ns, data)
 
     def _stamp(self, time: float) -> int:
@@ -246,26 +246,28 @@ class DiveLog:
         way = f"{topic}/{'sent' if told.sent else 'received'}"
         if isinstance(said, Imu | Dvl | Depth | Heading):
             # Text first: it has no time that must fit into nanoseconds.
-            yield messages.of_text(messages.measurement_text(said), "/measurements"), logged
+            yield ros.of_text(ros.measurement_text(said), "/measurements"), logged
             if math.isfinite(said.time):
-                for typed in messages.of_measurement(said, self._stamp(said.time)):
+                for typed in ros.of_measurement(said, self._stamp(said.time)):
                     yield typed, logged
         elif hasattr(said, "get_msgbuf"):
-            yield messages.of_bytes(bytes(said.get_msgbuf() or b""), way, said.get_type()), logged
+            yield ros.of_bytes(bytes(said.get_msgbuf() or b""), way, said.get_type()), logged
         elif isinstance(said, str):
-            yield messages.of_text(said, way), logged
-        elif isinstance(said, bytes) and not (messages.is_png(said) or messages.is_jpeg(said)):
-            yield messages.of_bytes(said, way, "bytes"), logged
+            yield ros.of_text(said, way), logged
+        elif isinstance(said, bytes) and not (ros.is_png(said) or ros.is_jpeg(said)):
+            yield ros.of_bytes(said, way, "bytes"), logged
+        elif hasattr(said, "data") and hasattr(said, "parameters"):
+            yield ros.of_video(said, f"{topic}/video", self._stamp(said.time)), logged
         elif (picture := _picture(said)) is not None:
             taken = getattr(said, "time", math.nan)
             stamp_ns = self._stamp(taken) if math.isfinite(taken) else logged
-            yield messages.of_picture(picture, f"{topic}/image", stamp_ns), logged
+            yield ros.of_picture(picture, f"{topic}/image", stamp_ns), logged
         elif hasattr(said, "pose") and hasattr(said, "angular_velocity"):
-            for typed in messages.of_state(said, logged):
+            for typed in ros.of_state(said, logged):
                 yield typed, logged
         else:
-            text = json.dumps({"time": told.time, "said": messages.plain(said)})
-            yield messages.of_text(text, topic), logged
+            text = json.dumps({"time": told.time, "said": ros.plain(said)})
+            yield ros.of_text(text, topic), logged
 
 
 def _picture(said: Any) -> Any:
@@ -279,8 +281,9 @@ def _picture(said: Any) -> Any:
 
 
 def _size(payload: Any) -> int:
-    if isinstance(payload, str | bytes):
-        return len(payload)
+    raw = getattr(payload, "data", payload)
+    if isinstance(raw, str | bytes):
+        return len(raw)
     array = payload if isinstance(payload, np.ndarray) else getattr(payload, "rgb", None)
     return array.nbytes if isinstance(array, np.ndarray) else 0
 
@@ -303,7 +306,7 @@ class Logged:
 
 
 def read_log(path: Path, topics: Collection[str] = ()) -> Iterator[Logged]:
-    """What a log holds, in the order in which it was told; of one without an end, as far as it goes.
+    """What a log holds, in the order in which it was told; of a damaged one, what is whole, with a warning.
 
     Args:
         path: Of the file.
@@ -311,10 +314,10 @@ def read_log(path: Path, topics: Collection[str] = ()) -> Iterator[Logged]:
 
     Raises:
         FileNotFoundError: There is none.
-        ValueError: It is no log of a dive, or damaged.
+        ValueError: It is no log of a dive.
     """
     file = McapFile(path)
-    store = messages.typestore()
+    store = ros.typestore()
     epoch_ns: int | None = None
     for message in file.messages():
         if epoch_ns is None:
@@ -325,8 +328,16 @@ def read_log(path: Path, topics: Collection[str] = ()) -> Iterator[Logged]:
         if not topics or message.topic in topics:
             read = store.deserialize_cdr(message.data, message.schema)
             yield Logged(1e-9 * (message.time - epoch_ns), message.topic, message.schema, read)
-    if file.torn:
-        logger.warning("%s ends early: %s. It is read as far as it goes; `recover` mends it", path, file.torn)
+    _warn(file)
+
+
+def _warn(file: McapFile) -> None:
+    if file.damage:
+        logger.warning(
+            "%s is read as far as it goes (%s); `recover` writes that into a whole one",
+            file.path,
+            "; ".join(file.damage),
+        )
 
 
 def read_measurements(path: Path) -> Iterator[Imu | Measurement]:
@@ -336,7 +347,7 @@ def read_measurements(path: Path) -> Iterator[Imu | Measurement]:
     Raises as `read_log` does.
     """
     for logged in read_log(path, ("/measurements",)):
-        yield messages.read_measurement(logged.message.data)
+        yield ros.read_measurement(logged.message.data)
 
 
 def read_wire(path: Path, channel: str) -> Iterator[tuple[float, bool, bytes]]:
@@ -348,40 +359,41 @@ def read_wire(path: Path, channel: str) -> Iterator[tuple[float, bool, bytes]]:
 
 
 def recover(path: Path, to: Path) -> int:
-    """Write a torn log anew, with index and end, and say how many messages it holds.
+    """Write a torn or damaged log anew, with index and end, and say how many messages it holds.
 
     Args:
-        path: Of the torn file, which stays as it is.
+        path: Of the file, which stays as it is.
         to: Of the new one, which must not exist.
 
     Raises:
         FileNotFoundError: There is nothing to mend.
-        ValueError: It is damaged, or not the log of a dive.
+        ValueError: It is something else.
         OSError: The new one exists, or cannot be written.
     """
     file = McapFile(path)
     found = file.messages()
-    first = next(found, None)
-    store = messages.typestore()
+    message = next(found, None)  # By then the metadata is known, which stands first.
+    store = ros.typestore()
     writer = McapWriter(to, library=f"dream {__version__}", metadata=file.metadata)
     schemas: dict[str, int] = {}
     channels: dict[str, int] = {}
     count = 0
     try:
-        while first is not None:
-            if first.topic not in channels:
-                if first.schema not in schemas:
-                    text, _ = store.generate_msgdef(first.schema, ros_version=2)
-                    schemas[first.schema] = writer.add_schema(first.schema, "ros2msg", text)
-                channels[first.topic] = writer.add_channel(first.topic, schemas[first.schema])
-            writer.write(channels[first.topic], first.time, first.data)
+        while message is not None:
+            if message.topic not in channels:
+                if message.schema not in schemas:
+                    text, _ = store.generate_msgdef(message.schema, ros_version=2)
+                    schemas[message.schema] = writer.add_schema(message.schema, "ros2msg", text)
+                channels[message.topic] = writer.add_channel(message.topic, schemas[message.schema])
+            writer.write(channels[message.topic], message.time, message.data)
             count += 1
             if writer.pending > CHUNK:
                 writer.flush()
-            first = next(found, None)
+            message = next(found, None)
     except BaseException:
         writer.abandon()
         to.unlink(missing_ok=True)
         raise
     writer.close()
+    _warn(file)
     return count

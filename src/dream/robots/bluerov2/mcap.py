@@ -225,7 +225,7 @@ class McapFile:
     """A file of this kind, whole or torn, whoever wrote it without compression.
 
     Messages are read in the order in which they were written, and those of a torn last chunk as far as they
-    are whole.
+    are whole. A chunk that is damaged is left out.
     """
 
     def __init__(self, path: Path) -> None:
@@ -243,8 +243,8 @@ class McapFile:
         self.path = path
         self.metadata: dict[str, dict[str, str]] = {}
         """By the name of the group, as far as it was read."""
-        self.torn = ""
-        """Why the reading ended before the file's end; empty where it did not, or has not yet."""
+        self.damage: list[str] = []
+        """What the last reading had to leave out, and why it ended where there is no end."""
 
     @property
     def whole(self) -> bool:
@@ -257,42 +257,46 @@ class McapFile:
             return file.read() == MAGIC
 
     def messages(self) -> Iterator[Message]:
-        """All messages. Afterwards `torn` says whether something is missing at the end.
+        """All messages. Afterwards `damage` says what is missing.
 
         Raises:
-            ValueError: A chunk is damaged, or compressed.
+            ValueError: A chunk is compressed.
         """
-        self.torn = ""
+        self.damage = []
         schemas: dict[int, str] = {0: ""}
         channels: dict[int, tuple[str, str]] = {}
-        for kind, body, whole in self._records():
-            if kind == _METADATA and whole:
-                name, at = _read_text(body, 0)
-                self.metadata[name] = _read_map(body, at)
-            elif kind == _CHUNK:
-                yield from self._in_chunk(body, whole, schemas, channels)
-            elif kind == _MESSAGE and whole:
-                yield _read_message(body, channels)
-            elif whole:
-                _declare(kind, body, schemas, channels)
+        for at, kind, body, whole in self._records():
+            try:
+                if kind == _METADATA and whole:
+                    name, start = _read_text(body, 0)
+                    self.metadata[name] = _read_map(body, start)
+                elif kind == _CHUNK:
+                    yield from self._in_chunk(body, whole, schemas, channels)
+                elif kind == _MESSAGE and whole:
+                    yield _read_message(body, channels)
+                elif whole:
+                    _declare(kind, body, schemas, channels)
+            except (_Damaged, struct.error) as error:
+                self.damage.append(f"at byte {at}: {error}")
 
-    def _records(self) -> Iterator[tuple[int, bytes, bool]]:
-        """Kind and content of what lies in the data section; the last one may not be whole."""
+    def _records(self) -> Iterator[tuple[int, int, bytes, bool]]:
+        """Place, kind and content of what lies in the data section; the last one may not be whole."""
         with self.path.open("rb") as file:
             file.seek(len(MAGIC))
             while True:
+                at = file.tell()
                 head = file.read(9)
                 if len(head) < 9:
-                    self.torn = "the file has no end"
+                    self.damage.append("it has no end")
                     return
                 kind, length = struct.unpack("<BQ", head)
                 if kind == _DATA_END:
                     return
                 if not 0 < kind < 0x80 or length > MOST_BYTES:
-                    self.torn = f"no record at byte {file.tell() - 9}"
+                    self.damage.append(f"at byte {at}: no record, so that nothing can be found after it")
                     return
                 body = file.read(length)
-                yield kind, body, len(body) == length
+                yield at, kind, body, len(body) == length
 
     def _in_chunk(
         self, body: bytes, whole: bool, schemas: dict[int, str], channels: dict[int, tuple[str, str]]
@@ -305,7 +309,7 @@ class McapFile:
             raise ValueError(f"{self.path}: expected chunks without compression, got {compression}")
         raw = body[at + 8 :]
         if whole and (len(raw) != size or (checksum and zlib.crc32(raw) != checksum)):
-            raise ValueError(f"{self.path}: a chunk is damaged: its checksum is wrong")
+            raise _Damaged("a chunk whose checksum is wrong")
         at = 0
         while at + 9 <= len(raw):
             kind, length = struct.unpack_from("<BQ", raw, at)
@@ -319,6 +323,10 @@ class McapFile:
                 _declare(kind, record, schemas, channels)
 
 
+class _Damaged(Exception):  # noqa: N818 - it names what was found.
+    """Something that cannot be read, and has an end after which the reading can go on."""
+
+
 def _declare(kind: int, body: bytes, schemas: dict[int, str], channels: dict[int, tuple[str, str]]) -> None:
     if kind == _SCHEMA:
         schemas[struct.unpack_from("<H", body)[0]] = _read_text(body, 2)[0]
@@ -330,7 +338,7 @@ def _declare(kind: int, body: bytes, schemas: dict[int, str], channels: dict[int
 def _read_message(body: bytes, channels: dict[int, tuple[str, str]]) -> Message:
     channel, _, time, _ = struct.unpack_from("<HIQQ", body)
     if channel not in channels:
-        raise ValueError(f"message: expected one of a channel that was declared, got channel {channel}")
+        raise _Damaged(f"a message of channel {channel}, which was not declared")
     return Message(*channels[channel], time, body[22:])
 
 
@@ -357,7 +365,7 @@ def _read_text(body: bytes, at: int) -> tuple[str, int]:
 
 
 def _read_map(body: bytes, at: int) -> dict[str, str]:
-    texts = {}
+    texts: dict[str, str] = {}
     at += 4
     while at < len(body):
         key, at = _read_text(body, at)

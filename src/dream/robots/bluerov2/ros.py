@@ -29,6 +29,10 @@ JPEG_QUALITY = 90
 UNKNOWN = 1e6
 """Variance of what a message has a place for and nobody knows."""
 
+VIDEO = "foxglove_msgs/msg/CompressedVideo"
+VIDEO_TEXT = "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n"
+"""ROS 2 has no message for compressed video; this one (foxglove/foxglove-sdk, schemas) others read."""
+
 _KINDS: Mapping[str, type[Imu | Dvl | Depth | Heading]] = {
     "imu": Imu,
     "dvl": Dvl,
@@ -48,16 +52,18 @@ class Typed(NamedTuple):
 
 @lru_cache(maxsize=1)
 def typestore() -> Any:
-    """The messages of ROS 2 Jazzy, which `rosbags` holds.
+    """The messages of ROS 2 Jazzy, which `rosbags` holds, and that of a video.
 
     Raises:
         ImportError: `rosbags` is missing.
     """
     try:
-        from rosbags.typesys import Stores, get_typestore
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError as error:
         raise ImportError('a dive\'s log needs rosbags: pip install "dream-auv[rov]"') from error
-    return get_typestore(Stores.ROS2_JAZZY)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(VIDEO_TEXT, VIDEO))
+    return store
 
 
 def _new(kind: str, **values: Any) -> Any:
@@ -66,10 +72,12 @@ def _new(kind: str, **values: Any) -> Any:
 
 def header(stamp_ns: int, frame: str) -> Any:
     """When and in which frame."""
-    time = _new(
-        "builtin_interfaces/msg/Time", sec=stamp_ns // 1_000_000_000, nanosec=stamp_ns % 1_000_000_000
-    )
-    return _new("std_msgs/msg/Header", stamp=time, frame_id=frame)
+    return _new("std_msgs/msg/Header", stamp=_time(stamp_ns), frame_id=frame)
+
+
+def _time(stamp_ns: int) -> Any:
+    sec, nanosec = divmod(stamp_ns, 1_000_000_000)
+    return _new("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
 
 
 def _vector(values: npt.ArrayLike) -> Any:
@@ -220,6 +228,14 @@ def of_picture(picture: npt.NDArray[np.uint8] | bytes, topic: str, stamp_ns: int
         data=np.frombuffer(picture, np.uint8),
     )
     return Typed(topic, kind, message)
+
+
+def of_video(unit: Any, topic: str, stamp_ns: int) -> Typed:
+    """H.264 as it came, one picture: `data`, and before one that builds on no other its `parameters`."""
+    raw = unit.parameters + unit.data if unit.whole else unit.data
+    data = np.frombuffer(raw, np.uint8)
+    message = _new(VIDEO, timestamp=_time(stamp_ns), frame_id="camera", data=data, format="h264")
+    return Typed(topic, VIDEO, message)
 
 
 def is_png(data: bytes) -> bool:
