@@ -291,7 +291,18 @@ def test_a_velocity_through_the_water_is_never_delivered(opened: Opened) -> None
 
 
 def test_an_endless_line_takes_no_room(opened: Opened) -> None:
-    link, got, _ = opened(says(*[b"y" * MAX_LINE] * 20, b"\n", stamped(10.0)))
+    refused = threading.Event()
+
+    def tap(_time: float, _channel: str, sent: bool, payload: object) -> None:
+        if not sent and str(payload).startswith("yyy"):
+            refused.set()
+
+    def script(link: socket.socket) -> None:
+        link.sendall(b"y" * (2 * MAX_LINE))
+        assert refused.wait(SOON)  # Before it ends, which it need not.
+        link.sendall(b"y" * MAX_LINE + b"\n" + stamped(10.0))
+
+    link, got, _ = opened(script, tap=tap)
     got.get(timeout=SOON)
     assert link.refused == {"longer than a report": 1}
 

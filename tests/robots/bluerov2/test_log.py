@@ -150,6 +150,16 @@ class TestWhatIsInIt:
         # They sort by time, and ours are as they were told.
         assert sorted(theirs) == sorted(ours)
 
+    def test_the_index_leads_to_each_channel(self, told: Path) -> None:
+        raw = told.read_bytes()
+        with Reader(told) as reader:
+            storage: Any = reader.storage
+            for chunk in storage.chunks:
+                assert raw[chunk.chunk_start_offset] == 6
+                for channel, offset in chunk.message_index_offsets.items():
+                    assert raw[offset] == 7
+                    assert int.from_bytes(raw[offset + 9 : offset + 11], "little") == channel
+
     def test_frames_and_units_are_those_of_rep_103(self, told: Path) -> None:
         found = by_topic(told)
         estimate = found["/estimate"][0].message
@@ -416,11 +426,13 @@ class TestTrouble:
         with DiveLog(tmp_path, epoch_ns=EPOCH) as log:
             log.tap(0.0, "a50", False, "before")
             _until(lambda: log.written >= 1)
+            size = log.path.stat().st_size
             full.set()
             log.tap(1.0, "a50", False, "lost")
             log.tap(1.0, "state", False, "lost")
             _until(lambda: sum(log.lost.values()) == 2)
             assert "No space left on device" in log.problem
+            assert log.path.stat().st_size == size
             full.clear()
             log.tap(2.0, "state", False, "after")
             _until(lambda: log.written >= 2)

@@ -8,6 +8,7 @@
     /camera/video  /camera/image                           H.264 as it came; else JPEG or PNG
     /mavlink/received  /mavlink/sent                       packets, byte by byte
     /a50/received  /a50/sent                               lines
+    /<channel>/received  /<channel>/sent                   text and bytes of any other channel
     /<channel>                                             whatever else is told, as JSON
     /log                                                   the log about itself: what is missing, and why
 """
