@@ -37,7 +37,7 @@ from dream.robots.bluerov2.log import (
     recover,
 )
 from dream.robots.bluerov2.mcap import McapFile
-from dream.robots.bluerov2.ros import measurement_text, quaternion, read_measurement
+from dream.robots.bluerov2.messages import measurement_text, quaternion, read_measurement
 
 EPOCH = 1_795_000_000_123_456_789
 

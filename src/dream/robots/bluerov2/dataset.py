@@ -30,7 +30,7 @@ from PIL import Image
 from dream import __version__
 from dream.geometry import SE3, Camera
 from dream.robots import replay
-from dream.robots.bluerov2.ros import quaternion
+from dream.robots.bluerov2.messages import quaternion
 from dream.types import Float32Array, Label, Observation
 
 FARTHEST_MM = 65_535

@@ -32,9 +32,9 @@ import numpy as np
 
 from dream import __version__
 from dream.measurements import Depth, Dvl, Heading, Imu, Measurement
-from dream.robots.bluerov2 import ros
+from dream.robots.bluerov2 import messages
 from dream.robots.bluerov2.mcap import McapFile, McapWriter
-from dream.robots.bluerov2.ros import Typed
+from dream.robots.bluerov2.messages import Typed
 
 logger = logging.getLogger(__name__)
 
@@ -89,7 +89,7 @@ class DiveLog:
         self.path = folder / NAME
         self.epoch_ns = epoch_ns
         self._room = room
-        ros.typestore()
+        messages.typestore()
         try:
             self._file = McapWriter(
                 self.path,
@@ -214,7 +214,7 @@ class DiveLog:
             if lost != self._told_lost and self._file.pending:
                 # Said once the file takes something again; where it does not, it is said the next time.
                 text = json.dumps({"lost": self.lost, "why": self._problem})
-                self._put(ros.of_text(text, "/log"), self._stamp(self._last_time))
+                self._put(messages.of_text(text, "/log"), self._stamp(self._last_time))
             self._written += self._file.flush()
             if lost == self._told_lost and not self._closing.is_set():
                 self._problem = ""
@@ -228,10 +228,10 @@ class DiveLog:
     def _put(self, typed: Typed, stamp_ns: int) -> None:
         if typed.topic not in self._topics:
             if typed.type not in self._types:
-                text, _ = ros.typestore().generate_msgdef(typed.type, ros_version=2)
+                text, _ = messages.typestore().generate_msgdef(typed.type, ros_version=2)
                 self._types[typed.type] = self._file.add_schema(typed.type, "ros2msg", text)
             self._topics[typed.topic] = self._file.add_channel(typed.topic, self._types[typed.type])
-        data = ros.typestore().serialize_cdr(typed.message, typed.type)
+        data = messages.typestore().serialize_cdr(typed.message, typed.type)
         self._file.write(self._topics[typed.topic], stamp_ns, data)
 
     def _stamp(self, time: float) -> int:
@@ -247,28 +247,28 @@ class DiveLog:
         way = f"{topic}/{'sent' if told.sent else 'received'}"
         if isinstance(said, Imu | Dvl | Depth | Heading):
             # Text first: it has no time that must fit into nanoseconds.
-            yield ros.of_text(ros.measurement_text(said), "/measurements"), logged
+            yield messages.of_text(messages.measurement_text(said), "/measurements"), logged
             if math.isfinite(said.time):
-                for typed in ros.of_measurement(said, self._stamp(said.time)):
+                for typed in messages.of_measurement(said, self._stamp(said.time)):
                     yield typed, logged
         elif hasattr(said, "get_msgbuf"):
-            yield ros.of_bytes(bytes(said.get_msgbuf() or b""), way, said.get_type()), logged
+            yield messages.of_bytes(bytes(said.get_msgbuf() or b""), way, said.get_type()), logged
         elif isinstance(said, str):
-            yield ros.of_text(said, way), logged
-        elif isinstance(said, bytes) and not (ros.is_png(said) or ros.is_jpeg(said)):
-            yield ros.of_bytes(said, way, "bytes"), logged
+            yield messages.of_text(said, way), logged
+        elif isinstance(said, bytes) and not (messages.is_png(said) or messages.is_jpeg(said)):
+            yield messages.of_bytes(said, way, "bytes"), logged
         elif hasattr(said, "data") and hasattr(said, "parameters"):
-            yield ros.of_video(said, f"{topic}/video", self._stamp(said.time)), logged
+            yield messages.of_video(said, f"{topic}/video", self._stamp(said.time)), logged
         elif (picture := _picture(said)) is not None:
             taken = getattr(said, "time", math.nan)
             stamp_ns = self._stamp(taken) if math.isfinite(taken) else logged
-            yield ros.of_picture(picture, f"{topic}/image", stamp_ns), logged
+            yield messages.of_picture(picture, f"{topic}/image", stamp_ns), logged
         elif hasattr(said, "pose") and hasattr(said, "angular_velocity"):
-            for typed in ros.of_state(said, logged):
+            for typed in messages.of_state(said, logged):
                 yield typed, logged
         else:
-            text = json.dumps({"time": told.time, "said": ros.plain(said)})
-            yield ros.of_text(text, topic), logged
+            text = json.dumps({"time": told.time, "said": messages.plain(said)})
+            yield messages.of_text(text, topic), logged
 
 
 def _picture(said: Any) -> Any:
@@ -318,7 +318,7 @@ def read_log(path: Path, topics: Collection[str] = ()) -> Iterator[Logged]:
         ValueError: It is no log of a dive.
     """
     file = McapFile(path)
-    store = ros.typestore()
+    store = messages.typestore()
     epoch_ns: int | None = None
     for message in file.messages():
         if epoch_ns is None:
@@ -348,7 +348,7 @@ def read_measurements(path: Path) -> Iterator[Imu | Measurement]:
     Raises as `read_log` does.
     """
     for logged in read_log(path, ("/measurements",)):
-        yield ros.read_measurement(logged.message.data)
+        yield messages.read_measurement(logged.message.data)
 
 
 def read_wire(path: Path, channel: str) -> Iterator[tuple[float, bool, bytes]]:
@@ -374,7 +374,7 @@ def recover(path: Path, to: Path) -> int:
     file = McapFile(path)
     found = file.messages()
     message = next(found, None)  # By then the metadata is known, which stands first.
-    store = ros.typestore()
+    store = messages.typestore()
     writer = McapWriter(to, library=f"dream {__version__}", metadata=file.metadata)
     schemas: dict[str, int] = {}
     channels: dict[str, int] = {}
