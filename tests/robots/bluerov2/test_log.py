@@ -92,6 +92,15 @@ class AccessUnit:
     parameters: bytes
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Fix:
+    time: float
+    T_world_base: SE3
+    velocity: Any
+    angular_velocity: Any
+    position_sigma: float
+
+
 def png() -> bytes:
     buffer = io.BytesIO()
     Image.fromarray(np.zeros((4, 5, 3), np.uint8)).save(buffer, "PNG")
@@ -177,6 +186,15 @@ class TestWhatIsInIt:
         stamp = first.header.stamp.sec * 1_000_000_000 + first.header.stamp.nanosec
         assert stamp == EPOCH + round(1e9 * imu.time)
         assert found["/depth"][0].message.pose.pose.position.z < -1.9
+
+    def test_any_estimate_of_the_pose_is_one(self, tmp_path: Path) -> None:
+        fix = Fix(2.0, SE3.level(1.0, 2.0, -3.0, 0.0), np.array([0.1, 0.0, 0.0]), np.zeros(3), 0.2)
+        with DiveLog(tmp_path, epoch_ns=EPOCH) as log:
+            log.tap(2.0, "estimate", False, fix)
+        estimate = by_topic(log.path)["/estimate"][0].message
+        assert estimate.pose.pose.position.y == 2.0
+        assert estimate.pose.covariance[7] == pytest.approx(0.04)
+        assert estimate.twist.twist.linear.x == 0.1
 
     def test_a_velocity_without_lock_cannot_be_taken_for_one(self, told: Path) -> None:
         dvls = [m for m in motion() if isinstance(m, Dvl)]

@@ -134,8 +134,8 @@ class DiveLog:
             time: On the dive's clock.
             channel: From where or to where; see the module for what becomes of it.
             sent: Went out, else came in.
-            payload: A measurement, an estimator's state, a MAVLink message, a line of text, bytes, an access
-                unit of a video, a picture (or what has one as `rgb`), or anything that JSON can tell.
+            payload: A measurement, an estimate of the pose, a MAVLink message, a line of text, bytes, an
+                access unit of a video, a picture (or what has one as `rgb`), or anything that JSON can tell.
         """
         size = _ALONE + _size(payload)
         with self._lock:
@@ -263,7 +263,7 @@ class DiveLog:
             taken = getattr(said, "time", math.nan)
             stamp_ns = self._stamp(taken) if math.isfinite(taken) else logged
             yield messages.of_picture(picture, f"{topic}/image", stamp_ns), logged
-        elif hasattr(said, "pose") and hasattr(said, "angular_velocity"):
+        elif hasattr(said, "angular_velocity") and (hasattr(said, "pose") or hasattr(said, "T_world_base")):
             for typed in messages.of_state(said, logged):
                 yield typed, logged
         else:

@@ -182,12 +182,14 @@ def _of_dvl(said: Dvl, stamp_ns: int) -> Iterator[Typed]:
 
 
 def of_state(state: Any, stamp_ns: int) -> Iterator[Typed]:
-    """An estimator's state: `pose`, `velocity` in the world, `angular_velocity` in base; and its certainty,
-    where it has a `position_covariance`."""
-    pose: SE3 = state.pose
-    covariance, speeds = np.diag([0.0] * 6), np.diag([UNKNOWN] * 6)
-    certainty = getattr(state, "position_covariance", None)
-    covariance[:3, :3] = np.diag([UNKNOWN] * 3) if certainty is None else certainty
+    """Where a vehicle believes to be: `pose` or `T_world_base`, `velocity` over ground in the world,
+    `angular_velocity` in base; and how certain it is, as `position_covariance` (3, 3) or `position_sigma`."""
+    pose: SE3 = state.pose if hasattr(state, "pose") else state.T_world_base
+    covariance, speeds = np.diag([UNKNOWN] * 6), np.diag([UNKNOWN] * 6)
+    if hasattr(state, "position_covariance"):
+        covariance[:3, :3] = state.position_covariance
+    elif hasattr(state, "position_sigma"):
+        covariance[:3, :3] = np.eye(3) * state.position_sigma**2
     twist = _new(
         "geometry_msgs/msg/Twist",
         linear=_vector(pose.rotation.T @ np.asarray(state.velocity)),
