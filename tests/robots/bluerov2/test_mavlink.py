@@ -20,6 +20,7 @@ from dream.robots.bluerov2.mavlink import LIFELINE, LOST, PERIOD, Link, Refused
 from dream.robots.bluerov2.motion import LONGEST, Motion
 from dream.robots.bluerov2.reports import GRAVITY, SEA
 from dream.robots.bluerov2.sticks import NEUTRAL, STILL, Sticks
+from dream.robots.bluerov2.wire import Udp
 from dream.types import BodyVelocity
 from dream.vehicle import VECTORED_6DOF
 
@@ -965,10 +966,15 @@ def test_checking_changes_nothing_and_correcting_only_what_is_wrong(dive: Dive) 
     assert {m.param_id for m in dive.vehicle.heard("PARAM_SET")} == wrong
     assert all(check.ok for check in dive.link.check_parameters())
     dive.vehicle.parameters["MAV_GCS_SYSID"] = 252.0
+    dive.vehicle.parameters["MAV_GCS_SYSID_HI"] = 255.0
+    dive.link.correct(dive.link.check_parameters())
+    assert dive.vehicle.parameters["MAV_GCS_SYSID"] == 255.0
+    dive.vehicle.parameters["MAV_GCS_SYSID"] = 252.0
+    dive.vehicle.parameters["MAV_GCS_SYSID_HI"] = 254.0
     dive.vehicle.parameters["FRAME_CONFIG"] = 7.0
     del dive.vehicle.parameters["FS_GCS_ENABLE"]
     wrong = {check.name for check in dive.link.check_parameters() if not check.ok}
-    assert wrong == {"MAV_GCS_SYSID", "FRAME_CONFIG", "FS_GCS_ENABLE"}
+    assert wrong == {"MAV_GCS_SYSID", "MAV_GCS_SYSID_HI", "FRAME_CONFIG", "FS_GCS_ENABLE"}
 
 
 def test_the_joystick_is_that_of_the_vehicle(dive: Dive) -> None:
@@ -1081,6 +1087,30 @@ def test_closing_sends_neutral_and_frees_the_port() -> None:
         Link(f"udpin:127.0.0.1:{port}", now=time.monotonic)
     with Link(f"udpin:127.0.0.1:{port}", now=time.monotonic):
         pass
+
+
+def test_who_speaks_up_later_is_not_answered_while_the_first_is_there() -> None:
+    pipe = Udp("127.0.0.1", 0, listen=True)
+    first, second = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+    try:
+        for peer in (first, second):
+            peer.bind(("127.0.0.1", 0))
+            peer.settimeout(2.0)
+        assert not pipe.send(b"to nobody")
+        for peer, lost in ((first, 60.0), (second, 60.0)):
+            peer.sendto(b"hello", ("127.0.0.1", pipe.port))
+            assert pipe.receive() == b"hello"
+            pipe.answered(lost)
+        assert pipe.send(b"to the first")
+        assert first.recv(100) == b"to the first"
+        second.sendto(b"again", ("127.0.0.1", pipe.port))
+        pipe.receive()
+        pipe.answered(-1.0)  # the first is gone
+        pipe.send(b"to the second")
+        assert second.recv(100) == b"to the second"
+    finally:
+        for each in (pipe, first, second):
+            each.close()
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1", "udpin:127.0.0.1:99999", "tcp::1", "udpout:host:x"])

@@ -184,8 +184,8 @@ class Link:
             address: udpin:HOST:PORT (or HOST:PORT) listens, port 0 takes any free one; udpout:HOST:PORT and
                 tcp:HOST:PORT go there. Or anything that carries datagrams.
             now: The dive's clock.
-            deliver: Takes measurements, in the receiving thread.
-            tap: Takes (time, "mavlink", sent, message) for each message.
+            deliver: Takes measurements, in the receiving thread, where nothing may be asked of the vehicle.
+            tap: Takes (time, "mavlink", sent, message) for each message. Must not wait for another thread.
             vehicle: System id of the vehicle; its autopilot has component id 1.
             system: System id of ours, which MAV_GCS_SYSID of the vehicle must be.
             component: Component id of ours.
@@ -829,7 +829,7 @@ class Link:
         elif kind == "STATUSTEXT":
             text = _text(message.text)
             self.texts.append((now, int(message.severity), text))
-            if "leak" in text.lower():
+            if "leak" in text.lower() and message.severity <= self._dialect.MAV_SEVERITY_WARNING:
                 values["leak"] = True
         elif kind == "AUTOPILOT_VERSION":
             v = int(message.flight_sw_version)

@@ -57,6 +57,12 @@ def rules(system: int) -> tuple[Rule, ...]:
             "only this station's sticks and heartbeats count",
             lambda v: v == system,
         ),
+        Rule(
+            "MAV_GCS_SYSID_HI",
+            0.0,
+            "0: a range of ids would let others steer; versions before 4.7 do not have it",
+            lambda v: math.isnan(v) or v in (0.0, system),
+        ),
         Rule("FS_PILOT_INPUT", 2.0, "2: disarms when our sticks fall silent", lambda v: v == 2.0),
         Rule("FS_PILOT_TIMEOUT", 1.0, "seconds until then: 1 at most", lambda v: 0.0 < v <= 1.0),
         Rule(
