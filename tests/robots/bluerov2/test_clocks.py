@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from dream.robots.bluerov2.clocks import DeviceClock
@@ -93,7 +93,7 @@ def test_a_device_that_stands_still_for_long_is_a_jump_at_last() -> None:
 def test_messages_that_overtake_each_other_keep_their_order_of_stamps(seed: int) -> None:
     clock = DeviceClock()
     truth, stamp, arrival = dive(seed, count=300)
-    assert (np.diff(stamp) < 0.0).any()
+    assume((np.diff(stamp) < 0.0).any())
     mapped = np.array([clock.time(s, a) for s, a in zip(stamp, arrival, strict=True)])
     settled = mapped[100:][np.argsort(truth[100:])]
     assert (np.diff(settled) > 0.0).all()

@@ -890,7 +890,7 @@ class Link:
         if armed != old_armed:
             wanted_armed, until = self._expected_armed
             if armed == wanted_armed and now <= until:
-                self._ours = armed and self._engaged
+                self._ours = armed
             else:
                 self._motion.stop()
                 self._ours = False
