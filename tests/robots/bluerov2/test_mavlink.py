@@ -460,6 +460,9 @@ def test_the_heartbeat_goes_at_1_hz_and_stops_when_it_is_not_renewed(dive: Dive)
     assert times
     # Sticks refresh the same failsafe as heartbeats: they must end, too.
     assert max(times) <= silent + 1e-9
+    dive.vehicle.sent.clear()
+    dive.link.stop()  # but whoever says so stops it
+    assert [is_neutral(m) for m in dive.vehicle.moves()] == [True]
     dive.run(1.2)
     assert dive.vehicle.heard("MANUAL_CONTROL")[-1].x == 0
 
@@ -860,6 +863,20 @@ def test_every_message_is_tapped(dive: Dive) -> None:
     came = [m for _, channel, out, m in dive.tapped if not out and channel == "mavlink"]
     assert {m.get_type() for m in sent} >= {"COMMAND_LONG", "MANUAL_CONTROL"}
     assert {m.get_type() for m in came} >= {"HEARTBEAT", "COMMAND_ACK"}
+
+
+def test_a_log_that_fails_does_not_stop_the_motion(caplog: pytest.LogCaptureFixture) -> None:
+    dive = Dive().armed("GUIDED")
+
+    def full(*_: object) -> None:
+        raise OSError("no space left on device")
+
+    dive.link._tap = full
+    dive.link.command(FASTER, dive.clock() + 0.3)
+    dive.run(0.3)
+    assert len(dive.vehicle.heard("MANUAL_CONTROL")) > 4
+    assert len(dive.vehicle.heard("SET_POSITION_TARGET_LOCAL_NED")) > 4
+    assert "not logged" in caplog.text
 
 
 # Questions

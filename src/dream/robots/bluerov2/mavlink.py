@@ -195,7 +195,7 @@ class Link:
             depth_sigma: Metres that a depth is uncertain by.
             imu_from: RAW_IMU, SCALED_IMU or SCALED_IMU2.
             heading_from: ATTITUDE or ATTITUDE_QUATERNION.
-            rates: Names of messages and the hertz to ask for.
+            rates: Names of messages and the hertz to ask for; `imu_from` and `heading_from` among them.
             retry: Seconds to wait for an answer before asking again.
         """
         if not (1 <= vehicle <= 255 and 1 <= system <= 255 and vehicle != system):
@@ -242,7 +242,7 @@ class Link:
         self._waiting: list[tuple[Callable[[Any], bool], list[Any]]] = []
 
         self._motion = Motion()
-        self._engaged = False
+        self._piloting = False
         self._ours = False
         self._expected_armed: tuple[bool, float] = (False, -math.inf)
         self._expected_mode: tuple[str, float] = ("", -math.inf)
@@ -440,7 +440,7 @@ class Link:
             self.operator_alive()
             self._motion.stop()
             already = bool(self._values.get("armed"))
-            self._engaged = True
+            self._piloting = True
             self._expected_armed = True, self._now() + EXPECTED + 3 * self._retry
             self._drive(self._now())
         try:
@@ -451,7 +451,7 @@ class Link:
                 self._ours = bool(self._values.get("armed"))
         except (TimeoutError, Refused):
             with self._news:
-                self._engaged = False
+                self._piloting = False
                 self._expected_armed = False, self._now() + EXPECTED
             raise
 
@@ -470,7 +470,7 @@ class Link:
         if not self._wait(lambda: not self._values.get("armed", True), EXPECTED):
             raise TimeoutError(f"disarm: expected a disarmed heartbeat within {EXPECTED} s, got none")
         with self._news:
-            self._engaged = False
+            self._piloting = False
 
     def set_mode(self, name: str) -> None:
         """Change the mode, and stop: an order for one mode is none for the next.
@@ -716,8 +716,12 @@ class Link:
             if alive and now >= self._next_heartbeat:
                 self._next_heartbeat = now + 1.0
                 self._heartbeat(now)
+            if not alive:
+                # Sticks refresh the vehicle's failsafes as heartbeats do: both must end.
+                self._motion.stop()
             if now >= self._next_beat:
-                self._drive(now)
+                if alive:
+                    self._drive(now)
                 self._next_beat = now + min(PERIOD, self._motion.next_expiry(now))
             return max(0.001, self._next_beat - now)
 
@@ -745,8 +749,7 @@ class Link:
             reason = str(message.reason)
             self.refused["wrong checksum" if "CRC" in reason else "no packet"] += 1
             return
-        if self._tap is not None:
-            self._tap(now, "mavlink", False, message)
+        self._record(now, False, message)
         sender, component = message.get_srcSystem(), message.get_srcComponent()
         with self._news:
             if sender == self.system:
@@ -865,7 +868,7 @@ class Link:
                 return
             self._reboots += 1
             self._sequence = -1
-            self._ours = self._engaged = False
+            self._ours = self._piloting = False
             self._motion.stop()
             self._values.pop("version", None)
             self._asked_again = -math.inf
@@ -961,13 +964,10 @@ class Link:
 
     def _drive(self, now: float) -> None:
         """Send the order that holds, or neutral; or nothing where that is not ours to do."""
-        if now >= self._alive_until:
-            self._motion.stop()
-            return
         mode = self._values.get("mode", "")
         pressed = now - self._press[1]
         buttons = self._press[0] if pressed < PRESS else 0
-        if not (self._engaged or pressed < 2.0 * PRESS) or self.rival:
+        if not (self._piloting or pressed < 2.0 * PRESS) or self.rival:
             return
         if self.yielding and mode != "SURFACE":
             return  # SURFACE needs a pilot's neutral, or the vehicle would disarm on its way up
@@ -1000,8 +1000,15 @@ class Link:
             except OSError as error:
                 self._trouble(f"cannot send: {error}")
                 return
-        if self._tap is not None:
-            self._tap(self._now(), "mavlink", True, message)
+        self._record(self._now(), True, message)
+
+    def _record(self, now: float, sent: bool, message: Any) -> None:
+        if self._tap is None:
+            return
+        try:
+            self._tap(now, "mavlink", sent, message)
+        except Exception:  # a full disk must not stop the motion messages
+            logger.exception("a message was not logged")
 
     # Asking
 
