@@ -574,6 +574,16 @@ def test_a_disarm_that_nobody_asked_for_ends_it(dive: Dive) -> None:
     assert all(map(is_neutral, dive.vehicle.moves()))
 
 
+def test_a_heartbeat_that_comes_late_or_twice_changes_nothing(dive: Dive) -> None:
+    dive.vehicle.heartbeat()
+    old = dive.vehicle.pack(dialect.MAVLink_heartbeat_message(12, 3, 1, 19, 4, 3))
+    dive.armed()
+    dive.link.receive(old)
+    assert dive.link.yielding == ""
+    assert dive.link.telemetry.armed
+    assert dive.link.refused["HEARTBEAT: repeated or overtaken"] == 1
+
+
 def test_other_systems_and_components_are_counted_and_not_believed(dive: Dive) -> None:
     dive.armed()
     before = dive.link.telemetry.mode

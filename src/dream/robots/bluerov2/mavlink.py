@@ -6,32 +6,16 @@ import contextlib
 import importlib
 import logging
 import math
-import statistics
 import struct
 import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
-from dream.measurements import Depth, Heading, Imu
-from dream.robots.bluerov2.clocks import DeviceClock
-from dream.robots.bluerov2.reports import (
-    FRESH,
-    MODES,
-    NUMBERS,
-    Attitude,
-    Strange,
-    attitude_of,
-    depth_of,
-    heading_of,
-    imu_of,
-    pressure_of,
-    tilt_of,
-)
+from dream.robots.bluerov2.reports import FRESH, MOUNT_MESSAGES, NUMBERS, Strange, text_of
 from dream.robots.bluerov2.motion import Motion, Order
 from dream.robots.bluerov2.parameters import JOYSTICK_PARAMETERS, STATION_ID, Check, rules
 from dream.robots.bluerov2.sticks import (
@@ -46,6 +30,7 @@ from dream.robots.bluerov2.sticks import (
     altitude_up,
     forward_right_down,
 )
+from dream.robots.bluerov2.telemetry import Instruments, Measurement, Reports, Telemetry
 from dream.robots.bluerov2.wire import Pipe, Tcp, Udp, open_pipe
 
 if TYPE_CHECKING:
@@ -53,7 +38,6 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-Measurement = Imu | Heading | Depth
 Tap = Callable[[float, str, bool, object], None]
 
 PERIOD = 0.05
@@ -101,44 +85,6 @@ STATION_MESSAGES = (
 
 class Refused(RuntimeError):  # noqa: N818 - it names what happened.
     """The vehicle answered, and the answer was no."""
-
-
-@dataclass(frozen=True, slots=True)
-class Telemetry:
-    """What the vehicle says of itself, at one moment. Ages are in seconds, infinite before the first."""
-
-    time: float
-    """Seconds on the dive's clock."""
-    mode: str = "UNKNOWN"
-    armed: bool = False
-    voltage: float = math.nan
-    """Volts at the battery."""
-    battery: float = math.nan
-    """Share that is left, 0 to 1."""
-    depth: float = math.nan
-    """Metres below the surface; NaN until the pressure there is known."""
-    attitude: Attitude | None = None
-    pilot_gain: float = math.nan
-    """What buttons have made of JS_GAIN_DEFAULT."""
-    input_hold: bool = False
-    """The autopilot keeps old sticks until all are near neutral."""
-    lights: float = math.nan
-    """0 to 1."""
-    camera_tilt: float = math.nan
-    """Radians up."""
-    leak: bool = False
-    failsafe: bool = False
-    """The vehicle's state is critical: one of its failsafes acts."""
-    version: str = ""
-    heartbeat_age: float = math.inf
-    imu_age: float = math.inf
-    attitude_age: float = math.inf
-    pressure_age: float = math.inf
-    loss: float = 0.0
-    """Share of the vehicle's packets that never came, by their numbers."""
-    jitter: float = math.nan
-    """Seconds, as `DeviceClock` tells it."""
-    reboots: int = 0
 
 
 class Link:
@@ -202,16 +148,16 @@ class Link:
             raise ValueError(
                 f"system ids: expected two different ones of 1 to 255, got {vehicle} and {system}"
             )
-        if not 900.0 <= density <= 1200.0:
-            raise ValueError(f"density: expected 900 to 1200 kg/m³ of water, got {density}")
         self._dialect = _dialect()
         self._now = now
         self._deliver = deliver
         self._tap = tap
         self.vehicle, self.system, self.component = vehicle, system, component
-        self._density, self._surface = density, surface_pressure
-        self._heading_sigma, self._depth_sigma = heading_sigma, depth_sigma
-        self._imu_from, self._heading_from = imu_from, heading_from
+        self._reports = Reports(
+            self._dialect,
+            Instruments(imu_from, heading_from, density, heading_sigma, depth_sigma),
+            surface_pressure,
+        )
         self._rates = dict(rates)
         self._retry = retry
         self._pipe = open_pipe(address) if isinstance(address, str) else address
@@ -228,8 +174,6 @@ class Link:
         """Arming or disarming that nobody here asked for; empty for none."""
         self.problem = ""
         """Why the port does not work; empty while it does."""
-        self.texts: deque[tuple[float, int, str]] = deque(maxlen=200)
-        """(time, severity, text) of what the vehicle said; severity 0 is worst."""
 
         self._news = threading.Condition(threading.RLock())
         self._out = threading.Lock()
@@ -250,20 +194,8 @@ class Link:
         self._press: tuple[int, float] = (0, -math.inf)
         self._next_heartbeat = -math.inf
         self._next_beat = -math.inf
-        self._asked_again = -math.inf
+        self._ask_again = False
 
-        self._clocks = {"boot": DeviceClock(), "usec": DeviceClock()}
-        self._last_stamp: dict[str, float] = {}
-        self._last_time: dict[str, float] = {}
-        self._trips: dict[int, float] = {}
-        self._values: dict[str, Any] = {}
-        self._seen: dict[str, float] = {}
-        self._pressures: deque[tuple[float, float]] = deque(maxlen=400)
-        self._sequence = -1
-        self._packets = self._missing = 0
-        self._boot = -math.inf
-        self._backwards = 0
-        self._reboots = 0
         self._before: dict[str, float] = {}
         self._types: dict[str, int] = {}
         self._spelling: dict[str, str] = {}
@@ -304,7 +236,7 @@ class Link:
     @property
     def age(self) -> float:
         """Seconds since the vehicle's last heartbeat; infinite before the first."""
-        return self._now() - self._seen.get("heartbeat", -math.inf)
+        return self._reports.age("heartbeat", self._now())
 
     @property
     def engaged(self) -> bool:
@@ -319,20 +251,14 @@ class Link:
     @property
     def telemetry(self) -> Telemetry:
         """What is known of the vehicle now."""
-        now = self._now()
         with self._news:
-            received = self._packets + self._missing
-            return Telemetry(
-                time=now,
-                **self._values,
-                heartbeat_age=now - self._seen.get("heartbeat", -math.inf),
-                imu_age=now - self._seen.get("imu", -math.inf),
-                attitude_age=now - self._seen.get("attitude", -math.inf),
-                pressure_age=now - self._seen.get("pressure", -math.inf),
-                loss=self._missing / received if received else 0.0,
-                jitter=self._clocks["boot"].jitter,
-                reboots=self._reboots,
-            )
+            return self._reports.telemetry(self._now())
+
+    @property
+    def texts(self) -> list[tuple[float, int, str]]:
+        """(time, severity, text) of what the vehicle said lately; severity 0 is worst."""
+        with self._news:
+            return list(self._reports.texts)
 
     # Signs of life
 
@@ -375,7 +301,7 @@ class Link:
         with self._news:
             self._motion.stop()
             self.rival = self.mode_changed_by_other = self.armed_by_other = ""
-            self._expected_mode = self._values.get("mode", ""), self._now()
+            self._expected_mode = self._reports.values.get("mode", ""), self._now()
 
     def depth_target(self, z: float, surface: float = 0.0) -> None:
         """Have ALT_HOLD go to a height in the world, in metres, and hold it.
@@ -390,7 +316,7 @@ class Link:
         """
         altitude = altitude_up(z, surface)
         with self._news:
-            mode = self._values.get("mode")
+            mode = self._reports.values.get("mode")
             if not self._ours or mode != "ALT_HOLD" or self.yielding:
                 raise RuntimeError(
                     f"depth target: expected a vehicle in ALT_HOLD that this link armed, got mode {mode}, "
@@ -423,7 +349,7 @@ class Link:
                 self.set_message_interval(name, rate)
         with contextlib.suppress(TimeoutError, Refused):
             self._command("REQUEST_MESSAGE", self._dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, tries=1)
-            self._wait(lambda: "version" in self._values, self._retry)
+            self._wait(lambda: "version" in self._reports.values, self._retry)
         return self.telemetry
 
     def arm(self) -> None:
@@ -439,16 +365,16 @@ class Link:
         with self._news:
             self.operator_alive()
             self._motion.stop()
-            already = bool(self._values.get("armed"))
+            already = self.telemetry.armed
             self._piloting = True
             self._expected_armed = True, self._now() + EXPECTED + 3 * self._retry
             self._drive(self._now())
         try:
             self._command("COMPONENT_ARM_DISARM", 1.0)
-            if not self._wait(lambda: self._ours or (already and bool(self._values.get("armed"))), EXPECTED):
+            if not self._wait(lambda: self._ours or (already and self.telemetry.armed), EXPECTED):
                 raise TimeoutError(f"arm: expected an armed heartbeat within {EXPECTED} s, got none")
             with self._news:
-                self._ours = bool(self._values.get("armed"))
+                self._ours = self.telemetry.armed
         except (TimeoutError, Refused):
             with self._news:
                 self._piloting = False
@@ -467,7 +393,7 @@ class Link:
             self._ours = False
             self._expected_armed = False, self._now() + EXPECTED + 3 * self._retry
         self._command("COMPONENT_ARM_DISARM", 0.0)
-        if not self._wait(lambda: not self._values.get("armed", True), EXPECTED):
+        if not self._wait(lambda: not self._reports.values.get("armed", True), EXPECTED):
             raise TimeoutError(f"disarm: expected a disarmed heartbeat within {EXPECTED} s, got none")
         with self._news:
             self._piloting = False
@@ -488,10 +414,10 @@ class Link:
             self._expected_mode = name, self._now() + EXPECTED + 3 * self._retry
         try:
             self._command("DO_SET_MODE", self._dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, NUMBERS[name])
-            if not self._wait(lambda: self._values.get("mode") == name, EXPECTED):
+            if not self._wait(lambda: self._reports.values.get("mode") == name, EXPECTED):
                 raise TimeoutError(
                     f"mode: expected a heartbeat with {name} within {EXPECTED} s, "
-                    f"got {self._values.get('mode')}"
+                    f"got {self._reports.values.get('mode')}"
                 )
         except Refused:
             with self._news:
@@ -550,7 +476,7 @@ class Link:
         def taken(answer: Any) -> bool:
             return (
                 answer.get_type() == "PARAM_VALUE"
-                and _text(answer.param_id) == spelling
+                and text_of(answer.param_id) == spelling
                 and math.isclose(answer.param_value, value, rel_tol=1e-6, abs_tol=1e-9)
             )
 
@@ -612,21 +538,8 @@ class Link:
         Raises:
             RuntimeError: Too few readings within 2 s, or the vehicle bobs by more than a hand's breadth.
         """
-        now = self._now()
         with self._news:
-            recent = [pressure for when, pressure in self._pressures if when > now - 2.0]
-            if len(recent) < 5:
-                raise RuntimeError(
-                    f"surface pressure: expected 5 readings within 2 s, got {len(recent)}. "
-                    "Is the Bar30 connected, and SCALED_PRESSURE2 asked for?"
-                )
-            if max(recent) - min(recent) > 10.0:
-                raise RuntimeError(
-                    f"surface pressure: expected readings within 10 hPa, got {min(recent)} to {max(recent)}. "
-                    "Let the vehicle float still"
-                )
-            self._surface = statistics.median(recent)
-            return self._surface
+            return self._reports.zero_depth(self._now())
 
     def tilt_camera(self, up: float, *, tolerance: float = math.radians(3.0), timeout: float = 4.0) -> float:
         """Point the camera and see it point there.
@@ -647,7 +560,7 @@ class Link:
         if not abs(up) <= math.radians(60.0):
             raise ValueError(f"camera tilt: expected at most 60° either way, got {math.degrees(up)}°")
         with self._news:
-            self._values.pop("camera_tilt", None)
+            self._reports.values.pop("camera_tilt", None)
         self._command("DO_MOUNT_CONTROL", math.degrees(up), last=2.0)
         if not self._wait(lambda: abs(self.telemetry.camera_tilt - up) <= tolerance, timeout):
             got = math.degrees(self.telemetry.camera_tilt)
@@ -670,7 +583,7 @@ class Link:
         """
         if not 0.0 <= share <= 1.0:
             raise ValueError(f"lights: expected a share from 0 to 1, got {share}")
-        if self.yielding or not self._wait(lambda: "lights" in self._values, 4.0):
+        if self.yielding or not self._wait(lambda: "lights" in self._reports.values, 4.0):
             raise RuntimeError(f"lights: expected the vehicle's report Lights1, got none. {self.yielding}")
         buttons = self._light_buttons()
         step = 1.0 / 8.0
@@ -758,17 +671,10 @@ class Link:
             if sender != self.vehicle:
                 self.refused[f"from system {sender}"] += 1
                 return
-            if component != 1:
-                if kind not in ("MOUNT_STATUS", "MOUNT_ORIENTATION", "GIMBAL_DEVICE_ATTITUDE_STATUS"):
-                    self.refused[f"from component {component}"] += 1
-                    return
-            else:
-                self._count(message.get_seq())
-            measurement: Measurement | None = None
-            try:
-                measurement = self._heard(message, kind, now)
-            except Strange as error:
-                self.refused[str(error)] += 1
+            if component != 1 and kind not in MOUNT_MESSAGES:
+                self.refused[f"from component {component}"] += 1
+                return
+            measurement = self._hear(message, kind, now)
             for wanted, answers in self._waiting:
                 if wanted(message):
                     answers.append(message)
@@ -790,107 +696,36 @@ class Link:
             )
             logger.warning("%s", self.rival)
 
-    def _count(self, sequence: int) -> None:
-        gap = (sequence - self._sequence - 1) % 256 if self._sequence >= 0 else 0
-        if gap >= 128:
-            return  # overtaken on its way, or a second copy
-        self._sequence = sequence
-        self._packets += 1
-        self._missing += gap
-
-    def _heard(self, message: Any, kind: str, now: float) -> Measurement | None:
-        if hasattr(message, "time_boot_ms") and message.get_srcComponent() == 1:
-            self._look_for_reboot(message.time_boot_ms / 1000.0)
-        values = self._values
-        if kind == "HEARTBEAT":
-            self._heartbeat_of(message, now)
-        elif kind == self._imu_from:
-            imu = imu_of(message, self._time(message, kind, now))
-            self._seen["imu"] = now
-            return imu
-        elif kind in ("ATTITUDE", "ATTITUDE_QUATERNION"):
-            attitude = attitude_of(message)
-            values["attitude"] = attitude
-            if kind == self._heading_from:
-                heading = heading_of(attitude, self._time(message, kind, now), self._heading_sigma)
-                self._seen["attitude"] = now
-                return heading
-        elif kind == "SCALED_PRESSURE2":
-            pressure = pressure_of(message)
-            when = self._time(message, kind, now)
-            self._seen["pressure"] = now
-            self._pressures.append((now, pressure))
-            if math.isfinite(self._surface):
-                depth = depth_of(pressure, self._surface, self._density, when, self._depth_sigma)
-                values["depth"] = -depth.z
-                return depth
-            self.refused["depth: surface pressure not known yet"] += 1
-        elif kind == "SYS_STATUS":
-            self._status(message)
-        elif kind == "NAMED_VALUE_FLOAT":
-            self._named(_text(message.name), float(message.value))
-        elif kind == "STATUSTEXT":
-            text = _text(message.text)
-            self.texts.append((now, int(message.severity), text))
-            if "leak" in text.lower() and message.severity <= self._dialect.MAV_SEVERITY_WARNING:
-                values["leak"] = True
-        elif kind == "AUTOPILOT_VERSION":
-            v = int(message.flight_sw_version)
-            values["version"] = f"{v >> 24 & 255}.{v >> 16 & 255}.{v >> 8 & 255}"
-        elif kind == "TIMESYNC":
-            self._synchronise(message, now)
-        elif kind in ("MOUNT_STATUS", "MOUNT_ORIENTATION", "GIMBAL_DEVICE_ATTITUDE_STATUS"):
-            values["camera_tilt"] = tilt_of(message)
-        return None
-
-    def _time(self, message: Any, kind: str, now: float) -> float:
-        """When it was true, later than any before it of its kind."""
-        if hasattr(message, "time_boot_ms"):
-            name, stamp = "boot", message.time_boot_ms / 1e3
+    def _hear(self, message: Any, kind: str, now: float) -> Measurement | None:
+        reports, measurement = self._reports, None
+        before, reboots = dict(reports.values), reports.reboots
+        try:
+            measurement = reports.take(message, now)
+        except Strange as error:
+            self.refused[str(error)] += 1
         else:
-            name, stamp = "usec", message.time_usec / 1e6
-        clock = self._clocks[name]
-        jumps = clock.jumps
-        when = clock.time(stamp, now)
-        if clock.jumps != jumps:
-            self._last_stamp.clear()
-        if stamp <= self._last_stamp.get(kind, -math.inf) or when <= self._last_time.get(kind, -math.inf):
-            raise Strange(f"{kind}: repeated or overtaken")
-        self._last_stamp[kind] = stamp
-        self._last_time[kind] = when
-        return when
-
-    def _look_for_reboot(self, boot: float) -> None:
-        """The boot clock went back, twice: once may be a packet that came late."""
-        if boot < self._boot - 1.0:
-            self._backwards += 1
-            if self._backwards < 2:
-                return
-            self._reboots += 1
-            self._sequence = -1
+            if kind == "HEARTBEAT":
+                self._pipe.answered(LOST)
+                self._watch(before, now)
+        if reports.reboots != reboots:
             self._ours = self._piloting = False
             self._motion.stop()
-            self._values.pop("version", None)
-            self._asked_again = -math.inf
-            self.texts.append((self._now(), 0, "the autopilot started anew"))
+            self._ask_again = True
             logger.warning("the autopilot started anew: it is not armed by us any more")
-            self._boot = boot
-        self._backwards = 0
-        self._boot = max(self._boot, boot)
+        return measurement
 
-    def _heartbeat_of(self, message: Any, now: float) -> None:
-        d = self._dialect
-        if message.type != d.MAV_TYPE_SUBMARINE or message.autopilot != d.MAV_AUTOPILOT_ARDUPILOTMEGA:
-            raise Strange("heartbeat: not of an ArduSub")
-        values, mode = self._values, MODES.get(message.custom_mode, f"MODE_{message.custom_mode}")
-        armed = bool(message.base_mode & d.MAV_MODE_FLAG_SAFETY_ARMED)
-        old_mode, old_armed = values.get("mode", mode), values.get("armed", armed)
+    def _watch(self, before: dict[str, Any], now: float) -> None:
+        """Look whether mode and arming are what was asked for here."""
+        mode, armed = self._reports.values["mode"], self._reports.values["armed"]
         wanted_mode, until = self._expected_mode
-        if mode != old_mode and not (mode == wanted_mode and now <= until):
+        if mode != before.get("mode", mode) and not (mode == wanted_mode and now <= until):
             self._motion.stop()
-            self.mode_changed_by_other = f"mode {mode} instead of {old_mode}, which nobody here asked for"
+            self.mode_changed_by_other = (
+                f"mode {mode} instead of {before['mode']}, which nobody here asked for"
+                f"{self._reports.last_words(now)}"
+            )
             logger.warning("%s", self.mode_changed_by_other)
-        if armed != old_armed:
+        if armed != before.get("armed", armed):
             wanted_armed, until = self._expected_armed
             if armed == wanted_armed and now <= until:
                 self._ours = armed
@@ -898,42 +733,10 @@ class Link:
                 self._motion.stop()
                 self._ours = False
                 self.armed_by_other = (
-                    f"{'armed' if armed else 'disarmed'}, which nobody here asked for{self._last_words(now)}"
+                    f"{'armed' if armed else 'disarmed'}, which nobody here asked for"
+                    f"{self._reports.last_words(now)}"
                 )
                 logger.warning("%s", self.armed_by_other)
-        values["mode"], values["armed"] = mode, armed
-        values["failsafe"] = message.system_status == d.MAV_STATE_CRITICAL
-        self._seen["heartbeat"] = now
-        self._pipe.answered(LOST)
-
-    def _status(self, message: Any) -> None:
-        millivolts, percent = message.voltage_battery, message.battery_remaining
-        self._values["voltage"] = millivolts / 1000.0 if 0 < millivolts < 65535 else math.nan
-        self._values["battery"] = percent / 100.0 if 0 <= percent <= 100 else math.nan
-        leak = self._dialect.MAV_SYS_STATUS_SENSOR_LEAK
-        if message.onboard_control_sensors_present & self._dialect.MAV_SYS_STATUS_EXTENSION_USED:
-            enabled = message.onboard_control_sensors_enabled_extended & leak
-            if enabled and not message.onboard_control_sensors_health_extended & leak:
-                self._values["leak"] = True
-
-    def _named(self, name: str, value: float) -> None:
-        if not math.isfinite(value):
-            raise Strange("named value: not finite")
-        if name == "PilotGain":
-            self._values["pilot_gain"] = value
-        elif name == "Lights1":
-            self._values["lights"] = value
-        elif name == "InputHold":
-            self._values["input_hold"] = value > 0.5
-
-    def _synchronise(self, message: Any, now: float) -> None:
-        sent = self._trips.pop(message.ts1, None)
-        if sent is None or message.tc1 <= 0 or not sent <= now <= sent + 1.0:
-            return
-        stamp = message.tc1 / 1e9
-        for clock in self._clocks.values():
-            if abs(clock.newest - stamp) < 10.0:  # not a clock that counts from elsewhere
-                clock.round_trip(sent, stamp, now)
 
     # Sending
 
@@ -952,19 +755,15 @@ class Link:
             d.MAVLink_heartbeat_message(d.MAV_TYPE_GCS, d.MAV_AUTOPILOT_INVALID, 0, 0, d.MAV_STATE_ACTIVE, 3)
         )
         if self.connected:
-            stamp = int(now * 1e9) + 1
-            if len(self._trips) > 16:
-                self._trips.clear()
-            self._trips[stamp] = now
-            self._send(d.MAVLink_timesync_message(0, stamp))
-            if self._asked_again == -math.inf and self._reboots:
-                self._asked_again = now
+            self._send(d.MAVLink_timesync_message(0, self._reports.ask_time(now)))
+            if self._ask_again:
+                self._ask_again = False
                 for name, rate in self._rates.items():
                     self._send(self._long("SET_MESSAGE_INTERVAL", self._message_id(name), round(1e6 / rate)))
 
     def _drive(self, now: float) -> None:
         """Send the order that holds, or neutral; or nothing where that is not ours to do."""
-        mode = self._values.get("mode", "")
+        mode = self._reports.values.get("mode", "")
         pressed = now - self._press[1]
         buttons = self._press[0] if pressed < PRESS else 0
         if not (self._piloting or pressed < 2.0 * PRESS) or self.rival:
@@ -1029,7 +828,7 @@ class Link:
         if reply.result != d.MAV_RESULT_ACCEPTED:
             result = d.enums["MAV_RESULT"].get(reply.result)
             word = result.name.removeprefix("MAV_RESULT_") if result else str(reply.result)
-            raise Refused(f"{name}: expected ACCEPTED, got {word}{self._last_words(asked + 2.0)}")
+            raise Refused(f"{name}: expected ACCEPTED, got {word}{self._words(asked + 2.0)}")
 
     def _long(self, name: str, *numbers: float, last: float = 0.0) -> Any:
         number = getattr(self._dialect, f"MAV_CMD_{name}")
@@ -1039,7 +838,7 @@ class Link:
     def _ask_param(self, name: str) -> float:
         answer = self._ask(
             lambda: self._dialect.MAVLink_param_request_read_message(self.vehicle, 1, name.encode(), -1),
-            lambda m: m.get_type() in ("PARAM_VALUE", "PARAM_ERROR") and _text(m.param_id) == name,
+            lambda m: m.get_type() in ("PARAM_VALUE", "PARAM_ERROR") and text_of(m.param_id) == name,
             f"parameter {name}",
         )
         if answer.get_type() == "PARAM_ERROR" or not math.isfinite(answer.param_value):
@@ -1076,11 +875,9 @@ class Link:
                 self._news.wait(min(0.5, max(0.0, end - time.monotonic())))
             return true()
 
-    def _last_words(self, now: float) -> str:
-        """What the vehicle said a moment ago: mostly, why."""
+    def _words(self, now: float) -> str:
         with self._news:
-            words = [text for when, severity, text in self.texts if when > now - 3.0 and severity <= 4]
-        return f'. It said: "{"; ".join(words[-3:])}"' if words else ""
+            return self._reports.last_words(now)
 
     def _lights_moved(self, old: float) -> bool:
         return abs(self.telemetry.lights - old) > 0.01
@@ -1119,7 +916,3 @@ def _dialect() -> ModuleType:
         return importlib.import_module("pymavlink.dialects.v20.ardupilotmega")
     except ImportError as error:
         raise ImportError('A BlueROV2 needs pymavlink: pip install "dream-auv[rov]"') from error
-
-
-def _text(field: str | bytes) -> str:
-    return field if isinstance(field, str) else field.split(b"\0")[0].decode("ascii", "replace")

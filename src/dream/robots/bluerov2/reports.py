@@ -27,6 +27,9 @@ MODES = {
 """`custom_mode` of ArduSub's heartbeat."""
 NUMBERS = {name: number for number, name in MODES.items()}
 
+MOUNT_MESSAGES = ("MOUNT_STATUS", "MOUNT_ORIENTATION", "GIMBAL_DEVICE_ATTITUDE_STATUS")
+"""What tells where the camera points; it may come from a component of its own."""
+
 FRESH, SEA = 997.0, 1025.0
 """kg/m³."""
 GRAVITY = 9.80665
@@ -134,3 +137,8 @@ def tilt_of(message: Any) -> float:
     if not abs(tilt) < math.radians(100.0):
         raise Strange("camera tilt: out of range")
     return tilt
+
+
+def text_of(field: str | bytes) -> str:
+    """A text field up to its end."""
+    return field if isinstance(field, str) else field.split(b"\0")[0].decode("ascii", "replace")
