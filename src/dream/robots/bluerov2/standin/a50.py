@@ -184,7 +184,9 @@ class A50:
         ping = self.tank.ping()
         if not math.isnan(ping.dvl.altitude):
             self._altitude = ping.dvl.altitude
-        self._next_ping = now + 1.0 / self._rate(ping.dvl.altitude)
+        period = 1.0 / self._rate(ping.dvl.altitude)
+        # On average, although pings are sent on a beat.
+        self._next_ping = max(self._next_ping, now - period) + period
         self._at(ping.arrives, lambda: self._report(ping))
 
     def _rate(self, altitude: float) -> float:
@@ -512,8 +514,8 @@ def _config_problem(key: str, value: Any) -> str:
         fits = isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high
         return "" if fits else f"{key}: expected {low:g} to {high:g}"
     if key == "range_mode":
-        fits = value == "wt" or (isinstance(value, str) and _modes(value))
-        return "" if fits else "range_mode: expected auto, wt, =a or a<=b with modes from 0 to 4"
+        known = isinstance(value, str) and (value == "wt" or bool(_modes(value)))
+        return "" if known else "range_mode: expected auto, wt, =a or a<=b with modes from 0 to 4"
     return f"unknown parameter {str(key)[:40]}"
 
 

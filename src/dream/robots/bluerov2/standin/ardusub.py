@@ -159,6 +159,7 @@ class ArduSub:
         self.refused: dict[str, int] = {}
         """How often what was refused without a word, by reason."""
         self._booted_at, self._offset = tank.time, booted
+        self._started_at = tank.time - booted
         self._asleep_until = -math.inf
         self._builders: dict[int, Callable[[], Message]] = {
             mav.MAVLINK_MSG_ID_ATTITUDE: self._attitude,
@@ -253,7 +254,8 @@ class ArduSub:
     def beat(self) -> None:
         """After each beat of the tank: feel, check, steer, report."""
         if self._asleep_until > -math.inf and not self._asleep:
-            self._asleep_until, self._booted_at, self._offset = -math.inf, self._now, 0.0
+            self._asleep_until, self._offset = -math.inf, 0.0
+            self._booted_at = self._started_at = self._now
             self._boot()
         tank, ahrs = self.tank, self._ahrs
         ahrs.feel(tank.imu, BEAT)
@@ -375,7 +377,7 @@ class ArduSub:
     def _check_pilot(self) -> None:
         action, timeout = self.parameters["FS_PILOT_INPUT"], self.parameters["FS_PILOT_TIMEOUT"]
         # What was never there is lost once that long after booting, and then not again.
-        since = max(self._piloted_at, self._booted_at)
+        since = max(self._piloted_at, self._started_at)
         if action == 0.0 or self._now < since + timeout:
             self._pilot_lost = False
             return

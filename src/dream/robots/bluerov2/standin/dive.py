@@ -35,7 +35,7 @@ class StandIn:
     The vehicle is held at its launch until it is first armed, see `Tank`. What is to be shown at any time, by
     a camera say, takes `T_world_base`, or is called after each beat as one of `watchers`.
 
-    LinkFaults: `wire.faults`, `a50.faults`, and the methods of `tank`, `ardusub` and `a50`; from another thread
+    Faults: `wire.faults`, `a50.faults`, and the methods of `tank`, `ardusub` and `a50`; from another thread
     than the one that beats, under `lock`.
     """
 

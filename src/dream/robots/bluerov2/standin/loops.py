@@ -17,8 +17,10 @@ HEADING = 3.0
 """rad/s for a radian of heading error."""
 MOST_TURN = 1.0
 """rad/s that a heading error may ask for."""
-TURN = ((0.25, 0.5), (0.25, 0.5), (0.5, 1.0))
+TURN = ((0.25, 0.5), (0.25, 0.5), (0.4, 0.3))
 """Output for an error of one rad/s, and by how much it grows a second, in roll, pitch and yaw."""
+DEAD, DEAD_WIDTH = 0.06, 0.03
+"""Output that little turning is lifted by, over the dead band of the thrusters, and where it is little."""
 RISE = 1.2
 """m/s for a metre of depth error."""
 CLIMB = (1.2, 1.2)
@@ -27,9 +29,9 @@ LEASH = 1.0
 """Metres that the depth target may run ahead of the vehicle."""
 WAY = 0.7
 """m/s for a metre of position error."""
-SPEED = (0.6, 0.4)
+SPEED = (1.5, 1.0)
 """Output for an error of one m/s over ground, and growth."""
-WAY_ACCELERATION = 0.1
+WAY_ACCELERATION = 0.15
 """m/s² by which a velocity target is approached: a step of 0.3 m/s makes 1.3 m in 6 s."""
 
 
@@ -59,10 +61,11 @@ class Loops:
         r, p, _ = ahrs.euler
         wanted = (ANGLE * (roll - r), ANGLE * (pitch + p), turn)
         rates = (ahrs.rates[0], -ahrs.rates[1], -ahrs.rates[2])
+        yaw = self._axis(2, wanted, rates, dt)
         return (
             self._axis(0, wanted, rates, dt),
             self._axis(1, wanted, rates, dt),
-            self._axis(2, wanted, rates, dt),
+            _bounded(yaw + DEAD * math.tanh(yaw / DEAD_WIDTH), 1.0),
         )
 
     def depth(self, ahrs: Ahrs, climb: float, acceleration: float, ceiling: float, dt: float) -> float:
