@@ -6,6 +6,7 @@ import json
 import math
 import socket
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -184,7 +185,7 @@ def test_dead_reckoning_follows_the_way_from_its_reset(pool: World) -> None:
     """Heading east and going right, it goes south: to the right of where it was reset."""
     dive = Dive(pool, start=SE2(0.0, 0.6, 0.0))
     dive.tank.release()
-    dive.commands = RIGHT
+    dive.tank.pull((0.0, -6.0, 0.0), 9.0)
     dive.run(1.0)
     assert dive.ask("reset_dead_reckoning")["success"]
     before = dive.tank.T_world_base
@@ -193,8 +194,7 @@ def test_dead_reckoning_follows_the_way_from_its_reset(pool: World) -> None:
     way = before.inverse @ dive.tank.T_world_base.translation
     last = moved[-1]
     assert way[1] < -0.1
-    assert last["y"] == pytest.approx(-way[1], abs=0.1)
-    assert last["y"] > 0.1
+    assert last["y"] == pytest.approx(-way[1], rel=0.15)
     assert abs(last["yaw"] - math.degrees(before.yaw - dive.tank.T_world_base.yaw)) < 3.0
     dive.close()
 
@@ -289,7 +289,6 @@ def test_water_track_high_above_the_ground_is_against_the_water() -> None:
     world = make_world("flat/empty", 1)
     conditions = Conditions(dvl=EXACT, current=Current(mean=(0.2, 0.0, 0.0)))
     dive = Dive(world, start=SE2(0.0, 0.0, 0.0), conditions=conditions)
-    dive.tank.protocol = replace(dive.tank.protocol)
     dive.tank.release()
     dive.tank.pull((0.0, 0.0, 40.0), 9.0)
     dive.run(10.0)
@@ -376,6 +375,7 @@ def test_a_command_without_an_end_cuts_its_client_off(dive: Dive) -> None:
     other = dive.connect()
     dive.run(0.1)
     for _ in range(4):
-        other.send(b"x" * 40_000)
+        with suppress(OSError):
+            other.send(b"x" * 40_000)
         dive.run(0.1)
     assert dive.dvl.clients == 1

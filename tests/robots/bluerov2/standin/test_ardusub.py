@@ -513,6 +513,7 @@ def test_what_a_lost_station_leads_to_is_a_parameter(
 
 def test_no_station_ever_is_no_loss(ground: Ground) -> None:
     ground.beats, ground.sticks = False, None
+    ground.run(0.1)
     ground.arm()
     ground.run(7.0)
     assert armed(ground)
@@ -542,7 +543,7 @@ def test_a_low_battery_is_told_after_its_time(ground: Ground) -> None:
     ground.run(9.0)
     assert ground.sub.mode == ALT_HOLD
     z = where(ground)[2]
-    ground.run(1.5)
+    ground.run(3.0)
     assert any(text.startswith("Battery 1 is low 13.9V used ") for text in ground.texts)
     # It is on its way up, or there already.
     assert where(ground)[2] > z + 0.05

@@ -64,7 +64,8 @@ def test_a_share_is_lost(station: socket.socket) -> None:
 def test_a_delay_is_the_same_for_all_and_jitter_swaps_them(station: socket.socket) -> None:
     late = arrivals(LinkFaults(delay=0.5), station)
     assert [k for k, _ in late] == list(range(100))
-    assert {round(now - 0.01 * k, 6) for k, now in late} == {0.5}
+    # It is looked once a beat.
+    assert all(0.5 - 1e-9 < now - 0.01 * k < 0.5 + 0.0101 for k, now in late)
     swapped = [k for k, _ in arrivals(LinkFaults(jitter=0.1), station)]
     assert sorted(swapped) == list(range(100)) != swapped
 

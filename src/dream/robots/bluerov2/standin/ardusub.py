@@ -727,10 +727,7 @@ class ArduSub:
             return
         if name == "JS_GAIN_DEFAULT":
             self._gain = min(max(self.parameters[name], 0.1), 1.0)
-        # A changed value is told to everybody.
-        self._tell(self._parameter(name))
-        if self._asker is not None:
-            self._answer(self._parameter(name))
+        self._answer(self._parameter(name))
 
     def _on_command_int(self, message: Message) -> None:
         values = (message.param1, message.param2, message.param3, message.param4)
