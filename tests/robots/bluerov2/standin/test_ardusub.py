@@ -11,7 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from dream.geometry import SE2, wrap_angle
-from dream.robots.bluerov2.standin.ardusub import ALT_HOLD, GUIDED, MANUAL, POSHOLD, STABILIZE, SURFACE
+from dream.robots.bluerov2.standin.helm import ALT_HOLD, GUIDED, MANUAL, POSHOLD, STABILIZE, SURFACE
 from dream.robots.bluerov2.standin.parameters import NEXT
 from dream.robots.bluerov2.standin.tank import Conditions
 from dream.sim.vehicle import BLUEROV2
@@ -583,7 +583,7 @@ def test_parameters_are_read_set_listed_and_kept_in_their_type(ground: Ground) -
     assert len(ground.heard) == count
     ground.say(mav.MAVLink_param_request_list_message(1, 1))
     ground.run(2.0)
-    listed = ground.all("PARAM_VALUE")[3:]
+    listed = ground.all("PARAM_VALUE")[2:]
     assert {m.param_id for m in listed} == set(ground.sub.parameters.names)
     assert {m.param_index for m in listed} == set(range(listed[0].param_count))
     ground.say(mav.MAVLink_param_request_read_message(1, 1, b"", 3))

@@ -16,62 +16,31 @@ except ImportError as error:
     raise ImportError('a BlueROV2 needs pymavlink: pip install "dream-auv[rov]"') from error
 
 from dream.geometry import wrap_angle
-from dream.robots.bluerov2.standin import motors
+from dream.robots.bluerov2.standin import motors, telemetry
 from dream.robots.bluerov2.standin.attitude import Ahrs
-from dream.robots.bluerov2.standin.loops import WAY, Loops, towards
+from dream.robots.bluerov2.standin.failsafes import Failsafes
+from dream.robots.bluerov2.standin.helm import ALT_HOLD, GUIDED, MODES, NEED_POSITION, SURFACE, Helm
 from dream.robots.bluerov2.standin.motors import NEUTRAL_PWM, Sticks
 from dream.robots.bluerov2.standin.parameters import STABLE, Firmware, Parameters
 from dream.robots.bluerov2.standin.tank import BEAT, Tank
 from dream.robots.bluerov2.standin.wire import Address
-from dream.vehicle import GRAVITY
 
 Float64Array = npt.NDArray[np.float64]
 Message = Any
 """A message of pymavlink, which has no types."""
 
-STABILIZE, ALT_HOLD, GUIDED, SURFACE, POSHOLD, MANUAL = 0, 2, 4, 9, 16, 19
-"""custom_mode of the modes that are here."""
-MODES = {
-    STABILIZE: "STABILIZE",
-    ALT_HOLD: "ALT_HOLD",
-    GUIDED: "GUIDED",
-    SURFACE: "SURFACE",
-    POSHOLD: "POSHOLD",
-    MANUAL: "MANUAL",
-}
-NEED_POSITION = (GUIDED, POSHOLD)
-
-GUIDED_TIMEOUT = 3.0
-"""Seconds after which a velocity that is not repeated is forgotten; the rate of turn never is."""
-RELEASED = 0.25
-"""Seconds after the yaw stick is let go of in which the vehicle stops turning, before it holds a heading."""
-YAW_DEAD, THROTTLE_DEAD_UNIT = 40.0, 1000.0 / 800.0
-"""Microseconds about the middle in which a yaw stick at full gain says nothing; units of throttle per one."""
-WARNED_GCS, WARNED_LEAK = 30.0, 20.0
-"""Seconds between two warnings of the same."""
 AIDED = 1.0
 """Seconds for which a report of external navigation counts."""
 FASTEST = 50.0
 """Hertz: the greatest rate of a stream over the link."""
-AIR_PRESSURE, WATER_PRESSURE = 1013.25, 98.0665
-"""hPa at the surface, and per metre of fresh water."""
-FIELD = (180.0, 420.0)
-"""Milligauss of the Earth's field, horizontally and down."""
-ARM_MAGIC, DISARM_MAGIC = 2989.0, 21196.0
+ARM_MAGIC = 2989.0
 """Second parameter of MAV_CMD_COMPONENT_ARM_DISARM that overrules the checks."""
 PARAMETERS_A_BEAT = 2
 """Parameters sent in a beat while the whole list is asked for."""
 MOST_TEXT = 50
 """Bytes of a STATUSTEXT."""
-LIGHTS_CHANNEL, TILT_CHANNEL = 13, 16
-"""Outputs of a Navigator."""
-SENSORS = 0x1 | 0x2 | 0x4 | 0x8 | 0x400 | 0x800 | 0x1000 | 0x8000 | 0x200000
-"""MAV_SYS_STATUS_SENSOR bits that it has: gyroscopes, accelerometers, compass, pressure, its controllers,
-motors and attitude."""
-PREARM = 0x10000000
-CAPABILITIES = 0x2 | 0x4 | 0x80 | 0x100 | 0x2000
-"""MAV_PROTOCOL_CAPABILITY: float parameters, missions, both position targets, MAVLink 2."""
-
+LIGHTS_CHANNEL = 13
+"""Output of the lights on a Navigator."""
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
 """MAV_RESULT."""
 
@@ -112,16 +81,7 @@ class ArduSub:
     Faults: `reboot`, `jump_clock`, and those of the tank and the wire.
     """
 
-    _mode: int
-    _sticks: Sticks
     _pulses: list[int]
-    _loops: Loops
-    _velocity: tuple[float, float, float]
-    """Of GUIDED: north, east and up, m/s."""
-    _turn: float | None
-    """Of GUIDED: rad/s clockwise; None where a heading is held."""
-    _target: tuple[float, float, float] | None
-    """Of GUIDED: north, east and up, metres; None where it follows a velocity."""
     _asker: Address | None
     """Who is answered."""
 
@@ -153,32 +113,15 @@ class ArduSub:
         self._mav = mav.MAVLink(None, srcSystem=system, srcComponent=mav.MAV_COMP_ID_AUTOPILOT1)
         self._parser = mav.MAVLink(None)
         self._parser.robust_parsing = True
-        self._ahrs = Ahrs(tank.imu, tank.heading, tank.depth)
+        self.ahrs = Ahrs(tank.imu, tank.heading, tank.depth)
+        """What it knows of its attitude and depth."""
         self.fix = False
         """Has it a position, whatever it is fed? A field for tests."""
         self.refused: dict[str, int] = {}
         """How often what was refused without a word, by reason."""
         self._booted_at, self._offset = tank.time, booted
-        self._started_at = tank.time - booted
         self._asleep_until = -math.inf
-        self._builders: dict[int, Callable[[], Message]] = {
-            mav.MAVLINK_MSG_ID_ATTITUDE: self._attitude,
-            mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self._attitude_quaternion,
-            mav.MAVLINK_MSG_ID_RAW_IMU: self._raw_imu,
-            mav.MAVLINK_MSG_ID_SCALED_IMU2: self._scaled_imu2,
-            mav.MAVLINK_MSG_ID_SCALED_PRESSURE2: self._scaled_pressure2,
-            mav.MAVLINK_MSG_ID_VFR_HUD: self._vfr_hud,
-            mav.MAVLINK_MSG_ID_SYS_STATUS: self._sys_status,
-            mav.MAVLINK_MSG_ID_SYSTEM_TIME: self._system_time,
-            mav.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS: self._gimbal,
-            mav.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: self._servo_output_raw,
-            mav.MAVLINK_MSG_ID_EKF_STATUS_REPORT: self._ekf_status_report,
-            mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._local_position_ned,
-            mav.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: self._cam_tilt,
-            mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._autopilot_version,
-            mav.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
-        }
-        self._boot()
+        self._boot(tank.time - booted)
 
     # ------------------------------------------------------------------------------------ what others see
     @property
@@ -189,12 +132,12 @@ class ArduSub:
     @property
     def mode(self) -> int:
         """custom_mode."""
-        return self._mode
+        return self.helm.mode
 
     @property
     def sticks(self) -> Sticks:
         """As the pilot last put them."""
-        return self._sticks
+        return self.helm.sticks
 
     @property
     def pulses(self) -> list[int]:
@@ -214,7 +157,7 @@ class ArduSub:
     @property
     def lights(self) -> float:
         """Of full brightness."""
-        return min(max((self._servos.get(LIGHTS_CHANNEL, 1100) - 1100) / 800.0, 0.0), 1.0)
+        return min(max((self.servos.get(LIGHTS_CHANNEL, 1100) - 1100) / 800.0, 0.0), 1.0)
 
     @property
     def position_ok(self) -> bool:
@@ -226,6 +169,11 @@ class ArduSub:
     def clock(self) -> float:
         """Seconds since it booted, as it counts them."""
         return self._now - self._booted_at + self._offset
+
+    @property
+    def boot_ms(self) -> int:
+        """The same in milliseconds, as stamps have it."""
+        return int(1e3 * self.clock) % (1 << 32)
 
     # ------------------------------------------------------------------------------------ faults
     def reboot(self, silent: float = 5.0) -> None:
@@ -255,9 +203,9 @@ class ArduSub:
         """After each beat of the tank: feel, check, steer, report."""
         if self._asleep_until > -math.inf and not self._asleep:
             self._asleep_until, self._offset = -math.inf, 0.0
-            self._booted_at = self._started_at = self._now
-            self._boot()
-        tank, ahrs = self.tank, self._ahrs
+            self._booted_at = self._now
+            self._boot(self._now)
+        tank, ahrs = self.tank, self.ahrs
         ahrs.feel(tank.imu, BEAT)
         if tank.heading.time == tank.time:
             ahrs.face(tank.heading)
@@ -265,29 +213,22 @@ class ArduSub:
             ahrs.sink(tank.depth)
         if self._asleep:
             return
-        self._check()
+        self.failsafes.check()
         self._steer()
         self._report()
 
     def set_mode(self, mode: int) -> bool:
         """Change the mode, where it may be; does it hold now?"""
-        if mode == self._mode:
+        if mode == self.mode:
             return True
         if mode not in MODES:
-            self._say(mav.MAV_SEVERITY_WARNING, f"No such mode {mode}")
+            self.say(mav.MAV_SEVERITY_WARNING, f"No such mode {mode}")
             return False
         if mode in NEED_POSITION and not self.position_ok:
-            self._say(mav.MAV_SEVERITY_WARNING, f"Mode change failed: {MODES[mode]} requires position")
+            self.say(mav.MAV_SEVERITY_WARNING, f"Mode change failed: {MODES[mode]} requires position")
             return False
-        self._mode = mode
-        self._loops.relax(self._ahrs.z)
-        self._heading = self._yaw
-        self._turned_at = -math.inf
-        self._at = self._here
-        self._velocity, self._velocity_at, self._turn, self._target = (0.0, 0.0, 0.0), -math.inf, None, None
-        if mode == MANUAL:
-            self._sticks = Sticks()
-        self._tell(self._heartbeat())
+        self.helm.enter(mode)
+        self._tell(telemetry.heartbeat(self))
         return True
 
     def arm(self, *, force: bool = False) -> bool:
@@ -296,19 +237,18 @@ class ArduSub:
             return True
         lowest = self.parameters["BATT_ARM_VOLT"]
         if not force and self.parameters["ARMING_CHECK"] != 0.0 and self.tank.voltage < lowest:
-            self._say(mav.MAV_SEVERITY_CRITICAL, "Arm: Battery 1 below minimum arming voltage")
+            self.say(mav.MAV_SEVERITY_CRITICAL, "Arm: Battery 1 below minimum arming voltage")
             return False
-        self._say(mav.MAV_SEVERITY_INFO, "Arming motors")
+        self.say(mav.MAV_SEVERITY_INFO, "Arming motors")
         self._armed = True
         self.tank.release()
-        self._loops.relax(self._ahrs.z)
-        self._heading, self._at = self._yaw, self._here
+        self.helm.relax()
         return True
 
     def disarm(self) -> None:
         """Stop the motors."""
         if self._armed:
-            self._say(mav.MAV_SEVERITY_INFO, "Disarming motors")
+            self.say(mav.MAV_SEVERITY_INFO, "Disarming motors")
             self._armed = False
 
     @property
@@ -319,250 +259,48 @@ class ArduSub:
     def _asleep(self) -> bool:
         return self._now < self._asleep_until
 
-    @property
-    def _yaw(self) -> float:
-        """Radians, clockwise from north."""
-        return wrap_angle(0.5 * math.pi - self._ahrs.euler[2])
-
-    @property
-    def _here(self) -> tuple[float, float]:
-        """Metres north and east: the truth."""
-        x, y, _ = self.tank.state.position.tolist()
-        return y, x
-
     def _ready(self, count: int) -> None:
         config = {6: 1, 8: 2}.get(count)
         if config is None:
             raise ValueError(f"vehicle: expected 6 or 8 thrusters, as ArduSub mixes them, got {count}")
         self.parameters.change("FRAME_CONFIG", config)
 
-    def _boot(self) -> None:
+    def _boot(self, at: float) -> None:
         """All that does not last over a reboot."""
-        self._armed, self._mode = False, MANUAL
-        self._sticks = Sticks()
-        self._gain = min(max(self.parameters["JS_GAIN_DEFAULT"], 0.1), 1.0)
         config = int(self.parameters["FRAME_CONFIG"])
         name, table = motors.FRAMES.get(config, motors.FRAMES[2])
         self._table = np.array(table)
         self._pulses = [NEUTRAL_PWM] * self.tank.vehicle.thrusters.count
-        self._loops = Loops(self._ahrs.z)
-        self._heading, self._turned_at, self._at = self._yaw, -math.inf, self._here
-        self._velocity, self._velocity_at, self._turn, self._target = (0.0, 0.0, 0.0), -math.inf, None, None
+        self._armed = False
+        self.helm = Helm(self.tank, self.ahrs, self.parameters)
+        """Mode, sticks and targets."""
+        self.failsafes = Failsafes(self, at)
         self._origin, self._aided = False, -math.inf
-        self._piloted_at, self._gcs_at = -math.inf, -math.inf
-        self._pilot_lost = self._gcs_lost = self._leaking = False
-        self._warned_gcs = self._warned_leak = -math.inf
-        self._low_since = {"low": math.inf, "critical": math.inf}
-        self._battery_failed: set[str] = set()
         self._tilt_deg = 0.0
-        self._servos = {LIGHTS_CHANNEL: 1100}
+        self.servos = {LIGHTS_CHANNEL: 1100}
+        """Microseconds of the outputs that are no motors, by channel."""
         self._listing: list[str] = []
         self._lister: Address | None = None
         self._asker = None
         self._next_heartbeat = self._now
-        self._intervals = dict(_DEFAULT_INTERVALS)
+        self._intervals = dict(telemetry.DEFAULT_INTERVALS)
         self._due = dict.fromkeys(self._intervals, self._now)
         self._mav.srcSystem = self.parameters.system
         version = ".".join(map(str, self.parameters.firmware.version))
-        self._say(mav.MAV_SEVERITY_INFO, f"ArduSub V{version} (stand-in)")
-        self._say(mav.MAV_SEVERITY_INFO, f"Frame: {name}")
+        self.say(mav.MAV_SEVERITY_INFO, f"ArduSub V{version} (stand-in)")
+        self.say(mav.MAV_SEVERITY_INFO, f"Frame: {name}")
 
-    # ------------------------------------------------------------------------------------ failsafes
-    def _check(self) -> None:
-        self._check_pilot()
-        self._check_gcs()
-        self._check_leak()
-        self._check_battery()
-
-    def _check_pilot(self) -> None:
-        action, timeout = self.parameters["FS_PILOT_INPUT"], self.parameters["FS_PILOT_TIMEOUT"]
-        # What was never there is lost once that long after booting, and then not again.
-        since = max(self._piloted_at, self._started_at)
-        if action == 0.0 or self._now < since + timeout:
-            self._pilot_lost = False
-            return
-        if self._pilot_lost:
-            return
-        self._pilot_lost = True
-        self._say(mav.MAV_SEVERITY_CRITICAL, "Lost manual control")
-        self._sticks = Sticks()
-        if action == 2.0:
-            self.disarm()
-
-    def _check_gcs(self) -> None:
-        action, timeout = self.parameters["FS_GCS_ENABLE"], self.parameters["FS_GCS_TIMEOUT"]
-        if action == 0.0 or self._gcs_at == -math.inf:
-            return
-        if self._now - self._gcs_at < timeout:
-            self._gcs_lost = False
-            return
-        if self._now - self._warned_gcs > WARNED_GCS:
-            self._warned_gcs = self._now
-            self._say(mav.MAV_SEVERITY_WARNING, f"MYGCS: {self.parameters.gcs}, heartbeat lost")
-        if self._gcs_lost or not self._armed:
-            return
-        self._gcs_lost = True
-        if action == 2.0 or (
-            action in (3.0, 4.0) and not self.set_mode(ALT_HOLD if action == 3.0 else SURFACE)
-        ):
-            self.disarm()
-
-    def _check_leak(self) -> None:
-        action = self.parameters["FS_LEAK_ENABLE"]
-        if not self.tank.leak or action == 0.0:
-            self._leaking = False
-            return
-        if self._now - self._warned_leak > WARNED_LEAK:
-            self._warned_leak = self._now
-            self._say(mav.MAV_SEVERITY_CRITICAL, "Leak Detected")
-        if not self._leaking:
-            self._leaking = True
-            if action == 2.0 and self._armed:
-                self.set_mode(SURFACE)
-
-    def _check_battery(self) -> None:
-        levels = (
-            ("low", "BATT_LOW_VOLT", "BATT_FS_LOW_ACT"),
-            ("critical", "BATT_CRT_VOLT", "BATT_FS_CRT_ACT"),
-        )
-        for word, volts, act in levels:
-            if self.parameters[volts] <= 0.0 or self.tank.voltage >= self.parameters[volts]:
-                self._low_since[word] = math.inf
-                continue
-            self._low_since[word] = min(self._low_since[word], self._now)
-            late = self._now - self._low_since[word] >= self.parameters["BATT_LOW_TIMER"]
-            if not late or word in self._battery_failed:
-                continue
-            self._battery_failed.add(word)
-            used = f"{self.tank.voltage:.1f}V used {1000.0 * self.tank.used:.0f} mAh"
-            self._say(mav.MAV_SEVERITY_WARNING, f"Battery 1 is {word} {used}")
-            if self.parameters[act] == 2.0:
-                self.disarm()
-            elif self.parameters[act] == 3.0:
-                self.set_mode(SURFACE)
-
-    # ------------------------------------------------------------------------------------ steering
     def _steer(self) -> None:
         if not self._armed:
-            self._loops.relax(self._ahrs.z)
-            self._heading, self._at = self._yaw, self._here
+            self.helm.relax()
             self._pulses = [NEUTRAL_PWM] * len(self._pulses)
             return
-        axes = self._axes()
+        if self.mode == SURFACE and self.helm.surfaced:
+            self.set_mode(ALT_HOLD)
         table = self._table[: len(self._pulses)]
         directions = np.array([self.parameters[f"MOT_{k + 1}_DIRECTION"] for k in range(len(table))])
-        self._pulses = motors.mixed(axes, table, directions) + [NEUTRAL_PWM] * (
-            len(self._pulses) - len(table)
-        )
-
-    def _axes(self) -> tuple[float, float, float, float, float, float]:
-        """Roll, pitch, yaw, throttle, forward and lateral."""
-        sticks = self._sticks
-        forward, lateral = motors.share(sticks.forward), motors.share(sticks.lateral)
-        if self._mode == MANUAL:
-            roll, pitch = motors.share(sticks.roll), motors.share(sticks.pitch)
-            return roll, pitch, motors.share(sticks.yaw), motors.share(sticks.throttle), forward, lateral
-        turn = self._stick_turn()
-        climb = self._stick_climb()
-        if self._mode == STABILIZE:
-            return (*self._levelled(self._held(turn)), motors.share(sticks.throttle), forward, lateral)
-        if self._mode == ALT_HOLD:
-            return (*self._levelled(self._held(turn)), self._throttle(climb), forward, lateral)
-        if self._mode == SURFACE:
-            if self._ahrs.z > 0.01 * self.parameters["SURFACE_DEPTH"]:
-                self.set_mode(ALT_HOLD)
-            rising = 0.01 * min(self.parameters["WPNAV_SPEED_UP"], self.parameters["PILOT_SPEED_UP"])
-            return (*self._levelled(turn), self._throttle(rising), forward, lateral)
-        if self._mode == POSHOLD:
-            return self._position_held(turn, climb, forward, lateral)
-        return self._guided(turn)
-
-    def _position_held(
-        self, turn: float, climb: float, forward: float, lateral: float
-    ) -> tuple[float, float, float, float, float, float]:
-        axes, throttle = self._levelled(self._held(turn)), self._throttle(climb)
-        if forward != 0.0 or lateral != 0.0:
-            self._at = self._here
-            self._loops.velocity = list(self._ground_velocity()[:2])
-            return (*axes, throttle, forward, lateral)
-        return (*axes, throttle, *self._over_ground(self._way(self._at)))
-
-    def _guided(self, turn: float) -> tuple[float, float, float, float, float, float]:
-        if self._now - self._velocity_at > GUIDED_TIMEOUT:
-            # The rate of turn is not forgotten: so it is on the vehicle.
-            self._velocity = (0.0, 0.0, 0.0)
-        if self._target is None:
-            wanted, climb = self._velocity[:2], self._velocity[2]
-        else:
-            north, east, up = self._target
-            way = self._way((north, east))
-            wanted, climb = (way[0] + self._velocity[0], way[1] + self._velocity[1]), 0.0
-            self._loops.z = up
-        if turn != 0.0 and not self._pilot_lost:
-            rate = turn
-            self._heading = self._yaw
-        elif self._turn is not None:
-            rate = self._turn
-            self._heading = self._yaw
-        else:
-            rate = towards(self._heading, self._yaw)
-        return (*self._levelled(rate), self._throttle(climb), *self._over_ground(wanted))
-
-    def _way(self, to: tuple[float, float]) -> tuple[float, float]:
-        """Velocity north and east towards a place, at most WPNAV_SPEED."""
-        here = self._here
-        north, east = WAY * (to[0] - here[0]), WAY * (to[1] - here[1])
-        factor = min(1.0, 0.01 * self.parameters["WPNAV_SPEED"] / max(math.hypot(north, east), 1e-9))
-        return factor * north, factor * east
-
-    def _ground_velocity(self) -> tuple[float, float, float]:
-        """m/s north, east and up: the truth."""
-        x, y, z = self.tank.state.velocity_world.tolist()
-        return y, x, z
-
-    def _over_ground(self, wanted: tuple[float, float]) -> tuple[float, float]:
-        return self._loops.ground(self._ground_velocity()[:2], wanted, self._yaw, BEAT)
-
-    def _levelled(self, turn: float) -> tuple[float, float, float]:
-        most = math.radians(0.01 * self.parameters["ANGLE_MAX"])
-        roll, pitch = most * motors.share(self._sticks.roll), most * motors.share(self._sticks.pitch)
-        return self._loops.attitude(self._ahrs, roll, pitch, turn, BEAT)
-
-    def _held(self, turn: float) -> float:
-        """The stick's rate of turn; where it says none, one that holds the heading."""
-        if turn != 0.0:
-            self._turned_at = self._now
-        elif self._now >= self._turned_at + RELEASED:
-            return towards(self._heading, self._yaw)
-        self._heading = self._yaw
-        return turn
-
-    def _stick_turn(self) -> float:
-        """rad/s clockwise."""
-        dead, away = YAW_DEAD * self._gain, self._sticks.yaw - NEUTRAL_PWM
-        if abs(away) <= dead:
-            return 0.0
-        angle = 45.0 * (abs(away) - dead) / (motors.HALF_PWM - dead)
-        return math.copysign(math.radians(angle * self.parameters["ACRO_YAW_P"]), away)
-
-    def _stick_climb(self) -> float:
-        """m/s upwards."""
-        if self._pilot_lost:
-            return 0.0
-        up = self.parameters["PILOT_SPEED_UP"]
-        down = self.parameters["PILOT_SPEED_DN"] or up
-        dead = min(max(self.parameters["THR_DZ"], 0.0), 400.0) * self._gain
-        away = THROTTLE_DEAD_UNIT * (self._sticks.throttle - NEUTRAL_PWM)
-        if abs(away) <= dead:
-            return 0.0
-        return math.copysign(0.01 * (up if away > 0.0 else down) * (abs(away) - dead) / (500.0 - dead), away)
-
-    def _throttle(self, climb: float) -> float:
-        surface = 0.01 * self.parameters["SURFACE_DEPTH"]
-        least = self.parameters["SURFACE_MAX_THR"]
-        most = least + (1.0 - least) * min(max(surface - self._ahrs.z, 0.0), 1.0)
-        acceleration = 0.01 * self.parameters["PILOT_ACCEL_Z"]
-        return min(self._loops.depth(self._ahrs, climb, acceleration, surface, BEAT), most)
+        pulses = motors.mixed(self.helm.axes(), table, directions)
+        self._pulses = pulses + [NEUTRAL_PWM] * (len(self._pulses) - len(table))
 
     # ------------------------------------------------------------------------------------ what it hears
     def _handle(self, message: Message) -> None:
@@ -589,7 +327,7 @@ class ArduSub:
 
     def _on_heartbeat(self, message: Message) -> None:
         if message.get_srcSystem() == self.parameters.gcs:
-            self._gcs_at = self._now
+            self.failsafes.seen()
 
     def _on_manual_control(self, message: Message) -> None:
         if not self._from_gcs(message):
@@ -602,25 +340,25 @@ class ArduSub:
             message.y,
             message.z,
             message.r,
-            gain=self._gain,
+            gain=self.helm.gain,
             throttle_gain=self.parameters["JS_THR_GAIN"],
         )
         extra = message.enabled_extensions
         s, t = message.s if extra & 1 else 0, message.t if extra & 2 else 0
-        self._sticks = sticks.tilted(s, t, gain=self._gain)
-        self._piloted_at = self._gcs_at = self._now
+        self.helm.sticks = sticks.tilted(s, t, gain=self.helm.gain)
+        self.failsafes.piloted()
 
     def _on_rc_channels_override(self, message: Message) -> None:
         if not self._from_gcs(message):
             return
         names = ("pitch", "roll", "throttle", "yaw", "forward", "lateral")
-        old = self._sticks
+        old = self.helm.sticks
         given = {}
         for k, name in enumerate(names, 1):
             pwm = getattr(message, f"chan{k}_raw")
             given[name] = getattr(old, name) if pwm in (0, 65535) else min(max(pwm, 1100), 1900)
-        self._sticks = Sticks(**given)
-        self._piloted_at = self._gcs_at = self._now
+        self.helm.sticks = Sticks(**given)
+        self.failsafes.piloted()
 
     def _on_set_mode(self, message: Message) -> None:
         if message.base_mode & mav.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
@@ -631,7 +369,7 @@ class ArduSub:
             self._refuse("SET_MODE without a custom mode")
 
     def _on_set_position_target_local_ned(self, message: Message) -> None:
-        if self._mode != GUIDED:
+        if self.mode != GUIDED:
             self._refuse("SET_POSITION_TARGET_LOCAL_NED outside GUIDED")
             return
         if message.coordinate_frame not in set(Frame):
@@ -650,33 +388,32 @@ class ArduSub:
         if not all(map(math.isfinite, (*place, vx, vy, vz, heading, rate))):
             self._refuse("SET_POSITION_TARGET_LOCAL_NED that is not finite")
             return
-        turned = self._yaw if frame in BODY_FRAMES else 0.0
+        helm = self.helm
+        turned = helm.yaw if frame in BODY_FRAMES else 0.0
         c, s = math.cos(turned), math.sin(turned)
+        target = None
         if position:
             x, y, z = place
-            north, east, up = c * x - s * y, s * x + c * y, -z
+            target = (c * x - s * y, s * x + c * y, -z)
             if frame in OFFSET_FRAMES:
-                here = self._here
-                north, east, up = north + here[0], east + here[1], up + self._ahrs.z
-            self._target = (north, east, up)
-        else:
-            self._target = None
-        self._velocity = (c * vx - s * vy, s * vx + c * vy, -vz)
-        self._velocity_at = self._now
-        self._turn = rate if yaw_rate else None
-        if yaw:
-            self._turn = None
-            relative = frame == Frame.BODY_OFFSET_NED
-            self._heading = wrap_angle(heading + (self._yaw if relative else 0.0))
+                north, east = helm.here
+                target = (target[0] + north, target[1] + east, target[2] + self.ahrs.z)
+        relative = helm.yaw if frame == Frame.BODY_OFFSET_NED else 0.0
+        helm.follow(
+            (c * vx - s * vy, s * vx + c * vy, -vz),
+            target,
+            heading=wrap_angle(heading + relative) if yaw else None,
+            turn=rate if yaw_rate else None,
+        )
 
     def _on_set_position_target_global_int(self, message: Message) -> None:
-        if self._mode not in (GUIDED, ALT_HOLD):
+        if self.mode not in (GUIDED, ALT_HOLD):
             self._refuse("SET_POSITION_TARGET_GLOBAL_INT outside GUIDED and ALT_HOLD")
             return
         mask = message.type_mask
-        if self._mode == ALT_HOLD:
+        if self.mode == ALT_HOLD:
             if not mask & 0x4 and math.isfinite(message.alt):
-                self._loops.z = message.alt
+                self.helm.loops.z = message.alt
             else:
                 self._refuse("SET_POSITION_TARGET_GLOBAL_INT without a depth")
             return
@@ -686,7 +423,7 @@ class ArduSub:
             return
         velocity = (message.vx, message.vy, -message.vz)
         if all(map(math.isfinite, velocity)):
-            self._target, self._velocity, self._velocity_at = None, velocity, self._now
+            self.helm.drift(velocity)
 
     def _on_set_gps_global_origin(self, message: Message) -> None:
         self._origin = True
@@ -726,7 +463,7 @@ class ArduSub:
             self._refuse("PARAM_SET of no parameter")
             return
         if name == "JS_GAIN_DEFAULT":
-            self._gain = min(max(self.parameters[name], 0.1), 1.0)
+            self.helm.adjust()
         self._answer(self._parameter(name))
 
     def _on_command_int(self, message: Message) -> None:
@@ -757,12 +494,12 @@ class ArduSub:
 
     def _do_interval(self, values: tuple[float, ...]) -> int:
         kind, interval = _whole(values[0]), values[1]
-        if kind not in self._builders or not math.isfinite(interval):
+        if kind not in telemetry.BUILDERS or not math.isfinite(interval):
             return FAILED
         if interval < 0.0:
             self._intervals.pop(kind, None)
         elif interval == 0.0:
-            self._intervals[kind] = _DEFAULT_INTERVALS.get(kind, 1.0)
+            self._intervals[kind] = telemetry.DEFAULT_INTERVALS.get(kind, 1.0)
         else:
             self._intervals[kind] = max(1e-6 * interval, 1.0 / FASTEST)
         self._due[kind] = self._now
@@ -770,7 +507,7 @@ class ArduSub:
 
     def _do_tell_interval(self, values: tuple[float, ...]) -> int:
         kind = _whole(values[0])
-        if kind not in self._builders:
+        if kind not in telemetry.BUILDERS:
             return FAILED
         interval = self._intervals.get(kind)
         self._answer(
@@ -779,20 +516,20 @@ class ArduSub:
         return ACCEPTED
 
     def _do_message(self, values: tuple[float, ...]) -> int:
-        build = self._builders.get(_whole(values[0]))
+        build = telemetry.BUILDERS.get(_whole(values[0]))
         if build is None:
             return FAILED
-        self._answer(build())
+        self._answer(build(self))
         return ACCEPTED
 
     def _do_servo(self, values: tuple[float, ...]) -> int:
         channel, pwm = _whole(values[0]), _whole(values[1])
-        if channel <= len(self._pulses) or channel == TILT_CHANNEL:
-            self._say(mav.MAV_SEVERITY_INFO, f"ServoRelayEvent: Channel {channel} is already in use")
+        if channel <= len(self._pulses) or channel == telemetry.TILT_CHANNEL:
+            self.say(mav.MAV_SEVERITY_INFO, f"ServoRelayEvent: Channel {channel} is already in use")
             return FAILED
         if not (channel <= 16 and 800 <= pwm <= 2200):
             return FAILED
-        self._servos[channel] = pwm
+        self.servos[channel] = pwm
         return ACCEPTED
 
     def _do_mount(self, values: tuple[float, ...]) -> int:
@@ -835,7 +572,8 @@ class ArduSub:
         self._mav.seq = (self._mav.seq + 1) % 256
         self._send(data, to)
 
-    def _say(self, severity: int, text: str) -> None:
+    def say(self, severity: int, text: str) -> None:
+        """A STATUSTEXT."""
         self._tell(mav.MAVLink_statustext_message(severity, text.encode()[:MOST_TEXT]))
 
     def _acknowledge(self, command: int, result: int, to: Message) -> None:
@@ -846,19 +584,15 @@ class ArduSub:
         now = self._now
         if now >= self._next_heartbeat:
             self._next_heartbeat += 1.0
-            self._tell(self._heartbeat())
+            self._tell(telemetry.heartbeat(self))
         for kind, interval in self._intervals.items():
             if now >= self._due[kind] - 1e-9:
                 self._due[kind] = max(self._due[kind] + interval, now)
                 if kind != mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED or self.position_ok:
-                    self._tell(self._builders[kind]())
+                    self._tell(telemetry.BUILDERS[kind](self))
         for name in self._listing[:PARAMETERS_A_BEAT]:
             self._out(self._parameter(name), self._lister)
         del self._listing[:PARAMETERS_A_BEAT]
-
-    @property
-    def _boot_ms(self) -> int:
-        return int(1e3 * self.clock) % (1 << 32)
 
     def _parameter(self, name: str) -> Message:
         names = self.parameters.names
@@ -866,126 +600,10 @@ class ArduSub:
             name.encode(), self.parameters[name], self.parameters.kind(name), len(names), names.index(name)
         )
 
-    def _heartbeat(self) -> Message:
-        flags = mav.MAV_MODE_FLAG_STABILIZE_ENABLED | mav.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
-        flags |= mav.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-        if self._armed:
-            flags |= mav.MAV_MODE_FLAG_SAFETY_ARMED
-        if self._mode in NEED_POSITION:
-            flags |= mav.MAV_MODE_FLAG_GUIDED_ENABLED
-        status = mav.MAV_STATE_ACTIVE if self._armed else mav.MAV_STATE_STANDBY
-        if self._pilot_lost or self._gcs_lost or self._leaking or self._battery_failed:
-            status = mav.MAV_STATE_CRITICAL
-        return mav.MAVLink_heartbeat_message(
-            mav.MAV_TYPE_SUBMARINE, mav.MAV_AUTOPILOT_ARDUPILOTMEGA, flags, self._mode, status, 3
-        )
-
-    def _attitude(self) -> Message:
-        roll, pitch, _ = self._ahrs.euler
-        p, q, r = self._ahrs.rates
-        return mav.MAVLink_attitude_message(self._boot_ms, roll, -pitch, self._yaw, p, -q, -r)
-
-    def _attitude_quaternion(self) -> Message:
-        roll, pitch, _ = self._ahrs.euler
-        p, q, r = self._ahrs.rates
-        wxyz = _quaternion(roll, -pitch, self._yaw)
-        return mav.MAVLink_attitude_quaternion_message(self._boot_ms, *wxyz, p, -q, -r)
-
-    def _inertial(self) -> tuple[int, ...]:
-        """Milligravities, milliradians a second and milligauss, forward-right-down."""
-        fx, fy, fz = self.tank.imu.specific_force.tolist()
-        p, q, r = self._ahrs.rates
-        force = [1000.0 * value / GRAVITY for value in (fx, -fy, -fz)]
-        turn = [1000.0 * value for value in (p, -q, -r)]
-        yaw = 0.5 * math.pi - self.tank.heading.yaw
-        field = (FIELD[0] * math.cos(yaw), -FIELD[0] * math.sin(yaw), FIELD[1])
-        return tuple(min(max(round(value), -32768), 32767) for value in (*force, *turn, *field))
-
-    def _raw_imu(self) -> Message:
-        return mav.MAVLink_raw_imu_message(int(1e6 * self.clock), *self._inertial(), 0, 2500)
-
-    def _scaled_imu2(self) -> Message:
-        return mav.MAVLink_scaled_imu2_message(self._boot_ms, *self._inertial(), 2500)
-
-    def _scaled_pressure2(self) -> Message:
-        water = -self.tank.depth.z * WATER_PRESSURE
-        return mav.MAVLink_scaled_pressure2_message(self._boot_ms, AIR_PRESSURE + water, water, 2000)
-
-    def _vfr_hud(self) -> Message:
-        speed = math.hypot(*self._ground_velocity()[:2]) if self.position_ok else 0.0
-        heading = int(math.degrees(self._yaw) % 360.0)
-        thrust = int(50.0 + 50.0 * motors.share(self._sticks.throttle)) if self._armed else 0
-        return mav.MAVLink_vfr_hud_message(0.0, speed, heading, thrust, self._ahrs.z, self._ahrs.climb)
-
-    def _sys_status(self) -> Message:
-        tank = self.tank
-        ready = self.parameters["BATT_ARM_VOLT"] <= tank.voltage
-        capacity = max(self.parameters["BATT_CAPACITY"], 1.0)
-        left = min(max(100.0 - 1e5 * tank.used / capacity, 0.0), 100.0)
-        present = SENSORS | PREARM
-        healthy = present if ready else SENSORS
-        volts, amperes = round(1000.0 * tank.voltage), round(100.0 * tank.amperes)
-        return mav.MAVLink_sys_status_message(
-            present, present, healthy, 250, volts, min(amperes, 32767), int(left), 0, 0, 0, 0, 0, 0
-        )
-
-    def _system_time(self) -> Message:
-        return mav.MAVLink_system_time_message(0, self._boot_ms)
-
-    def _gimbal(self) -> Message:
-        # A servo mount: forward-right-down, about the vehicle.
-        wxyz = _quaternion(0.0, self.tilt, 0.0)
-        flags = mav.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME
-        return mav.MAVLink_gimbal_device_attitude_status_message(
-            0, 0, self._boot_ms, flags, wxyz, math.nan, math.nan, math.nan, 0, math.nan, math.nan, 1
-        )
-
-    def _cam_tilt(self) -> Message:
-        return mav.MAVLink_named_value_float_message(self._boot_ms, b"CamTilt", 0.5 + self._tilt_deg / 90.0)
-
-    def _servo_output_raw(self) -> Message:
-        outputs = {**dict(enumerate(self._pulses, 1)), **self._servos}
-        outputs[TILT_CHANNEL] = round(NEUTRAL_PWM - motors.HALF_PWM * self._tilt_deg / 45.0)
-        pulses = [outputs.get(channel, 0) for channel in range(1, 17)]
-        return mav.MAVLink_servo_output_raw_message(int(1e6 * self.clock) % (1 << 32), 0, *pulses)
-
-    def _ekf_status_report(self) -> Message:
-        flags = mav.EKF_ATTITUDE | mav.EKF_VELOCITY_VERT | mav.EKF_POS_VERT_ABS
-        if self.position_ok:
-            flags |= mav.EKF_VELOCITY_HORIZ | mav.EKF_POS_HORIZ_REL | mav.EKF_POS_HORIZ_ABS
-        else:
-            flags |= mav.EKF_CONST_POS_MODE
-        return mav.MAVLink_ekf_status_report_message(flags, 0.05, 0.05, 0.02, 0.05, 0.0)
-
-    def _local_position_ned(self) -> Message:
-        north, east = self._here
-        vn, ve, _ = self._ground_velocity()
-        z, climb = self._ahrs.z, self._ahrs.climb
-        return mav.MAVLink_local_position_ned_message(self._boot_ms, north, east, -z, vn, ve, -climb)
-
-    def _autopilot_version(self) -> Message:
-        major, minor, patch = self.parameters.firmware.version
-        version = major << 24 | minor << 16 | patch << 8 | 255
-        return mav.MAVLink_autopilot_version_message(
-            CAPABILITIES, version, 0, 0, 0, b"standin\0", b"\0" * 8, b"\0" * 8, 0, 0, 1
-        )
-
 
 def _whole(value: float) -> int:
     """A parameter of a command as a whole number; −1 where it is none."""
     return int(value) if math.isfinite(value) and abs(value) < 1e9 else -1
-
-
-def _quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
-    cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
-    cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
-    return (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
 
 
 _COMMANDS: dict[int, Callable[[ArduSub, tuple[float, ...]], int]] = {
@@ -999,17 +617,3 @@ _COMMANDS: dict[int, Callable[[ArduSub, tuple[float, ...]], int]] = {
     mav.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: ArduSub._do_gimbal,
     mav.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: ArduSub._do_reboot,
 }
-_DEFAULT_INTERVALS = {
-    mav.MAVLINK_MSG_ID_ATTITUDE: 0.25,
-    mav.MAVLINK_MSG_ID_RAW_IMU: 0.5,
-    mav.MAVLINK_MSG_ID_SCALED_IMU2: 0.5,
-    mav.MAVLINK_MSG_ID_SCALED_PRESSURE2: 0.5,
-    mav.MAVLINK_MSG_ID_VFR_HUD: 0.25,
-    mav.MAVLINK_MSG_ID_SYS_STATUS: 0.5,
-    mav.MAVLINK_MSG_ID_SYSTEM_TIME: 0.5,
-    mav.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS: 0.5,
-    mav.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: 0.5,
-    mav.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 0.5,
-    mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 0.5,
-}
-"""Seconds between two of a stream that nobody has asked for otherwise."""
