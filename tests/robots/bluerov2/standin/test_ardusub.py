@@ -258,6 +258,25 @@ def test_alt_hold_holds_depth_attitude_and_heading(ground: Ground) -> None:
     assert math.acos(up) < math.radians(2.0)
 
 
+def test_alt_hold_comes_back_to_the_heading_that_a_yaw_stick_left(ground: Ground) -> None:
+    ground.under_way(ALT_HOLD)
+    ground.sticks = {"r": 300}
+    ground.run(1.0)
+    ground.sticks = {}
+    ground.run(3.0)
+    left = heading(ground)
+    assert left > 5.0
+    # Somebody turns it by 20°.
+    x, turned = ground.tank._x, math.radians(20.0) / 2.0
+    w, i, j, k = x[3:7].tolist()
+    c, s = math.cos(turned), math.sin(turned)
+    x[3:7] = c * w - s * k, c * i - s * j, c * j + s * i, c * k + s * w
+    ground.run(0.1)
+    assert heading(ground) == pytest.approx(left - 20.0, abs=3.0)
+    ground.run(12.0)
+    assert heading(ground) == pytest.approx(left, abs=3.0)
+
+
 def test_a_pull_in_alt_hold_is_answered(ground: Ground) -> None:
     ground.under_way(ALT_HOLD)
     ground.run(3.0)
@@ -320,9 +339,10 @@ def test_setpoints_before_guided_are_ignored_without_a_word(ground: Ground) -> N
     count = len(ground.all("STATUSTEXT"))
     before = where(ground)
     for _ in range(20):
-        ground.velocity(VELOCITY_AND_RATE, vx=0.3)
+        ground.velocity(VELOCITY_AND_YAW, vx=0.3, yaw=1.0)
         ground.run(0.1)
     assert np.linalg.norm((where(ground) - before)[:2]) < 0.03
+    assert abs(heading(ground)) < 5.0
     assert len(ground.all("STATUSTEXT")) == count
 
 
@@ -367,6 +387,19 @@ def test_a_velocity_that_is_not_repeated_ends_after_three_seconds_but_a_turn_doe
     ground.velocity(VELOCITY_AND_RATE)
     ground.run(2.0)
     assert abs(ground.tank.state.angular_velocity[2]) < 0.05
+
+
+def test_a_yaw_stick_outdoes_the_setpoint_while_it_is_held(ground: Ground) -> None:
+    guided(ground)
+    ground.velocity(VELOCITY_AND_RATE, yaw_rate=-0.2)
+    ground.run(2.0)
+    assert ground.tank.state.angular_velocity[2] > 0.1
+    ground.sticks = {"r": 400}
+    ground.run(2.0)
+    assert ground.tank.state.angular_velocity[2] < -0.1
+    ground.sticks = {}
+    ground.run(2.0)
+    assert ground.tank.state.angular_velocity[2] > 0.1
 
 
 def test_a_change_of_mode_ends_the_turn(ground: Ground) -> None:
