@@ -29,7 +29,7 @@ def turned(roll: float, pitch: float, yaw: float = 0.7) -> SE3:
 
 
 def meets(T_world_base: SE3, T_base_camera: SE3, surface: np.ndarray, offset: float) -> np.ndarray:
-    """Depth (H, W) at which each ray meets the plane `surface · p = offset` in the world; a loop on purpose."""
+    """(H, W) depth at which each ray meets the plane `surface · p = offset`; a loop on purpose."""
     T_world_camera = T_world_base @ T_base_camera
     depth = np.full((CAMERA.height, CAMERA.width), np.nan)
     for v in range(CAMERA.height):

@@ -100,7 +100,7 @@ class Shells:
         # A picture's colours are blurred: a patch ends where half of its excess is left.
         peak = ndimage.maximum_filter(np.where(above | pipes, 0.0, excess), BLUR)
         least = np.maximum(self.warm, HALF * peak)
-        rim = ndimage.binary_dilation(pipes, np.ones((3, 3)))
+        rim = ndimage.binary_dilation(pipes, np.ones((3, 3), np.bool_))
         shells = _cleaned((excess > least) & ~above & ~rim, self.smallest)
         labels = np.full(above.shape, Label.SEABED, np.uint8)
         labels[above | pipes] = Label.OBSTACLE

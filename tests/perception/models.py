@@ -1,0 +1,87 @@
+"""Tiny networks in ONNX files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import onnx
+from onnx import TensorProto, helper, numpy_helper
+
+OPSET = 17
+
+
+def save(
+    path: Path,
+    nodes: list[onnx.NodeProto],
+    weights: Mapping[str, np.ndarray],
+    shape: list[int | str],
+    outputs: Mapping[str, list[int | str]],
+    *,
+    metadata: Mapping[str, str] | None = None,
+    kind: int = TensorProto.FLOAT,
+    opset: int = OPSET,
+) -> Path:
+    """Write a model with the input `images`."""
+    graph = helper.make_graph(
+        nodes,
+        "tiny",
+        [helper.make_tensor_value_info("images", kind, shape)],
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, size) for name, size in outputs.items()],
+        [numpy_helper.from_array(value.astype(np.float32), name) for name, value in weights.items()],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=8)
+    helper.set_model_props(model, dict(metadata or {}))
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+def redness(path: Path, *, gain: float = 50.0, open_size: bool = False) -> Path:
+    """Scores of three classes: floor 0, shell R − B − 0.35, pipe G − 2 R − 0.12; a convolution."""
+    weights = np.zeros((3, 3, 1, 1))
+    weights[1, :, 0, 0] = gain, 0.0, -gain
+    weights[2, :, 0, 0] = -2.0 * gain, gain, 0.0
+    size: list[int | str] = [1, 3, "h", "w"] if open_size else [1, 3, 24, 32]
+    return save(
+        path,
+        [helper.make_node("Conv", ["images", "weights", "bias"], ["scores"])],
+        {"weights": weights, "bias": gain * np.array([0.0, -0.35, -0.12])},
+        size,
+        {"scores": size},
+    )
+
+
+def constant(path: Path, value: np.ndarray) -> Path:
+    """Says the same of every picture: a map (h, w)."""
+    return save(
+        path,
+        [
+            helper.make_node("ReduceMean", ["images"], ["mean"], keepdims=1),
+            helper.make_node("Mul", ["mean", "nought"], ["nothing"]),
+            helper.make_node("Add", ["nothing", "value"], ["depth"]),
+        ],
+        {"nought": np.zeros(1), "value": value[None, None]},
+        [1, 3, 24, 32],
+        {"depth": [1, 1, *value.shape]},
+    )
+
+
+def instances(
+    path: Path, table: np.ndarray, masks: np.ndarray, metadata: Mapping[str, str], *, size: int = 64
+) -> Path:
+    """Says of every picture that it shows these instances, as Ultralytics' segmentation models do."""
+    both = {"output0": table[None], "output1": masks[None]}
+    nodes = [
+        helper.make_node("ReduceMean", ["images"], ["mean"], axes=[1, 2, 3], keepdims=0),
+        helper.make_node("Mul", ["mean", "nought"], ["nothing"]),
+    ]
+    nodes += [helper.make_node("Add", ["nothing", f"{name}_value"], [name]) for name in both]
+    return save(
+        path,
+        nodes,
+        {"nought": np.zeros(1), **{f"{name}_value": value for name, value in both.items()}},
+        [1, 3, size, size],
+        {name: list(value.shape) for name, value in both.items()},
+        metadata=metadata,
+    )
