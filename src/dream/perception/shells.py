@@ -40,10 +40,12 @@ STEP_SPREAD = 0.08
 """Step of log brightness at the floor's edge within which there may be none; likewise."""
 PIPE_ABOVE = 12
 """Rows above the floor's edge in which a pipe is looked for."""
-SMOOTH = 0.018
-"""Median change of log brightness from row to row that no shell has."""
+SMOOTH = 0.02
+"""Mean change of log brightness from row to row that hardly any shell has."""
+SMOOTH_ACROSS = 5
+"""Pixels across that it is a mean over."""
 SMOOTH_PIXELS = 40
-"""Pixels, two or more from its rim, that a patch must have to be judged so."""
+"""Pixels of the smallest part of a pipe that is told by its smoothness."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,20 +245,25 @@ def _sides(part: BoolArray, first: int) -> tuple[Line, Line]:
 
 
 def _smooth(warm: BoolArray, brightness: Float32Array) -> BoolArray:
-    """Patches at the left or right border of the image that are as smooth as a pipe."""
+    """The parts of patches at the left or right border of the image that are as smooth as a pipe."""
     from scipy import ndimage
 
     smooth = np.zeros_like(warm)
     marks, _ = ndimage.label(warm)
     for n, box in enumerate(ndimage.find_objects(marks), 1):
-        if box[1].start > 0 and box[1].stop < warm.shape[1]:
-            continue
+        at_left, at_right = box[1].start == 0, box[1].stop == warm.shape[1]
         patch = marks[box] == n
-        core = ndimage.binary_erosion(patch, iterations=2, border_value=1)
-        if core.sum() >= SMOOTH_PIXELS:
-            change = np.abs(np.diff(brightness[box], axis=0))[core[:-1] & core[1:]]
-            if len(change) and np.median(change) < SMOOTH:
-                smooth[box] |= patch
+        if not (at_left or at_right) or patch.sum() < SMOOTH_PIXELS:
+            continue
+        change = np.abs(np.diff(brightness[box], axis=0, append=brightness[box][-1:]))
+        calm = patch & (ndimage.uniform_filter(change, SMOOTH_ACROSS, mode="nearest") < SMOOTH)
+        parts, _ = ndimage.label(ndimage.binary_opening(calm, np.ones((3, 3), np.bool_)))
+        beside = ([parts[:, 0]] if at_left else []) + ([parts[:, -1]] if at_right else [])
+        large = np.bincount(parts.ravel()) >= SMOOTH_PIXELS
+        chosen = np.intersect1d(np.concatenate(beside), np.nonzero(large)[0])
+        core = np.isin(parts, chosen[chosen > 0])
+        # At its rim a pipe's brightness changes too.
+        smooth[box] |= patch & ndimage.binary_dilation(core, iterations=SMOOTH_ACROSS // 2 + 1)
     return smooth
 
 
