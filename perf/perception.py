@@ -2,7 +2,7 @@
 
     python perf/perception.py                       or: --world reef/patch --seeds 1 2 --poses 20
 
-Pictures go through JPEG with its colour at half resolution (4:2:0), as that of H.264 is, unless --clean.
+Pictures go through JPEG with its colour at half resolution, as that of H.264 is, unless told otherwise.
 Poses are free positions of the protocol's altitude at any heading, rolled and pitched by up to --tilt.
 Figures are within the protocol's reach over ground.
 """
@@ -13,8 +13,8 @@ import argparse
 import io
 import math
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from PIL import Image
@@ -43,8 +43,12 @@ ROOM = 0.02
 class Conditions:
     """What stands between the simulator's picture and what perception is given."""
 
-    quality: int | None
-    """Of the JPEG; None without."""
+    pictures: str
+    """One of `PICTURES`."""
+    noise: float
+    """Standard deviation of a channel of the picture, of 255."""
+    cast: float
+    """Standard deviation of the logarithm of the gain of each channel, each frame anew."""
     tilt: float
     """Radians: roll and pitch are drawn from ± this; both are known."""
     altitude_error: float
@@ -88,11 +92,35 @@ def tilted(x: float, y: float, z: float, yaw: float, pitch: float, roll: float) 
     return SE3(level.rotation @ about_y @ about_x, level.translation)
 
 
-def compressed(rgb: UInt8Array, quality: int) -> UInt8Array:
-    """A picture after JPEG with 4:2:0 chroma."""
+def jpeg(rgb: UInt8Array) -> UInt8Array:
+    """A picture after JPEG of quality 75, with a colour for 2 × 2 pixels."""
     buffer = io.BytesIO()
-    Image.fromarray(rgb).save(buffer, "JPEG", quality=quality, subsampling=2)
+    Image.fromarray(rgb).save(buffer, "JPEG", quality=75, subsampling=2)
     return np.asarray(Image.open(buffer))
+
+
+def video(rgb: UInt8Array) -> UInt8Array:
+    """A picture after lossless video, with a colour for 2 × 2 pixels."""
+    import cv2
+
+    return np.asarray(cv2.cvtColor(cv2.cvtColor(rgb, cv2.COLOR_RGB2YUV_I420), cv2.COLOR_YUV2RGB_I420))
+
+
+PICTURES: dict[str, Callable[[UInt8Array], UInt8Array]] = {
+    "drawn": lambda rgb: rgb,
+    "video": video,
+    "jpeg": jpeg,
+}
+"""What becomes of a picture on its way."""
+
+
+def taken(rgb: UInt8Array, conditions: Conditions, rng: np.random.Generator) -> UInt8Array:
+    """What perception is given of a picture."""
+    if conditions.noise or conditions.cast:
+        gain = np.exp(rng.normal(0.0, conditions.cast, 3))
+        rough = gain * rgb + rng.normal(0.0, conditions.noise, rgb.shape)
+        rgb = np.clip(np.rint(rough), 0, 255).astype(np.uint8)
+    return PICTURES[conditions.pictures](rgb)
 
 
 def places(world: World, protocol: SurveyProtocol, count: int, rng: np.random.Generator) -> list[SE2]:
@@ -119,7 +147,7 @@ def views(
         pitch, roll = rng.uniform(-conditions.tilt, conditions.tilt, 2)
         truth = tilted(x, y, z, yaw, pitch, roll)
         frame = renderer.render(protocol.camera, truth @ protocol.T_base_camera)
-        rgb = frame.rgb if conditions.quality is None else compressed(frame.rgb, conditions.quality)
+        rgb = taken(frame.rgb, conditions, rng)
         wrong = rng.normal(0.0, conditions.attitude_error, 2) if conditions.attitude_error else (0.0, 0.0)
         told = tilted(x, y, z, yaw, pitch + wrong[0], roll + wrong[1])
         factor = 1.0 + (rng.normal(0.0, conditions.altitude_error) if conditions.altitude_error else 0.0)
@@ -249,14 +277,18 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="*", default=[4, 5], help="seeds it was not tuned on")
     parser.add_argument("--poses", type=int, default=40)
     parser.add_argument("--frames", type=int, default=8, help="frames a map")
-    parser.add_argument("--quality", type=int, default=75, help="of the JPEG")
-    parser.add_argument("--clean", action="store_true", help="pictures as they are drawn")
+    parser.add_argument("--pictures", choices=PICTURES, default="jpeg")
+    parser.add_argument("--noise", type=float, default=0.0, help="standard deviation of a channel, of 255")
+    parser.add_argument("--cast", type=float, default=0.0, help="standard deviation of a channel's log gain")
+    parser.add_argument("--altitude", type=float, default=None, help="other than the protocol's, metres")
     parser.add_argument("--tilt", type=float, default=0.0, help="most roll and pitch, degrees")
     parser.add_argument("--altitude-error", type=float, default=0.0, help="standard deviation, as a share")
     parser.add_argument("--attitude-error", type=float, default=0.0, help="standard deviation, degrees")
     arguments = parser.parse_args()
     conditions = Conditions(
-        quality=None if arguments.clean else arguments.quality,
+        pictures=arguments.pictures,
+        noise=arguments.noise,
+        cast=arguments.cast,
         tilt=math.radians(arguments.tilt),
         altitude_error=arguments.altitude_error,
         attitude_error=math.radians(arguments.attitude_error),
@@ -267,14 +299,10 @@ def main() -> None:
         together = Tally()
         for seed in track(seeds, description=f"{arguments.world}, {title}", console=console):
             world = make_world(arguments.world, seed)
-            tally = judge(
-                world,
-                protocol_named(world.protocol),
-                arguments.poses,
-                conditions,
-                perception,
-                arguments.frames,
-            )
+            protocol = protocol_named(world.protocol)
+            if arguments.altitude is not None:
+                protocol = replace(protocol, altitude=arguments.altitude)
+            tally = judge(world, protocol, arguments.poses, conditions, perception, arguments.frames)
             columns.append((f"seed {seed}", tally))
             together.add(tally)
         if seeds:
