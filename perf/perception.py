@@ -71,14 +71,18 @@ class Tally:
     """Share of the obstacle pixels without a depth."""
     sure: np.ndarray = field(default_factory=lambda: np.zeros((BINS, 3)))
     """Pixels, sum of the confidence in the label, right ones; by bin of confidence."""
+    both: np.ndarray = field(default_factory=lambda: np.zeros((BINS, 3)))
+    """Likewise with the confidence in both; right is a right label and a depth within a tenth."""
     seconds: list[float] = field(default_factory=list)
-    maps: list[tuple[float, float, float, float]] = field(default_factory=list)
-    """Free cells called solid and solid ones missed: as they are, and one cell of tolerance given."""
+    maps: list[tuple[float, ...]] = field(default_factory=list)
+    """Free cells called solid and solid ones missed: as they are, and one cell of tolerance given. Target cells
+    missed, and cells called target that are none, likewise with one cell of tolerance."""
 
     def add(self, other: Tally) -> None:
         """Take in another."""
         self.confusion += other.confusion
         self.sure += other.sure
+        self.both += other.both
         for name in ("floor_errors", "obstacle_errors", "unknown", "seconds", "maps"):
             getattr(self, name).extend(getattr(other, name))
 
@@ -175,10 +179,10 @@ def judge(
         views(world, protocol, count, conditions, rng), 1
     ):
         start = time.process_time()
-        depth, labels, _ = perception.perceive(rgb, camera, told, mount, altitude)
+        depth, labels, confidence = perception.perceive(rgb, camera, told, mount, altitude)
         tally.seconds.append(time.process_time() - start)
         _, sure = perception.segmenter.segment(rgb)
-        add_pixels(tally, frame, labels, sure, depth, truth @ mount, protocol)
+        add_pixels(tally, frame, (depth, labels, sure, confidence), truth @ mount, protocol)
         told_map.integrate(depth, labels, camera, told @ mount)
         true_map.integrate(frame.depth, frame.labels, camera, truth @ mount)
         if n % frames_a_map == 0:
@@ -190,13 +194,12 @@ def judge(
 def add_pixels(
     tally: Tally,
     frame: Frame,
-    labels: UInt8Array,
-    sure: Float32Array,
-    depth: Float32Array,
+    said: tuple[Float32Array, UInt8Array, Float32Array, Float32Array],
     T_world_camera: SE3,
     protocol: SurveyProtocol,
 ) -> None:
-    """One frame."""
+    """One frame; what was said: depth, labels, confidence in these and in both."""
+    depth, labels, sure, confidence = said
     points = protocol.camera.back_project(frame.depth, T_world_camera)
     away = np.hypot(*(points[..., i] - T_world_camera.translation[i] for i in (0, 1)))
     near = away <= protocol.reach
@@ -210,13 +213,16 @@ def add_pixels(
         tally.obstacle_errors.append(
             (np.abs(depth - frame.depth) * away / frame.depth)[solid & np.isfinite(depth)][::7]
         )
-    seen = near.ravel()
-    bins = np.minimum((sure.ravel()[seen] * BINS).astype(np.intp), BINS - 1)
-    for column, value in enumerate((np.ones(bins.size), sure.ravel()[seen], (labels == truth).ravel()[seen])):
-        tally.sure[:, column] += np.bincount(bins, value, BINS)
+    hit = labels == truth
+    with np.errstate(invalid="ignore"):
+        close = hit & (np.abs(depth - frame.depth) <= 0.1 * frame.depth)
+    for counts, scale, right in ((tally.sure, sure, hit), (tally.both, confidence, close)):
+        bins = np.minimum((scale[near] * BINS).astype(np.intp), BINS - 1)
+        for column, value in enumerate((np.ones(bins.size), scale[near], right[near])):
+            counts[:, column] += np.bincount(bins, value, BINS)
 
 
-def compared(told: OccupancyMap, true: OccupancyMap) -> tuple[float, float, float, float]:
+def compared(told: OccupancyMap, true: OccupancyMap) -> tuple[float, ...]:
     """See `Tally.maps`."""
     free, solid = true.known & ~true.solid, true.solid
     false, missed = free & told.solid, solid & ~told.solid
@@ -229,6 +235,8 @@ def compared(told: OccupancyMap, true: OccupancyMap) -> tuple[float, float, floa
         share(missed, solid),
         share(false & ~ndimage.binary_dilation(solid, CHEBYSHEV), free),
         share(missed & ~ndimage.binary_dilation(told.solid, CHEBYSHEV), solid),
+        share(true.target & ~ndimage.binary_dilation(told.target, CHEBYSHEV), true.target),
+        share(told.target & ~ndimage.binary_dilation(true.target, CHEBYSHEV), told.target),
     )
 
 
@@ -249,7 +257,7 @@ def figures(tally: Tally) -> list[tuple[str, str]]:
         np.concatenate(tally.floor_errors),
         np.concatenate(tally.obstacle_errors or [np.zeros(1)]),
     )
-    maps = np.array(tally.maps).mean(axis=0) if tally.maps else np.full(4, math.nan)
+    maps = np.array(tally.maps).mean(axis=0) if tally.maps else np.full(6, math.nan)
     return [
         ("target IoU", percent(iou(t))),
         ("target recall", percent(table[t, t] / max(table[t].sum(), 1.0))),
@@ -265,6 +273,8 @@ def figures(tally: Tally) -> list[tuple[str, str]]:
         ("map: solid cells missed", percent(maps[1])),
         ("map: free called solid, >1 cell off", percent(maps[2])),
         ("map: solid missed, >1 cell off", percent(maps[3])),
+        ("map: target missed, >1 cell off", percent(maps[4])),
+        ("map: of target, none within a cell", percent(maps[5])),
         ("CPU a frame, median", f"{1e3 * float(np.median(tally.seconds)):.1f} ms"),
     ]
 
@@ -314,19 +324,23 @@ def main() -> None:
     for row in zip(*(figures(tally) for _, tally in columns), strict=True):
         table.add_row(row[0][0], *(value for _, value in row))
     console.print(table)
-    sure = sum((tally.sure for name, tally in columns if not name.startswith("seed")), np.zeros((BINS, 3)))
-    reliability = Table(title="Confidence in a label, and how often it is right")
-    for name in ("confidence", "mean", "right", "share of pixels"):
-        reliability.add_column(name, justify="right")
-    for n, (count, total, right) in enumerate(sure):
-        if count:
-            reliability.add_row(
-                f"{n / BINS:.1f} to {(n + 1) / BINS:.1f}",
-                percent(total / count),
-                percent(right / count),
-                percent(count / sure[:, 0].sum()),
-            )
-    console.print(reliability)
+    whole = [tally for name, tally in columns if not name.startswith("seed")]
+    for title, bins in (
+        ("Confidence in a label, and how often it is right", [tally.sure for tally in whole]),
+        ("Confidence in label and depth, and how often both are right, to a tenth", [t.both for t in whole]),
+    ):
+        reliability = Table(title=title)
+        for name in ("confidence", "mean", "right", "share of pixels"):
+            reliability.add_column(name, justify="right")
+        sums = np.sum(bins, axis=0)
+        for n, (count, total, right) in enumerate(sums):
+            if count:
+                share = count / sums[:, 0].sum()
+                reliability.add_row(
+                    f"{n / BINS:.1f} to {(n + 1) / BINS:.1f}",
+                    *map(percent, (total / count, right / count, share)),
+                )
+        console.print(reliability)
 
 
 if __name__ == "__main__":

@@ -52,6 +52,18 @@ def redness(path: Path, *, gain: float = 50.0, open_size: bool = False) -> Path:
     )
 
 
+def redness_last(path: Path) -> Path:
+    """`redness` with its channels last, on either side."""
+    model = onnx.load(redness(path))
+    (conv,) = model.graph.node
+    conv.input[0], conv.output[0] = "first", "inner"
+    before = helper.make_node("Transpose", ["images"], ["first"], perm=[0, 3, 1, 2])
+    after = helper.make_node("Transpose", ["inner"], ["scores"], perm=[0, 2, 3, 1])
+    weights = {tensor.name: numpy_helper.to_array(tensor) for tensor in model.graph.initializer}
+    size: list[int | str] = [1, 24, 32, 3]
+    return save(path, [before, conv, after], weights, size, {"scores": size})
+
+
 def constant(path: Path, value: np.ndarray) -> Path:
     """Says the same of every picture: a map (h, w)."""
     return save(

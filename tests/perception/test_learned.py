@@ -15,7 +15,7 @@ from dream.perception.flat_floor import floor_depth, rays
 from dream.perception.learned import placed, resampled
 from dream.perception.scaling import fit_to_floor
 from dream.types import Float32Array, Label, UInt8Array
-from tests.perception.models import constant, instances, redness
+from tests.perception.models import constant, instances, redness, redness_last
 
 CLASSES = {"floor": "seabed", "shell": "target", "pipe": "obstacle"}
 LOGITS = {"output": "logits", "classes": CLASSES}
@@ -61,6 +61,15 @@ def test_a_sidecar_in_toml_says_the_same(tmp_path: Path) -> None:
     path = redness(tmp_path / "m.onnx", open_size=True)
     labels, _ = LearnedLabels(path).segment(scene())
     assert (labels == expected()).mean() > 0.98
+
+
+def test_channels_may_come_last(tmp_path: Path) -> None:
+    usual = LearnedLabels(redness(tmp_path / "m.onnx"), sidecar=Sidecar.model_validate(LOGITS))
+    last = Sidecar.model_validate({**LOGITS, "layout": "NHWC"})
+    other = LearnedLabels(redness_last(tmp_path / "n.onnx"), sidecar=last)
+    (labels, confidence), (same, sure) = usual.segment(scene()), other.segment(scene())
+    np.testing.assert_array_equal(labels, same)
+    np.testing.assert_allclose(confidence, sure, atol=1e-6)
 
 
 def test_colours_may_be_the_other_way_round_and_normalised(tmp_path: Path) -> None:
@@ -251,6 +260,15 @@ def test_a_relative_depth_gets_its_metres_from_the_floor(tmp_path: Path, output:
     depth, confidence = depth_of(constant(tmp_path / "m.onnx", raw(truth)), output, labels)
     np.testing.assert_allclose(depth, truth, rtol=1e-3)
     np.testing.assert_allclose(confidence, 1.0)
+
+
+def test_water_has_no_depth_whatever_the_network_says(tmp_path: Path) -> None:
+    truth, labels = seen()
+    labels[:10] = Label.WATER
+    depth, confidence = depth_of(constant(tmp_path / "m.onnx", truth), "metric_depth", labels)
+    assert np.isnan(depth[:10]).all()
+    assert (confidence[:10] == 0.0).all()
+    assert np.isfinite(depth[10:]).all()
 
 
 def test_metric_depth_stays_and_is_doubted_as_far_as_it_leaves_the_floor(tmp_path: Path) -> None:

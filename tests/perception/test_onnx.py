@@ -61,9 +61,16 @@ def test_weights_in_other_files_are_refused_wherever_they_hide(tmp_path: Path) -
             [numpy_helper.from_array(np.array(True), "c")],
         ),
     )
-    for graph in graphs:
+    models = [helper.make_model(graph) for graph in graphs]
+    plain = helper.make_graph([helper.make_node("Identity", ["images"], ["y"])], "g", [info], [out])
+    body = [helper.make_node("Constant", [], ["y"], value=external("w"))]
+    function = helper.make_function("", "f", [], ["y"], body, [helper.make_opsetid("", 17)])
+    models.append(helper.make_model(plain, functions=[function]))
+    models.append(helper.make_model(plain))
+    models[-1].training_info.add().algorithm.initializer.append(external("w"))
+    for model in models:
         path = tmp_path / "m.onnx"
-        path.write_bytes(helper.make_model(graph).SerializeToString())
+        path.write_bytes(model.SerializeToString())
         with pytest.raises(ValueError, match="tensors in other files"):
             checked_bytes(path)
 

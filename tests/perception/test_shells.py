@@ -94,7 +94,7 @@ def test_a_view_without_an_edge_is_wall_of_which_nobody_is_sure() -> None:
 
 def test_a_line_above_the_horizon_is_not_the_floors_edge() -> None:
     rgb = tank()
-    rgb[:20] = (255, 255, 255)
+    rgb[:20] = (165, 236, 255)  # Brighter than the floor, and of the wall's colour.
     labels, _ = Shells().segment(rgb)
     assert (labels[30:80] == Label.OBSTACLE).all()
     assert (labels[80:] == Label.SEABED).all()
@@ -157,7 +157,7 @@ def test_the_tank_is_labelled_well_enough_to_survey_it(views: list[tuple[Frame, 
     assert table[target].sum() > 2000
     assert hit / (table[target].sum() + table[:, target].sum() - hit) > 0.6
     assert hit / table[target].sum() > 0.75
-    assert hit / table[:, target].sum() > 0.75
+    assert hit / table[:, target].sum() > 0.83
     assert table[obstacle, obstacle] / table[obstacle].sum() > 0.98
     assert table[obstacle, obstacle] / table[:, obstacle].sum() > 0.98
 
