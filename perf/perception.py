@@ -75,8 +75,8 @@ class Tally:
     """Likewise with the confidence in both; right is a right label and a depth within a tenth."""
     seconds: list[float] = field(default_factory=list)
     maps: list[tuple[float, ...]] = field(default_factory=list)
-    """Free cells called solid and solid ones missed: as they are, and one cell of tolerance given. Target cells
-    missed, and cells called target that are none, likewise with one cell of tolerance."""
+    """Free cells called solid and solid ones missed: as they are, and with a cell of tolerance. Target cells
+    missed, and cells called target that are none, with a cell of tolerance too."""
 
     def add(self, other: Tally) -> None:
         """Take in another."""

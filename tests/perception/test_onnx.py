@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -162,3 +163,11 @@ def test_a_picture_of_the_wrong_size_is_refused(tmp_path: Path) -> None:
 def test_threads_are_few(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="threads: expected 1 to 8"):
         Network(redness(tmp_path / "m.onnx"), threads=0)
+
+
+def test_without_the_extra_the_reason_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(ValueError, match=r'pip install "dream-auv\[rov\]"'):
+        Network(redness(tmp_path / "m.onnx"))

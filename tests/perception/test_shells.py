@@ -92,6 +92,16 @@ def test_a_view_without_an_edge_is_wall_of_which_nobody_is_sure() -> None:
     assert (confidence == 0.5).all()
 
 
+def test_sand_under_open_water_is_called_wall_but_nobody_is_sure() -> None:
+    rgb = np.empty((240, 320, 3), np.uint8)
+    rgb[:80] = (40, 110, 120)
+    share = np.linspace(0.0, 1.0, 160)[:, None, None]
+    rgb[80:] = ((1.0 - share) * (40, 110, 120) + share * (110, 140, 120)).astype(np.uint8)
+    labels, confidence = Shells().segment(rgb)
+    assert (labels == Label.OBSTACLE).mean() > 0.9
+    assert confidence[labels == Label.OBSTACLE].mean() < 0.6
+
+
 def test_a_line_above_the_horizon_is_not_the_floors_edge() -> None:
     rgb = tank()
     rgb[:20] = (165, 236, 255)  # Brighter than the floor, and of the wall's colour.

@@ -40,6 +40,8 @@ STEP_SPREAD = 0.08
 """Step of log brightness at the floor's edge within which there may be none; likewise."""
 PIPE_ABOVE = 12
 """Rows above the floor's edge in which a pipe is looked for."""
+WIDEST = 0.4
+"""Share of the image's width that no pipe takes up: one of 11 cm at the vehicle's nose takes 0.2."""
 SMOOTH = 0.02
 """Mean change of log brightness from row to row that hardly any shell has."""
 SMOOTH_ACROSS = 5
@@ -61,8 +63,8 @@ class Shells:
     colour; shells and pipes that are warmer than both; a camera that is not rolled by more than some 20°.
 
     Fails when: floor and wall are of one colour and no shade marks their joint; a pipe is as blue as the
-    wall; there is open water: a view without an edge is called wall, with a confidence of a half, which
-    stops a vehicle but maps no reef.
+    wall. A view without an edge is called wall, with a confidence of a half: so it is before a wall that is
+    near. It is not for open water, which it calls wall, and where it misses boulders and finds no shells.
     """
 
     warm: float = 0.2
@@ -145,13 +147,16 @@ class Shells:
             came[step] = choice
             best[step] += moved[at, choice]
         path = np.empty(len(best), np.intp)
-        path[-1] = best[-1].argmax()
+        # Of equals the lowest: what nothing tells apart from wall is wall.
+        path[-1] = height - best[-1][::-1].argmax()
         for step in range(len(best) - 1, 0, -1):
             path[step - 1] = path[step] + came[step, path[step]] - STEEPEST
         columns = np.arange(width)
         edge = np.rint(np.interp(columns, STRIDE * np.arange(len(path)), path)).astype(np.intp)
-        step_there = score[edge, columns // STRIDE] + self.edge
-        return edge, np.where(edge < height, step_there, np.float32(0.0))
+        shown = ~near[edge, columns] & (edge < height)
+        steps = np.where(shown, score[edge, columns // STRIDE] + self.edge, np.float32(0.0))
+        # Behind a pipe the edge is as sure as it is elsewhere; if it is hidden everywhere, there may be none.
+        return edge, np.where(shown | (edge == height), steps, steps.mean(dtype=np.float32))
 
 
 def _features(rgb: UInt8Array) -> tuple[Float32Array, Float32Array]:
@@ -213,6 +218,8 @@ def _pipes(warm: BoolArray, brightness: Float32Array, edge: IntArray) -> BoolArr
         if past - first < PIPE_ABOVE:
             continue
         part = marks[first:past] == n
+        if part.sum(axis=1).max() > WIDEST * width:
+            continue
         pipes[box] |= marks[box] == n
         left, right = _sides(part, first)
         for row in range(past, height):
@@ -262,6 +269,8 @@ def _smooth(warm: BoolArray, brightness: Float32Array) -> BoolArray:
         large = np.bincount(parts.ravel()) >= SMOOTH_PIXELS
         chosen = np.intersect1d(np.concatenate(beside), np.nonzero(large)[0])
         core = np.isin(parts, chosen[chosen > 0])
+        if core.sum(axis=1).max() > WIDEST * warm.shape[1]:
+            continue
         # At its rim a pipe's brightness changes too.
         smooth[box] |= patch & ndimage.binary_dilation(core, iterations=SMOOTH_ACROSS // 2 + 1)
     return smooth
