@@ -74,7 +74,7 @@ class Dive:
     camera: str = "rtp:5600"
     """rtp:PORT for H.264 over UDP, an rtsp:// address, a video file, or the number of a device."""
     calibration: Path | None = None
-    """OpenCV's YAML of the camera; without it the lens is taken for a BlueROV2's in water."""
+    """OpenCV's YAML of the camera, with `calibrated_in`; needed, but with --stand-in and --check."""
     tilt: float = 20.0
     """Degrees that the camera looks down."""
     labels: Path | None = None
@@ -130,6 +130,10 @@ class Dive:
             raise ValueError(f"--max-steps: expected at least 1, got {self.max_steps}")
         if self.area is None and not self.stand_in:
             raise ValueError("--area: expected x_min y_min x_max y_max in metres, got none")
+        if self.calibration is None and not (self.stand_in or self.check):
+            raise ValueError(
+                "--calibration: expected OpenCV's YAML of the camera, got none. See docs/bluerov2.md"
+            )
         _check_extra()
         protocol = protocol_named(self.protocol)
         name = planner_name(self.planner)
@@ -353,6 +357,7 @@ class _Ready:
         from dream.protocol import SHOWN
         from dream.robots.bluerov2.camera import mounted
         from dream.robots.bluerov2.devices import LiveEye
+        from dream.robots.bluerov2.lens import Lens
         from dream.robots.bluerov2.rov import BlueRov2
 
         told = self.told
@@ -363,7 +368,7 @@ class _Ready:
         return BlueRov2(
             bridge,
             self.devices.navigator,
-            LiveEye(self.devices.camera),
+            LiveEye(self.devices.camera, None if told.calibration is None else Lens.read(told.calibration)),
             perception,
             self.protocol,
             self.devices.now,

@@ -19,7 +19,6 @@ from dream.robots.bluerov2.dvl_a50 import (
     MAX_LINE,
     BadLine,
     DvlA50,
-    LeastDelay,
     VelocityReport,
     measurement,
     read_line,
@@ -147,24 +146,6 @@ class TestReading:
     @pytest.mark.parametrize("kind", ["velocity_water", "position_local", "something_new"])
     def test_other_reports_are_of_no_concern(self, kind: str) -> None:
         assert read_line(line(type=kind)) is None
-
-
-class TestLeastDelay:
-    def test_the_message_with_the_least_delay_tells_the_offset(self) -> None:
-        clock = LeastDelay()
-        delays = [0.02, 0.004, 0.3, 0.05]
-        times = [clock.time(1000.0 + k, 7.0 + k + delay) for k, delay in enumerate(delays)]
-        np.testing.assert_allclose(times, [7.02, 8.004, 9.004, 10.004])
-
-    def test_a_jump_begins_anew(self) -> None:
-        clock = LeastDelay()
-        clock.time(1000.0, 7.0)
-        assert clock.time(5.0, 8.0) == 8.0
-
-    def test_old_messages_are_forgotten(self) -> None:
-        clock = LeastDelay(window=5.0)
-        clock.time(0.0, 10.0)
-        assert clock.time(6.0, 16.5) == 16.5
 
 
 class Server:

@@ -1,6 +1,7 @@
 """The robot: it waits, holds, gives up and says so, on a bridge and an eye that are ours."""
 
 import math
+import time
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,7 +10,6 @@ import pytest
 from dream.errors import MissionAborted
 from dream.geometry import SE2, SE3, Camera
 from dream.protocol import POOL_V1
-from dream.robots.bluerov2 import rov
 from dream.robots.bluerov2.bridge import FINE, Stance, Standing
 from dream.robots.bluerov2.navigation import Fix
 from dream.robots.bluerov2.rov import BlueRov2, Manners
@@ -42,7 +42,7 @@ class Scene:
     each: object = None
 
     def robot(self, monkeypatch: pytest.MonkeyPatch, **options: object) -> BlueRov2:
-        monkeypatch.setattr(rov.time, "sleep", self.sleep)
+        monkeypatch.setattr(time, "sleep", self.sleep)
         return BlueRov2(
             self,  # type: ignore[arg-type]
             self,  # type: ignore[arg-type]

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Protocol
 
 from dream.robots.bluerov2.bridge import Limits
-from dream.robots.bluerov2.mavlink import Telemetry
 from dream.robots.bluerov2.parameters import Check
+from dream.robots.bluerov2.telemetry import Telemetry
 
 ROOM = 2 << 30
 """Bytes free on the disk: an hour of log takes about half of it."""

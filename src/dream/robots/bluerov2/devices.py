@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Self
+
+import numpy as np
 
 from dream.geometry import SE2, Camera
 from dream.measurements import Imu, Measurement
@@ -22,12 +25,14 @@ from dream.robots.bluerov2.camera import (
     Source,
     VideoDevice,
     VideoFile,
+    opencv,
 )
 from dream.robots.bluerov2.check import Finding, Seen, findings
 from dream.robots.bluerov2.dvl_a50 import DvlA50
+from dream.robots.bluerov2.lens import Lens, Rectifier
 from dream.robots.bluerov2.log import DiveLog
 from dream.robots.bluerov2.mavlink import Link
-from dream.robots.bluerov2.navigation import Instruments, Navigator, NotReady
+from dream.robots.bluerov2.navigation import Instruments, Navigator, NotReady, State
 from dream.robots.bluerov2.rov import Picture
 from dream.types import BoolArray, UInt8Array
 
@@ -106,13 +111,19 @@ class Devices:
         """
         began = time.monotonic()
         self.now: Callable[[], float] = lambda: time.monotonic() - began
-        self.navigator = Navigator(instruments, self.now)
         self._heard: list[Imu | Measurement] = []
         self._listening = threading.Event()
         source = source_of(addresses.camera)
         host, _, port = addresses.dvl.rpartition(":") if ":" in addresses.dvl else (addresses.dvl, "", "")
         with ExitStack() as stack:
             self.log = stack.enter_context(DiveLog(folder, epoch_ns=epoch_ns))
+            # As the estimator was given them: a replay of the log makes the same estimate.
+            self.navigator = Navigator(
+                instruments,
+                self.now,
+                took=lambda message: self.log.tap(self.now(), "measurement", False, message),
+                began=lambda state: self.log.tap(state.time, "begun", False, _plain(state)),
+            )
             self.link = Link(
                 addresses.vehicle,
                 now=self.now,
@@ -205,16 +216,24 @@ class Devices:
         if self._listening.is_set():
             self._heard.append(message)
         self.navigator.deliver(message)
-        self.log.tap(self.now(), "measurement", False, message)
 
 
-@dataclass(frozen=True, slots=True)
+def _plain(state: State) -> dict[str, object]:
+    """All fields of an estimator's state, that the log may hold it to the last bit."""
+    fields = {field.name: getattr(state, field.name) for field in dataclasses.fields(state)}  # type: ignore[arg-type]
+    return {name: value for name, value in fields.items() if name != "outcome"}
+
+
+@dataclass(slots=True)
 class LiveEye:
-    """The live camera as the robot asks for it; its pictures are already those of a pinhole."""
+    """The live camera as the robot asks for it."""
 
     camera: LiveCamera
+    lens: Lens | None = None
+    """Of the camera; None where its pictures are those of the pinhole already."""
     latency: float = 0.25
     """Seconds that a picture may be older than it seems: what is taken for one after a move has to be."""
+    _rectifiers: dict[tuple[int, int, int], Rectifier] = field(default_factory=dict)
 
     def newest(self, after: float, timeout: float) -> Picture | None:
         """The first picture that was seen after a time; None where none comes."""
@@ -229,11 +248,15 @@ class LiveEye:
         return self.camera.unchanged
 
     def view(self, picture: Picture, camera: Camera) -> tuple[UInt8Array, BoolArray]:
-        """The picture at the size of that camera, and which of its pixels were seen: all."""
-        import cv2
-        import numpy as np
-
-        rgb = picture.rgb
+        """The picture as that camera would have taken it, and which of its pixels the lens saw."""
+        cv2, rgb = opencv(), picture.rgb
+        if self.lens is not None:
+            height, width = rgb.shape[:2]
+            key = (height, width, camera.width)
+            if key not in self._rectifiers:
+                self._rectifiers[key] = Rectifier(self.lens.at(width, height), camera)
+            rectifier = self._rectifiers[key]
+            return rectifier.rectified(rgb), rectifier.seen
         if rgb.shape[:2] != (camera.height, camera.width):
             how = cv2.INTER_AREA if rgb.shape[1] > camera.width else cv2.INTER_CUBIC
             rgb = np.asarray(cv2.resize(rgb, (camera.width, camera.height), interpolation=how), np.uint8)

@@ -13,7 +13,7 @@ import math
 import queue
 import socket
 import threading
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Mapping
 from datetime import datetime
 from types import TracebackType
@@ -24,6 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import from_json
 
 from dream.measurements import Dvl, Float64Array
+from dream.robots.bluerov2.clocks import DeviceClock
 
 logger = logging.getLogger(__name__)
 
@@ -168,29 +169,6 @@ def _floored(covariance: Float64Array) -> Float64Array:
     return 0.5 * (floored + floored.T)
 
 
-class LeastDelay:
-    """Device clock → the dive's clock: of the last messages, that with the least delay tells the offset.
-
-    What it does: arrived − stamp is the offset plus a delay that is never negative, so that its least value
-    of a window is nearest to the offset. A clock that jumps begins a new window.
-    """
-
-    def __init__(self, window: float = 20.0, jump: float = 1.0) -> None:
-        """Seconds of messages to choose from, and seconds that count as a jump."""
-        self._window, self._jump = window, jump
-        self._offsets: deque[tuple[float, float]] = deque()
-
-    def time(self, stamp: float, arrival: float) -> float:
-        """The dive's time of a stamp; never after it came in."""
-        offset = arrival - stamp
-        if self._offsets and abs(offset - self._offsets[-1][1]) > self._jump:
-            self._offsets.clear()
-        self._offsets.append((arrival, offset))
-        while self._offsets[0][0] < arrival - self._window:
-            self._offsets.popleft()
-        return stamp + min(offset for _, offset in self._offsets)
-
-
 class DvlA50:
     """A Water Linked A50 on the network.
 
@@ -238,7 +216,7 @@ class DvlA50:
         self._host, self._port = host, port
         self._now, self._deliver, self._tap = now, deliver, tap
         self._rotation_deg = rotation_deg
-        self._clock: Clock = LeastDelay() if clock is None else clock
+        self._clock: Clock = DeviceClock() if clock is None else clock
         self._quiet, self._pauses = quiet, pauses
         self._lock = threading.Lock()
         self._asking = threading.Lock()

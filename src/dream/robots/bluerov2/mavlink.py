@@ -15,9 +15,9 @@ from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
-from dream.robots.bluerov2.reports import FRESH, MOUNT_MESSAGES, NUMBERS, Strange, text_of
 from dream.robots.bluerov2.motion import Motion, Order
 from dream.robots.bluerov2.parameters import JOYSTICK_PARAMETERS, STATION_ID, Check, rules
+from dream.robots.bluerov2.reports import FRESH, MOUNT_MESSAGES, NUMBERS, Strange, text_of
 from dream.robots.bluerov2.sticks import (
     ALTITUDE_ONLY,
     BODY_NED,

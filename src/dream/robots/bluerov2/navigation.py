@@ -124,7 +124,24 @@ class Navigator:
     Assumes: one thread calls `align` and `update`; times on one clock.
     """
 
-    def __init__(self, instruments: Instruments, now: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        instruments: Instruments,
+        now: Callable[[], float],
+        *,
+        took: Callable[[Imu | Measurement], None] | None = None,
+        began: Callable[[State], None] | None = None,
+    ) -> None:
+        """Ready to hear; not aligned yet.
+
+        Args:
+            instruments: Which estimator reads which instruments.
+            now: The dive's clock.
+            took: Told of each message as the estimator is given it, in that order.
+            began: Told of the state that the estimator begins with. With both, the estimate can be made
+                again.
+        """
+        self._took, self._told_begin = took, began
         self._instruments = instruments
         self._now = now
         self._waiting: deque[Imu | Measurement] = deque(maxlen=MOST_WAITING)
@@ -198,6 +215,8 @@ class Navigator:
             # An estimator that knows of no bias is given samples without.
             self._bias = bias
         self._timeline = Timeline(estimator, state)
+        if self._told_begin is not None:
+            self._told_begin(state)
         self._past.clear()
         # What waits was heard before, or will be missed by a few hundredths of a second.
         self._drained()
@@ -223,6 +242,8 @@ class Navigator:
                 message = replace(message, yaw=wrap_angle(message.yaw - self._heading_zero))
             elif isinstance(message, Imu):
                 message = replace(message, angular_velocity=message.angular_velocity - self._bias)
+            if self._took is not None:
+                self._took(message)
             outcome = self._timeline.take(message)
             if not outcome.verdict.taken:
                 key = f"{outcome.source}: {outcome.verdict}"

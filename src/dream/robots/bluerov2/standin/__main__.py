@@ -11,10 +11,10 @@ from typing import Any
 
 from dream.geometry import Camera
 from dream.protocol import protocol_named
-from dream.robots.bluerov2.standin.ardusub import AIR_PRESSURE
 from dream.robots.bluerov2.standin.dive import StandIn
 from dream.robots.bluerov2.standin.parameters import NEXT, STABLE
 from dream.robots.bluerov2.standin.tank import Conditions
+from dream.robots.bluerov2.standin.telemetry import AIR_PRESSURE
 from dream.robots.bluerov2.standin.video import Faults, VideoSource
 from dream.robots.bluerov2.standin.wire import LinkFaults
 from dream.sim.render import Renderer

@@ -23,8 +23,8 @@ from dream.robots.bluerov2.log import DiveLog
 from dream.robots.bluerov2.mavlink import Link
 from dream.robots.bluerov2.navigation import Instruments, Navigator
 from dream.robots.bluerov2.standin.a50 import DvlFaults
-from dream.robots.bluerov2.standin.ardusub import AIR_PRESSURE
 from dream.robots.bluerov2.standin.dive import StandIn
+from dream.robots.bluerov2.standin.telemetry import AIR_PRESSURE
 from dream.robots.bluerov2.standin.wire import LinkFaults
 from dream.sim.worlds import make_world
 
