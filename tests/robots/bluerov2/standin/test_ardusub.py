@@ -749,6 +749,33 @@ def test_lights_are_a_servo_and_motors_are_not(ground: Ground) -> None:
     assert ground.sub.pulses == [1500] * 8
 
 
+def test_a_clock_does_not_go_below_zero(ground: Ground) -> None:
+    ground.sub.jump_clock(-1000.0)
+    ground.run(1.0)
+    assert ground.last("RAW_IMU").time_usec == 0
+
+
+def test_no_message_of_the_dialect_breaks_it(ground: Ground) -> None:
+    rng = np.random.default_rng(1)
+    speaker = mav.MAVLink(None, srcSystem=255, srcComponent=190)
+    for kind in mav.mavlink_map.values():
+        for _ in range(3):
+            payload = rng.integers(0, 256, kind.unpacker.size, np.uint8).tobytes()
+            packed = mav.MAVLink_message(kind.id, kind.msgname)._pack(speaker, kind.crc_extra, payload)
+            (message,) = mav.MAVLink(None).parse_buffer(packed)
+            if hasattr(message, "target_system"):
+                message.target_system, message.target_component = 1, 1
+            ground.sub.fix = bool(rng.integers(2))
+            ground.sub._handle(message)
+    for command in range(3000):
+        values = rng.choice([0.0, 1.0, -1.0, 19.0, math.nan, math.inf, 1e30], 7)
+        if command != mav.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN:
+            ground.command(command, *values.tolist())
+    ground.run(1.0)
+    ground.sub.parameters.change("SYSID_THISMAV", 1.0)
+    assert ground.mode(MANUAL) == ACCEPTED
+
+
 def test_bytes_that_are_no_mavlink_do_no_harm(ground: Ground) -> None:
     ground.sub.hear(bytes(range(256)) * 4)
     ground.sub.hear(b"\xfd" * 40)

@@ -167,8 +167,8 @@ class ArduSub:
 
     @property
     def clock(self) -> float:
-        """Seconds since it booted, as it counts them."""
-        return self._now - self._booted_at + self._offset
+        """Seconds since it booted, as it counts them; never below 0."""
+        return max(self._now - self._booted_at + self._offset, 0.0)
 
     @property
     def boot_ms(self) -> int:

@@ -37,7 +37,7 @@ class Ahrs:
         """Begin at the attitude that the first readings say."""
         x, y, z = imu.specific_force.tolist()
         pitch, roll = math.atan2(-x, math.hypot(y, z)), math.atan2(y, z)
-        self.q = _quaternion(roll, pitch, heading.yaw)
+        self.q = quaternion(roll, pitch, heading.yaw)
         """wxyz, `R_world_base`."""
         self.bias = [0.0, 0.0, 0.0]
         self.rates = (0.0, 0.0, 0.0)
@@ -113,7 +113,8 @@ class Ahrs:
         self._lift_bias -= SETTLING[2] * off
 
 
-def _quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """wxyz of a rotation by roll, pitch and yaw, the last first."""
     cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
     cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
     cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)

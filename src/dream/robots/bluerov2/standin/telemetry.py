@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from dream.robots.bluerov2.standin import motors
+from dream.robots.bluerov2.standin.attitude import quaternion
 from dream.robots.bluerov2.standin.helm import NEED_POSITION
 from dream.robots.bluerov2.standin.motors import NEUTRAL_PWM
 from dream.vehicle import GRAVITY
@@ -63,7 +64,7 @@ def attitude_quaternion(sub: ArduSub) -> Message:
     """The same as a quaternion."""
     roll, pitch, _ = sub.ahrs.euler
     p, q, r = sub.ahrs.rates
-    wxyz = _quaternion(roll, -pitch, sub.helm.yaw)
+    wxyz = quaternion(roll, -pitch, sub.helm.yaw)
     return mav.MAVLink_attitude_quaternion_message(sub.boot_ms, *wxyz, p, -q, -r)
 
 
@@ -123,7 +124,7 @@ def system_time(sub: ArduSub) -> Message:
 
 def gimbal(sub: ArduSub) -> Message:
     """The tilt of the camera; a servo mount reports what it was told, about the vehicle."""
-    wxyz = _quaternion(0.0, sub.tilt, 0.0)
+    wxyz = quaternion(0.0, sub.tilt, 0.0)
     flags = mav.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME
     return mav.MAVLink_gimbal_device_attitude_status_message(
         0, 0, sub.boot_ms, flags, wxyz, math.nan, math.nan, math.nan, 0, math.nan, math.nan, 1
@@ -167,18 +168,6 @@ def autopilot_version(sub: ArduSub) -> Message:
     version = major << 24 | minor << 16 | patch << 8 | 255
     return mav.MAVLink_autopilot_version_message(
         CAPABILITIES, version, 0, 0, 0, b"standin\0", b"\0" * 8, b"\0" * 8, 0, 0, 1
-    )
-
-
-def _quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
-    cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
-    cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
-    return (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
     )
 
 
