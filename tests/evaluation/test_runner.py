@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ import numpy as np
 import pytest
 
 from dream.cli import run_command
+from dream.control.health import Watch
 from dream.evaluation import machine, runner
 from dream.evaluation.engines import Engine, Failure, Processes
 from dream.evaluation.metrics import curve
@@ -28,9 +30,11 @@ from dream.evaluation.runner import Ended, Flight, Plan, fly, fly_plan
 from dream.evaluation.suites import SUITES, Case
 from dream.mission import Pilot
 from dream.planning import Lawnmower, RandomWalk
-from dream.protocol import DREAM_V1, POOL_V1, protocol_named, reach_variant
+from dream.protocol import DREAM_V1, DREAM_V1_NAV, POOL_V1, protocol_named, reach_variant
 from dream.recording import read_config, read_steps, read_summary
+from dream.robots import Motion, Simulated
 from dream.sim.render import Renderer
+from dream.sim.sensors import DVL_A50
 from dream.types import Mission
 
 STEPS = 4
@@ -324,6 +328,36 @@ def test_a_mission_that_fails_costs_only_itself(tmp_path: Path) -> None:
     assert isinstance(outcomes["random"], Flown)
     assert [row.planner for row in read_results(tmp_path).rows] == ["random"]
     assert read_manifest(tmp_path)["finished"] is None
+
+
+@pytest.mark.parametrize("keep_runs", [False, True])
+def test_a_mission_whose_vehicle_is_lost_is_scored_by_what_it_had_seen(
+    keep_runs: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # No velocity ever, and some patience: a few moves are flown before it has to surface.
+    watch = Watch(velocity_sigma=5.0, position_sigma=20.0)
+    lost = Motion(dvl=replace(DVL_A50, dropout=1.0), watch=watch)
+    monkeypatch.setattr(runner, "Simulated", partial(Simulated, motion=lost))
+    case, planners = Case("reef/L", 1), {"random": RandomWalk()}
+    chosen = plan((case,), protocol=DREAM_V1_NAV, planners=planners, max_steps=None, keep_runs=keep_runs)
+    (ended,) = bench(chosen, tmp_path)
+    assert isinstance(ended.outcome, Flown)
+    row = ended.outcome.row
+    assert (row.ended, row.success, row.t_stop) == ("aborted", False, None)
+    assert 0 < row.steps < 50
+    assert row.instances == ended.outcome.trace.instances[-1] > 0.0
+    assert read_results(tmp_path).rows == (row,)
+    assert read_manifest(tmp_path)["failed"] == []
+    assert read_manifest(tmp_path)["finished"] is not None
+    # Nothing is flown twice.
+    (again,) = bench(chosen, tmp_path)
+    assert again.kept
+    if keep_runs:
+        (run,) = (tmp_path / "runs").iterdir()
+        summary = read_summary(run)
+        assert summary is not None
+        assert (summary.ended, summary.steps) == ("aborted", row.steps)
+        assert (run / "report.html").exists()
 
 
 def test_a_folder_is_finished_when_nothing_of_it_is_missing(tmp_path: Path) -> None:

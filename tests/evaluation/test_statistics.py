@@ -290,6 +290,7 @@ class Flown:
     steps: int = 120
     instances: float = 1.0
     collisions: int = 0
+    ended: str = "cap"
 
 
 @dataclass(frozen=True)
@@ -357,6 +358,11 @@ def test_spl_against_the_certified_bound(flown: Any, expected: float) -> None:
 
 def test_spl_counts_only_what_was_reached_before_the_horizon() -> None:
     assert spl(row(t98=80), LIMIT, 60) == 0.0
+
+
+def test_a_mission_that_was_aborted_scores_nothing_however_short_it_was() -> None:
+    assert spl(row(t98=45, steps=45, ended="aborted"), LIMIT, 200) == 0.0
+    assert soft_spl(row(t98=None, steps=20, instances=0.3, ended="aborted"), LIMIT) == 0.0
 
 
 def test_soft_spl_weighs_the_coverage_with_all_steps() -> None:

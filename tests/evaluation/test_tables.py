@@ -367,6 +367,18 @@ def test_world_by_world_says_what_never_and_what_is_missing() -> None:
     ]
 
 
+def test_missions_that_were_aborted_are_counted_and_marked_where_there_are_any() -> None:
+    lost = flown(L1, "sixsteps", Made(400), ended="aborted")
+    some = comparison(lost, flown(L2, "sixsteps", FAST))
+    assert row(tables.conduct(some, "All", (L1, L2)), "sixsteps")["aborted"] == "1"
+    table = tables.world_table(some)
+    assert row(table, "reef/L 1")["sixsteps"] == "never, 50.0 %, aborted"
+    assert "Aborted" in table.notes[0]
+    well = comparison(flown(L2, "sixsteps", FAST))
+    assert "aborted" not in tables.conduct(well, "All", (L1, L2)).headings
+    assert "Aborted" not in tables.world_table(well).notes[0]
+
+
 def failure(case: Case, planner: str, error: str = "ValueError: no way") -> dict[str, Any]:
     return {"world": case.world, "seed": case.seed, "start": case.start, "planner": planner, "error": error}
 

@@ -61,7 +61,8 @@ class Row:
     start: _Count
     world_hash: _Name
     planner: _Name
-    ended: Literal["done", "cap"]
+    ended: Literal["done", "cap", "aborted"]
+    """Aborted: the vehicle lost its way. What it had seen until then counts; a success it is not."""
     steps: _Step
     t_stop: _Step | None
     """Where the planner itself stopped."""
@@ -315,9 +316,12 @@ def _row(values: Any, where: str) -> Row:
     if isinstance(values, dict):
         values = {**dict.fromkeys(chain(*LATER)), **values}
     try:
-        return _ROW.validate_python(values)
+        row = _ROW.validate_python(values)
     except ValidationError as error:
         raise ValueError(f"{where}: {_first(error)}") from error
+    if row.ended == "aborted" and (row.success or row.t_stop is not None):
+        raise ValueError(f"{where}: ended: expected no success and no stop of its own where it was aborted")
+    return row
 
 
 def _trace(values: Any, length: int) -> Trace:

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from dream import __version__, recording
+from dream.errors import MissionAborted
 from dream.evaluation import machine
 from dream.evaluation.engines import Engine, Failure
 from dream.evaluation.locks import alone_at
@@ -193,6 +194,8 @@ def _stage(world: str, seed: int, protocol: str) -> _Stage:
 def fly(flight: Flight) -> Flown:
     """Fly one mission and score it. Its outcome depends on nothing that was flown before.
 
+    A mission that was aborted since the vehicle lost its way is scored by what it had done until then.
+
     Raises:
         ValueError: The flight is for other code than this.
     """
@@ -229,8 +232,9 @@ def fly(flight: Flight) -> Flown:
         return summarize(stage.world, flight.planner_name, protocol, scorer, wall_s)
 
     if flight.record_to is None:
-        for step in steps:
-            score(step)
+        with contextlib.suppress(MissionAborted):
+            for step in steps:
+                score(step)
     else:
         _record(flight, stage.world, protocol, steps, score, outcome)
     return _flown(outcome(), poses, flight.case.start, protocol.cap)
@@ -261,7 +265,8 @@ def _record(
         max_steps=flight.max_steps,
     )
     recording.write_config(folder, config)
-    with contextlib.closing(recording.record(steps, folder, annotate=score)) as recorded:
+    recorded = recording.record(steps, folder, annotate=score)
+    with contextlib.suppress(MissionAborted), contextlib.closing(recorded):
         for _ in recorded:
             pass
     recording.write_summary(folder, outcome())

@@ -298,11 +298,11 @@ def spl(row: Row, limit: Limit | None, horizon: int) -> float:
     """Success weighted by length: 1[98.26 % reached] · bound / max(t98, bound), against the certified bound.
 
     Anderson et al., arXiv 1807.06757, Eq. 1, with the certified lower bound in place of the shortest path:
-    never more than against the optimum. A mission that touched something scores 0.
+    never more than against the optimum. A mission that touched something, or was aborted, scores 0.
     """
     if limit is None:
         return math.nan
-    if row.t98 is None or row.t98 > horizon or row.collisions:
+    if row.t98 is None or row.t98 > horizon or row.collisions or row.ended == "aborted":
         return 0.0
     return _of_bound(limit, row.t98)
 
@@ -311,11 +311,12 @@ def soft_spl(row: Row, limit: Limit | None) -> float:
     """Coverage weighted by length: final share · bound / max(steps flown, bound).
 
     The soft form of Datta et al., arXiv 2009.03231, which puts the progress in place of the success; the
-    steps are those until the mission ended, so that searching on and on costs. 0 where it touched something.
+    steps are those until the mission ended, so that searching on and on costs. 0 where it touched something,
+    or was aborted: then it ended early for no merit.
     """
     if limit is None:
         return math.nan
-    if row.collisions:
+    if row.collisions or row.ended == "aborted":
         return 0.0
     return row.instances * _of_bound(limit, row.steps)
 

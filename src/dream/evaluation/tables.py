@@ -750,6 +750,7 @@ def efficiency(comparison: Comparison, title: str, cases: Sequence[Case]) -> Tab
 def conduct(comparison: Comparison, title: str, cases: Sequence[Case]) -> Table:
     """How the planners flew, and at what cost."""
     asked = _some_asked(comparison)
+    aborted = any(row.ended == "aborted" for row in comparison.rows.values())
     rows = []
     for planner in comparison.ranked:
         flown = [row for _, row in comparison.flown(planner, cases)]
@@ -763,6 +764,7 @@ def conduct(comparison: Comparison, title: str, cases: Sequence[Case]) -> Table:
             _success(comparison, planner, cases),
             str(sum(row.collisions for row in flown)),
             str(sum(row.collisions > 0 for row in flown)),
+            *([str(sum(row.ended == "aborted" for row in flown))] if aborted else []),
             number(min(clearances, default=math.nan), 2),
             average("distance_m"),
             average("turns"),
@@ -789,6 +791,7 @@ def conduct(comparison: Comparison, title: str, cases: Sequence[Case]) -> Table:
             "success",
             "collisions",
             "missions with one",
+            *(["aborted"] if aborted else []),
             "least clearance, m",
             "distance, m",
             "turns",
@@ -1048,12 +1051,15 @@ def bounds_table(comparison: Comparison) -> Table:
 def world_table(comparison: Comparison) -> Table:
     """Steps to 98.26 % of every planner in every world."""
     planners = comparison.ranked
+    aborted = any(row.ended == "aborted" for row in comparison.rows.values())
+    lost = " Aborted: the vehicle lost its way." if aborted else ""
 
     def cell(case: Case, planner: str) -> str:
         row = comparison.rows.get((case, planner))
         if row is None:
             return "failed" if (case, planner) in comparison.failures else "not yet flown"
         mark = f" ×{row.collisions}" if row.collisions else ""
+        mark += ", aborted" if row.ended == "aborted" else ""
         return (str(row.t98) if row.t98 is not None else f"never, {100 * row.instances:.1f} %") + mark
 
     return Table(
@@ -1061,7 +1067,7 @@ def world_table(comparison: Comparison) -> Table:
         "Steps to 98.26 %, world by world",
         ("world", *planners),
         tuple((label(case), *(cell(case, planner) for planner in planners)) for case in comparison.cases),
-        ("Never: with the share of the instances seen at the end. ×n: n collisions.",),
+        (f"Never: with the share of the instances seen at the end. ×n: n collisions.{lost}",),
     )
 
 
