@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dream.control import _kernels as control
+from dream.control.autopilot import Autopilot, nominal
 from dream.control.health import Watch
 from dream.errors import MissionAborted
 from dream.estimation import InEkf
@@ -19,6 +21,7 @@ from dream.robots.simulated import BEAT
 from dream.sim.render import Renderer
 from dream.sim.sensors import AHRS, BAR30, DVL_A50, ICM_20602
 from dream.sim.solids import Solids
+from dream.sim.vehicle import BLUEROV2, BLUEROV2_HEAVY, Spread, Vehicle
 from dream.sim.world import World
 from dream.types import Arrival, Setpoint
 from tests.robots.slowly import Slow
@@ -91,10 +94,63 @@ def test_without_bottom_track_it_slows_then_holds_and_at_last_surfaces(empty_wor
     deaf = replace(DVL_A50, dropout=1.0)
     watch = Watch(blind=1.0, lost=4.0, position_sigma=1.0)
     robot = Simulated(empty_world, DREAM_V1_NAV, motion=replace(CALM, dvl=deaf, watch=watch))
-    with pytest.raises(MissionAborted, match="navigation: diverged; the vehicle has to surface"):
+    with pytest.raises(
+        MissionAborted, match=r"navigation: diverged; the vehicle surfaced, 0\.3 m deep after"
+    ):
         swum(robot, *[(10.0, 0.0)] * 5)
     # It held from the fourth second on: ten metres take twenty.
     assert robot.truth.se2.distance(SE2(0.0, 0.0, 0.0)) < 5.0
+
+
+@pytest.mark.parametrize("vehicle", [BLUEROV2, BLUEROV2_HEAVY])
+@pytest.mark.parametrize("factor", [1.0, 0.15])
+def test_it_rises_without_an_estimate_level_and_at_its_speed(
+    vehicle: Vehicle, factor: float, empty_world: World
+) -> None:
+    motion = Motion(vehicle=vehicle, spread=Spread(damping=(factor, factor)), gust=0.0)
+    robot = Simulated(empty_world, DREAM_V1_NAV, motion=motion)
+    robot._state = nonsense(robot._state)
+    deep, at = -robot.truth.translation[2], robot.truth.translation.copy()
+    with pytest.raises(MissionAborted, match="navigation: diverged; the vehicle surfaced"):
+        robot.go_to(Setpoint(at[0] + 5.0, at[1], 0.0, DREAM_V1.altitude))
+    seconds = robot._voyage.clock[_kernels.TIME]
+    assert -robot.truth.translation[2] < 0.5
+    assert 0.7 < deep / seconds / motion.autopilot.ascent < 1.5
+    # What carried it aside is the current, not its thrusters.
+    assert np.hypot(*(robot.truth.translation - at)[:2]) < 1.1 * motion.current * seconds
+    assert robot.truth.rotation[2, 2] > math.cos(math.radians(10.0))
+
+
+def test_on_the_way_up_only_the_vertical_thrusters_work(empty_world: World) -> None:
+    """Whatever the accelerometers say: no thrust along the hull, and no turn."""
+    rng, commands, pilot = np.random.default_rng(0), np.zeros(8), Autopilot()
+    chosen = nominal(BLUEROV2_HEAVY.hull, BLUEROV2_HEAVY.thrusters)
+    for force in (np.full(3, math.nan), *(np.array([0.0, 0.0, 9.8]) + rng.normal(0.0, 1.0, (20, 3)))):
+        for climb in (math.nan, -0.1, 0.3):
+            control.rise(rng.normal(0.0, 0.1, 3), force, climb, pilot.gains, chosen, commands)
+            wrench = BLUEROV2_HEAVY.thrusters.allocation @ BLUEROV2_HEAVY.thrusters.forces(commands)
+            np.testing.assert_allclose(wrench[[0, 1, 5]], 0.0, atol=1e-9)
+            missing = 0.0 if math.isnan(climb) else pilot.ascent - climb
+            heave = pilot.drag_share * (33.0 + 190.0 * pilot.ascent) * pilot.ascent - 1.0
+            assert wrench[2] == pytest.approx(heave + control.CLIMBING * 32.18 * missing)
+            if math.isnan(force[0]):
+                np.testing.assert_allclose(wrench[3:5], 0.0, atol=1e-9)
+
+
+def nonsense(state: Any) -> Any:
+    """An estimate that is nowhere, upside down and fast, and does not know how well it knows that."""
+    wrong, upside_down = np.full(3, 99.0), np.diag([1.0, -1.0, -1.0])
+    unknown = np.full((15, 15), math.nan)
+    return state._replace(position=wrong, velocity=wrong, rotation=upside_down, covariance=unknown)
+
+
+def test_what_cannot_surface_says_how_deep_it_is(empty_world: World) -> None:
+    """Ballast that outweighs its thrusters."""
+    heavy = Spread(damping=(1.0, 1.0), trim=0.0, net_buoyancy=(-300.0, -300.0))
+    watch = Watch(position_sigma=0.001)
+    robot = Simulated(empty_world, DREAM_V1_NAV, motion=replace(CALM, spread=heavy, watch=watch))
+    with pytest.raises(MissionAborted, match="has to surface, and could not: it stays, [0-9.]+ m deep after"):
+        robot.go_to(Setpoint(5.0, 0.0, 0.0, DREAM_V1.altitude))
 
 
 def test_a_short_loss_of_bottom_track_is_told_and_survived(empty_world: World) -> None:

@@ -24,6 +24,8 @@ MOST_DRAG = 1.5
 """Of the model's, that it can learn."""
 FINE, BLIND, LOST, DIVERGED, STALE = range(5)
 """See `health.Condition`."""
+CLIMBING = 2.0
+"""1/s: m/s² for a m/s that the way up is too slow. Readings of the pressure are smoothed over half a second."""
 SLOW = 0.5
 """Share of its speeds at which a vehicle goes that is blind."""
 
@@ -45,6 +47,7 @@ class Gains(NamedTuple):
     acceleration: float
     turn_rate: float
     turn_acceleration: float
+    ascent: float
 
 
 class Nominal(NamedTuple):
@@ -148,6 +151,17 @@ def guide(
 
 
 @njit(cache=True, nogil=True)
+def righting(
+    roll: float, pitch: float, rates: Float64Array, gains: Gains, nominal: Nominal
+) -> tuple[float, float]:
+    """Moments in roll and pitch, N m, that bring a vehicle back to level."""
+    return (
+        -nominal.inertia[3] * (gains.level * roll + gains.level_rate * rates[0]),
+        -nominal.inertia[4] * (gains.level * pitch + gains.level_rate * rates[1]),
+    )
+
+
+@njit(cache=True, nogil=True)
 def wrench(
     memory: Float64Array,
     acceleration: tuple[float, float, float, float],
@@ -194,8 +208,7 @@ def wrench(
         along_drag += drag * lack
     roll = math.atan2(rotation[2, 1], rotation[2, 2])
     pitch = -math.asin(min(max(rotation[2, 0], -1.0), 1.0))
-    out[3] = -nominal.inertia[3] * (gains.level * roll + gains.level_rate * rates[0])
-    out[4] = -nominal.inertia[4] * (gains.level * pitch + gains.level_rate * rates[1])
+    out[3], out[4] = righting(roll, pitch, rates, gains, nominal)
     r, yaw = memory[7], math.atan2(rotation[1, 0], rotation[0, 0])
     error[3] = r + gains.yaw * wrapped(memory[3] - yaw) - rates[2]
     spin = acceleration[3] + gains.yaw * (r - rates[2]) + gains.yaw_rate * error[3]
@@ -279,6 +292,38 @@ def steer(
     if share == 1.0:
         blame(memory, error, power, gains, nominal, dt)
     return share
+
+
+@njit(cache=True, nogil=True)
+def rise(
+    rates: Float64Array,
+    force: Float64Array,
+    climb: float,
+    gains: Gains,
+    nominal: Nominal,
+    commands: Float64Array,
+) -> None:
+    """Write the commands (n,) that lead straight up, by no estimate: heave alone, and level.
+
+    Args:
+        rates: (3,) rad/s in `base`.
+        force: (3,) m/s² of the accelerometers in `base`, which tell where up is; NaN where they are silent:
+            then its own buoyancy has to keep it level.
+        climb: m/s upwards by the pressure; NaN where that is silent: then it is driven by the model's drag.
+        gains: With the speed of the ascent.
+        nominal: The vehicle.
+        commands: (n,) of the thrusters.
+    """
+    demand = np.zeros(6)
+    drag = (nominal.linear[2] + nominal.quadratic[2] * gains.ascent) * gains.ascent
+    demand[2] = gains.drag_share * drag - nominal.lift
+    if not math.isnan(climb):
+        demand[2] += CLIMBING * nominal.inertia[2] * (gains.ascent - climb)
+    length = math.sqrt(force[0] * force[0] + force[1] * force[1] + force[2] * force[2])
+    if length > 0.0:
+        roll, pitch = math.atan2(force[1], force[2]), -math.asin(force[0] / length)
+        demand[3], demand[4] = righting(roll, pitch, rates, gains, nominal)
+    allocate(demand, nominal, commands)
 
 
 @njit(cache=True, nogil=True)

@@ -65,12 +65,14 @@ class Autopilot:
     """rad/s."""
     turn_acceleration: float = 1.0
     """rad/s²."""
+    ascent: float = 0.3
+    """m/s straight up, where it has to surface."""
 
     def __post_init__(self) -> None:
         for gain in fields(self):
             if not 0.0 <= getattr(self, gain.name) < math.inf:
                 raise ValueError(f"{gain.name}: expected 0 or more, got {getattr(self, gain.name)}")
-        for name in ("speed", "acceleration", "turn_rate", "turn_acceleration"):
+        for name in ("speed", "acceleration", "turn_rate", "turn_acceleration", "ascent"):
             if getattr(self, name) == 0.0:
                 raise ValueError(f"{name}: expected a limit above 0, got 0: it would never arrive")
 

@@ -18,7 +18,7 @@ class Reaction(enum.StrEnum):
     HOLD = "hold"
     """Stay where the estimate is now."""
     SURFACE = "surface"
-    """Up, and the mission is over."""
+    """Straight up without an estimate (`_kernels.rise`), and the mission is over."""
 
 
 class Condition(enum.IntEnum):

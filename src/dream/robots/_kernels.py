@@ -18,7 +18,7 @@ from dream.sim.vehicle import _kernels as water
 
 Float64Array = npt.NDArray[np.float64]
 
-ARRIVED, COLLIDED, LATE, SURFACED, BROKEN = range(5)
+ARRIVED, COLLIDED, LATE, GIVEN_UP, BROKEN = range(5)
 """How a move ended: there, by contact, out of time, given up because the estimate is not to be trusted, or
 because the simulated motion is not."""
 FARTHEST = 1e5
@@ -28,6 +28,10 @@ MOST_BEATS = 64
 SEABED_TIME = 2.0
 """Seconds over which the height of the seabed is smoothed: at half a metre a second, about the length of the
 vehicle's shadow, so that what lies on it hardly lifts the vehicle."""
+CLIMB_TIME = 0.5
+"""Seconds over which the speed upwards is smoothed: between two readings, noise makes it 4 cm/s."""
+SHALLOW = 0.3
+"""Metres of depth, by the pressure, at which it has surfaced."""
 CHECKED = 10
 """Beats between two looks at how sure the filter is."""
 
@@ -122,6 +126,69 @@ def position_sigma(s: inekf.State) -> float:
 
 
 @njit(cache=True, nogil=True)
+def swim(ship: Ship, voyage: Voyage, before: Float64Array, rng: np.random.Generator) -> bool:
+    """A beat of water and contact, from the state that is copied to `before`; False where it is none."""
+    clock, x, none = voyage.clock, voyage.x, np.zeros(3)
+    before[:] = x
+    water.stir(ship.flow, ship.dt, rng, voyage.gust)
+    if not water.advance(ship.body, ship.flow, voyage.gust, none, voyage.commands, ship.dt, x):
+        return False
+    if abs(x[0]) + abs(x[1]) + abs(x[2]) > FARTHEST:
+        return False
+    clock[TIME] += ship.dt
+    clock[DISTANCE] += math.hypot(x[0] - before[0], x[1] - before[1])
+    water.hold(ship.body, ship.solids, ship.radius, ship.height, before, x, voyage.contact)
+    return True
+
+
+@njit(cache=True, nogil=True)
+def feel(
+    ship: Ship, voyage: Voyage, before: Float64Array, rng: np.random.Generator, sample: Float64Array
+) -> None:
+    """Write what unit, gauge and compass make of that beat into the sample (8,); NaN where one is not read."""
+    clock, x = voyage.clock, voyage.x
+    now = clock[TIME]
+    sensors.inertial(ship.inertial, before, x, ship.dt, voyage.bias, rng, sample)
+    count = round(now / ship.dt)
+    sample[6] = sample[7] = math.nan
+    if count % ship.depth_every == 0:
+        sample[6] = sensors.pressure(ship.gauge, x, ship.depth_every * ship.dt, voyage.gauge_error, rng)
+        clock[LAST_DEPTH] = now
+    if count % ship.heading_every == 0:
+        yaw = sensors.heading(ship.magnetic, x, ship.heading_every * ship.dt, voyage.compass_error, rng)
+        sample[7] = control.wrapped(yaw - ship.heading_zero)
+
+
+@njit(cache=True, nogil=True)
+def surface(ship: Ship, voyage: Voyage, seconds: float, rng: np.random.Generator) -> bool:
+    """Rise by pressure and accelerometers alone, until it is shallow or the seconds are over.
+
+    Returns:
+        Whether the simulated motion is to be trusted.
+    """
+    clock, dt = voyage.clock, ship.dt
+    before, sample = np.empty(len(voyage.x)), np.full(8, math.nan)
+    z = climb = math.nan
+    read, end = clock[LAST_DEPTH], clock[TIME] + seconds
+    while clock[TIME] < end and not z >= -SHALLOW:
+        if clock[TIME] - read > ship.limits.stale:
+            climb = math.nan
+        control.rise(sample[:3], sample[3:6], climb, ship.gains, ship.nominal, voyage.commands)
+        if not swim(ship, voyage, before, rng):
+            return False
+        feel(ship, voyage, before, rng, sample)
+        if not math.isnan(sample[6]):
+            since, gained = clock[TIME] - read, sample[6] - z
+            if math.isnan(climb):
+                climb = 0.0
+            if since <= ship.limits.stale and not math.isnan(gained):
+                climb += since / CLIMB_TIME * (gained / since - climb)
+            z, read = sample[6], clock[TIME]
+    voyage.commands[:] = 0.0
+    return True
+
+
+@njit(cache=True, nogil=True)
 def fly(
     ship: Ship,
     voyage: Voyage,
@@ -160,7 +227,7 @@ def fly(
     """
     clock, x = voyage.clock, voyage.x
     target, sample, before = np.empty(4), np.empty(8), np.empty(len(x))
-    ranges, still, none = np.empty(4), 0.0, np.zeros(3)
+    ranges, still = np.empty(4), 0.0
     target[0], target[1], target[3] = goal[0], goal[1], goal[2]
     beats = math.ceil(seconds / ship.dt)
     condition = control.FINE
@@ -178,7 +245,7 @@ def fly(
             )
             clock[CONDITION] = max(clock[CONDITION], condition)
             if condition >= control.DIVERGED:
-                return s, at_ping, SURFACED, beat
+                return s, at_ping, GIVEN_UP, beat
         target[2] = clock[SEABED] + altitude
         pace = 1.0
         if condition == control.BLIND:
@@ -201,31 +268,17 @@ def fly(
             voyage.commands,
         )
         # ------------------------------------------------------------------------------ what happens
-        before[:] = x
-        water.stir(ship.flow, ship.dt, rng, voyage.gust)
-        if not water.advance(ship.body, ship.flow, voyage.gust, none, voyage.commands, ship.dt, x):
-            return s, at_ping, BROKEN, beat
-        if abs(x[0]) + abs(x[1]) + abs(x[2]) > FARTHEST:
-            return s, at_ping, BROKEN, beat
-        clock[TIME] = now = now + ship.dt
-        clock[DISTANCE] += math.hypot(x[0] - before[0], x[1] - before[1])
         touched = voyage.contact[0]
-        water.hold(ship.body, ship.solids, ship.radius, ship.height, before, x, voyage.contact)
+        if not swim(ship, voyage, before, rng):
+            return s, at_ping, BROKEN, beat
+        now = clock[TIME]
         if beat % CHECKED == 0:
             clock[CLEARANCE] = min(clock[CLEARANCE], clearance(ship, x))
         struck = voyage.contact[0] > touched
         if struck:
             clock[CLEARANCE] = min(clock[CLEARANCE], 0.0)
         # ------------------------------------------------------------------------------ what is felt
-        sensors.inertial(ship.inertial, before, x, ship.dt, voyage.bias, rng, sample)
-        count = round(now / ship.dt)
-        sample[6] = sample[7] = math.nan
-        if count % ship.depth_every == 0:
-            sample[6] = sensors.pressure(ship.gauge, x, ship.depth_every * ship.dt, voyage.gauge_error, rng)
-            clock[LAST_DEPTH] = now
-        if count % ship.heading_every == 0:
-            yaw = sensors.heading(ship.magnetic, x, ship.heading_every * ship.dt, voyage.compass_error, rng)
-            sample[7] = control.wrapped(yaw - ship.heading_zero)
+        feel(ship, voyage, before, rng, sample)
         sent = int(clock[SENT])
         if sent >= 0 and now >= clock[ARRIVES]:
             # The report is of when the ping was sent: from there it is reckoned anew.

@@ -46,7 +46,9 @@ that the readings within that time say no more than one."""
 STAY = 0.3
 """Seconds at a setpoint that count as having arrived."""
 ROOM = 30.0
-"""Seconds that a move may take beyond what its length and turn take at half the speeds."""
+"""Seconds that a move, or the way up, may take beyond what it takes at half the speeds."""
+SURFACED = 0.5
+"""Metres of its true depth at which it has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,9 +146,6 @@ class Simulated:
             renderer: Of this world, where one is made already.
             solids: Of this world, where they are made already.
             fineness: Pixels of colour along each side of a pixel of depth and labels.
-
-        Raises:
-            MissionAborted: It cannot even hover.
         """
         pose = world.starts[0] if start is None else start
         if not world.bounds.contains(pose.x, pose.y):
@@ -159,6 +158,7 @@ class Simulated:
         self._rng = noise_generator(world, pose, -1)
         seabed = float(world.terrain.height(pose.x, pose.y))
         T_world_base = SE3.level(pose.x, pose.y, seabed + protocol.altitude, pose.yaw)
+        self._depth = -float(T_world_base.translation[2])
         self._moves = 0
         self._ship, self._voyage = _launched(
             motion, protocol, solids or Solids(world), T_world_base, seabed, self._rng
@@ -179,10 +179,10 @@ class Simulated:
         """Swim there; at contact, stop.
 
         Raises:
-            MissionAborted: The estimate is not to be trusted any more; the vehicle has to surface.
+            MissionAborted: The estimate is not to be trusted any more; the vehicle has surfaced, or tried to.
             Diverged: The simulated motion is not: a parameter is wrong.
         """
-        before, motion = self.estimate.pose.se2, self._motion
+        motion = self._motion
         here = self.estimate.pose.se2
         gap = math.hypot(setpoint.x - here.x, setpoint.y - here.y)
         seconds = 2.0 * gap / motion.autopilot.speed + 2.0 * math.pi / motion.autopilot.turn_rate + ROOM
@@ -191,10 +191,8 @@ class Simulated:
         how = self._fly(SE2(setpoint.x, setpoint.y, setpoint.yaw), setpoint.altitude, seconds)
         self._moves += 1
         condition = Condition(int(clock[_kernels.CONDITION]))
-        if how == _kernels.SURFACED:
-            raise MissionAborted(
-                f"navigation: {condition.name.lower()}; the vehicle has to surface. It set out from {before}"
-            )
+        if how == _kernels.GIVEN_UP:
+            raise MissionAborted(f"navigation: {condition.name.lower()}; {self._surface()}")
         if how == _kernels.BROKEN:
             raise Diverged(
                 f"motion: expected one that stays near the world, got none on the way to {setpoint}"
@@ -218,6 +216,16 @@ class Simulated:
     def estimate(self) -> InEkfState:
         """What it knows of its motion."""
         return InEkfState(*self._state)
+
+    def _surface(self) -> str:
+        """Go straight up, without an estimate; how that went."""
+        began = self._voyage.clock[_kernels.TIME]
+        seconds = 2.0 * self._depth / self._motion.autopilot.ascent + ROOM
+        if not _kernels.surface(self._ship, self._voyage, seconds, self._rng):
+            raise Diverged("motion: expected one that stays near the world, got none on the way up")
+        deep, took = -float(self._voyage.x[2]), self._voyage.clock[_kernels.TIME] - began
+        said = "surfaced" if deep <= SURFACED else "has to surface, and could not: it stays"
+        return f"the vehicle {said}, {deep:.1f} m deep after {took:.0f} s"
 
     def _fly(self, goal: SE2, altitude: float, seconds: float) -> int:
         motion = self._motion
