@@ -19,7 +19,7 @@ from dream.protocol import DREAM_V1, DREAM_V1_NAV
 from dream.robots import Motion, Simulated, _kernels
 from dream.robots.simulated import BEAT
 from dream.sim.render import Renderer
-from dream.sim.sensors import AHRS, BAR30, DVL_A50, ICM_20602
+from dream.sim.sensors import AHRS, BAR30, DVL_A50, ICM_20602, Bursts, Outage
 from dream.sim.solids import Solids
 from dream.sim.vehicle import BLUEROV2, BLUEROV2_HEAVY, Spread, Vehicle
 from dream.sim.world import World
@@ -94,9 +94,7 @@ def test_without_bottom_track_it_slows_then_holds_and_at_last_surfaces(empty_wor
     deaf = replace(DVL_A50, dropout=1.0)
     watch = Watch(blind=1.0, lost=4.0, position_sigma=1.0)
     robot = Simulated(empty_world, DREAM_V1_NAV, motion=replace(CALM, dvl=deaf, watch=watch))
-    with pytest.raises(
-        MissionAborted, match=r"navigation: diverged; the vehicle surfaced, 0\.3 m deep after"
-    ):
+    with pytest.raises(MissionAborted, match=r"navigation: diverged; the vehicle surfaced: it is 0\.3 m"):
         swum(robot, *[(10.0, 0.0)] * 5)
     # It held from the fourth second on: ten metres take twenty.
     assert robot.truth.se2.distance(SE2(0.0, 0.0, 0.0)) < 5.0
@@ -149,7 +147,7 @@ def test_what_cannot_surface_says_how_deep_it_is(empty_world: World) -> None:
     heavy = Spread(damping=(1.0, 1.0), trim=0.0, net_buoyancy=(-300.0, -300.0))
     watch = Watch(position_sigma=0.001)
     robot = Simulated(empty_world, DREAM_V1_NAV, motion=replace(CALM, spread=heavy, watch=watch))
-    with pytest.raises(MissionAborted, match="has to surface, and could not: it stays, [0-9.]+ m deep after"):
+    with pytest.raises(MissionAborted, match=r"the vehicle could not surface: it is \d+\.\d m deep after"):
         robot.go_to(Setpoint(5.0, 0.0, 0.0, DREAM_V1.altitude))
 
 
@@ -164,6 +162,56 @@ def test_a_short_loss_of_bottom_track_is_told_and_survived(empty_world: World) -
     (_, well) = swum(robot, (1.0, 0.0), (1.0, 0.0))
     assert well.note == ""
     assert truly(well).distance(well.pose) < 0.3
+
+
+def flight(world: World, *outages: Outage, moves: int = 3, **changes: Any) -> list[Arrival]:
+    """Moves of two metres while sensors are silent."""
+    motion = replace(CALM, outages=outages, **changes)
+    return swum(Simulated(world, DREAM_V1_NAV, motion=motion), *[(2.0, 0.0)] * moves)
+
+
+def test_a_vehicle_that_is_blind_and_lost_goes_on_where_the_dvl_comes_back(empty_world: World) -> None:
+    first, second, third = flight(empty_world, Outage("dvl", 8.0, 6.0), watch=Watch(lost=4.0))
+    assert (first.note, third.note) == ("", "")
+    assert second.note == "no bottom track for long: it held"
+    for before, after in ((first, second), (second, third)):
+        assert after.pose.distance(before.pose) == pytest.approx(2.0, abs=0.11)
+    _, blind, _ = flight(empty_world, Outage("dvl", 8.0, 2.0))
+    assert blind.note == "no bottom track for a while: it went slowly"
+
+
+@pytest.mark.parametrize(
+    ("silent", "name"),
+    [
+        (Outage("imu", 3.0), "stale"),
+        (Outage("imu", 3.0, 0.5), "stale"),
+        (Outage("depth", 3.0), "stale"),
+        (Outage("dvl", 3.0), "diverged"),
+    ],
+)
+def test_a_sensor_that_stays_silent_ends_the_mission_by_its_name_at_the_surface(
+    silent: Outage, name: str, empty_world: World
+) -> None:
+    watch = Watch(position_sigma=1.0)
+    with pytest.raises(
+        MissionAborted, match=rf"navigation: {name}; the vehicle surfaced: it is 0\.\d m deep"
+    ):
+        flight(empty_world, silent, watch=watch, moves=20)
+
+
+@pytest.mark.parametrize("sensor", ["imu", "dvl", "depth", "compass"])
+def test_a_short_silence_is_borne(sensor: Any, empty_world: World) -> None:
+    for arrival in flight(empty_world, Outage(sensor, 3.0, 0.1), Outage(sensor, 9.0, 0.1)):
+        assert arrival.note == ""
+        assert truly(arrival).distance(arrival.pose) < 0.1
+
+
+def test_a_dvl_that_loses_the_bottom_in_bursts_is_borne_and_told(empty_world: World) -> None:
+    notes = set()
+    for arrival in flight(empty_world, dvl_bursts=Bursts(share=0.3, lasts=2.0), moves=10):
+        notes.add(arrival.note)
+        assert truly(arrival).distance(arrival.pose) < 4.0 * arrival.sigma + 0.01 * 20.0
+    assert notes == {"", "no bottom track for a while: it went slowly"}
 
 
 def test_a_contact_is_felt_so_that_the_estimate_outlasts_it(string_reef: World) -> None:

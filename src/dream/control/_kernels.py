@@ -25,7 +25,7 @@ MOST_DRAG = 1.5
 FINE, BLIND, LOST, DIVERGED, STALE = range(5)
 """See `health.Condition`."""
 CLIMBING = 2.0
-"""1/s: m/s² for a m/s that the way up is too slow. Readings of the pressure are smoothed over half a second."""
+"""1/s: m/s² for a m/s that the way up is too slow. What is read of the pressure lags half a second behind."""
 SLOW = 0.5
 """Share of its speeds at which a vehicle goes that is blind."""
 

@@ -36,10 +36,9 @@ CHECKED = 10
 """Beats between two looks at how sure the filter is."""
 
 # What `Voyage.clock` holds.
-CLOCK = 11
-TIME, NEXT_PING, ARRIVES, SENT, ABOVE, LAST_DVL, LAST_DEPTH, SEABED, DISTANCE, CLEARANCE, CONDITION = range(
-    11
-)
+CLOCK = 12
+TIME, NEXT_PING, ARRIVES, SENT, ABOVE, LAST_DVL, LAST_DEPTH, LAST_IMU = range(8)
+SEABED, DISTANCE, CLEARANCE, CONDITION = range(8, CLOCK)
 
 
 class Ship(NamedTuple):
@@ -62,6 +61,10 @@ class Ship(NamedTuple):
     """Radians that the compass reads too much, by what it read at the launch."""
     scale: float
     """Share by which the DVL reads long."""
+    outages: Float64Array
+    """(n, 3) sensor, begin and end."""
+    bursts: Float64Array
+    """(2,) mean seconds between and of the losses of the DVL."""
     filter: Instruments
     gains: control.Gains
     nominal: control.Nominal
@@ -88,7 +91,12 @@ class Voyage(NamedTuple):
     """(14,) of the autopilot."""
     commands: Float64Array
     clock: Float64Array
-    """(11,) seconds, metres and the worst condition of the move; see the names above."""
+    """(12,) seconds, metres and the worst condition of the move; see the names above."""
+    sample: Float64Array
+    """(8,) turn rate, force, depth and heading of the last beat, NaN where none; what the unit said last
+    stands for what it does not say."""
+    chain: Float64Array
+    """(2,) whether the DVL is in a burst of losses, and until when."""
     ping_velocity: Float64Array
     ping_covariance: Float64Array
     since: Float64Array
@@ -142,21 +150,25 @@ def swim(ship: Ship, voyage: Voyage, before: Float64Array, rng: np.random.Genera
 
 
 @njit(cache=True, nogil=True)
-def feel(
-    ship: Ship, voyage: Voyage, before: Float64Array, rng: np.random.Generator, sample: Float64Array
-) -> None:
-    """Write what unit, gauge and compass make of that beat into the sample (8,); NaN where one is not read."""
-    clock, x = voyage.clock, voyage.x
-    now = clock[TIME]
-    sensors.inertial(ship.inertial, before, x, ship.dt, voyage.bias, rng, sample)
+def feel(ship: Ship, voyage: Voyage, before: Float64Array, rng: np.random.Generator) -> None:
+    """Write what unit, gauge and compass make of that beat into the sample."""
+    clock, x, sample = voyage.clock, voyage.x, voyage.sample
+    now, turned = clock[TIME], np.empty(6)
+    sensors.inertial(ship.inertial, before, x, ship.dt, voyage.bias, rng, turned)
+    if not sensors.silent(ship.outages, sensors.IMU, now):
+        sample[:6] = turned
+        clock[LAST_IMU] = now
     count = round(now / ship.dt)
     sample[6] = sample[7] = math.nan
     if count % ship.depth_every == 0:
-        sample[6] = sensors.pressure(ship.gauge, x, ship.depth_every * ship.dt, voyage.gauge_error, rng)
-        clock[LAST_DEPTH] = now
+        z = sensors.pressure(ship.gauge, x, ship.depth_every * ship.dt, voyage.gauge_error, rng)
+        if not sensors.silent(ship.outages, sensors.DEPTH, now):
+            sample[6] = z
+            clock[LAST_DEPTH] = now
     if count % ship.heading_every == 0:
         yaw = sensors.heading(ship.magnetic, x, ship.heading_every * ship.dt, voyage.compass_error, rng)
-        sample[7] = control.wrapped(yaw - ship.heading_zero)
+        if not sensors.silent(ship.outages, sensors.COMPASS, now):
+            sample[7] = control.wrapped(yaw - ship.heading_zero)
 
 
 @njit(cache=True, nogil=True)
@@ -166,17 +178,17 @@ def surface(ship: Ship, voyage: Voyage, seconds: float, rng: np.random.Generator
     Returns:
         Whether the simulated motion is to be trusted.
     """
-    clock, dt = voyage.clock, ship.dt
-    before, sample = np.empty(len(voyage.x)), np.full(8, math.nan)
+    clock, sample, before = voyage.clock, voyage.sample, np.empty(len(voyage.x))
     z = climb = math.nan
-    read, end = clock[LAST_DEPTH], clock[TIME] + seconds
+    read, end, unknown = clock[LAST_DEPTH], clock[TIME] + seconds, np.full(3, math.nan)
     while clock[TIME] < end and not z >= -SHALLOW:
         if clock[TIME] - read > ship.limits.stale:
             climb = math.nan
-        control.rise(sample[:3], sample[3:6], climb, ship.gains, ship.nominal, voyage.commands)
+        up = sample[3:6] if clock[TIME] - clock[LAST_IMU] <= ship.limits.stale else unknown
+        control.rise(sample[:3], up, climb, ship.gains, ship.nominal, voyage.commands)
         if not swim(ship, voyage, before, rng):
             return False
-        feel(ship, voyage, before, rng, sample)
+        feel(ship, voyage, before, rng)
         if not math.isnan(sample[6]):
             since, gained = clock[TIME] - read, sample[6] - z
             if math.isnan(climb):
@@ -225,10 +237,9 @@ def fly(
     Returns:
         The estimate, that at the last ping, how it ended, and the beats that were flown.
     """
-    clock, x = voyage.clock, voyage.x
-    target, sample, before = np.empty(4), np.empty(8), np.empty(len(x))
+    clock, x, sample = voyage.clock, voyage.x, voyage.sample
+    target, before = np.empty(4), np.empty(len(x))
     ranges, still = np.empty(4), 0.0
-    target[0], target[1], target[3] = goal[0], goal[1], goal[2]
     beats = math.ceil(seconds / ship.dt)
     condition = control.FINE
     for beat in range(beats):
@@ -237,7 +248,7 @@ def fly(
         if beat % CHECKED == 0:
             condition = control.condition(
                 ship.limits,
-                0.0,
+                now - clock[LAST_IMU],
                 now - clock[LAST_DEPTH],
                 now - clock[LAST_DVL],
                 velocity_sigma(s),
@@ -246,12 +257,12 @@ def fly(
             clock[CONDITION] = max(clock[CONDITION], condition)
             if condition >= control.DIVERGED:
                 return s, at_ping, GIVEN_UP, beat
-        target[2] = clock[SEABED] + altitude
+        target[0], target[1], target[2], target[3] = goal[0], goal[1], clock[SEABED] + altitude, goal[2]
         pace = 1.0
         if condition == control.BLIND:
             pace = control.SLOW
         elif condition == control.LOST:
-            # Where the reference is when it happens is where it stays.
+            # Where the reference is then is where it stays.
             target[0], target[1], target[3] = voyage.memory[0], voyage.memory[1], voyage.memory[3]
         rates = s.gyro - s.gyro_bias
         control.steer(
@@ -278,7 +289,7 @@ def fly(
         if struck:
             clock[CLEARANCE] = min(clock[CLEARANCE], 0.0)
         # ------------------------------------------------------------------------------ what is felt
-        feel(ship, voyage, before, rng, sample)
+        feel(ship, voyage, before, rng)
         sent = int(clock[SENT])
         if sent >= 0 and now >= clock[ARRIVES]:
             # The report is of when the ping was sent: from there it is reckoned anew.
@@ -310,7 +321,8 @@ def fly(
                 ranges,
             )
             clock[NEXT_PING] = now + 1.0 / sensors.ping_rate(ship.ping_tops, ship.ping_rates, above)
-            if valid:
+            lost = sensors.burst(ship.bursts, now, voyage.chain, rng)
+            if valid and not lost and not sensors.silent(ship.outages, sensors.DVL, now):
                 clock[SENT], clock[ARRIVES], clock[ABOVE] = 0, now + delay, above
                 at_ping = s
         # ------------------------------------------------------------------------------ is it there?

@@ -25,11 +25,14 @@ from dream.sim.sensors import (
     DVL_A50,
     ICM_20602,
     RANGE_MODES,
+    Bursts,
     Compass,
     DopplerLog,
     InertialUnit,
+    Outage,
     PressureGauge,
 )
+from dream.sim.sensors.outage import table
 from dream.sim.solids import Solids
 from dream.sim.vehicle import BLUEROV2_HEAVY, Current, Diverged, Spread, State, Vehicle
 from dream.sim.world import World
@@ -69,6 +72,10 @@ class Motion:
     compass: Compass = AHRS
     autopilot: Autopilot = field(default_factory=Autopilot)
     watch: Watch = field(default_factory=Watch)
+    outages: tuple[Outage, ...] = ()
+    """When its sensors are silent."""
+    dvl_bursts: Bursts = field(default_factory=Bursts)
+    """When its DVL loses the bottom, for no reason that is seen."""
     near: float = 0.05
     """Metres from a setpoint, by the estimate, that count as there."""
     aligned: float = math.radians(2.0)
@@ -224,8 +231,8 @@ class Simulated:
         if not _kernels.surface(self._ship, self._voyage, seconds, self._rng):
             raise Diverged("motion: expected one that stays near the world, got none on the way up")
         deep, took = -float(self._voyage.x[2]), self._voyage.clock[_kernels.TIME] - began
-        said = "surfaced" if deep <= SURFACED else "has to surface, and could not: it stays"
-        return f"the vehicle {said}, {deep:.1f} m deep after {took:.0f} s"
+        said = "surfaced" if deep <= SURFACED else "could not surface"
+        return f"the vehicle {said}: it is {deep:.1f} m deep after {took:.0f} s"
 
     def _fly(self, goal: SE2, altitude: float, seconds: float) -> int:
         motion = self._motion
@@ -300,6 +307,8 @@ def _launched(
         heading_sigma=motion.compass.sigma * math.sqrt(2.0 * motion.compass.rate * STEADY),
         heading_zero=zero,
         scale=motion.dvl.begin(rng),
+        outages=table(motion.outages),
+        bursts=motion.dvl_bursts.means,
         filter=filtering.compiled,
         gains=motion.autopilot.gains,
         nominal=nominal(motion.vehicle.hull, motion.vehicle.thrusters),
@@ -320,6 +329,9 @@ def _launched(
         memory=begin(x.position, T_world_base.yaw, motion.autopilot.drag_share),
         commands=np.zeros(truth.thrusters.count),
         clock=clock,
+        sample=np.array([0.0, 0.0, 0.0, 0.0, 0.0, GRAVITY, math.nan, math.nan]),
+        # It ends at once, and the good state begins.
+        chain=np.array([1.0, 0.0]),
         ping_velocity=np.zeros(3),
         ping_covariance=np.zeros((3, 3)),
         since=np.zeros((_kernels.MOST_BEATS, 8)),

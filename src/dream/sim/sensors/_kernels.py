@@ -18,6 +18,9 @@ from dream.sim.vehicle._kernels import rotation
 
 Float64Array = npt.NDArray[np.float64]
 
+IMU, DVL, DEPTH, COMPASS = range(4)
+"""Places in `outage.SENSORS`."""
+
 
 class Inertial(NamedTuple):
     """`InertialUnit`, as the kernels take it."""
@@ -287,3 +290,23 @@ def heading(
         0.5 * math.pi - math.atan2(left, ahead) + error[0] + error[1] + compass.noise * rng.standard_normal()
     )
     return float(math.pi - (math.pi - read) % (2.0 * math.pi))
+
+
+@njit(cache=True, nogil=True)
+def silent(outages: Float64Array, sensor: int, time: float) -> bool:
+    """Is it in an outage? They are rows of sensor, begin and end."""
+    out = False
+    for k in range(len(outages)):
+        out = out or (outages[k, 0] == sensor and outages[k, 1] <= time < outages[k, 2])
+    return out
+
+
+@njit(cache=True, nogil=True)
+def burst(means: Float64Array, time: float, chain: Float64Array, rng: np.random.Generator) -> bool:
+    """Is it silent by then? The chain (2) is its state, 0 or 1, and when that ends; it is carried on."""
+    if means[0] == math.inf:
+        return False
+    while chain[1] <= time:
+        chain[0] = 1.0 - chain[0]
+        chain[1] += means[int(chain[0])] * rng.standard_exponential()
+    return bool(chain[0] == 1.0)
