@@ -136,8 +136,8 @@ def by_truth(
     """
     x = vehicle.at_rest(SE3.level(0.0, 0.0, DEEP, 0.0)).vector
     rows, references = np.empty((round(seconds / BEAT), 9)), np.empty((round(seconds / BEAT), 4))
-    body, model = drawn(vehicle, factor).body, nominal(vehicle.hull, vehicle.thrusters)
-    gains = (autopilot or Autopilot()).gains
+    body, model = drawn(vehicle, factor).body, nominal(vehicle.slowest, vehicle.thrusters)
+    gains = (autopilot or Autopilot()).upright(vehicle.hull, vehicle.thrusters).gains
     ways = np.atleast_2d(np.array(goals, np.float64))
     told(body, water(bearing).flow, gains, model, ways, waits, BEAT, every, x, rows, references)
     return rows, references

@@ -54,7 +54,7 @@ class Slow:
         self.filter = motion.estimator
         begun = self.filter.begin(0.0, T_world_base)
         self.estimate = self.at_ping = replace(begun, gyro_bias=rates)
-        self.helm = motion.autopilot.begin(motion.vehicle.hull, motion.vehicle.thrusters, T_world_base)
+        self.helm = motion.autopilot.begin(motion.vehicle.slowest, motion.vehicle.thrusters, T_world_base)
         self.contact = Contact()
         self.ping: Ping | None = None
         self.since: list[Beat] = []

@@ -22,10 +22,14 @@ Float64Array = npt.NDArray[np.float64]
 MEMORY = 14
 MOST_DRAG = 1.5
 """Of the model's, that it can learn."""
+LEAST_SHARE = 0.1
+"""Of the model's drag by which a push is turned into a current: with less, any push would be a torrent."""
 FINE, BLIND, LOST, DIVERGED, STALE = range(5)
 """See `health.Condition`."""
 CLIMBING = 2.0
 """1/s: m/s² for a m/s that the way up is too slow. What is read of the pressure lags half a second behind."""
+CATCHING_UP = 0.7
+"""1/s²: m/s² for a metre that it is behind."""
 SLOW = 0.5
 """Share of its speeds at which a vehicle goes that is blind."""
 
@@ -162,6 +166,23 @@ def righting(
 
 
 @njit(cache=True, nogil=True)
+def drag_of(linear: float, quadratic: float, speed: float) -> float:
+    """Force against a speed through the water along one axis."""
+    return (linear + quadratic * abs(speed)) * speed
+
+
+@njit(cache=True, nogil=True)
+def speed_of(linear: float, quadratic: float, force: float, top: float) -> float:
+    """The inverse of `drag_of`, up to a top speed."""
+    size = abs(force)
+    if quadratic > 0.0:
+        speed = (math.sqrt(linear * linear + 4.0 * quadratic * size) - linear) / (2.0 * quadratic)
+    else:
+        speed = size / linear if linear > 0.0 else 0.0
+    return math.copysign(min(speed, top), force)
+
+
+@njit(cache=True, nogil=True)
 def wrench(
     memory: Float64Array,
     acceleration: tuple[float, float, float, float],
@@ -203,7 +224,13 @@ def wrench(
             lack += rotation[j, i] * error[j]
         # Of the reference's speed, not the vehicle's: fed back, a drag that is too large by the model would
         # drive instead of slow.
-        drag = (nominal.linear[i] + nominal.quadratic[i] * abs(speed)) * speed
+        linear, quadratic = nominal.linear[i], nominal.quadratic[i]
+        drag = drag_of(linear, quadratic, speed)
+        if i < 2:
+            # What pushes it level is taken for a current. Drag is of the way through that, of which standing
+            # still in it is in the push already.
+            water = speed_of(linear, quadratic, push / max(memory[12], LEAST_SHARE), gains.speed)
+            drag = drag_of(linear, quadratic, speed - water) + drag_of(linear, quadratic, water)
         out[i] = nominal.inertia[i] * along + memory[12] * drag - push - rotation[2, i] * nominal.lift
         along_drag += drag * lack
     roll = math.atan2(rotation[2, 1], rotation[2, 2])
@@ -212,7 +239,7 @@ def wrench(
     r, yaw = memory[7], math.atan2(rotation[1, 0], rotation[0, 0])
     error[3] = r + gains.yaw * wrapped(memory[3] - yaw) - rates[2]
     spin = acceleration[3] + gains.yaw * (r - rates[2]) + gains.yaw_rate * error[3]
-    drag = (nominal.linear[5] + nominal.quadratic[5] * abs(r)) * r
+    drag = drag_of(nominal.linear[5], nominal.quadratic[5], r)
     out[5] = nominal.inertia[5] * spin + memory[13] * drag - memory[11]
     return out, error, (along_drag, drag * error[3])
 
@@ -237,13 +264,16 @@ def blame(
     memory[10] -= gains.disturbance * nominal.inertia[2] * error[2] * dt
     memory[11] -= gains.yaw_disturbance * nominal.inertia[5] * error[3] * dt
     # The gradient, in such units that at top speed it acts `drag_learning` times as fast as the push.
-    top = (nominal.linear[0] + nominal.quadratic[0] * gains.speed) * gains.speed
-    spin = (nominal.linear[5] + nominal.quadratic[5] * gains.turn_rate) * gains.turn_rate
+    top = drag_of(nominal.linear[0], nominal.quadratic[0], gains.speed)
+    spin = drag_of(nominal.linear[5], nominal.quadratic[5], gains.turn_rate)
     if top > 0.0:
         rate = gains.drag_learning * gains.disturbance * mass * power[0] / (top * top)
         memory[12] = min(max(memory[12] + rate * dt, 0.0), MOST_DRAG)
     if spin > 0.0:
-        rate = gains.drag_learning * gains.yaw_disturbance * nominal.inertia[5] * power[1] / (spin * spin)
+        # A hull that drags hard falls short by little: what is missing over the loop's gain and its slope.
+        slope = nominal.linear[5] + 2.0 * memory[13] * nominal.quadratic[5] * abs(memory[7])
+        inert = nominal.inertia[5] + slope / gains.yaw_rate
+        rate = gains.drag_learning * gains.yaw_disturbance * inert * power[1] / (spin * spin)
         memory[13] = min(max(memory[13] + rate * dt, 0.0), MOST_DRAG)
 
 
@@ -299,6 +329,7 @@ def rise(
     rates: Float64Array,
     force: Float64Array,
     climb: float,
+    behind: float,
     gains: Gains,
     nominal: Nominal,
     commands: Float64Array,
@@ -310,15 +341,18 @@ def rise(
         force: (3,) m/s² of the accelerometers in `base`, which tell where up is; NaN where they are silent:
             then its own buoyancy has to keep it level.
         climb: m/s upwards by the pressure; NaN where that is silent: then it is driven by the model's drag.
+        behind: Metres that it is behind an ascent at its speed, by the pressure.
         gains: With the speed of the ascent.
         nominal: The vehicle.
         commands: (n,) of the thrusters.
     """
     demand = np.zeros(6)
-    drag = (nominal.linear[2] + nominal.quadratic[2] * gains.ascent) * gains.ascent
-    demand[2] = gains.drag_share * drag - nominal.lift
-    if not math.isnan(climb):
-        demand[2] += CLIMBING * nominal.inertia[2] * (gains.ascent - climb)
+    if math.isnan(climb):
+        drag = drag_of(nominal.linear[2], nominal.quadratic[2], gains.ascent)
+        demand[2] = gains.drag_share * drag - nominal.lift
+    else:
+        lack = CLIMBING * (gains.ascent - climb) + CATCHING_UP * behind
+        demand[2] = nominal.inertia[2] * lack - nominal.lift
     length = math.sqrt(force[0] * force[0] + force[1] * force[1] + force[2] * force[2])
     if length > 0.0:
         roll, pitch = math.atan2(force[1], force[2]), -math.asin(force[0] / length)

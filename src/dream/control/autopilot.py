@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +23,9 @@ class Autopilot:
     proportional law (`Pd`) turns what the position lacks into a velocity; a second loop turns what the
     velocity lacks into a wrench, adds what acceleration and drag of the reference need by the model, and
     takes off what pushes the vehicle by its own account: all that the velocities fell short of until now.
-    That push is held in the world, where a current stays when the vehicle turns; what they fell short of on
-    the way, along the model's drag, also corrects how much of that drag there is. Neither is learnt while a
+    That push is held in the world, where a current stays when the vehicle turns, and drag is that of the way
+    through such a current; what they fell short of on the way, along the model's drag, also corrects how much
+    of that drag there is. Neither is learnt while a
     thruster saturates. Where the frame can, roll and pitch are brought back to level.
 
     Reference: Fossen, *Handbook of Marine Craft Hydrodynamics and Motion Control* (2011), chapters 10
@@ -42,7 +43,7 @@ class Autopilot:
     """1/s: m/s² for a m/s. Half of what a thruster's lag of 0.08 s would bear."""
     disturbance: float = 2.0
     """1/s²: how fast a push is learnt."""
-    yaw: float = 3.0
+    yaw: float = 4.0
     """1/s: rad/s for a radian."""
     yaw_rate: float = 8.0
     """1/s: rad/s² for a rad/s."""
@@ -55,10 +56,10 @@ class Autopilot:
     drag_share: float = 0.5
     """Share of the model's drag that is fed forward. Published drags differ sevenfold: half of the largest is
     wrong by a factor of two or three either way, all of it by seven one way. The share is where it begins."""
-    drag_learning: float = 8.0
+    drag_learning: float = 16.0
     """How many times as fast as a push that share is learnt, at top speed. 0 keeps it."""
     speed: float = 0.5
-    """m/s of the reference."""
+    """m/s of the reference; less where the frame cannot pitch (`upright`)."""
     acceleration: float = 0.2
     """m/s²."""
     turn_rate: float = 1.0
@@ -81,12 +82,32 @@ class Autopilot:
         """As the kernels take them."""
         return _kernels.Gains(*(float(getattr(self, gain.name)) for gain in fields(self)))
 
+    def upright(self, hull: Hull, thrusters: Thrusters) -> Autopilot:
+        """The same, but no faster than a vehicle bears that cannot pitch.
+
+        That is half the speed at which it turns over: the other half is left for a current, and the moment
+        of the water is a quarter of what rights it.
+        """
+        pitch = np.eye(6)[4]
+        allocation = thrusters.allocation
+        if np.allclose(allocation @ np.linalg.pinv(allocation) @ pitch, pitch, atol=1e-6):
+            return self
+        return replace(self, speed=min(self.speed, 0.5 * hull.overturning))
+
     def begin(self, hull: Hull, thrusters: Thrusters, T_world_base: SE3) -> Helm:
-        """At the helm of a vehicle that rests there."""
+        """At the helm of a vehicle that rests there, `upright`.
+
+        Args:
+            hull: With the most drag that it may have: a share of that is learnt.
+            thrusters: Of the vehicle.
+            T_world_base: Where.
+        """
         memory = _kernels.begin(
             T_world_base.translation.astype(np.float64), T_world_base.yaw, self.drag_share
         )
-        return Helm(self.gains, nominal(hull, thrusters), memory, np.zeros(thrusters.count))
+        return Helm(
+            self.upright(hull, thrusters).gains, nominal(hull, thrusters), memory, np.zeros(thrusters.count)
+        )
 
 
 @dataclass(slots=True, eq=False)

@@ -30,6 +30,8 @@ SEABED_TIME = 2.0
 vehicle's shadow, so that what lies on it hardly lifts the vehicle."""
 CLIMB_TIME = 0.5
 """Seconds over which the speed upwards is smoothed: between two readings, noise makes it 4 cm/s."""
+MOST_BEHIND = 2.0
+"""Metres that it catches up with, at most."""
 SHALLOW = 0.3
 """Metres of depth, by the pressure, at which it has surfaced."""
 CHECKED = 10
@@ -179,13 +181,13 @@ def surface(ship: Ship, voyage: Voyage, seconds: float, rng: np.random.Generator
         Whether the simulated motion is to be trusted.
     """
     clock, sample, before = voyage.clock, voyage.sample, np.empty(len(voyage.x))
-    z = climb = math.nan
+    z, climb, behind = math.nan, math.nan, 0.0
     read, end, unknown = clock[LAST_DEPTH], clock[TIME] + seconds, np.full(3, math.nan)
     while clock[TIME] < end and not z >= -SHALLOW:
         if clock[TIME] - read > ship.limits.stale:
             climb = math.nan
         up = sample[3:6] if clock[TIME] - clock[LAST_IMU] <= ship.limits.stale else unknown
-        control.rise(sample[:3], up, climb, ship.gains, ship.nominal, voyage.commands)
+        control.rise(sample[:3], up, climb, behind, ship.gains, ship.nominal, voyage.commands)
         if not swim(ship, voyage, before, rng):
             return False
         feel(ship, voyage, before, rng)
@@ -195,6 +197,8 @@ def surface(ship: Ship, voyage: Voyage, seconds: float, rng: np.random.Generator
                 climb = 0.0
             if since <= ship.limits.stale and not math.isnan(gained):
                 climb += since / CLIMB_TIME * (gained / since - climb)
+                behind += ship.gains.ascent * since - gained
+                behind = min(max(behind, -MOST_BEHIND), MOST_BEHIND)
             z, read = sample[6], clock[TIME]
     voyage.commands[:] = 0.0
     return True

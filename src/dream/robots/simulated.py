@@ -98,6 +98,11 @@ class Motion:
             raise ValueError(f"imu.rate: expected {1.0 / BEAT:g} Hz, as the loop, got {self.imu.rate:g}")
 
     @property
+    def helmsman(self) -> Autopilot:
+        """The autopilot at speeds that the vehicle bears."""
+        return self.autopilot.upright(self.vehicle.hull, self.vehicle.thrusters)
+
+    @property
     def estimator(self) -> InEkf:
         """That knows where these instruments sit, and was held still at the launch."""
         start = Start(
@@ -192,7 +197,7 @@ class Simulated:
         motion = self._motion
         here = self.estimate.pose.se2
         gap = math.hypot(setpoint.x - here.x, setpoint.y - here.y)
-        seconds = 2.0 * gap / motion.autopilot.speed + 2.0 * math.pi / motion.autopilot.turn_rate + ROOM
+        seconds = 2.0 * gap / motion.helmsman.speed + 2.0 * math.pi / motion.helmsman.turn_rate + ROOM
         clock = self._voyage.clock
         clock[_kernels.DISTANCE], clock[_kernels.CLEARANCE], clock[_kernels.CONDITION] = 0.0, math.inf, 0.0
         how = self._fly(SE2(setpoint.x, setpoint.y, setpoint.yaw), setpoint.altitude, seconds)
@@ -310,8 +315,8 @@ def _launched(
         outages=table(motion.outages),
         bursts=motion.dvl_bursts.means,
         filter=filtering.compiled,
-        gains=motion.autopilot.gains,
-        nominal=nominal(motion.vehicle.hull, motion.vehicle.thrusters),
+        gains=motion.helmsman.gains,
+        nominal=nominal(motion.vehicle.slowest, motion.vehicle.thrusters),
         limits=motion.watch.limits,
         dt=BEAT,
         depth_every=round(1.0 / (motion.gauge.rate * BEAT)),

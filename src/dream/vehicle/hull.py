@@ -52,6 +52,20 @@ class Hull:
             raise ValueError(f"hull: expected finite buoyancy and its centre, got {self}")
 
     @property
+    def overturning(self) -> float:
+        """m/s through the water beyond which nothing but thrusters keeps its nose level; infinite for a hull
+        that the water turns the other way.
+
+        What the water does to the nose (Munk's moment, the difference of the added masses times u² sin θ)
+        then outgrows what the centre of buoyancy gives back.
+        """
+        munk = self.added[2] - self.added[0]
+        righting = (self.weight + self.net_buoyancy) * self.centre_of_buoyancy[2]
+        if munk <= 0.0:
+            return math.inf
+        return math.sqrt(max(righting, 0.0) / munk)
+
+    @property
     def weight(self) -> float:
         """N."""
         return self.mass * GRAVITY

@@ -383,6 +383,17 @@ def test_drawn_damping_is_even_on_the_logarithm_and_within_bounds() -> None:
     assert lift.max() <= 5.0
 
 
+@pytest.mark.parametrize(("vehicle", "span"), [(BLUEROV2, (1.0, 6.7)), (BLUEROV2_HEAVY, (0.15, 1.0))])
+def test_each_vehicle_has_its_own_span_of_damping(vehicle: Vehicle, span: tuple[float, float]) -> None:
+    rng, own = np.random.default_rng(0), vehicle.hull.quadratic[5]
+    factors = [Spread().draw(vehicle, rng).hull.quadratic[5] / own for _ in range(500)]
+    assert span[0] <= min(factors) < 1.1 * span[0]
+    assert 0.9 * span[1] < max(factors) <= span[1]
+    assert vehicle.slowest.quadratic[5] == pytest.approx(span[1] * own)
+    given = Spread(damping=(2.0, 2.0)).draw(vehicle, rng).hull
+    assert given.quadratic[5] == pytest.approx(2.0 * own)
+
+
 def test_a_drawn_trim_is_how_the_vehicle_hangs() -> None:
     drawn = Spread(net_buoyancy=(0.0, 0.0)).draw(BLUEROV2_HEAVY, np.random.default_rng(4))
     end = run(drawn, drawn.at_rest(SE3.level(0, 0, -10.0, 0.0)), idle(drawn), 120.0, dt=0.05)

@@ -22,15 +22,15 @@ class Outage:
     sensor: Literal["imu", "dvl", "depth", "compass"]
     begins: float
     """Seconds of the mission."""
-    lasts: float = math.inf
-    """Seconds."""
+    lasts: float | None = None
+    """Seconds; for good unless given."""
 
     def __post_init__(self) -> None:
         if self.sensor not in SENSORS:
             raise ValueError(f"outage.sensor: expected one of {', '.join(SENSORS)}, got {self.sensor}")
         if not 0.0 <= self.begins < math.inf:
             raise ValueError(f"outage.begins: expected 0 s or more, got {self.begins}")
-        if not self.lasts > 0.0:
+        if self.lasts is not None and not 0.0 < self.lasts < math.inf:
             raise ValueError(f"outage.lasts: expected more than 0 s, got {self.lasts}")
 
 
@@ -64,5 +64,12 @@ class Bursts:
 
 def table(outages: Sequence[Outage]) -> Float64Array:
     """(n, 3) sensor (its place in `SENSORS`), begin and end of each, as the kernels take it."""
-    rows = [(SENSORS.index(each.sensor), each.begins, each.begins + each.lasts) for each in outages]
+    rows = [
+        (
+            SENSORS.index(each.sensor),
+            each.begins,
+            math.inf if each.lasts is None else each.begins + each.lasts,
+        )
+        for each in outages
+    ]
     return np.array(rows, np.float64).reshape(-1, 3)

@@ -83,6 +83,13 @@ class Vehicle:
     hull: Hull
     thrusters: Thrusters
     tether: Tether | None = None
+    damping: tuple[float, float] = (1.0, 1.0)
+    """Least and greatest factor on all drag, linear and quadratic alike, that published sets leave open."""
+
+    @property
+    def slowest(self) -> Hull:
+        """Its hull with the greatest drag that it may have, which is what an autopilot learns a share of."""
+        return _dragging(self.hull, self.damping[1])
 
     @property
     def body(self) -> _kernels.Body:
@@ -161,13 +168,12 @@ class Spread:
 
     The drag of the two published sets differs sevenfold at equal thrust: 129 N ahead make 0.91 m/s with that
     of von Benzon et al. and 2.55 m/s with that of Wu, while the maker states 1.5 m/s. A factor of unknown
-    size has no scale to prefer, so it is drawn evenly on the logarithm: as often from 0.15 to 0.39 as from
-    0.39 to 1.
+    size has no scale to prefer, so it is drawn evenly on the logarithm: for the Heavy, which has the larger
+    one, as often from 0.15 to 0.39 as from 0.39 to 1; for the set of Wu from 1 to 6.7.
     """
 
-    damping: tuple[float, float] = (0.15, 1.0)
-    """Least and greatest factor on all drag, linear and quadratic alike. It is meant for the Heavy; its
-    mirror for the set of Wu is 1 to 6.7."""
+    damping: tuple[float, float] | None = None
+    """Least and greatest factor on all drag, linear and quadratic alike; the vehicle's own unless given."""
     trim: float = 0.05
     """Radians: the deviation of roll and of pitch of a vehicle left alone. Assumption: hulls are trimmed by
     hand with weights of 100 to 200 g, to a few degrees."""
@@ -175,7 +181,7 @@ class Spread:
     """N, evenly. Assumption, as above."""
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.damping[0] <= self.damping[1] < math.inf:
+        if self.damping is not None and not 0.0 < self.damping[0] <= self.damping[1] < math.inf:
             raise ValueError(f"spread.damping: expected two factors above 0, rising, got {self.damping}")
         if not 0.0 <= self.trim < 0.5:
             raise ValueError(f"spread.trim: expected 0 to 0.5 rad, got {self.trim}")
@@ -185,19 +191,22 @@ class Spread:
     def draw(self, vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
         """One vehicle as it may be."""
         hull = vehicle.hull
-        low, high = self.damping
+        low, high = vehicle.damping if self.damping is None else self.damping
         factor = low * math.exp(uniform(rng, 0.0, math.log(high / low)))
         roll, pitch = self.trim * rng.standard_normal(2)
         x, y, z = hull.centre_of_buoyancy
         # At rest the centre of buoyancy is above that of gravity: pitched down by p, it lies z·tan p behind.
         drawn = replace(
-            hull,
-            linear=_scaled(hull.linear, factor),
-            quadratic=_scaled(hull.quadratic, factor),
+            _dragging(hull, factor),
             net_buoyancy=uniform(rng, *self.net_buoyancy),
             centre_of_buoyancy=(x - z * math.tan(pitch), y + z * math.tan(roll) / math.cos(pitch), z),
         )
         return replace(vehicle, hull=drawn)
+
+
+def _dragging(hull: Hull, factor: float) -> Hull:
+    """A hull with so many times its drag."""
+    return replace(hull, linear=_scaled(hull.linear, factor), quadratic=_scaled(hull.quadratic, factor))
 
 
 def _scaled(values: Six, factor: float) -> Six:
@@ -250,6 +259,7 @@ BLUEROV2 = Vehicle(
         centre_of_buoyancy=(0.0, 0.0, 0.01),
     ),
     VECTORED,
+    damping=(1.0, 6.7),
 )
 """The BlueROV2 with six thrusters. C.-J. Wu, *6-DoF Modelling and Control of a Remotely Operated Vehicle*,
 Flinders University, 2018; net buoyancy is ours, since the thesis' volume of 0.01135 m³ would sink. Six
@@ -268,6 +278,7 @@ BLUEROV2_HEAVY = Vehicle(
         centre_of_buoyancy=(0.0, 0.0, 0.01),
     ),
     VECTORED_6DOF,
+    damping=(0.15, 1.0),
 )
 """The BlueROV2 Heavy with eight thrusters. M. von Benzon et al., *JMSE* 10(12):1898, 2022, with the signs of
 added mass and drag that the paper's tables leave out; net buoyancy is ours, since its volume of 0.0134 m³
