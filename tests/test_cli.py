@@ -29,10 +29,14 @@ from dream.evaluation.locks import alone_at
 from dream.evaluation.oracle import bounds as bounds_module
 from dream.evaluation.oracle.bounds import Bounds
 from dream.evaluation.results import read_results
+from dream.evaluation.runner import simulate
 from dream.evaluation.suites import SUITES, Case
 from dream.planning import PLANNERS
+from dream.protocol import DREAM_V1_NAV
 from dream.recording import read_config, read_exchanges, read_steps, read_summary
 from dream.robots import Teleport
+from dream.robots.swimming import read_swimming
+from dream.sim.worlds import make_world
 from dream.types import Arrival, Observation, Setpoint
 from tests.model_server import NAME, Answer, Request, Response, error, fitting, says, serving
 from tests.recorded_runs import Disk
@@ -264,6 +268,35 @@ def test_a_vehicle_that_swims_says_how_far_it_was_from_where_it_believed_to_be(
     assert 0.0 < summary["position_error_m"]["rmse"] < 0.2
     assert summary["drift"] == pytest.approx(errors[-1] / summary["distance_m"], abs=1e-4)
     assert all(step["position_sigma_m"] > 0.0 for step in steps[1:])
+
+
+def test_a_run_that_swims_can_be_flown_again_from_its_config(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    chosen = ["--vehicle", "bluerov2", "--current", "0.2", "--dvl", "performance", "--no-anchoring"]
+    options = ["--world", "flat/empty", "--protocol", "dream-v1-nav", "--max-steps", "2", *chosen]
+    assert run_command(["run", "lawnmower", *options, "--out", str(tmp_path)]) == 0
+    capsys.readouterr()
+    folder = next(tmp_path.glob("2*"))
+    config, steps = read_config(folder), read_steps(folder)
+    assert config.swimming is not None
+    again = simulate(
+        make_world(config.world, config.seed),
+        PLANNERS[config.planner],
+        DREAM_V1_NAV,
+        max_steps=config.max_steps,
+        swimming=read_swimming(config.swimming),
+    )
+    assert [step.observation.pose.x for step in again] == [step.pose.x for step in steps]
+
+
+def test_options_of_a_vehicle_are_refused_where_none_swims(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for command in ("run", "bench"):
+        assert run_command([command, "--current", "0.2", "--out", str(tmp_path / command)]) == 2
+        assert "--protocol dream-v1-nav" in capsys.readouterr().err
+        assert not (tmp_path / command).exists()
 
 
 def test_an_unwritable_folder_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

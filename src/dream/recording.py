@@ -181,6 +181,8 @@ class RunConfig(_Recorded):
     """Which of the world's start poses."""
     max_steps: int | None = None
     """Decisions at most; the protocol's cap where None."""
+    swimming: dict[str, Any] | None = None
+    """All parameters of a vehicle that swims (`robots.swimming.read_swimming`); None where none does."""
     orders: dict[str, Any] | None = None
     """What the operator ordered; to map everything where None."""
     words: str = ""

@@ -13,7 +13,6 @@ import sys
 import time
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +31,8 @@ from dream.mission import Pilot
 from dream.planning import Lawnmower, RandomWalk
 from dream.protocol import DREAM_V1, DREAM_V1_NAV, POOL_V1, protocol_named, reach_variant
 from dream.recording import read_config, read_steps, read_summary
-from dream.robots import Motion, Simulated
+from dream.robots import Motion, Swimming
+from dream.robots.swimming import read_swimming
 from dream.sim.render import Renderer
 from dream.sim.sensors import DVL_A50
 from dream.types import Mission
@@ -332,14 +332,14 @@ def test_a_mission_that_fails_costs_only_itself(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("keep_runs", [False, True])
 def test_a_mission_whose_vehicle_is_lost_is_scored_by_what_it_had_seen(
-    keep_runs: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    keep_runs: bool, tmp_path: Path
 ) -> None:
     # No velocity ever, and some patience: a few moves are flown before it has to surface.
     watch = Watch(velocity_sigma=5.0, position_sigma=20.0)
-    lost = Motion(dvl=replace(DVL_A50, dropout=1.0), watch=watch)
-    monkeypatch.setattr(runner, "Simulated", partial(Simulated, motion=lost))
+    lost = Swimming(Motion(dvl=replace(DVL_A50, dropout=1.0), watch=watch))
     case, planners = Case("reef/L", 1), {"random": RandomWalk()}
-    chosen = plan((case,), protocol=DREAM_V1_NAV, planners=planners, max_steps=None, keep_runs=keep_runs)
+    changes: dict[str, Any] = {"max_steps": None, "keep_runs": keep_runs, "swimming": lost}
+    chosen = plan((case,), protocol=DREAM_V1_NAV, planners=planners, **changes)
     (ended,) = bench(chosen, tmp_path)
     assert isinstance(ended.outcome, Flown)
     row = ended.outcome.row
@@ -349,6 +349,10 @@ def test_a_mission_whose_vehicle_is_lost_is_scored_by_what_it_had_seen(
     assert read_results(tmp_path).rows == (row,)
     assert read_manifest(tmp_path)["failed"] == []
     assert read_manifest(tmp_path)["finished"] is not None
+    # All of what swam is told, and another vehicle does not join it.
+    assert read_swimming(read_manifest(tmp_path)["swimming"]) == lost
+    with pytest.raises(ValueError, match=r"swimming\.motion\.current: expected 0\.1"):
+        bench(replace(chosen, swimming=Swimming(replace(lost.motion, current=0.3))), tmp_path)
     # Nothing is flown twice.
     (again,) = bench(chosen, tmp_path)
     assert again.kept

@@ -50,9 +50,9 @@ class Slow:
         self.gust = self.current.begin(rng)
         self.bias = motion.imu.begin(rng)
         self.gauge_error = motion.gauge.begin(rng)
-        rates = self.bias[:3] + motion.imu.gyro_noise / math.sqrt(HELD) * rng.standard_normal(3)
         self.filter = motion.estimator
-        begun = self.filter.begin(0.0, T_world_base)
+        begun = self.filter.begin(0.0, *self.filter.start.draw(T_world_base, rng))
+        rates = self.bias[:3] + motion.imu.gyro_noise / math.sqrt(HELD) * rng.standard_normal(3)
         self.estimate = self.at_ping = replace(begun, gyro_bias=rates)
         self.helm = motion.autopilot.begin(motion.vehicle.slowest, motion.vehicle.thrusters, T_world_base)
         self.contact = Contact()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -200,3 +201,25 @@ def test_it_is_less_sure_the_farther_it_went_and_surer_by_what_it_sees_again() -
         sigmas.append(math.sqrt(anchored.covariance[0, 0]))
     assert sigmas[0] > 0.1
     assert sigmas[1] < 0.5 * sigmas[0]
+
+
+@pytest.mark.parametrize("name", ["drift", "heading", "launch", "gate", "age", "settle"])
+@pytest.mark.parametrize("value", [-1.0, math.nan, math.inf])
+def test_what_says_nothing_of_an_error_is_refused_by_name(name: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=f"{name}: expected"):
+        replace(Anchoring(), **{name: value})
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        *({name: 0.0} for name in ("window", "turn", "step", "cell", "floor", "trust", "leverage", "sigma")),
+        *({name: -1.0} for name in ("min_overlap", "rival")),
+        {"step": 0.6},
+        {"turn_step": 0.1},
+    ],
+)
+def test_a_matching_that_cannot_match_is_refused_by_name(wrong: dict[str, float]) -> None:
+    (name,) = wrong
+    with pytest.raises(ValueError, match=f"^{name}: expected"):
+        Matching(**wrong)

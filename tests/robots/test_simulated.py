@@ -96,8 +96,8 @@ def test_without_bottom_track_it_slows_then_holds_and_at_last_surfaces(empty_wor
     robot = Simulated(empty_world, DREAM_V1_NAV, motion=replace(CALM, dvl=deaf, watch=watch))
     with pytest.raises(MissionAborted, match=r"navigation: diverged; the vehicle surfaced: it is 0\.3 m"):
         swum(robot, *[(10.0, 0.0)] * 5)
-    # It held from the fourth second on: ten metres take twenty.
-    assert robot.truth.se2.distance(SE2(0.0, 0.0, 0.0)) < 5.0
+    # It held, by its belief, from the fourth second on: ten metres take twenty.
+    assert robot.estimate.pose.se2.distance(SE2(0.0, 0.0, 0.0)) < 5.0
 
 
 @pytest.mark.parametrize("vehicle", [BLUEROV2, BLUEROV2_HEAVY])

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import tyro
 
 from dream.commands.console import print_json, with_scores
+from dream.commands.swim import Swim
 from dream.errors import MissionAborted
 from dream.names import look_up
 from dream.planning import OFFLINE, PLANNERS, AnyPlanner, Asking
@@ -108,6 +109,7 @@ class Bench(Flying):
     """Survey protocol; the one that the worlds are made for unless given."""
     out: Path | None = None
     """Folder of the benchmark; `bench/SUITE`, or `bench/WORLD_SEEDS`, unless given."""
+    swim: Swim = field(default_factory=Swim)
 
     def __call__(self) -> int:
         """Exit status 0; a MissionAborted where a mission failed."""
@@ -116,7 +118,8 @@ class Bench(Flying):
         planners, engine = self.chosen_planners(), self.chosen_engine()
         name, cases = self._cases()
         protocol = protocol_named(self.protocol or _home(cases[0]))
-        plan = Plan(name, cases, planners, protocol, self.max_steps, self.keep_runs)
+        swimming = self.swim.chosen(protocol)
+        plan = Plan(name, cases, planners, protocol, self.max_steps, self.keep_runs, swimming)
         folder = self.out or Path("bench") / re.sub(r"[^A-Za-z0-9.]+", "-", name)
         outcome = fly(plan, folder, engine)
         if self.json:

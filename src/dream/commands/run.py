@@ -8,7 +8,7 @@ import logging
 import sys
 import time
 from collections.abc import Generator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +25,7 @@ from dream.commands.console import (
     with_progress,
 )
 from dream.commands.mission import confirmed, draw_orders, given
+from dream.commands.swim import Swim
 from dream.errors import MissionAborted
 from dream.planning import PLANNERS, AnyPlanner
 from dream.planning.vlm import WIRE_TEST, Asking, Ranked, stands_in
@@ -68,6 +69,7 @@ class Run:
     """Take what a model understood of plain words as confirmed, where nobody can be asked."""
     json: bool = False
     """Print the summary as one JSON object and nothing else."""
+    swim: Swim = field(default_factory=Swim)
 
     def __call__(self) -> int:
         """Exit status 0; a MissionAborted where the mission did not end by itself."""
@@ -84,6 +86,7 @@ class Run:
             with kept_interrupts() as check:
                 world = open_world(self.world, self.seed)
                 protocol = protocol_named(self.protocol or world.protocol)
+                swimming = self.swim.chosen(protocol)
                 name = planner_name(self.planner)
                 words, orders = "", None
                 if self.mission is not None:
@@ -96,6 +99,7 @@ class Run:
                     start=self.start,
                     max_steps=self.max_steps,
                     orders=orders,
+                    swimming=swimming,
                 )
                 config = run_config(
                     world,
@@ -107,6 +111,7 @@ class Run:
                     max_steps=self.max_steps,
                     orders=orders,
                     words=words,
+                    swimming=swimming,
                 )
                 scorer = Scorer(world, protocol, orders=orders)
                 check()

@@ -6,11 +6,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from scipy.special import chdtri
 
+from dream.estimation._kernels.groups import so3_exp
 from dream.estimation._kernels.sensors import Parameters
 from dream.estimation.intake import plain
 from dream.geometry import SE3
+
+Float64Array = npt.NDArray[np.float64]
 
 ALIGNED = SE3(np.eye(3), np.zeros(3))
 """T_base_sensor of a sensor that sits where the inertial unit sits, and looks along its axes."""
@@ -66,6 +70,13 @@ class Start:
     """rad/s."""
     accelerometer_bias: float = 0.1
     """m/s²: a hundredth of g."""
+
+    def draw(self, T_world_base: SE3, rng: np.random.Generator) -> tuple[SE3, Float64Array]:
+        """A pose, and a velocity (3,) in the world, that err by so much about a vehicle at rest there."""
+        attitude, velocity, position = rng.standard_normal((3, 3))
+        off = so3_exp(np.array([self.tilt, self.tilt, self.yaw]) * attitude)
+        error = SE3(off, self.position * position)
+        return T_world_base @ error, T_world_base.rotation @ (self.velocity * velocity)
 
 
 @dataclass(frozen=True, slots=True)

@@ -174,7 +174,10 @@ class FailedEntry(CaseEntry):
 
 
 class Manifest(BaseModel):
-    """`manifest.json`: what was flown, by which code, on which machine."""
+    """`manifest.json`: what was flown, by which code, on which machine.
+
+    Where the protocol is of a vehicle that swims, `swimming` holds all parameters of it.
+    """
 
     model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
 

@@ -43,7 +43,7 @@ from dream.orders import Orders, sentences, written
 from dream.planning import PLANNERS, AnyPlanner
 from dream.planning.vlm.asking import Asking
 from dream.protocol import SHOWN, SurveyProtocol, protocol_named
-from dream.robots import Anchored, Simulated, Teleport
+from dream.robots import Swimming, Teleport
 from dream.sim.files import world_hash
 from dream.sim.render import Renderer
 from dream.sim.solids import Solids
@@ -74,6 +74,7 @@ def simulate(
     start: int = 0,
     max_steps: int | None = None,
     orders: Orders | None = None,
+    swimming: Swimming | None = None,
     renderer: Renderer | None = None,
     solids: Solids | None = None,
 ) -> Iterator[Step]:
@@ -86,6 +87,7 @@ def simulate(
         start: Which of the world's start poses.
         max_steps: Decisions at most; the protocol's cap unless given.
         orders: What the operator orders; to map everything where None.
+        swimming: What swims, where the protocol is of a vehicle that does.
         renderer: Of this world, where one is made already.
         solids: Of this world, where they are made already.
     """
@@ -94,14 +96,25 @@ def simulate(
     check_fits(world, protocol)
     # A model is shown finer pictures than the map is made from; nobody else pays for them.
     fineness = SHOWN if isinstance(planner, Asking) else 1
-    kind = Simulated if protocol.swims else Teleport
-    robot: Robot = kind(
+    chosen = swimming_under(protocol, swimming)
+    launch = Teleport if chosen is None else chosen.launch
+    robot: Robot = launch(
         world, protocol, world.starts[start], renderer=renderer, solids=solids, fineness=fineness
     )
-    if protocol.swims:
-        robot = Anchored(robot, protocol)
     occupancy = OccupancyMap(world.bounds, protocol)
     return explore(robot, planner, occupancy, max_steps=max_steps, target=labelled_in(world), orders=orders)
+
+
+def swimming_under(protocol: SurveyProtocol, swimming: Swimming | None) -> Swimming | None:
+    """What swims by these rules; None where nothing has to, and a ValueError where something would."""
+    if not protocol.swims:
+        if swimming is not None:
+            raise ValueError(
+                "swimming: expected a protocol by which a vehicle swims, as dream-v1-nav, "
+                f"got {protocol.name}"
+            )
+        return None
+    return Swimming() if swimming is None else swimming
 
 
 def labelled_in(world: World) -> Target:
@@ -135,8 +148,10 @@ def run_config(
     max_steps: int | None,
     orders: Orders | None = None,
     words: str = "",
+    swimming: Swimming | None = None,
 ) -> dict[str, Any]:
     """`config.json` of a mission: enough to fly it again."""
+    swims = swimming_under(protocol, swimming)
     return {
         "version": __version__,
         "commit": commit(),
@@ -149,6 +164,7 @@ def run_config(
         "planner": planner_name,
         "planner_parameters": asdict(planner),
         "max_steps": max_steps,
+        "swimming": None if swims is None else asdict(swims),
         "orders": None if orders is None else written(orders),
         "words": words,
         "understood": () if orders is None else tuple(sentences(orders, max_steps or protocol.cap)),
@@ -164,6 +180,8 @@ class Flight:
     planner: AnyPlanner
     protocol: str
     max_steps: int | None = None
+    swimming: Swimming | None = None
+    """What swims, where the protocol is of a vehicle that does."""
     source: str = ""
     """Of the code that it must be flown by (`machine.source`); any where empty."""
     record_to: Path | None = None
@@ -214,6 +232,7 @@ def fly(flight: Flight) -> Flown:
         protocol,
         start=flight.case.start,
         max_steps=flight.max_steps,
+        swimming=flight.swimming,
         renderer=stage.renderer,
         solids=stage.visibility.solids,
     )
@@ -263,6 +282,7 @@ def _record(
         world_from=world.name,
         start=flight.case.start,
         max_steps=flight.max_steps,
+        swimming=flight.swimming,
     )
     recording.write_config(folder, config)
     recorded = recording.record(steps, folder, annotate=score)
@@ -308,8 +328,11 @@ class Plan:
     max_steps: int | None = None
     keep_runs: bool = False
     """Leave a full recording of each mission that is flown, below `runs/`."""
+    swimming: Swimming | None = None
+    """What swims, where the protocol is of a vehicle that does."""
 
     def __post_init__(self) -> None:
+        swimming_under(self.protocol, self.swimming)
         if not self.cases:
             raise ValueError(f"cases: expected at least one world, got none in {self.suite}")
         if len(set(self.cases)) < len(self.cases):
@@ -397,6 +420,7 @@ def _flights(plan: Plan, folder: Path, manifest: Mapping[str, Any]) -> Iterator[
                 planner,
                 plan.protocol.name,
                 max_steps=plan.max_steps,
+                swimming=plan.swimming,
                 source=manifest["source"],
             )
             record_to = folder.resolve() / "runs" / mission_path(folder, flight.key).stem
@@ -426,12 +450,14 @@ def _all_kept(folder: Path, manifest: Mapping[str, Any]) -> list[Flown]:
 
 def _manifest(plan: Plan, folder: Path, engine: Engine) -> dict[str, Any]:
     """What the folder holds once the plan is flown; a ValueError where the two do not belong together."""
+    swims = swimming_under(plan.protocol, plan.swimming)
     now: dict[str, Any] = {
         "suite": plan.suite,
         "cases": [asdict(case) for case in plan.cases],
         "planners": {name: _as_json(planner) for name, planner in plan.planners.items()},
         "protocol": _as_json(plan.protocol),
         "max_steps": plan.max_steps,
+        **({} if swims is None else {"swimming": _as_json(swims)}),
         **machine.code(),
         **machine.libraries(),
         "engine": repr(engine),
@@ -447,6 +473,7 @@ def _manifest(plan: Plan, folder: Path, engine: Engine) -> dict[str, Any]:
         # Not the commit: one that changes a page must not end a benchmark, and the source says what counts.
         for name in ("version", "source", *machine.libraries(), "protocol", "max_steps"):
             _check_same(folder, name, before[name], now[name])
+        _check_same(folder, "swimming", before.get("swimming"), now.get("swimming"))
         for name in before["planners"].keys() & now["planners"].keys():
             _check_same(folder, name, before["planners"][name], now["planners"][name])
         suites = dict.fromkeys([*before["suite"].split(", "), plan.suite])
@@ -479,7 +506,7 @@ def _check_same(folder: Path, name: str, before: Any, now: Any) -> None:
         )
 
 
-def _as_json(parameters: AnyPlanner | SurveyProtocol) -> Any:
+def _as_json(parameters: AnyPlanner | SurveyProtocol | Swimming) -> Any:
     """Parameters as they are read back from a file."""
     return json.loads(json.dumps(asdict(parameters)))
 

@@ -87,9 +87,17 @@ class Matching:
     """Metres from the vehicle at which a turn is judged by the shift that it causes."""
 
     def __post_init__(self) -> None:
-        for name in ("window", "turn", "step", "turn_step", "cell", "height_scale", "relief", "sigma"):
+        lengths = ("window", "turn", "step", "turn_step", "cell", "height_scale", "relief", "sigma")
+        for name in (*lengths, "floor", "trust", "leverage"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: expected a number above 0, got {getattr(self, name)}")
+        for name in ("min_overlap", "rival"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: expected 0 or more, got {getattr(self, name)}")
+        for step, reach in (("step", "window"), ("turn_step", "turn")):
+            if getattr(self, step) > getattr(self, reach):
+                most = getattr(self, reach)
+                raise ValueError(f"{step}: expected at most the {reach}, {most}, got {getattr(self, step)}")
 
     def align(
         self, points: Float64Array, pivot: tuple[float, float], others: Float64Array

@@ -38,6 +38,14 @@ class Anchoring:
     """Squared sigmas beyond which a match is not believed: 99 of 100 good ones are nearer, in three
     dimensions."""
 
+    def __post_init__(self) -> None:
+        for name in ("drift", "heading", "launch", "gate"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: expected a number above 0, got {getattr(self, name)}")
+        for name in ("age", "settle"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: expected 0 m or more, got {getattr(self, name)}")
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Look:

@@ -131,9 +131,10 @@ class Simulated:
     What it does: the vehicle of `sim.vehicle` in a current, the sensors of `sim.sensors`, the invariant
     filter of `estimation` and the autopilot of `control`, in one compiled loop at 100 Hz. What it observes is
     drawn from where it really is, and says where it believes to be. A contact ends the move. At the launch it
-    was held still at a known pose, which frees the gyroscopes of their bias and sets the compass.
+    was held still at a pose that it knows as well as the filter's `Start` says, which frees the gyroscopes of
+    their bias and sets the compass.
 
-    Assumes: a launch at a known pose: the map's frame is the vehicle's, there.
+    Assumes: a launch whose pose in the map is known to about a degree and a centimetre.
     Fails when: the estimate is lost, which ends the mission by its name.
     """
 
@@ -177,7 +178,8 @@ class Simulated:
         )
         if _kernels.clearance(self._ship, self._voyage.x) <= 0.0:
             raise ValueError(f"start: ({pose.x}, {pose.y}) touches the world. See `dream draw`")
-        state = motion.estimator.begin(0.0, T_world_base)
+        filtering = motion.estimator
+        state = filtering.begin(0.0, *filtering.start.draw(T_world_base, self._rng))
         rates = self._voyage.bias[:3] + motion.imu.gyro_noise / math.sqrt(HELD) * self._rng.standard_normal(3)
         self._state = self._at_ping = packed(replace(state, gyro_bias=rates))
 
