@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -29,6 +28,11 @@ class Anchoring:
     """Standard deviation of the heading, as that of a compass on a vehicle of iron: it does not grow."""
     launch: float = 0.01
     """Metres, standard deviation of the position at the launch, where the map's frame is the robot's own."""
+    launch_heading: float = math.radians(1.0)
+    """And of the heading: what turns all of the map about the launch. Matches never show it. A compass of a
+    vehicle of iron that is set at the launch errs elsewhere, on average, by what it erred there."""
+    scale: float = 0.006
+    """Standard deviation of the share by which all ways are long: a DVL's ± 1 %, evenly. Likewise."""
     age: float = 15.0
     """Metres of way after which a frame may correct others. Later ones err as the present one does: to match
     them only adds the errors of the match."""
@@ -39,7 +43,7 @@ class Anchoring:
     dimensions."""
 
     def __post_init__(self) -> None:
-        for name in ("drift", "heading", "launch", "gate"):
+        for name in ("drift", "heading", "launch", "launch_heading", "scale", "gate"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: expected a number above 0, got {getattr(self, name)}")
         for name in ("age", "settle"):
@@ -52,6 +56,8 @@ class _Look:
     points: Float64Array
     place: SE2
     way: float
+    account: Float64Array
+    """(3, 3) how the pose may err, when it was taken; see `Anchored.sigma`."""
 
 
 class Anchored:
@@ -89,6 +95,7 @@ class Anchored:
         self._anchoring = Anchoring() if anchoring is None else anchoring
         place, heading = self._anchoring.launch**2, self._anchoring.heading**2
         self._covariance: Float64Array = np.diag([place, place, heading])
+        self._account = np.diag([place, place, 0.0])
         self._T_map_odom = SE3.level(0.0, 0.0, 0.0, 0.0)
         self._seen: Observation | None = None
         self._looks: list[_Look] = []
@@ -123,8 +130,7 @@ class Anchored:
         odom = _through(self._T_map_odom.inverse, goal)
         arrival = self._robot.go_to(Setpoint(odom.x, odom.y, odom.yaw, altitude))
         self._look()
-        sigma = math.sqrt(float(np.linalg.eigvalsh(self._covariance[:2, :2])[-1]))
-        return replace(arrival, pose=_through(self._T_map_odom, arrival.pose), sigma=sigma)
+        return replace(arrival, pose=_through(self._T_map_odom, arrival.pose), sigma=self.sigma)
 
     @property
     def T_map_odom(self) -> SE3:
@@ -133,8 +139,25 @@ class Anchored:
 
     @property
     def covariance(self) -> Float64Array:
-        """(3, 3) of x, y and yaw in the map: metres and radians."""
+        """(3, 3) m and rad of x, y and yaw, by which matches are weighed: as if the map were exact."""
         return self._covariance.copy()
+
+    @property
+    def sigma(self) -> float:
+        """Metres by which the position may err in the world, along its less certain axis.
+
+        Unlike the filter it takes the frames that were matched for as wrong as they were when they were
+        taken, in the same direction each time: so the error goes towards theirs as far as the pose does, and
+        not below. A wrong heading or scale from the launch on, which no match shows, comes on top.
+        """
+        spread = self._account[:2, :2].copy()
+        if self._looks:
+            launch, here = self._looks[0].place, self._looks[-1].place
+            off = np.array([here.x - launch.x, here.y - launch.y])
+            across = np.array([-off[1], off[0]])
+            spread += self._anchoring.scale**2 * np.outer(off, off)
+            spread += self._anchoring.launch_heading**2 * np.outer(across, across)
+        return math.sqrt(float(np.linalg.eigvalsh(spread)[-1]))
 
     def _look(self) -> Observation:
         seen = self._robot.observe()
@@ -144,7 +167,8 @@ class Anchored:
         step = self._correction(points, here)
         self._turn_and_shift(here, step)
         there = SE2(here.x + step.x, here.y + step.y, here.yaw + step.yaw)
-        self._looks.append(_Look(moved(points, (here.x, here.y), step), there, self._way))
+        shown = moved(points, (here.x, here.y), step)
+        self._looks.append(_Look(shown, there, self._way, self._account))
         self._seen = seen
         return seen
 
@@ -159,7 +183,9 @@ class Anchored:
         self._way = last.way + length
         by = np.array([[1.0, 0.0, -north], [0.0, 1.0, east], [0.0, 0.0, 0.0]])
         drift = anchoring.drift**2 * length
-        self._covariance = by @ self._covariance @ by.T + np.diag([drift, drift, anchoring.heading**2])
+        gained = np.diag([drift, drift, anchoring.heading**2])
+        self._covariance = by @ self._covariance @ by.T + gained
+        self._account = by @ self._account @ by.T + gained
         self._turn_and_shift(here, SE2(0.0, 0.0, -self._T_map_odom.yaw))
         return SE2(here.x, here.y, odom.yaw)
 
@@ -171,7 +197,9 @@ class Anchored:
     def _correction(self, points: Float64Array, here: SE2) -> SE2:
         """What to add to the pose; zeros where nothing is believed."""
         self.alignment = None
-        found = self._anchoring.matching.align(points, (here.x, here.y), self._of_long_ago(here))
+        old = self._of_long_ago(here)
+        ground = np.concatenate([look.points for look in old]) if old else np.empty((0, 4))
+        found = self._anchoring.matching.align(points, (here.x, here.y), ground)
         if found is None:
             return SE2(0.0, 0.0, 0.0)
         offset, information = np.array([found.offset.x, found.offset.y, found.offset.yaw]), found.information
@@ -182,17 +210,27 @@ class Anchored:
             return SE2(0.0, 0.0, 0.0)
         self.alignment = found
         self._covariance = 0.5 * (after + after.T)
-        return SE2(*(after @ information @ offset).tolist())
+        gain = after @ information
+        theirs = np.mean([look.account for look in old], axis=0)
+        # Errors of one direction add by their size; that of the match itself, K R Kᵀ, by its square.
+        both = (np.eye(3) - gain) @ _root(self._account) + gain @ _root(theirs)
+        self._account = both @ both.T + gain @ after
+        return SE2(*(gain @ offset).tolist())
 
-    def _of_long_ago(self, here: SE2) -> Float64Array:
-        """Ground points of the frames that may correct one that is taken here."""
+    def _of_long_ago(self, here: SE2) -> list[_Look]:
+        """Frames that may correct one that is taken here."""
         near = 2.0 * self._protocol.reach + self._anchoring.matching.window
-        old: Sequence[Float64Array] = [
-            look.points
+        return [
+            look
             for look in self._looks
             if self._way - look.way >= self._anchoring.age and look.place.distance(here) <= near
         ]
-        return np.concatenate(old) if old else np.empty((0, 4))
+
+
+def _root(covariance: Float64Array) -> Float64Array:
+    """The symmetric root."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
 
 def _through(T: SE3, pose: SE2) -> SE2:
