@@ -67,11 +67,15 @@ STATION = 60.0
 FLOW = 0.2
 """m/s of the current against which it keeps its station."""
 BEARINGS = tuple(math.radians(45.0 * k) for k in range(8))
-DRAGS = (1.0, 0.4, 0.15)
-"""Factors on the published drag, all over what `Spread` draws."""
 VEHICLES = {"Heavy": BLUEROV2_HEAVY, "six thrusters": BLUEROV2}
 TRUTH, BELIEF = slice(1, 5), slice(5, 9)
 """Columns of a track: x, y, z and yaw, true and estimated. The first is the time."""
+
+
+def drags(vehicle: Vehicle) -> tuple[float, float, float]:
+    """Factors on the published drag, all over what may be drawn: greatest, middle and least."""
+    least, most = vehicle.damping
+    return most, round(math.sqrt(least * most), 2), least
 
 
 def dragging(factor: float) -> Spread:
@@ -264,7 +268,7 @@ def stations(repeats: int) -> None:
     print("| vehicle | drag | " + " | ".join((*heads, "no disturbance", "PD as a force")) + " |")
     print("|---|" + "--:|" * 8)
     deaf = Autopilot(disturbance=0.0, yaw_disturbance=0.0)
-    cases = [(name, factor) for name in VEHICLES for factor in DRAGS]
+    cases = [(name, factor) for name, vehicle in VEHICLES.items() for factor in drags(vehicle)]
     spot = np.array([0.0, 0.0, DEEP])
     for name, factor in track(cases, description="on station", transient=True, console=BAR):
         vehicle = VEHICLES[name]
@@ -361,7 +365,6 @@ MOVES = (
 SWIMMERS = {
     "Heavy": Motion(),
     "six thrusters": Motion(vehicle=BLUEROV2),
-    "six thrusters at 0.25 m/s": Motion(vehicle=BLUEROV2, autopilot=Autopilot(speed=0.25)),
 }
 SETTLE = 15.0
 """Seconds that a move is watched for."""
@@ -403,7 +406,7 @@ def moves(repeats: int) -> None:
         def ways(vehicle: Vehicle, **options: Any) -> list[Array]:
             return [
                 by_truth(move.goal, SETTLE, vehicle=vehicle, factor=factor, **options)[0][:, TRUTH]  # noqa: B023
-                for factor in DRAGS
+                for factor in drags(vehicle)
             ]
 
         add("reference", move, [by_truth(move.goal, SETTLE, vehicle=BLUEROV2_HEAVY)[1]])
@@ -411,10 +414,12 @@ def moves(repeats: int) -> None:
         add("six thrusters", move, ways(BLUEROV2))
         add("Heavy, commands at 50 Hz", move, ways(BLUEROV2_HEAVY, every=2))
         add("Heavy, drag not learnt", move, ways(BLUEROV2_HEAVY, autopilot=fixed))
-        pd = [by_pd(move.goal, SETTLE, factor=factor)[:, TRUTH] for factor in DRAGS]
+        pd = [by_pd(move.goal, SETTLE, factor=factor)[:, TRUTH] for factor in drags(BLUEROV2_HEAVY)]
         add("Heavy, the paper's PD as a force", move, [np.repeat(way, 2, axis=0) for way in pd])
         for name, pilot in (("Heavy in the current", Autopilot()), ("so, drag not learnt", fixed)):
-            waited = [after_waiting(move, factor, b, pilot) for factor in DRAGS for b in BEARINGS]
+            waited = [
+                after_waiting(move, factor, b, pilot) for factor in drags(BLUEROV2_HEAVY) for b in BEARINGS
+            ]
             add(name, move, waited)
         for name, motion in SWIMMERS.items():
             true, believed = [], []
@@ -525,7 +530,6 @@ def drifts(count: int) -> None:
             replace(performance, compass=EXACT_COMPASS),
         ),
         ("DVL A50, six thrusters", LAWNMOWER, SWIMMERS["six thrusters"]),
-        ("DVL A50, six thrusters at 0.25 m/s", LAWNMOWER, SWIMMERS["six thrusters at 0.25 m/s"]),
         ("DVL A50, straight", STRAIGHT, Motion()),
         ("DVL A50 performance, straight", STRAIGHT, performance),
     ]  # fmt: skip

@@ -286,8 +286,8 @@ def test_without_a_heading_yaw_and_place_never_grow_more_certain() -> None:
     assert states[-1].yaw_sigma > 0.95 * states[0].yaw_sigma
 
 
-def test_position_covariance_is_that_of_the_position() -> None:
-    """Sampled: positions of Exp(ξ) X̂ with small ξ scatter by it."""
+def test_covariances_are_those_of_position_and_velocity() -> None:
+    """Sampled: positions and velocities of Exp(ξ) X̂ with small ξ scatter by them."""
     state = some_state(2)
     state = replace(state, covariance=1e-6 * state.covariance)
     draws = np.random.default_rng(0).multivariate_normal(np.zeros(15), state.covariance, 4000)
@@ -295,6 +295,9 @@ def test_position_covariance_is_that_of_the_position() -> None:
     headings = np.array([moved_by(state, xi).pose.yaw for xi in draws])
     expected = state.position_covariance
     np.testing.assert_allclose(np.cov(positions.T), expected, atol=0.1 * expected.max())
+    velocities = np.array([moved_by(state, xi).velocity for xi in draws])
+    expected = state.velocity_covariance
+    np.testing.assert_allclose(np.cov(velocities.T), expected, atol=0.1 * expected.max())
     assert np.std(headings) == pytest.approx(state.yaw_sigma, rel=0.06)
 
 

@@ -75,6 +75,12 @@ class InEkfState:
         return covariance
 
     @property
+    def velocity_covariance(self) -> Float64Array:
+        """(3, 3) m²/s², of the velocity over ground in the world."""
+        covariance: Float64Array = kernels.velocity_covariance(packed(self))
+        return covariance
+
+    @property
     def yaw_sigma(self) -> float:
         """Radians; NaN beyond 84° of pitch, where there is no heading."""
         return math.sqrt(kernels.yaw_variance(packed(self)))

@@ -119,12 +119,7 @@ def carried(ship: Ship, s: inekf.State, sample: Float64Array) -> inekf.State:
 @njit(cache=True, nogil=True)
 def velocity_sigma(s: inekf.State) -> float:
     """m/s of the least certain axis over ground."""
-    J = np.zeros((3, 15))
-    J[0, 1], J[0, 2] = s.velocity[2], -s.velocity[1]
-    J[1, 0], J[1, 2] = -s.velocity[2], s.velocity[0]
-    J[2, 0], J[2, 1] = s.velocity[1], -s.velocity[0]
-    J[0, 3] = J[1, 4] = J[2, 5] = 1.0
-    spread = np.dot(J, np.dot(s.covariance, J.T))
+    spread = inekf.velocity_covariance(s)
     return math.sqrt(max(spread[0, 0], spread[1, 1], spread[2, 2]))
 
 

@@ -213,8 +213,4 @@ def error(
 def yaw_variance(s: State) -> float:
     """Of the heading; NaN where the pitch is too steep for one."""
     _, H, _ = heading_rows(s, 0.0, 0.0)
-    total = 0.0
-    for i in range(3):
-        for j in range(3):
-            total += H[0, i] * s.covariance[i, j] * H[0, j]
-    return total
+    return float(kalman.spread(s.covariance, H)[0, 0])

@@ -297,15 +297,20 @@ def position_covariance(s: State) -> Float64Array:
     J = np.zeros((3, 15))
     J[:, :3] = -skew(s.position)
     J[0, 6] = J[1, 7] = J[2, 8] = 1.0
-    return mul(J, mul(s.covariance, J.T))
+    return kalman.spread(s.covariance, J)
+
+
+@njit(cache=True, nogil=True)
+def velocity_covariance(s: State) -> Float64Array:
+    """(3, 3) J P Jᵀ with J = [−v^×, I, 0, 0, 0]."""
+    J = np.zeros((3, 15))
+    J[:, :3] = -skew(s.velocity)
+    J[0, 3] = J[1, 4] = J[2, 5] = 1.0
+    return kalman.spread(s.covariance, J)
 
 
 @njit(cache=True, nogil=True)
 def yaw_variance(s: State) -> float:
     """Of the heading; NaN where the pitch is too steep for one."""
     _, H, _ = heading_rows(s, 0.0, 0.0)
-    total = 0.0
-    for i in range(3):
-        for j in range(3):
-            total += H[0, i] * s.covariance[i, j] * H[0, j]
-    return total
+    return float(kalman.spread(s.covariance, H)[0, 0])

@@ -8,6 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from dream.estimation._kernels.groups import mul
+
 Float64Array = npt.NDArray[np.float64]
 
 REFUSED, TAKEN, INSISTED, UNSOUND = 0, 1, 2, 3
@@ -163,6 +165,12 @@ def _inverse(S: Float64Array) -> tuple[Float64Array, bool]:
             for k in range(max(i, j), m):
                 out[i, j] += below[k, i] * below[k, j]
     return out, True
+
+
+@njit(cache=True, nogil=True)
+def spread(P: Float64Array, J: Float64Array) -> Float64Array:
+    """(m, m) J P Jᵀ: the covariance of what depends on an error by J (m, n)."""
+    return mul(J, mul(P, J.T))
 
 
 @njit(cache=True, nogil=True)
