@@ -282,11 +282,8 @@ def fly(
         if not swim(ship, voyage, before, rng):
             return s, at_ping, BROKEN, beat
         now = clock[TIME]
-        if beat % CHECKED == 0:
-            clock[CLEARANCE] = min(clock[CLEARANCE], clearance(ship, x))
         struck = voyage.contact[0] > touched
-        if struck:
-            clock[CLEARANCE] = min(clock[CLEARANCE], 0.0)
+        clock[CLEARANCE] = min(clock[CLEARANCE], 0.0 if struck else clearance(ship, x))
         # ------------------------------------------------------------------------------ what is felt
         feel(ship, voyage, before, rng)
         sent = int(clock[SENT])
