@@ -102,11 +102,17 @@ class SurveyProtocol:
         if self.cap < 1:
             raise ValueError(f"cap: expected at least 1, got {self.cap}")
         if self.traversal is not None:
-            # A camera narrower than a heading step would leave ground that no pose passes in front of it.
+            # A narrower camera would leave ground that no heading brings in front of the vehicle.
             if self.camera.horizontal_fov < 2.0 * self.heading_step:
                 fov, step = math.degrees(self.camera.horizontal_fov), math.degrees(self.heading_step)
                 raise ValueError(
-                    f"camera: expected a view of two heading steps, {2.0 * step:g}°, for a traversal, got {fov:g}°"
+                    f"camera: expected two heading steps of {step:g}° in view for a traversal, got {fov:g}°"
+                )
+            cells = self.lattice / self.cell
+            if abs(cells - round(cells)) > 1e-9 or round(cells) < 1:
+                raise ValueError(
+                    f"lattice: expected a whole number of {self.cell} m cells for a traversal, "
+                    f"got {self.lattice} m"
                 )
             if not self.cell < self.traversal <= self.reach:
                 raise ValueError(

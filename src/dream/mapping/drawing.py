@@ -28,7 +28,7 @@ UNKNOWN: Color = (255, 255, 255)
 EXPLORED: Color = (127, 127, 127)
 TARGET: Color = (0, 200, 0)
 TRAVERSED: Color = (0, 165, 110)
-"""A target that was traversed, where the protocol asks for that; of all other colours nearest to a target's."""
+"""A target that was traversed, where the protocol asks for that: a bluish green, nearest to a target's."""
 SOLID: Color = (0, 0, 0)
 SOLID_TARGET: Color = (0, 95, 0)
 """A wreck's wall: target, and yet not to be run into."""
@@ -84,8 +84,8 @@ def draw_map(
     Cells keep their exact colours, save under the thin lines: unknown white, explored grey, target green,
     solid black, solid target dark green; the vehicle, its field of view out to the reach, and where it came
     from in blue; marks in yellow, with a thin line along the way there. A thin line in magenta is around the
-    area that has to be seen, where that is not everything; only then it is in the legend, too. Under a protocol
-    that asks for targets to be traversed, those that were are bluish green.
+    area that has to be seen, where that is not everything; only then it is in the legend, too. Where the
+    protocol asks for targets to be traversed, those that were are bluish green.
 
     Args:
         occupancy: What is known; only read.

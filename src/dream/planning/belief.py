@@ -265,20 +265,20 @@ class BeliefPilot:
         if enclosed and looked_over and expected.risk <= self.planner.risk:
             return replace(thought, why="Every region is enclosed and little can have been missed: done.")
         # 4 Next target: what was found is traversed first, where the protocol asks for that ...
-        walk = self._walk(thought, travel, moves, occupancy)
+        visits = self._visits(travel.start, occupancy)
+        walk = self._walk(thought, travel, moves, visits, occupancy)
         if walk is not None:
             return walk
         # ... and then what shows most soonest, with the tour over what is left.
         prospect = self.prospect(thought, occupancy)
         plan = self.look_ahead.plan(prospect, travel, moves, self.outlook.known_tiles(occupancy))
-        visits = self._visits(travel.start, occupancy)
         if plan is not None and visits >= MOST_VISITS:
             self._give_up(plan, occupancy)
             plan = None
         if plan is not None:
             return replace(thought, plan=plan)
         near_solids = travel_from(pose, occupancy)
-        walk = self._walk(thought, near_solids, near_solids.free, occupancy)
+        walk = self._walk(thought, near_solids, near_solids.free, visits, occupancy)
         if walk is not None:
             return walk
         travel, plan = self._leftover(completion, expected, pose, occupancy)
@@ -288,7 +288,12 @@ class BeliefPilot:
         return replace(thought, travel=travel, plan=plan, why=why)
 
     def _walk(
-        self, thought: Thought, travel: Travel, moves: npt.NDArray[np.uint8], occupancy: OccupancyMap
+        self,
+        thought: Thought,
+        travel: Travel,
+        moves: npt.NDArray[np.uint8],
+        visits: int,
+        occupancy: OccupancyMap,
     ) -> Thought | None:
         """With the way to traverse what is left; None where no way leads to any of it."""
         if self.walk is None:
@@ -297,7 +302,6 @@ class BeliefPilot:
 
         # Beyond what completion asks for: what no known way leads to may come in reach on the way.
         left = np.argwhere(to_traverse(occupancy) & ~self.passed_in_vain)
-        visits = self._visits(travel.start, occupancy)
         if visits > 1:
             moves = travel.free  # What is unknown stays so from here.
         while True:
@@ -432,7 +436,7 @@ class BeliefPilot:
             ground[expected.away_from_hull <= ADJOINING] *= BENEATH
             search *= planner.alone
         if self.walk is not None:
-            # What lies beside targets comes into view where they are traversed: only what keeps it open counts.
+            # What lies beside targets comes into view where they are traversed; what keeps it open counts.
             is_open = np.zeros_like(todo)
             is_open[tuple(completion.open_cells.T)] = True
             ground[~is_open] = 0.0

@@ -21,7 +21,7 @@ WIDTH = 48
 HORIZON = 80
 """Steps of a walk at most."""
 CROWD = 0.5
-"""A cell weighs as much as so many-th root of the cells around it: what stands alone costs a way of its own."""
+"""A cell weighs one over this power of the cells around it: what stands alone costs a way of its own."""
 AROUND = 0.5
 """How far around, in traversals; and the side of a part."""
 MOVE = 0.2
@@ -32,14 +32,15 @@ MOVE = 0.2
 class Walk:
     """The way to traverse all that is left, kept from step to step.
 
-    What it does: a beam search over the real actions, until a sequence has traversed all cells that known ways
-    lead to. What a sequence leaves is judged by its weight and by the moves along the shortest tree over it. The
-    rest of the last walk is gone on with while no shorter one is found and nothing new came up, so that it
+    What it does: a beam search over the real actions, until a sequence has traversed all cells that some way
+    leads to. What a sequence leaves is judged by its weight and by the moves along the shortest tree over it.
+    The rest of the last walk is gone on with while none is found that leaves less or is shorter, so that it
     never turns back and forth between two that are equal.
 
     Reference: beam search; the tree bounds a tour over what is left from below, as for a travelling salesman.
 
-    Assumes: nodes a whole number of cells apart.
+    Assumes: nothing hides what is traversed, and what is in reach of two nodes is in reach between them.
+    Fails when: the cells lie farther apart than `HORIZON` steps; then only the walk to the first is good.
     """
 
     mission: Mission

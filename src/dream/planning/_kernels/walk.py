@@ -144,8 +144,8 @@ def walk(
 ):
     """A short walk that traverses all cells of any weight, or most of them.
 
-    Level by level those sequences of actions are kept that leave least: in weight, and in moves to the nearest
-    part that is left and along the shortest tree over these parts.
+    Level by level those sequences of actions are kept that leave least: in weight, and in moves to the
+    nearest part that is left and along the shortest tree over these parts.
 
     Args:
         weights: (all,) float64 by cell; what is around the map has none.
