@@ -32,7 +32,9 @@ def by_bearing(east: float, north: float, yaw: float, protocol: SurveyProtocol) 
 def test_it_agrees_with_bearings_away_from_the_edges(
     east: float, north: float, yaw: float, protocol: SurveyProtocol
 ) -> None:
-    around = [by_bearing(east + dx, north + dy, yaw, protocol) for dx in (-1e-9, 1e-9) for dy in (-1e-9, 1e-9)]
+    around = [
+        by_bearing(east + dx, north + dy, yaw, protocol) for dx in (-1e-9, 1e-9) for dy in (-1e-9, 1e-9)
+    ]
     if len(set(around)) == 1:
         assert traversed(np.array([east]), np.array([north]), yaw, protocol).tolist() == [around[0]]
 

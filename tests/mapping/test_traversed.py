@@ -12,7 +12,7 @@ from dream.geometry import SE2, SE3, Bounds
 from dream.mapping import OccupancyMap, check_completion, to_traverse, traversal_margin
 from dream.mapping._kernels import flags
 from dream.mapping.drawing import TARGET, TRAVERSED, draw_map
-from dream.protocol import DREAM_V1, POOL_V1
+from dream.protocol import DREAM_V1, POOL_V1, SurveyProtocol
 from dream.sim.visibility import traversed as scored
 from dream.types import BoolArray
 from tests.mapping import analytic
@@ -58,7 +58,9 @@ def by_the_score(occupancy: OccupancyMap, poses: list[SE2]) -> BoolArray:
 
 def test_the_layer_is_the_measure_of_the_score_on_the_middles_of_cells() -> None:
     generator = np.random.default_rng(3)
-    poses = [SE2(*generator.uniform(-1.8, 1.8, 2).tolist(), float(generator.uniform(-3, 3))) for _ in range(9)]
+    poses = [
+        SE2(*generator.uniform(-1.8, 1.8, 2).tolist(), float(generator.uniform(-3, 3))) for _ in range(9)
+    ]
     occupancy = tank()
     before = np.zeros(occupancy.shape, np.bool_)
     for pose in poses:
@@ -95,7 +97,7 @@ def test_a_copy_and_a_file_keep_it(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("protocol", [DREAM_V1, POOL_V1])
 def test_a_file_has_it_where_its_protocol_asks_for_it_and_only_there(
-    tmp_path: Path, protocol: object
+    tmp_path: Path, protocol: SurveyProtocol
 ) -> None:
     (analytic.empty_map() if protocol is DREAM_V1 else tank()).save(tmp_path / "map.npz")
     with np.load(tmp_path / "map.npz") as file:
