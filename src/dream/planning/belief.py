@@ -230,7 +230,9 @@ class BeliefPilot:
             # It stood still, so that there was no new look; what was given up is worth one more.
             self.patience += 1
             np.minimum(self.vain.count, self.patience + 1, out=self.vain.count)
-            self.passed_in_vain[:] = False
+            if self.passed_in_vain.any():
+                self.passed_in_vain[:] = False
+                self.visits.clear()
         else:
             # What it had foretold, with the solids that it knew of then, counts as looked at too.
             self.vain.note(pose, occupancy, self.outlook.shown(here)[0] if self.news else None)
