@@ -15,7 +15,7 @@ import pytest
 from dream.evaluation.metrics import Scorer
 from dream.evaluation.runner import simulate
 from dream.planning import PLANNERS
-from dream.protocol import DREAM_V1
+from dream.protocol import protocol_named
 from dream.sim.worlds import make_world
 
 FOLDER = Path(__file__).parent
@@ -26,14 +26,16 @@ MISSIONS = [
     ("sixsteps", "reef/string", 1),
     ("sixsteps", "wreck/5", 1),
     ("lawnmower", "reef/K", 1),
+    ("belief", "pool/arc", 1),
 ]
 
 
 def mission(planner: str, name: str, seed: int) -> dict[str, Any]:
     """Path, coverage and map of thirty steps."""
     world = make_world(name, seed)
-    scorer, path = Scorer(world, DREAM_V1), []
-    for step in simulate(world, PLANNERS[planner], DREAM_V1, max_steps=STEPS):
+    protocol = protocol_named(world.protocol)
+    scorer, path = Scorer(world, protocol), []
+    for step in simulate(world, PLANNERS[planner], protocol, max_steps=STEPS):
         coverage = scorer.add(step)
         pose = step.observation.pose
         path.append([pose.x, pose.y, round(math.degrees(pose.yaw))])
