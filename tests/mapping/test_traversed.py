@@ -39,7 +39,8 @@ def tank(target: BoolArray | None = None, *, explored: BoolArray | None = None) 
     return occupancy
 
 
-def cells(*boxes: tuple[slice, slice]) -> BoolArray:
+def cells(*boxes: tuple[int | slice, int | slice]) -> BoolArray:
+    """(rows, cols) true in boxes of rows and columns."""
     marked = np.zeros((SIDE, SIDE), np.bool_)
     for box in boxes:
         marked[box] = True
@@ -58,9 +59,8 @@ def by_the_score(occupancy: OccupancyMap, poses: list[SE2]) -> BoolArray:
 
 def test_the_layer_is_the_measure_of_the_score_on_the_middles_of_cells() -> None:
     generator = np.random.default_rng(3)
-    poses = [
-        SE2(*generator.uniform(-1.8, 1.8, 2).tolist(), float(generator.uniform(-3, 3))) for _ in range(9)
-    ]
+    places = generator.uniform((-1.8, -1.8, -3.0), (1.8, 1.8, 3.0), (9, 3)).tolist()
+    poses = [SE2(x, y, yaw) for x, y, yaw in places]
     occupancy = tank()
     before = np.zeros(occupancy.shape, np.bool_)
     for pose in poses:
