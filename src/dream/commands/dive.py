@@ -277,6 +277,8 @@ class _Ready:
     start: SE2
     folder: Path
     tank: _Tank | None
+    last: Step | None = None
+    """The last one that was made."""
 
     def listen(self) -> list[Finding]:
         """The pre-dive list; the camera is pointed before, since its pictures are part of it."""
@@ -322,7 +324,8 @@ class _Ready:
         stopped: BaseException | None = None
         bridge.start()
         try:
-            with console(f"{name} · {self.folder.name}", lambda: self._readings(bridge), operator):
+            title = f"{name} · {self.folder.name}"
+            with console(title, lambda: self._readings(bridge), operator) as shown:
                 vehicle.go_to(Setpoint(self.start.x, self.start.y, self.start.yaw, protocol.altitude))
                 occupancy = OccupancyMap(self.limits.area, protocol)
                 steps = explore(
@@ -332,7 +335,8 @@ class _Ready:
                     self._logged(steps), self.folder, annotate=lambda step: self._annotated(step, logbook)
                 )
                 with contextlib.closing(recorded):
-                    for _ in with_progress(recorded, name, told.max_steps or protocol.cap):
+                    total = told.max_steps or protocol.cap
+                    for _ in recorded if shown else with_progress(recorded, name, total):
                         pass
         except (KeyboardInterrupt, MissionAborted, NotReady, OSError) as error:
             stopped = error
@@ -390,7 +394,7 @@ class _Ready:
     def _logged(self, steps: Iterator[Step]) -> Iterator[Step]:
         """Tell the log of each decision."""
         for step in steps:
-            decision = step.decision
+            self.last, decision = step, step.decision
             told = {
                 "step": step.index,
                 "turn": decision.turn,
@@ -437,6 +441,7 @@ class _Ready:
                 f"{standing.stance}: {standing.reason}" if standing.reason else str(standing.stance),
                 not standing.reason,
             ),
+            Reading("step", "none yet" if self.last is None else self._step_line(self.last)),
             Reading("vehicle", f"{said.mode}, {'armed' if said.armed else 'disarmed'}", said.armed),
             Reading("is at", f"{here} ± {fix.position_sigma:.2f} m"),
             Reading("goes to", there),
@@ -445,6 +450,10 @@ class _Ready:
             Reading("ages", ages, max(fix.imu_age, fix.dvl_age - 0.8, devices.camera.age - 0.8) < 0.2),
             Reading("log", devices.log.problem or f"{devices.log.written} messages", not devices.log.problem),
         ]
+
+    def _step_line(self, step: Step) -> str:
+        total = self.told.max_steps or self.protocol.cap
+        return f"{step.index} of {total} at most. {step.decision.reasoning.action}"
 
     def _config(self, name: str) -> dict[str, Any]:
         """`config.json`: what the dive was begun with."""

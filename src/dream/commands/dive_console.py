@@ -73,10 +73,11 @@ class Operator:
 
 
 @contextlib.contextmanager
-def console(title: str, read: Callable[[], list[Reading]], operator: Operator) -> Iterator[None]:
+def console(title: str, read: Callable[[], list[Reading]], operator: Operator) -> Iterator[bool]:
     """Show the dive on standard error, and read keys, while the block lasts.
 
-    Without a terminal nothing is shown, and there is no operator: nobody calls `alive`.
+    Without a terminal nothing is shown, and there is no operator: nobody calls `alive`. Yields whether there
+    is one.
 
     Args:
         title: Above all.
@@ -84,7 +85,7 @@ def console(title: str, read: Callable[[], list[Reading]], operator: Operator) -
         operator: Who is told of keys.
     """
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        yield
+        yield False
         return
     over = threading.Event()
     # The terminal is given back as it was, whatever happens.
@@ -99,7 +100,7 @@ def console(title: str, read: Callable[[], list[Reading]], operator: Operator) -
     try:
         tty.setcbreak(keyboard)
         watching.start()
-        yield
+        yield True
     finally:
         over.set()
         watching.join(timeout=1.0)

@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable
 from types import TracebackType
 
+import numpy as np
+
 from dream.geometry import SE2, SE3, camera_mount
 from dream.protocol import SurveyProtocol
 from dream.robots.bluerov2.standin.a50 import A50
@@ -21,6 +23,8 @@ LOG = logging.getLogger(__name__)
 
 MOST_BEHIND = 1.0
 """Seconds of lag that are caught up; what goes beyond is dropped, and the dive is that much slower."""
+REHEARSED = 20
+"""Beats before it starts."""
 AT_ONCE = 20
 """Beats that are caught up before the lock is free for others again."""
 
@@ -71,6 +75,7 @@ class StandIn:
             firmware: Release of ArduSub.
             booted: Seconds that ArduSub has run when the dive begins.
         """
+        self._world, self._protocol, self._conditions = world, protocol, conditions
         self.tank = Tank(world, protocol, seed=seed, conditions=conditions, start=start)
         self.wire = Wire(ground, host=host, seed=seed)
         self.ardusub = ArduSub(
@@ -135,6 +140,7 @@ class StandIn:
         """Let a thread beat with real time."""
         if self._thread is not None:
             raise RuntimeError("stand-in: expected to be started once")
+        self._rehearse()
         self.beat()
         self._thread = threading.Thread(target=self._run, name="stand-in", daemon=True)
         self._thread.start()
@@ -154,6 +160,14 @@ class StandIn:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _rehearse(self) -> None:
+        """Swim in a tank of its own: what is compiled now does not keep the real one waiting."""
+        tank = Tank(self._world, self._protocol, conditions=self._conditions)
+        tank.release()
+        for _ in range(REHEARSED):
+            tank.advance(np.zeros(len(self.ardusub.commands)))
+        tank.ping()
 
     def _run(self) -> None:
         try:
