@@ -48,5 +48,22 @@ def test_what_keeps_a_margin_is_traversed_by_a_vehicle_that_is_so_far_off(
         assert traversed(np.array([east + off[0]]), np.array([north + off[1]]), yaw, LOPSIDED)[0]
 
 
+def test_a_margin_is_kept_from_every_edge() -> None:
+    camera = LOPSIDED.camera
+    left, right = math.atan2(camera.cx, camera.fx), -math.atan2(camera.width - camera.cx, camera.fx)
+    body = LOPSIDED.body_radius
+    for point, inwards in (
+        (0.5 * np.array([math.cos(left), math.sin(left)]), left - 0.5 * math.pi),
+        (0.5 * np.array([math.cos(right), math.sin(right)]), right + 0.5 * math.pi),
+        (np.array([NEAR, 0.0]), math.pi),
+        (np.array([-body, 0.0]), 0.0),
+    ):
+        for away, kept in ((0.019, False), (0.021, True)):
+            east, north = point + away * np.array([math.cos(inwards), math.sin(inwards)])
+            at = np.array([east]), np.array([north])
+            assert traversed(*at, 0.0, LOPSIDED, margin=0.02)[0] == kept
+            assert traversed(*at, 0.0, LOPSIDED)[0]
+
+
 def test_nothing_is_traversed_where_no_traversal_is_asked_for() -> None:
     assert not traversed(np.zeros(3), np.zeros(3), 0.0, DREAM_V1).any()

@@ -17,7 +17,7 @@ from dream.geometry import SE2
 from dream.mapping import OccupancyMap, traversal_margin
 from dream.planning._kernels import walk as kernels
 from dream.planning._kernels.lookahead import FREE, UNKNOWN
-from dream.planning.travel import Pose, Travel, careful_travel, offsets_of, travel_from
+from dream.planning.travel import Pose, Travel, careful_travel, offsets_of
 from dream.planning.walk import HORIZON, Walk
 from dream.protocol import POOL_V1
 from dream.traversal import traversed
@@ -120,19 +120,16 @@ def test_no_walk_leads_to_what_is_out_of_reach() -> None:
 
 
 def test_the_first_move_is_known_to_be_free_and_later_ones_need_not_be() -> None:
-    explored = np.ones((SIDE, SIDE), np.bool_)
-    explored[:, 44:46] = False
     target = cells(np.s_[30, 52])
-    occupancy = tank(target, explored=explored)
-    travel = travel_from(START, occupancy)
-    assert not travel.free[travel.start[0], travel.start[1] + 6, 0].any()
-    assert len(Walk(MISSION).plan(np.argwhere(target), travel, travel.free)) == 1
-    moves = np.where(travel.free, FREE, UNKNOWN).astype(np.uint8)
-    moves[:, :2] = moves[:, -2:] = moves[:2] = moves[-2:] = 0
-    path = Walk(MISSION).plan(np.argwhere(target), travel, _inside(moves))
-    assert len(path) > 1
-    _, advance = travel.move(path[0], path[1])
-    assert travel.free[(*path[0][:2], path[1][2], POOL_V1.advances.index(advance))]
+    travel = careful_travel(START, tank(target))
+    unknown = np.where(travel.free, UNKNOWN, 0).astype(np.uint8)
+    path = Walk(MISSION).plan(np.argwhere(target), travel, unknown)
+    assert path[1][:2] == path[0][:2], "it can only turn"
+    assert path[-1][:2] != path[0][:2], "and then goes on"
+    known = unknown.copy()
+    known[travel.start[:2]] = np.minimum(unknown[travel.start[:2]], FREE)
+    ahead = Walk(MISSION).plan(np.argwhere(target), travel, known)
+    assert len(ahead) == len(path) - 1
 
 
 def _inside(moves: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
