@@ -51,6 +51,10 @@ STILL = 4.0
 """Seconds that the sensors are listened to before the dive, with the vehicle lying still."""
 HEARTBEAT = 30.0
 """Seconds that the first heartbeat of the vehicle may take."""
+LEAVING = 120.0
+"""Seconds that the way to the surface may take."""
+SHALLOW = 0.4
+"""Metres of depth at which a vehicle that surfaces is there: its gauge sits below its top."""
 REHEARSED = 12
 """Steps of a simulated mission before the dive."""
 FIRST_FRAME = 15.0
@@ -77,6 +81,8 @@ class Dive:
     """OpenCV's YAML of the camera, with `calibrated_in`; needed, but with --stand-in and --check."""
     tilt: float = 20.0
     """Degrees that the camera looks down."""
+    lights: float | None = None
+    """Brightness, 0 to 1; left as they are unless given."""
     labels: Path | None = None
     """ONNX file that labels pictures; light shells on a dark floor are found without one."""
     depth: Path | None = None
@@ -100,7 +106,7 @@ class Dive:
     min_voltage: float = 14.0
     """Volts of the battery, at least."""
     last_resort: Literal["hold", "surface", "disarm"] = "surface"
-    """What is done with a vehicle that must not go on."""
+    """What is done with the vehicle in the end, and when it must not go on."""
     water: Literal["fresh", "sea"] = "fresh"
     """For its density."""
     surface_pressure: float | None = None
@@ -282,16 +288,27 @@ class _Ready:
 
     def listen(self) -> list[Finding]:
         """The pre-dive list; the camera is pointed before, since its pictures are part of it."""
-        from dream.robots.bluerov2.mavlink import Refused
-
         link = self.devices.link
-        with contextlib.suppress(Refused, TimeoutError):
-            link.tilt_camera(-math.radians(self.told.tilt))
+        pointed = self._pointed(link)
         began = time.monotonic()
         while not self.devices.camera.connected and time.monotonic() - began < FIRST_FRAME:
             link.operator_alive()
             time.sleep(0.1)
-        return self.devices.findings(STILL, self.start, self.limits, self.folder)
+        return [pointed, *self.devices.findings(STILL, self.start, self.limits, self.folder)]
+
+    def _pointed(self, link: Link) -> Finding:
+        """Point the camera, and see where it looks, as the map depends on it; and set the lights."""
+        from dream.robots.bluerov2.check import Finding
+        from dream.robots.bluerov2.mavlink import Refused
+
+        wanted = f"a mount that looks {self.told.tilt:g}° down and says so: see MNT1_* and --tilt"
+        try:
+            if self.told.lights is not None:
+                link.set_lights(self.told.lights)
+            up = link.tilt_camera(-math.radians(self.told.tilt))
+        except (Refused, RuntimeError, TimeoutError, ValueError) as error:
+            return Finding("camera mount", ok=False, said=str(error), wanted=wanted)
+        return Finding("camera mount", ok=True, said=f"looks {-math.degrees(up):.0f}° down")
 
     def fly(self, name: str) -> int:
         """Arm, dive, explore, and leave all of it on disk."""
@@ -384,12 +401,28 @@ class _Ready:
         )
 
     def _leave(self, link: Link) -> None:
-        """The vehicle as it was found: disarmed, where DREAM armed it and the dive went well."""
+        """Bring the vehicle where the operator wants it in the end; one that is not ours stays."""
         from dream.robots.bluerov2.mavlink import Refused
 
-        if self.tank is not None:
-            with contextlib.suppress(TimeoutError, Refused, OSError):
+        if not link.engaged or link.yielding:
+            return
+        how = self.told.last_resort
+        try:
+            if how == "hold":
+                _tell("it holds its depth: take the sticks, or end with Ctrl-C", quiet=self.told.json)
+            elif how == "surface":
+                link.set_mode("SURFACE")
+                _tell("it comes to the surface", quiet=self.told.json)
+            until = self.devices.now() + (LEAVING if how == "surface" else math.inf)
+            while how != "disarm" and link.engaged and not link.yielding and self.devices.now() < until:
+                if how == "surface" and link.telemetry.depth < SHALLOW:
+                    break
+                link.operator_alive()
+                time.sleep(0.1)
+            if link.engaged and not link.yielding:
                 link.disarm()
+        except (KeyboardInterrupt, TimeoutError, Refused, OSError) as error:
+            logger.warning("the vehicle was left as it is: %s", str(error) or "interrupted")
 
     def _logged(self, steps: Iterator[Step]) -> Iterator[Step]:
         """Tell the log of each decision."""

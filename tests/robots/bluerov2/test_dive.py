@@ -1,5 +1,6 @@
 """`dream dive --stand-in`: the paper's tank trial, end to end, over the real protocols."""
 
+import importlib.util
 import json
 import socket
 from pathlib import Path
@@ -71,6 +72,8 @@ def test_no_motion_outlives_the_dive_and_none_comes_before_arming(dive: Path) ->
     armed = [t for t, m in sent if m.get_type() == "COMMAND_LONG" and m.command == 400 and m.param1 == 1.0]
     assert len(moving) > 100
     assert min(moving) > min(armed)
+    modes = [m.param2 for _, m in sent if m.get_type() == "COMMAND_LONG" and m.command == 176]
+    assert modes == [2.0, 9.0]  # ALT_HOLD, and SURFACE in the end.
     last = sticks[-1][1]
     assert (last.x, last.y, last.z, last.r) == (0, 0, 500, 0)
 
@@ -107,6 +110,22 @@ def test_a_replay_decides_as_the_dive_did(dive: Path) -> None:
 def test_without_an_area_there_is_no_dive(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command(["dive"]) == 2
     assert "--area: expected x_min y_min x_max y_max" in capsys.readouterr().err
+
+
+def test_without_a_calibration_there_is_none_either(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["dive", "--area", "-1", "-1", "1", "1"]) == 2
+    assert "--calibration: expected OpenCV's YAML" in capsys.readouterr().err
+
+
+def test_without_the_extra_it_says_what_to_install(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = importlib.util.find_spec
+    monkeypatch.setattr(
+        "importlib.util.find_spec", lambda name, *more: None if name == "pymavlink" else found(name, *more)
+    )
+    assert run_command(["dive", "--stand-in"]) == 2
+    assert 'pip install "dream-auv[rov]"' in capsys.readouterr().err
 
 
 def test_a_vehicle_that_does_not_answer_is_told_in_a_line(
