@@ -34,11 +34,14 @@ An underwater robot that finds and maps a habitat without knowing where it is.
   worlds   list the worlds
   draw     draw a world as a picture
   report   write the HTML page of a recorded run again
+  replay   a recorded run again through the loop: are its decisions the same?
+  export   a recorded dive as a data set for others
 
 `dream COMMAND --help` explains a command. To begin with: dream run --world reef/string
 """
 COMMANDS = (
     *("run", "dive", "mission", "bench", "sweep", "results", "oracle", "probe", "worlds", "draw", "report"),
+    *("replay", "export"),
 )
 
 FAILED, BAD_INPUT = 1, 2

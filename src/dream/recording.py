@@ -224,7 +224,8 @@ class RunSummary(_Recorded):
     mission_s: float | None = None
     """On the mission's clock, waiting for answers included; None in older files."""
     vlm: dict[str, Any] | None
-    success: bool
+    success: bool | None
+    """None where no truth says what there was to see."""
 
 
 def new_run_folder(root: Path, world: str, seed: int, planner: str, now: datetime) -> Path:

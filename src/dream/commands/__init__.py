@@ -2,9 +2,11 @@
 
 from dream.commands.bench import Bench
 from dream.commands.dive import Dive
+from dream.commands.export import Export
 from dream.commands.mission import Mission
 from dream.commands.oracle import Oracle
 from dream.commands.probe import Probe
+from dream.commands.replay import Replay
 from dream.commands.report import Report
 from dream.commands.results import Results
 from dream.commands.run import Run, planner_name
@@ -15,9 +17,11 @@ __all__ = [
     "Bench",
     "Dive",
     "Draw",
+    "Export",
     "Mission",
     "Oracle",
     "Probe",
+    "Replay",
     "Report",
     "Results",
     "Run",

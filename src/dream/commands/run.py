@@ -67,6 +67,9 @@ class Run:
     """What to do: a file that `dream mission` wrote; or plain words, for a planner that asks a model."""
     yes: bool = False
     """Take what a model understood of plain words as confirmed, where nobody can be asked."""
+    keep_observations: bool = False
+    """Keep all that is seen to the last bit, as a dive does: some 0.2 MB a step. `dream replay` then plays it
+    back, and `dream export` makes a data set of it."""
     json: bool = False
     """Print the summary as one JSON object and nothing else."""
     swim: Swim = field(default_factory=Swim)
@@ -78,6 +81,7 @@ class Run:
         from dream.evaluation.runner import run_config, simulate, summarize
         from dream.planning.vlm.orders import write_mission
         from dream.report import write_report
+        from dream.robots.replay import keep
 
         if self.max_steps is not None and self.max_steps < 1:
             raise ValueError(f"--max-steps: expected at least 1, got {self.max_steps}")
@@ -122,6 +126,8 @@ class Run:
             if orders is not None:
                 write_mission(folder / "mission.json", words, orders)
                 draw_orders(orders, world.bounds, protocol, folder / "mission.png")
+            if self.keep_observations:
+                steps = keep(steps, folder, protocol)
             recorded = recording.record(
                 steps, folder, annotate=lambda step: {"coverage": scorer.add(step).as_dict()}
             )

@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import math
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,8 +20,10 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, UnidentifiedImageError
 
+from dream.control import setpoint
 from dream.geometry import SE2, SE3, Camera, wrap_angle
-from dream.types import Arrival, Observation, Setpoint, UInt8Array
+from dream.protocol import SurveyProtocol
+from dream.types import Arrival, Observation, Setpoint, Step, UInt8Array
 
 if TYPE_CHECKING:
     from dream.mission import Robot
@@ -71,12 +73,7 @@ class Keeping:
             OSError: It cannot be written.
         """
         self._robot = robot
-        self._folder = folder / FOLDER
-        if any(self._folder.glob("*.npz")):
-            raise ValueError(
-                f"observations: expected a folder without any, got {self._folder}. Keep them in a new one"
-            )
-        self._folder.mkdir(exist_ok=True)
+        self._folder = _fresh(folder)
         self._moves = 0
         self._move: Move | None = None
         self._seen: Observation | None = None
@@ -96,6 +93,42 @@ class Keeping:
         self._moves += 1
         self._move, self._seen = Move(setpoint, arrival), None
         return arrival
+
+
+def keep(steps: Iterable[Step], folder: Path, protocol: SurveyProtocol) -> Iterator[Step]:
+    """Pass every step of a mission through, and keep what was seen and where it came, as `Keeping` does.
+
+    For a robot whose mission is begun before there is a folder.
+
+    Args:
+        steps: All of a mission, from its first look on.
+        folder: Of the run; `observations` is made in it.
+        protocol: That it is flown by: from the decision follows where it was sent.
+
+    Raises:
+        ValueError: There are observations in it already.
+        OSError: It cannot be written; what was kept before stays.
+    """
+    observations = _fresh(folder)
+    here: SE2 | None = None
+    for step in steps:
+        move = None
+        if here is not None:
+            move = Move(setpoint(here, step.guarded.decision, protocol), step.arrival)
+        here = step.observation.pose
+        write(observations / f"{step.index:04d}.npz", Kept(move, step.observation))
+        yield step
+
+
+def _fresh(folder: Path) -> Path:
+    """A folder for observations, in that of a run."""
+    observations = folder / FOLDER
+    if any(observations.glob("*.npz")):
+        raise ValueError(
+            f"observations: expected a folder without any, got {observations}. Keep them in a new one"
+        )
+    observations.mkdir(exist_ok=True)
+    return observations
 
 
 class Replayed:

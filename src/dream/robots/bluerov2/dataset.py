@@ -18,7 +18,7 @@ import io
 import json
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -105,7 +105,14 @@ class Exported:
     nbytes: int
 
 
-def export(run: Path, to: Path, card: Card, decisions: Iterable[Mapping[str, Any]]) -> Exported:
+def export(
+    run: Path,
+    to: Path,
+    card: Card,
+    decisions: Iterable[Mapping[str, Any]],
+    *,
+    watched: Callable[[Sequence[Path]], Iterable[Path]] = iter,
+) -> Exported:
     """Write a dive as a data set: whole, or not at all.
 
     It grows in `.partial.NAME` beside `to`. What an interruption leaves there is gone on with the next time,
@@ -116,6 +123,7 @@ def export(run: Path, to: Path, card: Card, decisions: Iterable[Mapping[str, Any
         to: The folder to make.
         card: What it is.
         decisions: Lines of `steps.jsonl` as mappings; `recording.read_steps` reads and checks them.
+        watched: Passes the files of the frames on, and may show how far it is.
 
     Raises:
         FileNotFoundError: Nothing was kept of the dive.
@@ -132,7 +140,7 @@ def export(run: Path, to: Path, card: Card, decisions: Iterable[Mapping[str, Any
     lines = _decision_lines(decisions, {file.stem for file in files}, run)
     folder = _begun(to, files)
     frames = _Frames(folder)
-    for file in files:
+    for file in watched(files):
         frames.add(file)
     _replace(folder / "poses.csv", frames.poses())
     _replace(folder / "decisions.jsonl", "".join(f"{line}\n" for line in lines).encode())

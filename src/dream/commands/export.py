@@ -1,0 +1,100 @@
+"""`dream export`: a recorded dive as a data set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import tyro
+
+from dream.commands.console import print_json, with_progress
+
+if TYPE_CHECKING:
+    from dream.recording import RunConfig
+
+
+@dataclass(frozen=True, slots=True)
+class Export:
+    """Make a data set of a recorded dive, for others to use: pictures, depth, labels, poses, decisions.
+
+    Its README.md says what is in it, in which frames and units. Broken off, the same command goes on. A
+    simulated run can be exported too, where it was flown with --keep-observations.
+    """
+
+    run: tyro.conf.Positional[Path]
+    """Folder of the run."""
+    to: Path
+    """Folder to make; it must not exist."""
+    title: str
+    """Name of the data set."""
+    what: str = ""
+    """What it shows, in a sentence or two."""
+    where: str = ""
+    """Where the dive was."""
+    sensors: str = ""
+    """Vehicle, camera, lights, DVL."""
+    labels_by: str = ""
+    """How labels and depth were made, by which model."""
+    authors: tuple[str, ...] = ()
+    """Whom to name, and how to reach them: "Ada L. <ada@example.org>"."""
+    licence: str = ""
+    """SPDX name of the licence that the owner of the data chose, such as CC-BY-4.0."""
+    json: bool = False
+    """Print one JSON object and nothing else."""
+
+    def __call__(self) -> int:
+        """Exit status 0."""
+        from dream import recording
+        from dream.robots.bluerov2.dataset import Card, export
+
+        config, steps = recording.read_config(self.run), recording.read_steps(self.run)
+        card = Card(
+            title=self.title,
+            what=" ".join(filter(None, (self.what, _simulated(config)))),
+            where=self.where,
+            sensors=self.sensors,
+            labels_by=self.labels_by,
+            began=_began(self.run),
+            authors=self.authors,
+            licence=self.licence,
+        )
+        made = export(
+            self.run,
+            self.to,
+            card,
+            (step.model_dump(mode="json") for step in steps),
+            watched=lambda files: with_progress(iter(files), f"frames of {self.title}", len(files)),
+        )
+        told = {"frames": made.frames, "decisions": made.decisions, "bytes": made.nbytes}
+        if self.json:
+            print_json({"run": str(self.run), "to": str(made.folder), **told})
+        else:
+            print(
+                f"{made.folder}: {made.frames} frames, {made.decisions} decisions, {made.nbytes / 1e6:.1f} MB"
+            )
+        return 0
+
+
+def _simulated(config: RunConfig) -> str:
+    """Said of what no camera has seen; empty of a dive in real water."""
+    dive = (config.model_extra or {}).get("dive")
+    if isinstance(dive, dict) and not dive.get("stand_in"):
+        return ""
+    return f"Simulated: world {config.world}, seed {config.seed}, protocol {config.protocol}."
+
+
+def _began(run: Path) -> datetime | None:
+    """When the clock of the dive was 0, as its log says; None where there is none."""
+    from dream.robots.bluerov2.log import NAME
+    from dream.robots.bluerov2.mcap import McapFile
+
+    if not (run / NAME).is_file():
+        return None
+    file = McapFile(run / NAME)
+    next(file.messages(), None)  # By then the metadata is known, which stands first.
+    try:
+        return datetime.fromtimestamp(int(file.metadata["dream"]["epoch_ns"]) / 1e9, UTC)
+    except (KeyError, ValueError, OverflowError, OSError):
+        return None

@@ -1,0 +1,282 @@
+"""`dream replay`: a recorded run again through the loop, and a dive's estimate again from its log."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import importlib.util
+import math
+import shlex
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import tyro
+
+from dream import __version__
+from dream.commands.console import (
+    check_writable,
+    compiling_told,
+    kept_interrupts,
+    open_world,
+    print_json,
+    with_progress,
+)
+from dream.commands.run import planner_name
+from dream.names import look_up
+from dream.planning import PLANNERS, AnyPlanner
+from dream.versions import commit
+
+if TYPE_CHECKING:
+    from dream.evaluation.again import Record
+    from dream.evaluation.metrics import Logbook
+    from dream.sim.world import World
+    from dream.types import Step
+
+ESTIMATE_SAME = 1e-6
+"""Metres between estimates that are the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """Take a recorded run through the loop again, and compare its decisions with those of then.
+
+    A dive, and a run that was flown with --keep-observations, are played back: map and planner are given what
+    was seen then. Any other run is flown again in the simulator. The same code decides the same; where it
+    does not, the first difference is told, and the exit status is 1. Another planner may be asked how it
+    would have decided in each place. Of a dive with its log, all estimators reckon the way anew.
+    """
+
+    run: tyro.conf.Positional[Path]
+    """Folder of the run; runs/latest is the newest."""
+    planner: str | None = None
+    """Ask this planner, with its default parameters; the run's own, with its own, unless given."""
+    replay_replies: Path | None = None
+    """Folder of kept replies, for a planner that asks a model; the one that it kept them in unless given."""
+    estimator: Literal["all", "none", "inekf", "ekf", "cipg", "dead-reckoning"] = "all"
+    """Which of them makes the estimate of a dive again from log.mcap."""
+    out: Path | None = None
+    """Folder to make a run folder of the replay in, with its report; nothing is written unless given."""
+    json: bool = False
+    """Print one JSON object and nothing else."""
+
+    def __call__(self) -> int:
+        """Exit status 0; 1 where the planner of then decides otherwise."""
+        from dream.evaluation.again import answering, check_world, read_record
+
+        record = read_record(self.run)
+        planner = record.planner if self.planner is None else look_up(PLANNERS, self.planner, "planner")
+        same_planner = planner == record.planner if self.planner is not None else True
+        if not (record.observed or record.dive is not None or same_planner):
+            raise ValueError(
+                f"--planner: expected a run with its observations, got one without: by {self.planner} it "
+                f"would be another mission. Say: dream run {self.planner} --world {record.world_name} "
+                f"--seed {record.config.seed}"
+            )
+        planner = answering(planner, self.replay_replies)
+        log = self._log(record)
+        if self.out is not None:
+            check_writable(self.out)
+        with compiling_told(), kept_interrupts() as check:
+            name = record.world_name
+            world = None if name is None else open_world(name, record.config.seed)
+            if world is not None:
+                check_world(record, world)
+            check()
+            told, page = self._fly(record, planner, world)
+            check()
+            told["estimates"] = None if log is None else self._reckon(record, log)
+        told = {
+            "run": str(self.run),
+            "planner": planner_name(planner),
+            "same_planner": same_planner,
+            **told,
+            "report": None if page is None else str(page),
+        }
+        if self.json:
+            print_json(told)
+        else:
+            _print(record, told)
+        return 1 if same_planner and told["agree"] < told["steps"] else 0
+
+    def _log(self, record: Record) -> Path | None:
+        """The log to make estimates from; None where there is none, or none are wanted."""
+        from dream.robots.bluerov2.log import NAME
+
+        log = record.folder / NAME
+        if self.estimator == "none" or (self.estimator == "all" and not log.is_file()):
+            return None
+        if not log.is_file():
+            raise ValueError(f"--estimator: expected a dive with its {NAME}, got {record.folder} without")
+        if importlib.util.find_spec("rosbags") is None:
+            raise ValueError(
+                'replay: expected rosbags to read the log, got none. Say: pip install "dream-auv[rov]", '
+                "or --estimator none"
+            )
+        return log
+
+    def _fly(
+        self, record: Record, planner: AnyPlanner, world: World | None
+    ) -> tuple[dict[str, Any], Path | None]:
+        """The mission again: how its decisions compare, and the page of its new run folder."""
+        from dream import recording
+        from dream.evaluation.again import difference, fly_again
+        from dream.evaluation.metrics import Logbook, Scorer
+        from dream.report import write_report
+
+        began = time.perf_counter()
+        protocol, total = record.protocol, len(record.steps) - 1
+        steps = fly_again(record, planner, world)
+        differences: dict[int, str] = {}
+        folder: Path | None = None
+        with contextlib.ExitStack() as stack:
+            if self.out is not None:
+                now = datetime.datetime.now(datetime.UTC)
+                config, name = record.config, planner_name(planner)
+                folder = recording.new_run_folder(self.out, config.world, config.seed, name, now)
+                recording.write_config(folder, _config(record, planner))
+                logbook = (
+                    Logbook(protocol) if world is None else Scorer(world, protocol, orders=record.orders)
+                )
+                recorded = recording.record(steps, folder, annotate=lambda step: _scored(step, logbook))
+                steps = stack.enter_context(contextlib.closing(recorded))
+            came = 0
+            for step in with_progress(steps, f"{planner_name(planner)} again", total):
+                came = step.index
+                if how := difference(record.steps[step.index], step):
+                    differences[step.index] = how
+        page = None
+        if folder is not None:
+            wall_s = time.perf_counter() - began
+            recording.write_summary(folder, _summary(record, planner, logbook, wall_s))
+            page = write_report(folder)
+        if came < total and not differences:
+            differences[came] = "the mission ended, then it went on"
+        first = min(differences, default=None)
+        return {
+            "from": "observations" if record.observed else "simulator",
+            "steps": total,
+            "agree": came - len(differences.keys() - {0}),
+            "first_difference": None if first is None else {"step": first, "how": differences[first]},
+        }, page
+
+    def _reckon(self, record: Record, log: Path) -> dict[str, Any]:
+        """How far the estimators are from the estimate of the dive, and from the truth where it is known."""
+        from dream.geometry import SE2
+        from dream.robots.bluerov2.estimates import Estimated, Tracks, estimates
+        from dream.robots.bluerov2.navigation import ESTIMATORS
+
+        tracks = Tracks()
+        names = ESTIMATORS if self.estimator == "all" else (self.estimator,)
+
+        def by_second(made: Iterator[Estimated]) -> Iterator[None]:
+            second = 0
+            for estimated in made:
+                tracks.add(estimated)
+                while second < int(estimated.time):
+                    second += 1
+                    yield
+
+        last = max(1, math.ceil(record.steps[-1].time))
+        for _ in with_progress(by_second(estimates(log, names)), "estimates, seconds of the dive", last):
+            pass
+        if not len(tracks):
+            raise ValueError(f"{log}: expected estimates of the dive, got none in it")
+        truth = [
+            (step.time, SE2(step.truth.x, step.truth.y, step.truth.yaw))
+            for step in record.steps
+            if step.truth is not None
+        ]
+        told: dict[str, Any] = {"flown_with": (record.dive or {}).get("estimator"), "compared": len(tracks)}
+        for name in names:
+            far = tracks.from_truth(name, truth)
+            told[name] = {
+                "from_dive": asdict(tracks.from_logged(name)),
+                "from_truth": None if far is None else asdict(far),
+            }
+        return told
+
+
+def _scored(step: Step, logbook: Logbook) -> Mapping[str, Any]:
+    from dream.evaluation.metrics import Scorer
+
+    if isinstance(logbook, Scorer):
+        return {"coverage": logbook.add(step).as_dict()}
+    logbook.note(step)
+    return {}
+
+
+def _config(record: Record, planner: AnyPlanner) -> dict[str, Any]:
+    """`config.json` of a replay: that of then, and by whom it was decided now."""
+    return {
+        **record.config.model_dump(),
+        "version": __version__,
+        "commit": commit(),
+        "planner": planner_name(planner),
+        "planner_parameters": asdict(planner),
+        "command": shlex.join(["dream", "replay", str(record.folder), "--planner", planner_name(planner)]),
+        "replay_of": str(record.folder),
+    }
+
+
+def _summary(record: Record, planner: AnyPlanner, logbook: Logbook, wall_s: float) -> dict[str, Any]:
+    return {
+        "protocol": record.protocol.name,
+        "world": record.config.world,
+        "seed": record.config.seed,
+        "world_hash": (record.config.model_extra or {}).get("world_hash", ""),
+        "planner": planner_name(planner),
+        **logbook.summary(),
+        "wall_s": round(wall_s, 3),
+    }
+
+
+def _print(record: Record, told: Mapping[str, Any]) -> None:
+    config, first = record.config, told["first_difference"]
+    how = "played back" if told["from"] == "observations" else "flown again in the simulator"
+    print(f"{config.world} {config.seed} · {told['planner']} · {config.protocol} · {how}")
+    asked = "" if told["same_planner"] else f", by {told['planner']} in the place of {config.planner}"
+    print(f"  {told['agree']} of {told['steps']} decisions agree{asked}")
+    if first is not None:
+        print(f"  the first that differs is step {first['step']}: {first['how']}")
+        if told["same_planner"]:
+            print(f"  flown by {_code(config.version, config.commit)}, now by {_code(__version__, commit())}")
+    if told["estimates"] is not None:
+        _print_estimates(told["estimates"])
+    if told["report"] is not None:
+        print(f"  report: {told['report']}")
+
+
+def _code(version: str, made_of: str | None) -> str:
+    return version if made_of is None else f"{version} ({made_of[:10]})"
+
+
+def _print_estimates(told: Mapping[str, Any]) -> None:
+    """A table: how far each estimator is from the dive's own estimate, and from the truth."""
+    rows: list[Sequence[str]] = [
+        ("estimator", "from the dive's: rms", "end", "heading", "from truth: rms", "end")
+    ]
+    for name, far in told.items():
+        if not isinstance(far, dict):
+            continue
+        own, truth = far["from_dive"], far["from_truth"]
+        same = own["most"] <= ESTIMATE_SAME
+        rows.append(
+            (
+                f"{name} (flown)" if name == told["flown_with"] else name,
+                "the same" if same else f"{own['rmse']:.3f} m",
+                "" if same else f"{own['end']:.3f} m",
+                "" if same else f"{math.degrees(own['heading']):.2f}°",
+                "not known" if truth is None else f"{truth['rmse']:.3f} m",
+                "" if truth is None else f"{truth['end']:.3f} m",
+            )
+        )
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    for row in rows:
+        cells = [
+            f"{cell:<{w}}" if k == 0 else f"{cell:>{w}}"
+            for k, (cell, w) in enumerate(zip(row, widths, strict=True))
+        ]
+        print("  " + "  ".join(cells))

@@ -1,0 +1,226 @@
+"""A recorded run again through the loop, and how its decisions differ from those of then."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from dream.evaluation.runner import labelled_in, simulate
+from dream.geometry import Bounds, wrap_angle
+from dream.mapping import OccupancyMap
+from dream.mission import explore
+from dream.names import look_up
+from dream.orders import Orders
+from dream.planning import PLANNERS, AnyPlanner, Asking
+from dream.planning.vlm import stands_in
+from dream.planning.vlm.orders import read_orders
+from dream.protocol import SurveyProtocol, protocol_named
+from dream.recording import (
+    RecordedDecision,
+    RecordedGuard,
+    RecordedStep,
+    RunConfig,
+    read_config,
+    read_steps,
+)
+from dream.robots.replay import FOLDER, Replayed
+from dream.sim.files import world_hash
+from dream.sim.world import World
+from dream.types import Decision, Step, Target
+
+SAME = 1e-6
+"""Metres and radians between what is the same: another machine may round otherwise."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Record:
+    """What a run left behind."""
+
+    folder: Path
+    config: RunConfig
+    steps: tuple[RecordedStep, ...]
+    """From the first look on, without a gap."""
+
+    @property
+    def protocol(self) -> SurveyProtocol:
+        """By which it was flown."""
+        return protocol_named(self.config.protocol)
+
+    @property
+    def dive(self) -> dict[str, Any] | None:
+        """What a dive was begun with; None of a run in the simulator."""
+        told = (self.config.model_extra or {}).get("dive")
+        return told if isinstance(told, dict) else None
+
+    @property
+    def world_name(self) -> str | None:
+        """Where it was; None of a dive in real water, whose world nobody knows."""
+        if self.dive is not None and not self.dive.get("stand_in"):
+            return None
+        return self.config.world_from or self.config.world
+
+    @property
+    def observed(self) -> bool:
+        """Were its observations kept?"""
+        return any((self.folder / FOLDER).glob("*.npz"))
+
+    @property
+    def planner(self) -> AnyPlanner:
+        """Who decided, with the parameters of then.
+
+        Raises:
+            ValueError: There is no such planner here, or it has other parameters.
+        """
+        name = self.config.planner
+        default = look_up(PLANNERS, name, "planner")
+        try:
+            return replace(default, **self.config.planner_parameters)
+        except TypeError as error:
+            raise ValueError(
+                f"{self.folder / 'config.json'}: expected the parameters of {name}, got others ({error}). "
+                f"It was made by version {self.config.version}"
+            ) from error
+
+    @property
+    def orders(self) -> Orders | None:
+        """What the operator ordered."""
+        return None if self.config.orders is None else read_orders(json.dumps(self.config.orders))
+
+    def bounds(self, world: World | None) -> Bounds:
+        """The survey area."""
+        if world is not None:
+            return world.bounds
+        area = (self.dive or {}).get("area")
+        try:
+            return Bounds(*map(float, area or ()))
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"{self.folder / 'config.json'}: dive.area: expected four numbers, got {area}"
+            ) from error
+
+
+def read_record(folder: Path) -> Record:
+    """Read what a run left behind.
+
+    Raises:
+        FileNotFoundError: It is no run folder.
+        ValueError: A file is damaged, or a step is missing.
+    """
+    config, steps = read_config(folder), tuple(read_steps(folder))
+    if not steps:
+        raise ValueError(f"{folder / 'steps.jsonl'}: expected at least the first look, got no step")
+    for number, step in enumerate(steps):
+        if step.step != number:
+            raise ValueError(
+                f"{folder / 'steps.jsonl'}: expected step {number}, got {step.step} in its place"
+            )
+    return Record(folder, config, steps)
+
+
+def check_world(record: Record, world: World) -> None:
+    """Raise a ValueError unless it is the world of then, as far as that is known."""
+    then, now = (record.config.model_extra or {}).get("world_hash"), world_hash(world)
+    if then not in (None, "", now):
+        raise ValueError(
+            f"{record.folder}: expected the world {record.config.world} of then, got another under its name "
+            f"({now[:12]}, not {str(then)[:12]}). The run was made by version {record.config.version}"
+        )
+
+
+def answering(planner: AnyPlanner, replies: Path | None) -> AnyPlanner:
+    """The planner, answered by the replies that were kept where it asks a model: none is asked again.
+
+    Args:
+        planner: Who decides.
+        replies: Folder of kept replies (`--record`); the one that it recorded to itself unless given.
+
+    Raises:
+        ValueError: There are none.
+    """
+    if not isinstance(planner, Asking):
+        return planner
+    if replies is None and stands_in(planner.model):
+        return replace(planner, record=None, replay_replies=None)
+    folder = replies or planner.record or planner.replay_replies
+    if folder is None or not Path(folder).is_dir():
+        raise ValueError(
+            f"--replay-replies: expected the folder of what {planner.label or 'a model'} answered, got "
+            f"{folder or 'none'}. Such are kept with --record; or let another planner decide with --planner"
+        )
+    return replace(planner, record=None, replay_replies=str(folder))
+
+
+def fly_again(record: Record, planner: AnyPlanner, world: World | None) -> Iterator[Step]:
+    """The mission again, no longer than then: by what was seen, where that was kept, else in the simulator.
+
+    Args:
+        record: Of the mission.
+        planner: Who decides.
+        world: Of then; None where it is not known, of a dive in real water.
+
+    Raises:
+        FileNotFoundError: It was a dive whose observations were not kept.
+        ValueError: An observation is missing, or something does not fit together.
+    """
+    config, protocol, steps = record.config, record.protocol, len(record.steps)
+    if record.observed or record.dive is not None:
+        robot = Replayed(record.folder)
+        if robot.moves < steps - 1:
+            raise ValueError(
+                f"{record.folder / FOLDER}: expected what was seen after {steps - 1} moves, "
+                f"got {robot.moves}. Are the last files missing?"
+            )
+        occupancy = OccupancyMap(record.bounds(world), protocol)
+        # A dive takes whatever its labels call a target; so did this one.
+        target = Target.ANY if record.dive is not None or world is None else labelled_in(world)
+        again = explore(
+            robot, planner, occupancy, max_steps=config.max_steps, target=target, orders=record.orders
+        )
+    else:
+        assert world is not None
+        again = simulate(
+            world,
+            planner,
+            protocol,
+            start=config.start,
+            max_steps=config.max_steps,
+            orders=record.orders,
+        )
+    return islice(again, steps)
+
+
+def difference(then: RecordedStep, now: Step) -> str:
+    """How a step differs from that of then, in a line; empty where it does not."""
+    decided, carried_out, pose = now.decision, now.guarded.decision, now.arrival.pose
+    said, kept = then.decision, then.guarded
+    if said.done is not decided.done or not _same(said, decided):
+        return f"decided to {_move(decided)}, then to {_move(said)}"
+    if not _same(kept, carried_out):
+        return f"the guard let it {_move(carried_out)}, then {_move(kept)}"
+    apart = math.hypot(pose.x - then.pose.x, pose.y - then.pose.y)
+    turned = abs(wrap_angle(pose.yaw - then.pose.yaw))
+    if not (apart <= SAME and turned <= SAME):
+        return f"came {apart:.3g} m and {math.degrees(turned):.3g}° from where it came then"
+    if now.ended != then.ended:
+        return f"the mission {_ENDS[now.ended]}, then it {_ENDS[then.ended]}"
+    return ""
+
+
+def _same(then: RecordedDecision | RecordedGuard, now: Decision) -> bool:
+    return abs(wrap_angle(then.turn - now.turn)) <= SAME and abs(then.advance - now.advance) <= SAME
+
+
+def _move(decided: Decision | RecordedDecision | RecordedGuard) -> str:
+    if getattr(decided, "done", False):
+        return "be done"
+    turn, advance = math.degrees(decided.turn), decided.advance
+    parts = [f"turn {turn:+.0f}°"] * (turn != 0.0) + [f"advance {advance:g} m"] * (advance != 0.0)
+    return " and ".join(parts) or "stay"
+
+
+_ENDS = {"": "went on", "done": "ended as done", "cap": "ended for want of steps"}
