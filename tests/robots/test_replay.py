@@ -21,7 +21,7 @@ from dream.mission import Planner, Robot, explore
 from dream.planning import NearestFrontier, SixSteps
 from dream.protocol import DREAM_V1, DREAM_V1_NAV, SurveyProtocol
 from dream.robots import Anchored, Simulated, Teleport
-from dream.robots.replay import Keeping, Kept, Move, Replayed, read, write
+from dream.robots.replay import Keeping, Kept, Move, Replayed, keep, read, write
 from dream.sim.world import World
 from dream.types import Arrival, Decision, Observation, Setpoint, Step
 
@@ -69,6 +69,24 @@ def test_the_planner_decides_again_as_it_did(string_reef: World, flown: tuple[li
     for layer in ("solid", "target", "explored", "seabed_seen", "state", "ground"):
         assert getattr(steps[-1].occupancy, layer).tobytes() == getattr(again[-1].occupancy, layer).tobytes()
     assert steps[-1].occupancy.areas() == again[-1].occupancy.areas()
+
+
+def test_what_passes_by_is_kept_as_a_robot_keeps_it(
+    string_reef: World, flown: tuple[list[Step], Path], tmp_path: Path
+) -> None:
+    steps = fly(Teleport(string_reef, DREAM_V1, fineness=2), SixSteps(), string_reef, DREAM_V1)
+    assert list(keep(steps, tmp_path, DREAM_V1)) == steps
+    files = sorted((flown[1] / "observations").iterdir())
+    assert sorted(path.name for path in (tmp_path / "observations").iterdir()) == [f.name for f in files]
+    for file in files:
+        one, other = read(file), read(tmp_path / "observations" / file.name)
+        assert same(one.observation, other.observation)
+        assert (one.move is None) is (other.move is None) is (file.name == "0000.npz")
+        if one.move is not None and other.move is not None:
+            assert one.move.setpoint == other.move.setpoint
+            assert one.move.arrival == other.move.arrival
+    with pytest.raises(ValueError, match="expected a folder without any"):
+        next(keep(steps, tmp_path, DREAM_V1))
 
 
 def test_another_planner_is_followed_by_the_record_and_says_so(

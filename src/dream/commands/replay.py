@@ -26,7 +26,7 @@ from dream.commands.console import (
 )
 from dream.commands.run import planner_name
 from dream.names import look_up
-from dream.planning import PLANNERS, AnyPlanner
+from dream.planning import PLANNERS, AnyPlanner, Asking
 from dream.versions import commit
 
 if TYPE_CHECKING:
@@ -67,8 +67,8 @@ class Replay:
         from dream.evaluation.again import answering, check_world, read_record
 
         record = read_record(self.run)
-        planner = record.planner if self.planner is None else look_up(PLANNERS, self.planner, "planner")
-        same_planner = planner == record.planner if self.planner is not None else True
+        planner = record.planner if self.planner is None else self._asked(record, self.planner)
+        same_planner = record.was_flown_by(planner)
         if not (record.observed or record.dive is not None or same_planner):
             raise ValueError(
                 f"--planner: expected a run with its observations, got one without: by {self.planner} it "
@@ -99,7 +99,14 @@ class Replay:
             print_json(told)
         else:
             _print(record, told)
-        return 1 if same_planner and told["agree"] < told["steps"] else 0
+        return 1 if same_planner and told["first_difference"] is not None else 0
+
+    def _asked(self, record: Record, name: str) -> AnyPlanner:
+        """The planner of a name; where it asks a model, that of then."""
+        planner = look_up(PLANNERS, name, "planner")
+        if isinstance(planner, Asking) and isinstance(own := record.planner, Asking):
+            return own.given_to(planner)
+        return planner
 
     def _log(self, record: Record) -> Path | None:
         """The log to make estimates from; None where there is none, or none are wanted."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -85,6 +85,12 @@ class Record:
                 f"{self.folder / 'config.json'}: expected the parameters of {name}, got others ({error}). "
                 f"It was made by version {self.config.version}"
             ) from error
+
+    def was_flown_by(self, planner: AnyPlanner) -> bool:
+        """Is it who decided, with the parameters of then?"""
+        parameters = json.loads(json.dumps(asdict(planner)))
+        name = next(name for name, default in PLANNERS.items() if type(default) is type(planner))
+        return name == self.config.planner and parameters == self.config.planner_parameters
 
     @property
     def orders(self) -> Orders | None:
