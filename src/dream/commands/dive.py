@@ -77,6 +77,9 @@ class Dive:
     """HOST or HOST:PORT of the A50."""
     camera: str = "rtp:5600"
     """rtp:PORT for H.264 over UDP, an rtsp:// address, a video file, or the number of a device."""
+    pilot: str | None = None
+    """udpin:HOST:PORT, as udpin:127.0.0.1:14551: a ground station that connects there sees the vehicle, and
+    its joystick outranks the mission."""
     calibration: Path | None = None
     """OpenCV's YAML of the camera, with `calibrated_in`; needed, but with --stand-in and --check."""
     tilt: float = 20.0
@@ -140,6 +143,8 @@ class Dive:
             raise ValueError(
                 "--calibration: expected OpenCV's YAML of the camera, got none. See docs/bluerov2.md"
             )
+        if self.pilot is not None and self.drive == "guided":
+            raise ValueError("--pilot: expected --drive alt-hold, got guided, in which sticks do not move it")
         _check_extra()
         protocol = protocol_named(self.protocol)
         name = planner_name(self.planner)
@@ -233,7 +238,7 @@ def _opened(
     from dream.robots.bluerov2.navigation import Instruments
 
     pressure = math.nan if told.surface_pressure is None else told.surface_pressure
-    addresses = Addresses(told.vehicle, told.dvl, told.camera)
+    addresses = Addresses(told.vehicle, told.dvl, told.camera, told.pilot)
     if tank is None:
         assert told.area is not None
         bounds, (x, y, heading) = Bounds(*told.area), told.at
@@ -243,7 +248,7 @@ def _opened(
         host, port = tank.running.a50
         pressure = tank.running.surface_pressure
         addresses = Addresses(
-            f"udpin:127.0.0.1:{tank.ground}", f"{host}:{port}", f"rtp:127.0.0.1:{tank.video}"
+            f"udpin:127.0.0.1:{tank.ground}", f"{host}:{port}", f"rtp:127.0.0.1:{tank.video}", told.pilot
         )
     limits = Limits(
         area=bounds,
@@ -330,10 +335,16 @@ class _Ready:
         link.arm()
         drive = (Guided if told.drive == "guided" else AltHold)(link, link.joystick())
         bridge = Bridge(
-            devices.navigator, drive, self.limits, devices.now, said=self._log_standing, fixed=self._log_fix
+            devices.navigator,
+            drive,
+            self.limits,
+            devices.now,
+            pilot=devices.station,
+            said=self._log_standing,
+            fixed=self._log_fix,
         )
         operator = Operator(
-            willed=lambda will: bridge.end(_ENDS[will]) if will in _ENDS else None,
+            willed=lambda will: self._willed(bridge, will),
             alive=lambda: bridge.renew_operator(1.0),
         )
         vehicle = self._robot(bridge, operator)
@@ -399,6 +410,16 @@ class _Ready:
             holds=lambda: operator.will is Will.HOLD,
             truth=None if self.tank is None else self.tank.truth,
         )
+
+    def _willed(self, bridge: Bridge, will: Will) -> None:
+        """The operator's word is the last: also where a joystick is broken, or its station gone."""
+        station = self.devices.station
+        if will in _ENDS:
+            if station is not None:
+                station.dismiss()
+            bridge.end(_ENDS[will])
+        elif will is Will.GO and station is not None:
+            station.release()
 
     def _leave(self, link: Link) -> None:
         """Bring the vehicle where the operator wants it in the end; one that is not ours stays."""
@@ -468,6 +489,7 @@ class _Ready:
             f"IMU {fix.imu_age:.2f}, depth {fix.depth_age:.2f}, DVL {fix.dvl_age:.2f}, "
             f"camera {devices.camera.age:.2f} s"
         )
+        station = devices.station
         return [
             Reading(
                 "it",
@@ -476,6 +498,7 @@ class _Ready:
             ),
             Reading("step", "none yet" if self.last is None else self._step_line(self.last)),
             Reading("vehicle", f"{said.mode}, {'armed' if said.armed else 'disarmed'}", said.armed),
+            *([] if station is None else [Reading("pilot", station.words, not station.gone)]),
             Reading("is at", f"{here} ± {fix.position_sigma:.2f} m"),
             Reading("goes to", there),
             Reading("depth", f"{said.depth:.2f} m, {fix.altitude:.2f} m above the floor"),
@@ -534,6 +557,7 @@ class _Ready:
                 "packets_lost": counts.lost,
                 "link_loss": round(devices.link.telemetry.loss, 4),
                 "refused": {**devices.link.refused, **devices.dvl.refused, **devices.navigator.refused},
+                "pilot_refused": None if devices.station is None else dict(devices.station.refused),
                 "log_lost": devices.log.lost,
                 "behind_s": None if tank is None else round(tank.running.truth().behind, 3),
             },

@@ -121,6 +121,22 @@ class Drive(Protocol):
         """What the vehicle reports."""
 
 
+class Pilot(Protocol):
+    """A person who may take the vehicle, through DREAM."""
+
+    @property
+    def has(self) -> bool:
+        """Do they steer now?"""
+
+    @property
+    def gone(self) -> bool:
+        """Did their sticks stop coming while they steered?"""
+
+    @property
+    def ended(self) -> str:
+        """Why they ended the dive; empty where they did not."""
+
+
 class Bridge:
     """Steers to the goal at a fixed rate while everything that has to be well is; else says why not.
 
@@ -138,6 +154,7 @@ class Bridge:
         now: Callable[[], float],
         *,
         watch: Watch | None = None,
+        pilot: Pilot | None = None,
         rate: float = 25.0,
         said: Callable[[Standing], None] | None = None,
         fixed: Callable[[Fix], None] | None = None,
@@ -150,12 +167,14 @@ class Bridge:
             limits: Where and how long it may be.
             now: The dive's clock.
             watch: When the estimate is too old or too vague.
+            pilot: Outranks the goal, the limits and the last resort while they have the sticks.
             rate: Beats a second.
             said: Told of every change of what it does.
             fixed: Told of the estimate at every beat.
         """
         self._navigator, self._drive, self._limits, self._now = navigator, drive, limits, now
         self._watch = watch or Watch()
+        self._pilot = pilot
         self._period = 1.0 / rate
         self._said, self._fixed = said, fixed
         self._lock = threading.Lock()
@@ -163,7 +182,7 @@ class Bridge:
         self._asked = math.nan
         self._mission_until = self._operator_until = math.inf
         self._ended: str = ""
-        self._resorted = False
+        self._resorted = ""
         self._standing = FINE
         self._neutral_since = math.nan
         self._began = self._last_beat = now()
@@ -242,7 +261,7 @@ class Bridge:
         else:
             self._drive.neutral()
             if now - self._neutral_since >= self._limits.patience and not self._resorted:
-                self._resorted = True
+                self._resorted = standing.reason
                 logger.warning("%s; last resort: %s", standing.reason, self._limits.last_resort)
                 self._drive.resort(self._limits.last_resort)
 
@@ -295,15 +314,20 @@ class Bridge:
                 self._said(standing)
 
     def _judge(self, fix: Fix, now: float) -> Standing:
-        craft = self._drive.craft()
-        if self._resorted:
-            return Standing(Stance.OVER, self._standing.reason)
+        craft, pilot = self._drive.craft(), self._pilot
+        steered = pilot is not None and pilot.has and not (craft.lost or craft.taken)
+        if self._resorted and not steered:
+            return Standing(Stance.OVER, self._resorted)
         with self._lock:
             ended, mission, operator = self._ended, self._mission_until, self._operator_until
+        if pilot is not None:
+            ended = ended or pilot.ended
         if craft.lost:
             return Standing(Stance.OVER, craft.lost)
         if craft.taken:
             return Standing(Stance.YIELD, craft.taken)
+        if steered:
+            return Standing(Stance.YIELD, "the pilot has the sticks")
         if ended:
             return Standing(Stance.OVER, ended)
         if broken := self._broken_limit(fix, craft, now):
@@ -313,6 +337,8 @@ class Bridge:
         for until, who in ((mission, "the mission"), (operator, "the operator")):
             if now > until:
                 return Standing(Stance.NEUTRAL, f"no sign of life from {who}")
+        if pilot is not None and pilot.gone:
+            return Standing(Stance.YIELD, "the pilot is gone: waiting for neutral sticks, or the operator")
         condition = self._watch.condition(
             imu_age=fix.imu_age,
             depth_age=fix.depth_age,

@@ -11,7 +11,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -33,6 +33,7 @@ from dream.robots.bluerov2.lens import Lens, Rectifier
 from dream.robots.bluerov2.log import DiveLog
 from dream.robots.bluerov2.mavlink import Link
 from dream.robots.bluerov2.navigation import Instruments, Navigator, NotReady, State
+from dream.robots.bluerov2.pilot import Station
 from dream.robots.bluerov2.rov import Picture
 from dream.types import BoolArray, UInt8Array
 
@@ -51,6 +52,8 @@ class Addresses:
     """HOST or HOST:PORT."""
     camera: str
     """rtp:PORT, rtp:HOST:PORT, an rtsp:// address, a file, or the number of a device."""
+    pilot: str | None = None
+    """udpin:HOST:PORT, where a ground station with a joystick may come; None for nowhere."""
 
 
 def source_of(camera: str) -> Source:
@@ -113,6 +116,7 @@ class Devices:
         self.now: Callable[[], float] = lambda: time.monotonic() - began
         self._heard: list[Imu | Measurement] = []
         self._listening = threading.Event()
+        self.station: Station | None = None
         source = source_of(addresses.camera)
         host, _, port = addresses.dvl.rpartition(":") if ":" in addresses.dvl else (addresses.dvl, "", "")
         with ExitStack() as stack:
@@ -128,11 +132,14 @@ class Devices:
                 addresses.vehicle,
                 now=self.now,
                 deliver=self._deliver,
-                tap=self.log.tap,
+                tap=self._heard_of,
                 density=density,
                 surface_pressure=surface_pressure,
             )
             stack.enter_context(self.link)
+            if addresses.pilot is not None:
+                station = Station(addresses.pilot, self.link, now=self.now, tap=self.log.tap)
+                self.station = stack.enter_context(station)
             self.camera = stack.enter_context(LiveCamera(source, self.now, self.log.tap))
             self.dvl = stack.enter_context(
                 DvlA50(
@@ -162,6 +169,8 @@ class Devices:
         """
         self.link.operator_alive()
         self.link.connect(timeout)
+        if self.station is not None:
+            self.station.learn_buttons()
 
     def zero_depth(self) -> None:
         """Take the pressure of now for that at the surface, unless it was given.
@@ -211,6 +220,11 @@ class Devices:
             aligned = str(not_ready)
         parameters = self.link.check_parameters()
         return findings(self.link.telemetry, parameters, self.dvl, seen, aligned, limits, folder)
+
+    def _heard_of(self, time: float, channel: str, sent: bool, message: Any) -> None:
+        self.log.tap(time, channel, sent, message)
+        if self.station is not None and not sent:
+            self.station.forward(message)
 
     def _deliver(self, message: Imu | Measurement) -> None:
         if self._listening.is_set():

@@ -148,7 +148,7 @@ class Link:
             raise ValueError(
                 f"system ids: expected two different ones of 1 to 255, got {vehicle} and {system}"
             )
-        self._dialect = _dialect()
+        self._dialect = dialect()
         self._now = now
         self._deliver = deliver
         self._tap = tap
@@ -286,9 +286,17 @@ class Link:
             return self._motion.command(order, expires, self._now())
 
     def pilot(self, sticks: Sticks, expires: float) -> float:
-        """A person's sticks, through this program: outrank the mission until then. As `command` else."""
+        """A person's sticks, through this program: outrank the mission until then. As `command` else.
+
+        They end a little before the link falls silent for a dive that hangs: ArduSub keeps the last sticks it
+        got, and these come from elsewhere than the dive's loop.
+        """
         with self._news:
-            return self._motion.pilot(sticks, expires, self._now())
+            now = self._now()
+            spoken = max(now, self._alive_until - 2.0 * PERIOD)
+            return self._motion.pilot(
+                sticks, min(expires, spoken) if math.isfinite(expires) else expires, now
+            )
 
     def stop(self) -> None:
         """Forget all orders and send neutral at once."""
@@ -911,7 +919,8 @@ class Link:
         self.problem = problem
 
 
-def _dialect() -> ModuleType:
+def dialect() -> ModuleType:
+    """The messages that ArduSub knows; an ImportError that says what to install."""
     try:
         return importlib.import_module("pymavlink.dialects.v20.ardupilotmega")
     except ImportError as error:

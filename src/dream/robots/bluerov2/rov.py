@@ -185,7 +185,7 @@ class BlueRov2:
         here = bridge.fix.T_world_base.se2
         turn = abs(wrap_angle(goal.yaw - here.yaw))
         set_out = self._now()
-        deadline = set_out + 10.0 * (here.distance(goal) + turn) + manners.room
+        deadline = set_out + self._allowed(here, goal)
         bridge.renew()
         bridge.go(goal, setpoint.altitude)
         notes: list[str] = []
@@ -209,7 +209,8 @@ class BlueRov2:
             height = float(fix.T_world_base.translation[2]) - fix.seabed
             way, last = way + last.distance(pose), pose
             there = (
-                pose.distance(goal) <= manners.near
+                standing.stance is not Stance.YIELD
+                and pose.distance(goal) <= manners.near
                 and abs(wrap_angle(goal.yaw - pose.yaw)) <= manners.aligned
                 and not abs(height - setpoint.altitude) > manners.level
                 and float(np.hypot(fix.velocity[0], fix.velocity[1])) <= manners.slow
@@ -217,7 +218,10 @@ class BlueRov2:
             still_since = (still_since if not math.isnan(still_since) else now) if there else math.nan
             if there and now - still_since >= manners.stay:
                 break
-            if standing.stance not in (Stance.GO, Stance.SLOW):
+            if standing.stance is Stance.YIELD:
+                # Whoever has it may leave it anywhere: it sets out anew from there.
+                deadline = now + self._allowed(pose, goal)
+            elif standing.stance not in (Stance.GO, Stance.SLOW):
                 # Time in which it may not move does not count.
                 deadline += POLL
             elif now > deadline:
@@ -239,6 +243,10 @@ class BlueRov2:
             sigma=bridge.fix.position_sigma,
             truth=truth,
         )
+
+    def _allowed(self, here: SE2, goal: SE2) -> float:
+        """Seconds that a move may take."""
+        return 10.0 * (here.distance(goal) + abs(wrap_angle(goal.yaw - here.yaw))) + self._manners.room
 
     def _check(self) -> None:
         standing = self._bridge.standing
