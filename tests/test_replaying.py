@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from dream.cli import run_command
@@ -94,6 +95,8 @@ def test_the_same_code_decides_the_same(
         "steps": STEPS,
         "agree": STEPS,
         "first_difference": None,
+        "farthest_m": 0.0,
+        "farthest_deg": 0.0,
         "estimates": None,
         "report": None,
     }
@@ -110,7 +113,6 @@ def test_the_same_code_decides_the_same(
         ("decision", {"turn": 0.25, "advance": 0.1, "done": False}, "then to turn +14° and advance 0.1 m"),
         ("decision", {"turn": 0.0, "advance": 0.0, "done": True}, "then to be done"),
         ("guarded", {"turn": 0.0, "advance": 0.0, "note": ""}, "the guard let it turn +90°, then stay"),
-        ("pose", {"x": 0.0, "y": 0.0, "yaw": 0.0}, "from where it came then"),
         ("ended", "cap", "the mission went on, then it ended for want of steps"),
     ],
 )
@@ -122,8 +124,20 @@ def test_a_step_that_was_tampered_with_is_found(
     assert (status, told["agree"]) == (1, STEPS - 1)
     assert told["first_difference"]["step"] == 2
     assert how in told["first_difference"]["how"]
-    assert run_command(["replay", str(run)]) == 1
-    assert f"the first that differs is step 2: {told['first_difference']['how']}" in capsys.readouterr().out
+
+
+def test_a_place_that_differs_is_told(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def move(step: dict[str, Any]) -> None:
+        step["pose"]["x"] += 0.3
+        step["pose"]["y"] -= 0.4
+        step["pose"]["yaw"] += 0.1
+
+    change(run / "steps.jsonl", move, line=2)
+    status, told = replay(capsys, run)
+    assert (status, told["agree"], told["first_difference"]) == (0, STEPS, None)
+    assert (told["farthest_m"], told["farthest_deg"]) == pytest.approx((0.5, math.degrees(0.1)))
+    assert run_command(["replay", str(run)]) == 0
+    assert "it came up to 0.5 m and 5.7° from where it came then" in capsys.readouterr().out
 
 
 def test_other_parameters_than_those_of_then_are_found(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -134,6 +148,10 @@ def test_other_parameters_than_those_of_then_are_found(run: Path, capsys: pytest
     status, told = replay(capsys, run)
     assert (status, told["planner"], told["same_planner"]) == (1, "frontier", True)
     assert told["first_difference"]["step"] > 3
+    assert run_command(["replay", str(run)]) == 1
+    printed = capsys.readouterr().out
+    assert f"the first that differs is step {told['first_difference']['step']}: decided to" in printed
+    assert "flown by 0." in printed
 
 
 def test_another_planner_is_asked_in_the_same_places(
@@ -204,10 +222,8 @@ def test_a_run_of_a_model_is_answered_from_what_was_kept(
     # The stand-in answers by rule, and is asked again.
     assert replay(capsys, run)[1]["agree"] == STEPS
     assert {path: path.read_bytes() for path in kept.rglob("*.json")} == files
-    change(
-        run / "config.json",
-        lambda config: config["planner_parameters"].update(model="openai:gpt-5", record=None),
-    )
+    other = {"model": "openai:gpt-5", "record": None}
+    change(run / "config.json", lambda config: config["planner_parameters"].update(other))
     said = refused(capsys, "replay", run)
     assert "expected the folder of what openai:gpt-5 answered, got none" in said
 
@@ -254,7 +270,6 @@ def test_a_run_of_a_model_is_answered_from_what_was_kept(
 def test_what_is_damaged_is_named(
     harm: Callable[[Path], object], complaint: str, run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # A folder of its own, for the world is looked up by the name that was typed.
     change(run / "config.json", lambda config: config.update(world_from=None))
     harm(run)
     assert complaint in refused(capsys, "replay", run)
@@ -271,7 +286,7 @@ class TestDives:
             time = 0.5 * line
             pose = true_pose(time).se2
             truth = {"x": pose.x, "y": pose.y + 1.0, "yaw": pose.yaw}
-            change(run / "steps.jsonl", lambda step, t=time, p=truth: step.update(time=t, truth=p), line)
+            change(run / "steps.jsonl", partial(dict.update, time=time, truth=truth), line)
         status, told = replay(capsys, run)
         assert (status, told["agree"]) == (0, STEPS)
         estimates = told["estimates"]
@@ -407,4 +422,3 @@ def test_who_decided_is_told_by_name_and_parameters(kept_run: Path) -> None:
     assert not record.was_flown_by(Belief(risk=0.5))
     assert not record.was_flown_by(SixSteps())
     assert not record.was_flown_by(NearestFrontier())
-    assert np.isfinite(record.bounds(make_world("pool/arc", 1)).width)

@@ -35,9 +35,6 @@ if TYPE_CHECKING:
     from dream.sim.world import World
     from dream.types import Step
 
-ESTIMATE_SAME = 1e-6
-"""Metres between estimates that are the same."""
-
 
 @dataclass(frozen=True, slots=True)
 class Replay:
@@ -129,45 +126,30 @@ class Replay:
     ) -> tuple[dict[str, Any], Path | None]:
         """The mission again: how its decisions compare, and the page of its new run folder."""
         from dream import recording
-        from dream.evaluation.again import difference, fly_again
+        from dream.evaluation.again import Comparison, fly_again
         from dream.evaluation.metrics import Logbook, Scorer
         from dream.report import write_report
 
         began = time.perf_counter()
-        protocol, total = record.protocol, len(record.steps) - 1
-        steps = fly_again(record, planner, world)
-        differences: dict[int, str] = {}
+        name, config, protocol = planner_name(planner), record.config, record.protocol
+        steps, comparison = fly_again(record, planner, world), Comparison(record)
         folder: Path | None = None
         with contextlib.ExitStack() as stack:
             if self.out is not None:
                 now = datetime.datetime.now(datetime.UTC)
-                config, name = record.config, planner_name(planner)
                 folder = recording.new_run_folder(self.out, config.world, config.seed, name, now)
                 recording.write_config(folder, _config(record, planner))
-                logbook = (
-                    Logbook(protocol) if world is None else Scorer(world, protocol, orders=record.orders)
-                )
+                known = None if world is None else Scorer(world, protocol, orders=record.orders)
+                logbook: Logbook = known or Logbook(protocol, orders=record.orders)
                 recorded = recording.record(steps, folder, annotate=lambda step: _scored(step, logbook))
                 steps = stack.enter_context(contextlib.closing(recorded))
-            came = 0
-            for step in with_progress(steps, f"{planner_name(planner)} again", total):
-                came = step.index
-                if how := difference(record.steps[step.index], step):
-                    differences[step.index] = how
-        page = None
-        if folder is not None:
-            wall_s = time.perf_counter() - began
-            recording.write_summary(folder, _summary(record, planner, logbook, wall_s))
-            page = write_report(folder)
-        if came < total and not differences:
-            differences[came] = "the mission ended, then it went on"
-        first = min(differences, default=None)
-        return {
-            "from": "observations" if record.observed else "simulator",
-            "steps": total,
-            "agree": came - len(differences.keys() - {0}),
-            "first_difference": None if first is None else {"step": first, "how": differences[first]},
-        }, page
+            for step in with_progress(steps, f"{name} again", len(record.steps) - 1):
+                comparison.add(step)
+        told = {"from": "observations" if record.observed else "simulator", **comparison.as_dict()}
+        if folder is None:
+            return told, None
+        recording.write_summary(folder, _summary(record, planner, logbook, time.perf_counter() - began))
+        return told, write_report(folder)
 
     def _reckon(self, record: Record, log: Path) -> dict[str, Any]:
         """How far the estimators are from the estimate of the dive, and from the truth where it is known."""
@@ -182,8 +164,8 @@ class Replay:
             second = 0
             for estimated in made:
                 tracks.add(estimated)
-                while second < int(estimated.time):
-                    second += 1
+                if int(estimated.time) > second:
+                    second = int(estimated.time)
                     yield
 
         last = max(1, math.ceil(record.steps[-1].time))
@@ -241,6 +223,8 @@ def _summary(record: Record, planner: AnyPlanner, logbook: Logbook, wall_s: floa
 
 
 def _print(record: Record, told: Mapping[str, Any]) -> None:
+    from dream.evaluation.again import SAME
+
     config, first = record.config, told["first_difference"]
     how = "played back" if told["from"] == "observations" else "flown again in the simulator"
     print(f"{config.world} {config.seed} · {told['planner']} · {config.protocol} · {how}")
@@ -250,6 +234,9 @@ def _print(record: Record, told: Mapping[str, Any]) -> None:
         print(f"  the first that differs is step {first['step']}: {first['how']}")
         if told["same_planner"]:
             print(f"  flown by {_code(config.version, config.commit)}, now by {_code(__version__, commit())}")
+    far, turned = told["farthest_m"], told["farthest_deg"]
+    if max(far, math.radians(turned)) > SAME:
+        print(f"  it came up to {far:.2g} m and {turned:.2g}° from where it came then")
     if told["estimates"] is not None:
         _print_estimates(told["estimates"])
     if told["report"] is not None:
@@ -262,6 +249,8 @@ def _code(version: str, made_of: str | None) -> str:
 
 def _print_estimates(told: Mapping[str, Any]) -> None:
     """A table: how far each estimator is from the dive's own estimate, and from the truth."""
+    from dream.evaluation.again import SAME
+
     rows: list[Sequence[str]] = [
         ("estimator", "from the dive's: rms", "end", "heading", "from truth: rms", "end")
     ]
@@ -269,7 +258,7 @@ def _print_estimates(told: Mapping[str, Any]) -> None:
         if not isinstance(far, dict):
             continue
         own, truth = far["from_dive"], far["from_truth"]
-        same = own["most"] <= ESTIMATE_SAME
+        same = own["most"] <= SAME
         rows.append(
             (
                 f"{name} (flown)" if name == told["flown_with"] else name,

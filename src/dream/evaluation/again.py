@@ -200,21 +200,57 @@ def fly_again(record: Record, planner: AnyPlanner, world: World | None) -> Itera
     return islice(again, steps)
 
 
+class Comparison:
+    """What was decided and where it came, beside that of then, step by step."""
+
+    def __init__(self, record: Record) -> None:
+        self._then = record.steps
+        self._differences: dict[int, str] = {}
+        self._last = 0
+        self._farthest = (0.0, 0.0)
+
+    def add(self, now: Step) -> None:
+        """Take in one more step."""
+        then, self._last = self._then[now.index], now.index
+        if how := difference(then, now):
+            self._differences[now.index] = how
+        (far, turned), (farthest, most) = apart(then, now), self._farthest
+        self._farthest = (max(far, farthest), max(turned, most))
+
+    def as_dict(self) -> dict[str, Any]:
+        """How many decisions agree, which is the first that does not, and how far it came from then."""
+        steps = len(self._then) - 1
+        differences = self._differences
+        if not differences and self._last < steps:
+            differences = {self._last: "the mission ended, then it went on"}
+        first = min(differences, default=None)
+        return {
+            "steps": steps,
+            "agree": self._last - len(self._differences.keys() - {0}),
+            "first_difference": None if first is None else {"step": first, "how": differences[first]},
+            "farthest_m": self._farthest[0],
+            "farthest_deg": math.degrees(self._farthest[1]),
+        }
+
+
 def difference(then: RecordedStep, now: Step) -> str:
-    """How a step differs from that of then, in a line; empty where it does not."""
-    decided, carried_out, pose = now.decision, now.guarded.decision, now.arrival.pose
+    """How what was decided differs from what was then, in a line; empty where it does not."""
+    decided, carried_out = now.decision, now.guarded.decision
     said, kept = then.decision, then.guarded
     if said.done is not decided.done or not _same(said, decided):
         return f"decided to {_move(decided)}, then to {_move(said)}"
     if not _same(kept, carried_out):
         return f"the guard let it {_move(carried_out)}, then {_move(kept)}"
-    apart = math.hypot(pose.x - then.pose.x, pose.y - then.pose.y)
-    turned = abs(wrap_angle(pose.yaw - then.pose.yaw))
-    if not (apart <= SAME and turned <= SAME):
-        return f"came {apart:.3g} m and {math.degrees(turned):.3g}° from where it came then"
     if now.ended != then.ended:
         return f"the mission {_ENDS[now.ended]}, then it {_ENDS[then.ended]}"
     return ""
+
+
+def apart(then: RecordedStep, now: Step) -> tuple[float, float]:
+    """Metres and radians between where a step ended and where it ended then."""
+    pose = now.arrival.pose
+    distance = math.hypot(pose.x - then.pose.x, pose.y - then.pose.y)
+    return distance, abs(wrap_angle(pose.yaw - then.pose.yaw))
 
 
 def _same(then: RecordedDecision | RecordedGuard, now: Decision) -> bool:

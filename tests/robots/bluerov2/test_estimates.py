@@ -121,6 +121,16 @@ def test_tracks_are_apart_by_what_they_are_moved() -> None:
     assert tracks.from_truth("ekf", [(9.0, SE2(0.0, 0.0, 0.0))]) is None
 
 
+def test_between_two_estimates_the_heading_goes_the_short_way() -> None:
+    tracks = Tracks()
+    for time, yaw in ((0.0, math.pi - 0.1), (1.0, 0.1 - math.pi)):
+        pose = SE3.level(0.0, 0.0, -1.0, yaw)
+        tracks.add(Estimated(time, pose, {"ekf": pose}))
+    far = tracks.from_truth("ekf", [(0.75, SE2(0.0, 0.0, 0.05 - math.pi))])
+    assert far is not None
+    assert far.heading == pytest.approx(0.0, abs=1e-9)
+
+
 def test_a_log_without_a_beginning_is_refused(tmp_path: Path) -> None:
     with DiveLog(tmp_path, epoch_ns=0) as log:
         for message in heard(BIAS):
