@@ -155,7 +155,7 @@ class Dive:
                 _rehearse(protocol)
                 interrupted()
             begun = datetime.datetime.now(datetime.UTC)
-            tank = _Tank(self.world, self.seed) if self.stand_in else None
+            tank = _Tank(self.world, self.seed, self.drive) if self.stand_in else None
             where = "dive" if tank is None else tank.world.name
             folder = recording.new_run_folder(self.out, where, self.seed, name, begun)
             if tank is not None:
@@ -187,11 +187,12 @@ def _tell(line: str, *, quiet: bool) -> None:
 class _Tank:
     """A simulated tank, in a process of its own once it is entered."""
 
-    def __init__(self, world: str, seed: int) -> None:
+    def __init__(self, world: str, seed: int, drive: str) -> None:
         from dream.sim.worlds import make_world
 
         self.world: World = make_world(world, seed)
         self._seed = seed
+        self._options = ("--position",) if drive == "guided" else ()
         self.ground = _free_port()
         self.video = _free_port()
         self.process: StandInProcess | None = None
@@ -201,7 +202,11 @@ class _Tank:
 
         loopback = "127.0.0.1"
         self.process = StandInProcess(
-            self.world.name, self._seed, ground=(loopback, self.ground), video=(loopback, self.video)
+            self.world.name,
+            self._seed,
+            ground=(loopback, self.ground),
+            video=(loopback, self.video),
+            options=self._options,
         )
         return self
 
@@ -322,7 +327,7 @@ class _Ready:
         from dream.mapping import OccupancyMap
         from dream.mission import explore
         from dream.report import write_report
-        from dream.robots.bluerov2.bridge import Bridge
+        from dream.robots.bluerov2.bridge import LEASE, Bridge
         from dream.robots.bluerov2.drives import AltHold, Guided
         from dream.robots.bluerov2.navigation import NotReady
         from dream.robots.replay import Keeping
@@ -342,10 +347,11 @@ class _Ready:
             pilot=devices.station,
             said=self._log_standing,
             fixed=self._log_fix,
+            failing=devices.failing,
         )
         operator = Operator(
             willed=lambda will: self._willed(bridge, will),
-            alive=lambda: bridge.renew_operator(1.0),
+            alive=lambda: bridge.renew_operator(LEASE),
         )
         vehicle = self._robot(bridge, operator)
         logbook: Logbook = Logbook(protocol) if self.tank is None else Scorer(self.tank.world, protocol)
@@ -504,6 +510,7 @@ class _Ready:
             Reading("depth", f"{said.depth:.2f} m, {fix.altitude:.2f} m above the floor"),
             Reading("battery", f"{said.voltage:.1f} V", not said.voltage < self.limits.voltage + 0.3),
             Reading("ages", ages, max(fix.imu_age, fix.dvl_age - 0.8, devices.camera.age - 0.8) < 0.2),
+            Reading("DVL", devices.dvl.problem or "well", not devices.dvl.problem),
             Reading("log", devices.log.problem or f"{devices.log.written} messages", not devices.log.problem),
         ]
 

@@ -196,8 +196,35 @@ def test_beyond_a_limit_the_dive_is_over(name: str) -> None:
     assert set(scene.beats(0.2)) == {"neutral"}
     assert scene.bridge.standing.stance is Stance.OVER
     assert reason in scene.bridge.standing.reason
-    scene.beats(6.0)
-    assert scene.resorts == [LastResort.SURFACE]
+    # A battery that recovers without its load, or a fence that a current carries it back through: still over.
+    scene.fix, scene.reports = fix_at(), WELL
+    assert set(scene.beats(6.0)) == {"neutral"}
+    assert scene.resorts == ([] if name == "disarmed" else [LastResort.SURFACE])
+
+
+def test_what_is_over_is_left_to_who_takes_it() -> None:
+    scene = under_way()
+    scene.bridge.end("ended by the operator")
+    scene.beats(1.0)
+    scene.reports = replace(WELL, taken="another ground station sends as 255")
+    assert set(scene.beats(20.0)) == {"release"}
+    assert not scene.resorts
+    scene.reports = WELL
+    assert set(scene.beats(1.0)) == {"neutral"}
+    assert scene.bridge.standing == Standing(Stance.OVER, "ended by the operator")
+
+
+def test_a_device_that_is_about_to_fail_ends_the_dive() -> None:
+    scene = Scene()
+    said = ""
+    scene.bridge = Bridge(scene, scene, scene.limits, lambda: scene.now, failing=lambda: said)  # type: ignore[arg-type]
+    scene.bridge.go(GOAL, 0.6)
+    assert set(scene.beats(1.0)) == {"steer"}
+    said = "the DVL is too hot"
+    assert set(scene.beats(0.2)) == {"neutral"}
+    said = ""
+    assert set(scene.beats(0.2)) == {"neutral"}
+    assert scene.bridge.standing == Standing(Stance.OVER, "the DVL is too hot")
 
 
 def test_the_fence_has_a_margin_and_the_depth_of_a_goal_its_limit() -> None:

@@ -584,6 +584,18 @@ def test_a_heartbeat_that_comes_late_or_twice_changes_nothing(dive: Dive) -> Non
     assert dive.link.refused["HEARTBEAT: repeated or overtaken"] == 1
 
 
+def test_a_heartbeat_that_other_messages_overtook_is_news(dive: Dive) -> None:
+    dive.vehicle.heartbeat()
+    held = dive.vehicle.pack(dialect.MAVLink_heartbeat_message(12, 3, 1, 2, 4, 3))
+    for _ in range(100):
+        dive.vehicle.say(dialect.MAVLink_system_time_message(0, dive.vehicle.boot_ms))
+    dive.clock.time += 2.0
+    assert dive.link.age >= 2.0
+    dive.link.receive(held)
+    assert dive.link.age == 0.0
+    assert dive.link.refused == {}
+
+
 def test_other_systems_and_components_are_counted_and_not_believed(dive: Dive) -> None:
     dive.armed()
     before = dive.link.telemetry.mode

@@ -16,8 +16,8 @@ from dream.robots.bluerov2.navigation import Fix, Navigator
 
 logger = logging.getLogger(__name__)
 
-LEASE = 0.5
-"""Seconds after which a command that was not renewed is neutral."""
+LEASE = 0.4
+"""Seconds after which a command that was not renewed is neutral: half a second, less what sending takes."""
 
 
 class Stance(enum.StrEnum):
@@ -31,7 +31,7 @@ class Stance(enum.StrEnum):
     YIELD = "yield"
     """Somebody else has the vehicle: nothing is sent that moves it."""
     OVER = "over"
-    """The dive cannot go on: neutral, then the last resort."""
+    """The dive cannot go on, even if its reason goes: neutral, then the last resort."""
 
 
 class LastResort(enum.StrEnum):
@@ -158,6 +158,7 @@ class Bridge:
         rate: float = 25.0,
         said: Callable[[Standing], None] | None = None,
         fixed: Callable[[Fix], None] | None = None,
+        failing: Callable[[], str] = lambda: "",
     ) -> None:
         """On a vehicle whose navigator is aligned.
 
@@ -171,18 +172,21 @@ class Bridge:
             rate: Beats a second.
             said: Told of every change of what it does.
             fixed: Told of the estimate at every beat.
+            failing: Which device says that it will fail soon, in words; empty where none does. The dive is
+                over while all that surfacing needs still works.
         """
         self._navigator, self._drive, self._limits, self._now = navigator, drive, limits, now
         self._watch = watch or Watch()
         self._pilot = pilot
         self._period = 1.0 / rate
-        self._said, self._fixed = said, fixed
+        self._said, self._fixed, self._failing = said, fixed, failing
         self._lock = threading.Lock()
         self._goal: tuple[SE2, float] | None = None
         self._asked = math.nan
         self._mission_until = self._operator_until = math.inf
         self._ended: str = ""
-        self._resorted = ""
+        self._over = ""
+        self._resorted = False
         self._standing = FINE
         self._neutral_since = math.nan
         self._began = self._last_beat = now()
@@ -261,7 +265,7 @@ class Bridge:
         else:
             self._drive.neutral()
             if now - self._neutral_since >= self._limits.patience and not self._resorted:
-                self._resorted = standing.reason
+                self._resorted, self._over = True, standing.reason
                 logger.warning("%s; last resort: %s", standing.reason, self._limits.last_resort)
                 self._drive.resort(self._limits.last_resort)
 
@@ -316,22 +320,21 @@ class Bridge:
     def _judge(self, fix: Fix, now: float) -> Standing:
         craft, pilot = self._drive.craft(), self._pilot
         steered = pilot is not None and pilot.has and not (craft.lost or craft.taken)
-        if self._resorted and not steered:
-            return Standing(Stance.OVER, self._resorted)
         with self._lock:
             ended, mission, operator = self._ended, self._mission_until, self._operator_until
         if pilot is not None:
             ended = ended or pilot.ended
         if craft.lost:
-            return Standing(Stance.OVER, craft.lost)
-        if craft.taken:
+            # Nothing is left to resort to: who disarmed it may arm it again, for something else.
+            self._over, self._resorted = self._over or craft.lost, True
+        elif craft.taken and not self._resorted:
             return Standing(Stance.YIELD, craft.taken)
+        self._over = self._over or ended or self._broken_limit(fix, craft, now) or self._failing()
         if steered:
+            # Whatever is wrong: a person may bring the vehicle home.
             return Standing(Stance.YIELD, "the pilot has the sticks")
-        if ended:
-            return Standing(Stance.OVER, ended)
-        if broken := self._broken_limit(fix, craft, now):
-            return Standing(Stance.OVER, broken)
+        if self._over:
+            return Standing(Stance.OVER, self._over)
         if craft.link_age > 3.0:
             return Standing(Stance.NEUTRAL, f"no heartbeat from the vehicle for {craft.link_age:.0f} s")
         for until, who in ((mission, "the mission"), (operator, "the operator")):

@@ -172,6 +172,10 @@ class Devices:
         if self.station is not None:
             self.station.learn_buttons()
 
+    def failing(self) -> str:
+        """Which device says that it will fail soon, in words; empty where none does."""
+        return self.dvl.problem if self.dvl.hot else ""
+
     def zero_depth(self) -> None:
         """Take the pressure of now for that at the surface, unless it was given.
 

@@ -106,7 +106,7 @@ class Reports:
         self._last_time: dict[str, float] = {}
         self._trips: dict[int, float] = {}
         self._pressures: deque[tuple[float, float]] = deque(maxlen=400)
-        self._sequence = -1
+        self._newest = self._last_heartbeat = -1
         self._packets = self._missing = 0
         self._boot = -math.inf
         self._backwards = 0
@@ -166,14 +166,16 @@ class Reports:
             Strange: Its numbers cannot be true, or it came before.
         """
         kind, told = message.get_type(), self._instruments
-        fresh = message.get_srcComponent() != 1 or self._count(message.get_seq())
+        place = self._count(message.get_seq()) if message.get_srcComponent() == 1 else 0
         if hasattr(message, "time_boot_ms") and message.get_srcComponent() == 1:
             self._look_for_reboot(message.time_boot_ms / 1000.0, now)
         values = self.values
         if kind == "HEARTBEAT":
-            if not fresh:
+            # Overtaken by other messages it is still news; by a later one of its own it is not.
+            if place <= self._last_heartbeat:
                 raise Strange("HEARTBEAT: repeated or overtaken")
             self._heartbeat(message, now)
+            self._last_heartbeat = place
         elif kind == told.imu_from:
             imu = imu_of(message, self._time(message, kind, now))
             self.seen["imu"] = now
@@ -213,14 +215,15 @@ class Reports:
             values["camera_tilt"] = tilt_of(message)
         return None
 
-    def _count(self, sequence: int) -> bool:
-        gap = (sequence - self._sequence - 1) % 256 if self._sequence >= 0 else 0
-        if gap >= 128:
-            return False  # overtaken on its way, or a second copy
-        self._sequence = sequence
+    def _count(self, sequence: int) -> int:
+        """The place of a packet in the order in which they were sent; their numbers go round after 255."""
+        ahead = (sequence - self._newest) % 256 if self._newest >= 0 else sequence - self._newest
+        if self._newest >= 0 and (ahead > 128 or ahead == 0):
+            return self._newest - (256 - ahead) % 256  # overtaken on its way, or a second copy
         self._packets += 1
-        self._missing += gap
-        return True
+        self._missing += ahead - 1 if self._newest >= 0 else 0
+        self._newest += ahead
+        return self._newest
 
     def _time(self, message: Any, kind: str, now: float) -> float:
         """When it was true, later than any before it of its kind."""
@@ -246,7 +249,7 @@ class Reports:
             if self._backwards < 2:
                 return
             self.reboots += 1
-            self._sequence = -1
+            self._newest = self._last_heartbeat = -1
             self.values.pop("version", None)
             self.texts.append((now, 0, "the autopilot started anew"))
             self._boot = boot

@@ -42,6 +42,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--gust", type=float, default=0.0, help="m/s by which the current varies")
     parser.add_argument("--system", type=int, default=1, help="MAVLink id of the vehicle")
     parser.add_argument("--firmware", choices=("stable", "next"), default="stable")
+    parser.add_argument(
+        "--position", action="store_true", help="the autopilot knows where it is, as GUIDED needs"
+    )
     parser.add_argument("--loss", type=float, default=0.0, help="share of MAVLink datagrams that are lost")
     parser.add_argument("--delay", type=float, default=0.0, help="seconds that they take")
     parser.add_argument("--jitter", type=float, default=0.0, help="seconds on top, at most")
@@ -64,6 +67,7 @@ def main(arguments: list[str] | None = None) -> None:
         system=told.system,
         firmware=STABLE if told.firmware == "stable" else NEXT,
     )
+    standin.ardusub.fix = told.position
     standin.wire.faults = LinkFaults(told.loss, told.delay, told.jitter)
     with contextlib.ExitStack() as stack:
         stack.enter_context(standin)

@@ -1,0 +1,120 @@
+"""Faults over the real protocols, in real time: what is lost ends all motion, and nothing else does.
+
+Times are those of the packets' own taps against the last sign of what was lost, so that a busy computer
+changes what is measured, and not whether it holds.
+"""
+
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from dream.robots.bluerov2.bridge import Stance
+from dream.robots.bluerov2.standin.drill import HEALING_FAULTS, Drill, Fault, Outcome, killed
+
+LIMIT = 0.5
+"""Seconds from a loss to the last packet that can move the vehicle."""
+DRILLED = (
+    "the mission hangs",
+    "the operator's terminal is gone",
+    "the estimate hangs for 1 s",
+    "packets come 0.3 s late",
+    "the link is dead for 0.7 s",
+    "the DVL is silent",
+    "another station has our id",
+)
+LOSSES = DRILLED[:-1]
+"""Those in which something is lost without which nothing may move."""
+
+
+@dataclass(frozen=True)
+class Drilled:
+    """What came of the faults that heal, one after the other on one vehicle, and of one that does not."""
+
+    outcomes: dict[str, Outcome]
+    over: Outcome
+    since_over: float
+    """Seconds that were watched after the battery had recovered."""
+    moved_since_over: list[float]
+    """When, since the dive was over, something was sent that can move the vehicle."""
+    stance: Stance
+    log_lost: dict[str, int]
+
+
+def full_again(drill: Drill) -> None:
+    with drill.standin.lock:
+        drill.standin.tank.drain(drill.standin.tank.conditions.battery.full)
+
+
+def flat(drill: Drill) -> None:
+    with drill.standin.lock:
+        drill.standin.tank.drain(13.5)
+
+
+@pytest.fixture(scope="module")
+def drilled(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Drilled]:
+    faults = {fault.name: fault for fault in HEALING_FAULTS}
+    with Drill(tmp_path_factory.mktemp("faults")) as drill:
+        outcomes = {name: drill.suffer(faults[name]) for name in DRILLED}
+        topside = drill.topside
+        over = drill.suffer(Fault("the battery falls to 13.5 V", flat, lasts=1.5))
+        ended = next(at for at, standing in topside.said if standing.stance is Stance.OVER)
+        full_again(drill)
+        topside.go()
+        time.sleep(2.5)
+        moved = [at - ended for at in topside.moves if at > ended]
+        watched, stance = topside.now() - ended, topside.bridge.standing.stance
+    yield Drilled(outcomes, over, watched, moved, stance, topside.log.lost)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LOSSES)
+def test_nothing_moves_it_later_than_half_a_second_after_a_loss(drilled: Drilled, name: str) -> None:
+    outcome = drilled.outcomes[name]
+    assert math.isfinite(outcome.lost)
+    assert outcome.after_loss <= LIMIT
+    # It was on its way until then, or nothing would be shown.
+    assert outcome.last_motion > 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", DRILLED)
+def test_it_goes_on_once_the_fault_is_put_right(drilled: Drilled, name: str) -> None:
+    assert drilled.outcomes[name].healed
+
+
+@pytest.mark.slow
+def test_a_reason_is_told(drilled: Drilled) -> None:
+    reasons = {name: outcome.reason for name, outcome in drilled.outcomes.items()}
+    assert "the mission" in reasons["the mission hangs"]
+    assert "the operator" in reasons["the operator's terminal is gone"]
+    assert "inertial" in reasons["the link is dead for 0.7 s"]
+    assert "bottom track" in reasons["the DVL is silent"]
+    assert "our system id" in reasons["another station has our id"]
+
+
+@pytest.mark.slow
+def test_a_dive_that_is_over_is_never_moved_again(drilled: Drilled) -> None:
+    assert drilled.over.did.startswith("over")
+    assert "battery" in drilled.over.reason
+    # The battery has recovered, and there is a new goal; both came too late.
+    assert drilled.stance is Stance.OVER
+    assert drilled.since_over > 2.0
+    assert max(drilled.moved_since_over, default=0.0) <= LIMIT
+
+
+@pytest.mark.slow
+def test_no_message_of_the_log_is_lost(drilled: Drilled) -> None:
+    assert drilled.log_lost == {}
+
+
+@pytest.mark.slow
+def test_a_program_that_is_killed_leaves_a_vehicle_that_disarms_and_a_log_that_reads() -> None:
+    outcome = killed(lasts=2.6)
+    # FS_PILOT_TIMEOUT is 1 s of the tank's time, which may lag by 1 s behind.
+    assert 0.0 < outcome.detected < 2.5
+    assert outcome.last_motion < 2.5
+    assert int(outcome.kept.split()[0]) > 500
