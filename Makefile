@@ -5,7 +5,7 @@ BIN := .venv/bin
 UV := env -u VIRTUAL_ENV -u UV_PYTHON -u UV_PROJECT_ENVIRONMENT -u UV_PROJECT -u PYTHONPATH \
 	UV_PYTHON_DOWNLOADS=never .tools/bin/uv
 
-.PHONY: help setup run test test-ray check results perf clean
+.PHONY: help setup run tank test test-ray check results perf clean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -27,6 +27,9 @@ setup: .venv/.synced ## Build .venv, with .venv/bin/dream in it
 
 run: setup ## Explore an oyster reef and write its report
 	@$(BIN)/dream run --world reef/string
+
+tank: setup ## Dive in a simulated tank, through programs that stand in for a BlueROV2
+	@$(BIN)/dream dive --stand-in --world pool/arc --out runs
 
 test: setup ## Run all tests
 	@$(BIN)/pytest -n 2 --dist loadscope

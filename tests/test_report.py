@@ -23,7 +23,7 @@ from PIL import Image
 from dream import commands
 from dream.cli import run_command
 from dream.planning import PLANNERS, AnyPlanner, Dream, Lawnmower, RandomWalk, SixSteps, Vanilla
-from dream.recording import RunConfig, read_config, record, write_config, write_summary
+from dream.recording import RunConfig, read_config, read_summary, record, write_config, write_summary
 from dream.report import repeating_command, write_report
 from dream.types import Step
 from tests.recorded_runs import (
@@ -472,3 +472,76 @@ def test_a_run_with_the_stand_in_is_called_a_wire_test(asked: Path, tmp_path: Pa
     write_config(folder, {**CONFIG, "planner": "dream", "planner_parameters": {"model": "wire:mute"}})
     dom = browse(write_report(folder), 2, tmp_path / "profile", "--dump-dom").stdout
     assert "A wire test" in text_of(dom, "asked-total")
+
+
+REAL = {
+    "version": "0.1.0",
+    "protocol": "pool-v1",
+    "world": "dive",
+    "seed": 1,
+    "planner": "belief",
+    "command": "dream dive belief --area -1.8 -1.8 1.8 1.8",
+    "dive": {"stand_in": False, "area": [-1.8, -1.8, 1.8, 1.8]},
+}
+"""`config.json` of a dive with a real vehicle."""
+OF_A_DIVE = {
+    **SUMMARY,
+    "world": "dive",
+    "world_hash": "",
+    "ended": "done",
+    "t_stop": 11,
+    **dict.fromkeys(("t90", "t95", "t98", "t100", "collisions", "min_clearance_m", "success")),
+    "coverage": dict.fromkeys(("instances", "clusters", "area", "visible")),
+    "position_error_m": None,
+    "drift": None,
+    "dive": {
+        "estimator": "inekf",
+        "drive": "alt-hold",
+        "command_lag_ms": {"p50": 1.4, "p99": 41.0},
+        "late_beats": 3,
+        "picture_age_ms": {"p50": 1.0, "p99": 9.0},
+        "pictures": 1180,
+        "pictures_per_s": 10.0,
+        "packets_lost": 1,
+        "link_loss": 0.004,
+        "refused": {"dvl: too far from what was expected": 2},
+        "log_lost": {},
+        "behind_s": None,
+    },
+}
+"""`summary.json` of one: what only a truth could tell is not there."""
+
+
+@pytest.fixture(scope="module")
+def real_dive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("dive")
+    write_config(folder, REAL)
+    steps = record(painted_mission(12), folder)
+    for _ in steps:
+        pass
+    write_summary(folder, OF_A_DIVE)
+    write_report(folder)
+    return folder
+
+
+def test_what_only_a_truth_could_tell_may_be_missing(real_dive: Path) -> None:
+    summary = read_summary(real_dive)
+    assert summary is not None
+    assert (summary.world_hash, summary.success, summary.collisions) == ("", None, None)
+    assert summary.coverage.instances is None
+    run = json.loads(Page(real_dive / "report.html").scripts["run"])
+    assert run["summary"]["success"] is None
+    assert run["command"] == REAL["command"]
+
+
+@pytest.mark.slow
+def test_the_page_of_a_real_dive_claims_nothing_that_nobody_knows(real_dive: Path, tmp_path: Path) -> None:
+    seen = browse(real_dive / "report.html", 5, tmp_path / "profile", "--dump-dom")
+    shown = re.sub(r"<script.*?</script>", "", seen.stdout, flags=re.DOTALL)
+    assert "CONSOLE" not in seen.stderr
+    assert "It stopped by itself at step 11." in shown
+    for claim in ("no collision", "seed 1", "east", "World hash", "not reached", "null", "NaN", "undefined"):
+        assert claim not in shown, claim
+    assert "nobody knows what there was to see" in shown
+    assert "too far from what was expected (2)" in shown
+    assert "1 packet lost" in shown

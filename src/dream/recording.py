@@ -189,6 +189,8 @@ class RunConfig(_Recorded):
     """In which the operator said so; empty where they are not known."""
     understood: tuple[str, ...] = ()
     """The orders as sentences."""
+    command: str = ""
+    """The line that does it again, where that is not `dream run`."""
 
 
 class PlannerTimes(_Recorded):
@@ -205,6 +207,7 @@ class RunSummary(_Recorded):
     world: str
     seed: int
     world_hash: str
+    """Empty where there was no simulator."""
     planner: str
     ended: Literal["done", "cap", "aborted"]
     steps: int
@@ -215,7 +218,8 @@ class RunSummary(_Recorded):
     t98: int | None
     t100: int | None
     coverage: Coverage
-    collisions: int
+    collisions: int | None
+    """None where nobody knows."""
     distance_m: float
     turns: int
     min_clearance_m: float | None

@@ -107,6 +107,8 @@ def repeating_command(config: RunConfig) -> str:
     Parameters of the planner stand in it where they are not the default; the protocol always, since which
     one the world is made for is not known here.
     """
+    if config.command:
+        return config.command
     words = ["dream", "run", config.planner]
     words += ["--world", config.world_from or config.world, "--seed", str(config.seed)]
     words += ["--protocol", config.protocol]

@@ -7,11 +7,12 @@ import datetime
 import importlib.util
 import logging
 import math
+import shlex
 import socket
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
@@ -145,6 +146,12 @@ class Dive:
             )
         if self.pilot is not None and self.drive == "guided":
             raise ValueError("--pilot: expected --drive alt-hold, got guided, in which sticks do not move it")
+        if not (
+            self.unattended or self.stand_in or self.check or (sys.stdin.isatty() and sys.stderr.isatty())
+        ):
+            raise ValueError(
+                "dive: expected an operator at a terminal, got none. Say --unattended to dive without one"
+            )
         _check_extra()
         protocol = protocol_named(self.protocol)
         name = planner_name(self.planner)
@@ -160,6 +167,8 @@ class Dive:
             folder = recording.new_run_folder(self.out, where, self.seed, name, begun)
             if tank is not None:
                 stack.enter_context(tank)
+            # The log is whole once the devices are closed.
+            stack.callback(draw_flown, folder, quiet=self.json)
             dive = stack.enter_context(_opened(self, protocol, folder, begun, tank))
             _tell(f"listening to the sensors for {STILL:g} s: the vehicle has to lie still", quiet=self.json)
             found = dive.listen()
@@ -177,6 +186,26 @@ def _check_extra() -> None:
             f"dive: expected the extra rov, got none ({', '.join(missing)}). "
             'Say: pip install "dream-auv[rov]"'
         )
+
+
+def draw_flown(folder: Path, *, quiet: bool) -> None:
+    """Draw what a dive's log tells, beside it. Where nothing was flown, or it cannot be, nothing stays.
+
+    Args:
+        folder: Of the run.
+        quiet: Do not print where.
+    """
+    if not (folder / "steps.jsonl").is_file():
+        return
+    from dream.evaluation.dive_figure import draw_dive
+
+    try:
+        paths = draw_dive(folder)
+    except (ValueError, OSError, ImportError) as error:
+        logger.warning("the dive was not drawn: %s", error)
+        return
+    if not quiet:
+        print(f"  drawn: {paths[0]}")
 
 
 def _tell(line: str, *, quiet: bool) -> None:
@@ -348,6 +377,7 @@ class _Ready:
             said=self._log_standing,
             fixed=self._log_fix,
             failing=devices.failing,
+            aimed=self._log_goal,
         )
         operator = Operator(
             willed=lambda will: self._willed(bridge, will),
@@ -362,9 +392,8 @@ class _Ready:
             with console(title, lambda: self._readings(bridge), operator) as shown:
                 vehicle.go_to(Setpoint(self.start.x, self.start.y, self.start.yaw, protocol.altitude))
                 occupancy = OccupancyMap(self.limits.area, protocol)
-                steps = explore(
-                    Keeping(vehicle, self.folder), told.planner, occupancy, max_steps=told.max_steps
-                )
+                robot = Keeping(vehicle, self.folder)
+                steps = explore(robot, _in_real_time(told.planner), occupancy, max_steps=told.max_steps)
                 recorded = recording.record(
                     self._logged(steps), self.folder, annotate=lambda step: self._annotated(step, logbook)
                 )
@@ -433,8 +462,12 @@ class _Ready:
 
         if not link.engaged or link.yielding:
             return
-        how = self.told.last_resort
+        how, station = self.told.last_resort, self.devices.station
         try:
+            while station is not None and station.has:
+                # A person at the sticks brings it home.
+                link.operator_alive()
+                time.sleep(0.1)
             if how == "hold":
                 _tell("it holds its depth: take the sticks, or end with Ctrl-C", quiet=self.told.json)
             elif how == "surface":
@@ -481,6 +514,10 @@ class _Ready:
         )
         if standing.reason:
             logger.warning("%s: %s", standing.stance, standing.reason)
+
+    def _log_goal(self, goal: SE2, altitude: float) -> None:
+        told = {"x": goal.x, "y": goal.y, "yaw": goal.yaw, "altitude": altitude}
+        self.devices.log.tap(self.devices.now(), "goal", True, told)
 
     def _log_fix(self, fix: Fix) -> None:
         self.devices.log.tap(fix.time, "estimate", False, fix)
@@ -531,6 +568,7 @@ class _Ready:
             "planner": name,
             "planner_parameters": asdict(self.told.planner),
             "max_steps": self.told.max_steps,
+            "command": repeating_command(self.told, name),
             "dive": {key: str(value) if isinstance(value, Path) else value for key, value in told.items()},
         }
 
@@ -552,6 +590,8 @@ class _Ready:
             "world_hash": "" if tank is None else world_hash(tank.world),
             "planner": name,
             **logbook.summary(),
+            # Nobody feels a touch but a simulator.
+            **({"collisions": None} if tank is None else {}),
             "wall_s": round(wall_s, 3),
             "dive": {
                 "estimator": self.told.estimator,
@@ -569,6 +609,27 @@ class _Ready:
                 "behind_s": None if tank is None else round(tank.running.truth().behind, 3),
             },
         }
+
+
+def repeating_command(told: Dive, name: str) -> str:
+    """The command line that dives so again; options at their defaults are left out."""
+    words = ["dream", "dive", name]
+    for owner, default in ((told.planner, PLANNERS[name]), (told, Dive())):
+        for field in fields(owner):
+            value = getattr(owner, field.name)
+            if field.name in ("planner", "out", "json") or value == getattr(default, field.name):
+                continue
+            words.append("--" + field.name.replace("_", "-"))
+            if value is not True:
+                words += [f"{one:g}" for one in value] if isinstance(value, tuple) else [str(value)]
+    return shlex.join(words)
+
+
+def _in_real_time(planner: AnyPlanner) -> AnyPlanner:
+    """A planner that asks a model, with no time to be waited for an answer but that which it takes."""
+    from dream.planning.vlm import Asking
+
+    return replace(planner, latency=None) if isinstance(planner, Asking) else planner
 
 
 def _rehearse(protocol: SurveyProtocol) -> None:

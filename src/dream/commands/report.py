@@ -12,7 +12,7 @@ from dream.commands.console import print_json
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Write the HTML page of a recorded run again, also of one that was aborted."""
+    """Write the HTML page of a recorded run again, also of one that was aborted; and a dive's picture."""
 
     run: tyro.conf.Positional[Path]
     """Folder of the run."""
@@ -21,8 +21,11 @@ class Report:
 
     def __call__(self) -> int:
         """Exit status 0."""
+        from dream.commands.dive import draw_flown
         from dream.report import write_report
 
+        if (self.run / "log.mcap").is_file():
+            draw_flown(self.run, quiet=self.json)
         page = write_report(self.run)
         if self.json:
             print_json({"run": str(self.run), "report": str(page)})

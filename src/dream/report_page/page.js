@@ -13,12 +13,14 @@ function element(tag, properties = {}, ...children) {
 const travelled = [];
 steps.forEach((step, index) => travelled.push((travelled[index - 1] ?? 0) + step.distance_m));
 const collisions = steps.filter((step) => step.collided).length;
+// With a real vehicle: its map has a frame of its own, and there is no truth.
+const real = known(config.dive) && !config.dive.stand_in;
 
 // ---- masthead
 
 const end = outcome(run);
 at("world").textContent = config.world;
-at("seed").textContent = `seed ${config.seed}`;
+at("seed").textContent = real ? "" : `seed ${config.seed}`;
 at("how").textContent = `explored by ${config.planner} under protocol ${config.protocol}`;
 at("badge").textContent = end.badge;
 at("badge").classList.add(...[end.tone].filter(Boolean));
@@ -41,9 +43,9 @@ if (known(coverage?.instances)) figure("Targets seen", hundredths(coverage.insta
 else figure("Explored", Math.round(steps.at(-1)?.map.explored ?? 0), " m²");
 figure("Steps", summary?.steps ?? steps.at(-1)?.step ?? 0);
 const t90 = summary ? summary.t90 : steps.find((step) => step.coverage?.instances >= 0.9)?.step;
-figure("90 % seen after", known(t90) ? t90 : "–", known(t90) ? " steps" : "");
+if (known(coverage?.instances)) figure("90 % seen after", known(t90) ? t90 : "–", known(t90) ? " steps" : "");
 figure("Distance", (summary?.distance_m ?? travelled.at(-1) ?? 0).toFixed(0), " m");
-figure("Collisions", summary?.collisions ?? collisions);
+if (!real) figure("Collisions", summary?.collisions ?? collisions);
 
 // ---- one step
 
@@ -72,7 +74,8 @@ function carried(step) {
   if (step.open_region) rows.push(...row("Refused", `Not complete: ${step.open_region}`, "refused"));
   const room = known(step.clearance_m) ? `, ${metres(step.clearance_m)} clear` : "";
   const how = step.distance_m > 0.005 ? `${metres(step.distance_m, 2)} to` : "On the spot at";
-  rows.push(...row("Moved", `${how} ${place(step.pose)}${room}`));
+  rows.push(...row("Moved", `${how} ${place(step.pose, !real)}${room}`));
+  if (step.arrival_note) rows.push(...row("On the way", step.arrival_note, "warn"));
   if (step.waited_s > 0) rows.push(...row("Waited", `${minutes(step.waited_s)} for the model`));
   if (step.collided) rows.push(...row("Contact", "Touched something and stopped", "bad"));
   if (step.ended) rows.push(...row("Ended", step.ended === "done" ? "The planner is done and the map agrees" : "Out of steps", step.ended === "done" ? "good" : "warn"));
@@ -219,18 +222,21 @@ const orNever = (step) => (known(step) ? `${step} steps` : "not reached");
 const share = (value) => (known(value) ? percent(value) : "not measured");
 function tables() {
   const coverage = summary.coverage;
+  const measured = known(coverage.instances);
   return [
-    ["Seen", [
+    ["Seen", measured ? [
       ["Individuals", share(coverage.instances), "target individuals that were in view, within reach and unobstructed"],
       ["Groups", share(coverage.clusters), "groups of which at least half the individuals were seen"],
       ["Area", share(coverage.area), "target ground (of a wreck: hull surface) seen"],
       ...(known(coverage.visible) ? [["In the pictures", share(coverage.visible), "individuals that showed at least three pixels within reach in some frame"]] : []),
-    ]],
+    ] : [["Targets", "not measured", "nobody knows what there was to see"]]],
     ["Steps", [
-      ["To 90 %", orNever(summary.t90), "of the individuals"],
-      ["To 95 %", orNever(summary.t95), ""],
-      ["To 98.26 %", orNever(summary.t98), "the mark that a success needs"],
-      ["To 100 %", orNever(summary.t100), ""],
+      ...(measured ? [
+        ["To 90 %", orNever(summary.t90), "of the individuals"],
+        ["To 95 %", orNever(summary.t95), ""],
+        ["To 98.26 %", orNever(summary.t98), "the mark that a success needs"],
+        ["To 100 %", orNever(summary.t100), ""],
+      ] : []),
       ["First claim", known(summary.t_claimed) ? `step ${summary.t_claimed}` : "none", "when the planner first held the mission to be complete"],
       ["Own stop", known(summary.t_stop) ? `step ${summary.t_stop}` : "none", "when it stopped and the map's completion check agreed"],
       ["In all", String(summary.steps), "decisions carried out, the look-around at the start included"],
@@ -239,13 +245,13 @@ function tables() {
       ["Distance", metres(summary.distance_m), "travelled over ground"],
       ["Turns", String(summary.turns), "steps that changed the heading"],
       ...(known(summary.guarded) ? [["Guarded", plural(summary.guarded, "move"), "that the guard shortened or refused"]] : []),
-      ["Collisions", String(summary.collisions), "contacts with terrain, boulders or hull"],
+      ["Collisions", known(summary.collisions) ? String(summary.collisions) : "unknown", "contacts with terrain, boulders or hull"],
       ["Least clearance", known(summary.min_clearance_m) ? metres(summary.min_clearance_m, 2) : "unknown", "between the body and anything solid"],
     ]],
     ["Computation", [
       ["Decision, median", known(summary.planner_ms.p50) ? `${summary.planner_ms.p50.toFixed(1)} ms` : "–", "time the planner took"],
       ["Decision, slowest 1 %", known(summary.planner_ms.p99) ? `${summary.planner_ms.p99.toFixed(1)} ms` : "–", ""],
-      ["Whole run", `${summary.wall_s.toFixed(1)} s`, "on the clock, simulation and recording included"],
+      ["Whole run", `${summary.wall_s.toFixed(1)} s`, `on the clock, ${summary.dive ? "" : "simulation and "}recording included`],
       ...(known(summary.mission_s) ? [["Mission", minutes(summary.mission_s), "on its own clock, waiting for answers included"]] : []),
     ]],
     ...(summary.vlm ? [["The model", modelRows(summary.vlm)]] : []),
@@ -261,6 +267,21 @@ function modelRows(vlm) {
     ...(known(vlm.waited_s) ? [["Waited", minutes(vlm.waited_s), "on the mission's clock, standing still"]] : []),
   ];
 }
+function diveRows({ dive, position_error_m: error }) {
+  const milliseconds = ({ p50, p99 }) => `${p50.toFixed(0)} ms, ${p99.toFixed(0)} ms`;
+  const counted = (counts) => Object.entries(counts).map(([what, times]) => `${what} (${times})`).join(", ") || "none";
+  return [
+    ...(known(error) ? [["Position error", `${metres(error.rmse, 3)} rms`, "from where it believed to be to where it was"]] : []),
+    ["Steered by", `${dive.estimator}, ${dive.drive}`, "what reckoned the pose, and how the vehicle was moved"],
+    ["Goal to command", milliseconds(dive.command_lag_ms), "median and slowest 1 %"],
+    ["Late beats", String(dive.late_beats), "of the 25 a second that steer"],
+    ["Age of a picture", milliseconds(dive.picture_age_ms), "when it was taken for a step; median and slowest 1 %"],
+    ["Pictures", `${dive.pictures_per_s.toFixed(1)} / s`, `${plural(dive.packets_lost, "packet")} lost`],
+    ["Link", percent(1 - dive.link_loss), "of the vehicle's messages came"],
+    ["Refused", counted(dive.refused), "messages that were not believed"],
+    ["Not in the log", counted(dive.log_lost), ""],
+  ];
+}
 function tableOf([title, rows]) {
   const lines = rows.map(([name, value, meaning]) =>
     element("tr", {}, element("th", { scope: "row", textContent: name }), element("td", { className: "value", textContent: value }), element("td", { className: "meaning", textContent: meaning })),
@@ -268,8 +289,9 @@ function tableOf([title, rows]) {
   return element("table", {}, element("caption", { textContent: title }), element("tbody", {}, ...lines));
 }
 if (summary) {
-  const [seen, steps, motion, computation, ...model] = tables().map(tableOf);
-  at("summary").append(element("div", { className: "tables" }, element("div", {}, seen, motion, ...model), element("div", {}, steps, computation)));
+  const [seen, steps, motion, computation, ...others] = tables().map(tableOf);
+  const links = summary.dive ? [tableOf(["Vehicle and links", diveRows(summary)])] : [];
+  at("summary").append(element("div", { className: "tables" }, element("div", {}, seen, motion, ...others), element("div", {}, steps, computation, ...links)));
 } else at("summary").append(element("p", { textContent: "This run wrote no summary. What is shown here is all that was recorded." }));
 at("config").textContent = JSON.stringify(config, null, 2);
 
@@ -279,9 +301,11 @@ at("command").textContent = run.command;
 at("provenance").textContent =
   `Made by DREAM ${config.version}${config.commit ? ` (${config.commit.slice(0, 10)})` : ""}, from the files of this run alone. ` +
   `The numbers hold under protocol ${config.protocol}, which fixes the sensor and the moves. ` +
-  `Shares compare with the truth, which the planner never sees. ` +
-  `Positions are metres east and north of the centre; headings are degrees counter-clockwise from east.` +
-  (summary ? ` World hash ${summary.world_hash.slice(0, 16)}.` : "");
+  (real
+    ? `Positions are metres in the map's frame, which the launch fixed; headings are degrees counter-clockwise from its x. `
+    : `Shares compare with the truth, which the planner never sees. ` +
+      `Positions are metres east and north of the centre; headings are degrees counter-clockwise from east.`) +
+  (summary?.world_hash ? ` World hash ${summary.world_hash.slice(0, 16)}.` : "");
 
 slider.max = Math.max(0, steps.length - 1);
 document.body.classList.toggle("empty", steps.length === 0);

@@ -8,8 +8,10 @@ const percent = (share) => `${hundredths(share)} %`;
 const known = (value) => value !== null && value !== undefined;
 const plural = (count, noun) => `${count} ${noun}${count === 1 ? "" : "s"}`;
 
-function place({ x, y, yaw }) {
+// Where the map has no east, as that of a dive, headings have no names.
+function place({ x, y, yaw }, named = true) {
   const heading = ((degrees(yaw) % 360) + 360) % 360;
+  if (!named) return `(${x.toFixed(2)}, ${y.toFixed(2)}), heading ${heading}°`;
   const names = ["east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east"];
   return `(${x.toFixed(1)}, ${y.toFixed(1)}), heading ${heading}° (${names[Math.round(heading / 45) % 8]})`;
 }
@@ -36,11 +38,16 @@ function outcome(run) {
     return { badge: "Aborted", tone: "bad", text: `It was aborted after step ${last.step}. Everything recorded until then is shown.` };
   }
   const where = run.config.orders ? "of the targets in the ordered area seen" : "of the targets seen";
-  const seen = known(summary.coverage.instances) ? `${percent(summary.coverage.instances)} ${where}` : "coverage not measured";
-  const hits = summary.collisions ? plural(summary.collisions, "collision") : "no collision";
-  if (summary.ended === "done")
-    return { badge: summary.success ? "Success" : "Done", tone: summary.success ? "good" : "warn", text: `It stopped by itself at step ${summary.t_stop ?? summary.steps}, with ${seen} and ${hits}.` };
+  // Of a real dive nobody knows what there was to see, nor whether it touched anything.
+  const parts = [];
+  if (known(summary.coverage.instances)) parts.push(`${percent(summary.coverage.instances)} ${where}`);
+  if (known(summary.collisions)) parts.push(summary.collisions ? plural(summary.collisions, "collision") : "no collision");
+  const came = parts.length ? `, with ${parts.join(" and ")}` : "";
+  if (summary.ended === "done") {
+    const well = summary.success ?? true;
+    return { badge: summary.success ? "Success" : "Done", tone: well ? "good" : "warn", text: `It stopped by itself at step ${summary.t_stop ?? summary.steps}${came}.` };
+  }
   if (summary.ended === "cap")
-    return { badge: "Out of steps", tone: "warn", text: `It used all ${summary.steps} steps without calling the mission complete, with ${seen} and ${hits}.` };
-  return { badge: "Aborted", tone: "bad", text: `It was aborted after ${plural(summary.steps, "step")}, with ${seen} and ${hits}.` };
+    return { badge: "Out of steps", tone: "warn", text: `It used all ${summary.steps} steps without calling the mission complete${came}.` };
+  return { badge: "Aborted", tone: "bad", text: `It was aborted after ${plural(summary.steps, "step")}${came}.` };
 }

@@ -3,19 +3,28 @@
 import importlib.util
 import json
 import socket
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from dream.cli import run_command
+from dream.commands.dive import RISE, Dive, _Ready, repeating_command
 from dream.estimation import InEkf, InEkfState, Timeline
+from dream.evaluation.dive_figure import read_dive
+from dream.geometry import SE2, Bounds
 from dream.mapping import OccupancyMap
 from dream.mission import explore
+from dream.planning import PLANNERS
 from dream.planning.belief import Belief
 from dream.protocol import POOL_V1
 from dream.recording import read_steps
+from dream.robots.bluerov2.bridge import LastResort, Limits, Stance, Standing
+from dream.robots.bluerov2.camera import RtpVideo
+from dream.robots.bluerov2.devices import source_of
 from dream.robots.bluerov2.log import read_log, read_measurements, read_wire
 from dream.robots.bluerov2.navigation import Instruments
 from dream.robots.replay import Replayed
@@ -47,6 +56,19 @@ def test_the_tank_is_explored(dive: Path) -> None:
     assert told["dive"]["behind_s"] < 5.0
     assert told["dive"]["pictures_per_s"] > 8.0
     assert told["dive"]["log_lost"] == {}
+
+
+@pytest.mark.slow
+def test_the_dive_is_drawn_with_goals_and_truth(dive: Path) -> None:
+    flown = read_dive(dive)
+    steps = read_steps(dive)
+    assert len(flown.goals) == len(steps) + 1 - (steps[-1].ended == "done")
+    assert len(flown.truth) == len(steps)
+    # Where it rests it is where it was sent, as far as it knows, and nearly so in truth.
+    sent_to = flown.goals[1 : len(steps), 1:3]
+    assert np.hypot(*(flown.truth[1 : len(sent_to) + 1, 1:3] - sent_to).T).max() < 0.2
+    assert (dive / "dive.svg").is_file()
+    assert (dive / "dive.png").is_file()
 
 
 @pytest.mark.slow
@@ -139,3 +161,77 @@ def test_a_vehicle_that_does_not_answer_is_told_in_a_line(
     ask += ["--dvl", "127.0.0.1:9", "--camera", "rtp:0", "--out", str(tmp_path)]
     assert run_command(ask) == 1
     assert "expected a heartbeat of system 1" in capsys.readouterr().err
+
+
+def test_without_an_operator_there_is_no_dive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    dive = ["dive", "--area", "-1", "-1", "1", "1", "--calibration", str(tmp_path / "camera.yaml")]
+    assert run_command(dive) == 2
+    assert "expected an operator at a terminal, got none. Say --unattended" in capsys.readouterr().err
+
+
+class Sinking:
+    """A vehicle that comes up by itself once its mode is SURFACE, on a clock that runs when one sleeps."""
+
+    def __init__(self, resort: LastResort, comes_up: bool = True) -> None:
+        self.time, self.depth, self.mode, self.armed, self.yielding = 0.0, 3.0, "ALT_HOLD", True, ""
+        self.resort, self.comes_up = resort, comes_up
+        self.standing = Standing(Stance.OVER, "water in the hull")
+        self.limits = Limits(Bounds(-1.0, -1.0, 1.0, 1.0), last_resort=resort)
+
+    def sleep(self, seconds: float) -> None:
+        self.time += seconds
+        if self.time >= self.limits.patience:
+            self.mode = "SURFACE" if self.resort is LastResort.SURFACE else self.mode
+            self.armed = self.resort is not LastResort.DISARM
+        if self.mode == "SURFACE" and self.comes_up:
+            self.depth -= 0.3 * seconds
+
+    def see_off(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        link = SimpleNamespace(telemetry=self, yielding="")
+        devices = SimpleNamespace(now=lambda: self.time, link=link)
+        monkeypatch.setattr("dream.commands.dive.time.sleep", self.sleep)
+        ready = _Ready(Dive(), POOL_V1, devices, self.limits, SE2(0.0, 0.0, 0.0), Path(), None)  # type: ignore[arg-type]
+        ready._see_off(self)  # type: ignore[arg-type]
+
+
+def test_a_dive_that_must_be_over_stays_until_the_vehicle_is_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    vehicle = Sinking(LastResort.SURFACE)
+    vehicle.see_off(monkeypatch)
+    assert vehicle.depth < 0.4
+    assert 13.0 < vehicle.time < 15.0
+
+
+def test_a_vehicle_that_does_not_come_up_is_not_waited_for_forever(monkeypatch: pytest.MonkeyPatch) -> None:
+    vehicle = Sinking(LastResort.SURFACE, comes_up=False)
+    vehicle.see_off(monkeypatch)
+    assert vehicle.time == pytest.approx(vehicle.limits.patience + RISE, abs=1.0)
+
+
+def test_a_vehicle_that_is_disarmed_needs_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    vehicle = Sinking(LastResort.DISARM)
+    vehicle.see_off(monkeypatch)
+    assert vehicle.time == pytest.approx(vehicle.limits.patience, abs=0.2)
+
+
+def test_a_dive_that_ended_well_is_left_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    vehicle = Sinking(LastResort.HOLD)
+    vehicle.standing = Standing(Stance.GO)
+    vehicle.see_off(monkeypatch)
+    assert vehicle.time == 0.0
+
+
+def test_the_line_that_dives_again_says_what_was_told() -> None:
+    told = Dive(area=(-1.8, -1.8, 1.8, 1.8), at=(0.5, 0.0, 90.0), set_parameters=True, max_steps=5, json=True)
+    line = repeating_command(told, "belief")
+    assert line == ("dream dive belief --area -1.8 -1.8 1.8 1.8 --at 0.5 0 90 --max-steps 5 --set-parameters")
+    planner = replace(PLANNERS["belief"], risk=0.1)
+    assert repeating_command(Dive(planner=planner), "belief") == "dream dive belief --risk 0.1"
+
+
+def test_pictures_may_come_to_any_address_of_this_computer() -> None:
+    source = source_of("rtp:5600")
+    assert isinstance(source, RtpVideo)
+    assert (source.host, source.port) == ("0.0.0.0", 5600)
+    narrow = source_of("rtp:127.0.0.1:5601")
+    assert isinstance(narrow, RtpVideo)
+    assert (narrow.host, narrow.port) == ("127.0.0.1", 5601)

@@ -159,6 +159,7 @@ class Bridge:
         said: Callable[[Standing], None] | None = None,
         fixed: Callable[[Fix], None] | None = None,
         failing: Callable[[], str] = lambda: "",
+        aimed: Callable[[SE2, float], None] | None = None,
     ) -> None:
         """On a vehicle whose navigator is aligned.
 
@@ -174,12 +175,13 @@ class Bridge:
             fixed: Told of the estimate at every beat.
             failing: Which device says that it will fail soon, in words; empty where none does. The dive is
                 over while all that surfacing needs still works.
+            aimed: Told of every new goal and its altitude.
         """
         self._navigator, self._drive, self._limits, self._now = navigator, drive, limits, now
         self._watch = watch or Watch()
         self._pilot = pilot
         self._period = 1.0 / rate
-        self._said, self._fixed, self._failing = said, fixed, failing
+        self._said, self._fixed, self._aimed, self._failing = said, fixed, aimed, failing
         self._lock = threading.Lock()
         self._goal: tuple[SE2, float] | None = None
         self._asked = math.nan
@@ -219,6 +221,8 @@ class Bridge:
         with self._lock:
             self._goal, self._asked = (goal, altitude), self._now()
         self._wake.set()
+        if self._aimed is not None:
+            self._aimed(goal, altitude)
 
     def renew(self, seconds: float = LEASE) -> None:
         """The mission lives, and will say so again within that time."""

@@ -67,7 +67,8 @@ def source_of(camera: str) -> Source:
         host, _, port = rest.rpartition(":")
         if not port.isdigit():
             raise ValueError(f"--camera: expected rtp:PORT or rtp:HOST:PORT, got {camera}")
-        return RtpVideo(host=host or "127.0.0.1", port=int(port))
+        # A vehicle sends to the address of its tether: any of this computer's will do.
+        return RtpVideo(host=host or "0.0.0.0", port=int(port))
     if kind in ("rtsp", "rtsps"):
         return RtspVideo(camera)
     if camera.isdigit():
