@@ -88,7 +88,7 @@ def write_report(folder: Path) -> Path:
         _part("page.html"),
         {
             "policy": policy,
-            "title": html.escape(f"{config.world} seed {config.seed}, {config.planner} · DREAM"),
+            "title": html.escape(f"{_place(config)}, {config.planner} · DREAM"),
             "style": style,
             "run": _json(run),
             "pictures": "\n".join(blocks),
@@ -123,6 +123,13 @@ def repeating_command(config: RunConfig) -> str:
         if name not in defaults or value != defaults[name]:
             words += ["--" + name.replace("_", "-"), str(value)]
     return shlex.join(words)
+
+
+def _place(config: RunConfig) -> str:
+    """Where it was; a real place has no seed."""
+    dive = (config.model_extra or {}).get("dive")
+    real = isinstance(dive, dict) and not dive.get("stand_in")
+    return config.world if real else f"{config.world} seed {config.seed}"
 
 
 def _blocks(folder: Path, step: RecordedStep) -> tuple[int, list[str]]:

@@ -22,7 +22,7 @@ function curves(run) {
   const nice = 10 ** Math.floor(Math.log10(most));
   const stride = [0.25, 0.5, 1, 2, 2.5].map((factor) => factor * nice).find((size) => most / size <= 5);
   const ticks = Array.from({ length: Math.ceil(most / stride) + 1 }, (_, index) => index * stride);
-  const say = (value) => `${Math.round(value)} m²`;
+  const say = (value) => `${value.toFixed(stride % 1 ? 1 : 0)} m²`;
   return { series: [explored], top: ticks.at(-1), say, ticks, tick: say };
 }
 

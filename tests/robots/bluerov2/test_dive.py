@@ -3,7 +3,6 @@
 import importlib.util
 import json
 import socket
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,7 +17,6 @@ from dream.evaluation.dive_figure import read_dive
 from dream.geometry import SE2, Bounds
 from dream.mapping import OccupancyMap
 from dream.mission import explore
-from dream.planning import PLANNERS
 from dream.planning.belief import Belief
 from dream.protocol import POOL_V1
 from dream.recording import read_steps
@@ -224,7 +222,7 @@ def test_the_line_that_dives_again_says_what_was_told() -> None:
     told = Dive(area=(-1.8, -1.8, 1.8, 1.8), at=(0.5, 0.0, 90.0), set_parameters=True, max_steps=5, json=True)
     line = repeating_command(told, "belief")
     assert line == ("dream dive belief --area -1.8 -1.8 1.8 1.8 --at 0.5 0 90 --max-steps 5 --set-parameters")
-    planner = replace(PLANNERS["belief"], risk=0.1)
+    planner = Belief(risk=0.1)
     assert repeating_command(Dive(planner=planner), "belief") == "dream dive belief --risk 0.1"
 
 
