@@ -5,13 +5,13 @@ import json
 import socket
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 
 from dream.cli import run_command
-from dream.commands.dive import RISE, Dive, _Ready, repeating_command
+from dream.commands.dive import LEAVING, Dive, _Ready, repeating_command
 from dream.estimation import InEkf, InEkfState, Timeline
 from dream.evaluation.dive_figure import read_dive
 from dream.geometry import SE2, Bounds
@@ -20,7 +20,7 @@ from dream.mission import explore
 from dream.planning.belief import Belief
 from dream.protocol import POOL_V1
 from dream.recording import read_steps
-from dream.robots.bluerov2.bridge import LastResort, Limits, Stance, Standing
+from dream.robots.bluerov2.bridge import Limits
 from dream.robots.bluerov2.camera import RtpVideo
 from dream.robots.bluerov2.devices import source_of
 from dream.robots.bluerov2.log import read_log, read_measurements, read_wire
@@ -167,55 +167,87 @@ def test_without_an_operator_there_is_no_dive(tmp_path: Path, capsys: pytest.Cap
     assert "expected an operator at a terminal, got none. Say --unattended" in capsys.readouterr().err
 
 
-class Sinking:
-    """A vehicle that comes up by itself once its mode is SURFACE, on a clock that runs when one sleeps."""
+class Vehicle:
+    """One that comes up by itself once its mode is SURFACE, on a clock that runs when one sleeps."""
 
-    def __init__(self, resort: LastResort, comes_up: bool = True) -> None:
-        self.time, self.depth, self.mode, self.armed, self.yielding = 0.0, 3.0, "ALT_HOLD", True, ""
-        self.resort, self.comes_up = resort, comes_up
-        self.standing = Standing(Stance.OVER, "water in the hull")
-        self.limits = Limits(Bounds(-1.0, -1.0, 1.0, 1.0), last_resort=resort)
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, **changes: object) -> None:
+        self.time, self.depth, self.mode, self.engaged, self.yielding = 0.0, 3.0, "ALT_HOLD", True, ""
+        self.comes_up, self.alive, self.has = True, 0, False
+        self.telemetry = self
+        for name, value in changes.items():
+            setattr(self, name, value)
+        monkeypatch.setattr("dream.commands.dive.time.sleep", self.sleep)
 
     def sleep(self, seconds: float) -> None:
         self.time += seconds
-        if self.time >= self.limits.patience:
-            self.mode = "SURFACE" if self.resort is LastResort.SURFACE else self.mode
-            self.armed = self.resort is not LastResort.DISARM
         if self.mode == "SURFACE" and self.comes_up:
             self.depth -= 0.3 * seconds
+        if self.time > 300.0:
+            raise KeyboardInterrupt
 
-    def see_off(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        link = SimpleNamespace(telemetry=self, yielding="")
-        devices = SimpleNamespace(now=lambda: self.time, link=link)
-        monkeypatch.setattr("dream.commands.dive.time.sleep", self.sleep)
-        ready = _Ready(Dive(), POOL_V1, devices, self.limits, SE2(0.0, 0.0, 0.0), Path(), None)  # type: ignore[arg-type]
-        ready._see_off(self)  # type: ignore[arg-type]
+    def set_mode(self, name: str) -> None:
+        self.mode = name
+
+    def disarm(self) -> None:
+        self.engaged = False
+
+    def operator_alive(self) -> None:
+        self.alive += 1
+
+    def left(self, how: Literal["hold", "surface", "disarm"] = "surface") -> None:
+        devices = SimpleNamespace(now=lambda: self.time, link=self, station=self)
+        limits = Limits(Bounds(-1.0, -1.0, 1.0, 1.0))
+        start = SE2(0.0, 0.0, 0.0)
+        told = Dive(last_resort=how, json=True)
+        _Ready(told, POOL_V1, devices, limits, start, Path(), None)._leave(self)  # type: ignore[arg-type]
 
 
-def test_a_dive_that_must_be_over_stays_until_the_vehicle_is_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    vehicle = Sinking(LastResort.SURFACE)
-    vehicle.see_off(monkeypatch)
+def test_in_the_end_the_vehicle_is_brought_up_and_disarmed(monkeypatch: pytest.MonkeyPatch) -> None:
+    vehicle = Vehicle(monkeypatch)
+    vehicle.left()
     assert vehicle.depth < 0.4
-    assert 13.0 < vehicle.time < 15.0
+    assert not vehicle.engaged
+    assert 8.0 < vehicle.time < 10.0
+    # Its own failsafe would stop it on the way, if nobody spoke to it.
+    assert vehicle.alive > 50
 
 
-def test_a_vehicle_that_does_not_come_up_is_not_waited_for_forever(monkeypatch: pytest.MonkeyPatch) -> None:
-    vehicle = Sinking(LastResort.SURFACE, comes_up=False)
-    vehicle.see_off(monkeypatch)
-    assert vehicle.time == pytest.approx(vehicle.limits.patience + RISE, abs=1.0)
+def test_one_that_does_not_come_up_is_not_waited_for_forever(monkeypatch: pytest.MonkeyPatch) -> None:
+    vehicle = Vehicle(monkeypatch, comes_up=False)
+    vehicle.left()
+    assert vehicle.time == pytest.approx(LEAVING, abs=1.0)
+    assert not vehicle.engaged
 
 
-def test_a_vehicle_that_is_disarmed_needs_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    vehicle = Sinking(LastResort.DISARM)
-    vehicle.see_off(monkeypatch)
-    assert vehicle.time == pytest.approx(vehicle.limits.patience, abs=0.2)
+def test_one_that_is_to_be_disarmed_is_so_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    vehicle = Vehicle(monkeypatch)
+    vehicle.left("disarm")
+    assert (vehicle.time, vehicle.engaged, vehicle.mode) == (0.0, False, "ALT_HOLD")
 
 
-def test_a_dive_that_ended_well_is_left_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    vehicle = Sinking(LastResort.HOLD)
-    vehicle.standing = Standing(Stance.GO)
-    vehicle.see_off(monkeypatch)
-    assert vehicle.time == 0.0
+def test_one_that_is_to_hold_does_so_until_somebody_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    vehicle = Vehicle(monkeypatch)
+    vehicle.left("hold")
+    assert vehicle.time > 299.0
+    assert vehicle.engaged
+    assert vehicle.mode == "ALT_HOLD"
+
+
+@pytest.mark.parametrize("changes", [{"yielding": "somebody else drives"}, {"engaged": False}])
+def test_one_that_is_not_ours_is_left_as_it_is(
+    changes: dict[str, object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    vehicle = Vehicle(monkeypatch, **changes)
+    vehicle.left()
+    assert (vehicle.time, vehicle.mode) == (0.0, "ALT_HOLD")
+    assert vehicle.engaged == (changes.get("engaged", True))
+
+
+def test_who_has_the_sticks_brings_it_home(monkeypatch: pytest.MonkeyPatch) -> None:
+    vehicle = Vehicle(monkeypatch, has=True)
+    vehicle.left()
+    assert vehicle.mode == "ALT_HOLD"
+    assert vehicle.time > 299.0
 
 
 def test_the_line_that_dives_again_says_what_was_told() -> None:
