@@ -147,6 +147,22 @@ def test_without_the_extra_it_says_what_to_install(
     assert 'pip install "dream-auv[rov]"' in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("told", "wanted"),
+    [
+        (["--pilot", "udpin:127.0.0.1:0", "--drive", "guided"], "--pilot: expected --drive alt-hold"),
+        (["--pilot", "127.0.0.1"], "pilot: expected udpin:HOST:PORT"),
+    ],
+)
+def test_a_pilot_who_could_not_steer_is_refused(
+    told: list[str], wanted: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ask = ["dive", "--area", "-1", "-1", "1", "1", "--check", "--vehicle", "udpin:127.0.0.1:0"]
+    ask += ["--dvl", "127.0.0.1:9", "--camera", "rtp:0", "--out", str(tmp_path)]
+    assert run_command([*ask, *told]) == 2
+    assert wanted in capsys.readouterr().err
+
+
 def test_a_vehicle_that_does_not_answer_is_told_in_a_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -131,6 +131,25 @@ def test_a_dive_that_is_over_is_an_aborted_mission(monkeypatch: pytest.MonkeyPat
     assert scene.now < 11.1
 
 
+def test_where_somebody_leaves_it_a_move_sets_out_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene(speed=0.15, standing=Standing(Stance.YIELD, "the pilot has the sticks"))
+    # The pilot rests on the goal itself for a while: that is no arrival. Then it is taken far away.
+    scene.fix = fix_at(GOAL.x)
+
+    def free() -> None:
+        if 50.0 < scene.now < 100.0:
+            scene.fix = fix_at(-7.0)
+        elif scene.now >= 100.0:
+            scene.standing = Standing(Stance.GO)
+
+    scene.each = free
+    arrival = scene.robot(monkeypatch).go_to(GOAL)
+    # Longer under way than the move that was asked for might take.
+    assert scene.now > 100.0 + 40.0
+    assert arrival.pose.distance(SE2(0.3, 0.0, 0.0)) <= Manners().near
+    assert arrival.note == "the pilot has the sticks"
+
+
 def test_it_waits_while_it_may_not_move_and_notes_why(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = Scene(standing=Standing(Stance.YIELD, "somebody else drives"))
 

@@ -317,9 +317,9 @@ class Station:
             self._link.pilot(NEUTRAL, self._now())
 
     def learn_buttons(self) -> None:
-        """Ask the vehicle which buttons disarm it. What has no answer disarms nothing."""
-        for button in range(16):
-            with contextlib.suppress(TimeoutError):
+        """Ask the vehicle which buttons disarm it; without an answer, none does."""
+        with contextlib.suppress(TimeoutError):
+            for button in range(16):
                 function = int(self._link.param(f"BTN{button}_FUNCTION"))
                 if function in (ARM_TOGGLE, DISARM):
                     self._disarming_buttons[button] = function
