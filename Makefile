@@ -32,7 +32,7 @@ tank: setup ## Dive in a simulated tank, through programs that stand in for a Bl
 	@$(BIN)/dream dive --stand-in --world pool/arc --out runs
 
 test: setup ## Run all tests
-	@$(BIN)/pytest -n 2 --dist loadscope
+	@$(BIN)/pytest -n 3 --dist loadscope
 
 test-ray: setup ## Run the tests that need Ray, an optional extra
 	@$(UV) sync --quiet --locked --compile-bytecode --inexact --extra ray

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -321,7 +322,8 @@ TARGET, SOLID, FREE = 0x50, 5, -3
 @given(
     seed=st.integers(0, 2**31),
     bounds=st.sampled_from((None, Bounds(-12.0, -12.0, 12.0, 12.0), Bounds(-3.0, 5.0, 17.0, 9.0))),
-    protocol=st.sampled_from((DREAM_V1, POOL_V1)),
+    # What is left to traverse has tests of its own.
+    protocol=st.sampled_from((DREAM_V1, replace(POOL_V1, traversal=None))),
     targets=st.booleans(),
 )
 @settings(max_examples=4)
