@@ -8,6 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,9 +19,11 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from dream.geometry import SE2, SE3, Bounds, wrap_angle
 from dream.robots.bluerov2.bridge import Bridge, LastResort, Limits, Stance
+from dream.robots.bluerov2.devices import Addresses, Devices
 from dream.robots.bluerov2.drives import AltHold
+from dream.robots.bluerov2.log import read_wire
 from dream.robots.bluerov2.mavlink import LIFELINE, PERIOD, Link
-from dream.robots.bluerov2.navigation import Fix
+from dream.robots.bluerov2.navigation import Fix, Instruments
 from dream.robots.bluerov2.pilot import BURST, EXPIRY, HANDS_OFF, LARGEST, LOST, MOST, Hands, Station
 from dream.robots.bluerov2.standin.ardusub import ArduSub
 from dream.robots.bluerov2.standin.tank import Tank
@@ -267,8 +270,12 @@ def test_a_station_that_vanishes_with_pushed_sticks_is_neutral_within_half_a_sec
     scene.run(30.0)
     last = max(t for t, sent in scene.moved() if sent != (0, 0, 500, 0))
     assert last < silent + EXPIRY
-    # Nor does the mission go on by itself: neutral is sent all the time.
-    assert len(scene.moved(silent + 10.0)) > 300
+    # Nor does the mission go on by itself, or by an order that slipped through: neutral is sent all the time.
+    scene.vehicle.sent.clear()
+    scene.link.command(Sticks(x=400), scene.clock() + EXPIRY)
+    scene.run(20.0)
+    assert all(map(is_neutral, scene.vehicle.heard("MANUAL_CONTROL")))
+    assert len(scene.moved()) > 300
     assert scene.stance() is Stance.YIELD
     assert "gone" in scene.bridge.standing.reason
     assert scene.station.gone
@@ -801,3 +808,23 @@ def test_an_address_that_is_none_is_told(address: str) -> None:
     dive = Dive()
     with pytest.raises(ValueError, match="udpin:HOST:PORT"):
         Station(address, dive.link, now=dive.clock)
+
+
+def test_among_all_devices_it_sees_the_vehicle_and_is_in_the_log(tmp_path: Path) -> None:
+    addresses = Addresses("udpin:127.0.0.1:0", "127.0.0.1:9", "rtp:0", "udpin:127.0.0.1:0")
+    with (
+        Devices(addresses, Instruments(), tmp_path, epoch_ns=1_795_000_000_000_000_000) as devices,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle,
+    ):
+        station = devices.station
+        assert station is not None
+        ground.settimeout(5.0)
+        ground.connect(("127.0.0.1", station.port))
+        ground.send(Person(station, devices.now).pack(dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)))
+        assert until(lambda: station.connected)
+        speaker = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+        beat = bytes(dialect.MAVLink_heartbeat_message(12, 3, 1, 19, 4, 3).pack(speaker))
+        vehicle.sendto(beat, ("127.0.0.1", devices.link.port))
+        assert ground.recv(2000) == beat
+    assert [sent for _, sent, _ in read_wire(tmp_path / "log.mcap", "pilot")] == [False]

@@ -42,6 +42,8 @@ WAIT = 0.05
 """Seconds that a receiver waits before it looks whether sticks have expired."""
 TOLD_EVERY = 5.0
 """Seconds between two notices of the same kind."""
+SHOWN = 15.0
+"""Seconds that the operator's console shows one."""
 FORWARDED = MappingProxyType(
     {
         "HEARTBEAT": 0.0,
@@ -232,8 +234,6 @@ class Station:
         self._hands = hands or Hands()
         self.refused: Counter[str] = Counter()
         """What came and was not obeyed, by reason."""
-        self.said = ""
-        """The last thing that the operator should know; empty where there is none."""
         self.ended = ""
         """Why the person ended the dive; empty where they did not."""
         self._lock = threading.RLock()
@@ -243,6 +243,7 @@ class Station:
         self._budget, self._counted = BURST, now()
         self._shown: dict[str, float] = {}
         self._told: dict[str, float] = {}
+        self._said: tuple[str, float] = ("", -math.inf)
         self._buttons = 0
         self._disarming_buttons: dict[int, int] = {}
         self._writer = self._dialect.MAVLink(None)
@@ -292,6 +293,11 @@ class Station:
     def gone(self) -> bool:
         """Did the sticks stop coming while a person steered?"""
         return self._hands.gone
+
+    @property
+    def said(self) -> str:
+        """What became of a message that the operator should know of; empty where nothing did lately."""
+        return self._said[0] if self._now() < self._said[1] else ""
 
     @property
     def words(self) -> str:
@@ -366,7 +372,7 @@ class Station:
                 # Whatever the mission's last order was, it must not come through.
                 self._link.pilot(NEUTRAL, now + EXPIRY)
                 if had:
-                    self._note("the pilot's sticks stopped coming: neutral, until they are back, or r")
+                    self._note("the pilot's sticks are gone: neutral")
 
     # Receiving
 
@@ -462,7 +468,7 @@ class Station:
                 self._disarm(None)
             else:
                 self.refused["a button"] += 1
-                self._tell("button", f"button {button} does nothing here: ask for it in DREAM's console", now)
+                self._tell("button", f"button {button}: ask for it in DREAM's console", now)
 
     def _deny(self, message: Any, kind: str, now: float) -> None:
         command = kind in ("COMMAND_LONG", "COMMAND_INT")
@@ -482,7 +488,7 @@ class Station:
             self._acknowledge(message, d.MAV_RESULT_DENIED)
         self.refused[name] += 1
         if not name.startswith(QUESTIONS):
-            self._tell(name, f"{name} is not passed on: ask for it in DREAM's console", now)
+            self._tell(name, f"{name}: ask for it in DREAM's console", now)
 
     # Disarming
 
@@ -505,7 +511,7 @@ class Station:
             self._link.disarm()
         except (Refused, OSError) as error:
             result = self._dialect.MAV_RESULT_FAILED
-            self._note(f"the vehicle is not disarmed: {error}")
+            self._note(f"the vehicle is not disarmed: {error}", shown=True)
         if command is not None:
             self._acknowledge(command, result)
 
@@ -515,14 +521,15 @@ class Station:
         """Tell operator and pilot, but not again and again."""
         if now - self._told.get(what, -math.inf) >= TOLD_EVERY:
             self._told[what] = now
-            self._note(text)
+            self._note(text, shown=True)
 
-    def _note(self, text: str) -> None:
-        self.said = text
+    def _note(self, text: str, *, shown: bool = False) -> None:
+        if shown:
+            self._said = text, self._now() + SHOWN
         logger.warning("pilot: %s", text)
         with self._lock:
             self._record(self._now(), True, {"has": self.has, "gone": self.gone, "said": text})
-            self._say(self._dialect.MAVLink_statustext_message(6, f"DREAM: {text}"[:50].encode()), 191)
+            self._say(self._dialect.MAVLink_statustext_message(6, text[:50].encode()), 191)
 
     def _acknowledge(self, command: Any, result: int) -> None:
         answer = self._dialect.MAVLink_command_ack_message(
