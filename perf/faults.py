@@ -41,8 +41,8 @@ limits are those of a dive, but that the bottom may be lost for 1.5 s instead of
 
 What it did: *slow*, on at a part of the speed; *neutral*, the autopilot holds depth and heading, and the last
 resort comes if it lasts; *yield*, somebody else has it, and DREAM is silent; *over*, neutral for good, then
-the last resort. Lost is the last sign of life of mission or operator; for the sensors, the moment from which on
-the newest sample is older than is borne (0.2 s for the inertial unit).
+the last resort. Lost is the last sign of life of mission or operator; for the sensors, the moment when
+the newest sample got older than is borne (0.2 s for the inertial unit).
 
 """
 TAIL = """
@@ -109,7 +109,9 @@ def _suffered(
 
 
 def _row(outcome: Outcome) -> str:
-    done = outcome.did if math.isfinite(outcome.detected) else str(Stance.GO)
+    done = outcome.did
+    if not math.isfinite(outcome.detected):
+        done = "the command expires" if math.isfinite(outcome.lost) else str(Stance.GO)
     lost = f"; {outcome.log_lost} messages lost" if outcome.log_lost else ""
     cells = (
         outcome.fault,

@@ -159,7 +159,7 @@ class Dive:
             stack.enter_context(compiling_told())
             interrupted = stack.enter_context(kept_interrupts())
             if not self.check:
-                _rehearse(protocol)
+                _rehearse(protocol, self.estimator)
                 interrupted()
             begun = datetime.datetime.now(datetime.UTC)
             tank = _Tank(self.world, self.seed, self.drive) if self.stand_in else None
@@ -358,7 +358,6 @@ class _Ready:
         from dream.report import write_report
         from dream.robots.bluerov2.bridge import LEASE, Bridge
         from dream.robots.bluerov2.drives import AltHold, Guided
-        from dream.robots.bluerov2.navigation import NotReady
         from dream.robots.replay import Keeping
 
         told, devices, protocol = self.told, self.devices, self.protocol
@@ -401,7 +400,7 @@ class _Ready:
                     total = told.max_steps or protocol.cap
                     for _ in recorded if shown else with_progress(recorded, name, total):
                         pass
-        except (KeyboardInterrupt, MissionAborted, NotReady, OSError) as error:
+        except (KeyboardInterrupt, Exception) as error:  # noqa: BLE001 - whatever it was, what was flown is kept.
             stopped = error
         finally:
             bridge.close()
@@ -632,15 +631,17 @@ def _in_real_time(planner: AnyPlanner) -> AnyPlanner:
     return replace(planner, latency=None) if isinstance(planner, Asking) else planner
 
 
-def _rehearse(protocol: SurveyProtocol) -> None:
-    """Explore a simulated place for some steps: what is compiled now stops nothing under water."""
+def _rehearse(protocol: SurveyProtocol, estimator: str) -> None:
+    """Explore a simulated place for some steps, and steer: what is compiled now stops nothing under water."""
     from dream.evaluation.runner import simulate
     from dream.planning.belief import Belief
+    from dream.robots.bluerov2.drives import rehearse
     from dream.sim.worlds import make_world
 
     world = make_world("pool/arc" if protocol.traversal is not None else "reef/patch", 1)
     for _ in simulate(world, Belief(), protocol, max_steps=REHEARSED):
         pass
+    rehearse(estimator)
 
 
 _ENDS = {Will.END: "ended by the operator", Will.SURFACE: "the operator wants it at the surface"}

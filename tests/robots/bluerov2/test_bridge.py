@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dream.geometry import SE2, SE3, Bounds
-from dream.robots.bluerov2.bridge import LEASE, Bridge, Craft, LastResort, Limits, Stance, Standing
+from dream.robots.bluerov2.bridge import LEASE, SAG, Bridge, Craft, LastResort, Limits, Stance, Standing
 from dream.robots.bluerov2.navigation import Fix
 
 AREA = Bounds(-2.0, -2.0, 2.0, 2.0)
@@ -193,7 +193,9 @@ def test_beyond_a_limit_the_dive_is_over(name: str) -> None:
     scene = under_way()
     cause, reason = LIMITS[name]
     cause(scene)
-    assert set(scene.beats(0.2)) == {"neutral"}
+    if name == "voltage":
+        scene.beats(SAG)
+    assert set(scene.beats(0.2)[1:]) == {"neutral"}
     assert scene.bridge.standing.stance is Stance.OVER
     assert reason in scene.bridge.standing.reason
     # A battery that recovers without its load, or a fence that a current carries it back through: still over.
@@ -225,6 +227,15 @@ def test_a_device_that_is_about_to_fail_ends_the_dive() -> None:
     said = ""
     assert set(scene.beats(0.2)) == {"neutral"}
     assert scene.bridge.standing == Standing(Stance.OVER, "the DVL is too hot")
+
+
+def test_a_voltage_that_sags_for_a_moment_ends_nothing() -> None:
+    scene = under_way()
+    for _ in range(3):
+        scene.reports = replace(WELL, voltage=13.2)
+        assert set(scene.beats(0.7 * SAG)) == {"steer"}
+        scene.reports = replace(WELL, voltage=math.nan)
+        assert set(scene.beats(0.1)) == {"steer"}
 
 
 def test_the_fence_has_a_margin_and_the_depth_of_a_goal_its_limit() -> None:

@@ -6,9 +6,7 @@ changes what is measured, and not whether it holds.
 
 import math
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
 
@@ -55,7 +53,7 @@ def flat(drill: Drill) -> None:
 
 
 @pytest.fixture(scope="module")
-def drilled(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Drilled]:
+def drilled(tmp_path_factory: pytest.TempPathFactory) -> Drilled:
     faults = {fault.name: fault for fault in HEALING_FAULTS}
     with Drill(tmp_path_factory.mktemp("faults")) as drill:
         outcomes = {name: drill.suffer(faults[name]) for name in DRILLED}
@@ -67,7 +65,7 @@ def drilled(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Drilled]:
         time.sleep(2.5)
         moved = [at - ended for at in topside.moves if at > ended]
         watched, stance = topside.now() - ended, topside.bridge.standing.stance
-    yield Drilled(outcomes, over, watched, moved, stance, topside.log.lost)
+    return Drilled(outcomes, over, watched, moved, stance, topside.log.lost)
 
 
 @pytest.mark.slow

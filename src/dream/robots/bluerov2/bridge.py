@@ -19,6 +19,9 @@ logger = logging.getLogger(__name__)
 LEASE = 0.4
 """Seconds after which a command that was not renewed is neutral: half a second, less what sending takes."""
 
+SAG = 3.0
+"""Seconds that the battery may be below its limit."""
+
 
 class Stance(enum.StrEnum):
     """What the bridge does, whatever the goal."""
@@ -189,6 +192,8 @@ class Bridge:
         self._ended: str = ""
         self._over = ""
         self._resorted = False
+        self._fed = now()
+        """When the battery last had its voltage, or did not say."""
         self._standing = FINE
         self._neutral_since = math.nan
         self._began = self._last_beat = now()
@@ -370,7 +375,10 @@ class Bridge:
             return f"{craft.depth:.1f} m deep, {limits.depth:g} m are allowed"
         if now - self._began > 60.0 * limits.minutes:
             return f"the {limits.minutes:g} minutes of the dive are over"
-        if craft.voltage < limits.voltage:
+        # Thrusters make the voltage sag for a moment.
+        if not craft.voltage < limits.voltage:
+            self._fed = now
+        elif now - self._fed > SAG:
             return f"battery at {craft.voltage:.1f} V, {limits.voltage:g} V are needed"
         return "water in the hull" if craft.leak else ""
 

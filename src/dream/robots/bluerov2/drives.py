@@ -7,16 +7,19 @@ import logging
 import math
 import threading
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from dream.control import Pd
 from dream.control.autopilot import Autopilot, Helm
-from dream.geometry import SE2, wrap_angle
+from dream.control.health import Watch
+from dream.geometry import SE2, SE3, wrap_angle
+from dream.measurements import Depth, Dvl, Heading, Imu
 from dream.robots.bluerov2.bridge import Craft, LastResort
 from dream.robots.bluerov2.mavlink import Link, Refused
-from dream.robots.bluerov2.navigation import Fix
+from dream.robots.bluerov2.navigation import Fix, Instruments
 from dream.robots.bluerov2.sticks import Joystick
 from dream.sim.vehicle import BLUEROV2, BLUEROV2_HEAVY, Vehicle
 from dream.types import BodyVelocity, Setpoint
@@ -200,3 +203,24 @@ class Guided(_Wired):
 
 def _within(value: float, most: float) -> float:
     return min(max(value, -most), most)
+
+
+def rehearse(estimator: str) -> None:
+    """Estimate and steer once, with no vehicle: what is compiled then does not keep a real one waiting."""
+    filtering = Instruments(estimator=estimator).filter
+    pose = SE3.level(0.0, 0.0, -1.0, 0.0)
+    state: Any = filtering.begin(0.0, pose)
+    still = np.zeros(3)
+    state = filtering.predict(state, Imu(0.02, still, np.array([0.0, 0.0, 9.81])), 0.02)
+    for measurement in (
+        Dvl(0.02, still, 1e-4 * np.eye(3), 1.0, True),
+        Depth(0.02, -1.0, 0.01),
+        Heading(0.02, 0.0, 0.05),
+    ):
+        state = filtering.correct(state, measurement)
+    for vehicle in (BLUEROV2, BLUEROV2_HEAVY):
+        helm = GENTLE.begin(vehicle.hull, vehicle.thrusters, pose)
+        wrench = helm.demand(pose, still, still, (0.1, 0.0, -1.0, 0.1), 0.04)
+        helm.learn(1.0, 0.04)
+        Joystick(thrusters=vehicle.thrusters).sticks(float(wrench[0]), float(wrench[1]), turn_rate=0.1)
+    Watch().condition(imu_age=0.0, depth_age=0.0, dvl_age=0.0, velocity_sigma=0.0, position_sigma=0.0)

@@ -50,6 +50,8 @@ WATCH = Watch(lost=1.5)
 """As in a dive, but that the bottom may be lost for a shorter time, so that a drill need not wait for it."""
 PICTURE = 160
 """Pixels of width: enough to be used, and drawn in a few milliseconds."""
+FIRST = 15.0
+"""Seconds that the first picture may take."""
 MOVE = 0.4
 """Metres of a step of the drills with a camera."""
 
@@ -121,6 +123,7 @@ class Drill:
         """When they last showed it."""
         self.pictures = 0
         """That the mission looked at."""
+        self._looking = threading.Event()
         self._ending = threading.Event()
         with contextlib.ExitStack() as stack:
             self.topside = topside = stack.enter_context(Topside(folder, world, watch=WATCH, guided=guided))
@@ -154,7 +157,9 @@ class Drill:
         """Let it happen to a vehicle that is on its way."""
         topside, standin = self.topside, self.standin
         self.calm.clear()
-        if not fault.camera:
+        if fault.camera:
+            self._looking.wait(FIRST)
+        else:
             topside.go()
         time.sleep(UNDER_WAY)
         from_here = standin.T_world_base.translation.copy()
@@ -172,7 +177,7 @@ class Drill:
         # A loss may be told in two stages, slower first.
         lost_at = [entry for entry in found if entry[1].stance is not Stance.SLOW]
         detected, standing = (lost_at or found or [(math.inf, topside.bridge.standing)])[0]
-        resort = f", {topside.link.telemetry.mode}" if topside.link.telemetry.mode == "SURFACE" else ""
+        resort = ", then it surfaces" if topside.surfaced else ""
         kept = f"{topside.log.written} messages"
         return Outcome(
             fault=fault.name,
@@ -236,9 +241,13 @@ class Drill:
             start = topside.start
             there = SE2(start.x * (1.0 - MOVE / math.hypot(start.x, start.y)), start.y, start.yaw)
             try:
+                while not (live.connected or self._ending.is_set()):
+                    topside.bridge.renew()
+                    time.sleep(TICK)
                 while not self._ending.is_set():
                     robot.observe()
                     self.pictures += 1
+                    self._looking.set()
                     goal = there if self.pictures % 2 else start
                     robot.go_to(Setpoint(goal.x, goal.y, goal.yaw, HEIGHT))
             except MissionAborted as error:

@@ -24,6 +24,7 @@ from dream.robots.bluerov2.dvl_a50 import DvlA50
 from dream.robots.bluerov2.log import DiveLog
 from dream.robots.bluerov2.mavlink import Link
 from dream.robots.bluerov2.navigation import Instruments, Navigator
+from dream.robots.bluerov2.standin.helm import SURFACE
 from dream.robots.bluerov2.standin.telemetry import AIR_PRESSURE
 from dream.sim.world import World
 from dream.sim.worlds import make_world
@@ -69,6 +70,8 @@ class Topside:
         """Measurements, and when they came in."""
         self.said: list[tuple[float, Standing]] = []
         """What the bridge did, and from when on."""
+        self.surfaced = False
+        """Was the last resort taken?"""
         self._guided = guided
         self._far = False
         with contextlib.ExitStack() as stack:
@@ -155,6 +158,8 @@ class Topside:
         self.log.tap(at, channel, sent, payload)
         if sent and _moving(payload):
             self.moves.append(at)
+        if not sent and payload.get_type() == "HEARTBEAT" and payload.get_srcSystem() == self.link.vehicle:
+            self.surfaced |= payload.custom_mode == SURFACE
 
 
 def _moving(packet: Any) -> bool:
