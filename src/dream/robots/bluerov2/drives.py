@@ -171,29 +171,29 @@ class AltHold(_Wired):
 class Guided(_Wired):
     """Velocities, in GUIDED: the autopilot closes the loops of velocity, attitude and depth.
 
-    What it does: the paper's proportional law about a reference that goes straight to the goal.
-    Assumes: an autopilot that knows its position, or it refuses the mode.
-    Fails when: its own velocity loop is slow, as with ArduSub's defaults: a decimetre then takes seconds.
+    What it does: the paper's proportional law straight to the goal, no faster than the reference may be; the
+    heading follows the reference. A velocity loop that is slow to speed up makes of a reference that speeds
+    up and slows down, and is followed, an overshoot of a third of a move of 0.2 m; of this it makes none.
+    Assumes: an autopilot that knows its position, or it refuses the mode; and that speeds up and slows down
+    by `law.K_p` times `autopilot.speed` a second, 0.15 m/s².
+    Fails when: its own velocity loop is slower than that: it overshoots.
     """
 
-    law: Pd = field(default_factory=lambda: Pd(K_p=0.8, K_d=0.0, k_psi=0.0, k_r=0.0))
+    law: Pd = field(default_factory=lambda: Pd(K_p=0.6, K_d=0.0, k_psi=0.0, k_r=0.0))
     climb: float = 0.8
     """1/s: m/s upwards for a metre of height."""
 
     def steer(self, fix: Fix, goal: SE2, z: float, dt: float, pace: float, expires: float) -> None:
         """See `bridge.Drive`."""
         helm = self._reference(fix, goal, dt, pace)
-        x, y, _, yaw = helm.reference
-        pose = fix.T_world_base.se2
         still = BodyVelocity(0.0, 0.0, 0.0, 0.0)
-        wanted = self.law.track(pose, still, Setpoint(x, y, yaw, 0.0))
-        east, north = float(helm.memory[4]), float(helm.memory[5])
-        c, s = math.cos(pose.yaw), math.sin(pose.yaw)
+        wanted = self.law.track(fix.T_world_base.se2, still, Setpoint(goal.x, goal.y, goal.yaw, 0.0))
+        most = pace * self.autopilot.speed
+        slower = min(1.0, most / max(math.hypot(wanted.surge, wanted.sway), 1e-9))
         lacking = z - float(fix.T_world_base.translation[2])
-        most = 1.5 * self.autopilot.speed
         velocity = BodyVelocity(
-            surge=_within(wanted.surge + c * east + s * north, most),
-            sway=_within(wanted.sway - s * east + c * north, most),
+            surge=slower * wanted.surge,
+            sway=slower * wanted.sway,
             heave=_within(self.climb * lacking, most),
             yaw_rate=self._turn_rate(helm, fix),
         )
