@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from dream.robots.bluerov2.bridge import Stance
+from dream.robots.bluerov2.bridge import SAG, Stance
 from dream.robots.bluerov2.standin.drill import HEALING_FAULTS, Drill, Fault, Outcome, killed
 
 LIMIT = 0.5
@@ -58,7 +58,7 @@ def drilled(tmp_path_factory: pytest.TempPathFactory) -> Drilled:
     with Drill(tmp_path_factory.mktemp("faults")) as drill:
         outcomes = {name: drill.suffer(faults[name]) for name in DRILLED}
         topside = drill.topside
-        over = drill.suffer(Fault("the battery falls to 13.5 V", flat, lasts=1.5))
+        over = drill.suffer(Fault("the battery falls to 13.5 V", flat, lasts=SAG + 1.5))
         ended = next(at for at, standing in topside.said if standing.stance is Stance.OVER)
         full_again(drill)
         topside.go()

@@ -451,7 +451,7 @@ FAULTS = (
         loss=lambda d, began: d.topside.bottom_lost(began),
     ),
     Fault("the DVL is about to shut down, too hot", _set("a50", DvlFaults(hot=True)), lasts=4.0),
-    Fault("the battery falls to 13.5 V", _do(lambda s: s.tank.drain(13.5)), lasts=5.0),
+    Fault("the battery falls to 13.5 V", _do(lambda s: s.tank.drain(13.5)), lasts=8.0),
     Fault("water comes in", _do(lambda s: setattr(s.tank, "leak", True)), lasts=5.0),
     Fault("somebody changes the mode", _do(lambda s: s.ardusub.set_mode(19)), lasts=2.0),
     Fault("somebody disarms it", _do(lambda s: s.ardusub.disarm()), lasts=4.0),
