@@ -1,6 +1,5 @@
 """The stand-in keeps the contract that a real ArduSub has to keep."""
 
-import contextlib
 import time
 from collections.abc import Iterator
 
@@ -15,8 +14,9 @@ from dream.sim.worlds import make_world
 from tests.contracts.ardusub import Answers, Moves, Subject
 
 
-@contextlib.contextmanager
-def stand_in(*, has_position: bool) -> Iterator[Subject]:
+@pytest.fixture(scope="class")
+def subject(request: pytest.FixtureRequest) -> Iterator[Subject]:
+    has_position = request.cls is TestMoves
     heard: list[Measurement] = []
     with (
         Link(
@@ -36,17 +36,7 @@ def stand_in(*, has_position: bool) -> Iterator[Subject]:
 class TestAnswers(Answers):
     """Disarmed, and without a position."""
 
-    @pytest.fixture(scope="class")
-    def subject(self) -> Iterator[Subject]:
-        with stand_in(has_position=False) as subject:
-            yield subject
-
 
 @pytest.mark.slow
 class TestMoves(Moves):
     """Armed, and with one."""
-
-    @pytest.fixture(scope="class")
-    def subject(self) -> Iterator[Subject]:
-        with stand_in(has_position=True) as subject:
-            yield subject

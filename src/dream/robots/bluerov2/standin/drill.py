@@ -187,7 +187,7 @@ class Drill:
             lost=lost - began,
             last_motion=max((at - began for at in topside.moves if began < at <= ended), default=0.0),
             slid=slid,
-            healed=healed and topside.bridge.standing.stance is Stance.GO,
+            healed=healed and topside.bridge.standing.stance is Stance.GO and topside.link.telemetry.armed,
             log_lost=sum(topside.log.lost.values()),
             kept=f"{kept}, {self.pictures} pictures" if fault.camera else kept,
         )
