@@ -51,8 +51,9 @@ class _Telling(logging.Handler):
     """Writes to what standard error is by then: a progress bar takes its place and lets lines by."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write a line."""
-        print(self.format(record), file=sys.stderr)
+        """Write a line; where the terminal is gone, nobody reads it, and whoever logs has to go on."""
+        with contextlib.suppress(OSError, ValueError):
+            print(self.format(record), file=sys.stderr)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -8,8 +8,10 @@ import importlib.util
 import logging
 import math
 import shlex
+import signal
 import socket
 import sys
+import threading
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, fields, replace
@@ -157,6 +159,7 @@ class Dive:
         name = planner_name(self.planner)
         with contextlib.ExitStack() as stack:
             stack.enter_context(compiling_told())
+            stack.enter_context(_outlives_its_terminal())
             interrupted = stack.enter_context(kept_interrupts())
             if not self.check:
                 _rehearse(protocol, self.estimator)
@@ -208,9 +211,23 @@ def draw_flown(folder: Path, *, quiet: bool) -> None:
         print(f"  drawn: {paths[0]}")
 
 
+@contextlib.contextmanager
+def _outlives_its_terminal() -> Iterator[None]:
+    """A terminal that closes takes the operator with it, and not what has to bring the vehicle up."""
+    if not hasattr(signal, "SIGHUP") or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
 def _tell(line: str, *, quiet: bool) -> None:
     if not quiet:
-        print(f"dream: {line}", file=sys.stderr)
+        with contextlib.suppress(OSError):  # The terminal may be gone.
+            print(f"dream: {line}", file=sys.stderr)
 
 
 class _Tank:

@@ -2,6 +2,8 @@
 
 import importlib.util
 import json
+import logging
+import signal
 import socket
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,8 +12,8 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from dream.cli import run_command
-from dream.commands.dive import LEAVING, Dive, _Ready, repeating_command
+from dream.cli import _Telling, run_command
+from dream.commands.dive import LEAVING, Dive, _outlives_its_terminal, _Ready, _tell, repeating_command
 from dream.estimation import InEkf, InEkfState, Timeline
 from dream.evaluation.dive_figure import read_dive
 from dream.geometry import SE2, Bounds
@@ -263,6 +265,26 @@ def test_who_has_the_sticks_brings_it_home(monkeypatch: pytest.MonkeyPatch) -> N
     vehicle.left()
     assert vehicle.mode == "ALT_HOLD"
     assert vehicle.time > 299.0
+
+
+def test_a_terminal_that_closes_does_not_end_the_program() -> None:
+    with _outlives_its_terminal():
+        signal.raise_signal(signal.SIGHUP)
+    assert signal.getsignal(signal.SIGHUP) == signal.SIG_DFL
+
+
+def test_a_warning_that_nobody_can_read_stops_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Gone:
+        def write(self, text: str) -> int:
+            raise OSError("the terminal is gone")
+
+        def flush(self) -> None:
+            raise OSError("the terminal is gone")
+
+    monkeypatch.setattr("sys.stderr", Gone())
+    record = logging.LogRecord("dream", logging.WARNING, __file__, 1, "the battery is low", None, None)
+    _Telling().handle(record)
+    _tell("it comes to the surface", quiet=False)
 
 
 def test_the_line_that_dives_again_says_what_was_told() -> None:
