@@ -19,8 +19,11 @@ from dream.measurements import Depth, Heading, Imu
 from dream.robots.bluerov2.mavlink import LIFELINE, LOST, PERIOD, Link, Refused
 from dream.robots.bluerov2.motion import LONGEST, Motion
 from dream.robots.bluerov2.reports import GRAVITY, SEA
-from dream.robots.bluerov2.sticks import NEUTRAL, STILL, Sticks
+from dream.robots.bluerov2.standin.ardusub import ArduSub
+from dream.robots.bluerov2.standin.tank import Conditions, Tank
+from dream.robots.bluerov2.sticks import ALTITUDE_ONLY, GLOBAL_INT, NEUTRAL, STILL, Sticks
 from dream.robots.bluerov2.wire import Udp
+from dream.sim.worlds import make_world
 from dream.types import BodyVelocity
 from dream.vehicle import VECTORED_6DOF
 
@@ -813,6 +816,8 @@ def strange() -> list[tuple[str, Any]]:
         ("pressure", d.MAVLink_scaled_pressure2_message(1, nan, 0.0, 0)),
         ("pressure", d.MAVLink_scaled_pressure2_message(1, 0.0, 0.0, 0)),
         ("pressure", d.MAVLink_scaled_pressure2_message(1, huge, 0.0, 0)),
+        ("own altitude", d.MAVLink_vfr_hud_message(0.0, 0.0, 0, 0, nan, 0.0)),
+        ("own altitude", d.MAVLink_vfr_hud_message(0.0, 0.0, 0, 0, -huge, 0.0)),
         ("imu: force", d.MAVLink_raw_imu_message(1, 32767, 0, 0, 0, 0, 0, 0, 0, 0)),
         ("imu: turn rate", d.MAVLink_raw_imu_message(1, 0, 0, -1000, 0, 0, 32767, 0, 0, 0)),
         ("camera tilt", d.MAVLink_mount_orientation_message(1, 0.0, nan, 0.0)),
@@ -854,6 +859,44 @@ def test_telemetry(dive: Dive) -> None:
     vehicle.say(dialect.MAVLink_statustext_message(1, b"Leak Detected"))
     assert dive.link.telemetry.leak
     assert dive.link.texts[-1][1:] == (1, "Leak Detected")
+
+
+def test_the_autopilots_own_altitude_is_its_own(dive: Dive) -> None:
+    dive.armed()
+    assert math.isnan(dive.link.telemetry.own_altitude)
+    assert dive.link.telemetry.own_altitude_age == math.inf
+    dive.vehicle.say(dialect.MAVLink_vfr_hud_message(0.0, 0.0, 0, 0, -1.25, 0.0))
+    dive.clock.time += 0.3
+    assert dive.link.telemetry.own_altitude == -1.25
+    assert dive.link.telemetry.own_altitude_age == pytest.approx(0.3)
+    assert math.isnan(dive.link.telemetry.depth)
+
+
+def test_the_stand_in_counts_altitude_from_a_zero_of_its_own(dive: Dive) -> None:
+    conditions = Conditions(depth_zero=-0.4)
+    tank = Tank(make_world("pool/arc", 1), conditions=conditions)
+    sub = ArduSub(tank, lambda data, _: dive.link.receive(data))
+
+    def swim(seconds: float) -> None:
+        for _ in range(round(100.0 * seconds)):
+            dive.clock.time += 0.01
+            tank.advance(sub.commands)
+            sub.beat()
+
+    swim(2.0)
+    truth = tank.state.position[2]
+    assert dive.link.telemetry.own_altitude == pytest.approx(truth + 0.4, abs=0.05)
+    sub.hear(dive.vehicle.pack(dialect.MAVLink_set_mode_message(1, 1, 2), 255, 190))
+    sub.arm()
+    # What it is told is counted as what it says.
+    wanted = -0.8
+    message = dialect.MAVLink_set_position_target_global_int_message(
+        0, 1, 1, GLOBAL_INT, ALTITUDE_ONLY, 0, 0, wanted, *[0.0] * 8
+    )
+    sub.hear(dive.vehicle.pack(message, 255, 190))
+    swim(10.0)
+    assert dive.link.telemetry.own_altitude == pytest.approx(wanted, abs=0.05)
+    assert tank.state.position[2] == pytest.approx(wanted - 0.4, abs=0.08)
 
 
 def test_a_leak_shows_in_the_sensors_health_too(dive: Dive) -> None:

@@ -53,13 +53,14 @@ RATES = MappingProxyType(
         "RAW_IMU": 50.0,
         "ATTITUDE": 50.0,
         "SCALED_PRESSURE2": 20.0,
+        "VFR_HUD": 10.0,
         "SYS_STATUS": 2.0,
         "NAMED_VALUE_FLOAT": 2.0,
         "GIMBAL_DEVICE_ATTITUDE_STATUS": 5.0,
     }
 )
 """Hertz that are asked for; ArduSub's own loop for them has 50."""
-OPTIONAL = ("NAMED_VALUE_FLOAT", "GIMBAL_DEVICE_ATTITUDE_STATUS")
+OPTIONAL = ("VFR_HUD", "NAMED_VALUE_FLOAT", "GIMBAL_DEVICE_ATTITUDE_STATUS")
 """Of these, what some versions of ArduSub do not have an interval for."""
 BRIGHTER, DIMMER = 32, 33
 """BTNn_FUNCTION of the buttons for the lights. Lights are moved as a pilot does: DO_SET_SERVO is refused for

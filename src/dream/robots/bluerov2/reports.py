@@ -41,6 +41,9 @@ MOST_TURN = 10.0
 PRESSURES = (500.0, 40_000.0)
 """hPa that the air over a mountain lake, and the water at 300 m with some to spare, have."""
 
+MOST_HEIGHT = 500.0
+"""Metres from its own zero that a vehicle may say it is, either way."""
+
 
 class Strange(ValueError):  # noqa: N818 - it names what the message is.
     """A message whose numbers cannot be true; its text says which."""
@@ -115,6 +118,18 @@ def pressure_of(message: Any) -> float:
 def depth_of(pressure: float, surface: float, density: float, time: float, sigma: float) -> Depth:
     """Height of the pressure sensor, from hPa there and at the surface: z = −(p − p₀) / (ρ g)."""
     return Depth(time, -100.0 * (pressure - surface) / (density * GRAVITY), sigma)
+
+
+def own_altitude_of(message: Any) -> float:
+    """VFR_HUD: metres up by the autopilot's own reckoning, as SET_POSITION_TARGET_GLOBAL_INT takes them.
+
+    Raises:
+        Strange: Not finite, or deeper or higher than a BlueROV2 gets.
+    """
+    altitude = float(message.alt)
+    if not abs(altitude) <= MOST_HEIGHT:
+        raise Strange("own altitude: out of range")
+    return altitude
 
 
 def tilt_of(message: Any) -> float:

@@ -20,6 +20,7 @@ from dream.robots.bluerov2.reports import (
     depth_of,
     heading_of,
     imu_of,
+    own_altitude_of,
     pressure_of,
     text_of,
     tilt_of,
@@ -42,6 +43,9 @@ class Telemetry:
     """Share that is left, 0 to 1."""
     depth: float = math.nan
     """Metres below the surface; NaN until the pressure there is known."""
+    own_altitude: float = math.nan
+    """Metres up by the autopilot's own reckoning, whose zero is where it took its pressure for the surface's:
+    not that of `depth`."""
     attitude: Attitude | None = None
     pilot_gain: float = math.nan
     """What buttons have made of JS_GAIN_DEFAULT."""
@@ -59,6 +63,7 @@ class Telemetry:
     imu_age: float = math.inf
     attitude_age: float = math.inf
     pressure_age: float = math.inf
+    own_altitude_age: float = math.inf
     loss: float = 0.0
     """Share of the vehicle's packets that never came, by their numbers."""
     jitter: float = math.nan
@@ -97,7 +102,7 @@ class Reports:
         self.values: dict[str, Any] = {}
         """Fields of `Telemetry` that are known."""
         self.seen: dict[str, float] = {}
-        """When a kind of message last came: heartbeat, imu, attitude, pressure."""
+        """When a kind of message last came: heartbeat, imu, attitude, pressure, own_altitude."""
         self.texts: deque[tuple[float, int, str]] = deque(maxlen=200)
         """(time, severity, text) of what the vehicle said; severity 0 is worst."""
         self.reboots = 0
@@ -125,6 +130,7 @@ class Reports:
             imu_age=self.age("imu", now),
             attitude_age=self.age("attitude", now),
             pressure_age=self.age("pressure", now),
+            own_altitude_age=self.age("own_altitude", now),
             loss=self._missing / received if received else 0.0,
             jitter=self._clocks["boot"].jitter,
             reboots=self.reboots,
@@ -197,6 +203,9 @@ class Reports:
                 values["depth"] = -depth.z
                 return depth
             raise Strange("depth: surface pressure not known yet")
+        elif kind == "VFR_HUD":
+            values["own_altitude"] = own_altitude_of(message)
+            self.seen["own_altitude"] = now
         elif kind == "SYS_STATUS":
             self._status(message)
         elif kind == "NAMED_VALUE_FLOAT":
@@ -250,7 +259,9 @@ class Reports:
                 return
             self.reboots += 1
             self._newest = self._last_heartbeat = -1
-            self.values.pop("version", None)
+            for forgotten in ("version", "own_altitude"):  # it may be another one, with another zero
+                self.values.pop(forgotten, None)
+            self.seen.pop("own_altitude", None)
             self.texts.append((now, 0, "the autopilot started anew"))
             self._boot = boot
         self._backwards = 0

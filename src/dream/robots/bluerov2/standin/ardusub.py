@@ -5,6 +5,7 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ except ImportError as error:
     raise ImportError('a BlueROV2 needs pymavlink: pip install "dream-auv[rov]"') from error
 
 from dream.geometry import wrap_angle
+from dream.measurements import Depth
 from dream.robots.bluerov2.standin import motors, telemetry
 from dream.robots.bluerov2.standin.attitude import Ahrs
 from dream.robots.bluerov2.standin.failsafes import Failsafes
@@ -113,8 +115,8 @@ class ArduSub:
         self._mav = mav.MAVLink(None, srcSystem=system, srcComponent=mav.MAV_COMP_ID_AUTOPILOT1)
         self._parser = mav.MAVLink(None)
         self._parser.robust_parsing = True
-        self.ahrs = Ahrs(tank.imu, tank.heading, tank.depth)
-        """What it knows of its attitude and depth."""
+        self.ahrs = Ahrs(tank.imu, tank.heading, self._own_depth)
+        """What it knows of its attitude and depth, which counts from `Conditions.depth_zero`."""
         self.fix = False
         """Has it a position, whatever it is fed? A field for tests."""
         self.refused: dict[str, int] = {}
@@ -210,7 +212,7 @@ class ArduSub:
         if tank.heading.time == tank.time:
             ahrs.face(tank.heading)
         if tank.depth.time == tank.time:
-            ahrs.sink(tank.depth)
+            ahrs.sink(self._own_depth)
         if self._asleep:
             return
         self.failsafes.check()
@@ -258,6 +260,12 @@ class ArduSub:
     @property
     def _asleep(self) -> bool:
         return self._now < self._asleep_until
+
+    @property
+    def _own_depth(self) -> Depth:
+        """The gauge's height from the zero of its own."""
+        depth = self.tank.depth
+        return replace(depth, z=depth.z - self.tank.conditions.depth_zero)
 
     def _ready(self, count: int) -> None:
         config = {6: 1, 8: 2}.get(count)

@@ -71,6 +71,9 @@ class Conditions:
     gauge: Gauge = BAR30
     compass: Compass = AHRS
     battery: Battery = field(default_factory=Battery)
+    depth_zero: float = 0.0
+    """Metres in the world where the autopilot takes its own altitude for 0: where it was switched on in the
+    water, or in other weather."""
 
     def __post_init__(self) -> None:
         for name, rate in (("gauge", self.gauge.rate), ("compass", self.compass.rate)):
