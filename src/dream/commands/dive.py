@@ -13,7 +13,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -34,12 +34,13 @@ from dream.versions import commit
 
 if TYPE_CHECKING:
     from dream.evaluation.metrics import Logbook
+    from dream.perception import Perception
     from dream.robots.bluerov2.bridge import Bridge, Limits, Standing
     from dream.robots.bluerov2.check import Finding
-    from dream.robots.bluerov2.devices import Devices
+    from dream.robots.bluerov2.devices import Devices, LiveEye
     from dream.robots.bluerov2.mavlink import Link
     from dream.robots.bluerov2.navigation import Fix
-    from dream.robots.bluerov2.rov import BlueRov2
+    from dream.robots.bluerov2.rov import BlueRov2, Manners
     from dream.robots.bluerov2.standin.process import StandInProcess
     from dream.sim.world import World
     from dream.types import Step
@@ -179,7 +180,7 @@ class Dive:
             ready = all(finding.ok for finding in found)
             if self.check or not ready:
                 return _print_findings(found, ready, as_json=self.json)
-            return dive.fly(name)
+            return dive.fly(name, interrupted)
 
 
 def _check_extra() -> None:
@@ -213,15 +214,20 @@ def draw_flown(folder: Path, *, quiet: bool) -> None:
 
 @contextlib.contextmanager
 def _outlives_its_terminal() -> Iterator[None]:
-    """A terminal that closes takes the operator with it, and not what has to bring the vehicle up."""
+    """A terminal that closes takes the operator with it, and not what has to bring the vehicle up.
+
+    Who asks the program to end has the dive ended in order, as by Ctrl-C.
+    """
     if not hasattr(signal, "SIGHUP") or threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    closed = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    ended = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
     finally:
-        signal.signal(signal.SIGHUP, before)
+        signal.signal(signal.SIGHUP, closed)
+        signal.signal(signal.SIGTERM, ended)
 
 
 def _tell(line: str, *, quiet: bool) -> None:
@@ -324,8 +330,12 @@ def _opened(
         except (TimeoutError, Refused) as error:
             raise MissionAborted(f"vehicle: {error}") from error
         finally:
-            with contextlib.suppress(TimeoutError, Refused, OSError):
-                devices.link.restore()
+            if devices.link.engaged:
+                # Its failsafes are what stops it once nobody speaks to it.
+                logger.warning("the vehicle is armed yet: its parameters stay as the dive set them")
+            else:
+                with contextlib.suppress(TimeoutError, Refused, OSError):
+                    devices.link.restore()
 
 
 @dataclass(slots=True)
@@ -350,7 +360,42 @@ class _Ready:
         while not self.devices.camera.connected and time.monotonic() - began < FIRST_FRAME:
             link.operator_alive()
             time.sleep(0.1)
-        return [pointed, *self.devices.findings(STILL, self.start, self.limits, self.folder)]
+        found = self.devices.findings(STILL, self.start, self.limits, self.folder)
+        return [pointed, *found, self._looked()]
+
+    def _looked(self) -> Finding:
+        """Make of one picture what the map is made from: lens and models fit it, or the dive is none."""
+        from dream.robots.bluerov2.check import Finding
+
+        wanted = "a picture that --calibration, --labels and --depth fit"
+        try:
+            eye, perception = self._eye(), self._perception()
+            picture = self.devices.camera.newest(FIRST_FRAME)
+            began, camera = time.perf_counter(), self.protocol.camera
+            rgb, seen = eye.view(picture, camera)
+            level = SE3.level(self.start.x, self.start.y, 0.0, self.start.yaw)
+            mount = self.protocol.T_base_camera
+            perception.perceive(rgb, camera, level, mount, self.protocol.altitude)
+        except (OSError, ValueError, RuntimeError) as error:
+            return Finding("pictures", ok=False, said=str(error), wanted=wanted)
+        ms = 1e3 * (time.perf_counter() - began)
+        return Finding("pictures", ok=True, said=f"{seen.mean():.0%} of the view, labelled in {ms:.0f} ms")
+
+    def _eye(self) -> LiveEye:
+        from dream.robots.bluerov2.devices import LiveEye
+        from dream.robots.bluerov2.lens import Lens
+
+        calibration = self.told.calibration
+        return LiveEye(self.devices.camera, None if calibration is None else Lens.read(calibration))
+
+    def _perception(self) -> Perception:
+        from dream.perception import FlatFloor, LearnedDepth, LearnedLabels, Perception, Shells
+
+        told = self.told
+        return Perception(
+            Shells() if told.labels is None else LearnedLabels(told.labels),
+            FlatFloor() if told.depth is None else LearnedDepth(told.depth),
+        )
 
     def _pointed(self, link: Link) -> Finding:
         """Point the camera, and see where it looks, as the map depends on it; and set the lights."""
@@ -366,8 +411,13 @@ class _Ready:
             return Finding("camera mount", ok=False, said=str(error), wanted=wanted)
         return Finding("camera mount", ok=True, said=f"looks {-math.degrees(up):.0f}° down")
 
-    def fly(self, name: str) -> int:
-        """Arm, dive, explore, and leave all of it on disk."""
+    def fly(self, name: str, interrupted: Callable[[], None]) -> int:
+        """Arm, dive, explore, and leave all of it on disk.
+
+        Args:
+            name: Of the planner.
+            interrupted: Raises the KeyboardInterrupt that compiled code may have swallowed.
+        """
         from dream import recording
         from dream.evaluation.metrics import Logbook, Scorer
         from dream.mapping import OccupancyMap
@@ -381,8 +431,6 @@ class _Ready:
         began = time.perf_counter()
         recording.write_config(self.folder, self._config(name))
         link = devices.link
-        link.set_mode("GUIDED" if told.drive == "guided" else "ALT_HOLD")
-        link.arm()
         drive = (Guided if told.drive == "guided" else AltHold)(link, link.joystick())
         bridge = Bridge(
             devices.navigator,
@@ -402,8 +450,11 @@ class _Ready:
         vehicle = self._robot(bridge, operator)
         logbook: Logbook = Logbook(protocol) if self.tank is None else Scorer(self.tank.world, protocol)
         stopped: BaseException | None = None
-        bridge.start()
         try:
+            # All that can fail before is done: from here on, whatever comes, the vehicle is brought home.
+            link.set_mode("GUIDED" if told.drive == "guided" else "ALT_HOLD")
+            link.arm()
+            bridge.start()
             title = f"{name} · {self.folder.name}"
             with console(title, lambda: self._readings(bridge), operator) as shown:
                 vehicle.go_to(Setpoint(self.start.x, self.start.y, self.start.yaw, protocol.altitude))
@@ -416,12 +467,14 @@ class _Ready:
                 with contextlib.closing(recorded):
                     total = told.max_steps or protocol.cap
                     for _ in recorded if shown else with_progress(recorded, name, total):
-                        pass
+                        interrupted()
         except (KeyboardInterrupt, Exception) as error:  # noqa: BLE001 - whatever it was, what was flown is kept.
             stopped = error
         finally:
-            bridge.close()
-            self._leave(link)
+            try:
+                bridge.close()
+            finally:
+                self._leave(link)
         summary = self._summary(name, logbook, bridge, vehicle, time.perf_counter() - began)
         recording.write_summary(self.folder, summary)
         page = write_report(self.folder)
@@ -435,28 +488,22 @@ class _Ready:
         return 0
 
     def _robot(self, bridge: Bridge, operator: Operator) -> BlueRov2:
-        from dream.perception import FlatFloor, LearnedDepth, LearnedLabels, Perception, Shells
         from dream.planning.vlm import Asking
         from dream.protocol import SHOWN
         from dream.robots.bluerov2.camera import mounted
-        from dream.robots.bluerov2.devices import LiveEye
-        from dream.robots.bluerov2.lens import Lens
         from dream.robots.bluerov2.rov import BlueRov2
 
         told = self.told
-        perception = Perception(
-            Shells() if told.labels is None else LearnedLabels(told.labels),
-            FlatFloor() if told.depth is None else LearnedDepth(told.depth),
-        )
         return BlueRov2(
             bridge,
             self.devices.navigator,
-            LiveEye(self.devices.camera, None if told.calibration is None else Lens.read(told.calibration)),
-            perception,
+            self._eye(),
+            self._perception(),
             self.protocol,
             self.devices.now,
             T_base_camera=mounted(math.radians(told.tilt)),
             fineness=SHOWN if isinstance(told.planner, Asking) else 1,
+            manners=_manners(told.planner),
             waits=lambda: operator.will is not Will.GO,
             holds=lambda: operator.will is Will.HOLD,
             truth=None if self.tank is None else self.tank.truth,
@@ -491,7 +538,10 @@ class _Ready:
                 _tell("it comes to the surface", quiet=self.told.json)
             until = self.devices.now() + (LEAVING if how == "surface" else math.inf)
             while how != "disarm" and link.engaged and not link.yielding and self.devices.now() < until:
-                if how == "surface" and link.telemetry.depth < SHALLOW:
+                said = link.telemetry
+                # By its own reckoning, where it tells: a dive may have begun under water.
+                depth = -said.own_altitude if math.isfinite(said.own_altitude) else said.depth
+                if how == "surface" and depth < SHALLOW:
                     break
                 link.operator_alive()
                 time.sleep(0.1)
@@ -639,6 +689,15 @@ def repeating_command(told: Dive, name: str) -> str:
             if value is not True:
                 words += [f"{one:g}" for one in value] if isinstance(value, tuple) else [str(value)]
     return shlex.join(words)
+
+
+def _manners(planner: AnyPlanner) -> Manners:
+    """How long a planner may think: one that asks a model, for as long as it waits for an answer."""
+    from dream.planning.vlm import Asking
+    from dream.robots.bluerov2.rov import Manners
+
+    thinking = Manners().thinking
+    return Manners(thinking=planner.timeout + thinking) if isinstance(planner, Asking) else Manners()
 
 
 def _in_real_time(planner: AnyPlanner) -> AnyPlanner:

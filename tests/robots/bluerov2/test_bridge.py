@@ -241,9 +241,13 @@ def test_a_voltage_that_sags_for_a_moment_ends_nothing() -> None:
 def test_the_fence_has_a_margin_and_the_depth_of_a_goal_its_limit() -> None:
     scene = Scene(limits=Limits(area=AREA, depth=0.7))
     scene.fix = fix_at(2.4)
-    scene.bridge.go(GOAL, 0.6)
+    scene.bridge.go(GOAL, 0.8)
     assert set(scene.beats(0.2)) == {"steer"}
-    assert scene.goals[-1][1] == -0.7
+    assert scene.goals[-1][1] == pytest.approx(-0.7)
+    # A survey that is deeper than allowed is none.
+    scene.bridge.go(GOAL, 0.6)
+    assert scene.beats(0.2)[-1] == "neutral"
+    assert "0.9 m deep, 0.7 m are allowed" in scene.bridge.standing.reason
 
 
 def test_on_its_thread_a_new_goal_does_not_wait_for_the_next_beat() -> None:

@@ -188,7 +188,9 @@ class Vehicle:
     """One that comes up by itself once its mode is SURFACE, on a clock that runs when one sleeps."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, **changes: object) -> None:
-        self.time, self.depth, self.mode, self.engaged, self.yielding = 0.0, 3.0, "ALT_HOLD", True, ""
+        self.time, self.mode, self.engaged, self.yielding = 0.0, "ALT_HOLD", True, ""
+        # The dive began on the floor, three metres down, and took that for the surface.
+        self.depth, self.own_altitude = 0.0, -3.0
         self.comes_up, self.alive, self.has = True, 0, False
         self.telemetry = self
         for name, value in changes.items():
@@ -198,7 +200,7 @@ class Vehicle:
     def sleep(self, seconds: float) -> None:
         self.time += seconds
         if self.mode == "SURFACE" and self.comes_up:
-            self.depth -= 0.3 * seconds
+            self.own_altitude += 0.3 * seconds
         if self.time > 300.0:
             raise KeyboardInterrupt
 
@@ -222,7 +224,7 @@ class Vehicle:
 def test_in_the_end_the_vehicle_is_brought_up_and_disarmed(monkeypatch: pytest.MonkeyPatch) -> None:
     vehicle = Vehicle(monkeypatch)
     vehicle.left()
-    assert vehicle.depth < 0.4
+    assert vehicle.own_altitude > -0.4
     assert not vehicle.engaged
     assert 8.0 < vehicle.time < 10.0
     # Its own failsafe would stop it on the way, if nobody spoke to it.

@@ -1,93 +1,151 @@
-"""GUIDED flown in closed loop: the stand-in's autopilot, stepped by hand, with the truth for an estimate."""
+"""The drives: what goes out on the wire, and what is left of it when all has to stop."""
 
 import math
-from collections import deque
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
-from dream.geometry import SE2, wrap_angle
-from dream.robots.bluerov2.drives import Guided
-from dream.robots.bluerov2.navigation import Fix
-from dream.robots.bluerov2.standin.dive import StandIn
-from dream.robots.bluerov2.standin.helm import GUIDED
-from dream.robots.bluerov2.sticks import Joystick, forward_right_down
-from dream.sim.worlds import make_world
+from dream.geometry import SE2
+from dream.robots.bluerov2.bridge import LastResort
+from dream.robots.bluerov2.drives import CARROT, GENTLE, HIGHEST, AltHold, Guided
+from dream.robots.bluerov2.sticks import Joystick, Sticks
 from dream.types import BodyVelocity
-
-BEAT = 0.04
-LATE = 2
-"""Beats that a command is under way."""
+from dream.vehicle import VECTORED_6DOF
+from tests.robots.bluerov2.test_bridge import fix_at
 
 
 @dataclass
 class Wire:
-    """Takes what the drive commands."""
+    """A link that only remembers."""
 
-    sent: list[BodyVelocity] = field(default_factory=list)
+    own_altitude: float = -0.4
+    """Half a metre above what our own reckoning has: the autopilot has its zero elsewhere."""
+    sent: list[tuple[Sticks | BodyVelocity, float]] = field(default_factory=list)
+    depths: list[float] = field(default_factory=list)
+    stops: int = 0
+    modes: list[str] = field(default_factory=list)
+    refuses: bool = False
+    armed_by_other: str = ""
+    yielding: str = ""
 
-    def operator_alive(self) -> None: ...
+    @property
+    def telemetry(self) -> SimpleNamespace:
+        return SimpleNamespace(
+            own_altitude=self.own_altitude,
+            armed=True,
+            heartbeat_age=0.1,
+            voltage=15.0,
+            depth=0.9,
+            leak=False,
+            reboots=0,
+        )
 
-    def command(self, order: BodyVelocity, expires: float) -> None:
-        self.sent.append(order)
+    def command(self, order: Sticks | BodyVelocity, expires: float) -> None:
+        self.sent.append((order, expires))
 
+    def depth_target(self, z: float) -> None:
+        if self.refuses:
+            raise RuntimeError("not in ALT_HOLD")
+        self.depths.append(z)
 
-def fix_of(standin: StandIn) -> Fix:
-    state = standin.tank.state
-    return Fix(
-        time=standin.tank.time,
-        T_world_base=standin.T_world_base,
-        velocity=np.array(state.velocity_world),
-        angular_velocity=np.array(standin.tank.imu.angular_velocity),
-        velocity_sigma=0.01,
-        position_sigma=0.01,
-        imu_age=0.0,
-        depth_age=0.0,
-        dvl_age=0.0,
-        heading_age=0.0,
-        altitude=0.6,
-        seabed=float(standin.T_world_base.translation[2]) - 0.6,
-    )
+    def stop(self) -> None:
+        self.stops += 1
 
+    def operator_alive(self) -> None:
+        pass
 
-@pytest.mark.parametrize(("turn", "advance"), [(0.0, 0.2), (0.26, 0.2), (2.0, 0.7)])
-def test_a_move_in_guided_ends_at_its_goal_and_does_not_pass_it(turn: float, advance: float) -> None:
-    with StandIn(make_world("pool/arc", 1), seed=1) as standin:
-        sub = standin.ardusub
-        sub.fix = True
-        sub.parameters.change("FS_PILOT_INPUT", 0)
-        standin.step(1.0)
-        assert sub.set_mode(GUIDED)
-        assert sub.arm()
-        wire = Wire()
-        drive = Guided(wire, Joystick.of({"FRAME_CONFIG": 2.0}))  # type: ignore[arg-type]
-        drive.begin(fix_of(standin))
-        under_way = deque([BodyVelocity(0.0, 0.0, 0.0, 0.0)] * LATE)
-        start, z = standin.T_world_base.se2, float(standin.T_world_base.translation[2])
-        yaw = start.yaw + turn
-        turned = SE2(start.x, start.y, yaw)
-        goal = SE2(start.x + advance * math.cos(yaw), start.y + advance * math.sin(yaw), yaw)
-        passed = 0.0
-        for towards, seconds in ((turned, 5.0), (goal, 8.0)):
-            for _ in range(round(seconds / BEAT)):
-                drive.steer(fix_of(standin), towards, z, BEAT, 1.0, 0.0)
-                under_way.append(wire.sent[-1])
-                north, east, down, clockwise = ned(under_way.popleft(), sub.helm.yaw)
-                sub.helm.follow((north, east, -down), turn=clockwise)
-                standin.step(BEAT)
-                here = standin.T_world_base.se2
-                ahead = (here.x - goal.x) * math.cos(yaw) + (here.y - goal.y) * math.sin(yaw)
-                passed = max(passed, ahead)
-        here = standin.T_world_base.se2
-        assert here.distance(goal) < 0.03
-        assert abs(wrap_angle(here.yaw - goal.yaw)) < math.radians(2.5)
-        assert passed < 0.02
-        assert abs(float(standin.T_world_base.translation[2]) - z) < 0.05
+    def set_mode(self, name: str) -> None:
+        self.modes.append(name)
 
 
-def ned(velocity: BodyVelocity, yaw: float) -> tuple[float, float, float, float]:
-    """As the autopilot turns a velocity of BODY_NED by its heading; the rate of turn is left as it is."""
-    ahead, right, down, clockwise = forward_right_down(velocity)
-    c, s = math.cos(yaw), math.sin(yaw)
-    return c * ahead - s * right, s * ahead + c * right, down, clockwise
+def alt_hold(wire: Wire) -> AltHold:
+    drive = AltHold(wire, Joystick(thrusters=VECTORED_6DOF))  # type: ignore[arg-type]
+    drive.begin(fix_at())
+    return drive
+
+
+def steer(drive: AltHold | Guided, z: float, *, goal: SE2 | None = None, beats: int = 1) -> None:
+    for k in range(beats):
+        drive.steer(fix_at(time=0.04 * k), goal or SE2(0.0, 0.0, 0.0), z, 0.04, 1.0, 0.4)
+
+
+def test_a_depth_target_is_never_far_away_and_in_the_autopilots_own_reckoning() -> None:
+    wire = Wire()
+    steer(alt_hold(wire), -9.4)  # The vehicle is at -0.9 m.
+    assert wire.depths == [pytest.approx(-0.4 - CARROT)]
+    wire.depths.clear()
+    steer(alt_hold(wire), -1.0)
+    assert wire.depths == [pytest.approx(-0.5)]
+
+
+def test_where_all_has_to_stop_it_stays_at_the_depth_that_it_has() -> None:
+    wire = Wire()
+    drive = alt_hold(wire)
+    steer(drive, -9.4)
+    drive.neutral()
+    assert wire.depths[-1] == pytest.approx(-0.4)
+    assert wire.stops == 1
+    # It is said once: the autopilot holds it.
+    drive.neutral()
+    assert len(wire.depths) == 2
+    assert wire.stops == 2
+
+
+def test_no_target_is_above_the_surface_nor_sent_blindly() -> None:
+    wire = Wire(own_altitude=-0.1)
+    steer(alt_hold(wire), 0.5)
+    assert wire.depths == [HIGHEST]
+    blind = Wire(own_altitude=math.nan)
+    drive = alt_hold(blind)
+    steer(drive, -1.0)
+    drive.neutral()
+    assert blind.depths == []
+    refused = Wire(refuses=True)
+    steer(alt_hold(refused), -1.0)
+    assert len(refused.sent) == 1
+
+
+def test_it_pushes_towards_its_goal_within_its_time() -> None:
+    wire = Wire()
+    drive = alt_hold(wire)
+    steer(drive, -0.9, goal=SE2(1.0, 0.0, 0.0), beats=10)
+    sticks, expires = wire.sent[-1]
+    assert isinstance(sticks, Sticks)
+    assert sticks.x > 100
+    assert abs(sticks.y) < 50
+    assert sticks.z == 500
+    assert expires == 0.4
+    wire.sent.clear()
+    turning = alt_hold(wire)
+    steer(turning, -0.9, goal=SE2(0.0, 0.0, 1.0), beats=10)
+    # To the left is counter-clockwise; the stick counts the other way.
+    assert wire.sent[-1][0].r < -50  # type: ignore[union-attr]
+
+
+def test_by_velocities_it_goes_no_faster_than_it_may() -> None:
+    wire = Wire()
+    drive = Guided(wire, Joystick(thrusters=VECTORED_6DOF))  # type: ignore[arg-type]
+    drive.begin(fix_at())
+    steer(drive, -0.9, goal=SE2(3.0, 4.0, 0.0))
+    velocity = wire.sent[-1][0]
+    assert isinstance(velocity, BodyVelocity)
+    assert math.hypot(velocity.surge, velocity.sway) == pytest.approx(GENTLE.speed)
+    assert velocity.sway / velocity.surge == pytest.approx(4.0 / 3.0)
+    assert velocity.heave == pytest.approx(0.0)
+
+
+def test_what_the_vehicle_says_is_passed_on() -> None:
+    wire = Wire(yielding="another station")
+    craft = alt_hold(wire).craft()
+    assert (craft.taken, craft.lost, craft.voltage) == ("another station", "", 15.0)
+
+
+@pytest.mark.parametrize("how, mode", [(LastResort.SURFACE, "SURFACE"), (LastResort.HOLD, "ALT_HOLD")])
+def test_the_last_resort_is_asked_for_without_waiting(how: LastResort, mode: str) -> None:
+    wire = Wire()
+    drive = alt_hold(wire)
+    drive.resort(how)
+    assert drive._resorting is not None
+    drive._resorting.join(5.0)
+    assert wire.modes == [mode]

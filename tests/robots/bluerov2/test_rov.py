@@ -10,6 +10,7 @@ import pytest
 from dream.errors import MissionAborted
 from dream.geometry import SE2, SE3, Camera
 from dream.protocol import POOL_V1
+from dream.robots.bluerov2 import rov
 from dream.robots.bluerov2.bridge import FINE, Stance, Standing
 from dream.robots.bluerov2.navigation import Fix
 from dream.robots.bluerov2.rov import BlueRov2, Manners
@@ -40,6 +41,7 @@ class Scene:
     will: str = "go"
     asked_after: float = 0.0
     each: object = None
+    over: str = ""
 
     def robot(self, monkeypatch: pytest.MonkeyPatch, **options: object) -> BlueRov2:
         monkeypatch.setattr(time, "sleep", self.sleep)
@@ -114,7 +116,9 @@ def test_it_shows_that_the_mission_lives(monkeypatch: pytest.MonkeyPatch) -> Non
     robot = scene.robot(monkeypatch)
     robot.go_to(GOAL)
     assert max(np.diff([until - 0.5 for until in scene.renewed[:-1]])) <= 0.5
-    # The planner may think for longer than a move takes to be renewed.
+    assert scene.renewed[-1] - scene.now <= rov.SOON
+    # The planner may think for longer than looking takes.
+    robot.observe()
     assert scene.renewed[-1] == pytest.approx(scene.now + Manners().thinking)
 
 
@@ -131,23 +135,35 @@ def test_a_dive_that_is_over_is_an_aborted_mission(monkeypatch: pytest.MonkeyPat
     assert scene.now < 11.1
 
 
-def test_where_somebody_leaves_it_a_move_sets_out_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_somebody_leaves_it_the_move_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = Scene(speed=0.15, standing=Standing(Stance.YIELD, "the pilot has the sticks"))
     # The pilot rests on the goal itself for a while: that is no arrival. Then it is taken far away.
     scene.fix = fix_at(GOAL.x)
 
     def free() -> None:
         if 50.0 < scene.now < 100.0:
-            scene.fix = fix_at(-7.0)
+            scene.fix = fix_at(-1.5)
         elif scene.now >= 100.0:
             scene.standing = Standing(Stance.GO)
 
     scene.each = free
     arrival = scene.robot(monkeypatch).go_to(GOAL)
-    # Longer under way than the move that was asked for might take.
-    assert scene.now > 100.0 + 40.0
-    assert arrival.pose.distance(SE2(0.3, 0.0, 0.0)) <= Manners().near
-    assert arrival.note == "the pilot has the sticks"
+    # Nobody has looked whether the way from there to the goal is free.
+    assert 100.0 <= scene.now < 100.5
+    assert arrival.pose.distance(SE2(-1.5, 0.0, 0.0)) < 0.05
+    assert scene.goals[-1].distance(arrival.pose) < 0.05
+    assert "the pilot has the sticks" in arrival.note
+    assert "moved aside" in arrival.note
+
+
+def test_a_dive_that_is_over_ends_the_mission_whoever_has_the_vehicle(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = Scene(standing=Standing(Stance.YIELD, "somebody else drives"))
+    scene.each = lambda: setattr(scene, "over", "ended by the operator") if scene.now > 12.0 else None
+    with pytest.raises(MissionAborted, match="ended by the operator"):
+        scene.robot(monkeypatch).go_to(GOAL)
+    assert scene.now < 12.1
 
 
 def test_it_waits_while_it_may_not_move_and_notes_why(monkeypatch: pytest.MonkeyPatch) -> None:

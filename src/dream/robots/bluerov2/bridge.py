@@ -19,6 +19,8 @@ logger = logging.getLogger(__name__)
 LEASE = 0.4
 """Seconds after which a command that was not renewed is neutral: half a second, less what sending takes."""
 
+TOLERATED = 0.1
+"""Metres that the way may lead below the greatest depth: what a floor undulates by."""
 SAG = 3.0
 """Seconds that the battery may be below its limit."""
 
@@ -251,6 +253,11 @@ class Bridge:
         return self._standing
 
     @property
+    def over(self) -> str:
+        """Why the dive cannot go on, whoever has the vehicle; empty while it can."""
+        return self._over
+
+    @property
     def goal(self) -> SE2 | None:
         """Where it is held to."""
         goal = self._goal
@@ -307,7 +314,10 @@ class Bridge:
             return
         pose, altitude = goal
         height = float(fix.T_world_base.translation[2])
-        z = max(fix.seabed + altitude if math.isfinite(fix.seabed) else height, -self._limits.depth)
+        z = fix.seabed + altitude if math.isfinite(fix.seabed) else height
+        if z < -self._limits.depth - TOLERATED:
+            deepest = self._limits.depth
+            self.end(f"{altitude:g} m above the floor is {-z:.1f} m deep, {deepest:g} m are allowed")
         self._drive.steer(fix, pose, z, dt, pace, min(self._now() + LEASE, alive))
         if not math.isnan(asked):
             self.lags.append(self._now() - asked)
@@ -333,12 +343,13 @@ class Bridge:
             ended, mission, operator = self._ended, self._mission_until, self._operator_until
         if pilot is not None:
             ended = ended or pilot.ended
+        self._over = self._over or ended or self._broken_limit(fix, craft, now) or self._failing()
         if craft.lost:
             # Nothing is left to resort to: who disarmed it may arm it again, for something else.
             self._over, self._resorted = self._over or craft.lost, True
         elif craft.taken and not self._resorted:
+            # Whatever is wrong, it is theirs to deal with; the mission ends, and nothing is sent.
             return Standing(Stance.YIELD, craft.taken)
-        self._over = self._over or ended or self._broken_limit(fix, craft, now) or self._failing()
         if steered:
             # Whatever is wrong: a person may bring the vehicle home.
             return Standing(Stance.YIELD, "the pilot has the sticks")

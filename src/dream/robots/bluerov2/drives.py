@@ -42,8 +42,12 @@ LEVEL_YAW = math.radians(0.5)
 """Radians of heading error at which the autopilot's own heading hold takes over."""
 DEPTH_STEP = 0.01
 """Metres by which a depth target has to change before it is sent again."""
-DEPTH_EVERY = 1.0
-"""Seconds after which it is sent again anyway: a packet may be lost."""
+DEPTH_EVERY = 0.3
+"""Seconds after which it is sent again anyway: a packet may be lost, and on its way it is farther."""
+CARROT = 0.25
+"""Metres that a depth target may be away."""
+HIGHEST = -0.05
+"""Metres in the autopilot's reckoning: no target is above the surface."""
 
 
 def vehicle_of(joystick: Joystick) -> Vehicle:
@@ -150,6 +154,13 @@ class AltHold(_Wired):
 
     _depth_sent: tuple[float, float] = (math.inf, -math.inf)
 
+    def neutral(self) -> None:
+        """Nothing shall move it: also no depth that it was on its way to."""
+        _Wired.neutral(self)
+        if math.isfinite(self._depth_sent[0]):
+            self._send_depth(0.0)
+            self._depth_sent = (math.inf, -math.inf)
+
     def steer(self, fix: Fix, goal: SE2, z: float, dt: float, pace: float, expires: float) -> None:
         """See `bridge.Drive`."""
         helm = self._reference(fix, goal, dt, pace)
@@ -159,12 +170,20 @@ class AltHold(_Wired):
         helm.learn(0.99 if full else 1.0, dt)
         self.link.operator_alive()
         self.link.command(sticks, expires)
+        # A target outlives whoever sent it, so none is ever far away.
+        step = _within(z - float(fix.T_world_base.translation[2]), CARROT)
         sent, at = self._depth_sent
-        if abs(z - sent) > DEPTH_STEP or fix.time - at > DEPTH_EVERY:
+        if abs(step - sent) > DEPTH_STEP or fix.time - at > DEPTH_EVERY:
+            self._send_depth(step)
+            self._depth_sent = (step, fix.time)
+
+    def _send_depth(self, step: float) -> None:
+        """Have it go up by so many metres from where it is by its own reckoning, whose zero is not ours."""
+        own = self.link.telemetry.own_altitude
+        if math.isfinite(own):
             # Refused only where somebody changed the mode just now: the next beat finds that out.
             with contextlib.suppress(RuntimeError):
-                self.link.depth_target(z)
-            self._depth_sent = (z, fix.time)
+                self.link.depth_target(min(own + step, HIGHEST))
 
 
 @dataclass(slots=True, eq=False)

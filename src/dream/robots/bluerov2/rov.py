@@ -20,6 +20,10 @@ from dream.types import Arrival, BoolArray, Observation, Setpoint, UInt8Array
 
 POLL = 0.02
 """Seconds between two looks at how a move goes."""
+SOON = 3.0
+"""Seconds that looking, and what the mission does with a step, may take each."""
+ASIDE = 0.15
+"""Metres that the vehicle may be carried while it may not move itself, and yet go on to its goal."""
 MOVED = 0.04
 """Metres or radians of a move that no picture survives unchanged."""
 
@@ -66,7 +70,7 @@ class Manners:
     radian a second."""
     fresh: float = 1.0
     """Seconds that a frame may be late."""
-    thinking: float = 60.0
+    thinking: float = 10.0
     """Seconds that the planner may take while the vehicle holds its place."""
 
     def __post_init__(self) -> None:
@@ -138,7 +142,7 @@ class BlueRov2:
         Raises:
             MissionAborted: No frame comes.
         """
-        self._bridge.renew(self._manners.thinking)
+        self._bridge.renew(self._manners.fresh + SOON)
         picture = self._eye.newest(self._arrived, self._manners.fresh)
         if picture is None:
             raise MissionAborted(
@@ -160,6 +164,7 @@ class BlueRov2:
         depth, labels, _ = self._perception.perceive(rgb, camera, T_world_base, self._T_base_camera, altitude)
         depth = np.where(seen, depth, np.nan).astype(np.float32)
         shown = rgb if fine is camera else self._eye.view(picture, fine)[0]
+        self._bridge.renew(self._manners.thinking)
         return Observation(
             time=picture.time,
             rgb=shown,
@@ -190,14 +195,19 @@ class BlueRov2:
         bridge.go(goal, setpoint.altitude)
         notes: list[str] = []
         way, still_since, last = 0.0, math.nan, here
-        holding = False
+        holding, stood = False, None
         while True:
             time.sleep(POLL)
             self._check()
             bridge.renew()
             if self._holds() != holding:
                 holding = not holding
-                bridge.go(bridge.fix.T_world_base.se2 if holding else goal, setpoint.altitude)
+                if holding:
+                    fix = bridge.fix
+                    height = float(fix.T_world_base.translation[2]) - fix.seabed
+                    bridge.go(fix.T_world_base.se2, height if math.isfinite(height) else setpoint.altitude)
+                else:
+                    bridge.go(goal, setpoint.altitude)
             if holding:
                 deadline += POLL
                 continue
@@ -218,18 +228,23 @@ class BlueRov2:
             still_since = (still_since if not math.isnan(still_since) else now) if there else math.nan
             if there and now - still_since >= manners.stay:
                 break
-            if standing.stance is Stance.YIELD:
-                # Whoever has it may leave it anywhere: it sets out anew from there.
-                deadline = now + self._allowed(pose, goal)
-            elif standing.stance not in (Stance.GO, Stance.SLOW):
+            if standing.stance not in (Stance.GO, Stance.SLOW):
                 # Time in which it may not move does not count.
                 deadline += POLL
-            elif now > deadline:
+                stood = stood or pose
+                continue
+            if stood is not None and stood.distance(pose) > ASIDE:
+                # The way from here to the goal is none that the guard has looked at.
+                notes.append("it was moved aside, and the move ends where it is")
+                bridge.go(pose, setpoint.altitude)
+                break
+            stood = None
+            if now > deadline:
                 notes.append("the move took too long and was broken off")
                 break
         self._arrived, self._set_out = self._now(), set_out
         self._moved = way > MOVED or turn > MOVED
-        bridge.renew(manners.thinking)
+        bridge.renew(SOON)
         truth, collided = None, False
         if self._truth is not None:
             truth, contacts = self._truth()
@@ -250,5 +265,5 @@ class BlueRov2:
 
     def _check(self) -> None:
         standing = self._bridge.standing
-        if standing.stance is Stance.OVER:
-            raise MissionAborted(f"dive: {standing.reason}")
+        if standing.stance is Stance.OVER or self._bridge.over:
+            raise MissionAborted(f"dive: {self._bridge.over or standing.reason}")
