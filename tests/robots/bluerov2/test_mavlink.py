@@ -6,6 +6,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -1177,7 +1178,7 @@ def test_closing_sends_neutral_and_frees_the_port() -> None:
         pass
 
 
-def test_who_speaks_up_later_is_not_answered_while_the_first_is_there() -> None:
+def test_who_speaks_up_later_is_neither_heard_nor_answered_while_the_first_is_there() -> None:
     pipe = Udp("127.0.0.1", 0, listen=True)
     first, second = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
     try:
@@ -1185,20 +1186,53 @@ def test_who_speaks_up_later_is_not_answered_while_the_first_is_there() -> None:
             peer.bind(("127.0.0.1", 0))
             peer.settimeout(2.0)
         assert not pipe.send(b"to nobody")
-        for peer, lost in ((first, 60.0), (second, 60.0)):
+        for peer in (first, second):  # nobody is known yet
             peer.sendto(b"hello", ("127.0.0.1", pipe.port))
             assert pipe.receive() == b"hello"
-            pipe.answered(lost)
+        first.sendto(b"heartbeat", ("127.0.0.1", pipe.port))
+        assert pipe.receive() == b"heartbeat"
+        pipe.answered(60.0)
         assert pipe.send(b"to the first")
         assert first.recv(100) == b"to the first"
         second.sendto(b"again", ("127.0.0.1", pipe.port))
-        pipe.receive()
+        assert pipe.receive() == b""
+        assert pipe.refused == {"from another address": 1}
+        first.sendto(b"last words", ("127.0.0.1", pipe.port))
+        assert pipe.receive() == b"last words"
         pipe.answered(-1.0)  # the first is gone
+        second.sendto(b"me", ("127.0.0.1", pipe.port))
+        assert pipe.receive() == b"me"
+        pipe.answered(-1.0)
         pipe.send(b"to the second")
         assert second.recv(100) == b"to the second"
     finally:
         for each in (pipe, first, second):
             each.close()
+
+
+def _sent(wire: socket.socket, port: int, data: bytes) -> None:
+    wire.sendto(data, ("127.0.0.1", port))
+
+
+def test_two_vehicles_of_one_id_are_never_mixed() -> None:
+    ours, theirs = Vehicle(time.monotonic), Vehicle(time.monotonic)
+    wires = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
+    try:
+        with Link("127.0.0.1:0", now=time.monotonic, rates=NO_MESSAGES) as link:
+            for vehicle, wire in zip((ours, theirs), wires, strict=True):
+                vehicle.hear = partial(_sent, wire, link.port)
+            ours.heartbeat()
+            until(lambda: link.connected)
+            theirs.armed, theirs.mode = True, 2
+            theirs.heartbeat()
+            until(lambda: link.refused["from another address"] == 1)
+            ours.named("PilotGain", 0.5)
+            until(lambda: link.telemetry.pilot_gain == 0.5)
+            assert (link.telemetry.mode, link.telemetry.armed) == ("MANUAL", False)
+            assert not link.yielding
+    finally:
+        for wire in wires:
+            wire.close()
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1", "udpin:127.0.0.1:99999", "tcp::1", "udpout:host:x"])

@@ -161,13 +161,13 @@ class Link:
         )
         self._rates = dict(rates)
         self._retry = retry
-        self._pipe = open_pipe(address) if isinstance(address, str) else address
+        self.refused: Counter[str] = Counter()
+        """What came and was not taken, by reason."""
+        self._pipe = open_pipe(address, self.refused) if isinstance(address, str) else address
         self._datagrams = not isinstance(self._pipe, Tcp)
         for name in self._rates:
             self._message_id(name)
 
-        self.refused: Counter[str] = Counter()
-        """What came and was not taken, by reason."""
         self.rival = ""
         """Who else uses our system id; empty for nobody."""
         self.mode_changed_by_other = ""

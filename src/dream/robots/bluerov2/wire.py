@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import socket
 import time
+from collections import Counter
 from typing import Protocol
 
 QUIET = 0.25
@@ -28,9 +29,14 @@ class Pipe(Protocol):
 
 
 class Udp:
-    """Datagrams: to whom it was told, or to whom it was first spoken to by."""
+    """Datagrams: to whom it was told, or to whom it was first spoken to by.
 
-    def __init__(self, host: str, port: int, *, listen: bool) -> None:
+    While that one is there nobody else is heard: every vehicle has system id 1 as it is sold, and two of them
+    at one port must not be taken for one. What is dropped is counted in `refused`, by reason.
+    """
+
+    def __init__(self, host: str, port: int, *, listen: bool, refused: Counter[str] | None = None) -> None:
+        self.refused: Counter[str] = Counter() if refused is None else refused
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.settimeout(QUIET)
         try:
@@ -44,7 +50,7 @@ class Udp:
             raise
         self._fixed = not listen
         self._from: tuple[str, int] | None = None
-        self._heard = -math.inf
+        self._heard = self._there_until = -math.inf
 
     @property
     def port(self) -> int:
@@ -64,6 +70,9 @@ class Udp:
             data, self._from = self._socket.recvfrom(65535)
         except TimeoutError:
             return b""
+        if self._from != self._peer and time.monotonic() <= self._there_until:
+            self.refused["from another address"] += 1
+            return b""
         return data
 
     def answered(self, lost: float) -> None:
@@ -72,7 +81,7 @@ class Udp:
         if not self._fixed and self._from != self._peer and now - self._heard > lost:
             self._peer = self._from
         if self._from == self._peer:
-            self._heard = now
+            self._heard, self._there_until = now, now + lost
 
     def close(self) -> None:
         """As `Pipe` says."""
@@ -121,8 +130,10 @@ class Tcp:
             stream.close()
 
 
-def open_pipe(address: str) -> Pipe:
+def open_pipe(address: str, refused: Counter[str] | None = None) -> Pipe:
     """udpin:HOST:PORT (or HOST:PORT) listens; udpout:HOST:PORT and tcp:HOST:PORT go there.
+
+    What comes and is dropped is counted in `refused`, by reason.
 
     Raises:
         ValueError: Not an address.
@@ -136,4 +147,6 @@ def open_pipe(address: str) -> Pipe:
         raise ValueError(
             f"address: expected udpin:HOST:PORT, udpout:HOST:PORT or tcp:HOST:PORT, got {address!r}"
         )
-    return Tcp(host, int(port)) if kind == "tcp" else Udp(host, int(port), listen=kind == "udpin")
+    if kind == "tcp":
+        return Tcp(host, int(port))
+    return Udp(host, int(port), listen=kind == "udpin", refused=refused)
