@@ -271,6 +271,56 @@ def test_a_vehicle_that_somebody_else_armed_does_not_move(dive: Dive) -> None:
     assert dive.vehicle.moves() == []
 
 
+def test_who_somebody_else_armed_is_not_touched(dive: Dive) -> None:
+    dive.vehicle.armed = True
+    dive.vehicle.heartbeat()
+    dive.link.connect(0.1)
+    checks = dive.link.check_parameters()
+    assert any(not check.ok for check in checks)
+    assert "armed, and not by this link. Somebody else drives: have it disarmed" in dive.link.busy
+    for touch in (
+        dive.link.arm,
+        lambda: dive.link.correct(checks),
+        lambda: dive.link.set_param("FS_LEAK_ENABLE", 2.0),
+        lambda: dive.link.set_lights(0.5),
+        lambda: dive.link.tilt_camera(-0.5),
+    ):
+        with pytest.raises(Refused, match="expected a vehicle that nobody else drives, got: it is armed"):
+            touch()
+    dive.run(2.0)
+    assert dive.vehicle.parameters == PARAMETERS
+    # Its own station may be lost: a heartbeat of ours would hide that from its failsafe.
+    assert {message.get_type() for _, message in dive.vehicle.sent} == {
+        "COMMAND_LONG",
+        "PARAM_REQUEST_READ",
+        "TIMESYNC",
+    }
+    assert {m.command for m in dive.vehicle.heard("COMMAND_LONG")} == {
+        dialect.MAV_CMD_REQUEST_MESSAGE,
+    }
+
+
+def test_busy_is_who_else_is_there(dive: Dive) -> None:
+    dive.armed()
+    assert dive.link.busy == ""
+    with pytest.raises(Refused, match="expected a disarmed vehicle, got one that this link armed"):
+        dive.link.arm()
+    dive.link.disarm()
+    assert dive.link.busy == ""
+    dive.vehicle.mode = 19
+    dive.vehicle.heartbeat()
+    assert dive.link.busy.startswith("mode MANUAL instead of ALT_HOLD, which nobody here asked for")
+    assert "begin anew" in dive.link.busy
+    with pytest.raises(Refused, match="mode MANUAL"):
+        dive.link.arm()
+    dive.link.resume()
+    assert dive.link.busy == ""
+    dive.vehicle.say(rivals()[0], 255, 200)
+    assert dive.link.busy == dive.link.rival
+    with pytest.raises(Refused, match="another station uses our system id"):
+        dive.link.set_param("FS_PILOT_INPUT", 2.0)
+
+
 def test_an_order_is_repeated_at_20_hz_until_it_expires_and_neutral_follows(dive: Dive) -> None:
     dive.armed()
     start = dive.clock()

@@ -57,6 +57,7 @@ class Seen:
 
 def findings(
     telemetry: Telemetry,
+    busy: str,
     parameters: Sequence[Check],
     sonar: Sonar,
     seen: Seen,
@@ -68,6 +69,7 @@ def findings(
 
     Args:
         telemetry: What the vehicle says.
+        busy: Why it is not ours to touch, as `mavlink.Link` has it; empty where it is free.
         parameters: What safety hangs on.
         sonar: The DVL.
         seen: What the camera gave.
@@ -96,6 +98,12 @@ def findings(
             not telemetry.armed,
             f"{telemetry.mode}, {'armed' if telemetry.armed else 'disarmed'}",
             "a vehicle that is disarmed: DREAM only moves one that it armed itself",
+        ),
+        Finding(
+            "nobody else",
+            not busy,
+            busy or "nobody else drives it",
+            "a vehicle that nobody else arms, nobody changes the mode of, and no station with our id",
         ),
         *(
             Finding(

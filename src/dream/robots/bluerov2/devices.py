@@ -224,7 +224,8 @@ class Devices:
             aligned, seen = self.listen(seconds, start)
             aligned = str(not_ready)
         parameters = self.link.check_parameters()
-        return findings(self.link.telemetry, parameters, self.dvl, seen, aligned, limits, folder)
+        link = self.link
+        return findings(link.telemetry, link.busy, parameters, self.dvl, seen, aligned, limits, folder)
 
     def _heard_of(self, time: float, channel: str, sent: bool, message: Any) -> None:
         self.log.tap(time, channel, sent, message)

@@ -250,6 +250,17 @@ class Link:
         return self.rival or self.mode_changed_by_other or self.armed_by_other
 
     @property
+    def busy(self) -> str:
+        """Why the vehicle is not ours to touch, and what to do; empty where it is free, or armed by us."""
+        with self._news:
+            if self.rival:
+                return self.rival
+            why = self.yielding
+            if not why and self._armed_elsewhere:
+                why = "it is armed, and not by this link"
+        return f"{why}. Somebody else drives: have it disarmed and let go of, then begin anew" if why else ""
+
+    @property
     def telemetry(self) -> Telemetry:
         """What is known of the vehicle now."""
         with self._news:
@@ -366,24 +377,25 @@ class Link:
 
         Raises:
             TimeoutError: No answer, or the heartbeat never showed it.
-            Refused: The vehicle's checks before arming failed; the text says which.
-            RuntimeError: The link yields: somebody else drives.
+            Refused: It is armed already, somebody else drives, or the vehicle's checks before arming failed; the
+                text says which.
         """
-        if self.yielding:
-            raise RuntimeError(f"arm: expected nobody else to drive, got: {self.yielding}. See resume()")
         with self._news:
+            if self.busy:
+                raise Refused(f"arm: expected a vehicle that nobody else drives, got: {self.busy}")
+            if self.telemetry.armed:
+                raise Refused(
+                    "arm: expected a disarmed vehicle, got one that this link armed. disarm() first"
+                )
             self.operator_alive()
             self._motion.stop()
-            already = self.telemetry.armed
             self._piloting = True
             self._expected_armed = True, self._now() + EXPECTED + 3 * self._retry
             self._drive(self._now())
         try:
             self._command("COMPONENT_ARM_DISARM", 1.0)
-            if not self._wait(lambda: self._ours or (already and self.telemetry.armed), EXPECTED):
+            if not self._wait(lambda: self._ours, EXPECTED):
                 raise TimeoutError(f"arm: expected an armed heartbeat within {EXPECTED} s, got none")
-            with self._news:
-                self._ours = self.telemetry.armed
         except (TimeoutError, Refused):
             with self._news:
                 self._piloting = False
@@ -470,10 +482,11 @@ class Link:
         Raises:
             ValueError: Not finite.
             TimeoutError: No answer.
-            Refused: The vehicle kept another value.
+            Refused: The vehicle kept another value, or it is `busy`.
         """
         if not math.isfinite(value):
             raise ValueError(f"parameter {name}: expected a finite number, got {value}")
+        self._free(f"parameter {name}")
         old = self.param(name)
         spelling = self._spelling[name]
         with self._news:
@@ -564,8 +577,9 @@ class Link:
         Raises:
             ValueError: Beyond what the mount can.
             TimeoutError: No report of the mount, or it stays elsewhere.
-            Refused: The vehicle has no mount.
+            Refused: The vehicle has no mount, or it is `busy`.
         """
+        self._free("camera tilt")
         if not abs(up) <= math.radians(60.0):
             raise ValueError(f"camera tilt: expected at most 60° either way, got {math.degrees(up)}°")
         with self._news:
@@ -587,13 +601,15 @@ class Link:
 
         Raises:
             ValueError: Not a share.
-            RuntimeError: No buttons for the lights, no report of them, or the link yields.
+            Refused: The vehicle is `busy`.
+            RuntimeError: No buttons for the lights, or no report of them.
             TimeoutError: The lights do not change.
         """
         if not 0.0 <= share <= 1.0:
             raise ValueError(f"lights: expected a share from 0 to 1, got {share}")
-        if self.yielding or not self._wait(lambda: "lights" in self._reports.values, 4.0):
-            raise RuntimeError(f"lights: expected the vehicle's report Lights1, got none. {self.yielding}")
+        self._free("lights")
+        if not self._wait(lambda: "lights" in self._reports.values, 4.0):
+            raise RuntimeError("lights: expected the vehicle's report Lights1, got none")
         buttons = self._light_buttons()
         step = 1.0 / 8.0
         for _ in range(24):
@@ -760,9 +776,10 @@ class Link:
 
     def _heartbeat(self, now: float) -> None:
         d = self._dialect
-        self._send(
-            d.MAVLink_heartbeat_message(d.MAV_TYPE_GCS, d.MAV_AUTOPILOT_INVALID, 0, 0, d.MAV_STATE_ACTIVE, 3)
-        )
+        if not self._armed_elsewhere:
+            # Who drives it hangs on a heartbeat of their own, which ours would hide the loss of.
+            kind, none = d.MAV_TYPE_GCS, d.MAV_AUTOPILOT_INVALID
+            self._send(d.MAVLink_heartbeat_message(kind, none, 0, 0, d.MAV_STATE_ACTIVE, 3))
         if self.connected:
             self._send(d.MAVLink_timesync_message(0, self._reports.ask_time(now)))
             if self._ask_again:
@@ -883,6 +900,15 @@ class Link:
                 self.operator_alive()
                 self._news.wait(min(0.5, max(0.0, end - time.monotonic())))
             return true()
+
+    @property
+    def _armed_elsewhere(self) -> bool:
+        return bool(self._reports.values.get("armed")) and not self._ours
+
+    def _free(self, what: str) -> None:
+        busy = self.busy
+        if busy:
+            raise Refused(f"{what}: expected a vehicle that nobody else drives, got: {busy}")
 
     def _words(self, now: float) -> str:
         with self._news:
