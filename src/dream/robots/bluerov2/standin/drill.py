@@ -296,11 +296,14 @@ def _send(drill: Drill, packets: Sequence[bytes]) -> None:
 
 
 def _rival(drill: Drill) -> None:
-    """Another station with our id speaks to the vehicle."""
+    """Another station with our id speaks to the vehicle, whose router passes that on to us."""
     from pymavlink.dialects.v20 import ardupilotmega as dialect
 
     other = dialect.MAVLink(None, srcSystem=255, srcComponent=190)
-    _send(drill, [other.manual_control_encode(1, 400, 0, 500, 0, 0).pack(other)] * 5)
+    packet = other.manual_control_encode(1, 400, 0, 500, 0, 0).pack(other)
+    with drill.standin.lock:
+        for _ in range(5):
+            drill.standin.wire.send(packet, None, drill.standin.tank.time)
 
 
 def _stranger(drill: Drill) -> None:
