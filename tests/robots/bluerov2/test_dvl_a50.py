@@ -486,6 +486,7 @@ def test_settings_that_would_mislead_are_a_problem(
     link.trigger_ping()  # Answered after the question that the link itself asks.
     with pytest.raises(AssertionError, match=problem):
         raise AssertionError(link.problem)
+    assert link.misread == link.problem
 
 
 @pytest.mark.parametrize("speed", [999.0, math.nan])

@@ -10,11 +10,14 @@ from pathlib import Path
 from typing import Protocol
 
 from dream.robots.bluerov2.bridge import Limits
+from dream.robots.bluerov2.dvl_a50 import Config
 from dream.robots.bluerov2.parameters import Check
 from dream.robots.bluerov2.telemetry import Telemetry
 
 ROOM = 2 << 30
 """Bytes free on the disk: an hour of log takes about half of it."""
+SOUND_OFF = 0.02
+"""Share by which the DVL's speed of sound, and with it every velocity, may be off."""
 WORST_LOSS = 0.05
 """Share of the vehicle's packets that may be missing."""
 
@@ -42,6 +45,8 @@ class Sonar(Protocol):
     def hot(self) -> bool: ...  # noqa: D102
     @property
     def problem(self) -> str: ...  # noqa: D102
+    @property
+    def config(self) -> Config | None: ...  # noqa: D102
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +69,7 @@ def findings(
     aligned: str,
     limits: Limits,
     folder: Path,
+    sound: tuple[float, float],
 ) -> list[Finding]:
     """The whole list, in the order in which one would mend it.
 
@@ -76,6 +82,7 @@ def findings(
         aligned: Why the estimate cannot begin; empty where it can.
         limits: Of the dive.
         folder: Where the dive is kept.
+        sound: From and to what m/s sound goes in this water.
     """
     free = shutil.disk_usage(folder).free
     rate = seen.frames / seen.seconds if seen.seconds > 0.0 else 0.0
@@ -136,10 +143,16 @@ def findings(
         Finding("hull", not telemetry.leak, "water!" if telemetry.leak else "dry", "a dry hull"),
         Finding(
             "DVL",
-            sonar.connected and sonar.age < 1.0 and not sonar.hot,
-            sonar.problem or f"report {sonar.age:.1f} s old",
-            "an A50 that pings, in the water, below 45 °C",
+            sonar.connected
+            and sonar.age < 1.0
+            and not sonar.hot
+            and not sonar.problem
+            and sonar.config is not None,
+            sonar.problem
+            or ("it does not tell its settings" if sonar.config is None else f"report {sonar.age:.1f} s old"),
+            "an A50 that pings, in the water, below 45 °C, and tells how it is set",
         ),
+        _speed_of_sound(sonar.config, sound),
         Finding(
             "camera",
             rate >= 5.0 and seen.age < 0.5 and not seen.problem,
@@ -156,6 +169,15 @@ def findings(
     ]
 
 
-def go(found: Sequence[Finding]) -> bool:
-    """Is everything well?"""
-    return all(finding.ok for finding in found)
+def _speed_of_sound(config: Config | None, sound: tuple[float, float]) -> Finding:
+    slowest, fastest = sound
+    water = f"{slowest:g}" if slowest == fastest else f"{slowest:g} to {fastest:g}"
+    wanted = f"{water} m/s in this water, within {SOUND_OFF:.0%}: set speed_of_sound of the DVL, or --water"
+    speed = None if config is None else config.speed_of_sound
+    if speed is None:
+        return Finding("speed of sound", ok=False, said="the DVL does not tell it", wanted=wanted)
+    # A velocity is the shift of the echo's frequency times the speed of sound that is believed.
+    nearest = min(max(speed, slowest), fastest)
+    off = speed / nearest - 1.0
+    said = f"{speed:g} m/s" + (f", all velocities are {off:+.1%} off" if off else "")
+    return Finding("speed of sound", abs(off) <= SOUND_OFF, said, wanted)

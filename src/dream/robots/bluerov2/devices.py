@@ -28,7 +28,7 @@ from dream.robots.bluerov2.camera import (
     opencv,
 )
 from dream.robots.bluerov2.check import Finding, Seen, findings
-from dream.robots.bluerov2.dvl_a50 import DvlA50
+from dream.robots.bluerov2.dvl_a50 import DvlA50, sound_in
 from dream.robots.bluerov2.lens import Lens, Rectifier
 from dream.robots.bluerov2.log import DiveLog
 from dream.robots.bluerov2.mavlink import Link
@@ -115,6 +115,7 @@ class Devices:
         """
         began = time.monotonic()
         self.now: Callable[[], float] = lambda: time.monotonic() - began
+        self._density = density
         self._heard: list[Imu | Measurement] = []
         self._listening = threading.Event()
         self.station: Station | None = None
@@ -174,8 +175,10 @@ class Devices:
             self.station.learn_buttons()
 
     def failing(self) -> str:
-        """Which device says that it will fail soon, in words; empty where none does."""
-        return self.dvl.problem if self.dvl.hot else ""
+        """Which device says that it will fail soon, or is set to something else than before the dive, in
+        words; empty where none does.
+        """
+        return self.dvl.problem if self.dvl.hot else self.dvl.misread
 
     def zero_depth(self) -> None:
         """Take the pressure of now for that at the surface, unless it was given.
@@ -223,9 +226,9 @@ class Devices:
         except NotReady as not_ready:
             aligned, seen = self.listen(seconds, start)
             aligned = str(not_ready)
-        parameters = self.link.check_parameters()
         link = self.link
-        return findings(link.telemetry, link.busy, parameters, self.dvl, seen, aligned, limits, folder)
+        checks, sound = link.check_parameters(), sound_in(self._density)
+        return findings(link.telemetry, link.busy, checks, self.dvl, seen, aligned, limits, folder, sound)
 
     def _heard_of(self, time: float, channel: str, sent: bool, message: Any) -> None:
         self.log.tap(time, channel, sent, message)

@@ -48,6 +48,12 @@ PAUSES = (0.25, 5.0)
 SLOWEST = 2.0
 """Seconds from validity to transmission that are believed; about 0.2 in the documentation's example."""
 
+SOUND_FRESH, SOUND_SEA = (1481.0, 1481.0), (1500.0, 1530.0)
+"""m/s, from and to: fresh water at 20 °C (Del Grosso and Mader 1972: 1482), and the sea of 13 to 23 °C at a
+salinity of 35 (Mackenzie 1981)."""
+SALTY = 1010.0
+"""kg/m³ from which on water is taken for the sea's."""
+
 _FLU_FRD = np.diag([1.0, -1.0, -1.0])
 
 _Speed = Annotated[float, Field(ge=-20.0, le=20.0)]
@@ -111,7 +117,7 @@ class Config(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False, strict=True)
 
     speed_of_sound: float | None = None
-    """m/s, by which velocities scale: about 1480 in a fresh tank, 1500 in the sea."""
+    """m/s, by which velocities scale: see `sound_in`."""
     mounting_rotation_offset: float | None = None
     """Degrees by which the device turns what it reports."""
     acoustic_enabled: bool | None = None
@@ -167,6 +173,11 @@ def _floored(covariance: Float64Array) -> Float64Array:
     variances, axes = np.linalg.eigh(0.5 * (covariance + covariance.T))
     floored: Float64Array = (axes * np.maximum(variances, VELOCITY_FLOOR**2)) @ axes.T
     return 0.5 * (floored + floored.T)
+
+
+def sound_in(density: float) -> tuple[float, float]:
+    """From and to what m/s sound goes, by the kg/m³ of the water."""
+    return SOUND_FRESH if density < SALTY else SOUND_SEA
 
 
 class DvlA50:
@@ -271,6 +282,25 @@ class DvlA50:
         return self._config
 
     @property
+    def misread(self) -> str:
+        """Why its velocities, by its settings, are not what they are taken for; empty where they are."""
+        where = f"the DVL at {self._host}:{self._port}"
+        config = self._config
+        if config is None:
+            return ""
+        if config.acoustic_enabled is False:
+            return f"{where} is told not to ping. Set acoustic_enabled"
+        if config.range_mode == "wt":
+            return f"{where} is told to track the water. Set range_mode to auto"
+        turned = config.mounting_rotation_offset
+        if turned is not None and abs(math.remainder(turned - self._rotation_deg, 360.0)) > 0.01:
+            return (
+                f"{where}: expected mounting_rotation_offset {self._rotation_deg:g}°, got {turned:g}°. "
+                "One of both is to be changed"
+            )
+        return ""
+
+    @property
     def refused(self) -> dict[str, int]:
         """Lines that were not used, by reason."""
         with self._lock:
@@ -289,18 +319,8 @@ class DvlA50:
             return f"{where} is too hot and about to shut down. Is it out of the water?"
         if self._version:
             return f"{where} speaks {self._version}, expected json_v3"
-        config = self._config
-        if config is not None:
-            if config.acoustic_enabled is False:
-                return f"{where} is told not to ping. Set acoustic_enabled"
-            if config.range_mode == "wt":
-                return f"{where} is told to track the water. Set range_mode to auto"
-            turned = config.mounting_rotation_offset
-            if turned is not None and abs(math.remainder(turned - self._rotation_deg, 360.0)) > 0.01:
-                return (
-                    f"{where}: expected mounting_rotation_offset {self._rotation_deg:g}°, got {turned:g}°. "
-                    "One of both is to be changed"
-                )
+        if self.misread:
+            return self.misread
         silent = self._now() - self._heard
         if not self.age <= self._quiet:
             return f"no velocity from {where}" + (f" for {self.age:.1f} s" if self.age < math.inf else "")

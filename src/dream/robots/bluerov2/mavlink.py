@@ -377,8 +377,8 @@ class Link:
 
         Raises:
             TimeoutError: No answer, or the heartbeat never showed it.
-            Refused: It is armed already, somebody else drives, or the vehicle's checks before arming failed; the
-                text says which.
+            Refused: It is armed already, somebody else drives, or the vehicle's checks before arming
+                failed; the text says which.
         """
         with self._news:
             if self.busy:
