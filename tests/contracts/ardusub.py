@@ -95,7 +95,7 @@ class Answers:
         before = link.param("PILOT_SPEED_UP")
         link.set_param("PILOT_SPEED_UP", before + 7.0)
         assert link.param("PILOT_SPEED_UP") == before + 7.0
-        assert link.restore() == {"PILOT_SPEED_UP": before}
+        assert link.restore().done == {"PILOT_SPEED_UP": before}
         assert link.param("PILOT_SPEED_UP") == before
 
     def test_a_parameter_that_it_does_not_have_is_told(self, subject: Subject) -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import math
 import socket
 import threading
@@ -7,6 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +19,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from dream.geometry import wrap_angle
 from dream.measurements import Depth, Heading, Imu
-from dream.robots.bluerov2.mavlink import LIFELINE, LOST, PERIOD, Link, Refused
+from dream.robots.bluerov2.mavlink import LIFELINE, LOST, PERIOD, Link, Refused, Restored
 from dream.robots.bluerov2.motion import LONGEST, Motion
 from dream.robots.bluerov2.reports import GRAVITY, SEA
 from dream.robots.bluerov2.standin.ardusub import ArduSub
@@ -1070,9 +1072,9 @@ def test_the_stations_id_is_found_by_either_name(dive: Dive, name: str) -> None:
         assert dive.link.param(asked) == 254.0
     dive.link.set_param("MAV_GCS_SYSID", 255.0)
     assert dive.vehicle.parameters[name] == 255.0
-    assert dive.link.restore() == {name: 254.0}
+    assert dive.link.restore() == Restored({name: 254.0}, {})
     assert dive.vehicle.parameters[name] == 254.0
-    assert dive.link.restore() == {}
+    assert dive.link.restore() == Restored({}, {})
 
 
 def test_parameters_are_set_seen_and_restored(dive: Dive) -> None:
@@ -1082,8 +1084,67 @@ def test_parameters_are_set_seen_and_restored(dive: Dive) -> None:
     dive.link.set_param("FS_PILOT_TIMEOUT", 0.5)
     dive.link.set_param("FS_PILOT_INPUT", 2.0)
     assert dive.vehicle.parameters["FS_PILOT_TIMEOUT"] == 0.5
-    assert dive.link.restore() == {"FS_PILOT_INPUT": 1.0, "FS_PILOT_TIMEOUT": 3.0}
+    assert dive.link.restore().done == {"FS_PILOT_INPUT": 1.0, "FS_PILOT_TIMEOUT": 3.0}
     assert dive.vehicle.parameters == before
+
+
+def test_one_parameter_that_stays_changed_keeps_no_other_so(
+    dive: Dive, caplog: pytest.LogCaptureFixture
+) -> None:
+    dive.link.set_param("FS_PILOT_TIMEOUT", 1.0)
+    dive.link.set_param("FS_PILOT_INPUT", 2.0)
+    dive.link.set_param("FS_LEAK_ENABLE", 2.0)
+    dive.vehicle.stuck = "FS_PILOT_INPUT"
+    restored = dive.link.restore()
+    assert restored.done == {"FS_PILOT_TIMEOUT": 3.0, "FS_LEAK_ENABLE": 1.0}
+    assert restored.left.keys() == {"FS_PILOT_INPUT"}
+    assert "expected 1.0, got 2.0" in restored.left["FS_PILOT_INPUT"]
+    assert "FS_PILOT_INPUT was 1 and is not put back" in caplog.text
+    dive.vehicle.stuck = ""
+    assert dive.link.restore() == Restored({"FS_PILOT_INPUT": 1.0}, {})
+    assert dive.vehicle.parameters == PARAMETERS
+
+
+def test_nothing_is_put_back_while_the_vehicle_is_armed(dive: Dive) -> None:
+    dive.armed()
+    dive.link.set_param("FS_PILOT_TIMEOUT", 1.0)
+    restored = dive.link.restore()
+    assert restored.done == {}
+    assert "the vehicle is armed" in restored.left["FS_PILOT_TIMEOUT"]
+    assert dive.vehicle.parameters["FS_PILOT_TIMEOUT"] == 1.0
+    dive.link.disarm()
+    # A failsafe that changed the mode is no reason to leave the vehicle changed.
+    dive.vehicle.mode = 9
+    dive.vehicle.heartbeat()
+    assert dive.link.busy
+    assert dive.link.restore().done == {"FS_PILOT_TIMEOUT": 3.0}
+
+
+def test_old_values_are_on_disk_before_the_first_is_changed(tmp_path: Path) -> None:
+    file = tmp_path / "before.json"
+    dive = Dive(keep=file)
+    seen = []
+    obey = dive.vehicle.value
+    dive.vehicle.value = lambda name: (seen.append(file.exists()), obey(name))[1]  # type: ignore[func-returns-value, method-assign]
+    dive.link.set_param("FS_PILOT_TIMEOUT", 1.0)
+    assert seen == [False, True]  # asked for its value, and then changed
+    dive.link.set_param("FS_PILOT_TIMEOUT", 0.5)
+    dive.link.set_param("FS_PILOT_INPUT", 2.0)
+    dive.link.restore()
+    dive.link.set_param("FS_LEAK_ENABLE", 2.0)
+    assert json.loads(file.read_text()) == {
+        "FS_PILOT_TIMEOUT": 3.0,
+        "FS_PILOT_INPUT": 1.0,
+        "FS_LEAK_ENABLE": 1.0,
+    }
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_what_cannot_be_kept_is_not_changed(tmp_path: Path) -> None:
+    dive = Dive(keep=tmp_path / "no such folder" / "before.json")
+    with pytest.raises(FileNotFoundError):
+        dive.link.set_param("FS_PILOT_TIMEOUT", 1.0)
+    assert dive.vehicle.heard("PARAM_SET") == []
 
 
 def test_a_parameter_that_keeps_its_value_is_a_refusal(dive: Dive) -> None:

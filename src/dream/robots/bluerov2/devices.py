@@ -38,6 +38,8 @@ from dream.robots.bluerov2.rov import Picture
 from dream.types import BoolArray, UInt8Array
 
 A50_PORT = 16171
+PARAMETERS_BEFORE = "parameters-before.json"
+"""In the folder of the run: what the vehicle had before DREAM changed it."""
 DENSITY = {"fresh": 997.0, "sea": 1025.0}
 """kg/m³."""
 
@@ -137,6 +139,7 @@ class Devices:
                 tap=self._heard_of,
                 density=density,
                 surface_pressure=surface_pressure,
+                keep=folder / PARAMETERS_BEFORE,
             )
             stack.enter_context(self.link)
             if addresses.pilot is not None:

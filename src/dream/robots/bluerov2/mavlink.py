@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import json
 import logging
 import math
 import struct
@@ -11,7 +12,9 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -88,6 +91,16 @@ class Refused(RuntimeError):  # noqa: N818 - it names what happened.
     """The vehicle answered, and the answer was no."""
 
 
+@dataclass(frozen=True, slots=True)
+class Restored:
+    """What became of the parameters that were changed."""
+
+    done: dict[str, float]
+    """Name and value of those that are as they were."""
+    left: dict[str, str]
+    """Name of those that are not, and why."""
+
+
 class Link:
     """Talks to one ArduSub as its ground station.
 
@@ -124,6 +137,7 @@ class Link:
         heading_from: str = "ATTITUDE",
         rates: Mapping[str, float] = RATES,
         retry: float = 0.5,
+        keep: Path | None = None,
     ) -> None:
         """Open the port; the threads begin in the with-block.
 
@@ -144,6 +158,8 @@ class Link:
             heading_from: ATTITUDE or ATTITUDE_QUATERNION.
             rates: Names of messages and the hertz to ask for; `imu_from` and `heading_from` among them.
             retry: Seconds to wait for an answer before asking again.
+            keep: A file for the old values of parameters, as JSON, written before one is changed: to put
+                them back by hand where this program ends without doing so.
         """
         if not (1 <= vehicle <= 255 and 1 <= system <= 255 and vehicle != system):
             raise ValueError(
@@ -161,6 +177,7 @@ class Link:
         )
         self._rates = dict(rates)
         self._retry = retry
+        self._keep = keep
         self.refused: Counter[str] = Counter()
         """What came and was not taken, by reason."""
         self._pipe = open_pipe(address, self.refused) if isinstance(address, str) else address
@@ -198,6 +215,7 @@ class Link:
         self._ask_again = False
 
         self._before: dict[str, float] = {}
+        self._kept: dict[str, float] = {}
         self._types: dict[str, int] = {}
         self._spelling: dict[str, str] = {}
 
@@ -483,6 +501,7 @@ class Link:
             ValueError: Not finite.
             TimeoutError: No answer.
             Refused: The vehicle kept another value, or it is `busy`.
+            OSError: The old value cannot be kept; nothing is changed then.
         """
         if not math.isfinite(value):
             raise ValueError(f"parameter {name}: expected a finite number, got {value}")
@@ -490,7 +509,14 @@ class Link:
         old = self.param(name)
         spelling = self._spelling[name]
         with self._news:
+            if self._keep is not None and spelling not in self._kept:
+                # It stays there after `restore`: it says what the vehicle had.
+                _write(self._keep, {**self._kept, spelling: old})
+            self._kept.setdefault(spelling, old)
             self._before.setdefault(spelling, old)
+        self._change(spelling, value)
+
+    def _change(self, spelling: str, value: float) -> None:
         message = self._dialect.MAVLink_param_set_message(
             self.vehicle, 1, spelling.encode(), value, self._types[spelling]
         )
@@ -508,20 +534,29 @@ class Link:
             kept = self._ask_param(spelling)
             raise Refused(f"parameter {spelling}: expected {value}, got {kept} from the vehicle") from None
 
-    def restore(self) -> dict[str, float]:
-        """Put all parameters that `set_param` changed back, and return them.
+    def restore(self) -> Restored:
+        """Put all parameters that `set_param` changed back, each on its own.
 
-        Raises:
-            TimeoutError: No answer for one of them; those not yet back stay remembered.
-            Refused: As `set_param`.
+        None of an armed vehicle: they are what its failsafes hang on. What is left stays remembered, for
+        another try; a warning names it.
         """
-        done = {}
+        done: dict[str, float] = {}
+        left: dict[str, str] = {}
         for name, value in reversed(list(self._before.items())):
-            self.set_param(name, value)
+            if self._reports.values.get("armed"):
+                left[name] = f"expected {value:g}: the vehicle is armed. Disarm it"
+                continue
+            try:
+                self._change(name, value)
+            except (TimeoutError, Refused) as error:
+                left[name] = str(error)
+                continue
             done[name] = value
             with self._news:
                 del self._before[name]
-        return done
+        for name, why in left.items():
+            logger.warning("%s was %g and is not put back: %s", name, self._before[name], why)
+        return Restored(done, left)
 
     def check_parameters(self) -> list[Check]:
         """Read what safety hangs on. Changes nothing: see `correct`."""
@@ -944,6 +979,13 @@ class Link:
         if problem != self.problem:
             logger.warning("%s", problem)
         self.problem = problem
+
+
+def _write(path: Path, values: Mapping[str, float]) -> None:
+    """Whole, or not at all."""
+    half = path.with_name(f".partial.{path.name}")
+    half.write_text(json.dumps(values, indent=2) + "\n")
+    half.replace(path)
 
 
 def dialect() -> ModuleType:
