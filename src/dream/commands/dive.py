@@ -330,12 +330,9 @@ def _opened(
         except (TimeoutError, Refused) as error:
             raise MissionAborted(f"vehicle: {error}") from error
         finally:
-            if devices.link.engaged:
-                # Its failsafes are what stops it once nobody speaks to it.
-                logger.warning("the vehicle is armed yet: its parameters stay as the dive set them")
-            else:
-                with contextlib.suppress(TimeoutError, Refused, OSError):
-                    devices.link.restore()
+            # None of a vehicle that is still armed: its failsafes stop it once nobody speaks to it.
+            with contextlib.suppress(OSError):
+                devices.link.restore()
 
 
 @dataclass(slots=True)
