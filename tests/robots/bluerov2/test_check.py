@@ -12,7 +12,7 @@ import pytest
 from dream.geometry import Bounds
 from dream.robots.bluerov2.bridge import Limits
 from dream.robots.bluerov2.check import ROOM, Finding, Seen, findings
-from dream.robots.bluerov2.devices import DENSITY, Devices
+from dream.robots.bluerov2.devices import DENSITY, Devices, dvl_at
 from dream.robots.bluerov2.dvl_a50 import SOUND_FRESH, Config, sound_in
 from dream.robots.bluerov2.parameters import Check, rules
 from dream.robots.bluerov2.telemetry import Telemetry
@@ -198,6 +198,20 @@ def test_in_the_sea_its_whole_range_is_right(tmp_path: Path, monkeypatch: pytest
     finding = found.list(tmp_path, monkeypatch)["speed of sound"]
     assert (finding.ok, finding.said) == (True, "1515 m/s")
     assert "1500 to 1530 m/s" in finding.wanted
+
+
+@pytest.mark.parametrize(
+    ("address", "at"),
+    [("192.168.2.95", ("192.168.2.95", 16171)), ("dvl.local:16172", ("dvl.local", 16172))],
+)
+def test_a_dvl_is_at_a_host_and_a_port(address: str, at: tuple[str, int]) -> None:
+    assert dvl_at(address) == at
+
+
+@pytest.mark.parametrize("address", ["", ":16171", "host:", "host:a50", "host:0", "host:65536", "host:-1"])
+def test_a_dvls_address_that_is_none_is_told(address: str) -> None:
+    with pytest.raises(ValueError, match=f"--dvl: expected HOST or HOST:PORT .* got {address}"):
+        dvl_at(address)
 
 
 @pytest.mark.parametrize(

@@ -133,6 +133,8 @@ def test_the_card_says_what_was_given(released: Path) -> None:
     text = (released / "README.md").read_text()
     front = YAML(typ="safe").load(text.split("---")[1])
     assert front == {"title": "A dive in a tank", "license": "CC-BY-4.0"}
+    assert "x and y are those of\n`--at` and `--area`" in text
+    assert "nor to north" in text
     assert "| frames | 4 |" in text
     assert "| decisions | 3 |" in text
     assert "2026-11-22T09:30:00+00:00" in text

@@ -83,6 +83,21 @@ def source_of(camera: str) -> Source:
     return VideoFile(Path(camera))
 
 
+def dvl_at(address: str) -> tuple[str, int]:
+    """Host and port of a DVL by its address.
+
+    Raises:
+        ValueError: It is neither HOST nor HOST:PORT.
+    """
+    host, colon, port = address.rpartition(":") if ":" in address else (address, "", "")
+    if not host or (colon and not (port.isdecimal() and 1 <= int(port) <= 65535)):
+        raise ValueError(
+            f"--dvl: expected HOST or HOST:PORT with a port of 1 to 65535, got {address}. "
+            f"An A50's is {A50_PORT}"
+        )
+    return host, int(port) if colon else A50_PORT
+
+
 class Devices:
     """Vehicle, DVL, camera, estimate and log of one dive.
 
@@ -122,7 +137,7 @@ class Devices:
         self._listening = threading.Event()
         self.station: Station | None = None
         source = source_of(addresses.camera)
-        host, _, port = addresses.dvl.rpartition(":") if ":" in addresses.dvl else (addresses.dvl, "", "")
+        host, port = dvl_at(addresses.dvl)
         with ExitStack() as stack:
             self.log = stack.enter_context(DiveLog(folder, epoch_ns=epoch_ns))
             # As the estimator was given them: a replay of the log makes the same estimate.
@@ -149,7 +164,7 @@ class Devices:
             self.dvl = stack.enter_context(
                 DvlA50(
                     host,
-                    int(port) if port else A50_PORT,
+                    port,
                     now=self.now,
                     deliver=self._deliver,
                     tap=self.log.tap,

@@ -41,6 +41,8 @@ MOST_TURN = 10.0
 PRESSURES = (500.0, 40_000.0)
 """hPa that the air over a mountain lake, and the water at 300 m with some to spare, have."""
 
+SURFACE_PRESSURES = (300.0, 1200.0)
+"""hPa that the air over any water has, with some to spare."""
 MOST_HEIGHT = 500.0
 """Metres from its own zero that a vehicle may say it is, either way."""
 
