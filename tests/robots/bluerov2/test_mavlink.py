@@ -19,7 +19,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from dream.geometry import wrap_angle
 from dream.measurements import Depth, Heading, Imu
-from dream.robots.bluerov2.mavlink import LIFELINE, LOST, PERIOD, Link, Refused, Restored
+from dream.robots.bluerov2.mavlink import LIFELINE, LOST, PERIOD, RATES, Link, Refused, Restored
 from dream.robots.bluerov2.motion import LONGEST, Motion
 from dream.robots.bluerov2.reports import GRAVITY, SEA
 from dream.robots.bluerov2.standin.ardusub import ArduSub
@@ -925,6 +925,16 @@ def test_the_autopilots_own_altitude_is_its_own(dive: Dive) -> None:
     assert math.isnan(dive.link.telemetry.depth)
 
 
+def test_the_heartbeat_is_asked_for_at_5_hz_where_the_vehicle_allows_that() -> None:
+    for result in (0, 3):
+        dive = Dive(rates={"HEARTBEAT": RATES["HEARTBEAT"]})
+        dive.vehicle.results[dialect.MAV_CMD_SET_MESSAGE_INTERVAL] = result
+        dive.vehicle.heartbeat()
+        dive.link.connect(0.1)
+        asked = dive.vehicle.heard("COMMAND_LONG")[0]
+        assert (asked.param1, asked.param2) == (dialect.MAVLINK_MSG_ID_HEARTBEAT, 200_000)
+
+
 def test_the_stand_in_counts_altitude_from_a_zero_of_its_own(dive: Dive) -> None:
     conditions = Conditions(depth_zero=-0.4)
     tank = Tank(make_world("pool/arc", 1), conditions=conditions)
@@ -1350,6 +1360,12 @@ def test_two_vehicles_of_one_id_are_never_mixed() -> None:
 def test_addresses_are_checked(address: str) -> None:
     with pytest.raises(ValueError, match="address"):
         Link(address, now=time.monotonic)
+
+
+@pytest.mark.parametrize("pressure", [1.013, 29.92, 101.3, 299.0, 1201.0, 101325.0, math.inf])
+def test_a_pressure_in_other_units_is_no_surface(pressure: float) -> None:
+    with pytest.raises(ValueError, match=r"surface_pressure: expected 300 to 1200 hPa, got .* 1 bar is 1000"):
+        Link("127.0.0.1:0", now=time.monotonic, surface_pressure=pressure)
 
 
 def test_a_tcp_peer_that_is_not_there_is_a_problem_and_no_error() -> None:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from dream.robots.bluerov2.motion import Motion, Order
 from dream.robots.bluerov2.parameters import JOYSTICK_PARAMETERS, STATION_ID, Check, rules
-from dream.robots.bluerov2.reports import FRESH, MOUNT_MESSAGES, NUMBERS, Strange, text_of
+from dream.robots.bluerov2.reports import FRESH, MOUNT_MESSAGES, NUMBERS, SURFACE_PRESSURES, Strange, text_of
 from dream.robots.bluerov2.sticks import (
     ALTITUDE_ONLY,
     BODY_NED,
@@ -53,6 +53,7 @@ EXPECTED = 3.0
 """Seconds within which a mode or an arming that was asked for shows in the heartbeat."""
 RATES = MappingProxyType(
     {
+        "HEARTBEAT": 5.0,
         "RAW_IMU": 50.0,
         "ATTITUDE": 50.0,
         "SCALED_PRESSURE2": 20.0,
@@ -62,8 +63,9 @@ RATES = MappingProxyType(
         "GIMBAL_DEVICE_ATTITUDE_STATUS": 5.0,
     }
 )
-"""Hertz that are asked for; ArduSub's own loop for them has 50."""
-OPTIONAL = ("VFR_HUD", "NAMED_VALUE_FLOAT", "GIMBAL_DEVICE_ATTITUDE_STATUS")
+"""Hertz that are asked for; ArduSub's own loop for them has 50. A change of mode or arming shows in the
+heartbeat, which comes once a second unasked: so long would an order go on in a mode that is not ours."""
+OPTIONAL = ("HEARTBEAT", "VFR_HUD", "NAMED_VALUE_FLOAT", "GIMBAL_DEVICE_ATTITUDE_STATUS")
 """Of these, what some versions of ArduSub do not have an interval for."""
 BRIGHTER, DIMMER = 32, 33
 """BTNn_FUNCTION of the buttons for the lights. Lights are moved as a pilot does: DO_SET_SERVO is refused for
@@ -164,6 +166,12 @@ class Link:
         if not (1 <= vehicle <= 255 and 1 <= system <= 255 and vehicle != system):
             raise ValueError(
                 f"system ids: expected two different ones of 1 to 255, got {vehicle} and {system}"
+            )
+        lowest, highest = SURFACE_PRESSURES
+        if not (math.isnan(surface_pressure) or lowest <= surface_pressure <= highest):
+            raise ValueError(
+                f"surface_pressure: expected {lowest:g} to {highest:g} hPa, got {surface_pressure:g}. "
+                "1 bar is 1000 hPa, 1 kPa is 10 hPa, 1 hPa is 100 Pa"
             )
         self._dialect = dialect()
         self._now = now

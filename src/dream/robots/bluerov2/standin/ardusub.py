@@ -290,7 +290,6 @@ class ArduSub:
         self._listing: list[str] = []
         self._lister: Address | None = None
         self._asker = None
-        self._next_heartbeat = self._now
         self._intervals = dict(telemetry.DEFAULT_INTERVALS)
         self._due = dict.fromkeys(self._intervals, self._now)
         self._mav.srcSystem = self.parameters.system
@@ -590,9 +589,6 @@ class ArduSub:
 
     def _report(self) -> None:
         now = self._now
-        if now >= self._next_heartbeat:
-            self._next_heartbeat += 1.0
-            self._tell(telemetry.heartbeat(self))
         for kind, interval in self._intervals.items():
             if now >= self._due[kind] - 1e-9:
                 self._due[kind] = max(self._due[kind] + interval, now)

@@ -190,6 +190,7 @@ BUILDERS: dict[int, Callable[[ArduSub], Message]] = {
 }
 """By message id."""
 DEFAULT_INTERVALS = {
+    mav.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
     mav.MAVLINK_MSG_ID_ATTITUDE: 0.25,
     mav.MAVLINK_MSG_ID_RAW_IMU: 0.5,
     mav.MAVLINK_MSG_ID_SCALED_IMU2: 0.5,
