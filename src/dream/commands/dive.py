@@ -449,6 +449,8 @@ class _Ready:
         stopped: BaseException | None = None
         try:
             # All that can fail before is done: from here on, whatever comes, the vehicle is brought home.
+            if link.busy:
+                raise MissionAborted(f"vehicle: {link.busy}")
             link.set_mode("GUIDED" if told.drive == "guided" else "ALT_HOLD")
             link.arm()
             bridge.start()

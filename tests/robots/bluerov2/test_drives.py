@@ -19,6 +19,7 @@ from tests.robots.bluerov2.test_bridge import fix_at
 class Wire:
     """A link that only remembers."""
 
+    age: float = 0.1
     own_altitude: float = -0.4
     """Half a metre above what our own reckoning has: the autopilot has its zero elsewhere."""
     sent: list[tuple[Sticks | BodyVelocity, float]] = field(default_factory=list)
@@ -33,6 +34,7 @@ class Wire:
     def telemetry(self) -> SimpleNamespace:
         return SimpleNamespace(
             own_altitude=self.own_altitude,
+            own_altitude_age=self.age,
             armed=True,
             heartbeat_age=0.1,
             voltage=15.0,
@@ -101,6 +103,9 @@ def test_no_target_is_above_the_surface_nor_sent_blindly() -> None:
     steer(drive, -1.0)
     drive.neutral()
     assert blind.depths == []
+    old = Wire(age=2.0)
+    steer(alt_hold(old), -1.0)
+    assert old.depths == []
     refused = Wire(refuses=True)
     steer(alt_hold(refused), -1.0)
     assert len(refused.sent) == 1

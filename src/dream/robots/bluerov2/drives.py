@@ -44,6 +44,8 @@ DEPTH_STEP = 0.01
 """Metres by which a depth target has to change before it is sent again."""
 DEPTH_EVERY = 0.3
 """Seconds after which it is sent again anyway: a packet may be lost, and on its way it is farther."""
+STALE = 1.0
+"""Seconds after which the autopilot's own height is none to reckon from."""
 CARROT = 0.25
 """Metres that a depth target may be away."""
 HIGHEST = -0.05
@@ -179,8 +181,9 @@ class AltHold(_Wired):
 
     def _send_depth(self, step: float) -> None:
         """Have it go up by so many metres from where it is by its own reckoning, whose zero is not ours."""
-        own = self.link.telemetry.own_altitude
-        if math.isfinite(own):
+        said = self.link.telemetry
+        own = said.own_altitude
+        if math.isfinite(own) and said.own_altitude_age < STALE:
             # Refused only where somebody changed the mode just now: the next beat finds that out.
             with contextlib.suppress(RuntimeError):
                 self.link.depth_target(min(own + step, HIGHEST))
