@@ -326,7 +326,7 @@ TARGET, SOLID, FREE = 0x50, 5, -3
     protocol=st.sampled_from((DREAM_V1, replace(POOL_V1, traversal=None))),
     targets=st.booleans(),
 )
-@settings(max_examples=4)
+@settings(max_examples=3)
 def test_after_any_changes_the_answer_is_the_one_from_scratch(
     seed: int, bounds: Bounds | None, protocol: SurveyProtocol, targets: bool
 ) -> None:
