@@ -20,8 +20,9 @@ DRILLED = (
     "the operator's terminal is gone",
     "the estimate hangs for 1 s",
     "packets come 0.3 s late",
-    "the link is dead for 0.7 s",
+    # Before the link's: an estimate that had no inertial samples for so long is poor without a DVL.
     "the DVL is silent",
+    "the link is dead for 0.7 s",
     "another station has our id",
 )
 LOSSES = DRILLED[:-1]
