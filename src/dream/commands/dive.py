@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
@@ -335,7 +336,7 @@ def _opened(
                 devices.link.restore()
 
 
-@dataclass(slots=True)
+@dataclass
 class _Ready:
     """A dive whose devices answer."""
 
@@ -366,7 +367,7 @@ class _Ready:
 
         wanted = "a picture that --calibration, --labels and --depth fit"
         try:
-            eye, perception = self._eye(), self._perception()
+            eye, perception = self.eye, self.perception
             picture = self.devices.camera.newest(FIRST_FRAME)
             began, camera = time.perf_counter(), self.protocol.camera
             rgb, seen = eye.view(picture, camera)
@@ -378,14 +379,18 @@ class _Ready:
         ms = 1e3 * (time.perf_counter() - began)
         return Finding("pictures", ok=True, said=f"{seen.mean():.0%} of the view, labelled in {ms:.0f} ms")
 
-    def _eye(self) -> LiveEye:
+    @cached_property
+    def eye(self) -> LiveEye:
+        """The camera, behind its lens. Made once: a lens takes a second to prepare."""
         from dream.robots.bluerov2.devices import LiveEye
         from dream.robots.bluerov2.lens import Lens
 
         calibration = self.told.calibration
         return LiveEye(self.devices.camera, None if calibration is None else Lens.read(calibration))
 
-    def _perception(self) -> Perception:
+    @cached_property
+    def perception(self) -> Perception:
+        """What makes labels and depth. Made once: models are large."""
         from dream.perception import FlatFloor, LearnedDepth, LearnedLabels, Perception, Shells
 
         told = self.told
@@ -496,8 +501,8 @@ class _Ready:
         return BlueRov2(
             bridge,
             self.devices.navigator,
-            self._eye(),
-            self._perception(),
+            self.eye,
+            self.perception,
             self.protocol,
             self.devices.now,
             T_base_camera=mounted(math.radians(told.tilt)),

@@ -28,19 +28,19 @@ from dream.robots.bluerov2.camera import (
     opencv,
 )
 from dream.robots.bluerov2.check import Finding, Seen, findings
-from dream.robots.bluerov2.dvl_a50 import DvlA50, sound_in
+from dream.robots.bluerov2.dvl_a50 import PORT, DvlA50, sound_in
 from dream.robots.bluerov2.lens import Lens, Rectifier
 from dream.robots.bluerov2.log import DiveLog
 from dream.robots.bluerov2.mavlink import Link
 from dream.robots.bluerov2.navigation import Instruments, Navigator, NotReady, State
 from dream.robots.bluerov2.pilot import Station
+from dream.robots.bluerov2.reports import FRESH, SEA
 from dream.robots.bluerov2.rov import Picture
 from dream.types import BoolArray, UInt8Array
 
-A50_PORT = 16171
 PARAMETERS_BEFORE = "parameters-before.json"
 """In the folder of the run: what the vehicle had before DREAM changed it."""
-DENSITY = {"fresh": 997.0, "sea": 1025.0}
+DENSITY = {"fresh": FRESH, "sea": SEA}
 """kg/m³."""
 
 
@@ -92,10 +92,9 @@ def dvl_at(address: str) -> tuple[str, int]:
     host, colon, port = address.rpartition(":") if ":" in address else (address, "", "")
     if not host or (colon and not (port.isdecimal() and 1 <= int(port) <= 65535)):
         raise ValueError(
-            f"--dvl: expected HOST or HOST:PORT with a port of 1 to 65535, got {address}. "
-            f"An A50's is {A50_PORT}"
+            f"--dvl: expected HOST or HOST:PORT with a port of 1 to 65535, got {address}. An A50's is {PORT}"
         )
-    return host, int(port) if colon else A50_PORT
+    return host, int(port) if colon else PORT
 
 
 class Devices:
@@ -238,13 +237,13 @@ class Devices:
 
     def findings(self, seconds: float, start: SE2, limits: Limits, folder: Path) -> list[Finding]:
         """Go through the pre-dive list; the estimate has begun where it says so."""
+        unzeroed = ""
         try:
             self.zero_depth()
-            aligned, seen = self.listen(seconds, start)
         except NotReady as not_ready:
-            aligned, seen = self.listen(seconds, start)
-            aligned = str(not_ready)
-        link = self.link
+            unzeroed = str(not_ready)
+        aligned, seen = self.listen(seconds, start)
+        aligned, link = unzeroed or aligned, self.link
         checks, sound = link.check_parameters(), sound_in(self._density)
         return findings(link.telemetry, link.busy, checks, self.dvl, seen, aligned, limits, folder, sound)
 

@@ -176,7 +176,7 @@ def test_it_can_send_what_a_camera_on_the_vehicle_sees() -> None:
     start = world.starts[0]
     pose = SE3.level(start.x, start.y, -0.9, start.yaw)
     mount = camera_mount(0.3)
-    draw = eye(renderer, camera, mount, lambda: pose)
+    draw = eye(renderer, camera, lambda: pose @ mount)
     assert np.array_equal(draw(), renderer.render(camera, pose @ mount).rgb)
 
 

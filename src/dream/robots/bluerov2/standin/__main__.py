@@ -15,12 +15,11 @@ from dream.robots.bluerov2.standin.dive import StandIn
 from dream.robots.bluerov2.standin.parameters import NEXT, STABLE
 from dream.robots.bluerov2.standin.tank import Conditions
 from dream.robots.bluerov2.standin.telemetry import AIR_PRESSURE
-from dream.robots.bluerov2.standin.video import Faults, VideoSource
+from dream.robots.bluerov2.standin.video import Faults, VideoSource, eye
 from dream.robots.bluerov2.standin.wire import LinkFaults
 from dream.sim.render import Renderer
 from dream.sim.vehicle import BLUEROV2, BLUEROV2_HEAVY, Current, Spread
 from dream.sim.worlds import make_world
-from dream.types import UInt8Array
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -75,11 +74,7 @@ def main(arguments: list[str] | None = None) -> None:
         if video is not None:
             field = protocol_named(world.protocol).camera.horizontal_fov
             camera = Camera.from_fov(told.width, told.width * 3 // 4, field)
-            renderer = Renderer(world)
-
-            def draw() -> UInt8Array:
-                return renderer.render(camera, standin.T_world_base @ standin.T_base_camera).rgb
-
+            draw = eye(Renderer(world), camera, lambda: standin.T_world_base @ standin.T_base_camera)
             source = stack.enter_context(VideoSource(draw, video, fps=told.fps, seed=told.seed))
         standin.start()
         where = {"ardusub": standin.ardusub_address, "a50": standin.a50_address, "surface_hpa": AIR_PRESSURE}

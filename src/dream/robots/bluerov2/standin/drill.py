@@ -33,10 +33,10 @@ from dream.robots.bluerov2.standin.dive import StandIn
 from dream.robots.bluerov2.standin.motors import Sticks
 from dream.robots.bluerov2.standin.parameters import NEXT
 from dream.robots.bluerov2.standin.topside import HEIGHT, Topside
-from dream.robots.bluerov2.standin.video import Faults, VideoSource
+from dream.robots.bluerov2.standin.video import Faults, VideoSource, eye
 from dream.robots.bluerov2.standin.wire import LinkFaults
 from dream.sim.worlds import make_world
-from dream.types import Setpoint, UInt8Array
+from dream.types import Setpoint
 
 UNDER_WAY = 1.0
 """Seconds that it has been moving when the fault comes."""
@@ -227,11 +227,7 @@ class Drill:
         topside, standin, world = self.topside, self.standin, self.standin.tank.world
         protocol = protocol_named(world.protocol)
         camera = Camera.from_fov(PICTURE, PICTURE * 3 // 4, protocol.camera.horizontal_fov)
-        renderer = Renderer(world)
-
-        def draw() -> UInt8Array:
-            return renderer.render(camera, standin.T_world_base @ protocol.T_base_camera).rgb
-
+        draw = eye(Renderer(world), camera, lambda: standin.T_world_base @ protocol.T_base_camera)
         live = stack.enter_context(LiveCamera(RtpVideo(port=0), now=topside.now, tap=topside.log.tap))
         self.video = stack.enter_context(VideoSource(draw, ("127.0.0.1", live.port)))
         perception = Perception(Shells(), FlatFloor())

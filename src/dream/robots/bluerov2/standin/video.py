@@ -58,11 +58,9 @@ class Faults:
             raise ValueError(f"delay: expected 0 to 60 s, got {self.delay}")
 
 
-def eye(
-    renderer: Renderer, camera: Camera, T_base_camera: SE3, T_world_base: Callable[[], SE3]
-) -> Callable[[], UInt8Array]:
-    """What a camera on the vehicle sees, each time it is asked: (H, W, 3) uint8."""
-    return lambda: renderer.render(camera, T_world_base() @ T_base_camera).rgb
+def eye(renderer: Renderer, camera: Camera, T_world_camera: Callable[[], SE3]) -> Callable[[], UInt8Array]:
+    """What a camera sees from where it is each time it is asked: (H, W, 3) uint8."""
+    return lambda: renderer.render(camera, T_world_camera()).rgb
 
 
 def packets(
