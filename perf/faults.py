@@ -36,6 +36,7 @@ limits are those of a dive, but that the bottom may be lost for 1.5 s instead of
 | lost | when that was lost without which nothing may move |
 | after it | from then to the last packet that can move the vehicle; 0.5 is the limit |
 | slid | metres that the vehicle moved while it was watched, those on its way included |
+| off | metres between estimate and truth in the end |
 | goes on | once the fault was put right |
 | kept | on disk; no message of a log was lost, unless said |
 
@@ -95,8 +96,8 @@ def main() -> int:
 
 _KILLED = "disarmed by the autopilot"
 _TOP = (
-    "| fault | found | did | because | lost | after it | slid, m | goes on | kept |",
-    "|---|---|---|---|---|---|---|---|---|",
+    "| fault | found | did | because | lost | after it | slid, m | off, m | goes on | kept |",
+    "|---|---|---|---|---|---|---|---|---|---|",
 )
 
 
@@ -115,19 +116,20 @@ def _row(outcome: Outcome) -> str:
     lost = f"; {outcome.log_lost} messages lost" if outcome.log_lost else ""
     cells = (
         outcome.fault,
-        _seconds(outcome.detected),
+        _number(outcome.detected),
         done,
         outcome.reason or "",
-        _seconds(outcome.lost),
-        _seconds(outcome.after_loss),
+        _number(outcome.lost),
+        _number(outcome.after_loss),
         f"{outcome.slid:.2f}",
+        _number(outcome.off),
         "yes" if outcome.healed else "no",
         outcome.kept + lost,
     )
     return f"| {' | '.join(cells)} |"
 
 
-def _seconds(value: float) -> str:
+def _number(value: float) -> str:
     return f"{value:.2f}" if math.isfinite(value) else "–"
 
 

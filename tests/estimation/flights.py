@@ -81,6 +81,18 @@ def from_motion(dt: float, attitude: Rotation, velocities: Array, start: Array) 
     return Flight(dt, R, velocities, positions, turns / dt, forces)
 
 
+def carried(dt: float, start: SE3, velocity: Array, rates: Array, forces: Array) -> Flight:
+    """Where these samples lead."""
+    turns = Rotation.from_rotvec(rates * dt)
+    once, twice = _integrals(rates * dt)
+    R, v, p = [np.asarray(start.rotation)], [velocity], [np.asarray(start.translation)]
+    for k, turn in enumerate(turns.as_matrix()):
+        p.append(p[-1] + v[-1] * dt + 0.5 * GRAVITY * dt**2 + R[-1] @ twice[k] @ forces[k] * dt**2)
+        v.append(v[-1] + GRAVITY * dt + R[-1] @ once[k] @ forces[k] * dt)
+        R.append(R[-1] @ turn)
+    return Flight(dt, np.array(R), np.array(v), np.array(p), rates, forces)
+
+
 def _integrals(turns: Array) -> tuple[Array, Array]:
     """Γ1 and Γ2 (n, 3, 3) by their series, for turns under one radian."""
     K = np.zeros((len(turns), 3, 3))

@@ -124,7 +124,7 @@ def test_what_is_refused_is_named_and_changes_nothing() -> None:
         (replace(good, time=now - 0.005), Verdict.BACKWARDS),
         (replace(good, time=now + 1000.0), Verdict.AHEAD),
         (Depth(math.nan, -3.0, 0.02), Verdict.NOT_FINITE),
-        (Depth(now + 0.6, -3.0, 0.02), Verdict.AHEAD),
+        (Depth(now + 1.1, -3.0, 0.02), Verdict.AHEAD),
         (Depth(now - 0.7, -3.0, 0.02), Verdict.LATE),
         (Depth(now, -3.0, 0.02), Verdict.AGAIN),
         (Depth(now - 0.1, -3.0, 0.02), Verdict.AGAIN),

@@ -4,7 +4,7 @@ from dream.estimation.cipg import Cipg, CipgState
 from dream.estimation.dead_reckoning import DeadReckoning, DeadReckoningState
 from dream.estimation.ekf import Ekf, EkfState
 from dream.estimation.inekf import InEkf, InEkfState
-from dream.estimation.instruments import InertialErrors, Mounting, Start, Trust
+from dream.estimation.instruments import Gap, InertialErrors, Mounting, Start, Trust
 from dream.estimation.intake import Outcome, Source, Verdict
 from dream.estimation.timeline import Timeline
 
@@ -15,6 +15,7 @@ __all__ = [
     "DeadReckoningState",
     "Ekf",
     "EkfState",
+    "Gap",
     "InEkf",
     "InEkfState",
     "InertialErrors",

@@ -130,6 +130,10 @@ class Cipg:
         moved = kernels.predict(_parameters(self), _packed(state), rates, forces, dt)
         return CipgState(*moved, outcome=state.outcome)
 
+    def bridge(self, state: CipgState, imu: Imu, dt: float) -> CipgState:
+        """The same where samples are missing: without a covariance, there is nothing to tell of it."""
+        return self.predict(state, imu, dt)
+
     def correct(self, state: CipgState, measurement: Measurement) -> CipgState:
         """The state after a measurement of its own time; where that is refused, the outcome says why."""
         after, outcome = corrected(kernels, _parameters(self), _packed(state), measurement, state.reference)

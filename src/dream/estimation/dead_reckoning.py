@@ -88,6 +88,10 @@ class DeadReckoning:
         moved = kernels.predict(_parameters(self), _packed(state), rates, forces, dt)
         return DeadReckoningState(*moved, outcome=state.outcome)
 
+    def bridge(self, state: DeadReckoningState, imu: Imu, dt: float) -> DeadReckoningState:
+        """The same where samples are missing: without a covariance, there is nothing to tell of it."""
+        return self.predict(state, imu, dt)
+
     def correct(self, state: DeadReckoningState, measurement: Measurement) -> DeadReckoningState:
         """The state after a measurement of its own time; where that is refused, the outcome says why."""
         after, outcome = corrected(kernels, _parameters(self), _packed(state), measurement, state.rotation)

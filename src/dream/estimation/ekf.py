@@ -12,7 +12,16 @@ import numpy.typing as npt
 from dream.estimation._kernels import ekf as kernels
 from dream.estimation._kernels.groups import quaternion_from, rotation_from
 from dream.estimation._kernels.sensors import Parameters
-from dream.estimation.instruments import InertialErrors, Mounting, Start, Trust, parameters, start_sigmas
+from dream.estimation.instruments import (
+    Gap,
+    InertialErrors,
+    Mounting,
+    Start,
+    Trust,
+    parameters,
+    start_sigmas,
+    unsensed,
+)
 from dream.estimation.intake import Outcome, check_sample, corrected, plain
 from dream.geometry import SE3
 from dream.measurements import Imu, Measurement
@@ -105,6 +114,7 @@ class Ekf:
     mounting: Mounting = field(default_factory=Mounting)
     start: Start = field(default_factory=Start)
     trust: Trust = field(default_factory=Trust)
+    gap: Gap = field(default_factory=Gap)
 
     def begin(self, time: float, T_world_base: SE3, velocity: npt.ArrayLike = (0.0, 0.0, 0.0)) -> EkfState:
         """The state at the start: a pose and a velocity over ground (3,), as certain as the fields say."""
@@ -130,10 +140,17 @@ class Ekf:
         Raises:
             ValueError: The sample is not finite, or `dt` not above 0.
         """
-        check_sample(imu, dt)
-        rates, forces = plain(imu.angular_velocity), plain(imu.specific_force)
-        moved = kernels.predict(_parameters(self), _packed(state), rates, forces, dt)
-        return EkfState(*moved, outcome=state.outcome)
+        return _carried(_parameters(self), state, imu, dt)
+
+    def bridge(self, state: EkfState, imu: Imu, dt: float) -> EkfState:
+        """The state `dt` seconds later, where samples are missing and one stands in for them.
+
+        It moves as by `predict`, and is as uncertain as `Gap` says.
+
+        Raises:
+            ValueError: The sample is not finite, or `dt` not above 0.
+        """
+        return _carried(_unsensed(self), state, imu, dt)
 
     def correct(self, state: EkfState, measurement: Measurement) -> EkfState:
         """The state after a measurement of its own time; where that is refused, the outcome says why."""
@@ -146,9 +163,21 @@ class Ekf:
         return _parameters(self)
 
 
+def _carried(told: Parameters, state: EkfState, imu: Imu, dt: float) -> EkfState:
+    check_sample(imu, dt)
+    rates, forces = plain(imu.angular_velocity), plain(imu.specific_force)
+    moved = kernels.predict(told, _packed(state), rates, forces, dt)
+    return EkfState(*moved, outcome=state.outcome)
+
+
 @lru_cache(maxsize=64)
 def _parameters(chosen: Ekf) -> Parameters:
     return parameters(chosen.imu, chosen.mounting, chosen.trust)
+
+
+@lru_cache(maxsize=64)
+def _unsensed(chosen: Ekf) -> Parameters:
+    return unsensed(_parameters(chosen), chosen.gap)
 
 
 def _packed(state: EkfState) -> kernels.State:

@@ -11,7 +11,16 @@ import numpy.typing as npt
 
 from dream.estimation._kernels import inekf as kernels
 from dream.estimation._kernels.sensors import Parameters
-from dream.estimation.instruments import InertialErrors, Mounting, Start, Trust, parameters, start_sigmas
+from dream.estimation.instruments import (
+    Gap,
+    InertialErrors,
+    Mounting,
+    Start,
+    Trust,
+    parameters,
+    start_sigmas,
+    unsensed,
+)
 from dream.estimation.intake import (
     VERDICTS,
     Outcome,
@@ -121,6 +130,7 @@ class InEkf:
     mounting: Mounting = field(default_factory=Mounting)
     start: Start = field(default_factory=Start)
     trust: Trust = field(default_factory=Trust)
+    gap: Gap = field(default_factory=Gap)
     rest_after: float = 0.5
     """Seconds since it was told to stop."""
     rest_speed: float = 0.05
@@ -155,10 +165,17 @@ class InEkf:
         Raises:
             ValueError: The sample is not finite, or `dt` not above 0.
         """
-        check_sample(imu, dt)
-        rates, forces = plain(imu.angular_velocity), plain(imu.specific_force)
-        moved = kernels.predict(_parameters(self), packed(state), rates, forces, dt)
-        return InEkfState(*moved, outcome=state.outcome)
+        return _carried(_parameters(self), state, imu, dt)
+
+    def bridge(self, state: InEkfState, imu: Imu, dt: float) -> InEkfState:
+        """The state `dt` seconds later, where samples are missing and one stands in for them.
+
+        It moves as by `predict`, and is as uncertain as `Gap` says.
+
+        Raises:
+            ValueError: The sample is not finite, or `dt` not above 0.
+        """
+        return _carried(_unsensed(self), state, imu, dt)
 
     def correct(self, state: InEkfState, measurement: Measurement) -> InEkfState:
         """The state after a measurement of its own time; where that is refused, the outcome says why."""
@@ -198,9 +215,21 @@ class InEkf:
         return _parameters(self)
 
 
+def _carried(told: Parameters, state: InEkfState, imu: Imu, dt: float) -> InEkfState:
+    check_sample(imu, dt)
+    rates, forces = plain(imu.angular_velocity), plain(imu.specific_force)
+    moved = kernels.predict(told, packed(state), rates, forces, dt)
+    return InEkfState(*moved, outcome=state.outcome)
+
+
 @lru_cache(maxsize=64)
 def _parameters(chosen: InEkf) -> Parameters:
     return parameters(chosen.imu, chosen.mounting, chosen.trust)
+
+
+@lru_cache(maxsize=64)
+def _unsensed(chosen: InEkf) -> Parameters:
+    return unsensed(_parameters(chosen), chosen.gap)
 
 
 def packed(state: InEkfState) -> kernels.State:

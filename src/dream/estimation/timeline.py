@@ -38,6 +38,9 @@ class Filter(Protocol[S]):
     def predict(self, state: S, imu: Imu, dt: float) -> S:
         """The state `dt` seconds later."""
 
+    def bridge(self, state: S, imu: Imu, dt: float) -> S:
+        """The same where samples are missing, and one stands in for them."""
+
     def correct(self, state: S, measurement: Measurement) -> S:
         """The state after a measurement of its own time."""
 
@@ -51,6 +54,8 @@ class _Event(Generic[S]):
     """Among events of the same time."""
     message: Imu | Measurement | Callable[[S], S] | None
     state: S
+    bridged: bool = False
+    """Is it a sample that stands for others, which are missing?"""
 
 
 class Timeline(Generic[S]):
@@ -72,7 +77,7 @@ class Timeline(Generic[S]):
         state: S,
         *,
         memory: float = 1.0,
-        ahead: float = 0.5,
+        ahead: float = 1.0,
         gap: float = 0.1,
         leap: float = 1.0,
     ) -> None:
@@ -82,9 +87,10 @@ class Timeline(Generic[S]):
             estimator: Carries the state.
             state: At the time after which messages count.
             memory: Seconds for which a measurement may be late.
-            ahead: Seconds by which a measurement may be ahead of the inertial samples.
+            ahead: Seconds by which a measurement may be ahead of the inertial samples: as long as those may
+                be missing, so that what is told meanwhile is taken in where it was true.
             gap: Seconds between two inertial samples from which on some are missing. They are bridged by the
-                mean of both, whose error no covariance is told.
+                mean of both, and the estimator is told so. Shorter ones are stretched, and nobody is told.
             leap: Seconds between two inertial samples from which on the clock is not believed, unless the
                 next sample agrees.
         """
@@ -137,7 +143,7 @@ class Timeline(Generic[S]):
         self._leapt = math.nan
         self._last, self._sampled = imu, imu.time
         first = len(self._events)
-        self._events.append(_Event(imu.time, 0, stands_for, self.state))
+        self._events.append(_Event(imu.time, 0, stands_for, self.state, missing))
         ready = [m for m in self._waiting if m.time <= imu.time + SAME]
         self._waiting = [m for m in self._waiting if m.time > imu.time + SAME]
         for measurement in ready:
@@ -192,9 +198,7 @@ class Timeline(Generic[S]):
             if covering < index:
                 covering = self._next_sample(index)
             if event.time - state.time > SAME:
-                sample = self._events[covering].message
-                assert isinstance(sample, Imu)
-                state = self._carry(state, sample, event.time)
+                state = self._carry(state, self._events[covering], event.time)
             if isinstance(event.message, Imu):
                 event.state = state
             elif callable(event.message):
@@ -208,12 +212,14 @@ class Timeline(Generic[S]):
             index += 1
         return index
 
-    def _carry(self, state: S, imu: Imu, until: float) -> S:
-        start = state.time
+    def _carry(self, state: S, sample: _Event[S], until: float) -> S:
+        imu, start = sample.message, state.time
+        assert isinstance(imu, Imu)
+        step = self._estimator.bridge if sample.bridged else self._estimator.predict
         pieces = max(1, math.ceil((until - start) / STEP - SAME))
         for piece in range(1, pieces + 1):
             end = start + (until - start) * piece / pieces
-            state = self._estimator.predict(state, replace(imu, time=end), end - state.time)
+            state = step(state, replace(imu, time=end), end - state.time)
         return state
 
     def _forget(self) -> None:

@@ -89,6 +89,8 @@ class Outcome:
     """When the last packet was sent that can move the vehicle; 0 where none was."""
     slid: float
     """Metres that the vehicle really moved while it was watched."""
+    off: float
+    """Metres between estimate and truth in the end, horizontally; NaN where nobody is left who estimates."""
     healed: bool
     """It goes on, or still goes on, in the end."""
     log_lost: int
@@ -187,6 +189,9 @@ class Drill:
             lost=lost - began,
             last_motion=max((at - began for at in topside.moves if began < at <= ended), default=0.0),
             slid=slid,
+            off=math.dist(
+                topside.bridge.fix.T_world_base.translation[:2], standin.T_world_base.translation[:2]
+            ),
             healed=healed and topside.bridge.standing.stance is Stance.GO and topside.link.telemetry.armed,
             log_lost=sum(topside.log.lost.values()),
             kept=f"{kept}, {self.pictures} pictures" if fault.camera else kept,
@@ -539,6 +544,7 @@ def killed(how: signal.Signals = signal.SIGKILL, *, lasts: float = 4.0, seed: in
             lost=0.0,
             last_motion=max(moved, 0.0),
             slid=slid,
+            off=math.nan,
             healed=False,
             log_lost=0,
             kept=f"{len(logged)} messages, to {max(behind, 0.0):.1f} s before",
