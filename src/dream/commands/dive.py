@@ -34,6 +34,7 @@ from dream.types import Setpoint
 from dream.versions import commit
 
 if TYPE_CHECKING:
+    from dream.estimation import Mounting
     from dream.evaluation.metrics import Logbook
     from dream.perception import Perception
     from dream.robots.bluerov2.bridge import Bridge, Limits, Standing
@@ -62,6 +63,10 @@ SHALLOW = 0.4
 """Metres of depth at which a vehicle that surfaces is there: its gauge sits below its top."""
 REHEARSED = 12
 """Steps of a simulated mission before the dive."""
+SLOWEST_SOUND, FASTEST_SOUND = 1400.0, 1600.0
+"""m/s. Fresh water of 0 °C has 1402 (Del Grosso and Mader 1972), sea water of 30 °C 1545 (Mackenzie 1981)."""
+FIRST_REPORT = 5.0
+"""Seconds that the connection to the DVL may take."""
 FIRST_FRAME = 15.0
 """Seconds that the first frame of the camera may take."""
 
@@ -80,6 +85,13 @@ class Dive:
     """MAVLink: udpin:HOST:PORT listens (BlueOS sends to 14550), udpout: and tcp:HOST:PORT go there."""
     dvl: str = "192.168.2.95"
     """HOST or HOST:PORT of the A50."""
+    speed_of_sound: float | None = None
+    """m/s in this water. The A50 is set to it and keeps it; left as it is, and compared with what --water
+    makes likely, unless given."""
+    dvl_at: tuple[float, float, float] | None = None
+    """Where the A50 sits: metres forward, left and up of the autopilot; -0.15 0 -0.1 unless given."""
+    gauge_at: tuple[float, float, float] | None = None
+    """Where the pressure sensor sits, likewise; -0.2 0 0 unless given."""
     camera: str = "rtp:5600"
     """rtp:PORT for H.264 over UDP, an rtsp:// address, a video file, or the number of a device."""
     pilot: str | None = None
@@ -89,6 +101,8 @@ class Dive:
     """OpenCV's YAML of the camera, with `calibrated_in`; needed, but with --stand-in and --check."""
     tilt: float = 20.0
     """Degrees that the camera looks down."""
+    camera_at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where its lens sits: metres forward, left and up of the autopilot."""
     lights: float | None = None
     """Brightness, 0 to 1; left as they are unless given."""
     labels: Path | None = None
@@ -148,6 +162,11 @@ class Dive:
             raise ValueError(
                 "--calibration: expected OpenCV's YAML of the camera, got none. See docs/bluerov2.md"
             )
+        if self.speed_of_sound is not None and not SLOWEST_SOUND <= self.speed_of_sound <= FASTEST_SOUND:
+            raise ValueError(
+                f"--speed-of-sound: expected {SLOWEST_SOUND:g} to {FASTEST_SOUND:g} m/s, "
+                f"got {self.speed_of_sound:g}"
+            )
         if self.pilot is not None and self.drive == "guided":
             raise ValueError("--pilot: expected --drive alt-hold, got guided, in which sticks do not move it")
         if not (
@@ -157,6 +176,7 @@ class Dive:
                 "dive: expected an operator at a terminal, got none. Say --unattended to dive without one"
             )
         _check_extra()
+        _check_places(self)
         protocol = protocol_named(self.protocol)
         name = planner_name(self.planner)
         with contextlib.ExitStack() as stack:
@@ -211,6 +231,22 @@ def draw_flown(folder: Path, *, quiet: bool) -> None:
         return
     if not quiet:
         print(f"  drawn: {paths[0]}")
+
+
+def _check_places(told: Dive) -> None:
+    from dream.robots.bluerov2.navigation import check_aboard
+
+    places = {"--dvl-at": told.dvl_at, "--gauge-at": told.gauge_at, "--camera-at": told.camera_at}
+    for name, place in places.items():
+        if place is not None:
+            check_aboard(name, place)
+
+
+def _mounting_told(told: Dive) -> Mounting:
+    """Where the instruments sit, by the options."""
+    from dream.robots.bluerov2.navigation import DVL_AT, GAUGE_AT, mounting_of
+
+    return mounting_of(told.dvl_at or DVL_AT, told.gauge_at or GAUGE_AT)
 
 
 @contextlib.contextmanager
@@ -317,11 +353,12 @@ def _opened(
     )
     with Devices(
         addresses,
-        Instruments(estimator=told.estimator),
+        Instruments(told.estimator, _mounting_told(told)),
         folder,
         epoch_ns=round(1e9 * begun.timestamp()),
         density=DENSITY[told.water],
         surface_pressure=pressure,
+        sound=told.speed_of_sound,
     ) as devices:
         try:
             devices.connect(HEARTBEAT)
@@ -353,13 +390,13 @@ class _Ready:
     def listen(self) -> list[Finding]:
         """The pre-dive list; the camera is pointed before, since its pictures are part of it."""
         link = self.devices.link
-        pointed = self._pointed(link)
+        pointed, sounded = self._pointed(link), self._sounded()
         began = time.monotonic()
         while not self.devices.camera.connected and time.monotonic() - began < FIRST_FRAME:
             link.operator_alive()
             time.sleep(0.1)
         found = self.devices.findings(STILL, self.start, self.limits, self.folder)
-        return [pointed, *found, self._looked()]
+        return [pointed, *sounded, *found, self._looked()]
 
     def _looked(self) -> Finding:
         """Make of one picture what the map is made from: lens and models fit it, or the dive is none."""
@@ -372,12 +409,18 @@ class _Ready:
             began, camera = time.perf_counter(), self.protocol.camera
             rgb, seen = eye.view(picture, camera)
             level = SE3.level(self.start.x, self.start.y, 0.0, self.start.yaw)
-            mount = self.protocol.T_base_camera
-            perception.perceive(rgb, camera, level, mount, self.protocol.altitude)
+            perception.perceive(rgb, camera, level, self.mount, self.protocol.altitude)
         except (OSError, ValueError, RuntimeError) as error:
             return Finding("pictures", ok=False, said=str(error), wanted=wanted)
         ms = 1e3 * (time.perf_counter() - began)
         return Finding("pictures", ok=True, said=f"{seen.mean():.0%} of the view, labelled in {ms:.0f} ms")
+
+    @cached_property
+    def mount(self) -> SE3:
+        """`T_base_camera`."""
+        from dream.robots.bluerov2.camera import mounted
+
+        return mounted(math.radians(self.told.tilt), self.told.camera_at)
 
     @cached_property
     def eye(self) -> LiveEye:
@@ -398,6 +441,19 @@ class _Ready:
             Shells() if told.labels is None else LearnedLabels(told.labels),
             FlatFloor() if told.depth is None else LearnedDepth(told.depth),
         )
+
+    def _sounded(self) -> list[Finding]:
+        """Tell the DVL how fast sound goes, where that was given."""
+        from dream.robots.bluerov2.check import Finding
+
+        speed = self.told.speed_of_sound
+        if speed is None:
+            return []
+        try:
+            said, ok = f"told {speed:g} m/s, {self.devices.tell_sound(FIRST_REPORT)}", True
+        except (ConnectionError, TimeoutError, ValueError) as error:
+            said, ok = str(error), False
+        return [Finding("sound", ok, said, wanted=f"a DVL that takes {speed:g} m/s for its speed of sound")]
 
     def _pointed(self, link: Link) -> Finding:
         """Point the camera, and see where it looks, as the map depends on it; and set the lights."""
@@ -494,7 +550,6 @@ class _Ready:
     def _robot(self, bridge: Bridge, operator: Operator) -> BlueRov2:
         from dream.planning.vlm import Asking
         from dream.protocol import SHOWN
-        from dream.robots.bluerov2.camera import mounted
         from dream.robots.bluerov2.rov import BlueRov2
 
         told = self.told
@@ -505,7 +560,7 @@ class _Ready:
             self.perception,
             self.protocol,
             self.devices.now,
-            T_base_camera=mounted(math.radians(told.tilt)),
+            T_base_camera=self.mount,
             fineness=SHOWN if isinstance(told.planner, Asking) else 1,
             manners=_manners(told.planner),
             waits=lambda: operator.will is not Will.GO,
@@ -629,6 +684,7 @@ class _Ready:
         """`config.json`: what the dive was begun with."""
         told = asdict(replace(self.told, planner=PLANNERS["belief"]))
         del told["planner"]
+        mounting = _mounting_told(self.told)
         return {
             "version": __version__,
             "commit": commit(),
@@ -639,6 +695,11 @@ class _Ready:
             "planner_parameters": asdict(self.told.planner),
             "max_steps": self.told.max_steps,
             "command": repeating_command(self.told, name),
+            "mounting": {
+                "dvl": np.asarray(mounting.T_base_dvl.translation).tolist(),
+                "gauge": list(mounting.pressure_sensor),
+                "camera": np.asarray(self.mount.translation).tolist(),
+            },
             "dive": {key: str(value) if isinstance(value, Path) else value for key, value in told.items()},
         }
 

@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import logging
+import math
 import signal
 import socket
 from pathlib import Path
@@ -13,7 +14,15 @@ import numpy as np
 import pytest
 
 from dream.cli import _Telling, run_command
-from dream.commands.dive import LEAVING, Dive, _outlives_its_terminal, _Ready, _tell, repeating_command
+from dream.commands.dive import (
+    LEAVING,
+    Dive,
+    _mounting_told,
+    _outlives_its_terminal,
+    _Ready,
+    _tell,
+    repeating_command,
+)
 from dream.estimation import InEkf, InEkfState, Timeline
 from dream.evaluation.dive_figure import read_dive
 from dream.geometry import SE2, Bounds
@@ -295,6 +304,57 @@ def test_the_line_that_dives_again_says_what_was_told() -> None:
     assert line == ("dream dive belief --area -1.8 -1.8 1.8 1.8 --at 0.5 0 90 --max-steps 5 --set-parameters")
     planner = Belief(risk=0.1)
     assert repeating_command(Dive(planner=planner), "belief") == "dream dive belief --risk 0.1"
+
+
+@pytest.mark.parametrize(
+    "option, values, wanted",
+    [
+        ("--dvl-at", ["-150", "0", "-100"], "--dvl-at: expected metres from the autopilot"),
+        ("--gauge-at", ["0", "nan", "0"], "--gauge-at: expected metres from the autopilot"),
+        ("--camera-at", ["0", "0", "2"], "--camera-at: expected metres from the autopilot"),
+        ("--speed-of-sound", ["343"], "--speed-of-sound: expected 1400 to 1600 m/s, got 343"),
+        ("--speed-of-sound", ["nan"], "--speed-of-sound: expected 1400 to 1600 m/s, got nan"),
+    ],
+)
+def test_what_cannot_be_of_a_vehicle_in_water_is_refused(
+    option: str, values: list[str], wanted: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command(["dive", "--stand-in", "--out", str(tmp_path), option, *values]) != 0
+    assert wanted in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_where_things_sit_is_kept_with_the_dive(tmp_path: Path) -> None:
+    told = Dive(dvl_at=(0.1, 0.0, -0.2), camera_at=(0.25, 0.0, 0.02), tilt=30.0, speed_of_sound=1482.0)
+    limits, start = Limits(Bounds(-1.0, -1.0, 1.0, 1.0)), SE2(0.0, 0.0, 0.0)
+    ready = _Ready(told, POOL_V1, SimpleNamespace(), limits, start, tmp_path, None)  # type: ignore[arg-type]
+    config = ready._config("belief")
+    assert config["mounting"] == {
+        "dvl": [0.1, 0.0, -0.2],
+        "gauge": [-0.2, 0.0, 0.0],
+        "camera": [0.25, 0.0, 0.02],
+    }
+    assert config["dive"]["speed_of_sound"] == 1482.0
+    assert "--dvl-at 0.1 0 -0.2" in config["command"]
+    # The camera looks from there, and the estimator reads the DVL there.
+    assert ready.mount.translation == pytest.approx([0.25, 0.0, 0.02])
+    ahead = ready.mount.rotation[:, 2]
+    assert math.degrees(math.asin(-ahead[2])) == pytest.approx(30.0)
+    assert _mounting_told(told).T_base_dvl.translation == pytest.approx([0.1, 0.0, -0.2])
+
+
+@pytest.mark.slow
+def test_the_dvl_is_told_how_fast_sound_goes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fly = ["dive", "--stand-in", "--check", "--json", "--speed-of-sound", "1482", "--out", str(tmp_path)]
+    assert run_command(fly) == 0
+    said = {item["name"]: item for item in json.loads(capsys.readouterr().out)["findings"]}
+    assert said["sound"]["said"] == "told 1482 m/s, it had 1500"
+    assert said["speed of sound"]["said"] == "1482 m/s"
+    log = tmp_path / (tmp_path / "latest").readlink() / "log.mcap"
+    (mounting,) = read_log(log, ["/mounting"])
+    assert json.loads(mounting.message.data)["said"] == {"dvl": [-0.15, 0.0, -0.1], "gauge": [-0.2, 0.0, 0.0]}
+    lines = b"".join(line for _, out, line in read_wire(log, "a50") if out)
+    assert b'"speed_of_sound": 1482' in lines
 
 
 def test_pictures_may_come_to_any_address_of_this_computer() -> None:

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dream.estimation import Timeline
+from dream.estimation import Mounting, Timeline
 from dream.geometry import SE2, SE3
 from dream.measurements import Depth, Dvl, Heading, Imu, Measurement
 from dream.robots.bluerov2.devices import _plain
 from dream.robots.bluerov2.estimates import Estimated, Tracks, estimates
 from dream.robots.bluerov2.log import DiveLog
-from dream.robots.bluerov2.navigation import ESTIMATORS, Instruments
+from dream.robots.bluerov2.navigation import ESTIMATORS, Instruments, mounting_of
 
 SPEED, TURN, BIAS, DEPTH = 0.3, 0.1, np.array([0.01, -0.02, 0.05]), -2.0
 SECONDS = 6.0
@@ -45,14 +45,22 @@ def heard(bias: np.ndarray[Any, Any]) -> Iterator[Imu | Measurement]:
             yield Heading(now, TURN * now, 0.01)
 
 
-def dived(folder: Path, name: str = "inekf", *, again: bool = False) -> Path:
+def dived(
+    folder: Path, name: str = "inekf", *, again: bool = False, mounting: Mounting | None = None
+) -> Path:
     """The log of a dive that was flown with an estimator, as `Devices` and `Navigator` leave it."""
-    estimator: Any = Instruments(estimator=name).filter
+    estimator: Any = Instruments(name, mounting or Instruments().mounting).filter
     began = estimator.begin(0.0, true_pose(0.0), np.array([SPEED, 0.0, 0.0]))
     knows = hasattr(began, "gyro_bias")
     if knows:
         began = replace(began, gyro_bias=BIAS)
     with DiveLog(folder, epoch_ns=10**18) as log:
+        if mounting is not None:
+            seats = {
+                "dvl": mounting.T_base_dvl.translation.tolist(),
+                "gauge": list(mounting.pressure_sensor),
+            }
+            log.tap(0.0, "mounting", False, seats)
         if again:
             # An alignment that came to nothing, a metre away.
             astray = replace(began, position=began.position + 1.0)
@@ -83,6 +91,19 @@ def test_the_estimator_of_the_dive_says_the_same_again(name: str, tmp_path: Path
     close = 1e-12 if name == "ekf" else 0.0
     for one in made:
         assert np.abs(one.again[name].translation - one.logged.translation).max() <= close
+
+
+def test_instruments_that_sit_elsewhere_do_so_again(tmp_path: Path) -> None:
+    mounting = mounting_of((0.1, -0.2, -0.3), (0.2, 0.1, 0.05))
+    made = list(estimates(dived(tmp_path, mounting=mounting), ("inekf",)))
+    assert max(np.abs(one.again["inekf"].translation - one.logged.translation).max() for one in made) == 0.0
+
+
+def test_a_log_with_a_mounting_that_is_none_is_refused(tmp_path: Path) -> None:
+    with DiveLog(tmp_path, epoch_ns=10**18) as log:
+        log.tap(0.0, "mounting", False, {"dvl": [-150.0, 0.0, -100.0], "gauge": [0.0, 0.0, 0.0]})
+    with pytest.raises(ValueError, match="/mounting: expected where the instruments sit"):
+        list(estimates(log.path))
 
 
 @pytest.mark.parametrize("flown_with", ["inekf", "dead-reckoning"])

@@ -114,6 +114,7 @@ class Devices:
         epoch_ns: int,
         density: float = DENSITY["fresh"],
         surface_pressure: float = math.nan,
+        sound: float | None = None,
     ) -> None:
         """Open all of it. The dive's clock begins.
 
@@ -124,6 +125,7 @@ class Devices:
             epoch_ns: UTC of now, nanoseconds since 1970.
             density: kg/m³ of the water.
             surface_pressure: hPa at the surface; NaN where it has to be measured.
+            sound: m/s at which sound goes in this water; by its density where None.
 
         Raises:
             ValueError: An address is none.
@@ -131,7 +133,7 @@ class Devices:
         """
         began = time.monotonic()
         self.now: Callable[[], float] = lambda: time.monotonic() - began
-        self._density = density
+        self._density, self._sound = density, sound
         self._heard: list[Imu | Measurement] = []
         self._listening = threading.Event()
         self.station: Station | None = None
@@ -139,6 +141,12 @@ class Devices:
         host, port = dvl_at(addresses.dvl)
         with ExitStack() as stack:
             self.log = stack.enter_context(DiveLog(folder, epoch_ns=epoch_ns))
+            mounting = instruments.mounting
+            seats = {
+                "dvl": np.asarray(mounting.T_base_dvl.translation).tolist(),
+                "gauge": list(mounting.pressure_sensor),
+            }
+            self.log.tap(self.now(), "mounting", False, seats)
             # As the estimator was given them: a replay of the log makes the same estimate.
             self.navigator = Navigator(
                 instruments,
@@ -197,6 +205,28 @@ class Devices:
         """
         return self.dvl.problem if self.dvl.hot else self.dvl.misread
 
+    def tell_sound(self, timeout: float) -> str:
+        """Tell the DVL how fast sound goes, where that was given; what it had before, in words.
+
+        Raises:
+            ConnectionError: There is no connection to it.
+            TimeoutError: It does not answer.
+            ValueError: It refuses, or does not do as told.
+        """
+        if self._sound is None:
+            raise ValueError("sound: expected m/s to be given, got none")
+        began = self.now()
+        while self.dvl.config is None and self.now() - began < timeout:
+            self.link.operator_alive()
+            time.sleep(0.1)
+        before = None if self.dvl.config is None else self.dvl.config.speed_of_sound
+        if before != self._sound:
+            self.dvl.set_config(speed_of_sound=self._sound)
+        after = None if self.dvl.config is None else self.dvl.config.speed_of_sound
+        if after != self._sound:
+            raise ValueError(f"speed_of_sound: expected {self._sound:g} m/s of the DVL, got {after}")
+        return "as before" if before == after else f"it had {'none' if before is None else f'{before:g}'}"
+
     def zero_depth(self) -> None:
         """Take the pressure of now for that at the surface, unless it was given.
 
@@ -244,7 +274,8 @@ class Devices:
             unzeroed = str(not_ready)
         aligned, seen = self.listen(seconds, start)
         aligned, link = unzeroed or aligned, self.link
-        checks, sound = link.check_parameters(), sound_in(self._density)
+        sound = sound_in(self._density) if self._sound is None else (self._sound, self._sound)
+        checks = link.check_parameters()
         return findings(link.telemetry, link.busy, checks, self.dvl, seen, aligned, limits, folder, sound)
 
     def _heard_of(self, time: float, channel: str, sent: bool, message: Any) -> None:

@@ -16,18 +16,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dream.estimation import Timeline
+from dream.estimation import Mounting, Timeline
 from dream.geometry import SE2, SE3, wrap_angle
 from dream.measurements import Imu
 from dream.robots.bluerov2.log import read_log
 from dream.robots.bluerov2.messages import read_measurement
-from dream.robots.bluerov2.navigation import ESTIMATORS, Instruments
+from dream.robots.bluerov2.navigation import ESTIMATORS, Instruments, mounting_of
 
 logger = logging.getLogger(__name__)
 
 Float64Array = npt.NDArray[np.float64]
 
-TOPICS = ("/begun", "/measurements", "/estimate", "/log")
+TOPICS = ("/mounting", "/begun", "/measurements", "/estimate", "/log")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,6 +68,7 @@ class Apart:
 def estimates(path: Path, estimators: Sequence[str] = ESTIMATORS) -> Iterator[Estimated]:
     """Make a dive's estimate again, wherever one was logged.
 
+    Instruments sit where the log says, and where `navigation` has them in one that does not.
     An estimator that knows of no gyro bias is given samples without the one that the dive began with, as
     `Navigator` gives them. Where the estimate of the dive began anew, so do they.
 
@@ -85,12 +86,15 @@ def estimates(path: Path, estimators: Sequence[str] = ESTIMATORS) -> Iterator[Es
     timelines: dict[str, Timeline[Any]] = {}
     bias = np.zeros(3)
     unbiased: set[str] = set()
+    mounting = mounting_of()
     for logged in read_log(path, TOPICS):
-        if logged.topic == "/begun":
+        if logged.topic == "/mounting":
+            mounting = _mounting(logged.message.data)
+        elif logged.topic == "/begun":
             begun = _begun(logged.message.data)
             timelines, unbiased, bias = {}, set(), begun.gyro_bias
             for name in estimators:
-                estimator: Any = Instruments(estimator=name).filter
+                estimator: Any = Instruments(name, mounting).filter
                 state = estimator.begin(begun.time, begun.T_world_base, begun.velocity)
                 if hasattr(state, "gyro_bias"):
                     state = replace(state, gyro_bias=bias)
@@ -168,6 +172,17 @@ def _apart(one: Float64Array, other: Float64Array) -> Apart:
 def _place(pose: SE3) -> tuple[float, float, float]:
     x, y, _ = pose.translation.tolist()
     return x, y, pose.yaw
+
+
+def _mounting(text: str) -> Mounting:
+    """Where the instruments of the dive sat, as `Devices` logged it."""
+    try:
+        said = json.loads(text)["said"]
+        return mounting_of(tuple(said["dvl"]), tuple(said["gauge"]))
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"/mounting: expected where the instruments sit, got {text[:80]!r} ({error})"
+        ) from error
 
 
 def _begun(text: str) -> Begun:

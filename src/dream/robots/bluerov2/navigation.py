@@ -78,15 +78,41 @@ class NotReady(ValueError):  # noqa: N818 - it says what is.
     """The sensors do not allow to begin; the message says which, and why."""
 
 
+DVL_AT, GAUGE_AT = (-0.15, 0.0, -0.1), (-0.2, 0.0, 0.0)
+"""Metres from the autopilot, forward, left and up, of the DVL and of the pressure sensor."""
+ABOARD = 1.0
+"""Metres from the autopilot beyond which nothing sits on a BlueROV2."""
+
+
+def mounting_of(
+    dvl: tuple[float, float, float] = DVL_AT, gauge: tuple[float, float, float] = GAUGE_AT
+) -> Mounting:
+    """Where the instruments sit, metres from the autopilot: forward, left, up. The DVL looks as `base` does.
+
+    Raises:
+        ValueError: That is not on the vehicle.
+    """
+    for name, place in (("dvl", dvl), ("gauge", gauge)):
+        check_aboard(name, place)
+    return Mounting(SE3.level(*dvl, 0.0), gauge)
+
+
+def check_aboard(name: str, place: tuple[float, float, float]) -> None:
+    """Raise a ValueError unless a place, metres from the autopilot, is on the vehicle."""
+    if not (len(place) == 3 and all(abs(value) <= ABOARD for value in place)):
+        raise ValueError(
+            f"{name}: expected metres from the autopilot, forward, left and up, within {ABOARD:g} m, "
+            f"got {place}. Are they millimetres?"
+        )
+
+
 @dataclass(frozen=True, slots=True)
 class Instruments:
     """Which estimator reads which instruments, and where they sit."""
 
     estimator: str = "inekf"
     """`inekf`, `ekf`, `cipg` or `dead-reckoning`."""
-    mounting: Mounting = field(
-        default_factory=lambda: Mounting(SE3.level(-0.15, 0.0, -0.1, 0.0), (-0.2, 0.0, 0.0))
-    )
+    mounting: Mounting = field(default_factory=mounting_of)
     imu: InertialErrors = field(default_factory=lambda: InertialErrors(rate=50.0))
     """At the rate of the link, not of the unit."""
     start: Start = field(
