@@ -579,7 +579,11 @@ class _Ready:
             station.release()
 
     def _leave(self, link: Link) -> None:
-        """Bring the vehicle where the operator wants it in the end; one that is not ours stays."""
+        """Bring the vehicle where the operator wants it in the end; one that is not ours stays.
+
+        One that holds comes up as well when there is water in it, or its battery is low.
+        """
+        from dream.robots.bluerov2.bridge import SAG
         from dream.robots.bluerov2.mavlink import Refused
 
         if not link.engaged or link.yielding:
@@ -595,13 +599,22 @@ class _Ready:
             elif how == "surface":
                 link.set_mode("SURFACE")
                 _tell("it comes to the surface", quiet=self.told.json)
-            until = self.devices.now() + (LEAVING if how == "surface" else math.inf)
+            fed = self.devices.now()
+            until = fed + (LEAVING if how == "surface" else math.inf)
             while how != "disarm" and link.engaged and not link.yielding and self.devices.now() < until:
                 said = link.telemetry
                 # By its own reckoning, where it tells: a dive may have begun under water.
                 depth = -said.own_altitude if math.isfinite(said.own_altitude) else said.depth
                 if how == "surface" and depth < SHALLOW:
                     break
+                if not said.voltage < self.limits.voltage:
+                    fed = self.devices.now()
+                low = self.devices.now() - fed > SAG
+                if how == "hold" and (said.leak or low):
+                    why = "water in the hull" if said.leak else f"battery at {said.voltage:.1f} V"
+                    logger.warning("%s: it does not hold any longer, but comes to the surface", why)
+                    link.set_mode("SURFACE")
+                    how, until = "surface", self.devices.now() + LEAVING
                 link.operator_alive()
                 time.sleep(0.1)
             if link.engaged and not link.yielding:

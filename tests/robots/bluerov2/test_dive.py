@@ -31,7 +31,7 @@ from dream.mission import explore
 from dream.planning.belief import Belief
 from dream.protocol import POOL_V1
 from dream.recording import read_steps
-from dream.robots.bluerov2.bridge import Limits
+from dream.robots.bluerov2.bridge import SAG, Limits
 from dream.robots.bluerov2.camera import RtpVideo
 from dream.robots.bluerov2.devices import source_of
 from dream.robots.bluerov2.log import read_log, read_measurements, read_wire
@@ -201,6 +201,9 @@ class Vehicle:
         # The dive began on the floor, three metres down, and took that for the surface.
         self.depth, self.own_altitude = 0.0, -3.0
         self.comes_up, self.alive, self.has = True, 0, False
+        self.voltage, self.leak, self.changed = 16.0, False, math.nan
+        self.happens: dict[str, tuple[float, object]] = {}
+        """What becomes of it when: name → seconds and value."""
         self.telemetry = self
         for name, value in changes.items():
             setattr(self, name, value)
@@ -208,13 +211,16 @@ class Vehicle:
 
     def sleep(self, seconds: float) -> None:
         self.time += seconds
+        for name, (when, value) in self.happens.items():
+            if self.time >= when:
+                setattr(self, name, value)
         if self.mode == "SURFACE" and self.comes_up:
             self.own_altitude += 0.3 * seconds
         if self.time > 300.0:
             raise KeyboardInterrupt
 
     def set_mode(self, name: str) -> None:
-        self.mode = name
+        self.mode, self.changed = name, self.time
 
     def disarm(self) -> None:
         self.engaged = False
@@ -259,6 +265,38 @@ def test_one_that_is_to_hold_does_so_until_somebody_ends_it(monkeypatch: pytest.
     assert vehicle.time > 299.0
     assert vehicle.engaged
     assert vehicle.mode == "ALT_HOLD"
+
+
+@pytest.mark.parametrize(
+    "name, value, at_most",
+    [("leak", True, 21.0), ("voltage", 13.9, 20.0 + SAG + 1.0)],
+)
+def test_one_that_holds_comes_up_before_water_or_a_flat_battery_end_it(
+    name: str, value: object, at_most: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    vehicle = Vehicle(monkeypatch, happens={name: (20.0, value)})
+    vehicle.left("hold")
+    assert vehicle.mode == "SURFACE"
+    assert vehicle.own_altitude > -0.4
+    assert not vehicle.engaged
+    assert 20.0 <= vehicle.changed < at_most
+
+
+@pytest.mark.parametrize("volts", [math.nan, 13.9])
+def test_one_that_holds_rides_out_a_battery_that_sags_or_does_not_tell(
+    volts: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    vehicle = Vehicle(monkeypatch)
+    slept = vehicle.sleep
+
+    def sleep(seconds: float) -> None:
+        # Two seconds in every ten below the limit.
+        vehicle.voltage = volts if math.isnan(volts) or vehicle.time % 10.0 < 2.0 else 16.0
+        slept(seconds)
+
+    monkeypatch.setattr("dream.commands.dive.time.sleep", sleep)
+    vehicle.left("hold")
+    assert (vehicle.mode, vehicle.engaged) == ("ALT_HOLD", True)
 
 
 @pytest.mark.parametrize("changes", [{"yielding": "somebody else drives"}, {"engaged": False}])
