@@ -483,6 +483,7 @@ class _Ready:
         from dream.report import write_report
         from dream.robots.bluerov2.bridge import LEASE, Bridge
         from dream.robots.bluerov2.drives import AltHold, Guided
+        from dream.robots.bluerov2.rov import Sight
         from dream.robots.replay import Keeping
 
         told, devices, protocol = self.told, self.devices, self.protocol
@@ -499,6 +500,7 @@ class _Ready:
             said=self._log_standing,
             fixed=self._log_fix,
             failing=devices.failing,
+            sight=Sight(devices.camera),
             aimed=self._log_goal,
         )
         operator = Operator(
@@ -685,6 +687,7 @@ class _Ready:
             Reading("depth", f"{said.depth:.2f} m, {fix.altitude:.2f} m above the floor"),
             Reading("battery", f"{said.voltage:.1f} V", not said.voltage < self.limits.voltage + 0.3),
             Reading("ages", ages, max(fix.imu_age, fix.dvl_age - 0.8, devices.camera.age - 0.8) < 0.2),
+            Reading("camera", devices.camera.problem or "well", devices.camera.connected),
             Reading("DVL", devices.dvl.problem or "well", not devices.dvl.problem),
             Reading("log", devices.log.problem or f"{devices.log.written} messages", not devices.log.problem),
         ]

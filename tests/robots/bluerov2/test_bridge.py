@@ -48,9 +48,18 @@ class Scene:
     goals: list[tuple[SE2, float, float]] = field(default_factory=list)
     resorts: list[LastResort] = field(default_factory=list)
     said: list[Standing] = field(default_factory=list)
+    dim: str = ""
+    """What is wrong with the camera."""
 
     def __post_init__(self) -> None:
-        self.bridge = Bridge(self, self, self.limits, lambda: self.now, said=self.said.append)  # type: ignore[arg-type]
+        self.bridge = Bridge(
+            self,  # type: ignore[arg-type]
+            self,
+            self.limits,
+            lambda: self.now,
+            said=self.said.append,
+            sight=lambda fix: self.dim,
+        )
 
     def update(self) -> Fix:
         return self.fix
@@ -116,6 +125,23 @@ def test_no_command_outlives_the_lease_nor_the_mission() -> None:
     assert lives_until <= last + LEASE + 1e-9
     assert scene.bridge.standing.stance is Stance.NEUTRAL
     assert "mission" in scene.bridge.standing.reason
+
+
+def test_a_camera_that_shows_nothing_is_told_at_the_next_beat_and_slows_it_down() -> None:
+    scene = under_way()
+    scene.dim = "camera: no pictures come"
+    assert set(scene.beats(1.0)) == {"steer"}
+    assert scene.said[-1] == Standing(Stance.SLOW, "camera: no pictures come")
+    # Told once, not at every beat.
+    assert len(scene.said) == 1
+    assert scene.goals[-1][2] < 1.0
+    # What is worse is told before.
+    scene.fix = fix_at(imu_age=0.3)
+    assert set(scene.beats(0.2)) == {"neutral"}
+    assert "inertial" in scene.bridge.standing.reason
+    scene.fix, scene.dim = fix_at(), ""
+    scene.beats(0.2)
+    assert scene.bridge.standing == Standing(Stance.GO)
 
 
 TROUBLES: dict[str, tuple[Callable[[Scene], None], str]] = {

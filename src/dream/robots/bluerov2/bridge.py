@@ -164,6 +164,7 @@ class Bridge:
         said: Callable[[Standing], None] | None = None,
         fixed: Callable[[Fix], None] | None = None,
         failing: Callable[[], str] = lambda: "",
+        sight: Callable[[Fix], str] = lambda fix: "",
         aimed: Callable[[SE2, float], None] | None = None,
     ) -> None:
         """On a vehicle whose navigator is aligned.
@@ -180,6 +181,8 @@ class Bridge:
             fixed: Told of the estimate at every beat.
             failing: Which device says that it will fail soon, in words; empty where none does. The dive is
                 over while all that surfacing needs still works.
+            sight: Why the mission would not see what the vehicle meets, in words; empty where it would. Then it
+                goes slowly, and whoever next looks for a picture ends the dive.
             aimed: Told of every new goal and its altitude.
         """
         self._navigator, self._drive, self._limits, self._now = navigator, drive, limits, now
@@ -187,6 +190,7 @@ class Bridge:
         self._pilot = pilot
         self._period = 1.0 / rate
         self._said, self._fixed, self._aimed, self._failing = said, fixed, aimed, failing
+        self._sight = sight
         self._lock = threading.Lock()
         self._goal: tuple[SE2, float] | None = None
         self._asked = math.nan
@@ -338,6 +342,7 @@ class Bridge:
 
     def _judge(self, fix: Fix, now: float) -> Standing:
         craft, pilot = self._drive.craft(), self._pilot
+        dim = self._sight(fix)
         steered = pilot is not None and pilot.has and not (craft.lost or craft.taken)
         with self._lock:
             ended, mission, operator = self._ended, self._mission_until, self._operator_until
@@ -373,7 +378,7 @@ class Bridge:
             return Standing(Stance.SLOW, "no bottom track for a while")
         if condition is not Condition.FINE:
             return Standing(Stance.NEUTRAL, _TROUBLE[condition])
-        return FINE
+        return Standing(Stance.SLOW, dim) if dim else FINE
 
     def _broken_limit(self, fix: Fix, craft: Craft, now: float) -> str:
         """Which limit does not hold, in words; empty where all do."""

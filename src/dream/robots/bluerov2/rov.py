@@ -15,7 +15,7 @@ from dream.geometry import SE2, SE3, Camera, wrap_angle
 from dream.perception import Perception
 from dream.protocol import SurveyProtocol
 from dream.robots.bluerov2.bridge import Bridge, Stance
-from dream.robots.bluerov2.navigation import Navigator
+from dream.robots.bluerov2.navigation import Fix, Navigator
 from dream.types import Arrival, BoolArray, Observation, Setpoint, UInt8Array
 
 POLL = 0.02
@@ -24,6 +24,8 @@ SOON = 3.0
 """Seconds that looking, and what the mission does with a step, may take each."""
 ASIDE = 0.15
 """Metres that the vehicle may be carried while it may not move itself, and yet go on to its goal."""
+STARES = 0.5
+"""Seconds that pictures may lag behind a move, and then some."""
 MOVED = 0.04
 """Metres or radians of a move that no picture survives unchanged."""
 
@@ -77,6 +79,49 @@ class Manners:
         for name in self.__slots__:
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: expected a number above 0, got {getattr(self, name)}")
+
+
+class Stream(Protocol):
+    """What is asked of a camera at every beat."""
+
+    @property
+    def connected(self) -> bool:
+        """Did a picture come of late?"""
+
+    @property
+    def unchanged(self) -> float:
+        """Seconds for which all pictures up to the newest are the same to the last bit."""
+
+
+class Sight:
+    """Says at every beat whether the camera shows what the vehicle sees now.
+
+    What it does: a camera of which nothing comes is told at once, one that is frozen as soon as the vehicle
+    has moved and its pictures have stayed the same for `STARES` seconds more. Until then nobody can tell: one
+    that sees the same shows the same.
+    Assumes: it is asked several times a second, by one thread.
+    """
+
+    def __init__(self, camera: Stream) -> None:
+        """Of a camera."""
+        self._camera = camera
+        self._unchanged, self._moved = 0.0, math.inf
+        """Seconds of the same pictures: at the last beat, and when the vehicle had moved."""
+        self._from: SE2 | None = None
+        """Where it was when they began to be the same."""
+
+    def __call__(self, fix: Fix) -> str:
+        """What is wrong, in words that stay the same while it lasts; empty where nothing is."""
+        unchanged, pose = self._camera.unchanged, fix.T_world_base.se2
+        if self._from is None or unchanged < self._unchanged or unchanged == 0.0:
+            self._from, self._moved = pose, math.inf
+        self._unchanged = unchanged
+        turn = abs(wrap_angle(pose.yaw - self._from.yaw))
+        if max(pose.distance(self._from), turn) > MOVED:
+            self._moved = min(self._moved, unchanged)
+        if not self._camera.connected:
+            return "camera: no pictures come"
+        return "camera: the same picture while it moves" if unchanged - self._moved > STARES else ""
 
 
 class BlueRov2:

@@ -226,7 +226,7 @@ class Drill:
         from dream.perception import FlatFloor, Perception, Shells
         from dream.robots.bluerov2.camera import LiveCamera, RtpVideo
         from dream.robots.bluerov2.devices import LiveEye
-        from dream.robots.bluerov2.rov import BlueRov2
+        from dream.robots.bluerov2.rov import BlueRov2, Sight
         from dream.sim.render import Renderer
 
         topside, standin, world = self.topside, self.standin, self.standin.tank.world
@@ -237,6 +237,10 @@ class Drill:
         self.video = stack.enter_context(VideoSource(draw, ("127.0.0.1", live.port)))
         perception = Perception(Shells(), FlatFloor())
         robot = BlueRov2(topside.bridge, topside.navigator, LiveEye(live), perception, protocol, topside.now)
+
+        # Pictures begin to come a while after it has begun to beat.
+        seen = Sight(live)
+        topside.sight = lambda fix: seen(fix) if self.pictures else ""
 
         def survey() -> None:
             start = topside.start

@@ -23,7 +23,7 @@ from dream.robots.bluerov2.drives import AltHold, Guided
 from dream.robots.bluerov2.dvl_a50 import DvlA50
 from dream.robots.bluerov2.log import DiveLog
 from dream.robots.bluerov2.mavlink import Link
-from dream.robots.bluerov2.navigation import Instruments, Navigator
+from dream.robots.bluerov2.navigation import Fix, Instruments, Navigator
 from dream.robots.bluerov2.standin.helm import SURFACE
 from dream.robots.bluerov2.standin.telemetry import AIR_PRESSURE
 from dream.sim.world import World
@@ -70,6 +70,8 @@ class Topside:
         """Measurements, and when they came in."""
         self.said: list[tuple[float, Standing]] = []
         """What the bridge did, and from when on."""
+        self.sight: Callable[[Fix], str] = lambda fix: ""
+        """What is wrong with the camera, where there is one."""
         self.surfaced = False
         """Was the last resort taken?"""
         self._guided = guided
@@ -121,6 +123,7 @@ class Topside:
             watch=self.watch,
             said=self._say,
             failing=lambda: self.dvl.problem if self.dvl.hot else "",
+            sight=lambda fix: self.sight(fix),
         )
         self._stack.callback(self.bridge.close)
         self.bridge.start()
