@@ -181,8 +181,8 @@ class Bridge:
             fixed: Told of the estimate at every beat.
             failing: Which device says that it will fail soon, in words; empty where none does. The dive is
                 over while all that surfacing needs still works.
-            sight: Why the mission would not see what is before the vehicle, in words; empty where it would. It
-                goes slowly then, and whoever next looks for a picture ends the dive.
+            sight: Why the mission would not see what is before the vehicle, in words; empty where it would.
+                It goes slowly then, and whoever next looks for a picture ends the dive.
             aimed: Told of every new goal and its altitude.
         """
         self._navigator, self._drive, self._limits, self._now = navigator, drive, limits, now
