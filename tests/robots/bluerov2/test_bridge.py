@@ -314,3 +314,32 @@ def test_a_beat_that_fails_ends_the_dive_in_neutral() -> None:
         scene.bridge.close()
     assert "no such thing" in scene.bridge.standing.reason
     assert scene.sent[-1][0] == "neutral"
+
+
+def test_beats_that_all_fail_are_told_once_come_no_faster_and_end_in_the_last_resort(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    began = time.monotonic()
+    scene = Scene(limits=Limits(area=AREA, patience=0.3))
+    scene.bridge = Bridge(scene, scene, scene.limits, lambda: time.monotonic() - began)  # type: ignore[arg-type]
+
+    def broken() -> Fix:
+        raise ValueError("messages were lost")
+
+    scene.update = broken  # type: ignore[method-assign]
+    scene.bridge.start()
+    try:
+        deadline = time.monotonic() + 5.0
+        while not scene.resorts and time.monotonic() < deadline:
+            time.sleep(0.01)
+        time.sleep(0.2)
+        took, beats = time.monotonic() - began, len(scene.sent)
+    finally:
+        scene.bridge.close()
+    # Whoever waits for the vehicle learns of it.
+    assert scene.bridge.standing == Standing(Stance.OVER, "bridge: ValueError: messages were lost")
+    assert scene.bridge.over == "bridge: ValueError: messages were lost"
+    assert scene.resorts == [LastResort.SURFACE]
+    assert {what for what, _ in scene.sent} == {"begin", "neutral"}
+    assert beats <= 25.0 * took + 3
+    assert sum("a beat failed" in record.message for record in caplog.records) == 1

@@ -283,11 +283,27 @@ class Bridge:
         elif standing.stance is Stance.YIELD:
             self._drive.release()
         else:
-            self._drive.neutral()
-            if now - self._neutral_since >= self._limits.patience and not self._resorted:
-                self._resorted, self._over = True, standing.reason
-                logger.warning("%s; last resort: %s", standing.reason, self._limits.last_resort)
-                self._drive.resort(self._limits.last_resort)
+            self._stay(standing, now)
+
+    def _stay(self, standing: Standing, now: float) -> None:
+        """Neutral, and the last resort where that lasts."""
+        self._drive.neutral()
+        if now - self._neutral_since >= self._limits.patience and not self._resorted:
+            self._resorted, self._over = True, standing.reason
+            logger.warning("%s; last resort: %s", standing.reason, self._limits.last_resort)
+            self._drive.resort(self._limits.last_resort)
+
+    def _fail(self, error: Exception) -> None:
+        """End the dive by a beat that failed, and will perhaps fail every time."""
+        now, why = self._now(), f"bridge: {type(error).__name__}: {error}"
+        # Not by `end`, which would wake this very loop, to fail again at once.
+        self._over = self._over or why
+        if self._standing.stance is Stance.YIELD:
+            self._drive.release()
+            return
+        standing = Standing(Stance.OVER, self._over)
+        self._change(standing, now)
+        self._stay(standing, now)
 
     def _run(self) -> None:
         due = self._now()
@@ -304,9 +320,9 @@ class Bridge:
             try:
                 self.beat()
             except Exception as error:  # the loop must outlive whatever it meets, and say so.
-                logger.exception("bridge: a beat failed")
-                self.end(f"bridge: {type(error).__name__}: {error}")
-                self._drive.neutral()
+                if not self._over:
+                    logger.exception("bridge: a beat failed")
+                self._fail(error)
 
     def _steer(self, fix: Fix, dt: float, pace: float) -> None:
         with self._lock:
