@@ -154,10 +154,30 @@ def test_a_sample_that_is_no_number_or_has_no_length_is_a_mistake(estimator: Any
     for dt in (0.0, -0.01, math.nan):
         with pytest.raises(ValueError, match="dt: expected seconds above 0"):
             estimator.predict(state, good, dt)
+        with pytest.raises(ValueError, match="dt: expected seconds above 0"):
+            estimator.bridge(state, good, dt)
     none = np.array([0.0, math.nan, 0.0])
     for bad in (replace(good, angular_velocity=none), replace(good, specific_force=none)):
         with pytest.raises(ValueError, match="imu: expected finite"):
             estimator.predict(state, bad, 0.01)
+        with pytest.raises(ValueError, match="imu: expected finite"):
+            estimator.bridge(state, bad, 0.01)
+
+
+@every_estimator
+def test_where_samples_are_missing_it_moves_alike_and_knows_no_more(
+    estimator: Any, flight: Flight, log: Log
+) -> None:
+    state = fly(estimator, flight, replace(log, imu=log.imu[:30]))[-1]
+    moved, bridged = estimator.predict(state, log.imu[30], 0.02), estimator.bridge(state, log.imu[30], 0.02)
+    assert bridged.time == moved.time
+    np.testing.assert_array_equal(bridged.pose.rotation, moved.pose.rotation)
+    np.testing.assert_array_equal(bridged.pose.translation, moved.pose.translation)
+    np.testing.assert_array_equal(bridged.velocity, moved.velocity)
+    if hasattr(state, "covariance"):
+        values = np.linalg.eigvalsh(bridged.covariance - moved.covariance)
+        assert values.min() > -1e-12
+        assert values.max() > 1e-5
 
 
 @every_estimator
