@@ -51,6 +51,8 @@ Laws, which `tests/robots/bluerov2/test_faults.py` holds:
 
 * What is lost ends all motion: no packet that can move the vehicle is sent later than 0.5 s after it.
 * No message of the log is lost.
+* Where it goes on, the estimate is within 0.1 m of the truth, also after faults one after the other: a link
+  that is dead for 0.7 s, and then a DVL that is silent.
 * After *over* DREAM never moves the vehicle again, even if the reason goes.
 
 The autopilot's own failsafe is the last of the ladder: a program that is killed sends nothing any more, the
