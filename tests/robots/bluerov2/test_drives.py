@@ -4,26 +4,15 @@ import math
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 
-import numpy as np
-import numpy.typing as npt
 import pytest
-from scipy.spatial.transform import Rotation
 
-from dream.geometry import SE2, SE3
-from dream.robots.bluerov2 import drives
+from dream.geometry import SE2
 from dream.robots.bluerov2.bridge import LastResort
-from dream.robots.bluerov2.drives import CARROT, GENTLE, HIGHEST, SLEEPS, WAKES, AltHold, Guided
-from dream.robots.bluerov2.navigation import Fix
+from dream.robots.bluerov2.drives import CARROT, GENTLE, HIGHEST, AltHold, Guided
 from dream.robots.bluerov2.sticks import Joystick, Sticks
-from dream.sim.worlds import make_world
 from dream.types import BodyVelocity
 from dream.vehicle import VECTORED_6DOF
-from tests.robots.bluerov2.standin.ground import Ground
 from tests.robots.bluerov2.test_bridge import fix_at
-
-Array = npt.NDArray[np.float64]
-
-DT = 0.04
 
 
 @dataclass
@@ -137,99 +126,6 @@ def test_it_pushes_towards_its_goal_within_its_time() -> None:
     steer(turning, -0.9, goal=SE2(0.0, 0.0, 1.0), beats=10)
     # To the left is counter-clockwise; the stick counts the other way.
     assert wire.sent[-1][0].r < -50  # type: ignore[union-attr]
-
-
-def test_where_it_stays_a_force_that_is_not_worth_it_is_left_out() -> None:
-    drive = alt_hold(Wire())
-    stands, moves = SimpleNamespace(memory=np.zeros(14)), SimpleNamespace(memory=np.full(14, 0.01))
-
-    def rests(force: float, helm: SimpleNamespace = stands) -> bool:
-        drive._rests = drive._may_rest(helm, force)  # type: ignore[arg-type]
-        return drive._rests
-
-    between = 0.5 * (SLEEPS + WAKES)
-    assert not rests(between)
-    assert rests(0.9 * SLEEPS)
-    # It does not wake for what it did not go to sleep at.
-    assert rests(between)
-    assert not rests(1.1 * WAKES)
-    assert not rests(between)
-    # On its way it pushes as little as it has to.
-    assert rests(0.9 * SLEEPS)
-    assert not rests(0.9 * SLEEPS, moves)
-
-
-def held(seconds: float, noise: float, seed: int = 1) -> tuple[Array, Array]:
-    """Sticks x and y (n, 2), and metres from the goal by belief (n,), of a vehicle that is to stay.
-
-    Over the stand-in's own MAVLink, beat by beat; the estimate is the truth of a beat ago, with a velocity
-    that errs by `noise` m/s for 0.3 s alike, and a place that errs by what that adds up to.
-    """
-    ground = Ground(make_world("pool/arc", 1))
-    ground.under_way(2)
-    wire, rng, tank = Wire(), np.random.default_rng(seed), ground.tank
-    drive = AltHold(wire, Joystick(thrusters=VECTORED_6DOF))  # type: ignore[arg-type]
-    goal, place, turned = tank.T_world_base.se2, tank.T_world_base.translation, tank.T_world_base.rotation
-    off_velocity, off = np.zeros(3), np.zeros(3)
-    stays = math.exp(-DT / 0.3)
-    fixes: list[Fix] = []
-    sticks, apart = [], []
-    for k in range(round(seconds / DT)):
-        for _ in range(4):
-            tank.advance(ground.sub.commands)
-            ground.sub.beat()
-        if k % 12 == 0:
-            ground.beat()
-        pose = tank.T_world_base
-        velocity = (pose.translation - place) / DT
-        rate = Rotation.from_matrix(turned.T @ pose.rotation).as_rotvec() / DT
-        place, turned = pose.translation, pose.rotation
-        off_velocity = stays * off_velocity + math.sqrt(1.0 - stays**2) * noise * rng.standard_normal(3)
-        off = off + DT * off_velocity
-        believed = SE3(pose.rotation, pose.translation + off)
-        fixes.append(
-            fix_at(
-                time=k * DT,
-                T_world_base=believed,
-                velocity=velocity + off_velocity,
-                angular_velocity=rate,
-            )
-        )
-        if k == 0:
-            drive.begin(fixes[0])
-            continue
-        drive.steer(fixes[k - 1], goal, float(place[2]), DT, 1.0, 0.4)
-        order = wire.sent[-1][0]
-        assert isinstance(order, Sticks)
-        ground.stick(order.x, order.y, 500, order.r)
-        sticks.append((order.x, order.y))
-        apart.append(believed.se2.distance(goal))
-    return np.array(sticks, np.float64), np.array(apart)
-
-
-def test_a_vehicle_that_stays_does_not_turn_its_thrusters_to_and_fro_and_keeps_its_place(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Against the same without: the test can fail."""
-
-    def chattering(sticks: Array) -> tuple[float, float]:
-        """Reversals a second, and the share of the time that it pushes."""
-        calm = sticks[round(4.0 / DT) :]
-        reversals = (np.sign(calm[1:]) * np.sign(calm[:-1]) < 0.0).sum() / (len(calm) * DT)
-        return float(reversals), float(calm.any(axis=1).mean())
-
-    sticks, apart = held(24.0, 0.002)
-    reversals, pushes = chattering(sticks)
-    monkeypatch.setattr(drives, "WAKES", 0.0)
-    monkeypatch.setattr(drives, "SLEEPS", 0.0)
-    always, close = held(24.0, 0.002)
-    reversals_always, pushes_always = chattering(always)
-    assert pushes_always > 0.95
-    assert reversals_always > 3.0
-    assert pushes < 0.65
-    assert reversals < 0.4 * reversals_always
-    assert math.sqrt(float((apart**2).mean())) < 0.005
-    assert math.sqrt(float((close**2).mean())) < 0.005
 
 
 def test_by_velocities_it_goes_no_faster_than_it_may() -> None:

@@ -38,9 +38,6 @@ GENTLE = Autopilot(
 )
 """Gains for a loop that is closed over a link: a tenth of a second passes from a motion to the thrusters that
 answer it, twice the time of the loop that runs on the vehicle. Speeds for moves of decimetres in a tank."""
-WAKES, SLEEPS = 1.0, 0.3
-"""Newtons above which the thrusters of a vehicle that is to stay where it is begin to push, and below which
-they rest."""
 LEVEL_YAW = math.radians(0.5)
 """Radians of heading error at which the autopilot's own heading hold takes over."""
 DEPTH_STEP = 0.01
@@ -153,15 +150,11 @@ class AltHold(_Wired):
     """Forces by the sticks, in ALT_HOLD: the autopilot holds depth and attitude, DREAM the place.
 
     What it does: the horizontal part of what `Autopilot` asks for becomes x and y of MANUAL_CONTROL through
-    the thrusters' curve, its heading a turn rate; the depth is a target of its own. Where it is to stay, a
-    force that is not worth it is left out (`WAKES`): held in the simulated tank by an estimate whose velocity
-    errs by 2 mm/s, thrusters push 46 % of the time instead of always, and turn round 0.9 times a second
-    instead of 6, at a place that is off by 2 mm in its own belief instead of half a millimetre.
+    the thrusters' curve, its heading a turn rate; the depth is a target of its own.
     Assumes: no position fix of the autopilot; works with whatever it is.
     """
 
     _depth_sent: tuple[float, float] = (math.inf, -math.inf)
-    _rests: bool = False
 
     def neutral(self) -> None:
         """Nothing shall move it: also no depth that it was on its way to."""
@@ -174,13 +167,9 @@ class AltHold(_Wired):
         """See `bridge.Drive`."""
         helm = self._reference(fix, goal, dt, pace)
         ahead, left = float(self._wrench[0]), float(self._wrench[1])
-        self._rests = self._may_rest(helm, math.hypot(ahead, left))
-        if self._rests:
-            ahead = left = 0.0
         sticks = self.joystick.sticks(ahead, left, turn_rate=self._turn_rate(helm, fix))
         full = max(abs(sticks.x), abs(sticks.y)) >= 1000
-        # What was not done teaches nothing.
-        helm.learn(0.99 if full or self._rests else 1.0, dt)
+        helm.learn(0.99 if full else 1.0, dt)
         self.link.operator_alive()
         self.link.command(sticks, expires)
         # A target outlives whoever sent it, so none is ever far away.
@@ -189,15 +178,6 @@ class AltHold(_Wired):
         if abs(step - sent) > DEPTH_STEP or fix.time - at > DEPTH_EVERY:
             self._send_depth(step)
             self._depth_sent = (step, fix.time)
-
-    def _may_rest(self, helm: Helm, force: float) -> bool:
-        """Is so small a force left out? Not on the way.
-
-        Sticks step over the thrusters' dead band, so that a tenth of a newton to and fro is a seventh of the
-        stick to and fro, several times a second.
-        """
-        stays = not helm.memory[4:6].any()
-        return stays and force < (WAKES if self._rests else SLEEPS)
 
     def _send_depth(self, step: float) -> None:
         """Have it go up by so many metres from where it is by its own reckoning, whose zero is not ours."""
