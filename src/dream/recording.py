@@ -519,19 +519,35 @@ def read_steps(folder: Path) -> list[RecordedStep]:
                     f"{where}: expected at most {MAX_LINE_BYTES} bytes, got more. Is it a recording?"
                 )
             try:
-                fields = from_json(raw, allow_inf_nan=False)
-            except ValueError as error:
+                fields = _parsed(raw, where)
+            except ValueError:
                 if lines.read(1):
-                    raise ValueError(
-                        f"{where}: expected one JSON object, got damaged text ({error})"
-                    ) from error
+                    raise
                 logger.warning("%s is torn and left out: the run was interrupted while writing it", where)
                 break
-            step = _checked(RecordedStep, fields, where)
-            if steps and step.step <= steps[-1].step:
-                raise ValueError(f"{where}: expected a step after {steps[-1].step}, got {step.step}")
-            steps.append(step)
+            steps.append(_step(fields, where, steps[-1] if steps else None))
     return steps
+
+
+def read_step(line: bytes, where: str, before: RecordedStep | None) -> RecordedStep:
+    """A step from its line of `steps.jsonl`.
+
+    Args:
+        line: The whole of it.
+        where: File and number of the line, for what is said of it.
+        before: The step of the line before it; None for the first.
+
+    Raises:
+        ValueError: The line is damaged or out of order; the message says where.
+    """
+    return _step(_parsed(line, where), where, before)
+
+
+def _step(fields: Any, where: str, before: RecordedStep | None) -> RecordedStep:
+    step = _checked(RecordedStep, fields, where)
+    if before is not None and step.step <= before.step:
+        raise ValueError(f"{where}: expected a step after {before.step}, got {step.step}")
+    return step
 
 
 def read_exchanges(folder: Path, step: int) -> list[Exchange]:
@@ -605,10 +621,14 @@ def _replace(path: Path, content: BaseModel) -> None:
 
 
 def _json(path: Path) -> Any:
+    return _parsed(path.read_bytes(), str(path))
+
+
+def _parsed(text: bytes, where: str) -> Any:
     try:
-        return from_json(path.read_bytes(), allow_inf_nan=False)
+        return from_json(text, allow_inf_nan=False)
     except ValueError as error:
-        raise ValueError(f"{path}: expected one JSON object, got damaged text ({error})") from error
+        raise ValueError(f"{where}: expected one JSON object, got damaged text ({error})") from error
 
 
 def _checked(model: type[M], fields: Any, where: str) -> M:

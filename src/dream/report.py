@@ -45,7 +45,10 @@ DEPTH_LEVEL = 0.1
 
 T = TypeVar("T")
 
-_SCRIPTS = ("words.js", "pictures.js", "asked.js", "chart.js", "page.js")
+SHARED_SCRIPTS = ("words.js", "pictures.js", "asked.js", "chart.js", "step.js", "player.js")
+"""What the page of a mission under way is made of, too; in this order."""
+
+_SCRIPTS = (*SHARED_SCRIPTS, "page.js")
 _JPEG_QUALITY = 80
 _MAX_SIDE = 4096
 # What Pillow says of a header that promises too much; the warning counts where warnings are errors.
@@ -78,18 +81,20 @@ def write_report(folder: Path) -> Path:
         "depth_max": max(5, 5 * math.ceil(farthest * DEPTH_LEVEL / 5)),
         "command": repeating_command(config),
     }
-    style = _part("page.css")
-    script = "".join(map(_part, _SCRIPTS))
+    style = part("page.css")
+    script = "".join(map(part, _SCRIPTS))
     policy = (
         "default-src 'none'; img-src data:; base-uri 'none'; form-action 'none'; "
         f"style-src {digest(style)}; script-src {digest(script)}"
     )
     page = fill(
-        _part("page.html"),
+        part("page.html"),
         {
             "policy": policy,
             "title": html.escape(f"{_place(config)}, {config.planner} · DREAM"),
             "style": style,
+            "stage": part("stage.html"),
+            "player": part("player.html"),
             "run": _json(run),
             "pictures": "\n".join(blocks),
             "script": script,
@@ -137,24 +142,24 @@ def _blocks(folder: Path, step: RecordedStep) -> tuple[int, list[str]]:
     pictures, level = _pictures(folder, step.step)
     blocks = [_block(f"pictures-{step.step}", pictures)]
     if step.asked is not None:
-        blocks.append(_block(f"asked-{step.step}", _asked(folder, step.step)))
+        blocks.append(_block(f"asked-{step.step}", asked_at(folder, step.step)))
     return level, blocks
 
 
 def _pictures(folder: Path, step: int) -> tuple[dict[str, str | None], int]:
     """Data URLs of a step's pictures, None where one cannot be read, and the highest level of its depth."""
-    depth = _open(folder / f"frames/{step:04d}_depth.png", _depth_levels)
+    depth = open_picture(folder / f"frames/{step:04d}_depth.png", depth_levels)
     pictures = {
-        "map": _url("png", _open(folder / f"maps/{step:04d}.png", _few_colors)),
-        "rgb": _url("jpeg", _open(folder / f"frames/{step:04d}_rgb.png", lambda image: image.convert("RGB"))),
+        "map": _url("png", open_picture(folder / f"maps/{step:04d}.png", _few_colors)),
+        "rgb": _url("jpeg", open_picture(folder / f"frames/{step:04d}_rgb.png", lambda image: image.convert("RGB"))),
         "depth": _url("png", Image.fromarray(depth) if depth is not None else None),
-        "labels": _url("png", _open(folder / f"frames/{step:04d}_labels.png", _label_levels)),
+        "labels": _url("png", open_picture(folder / f"frames/{step:04d}_labels.png", label_levels)),
     }
     return pictures, 0 if depth is None else int(depth.max(initial=0))
 
 
-def _asked(folder: Path, step: int) -> list[dict[str, Any]]:
-    """What a model was shown and answered; its pictures byte by byte, None where one cannot be read."""
+def asked_at(folder: Path, step: int) -> list[dict[str, Any]]:
+    """What a model, at a step, was shown and answered; its pictures byte by byte, None where one cannot be read."""
     return [
         {
             "prompt": exchange.prompt,
@@ -178,18 +183,19 @@ def _asked(folder: Path, step: int) -> list[dict[str, Any]]:
 
 
 def _exact_url(png: bytes, what: str) -> str | None:
-    whole = _open(io.BytesIO(png), lambda image: image.load() is not None, what)
+    whole = open_picture(io.BytesIO(png), lambda image: image.load() is not None, what)
     return f"data:image/png;base64,{base64.b64encode(png).decode()}" if whole else None
 
 
-def _open(file: Path | io.BytesIO, convert: Callable[[Image.Image], T], what: str = "") -> T | None:
+def open_picture(file: Path | io.BytesIO, convert: Callable[[Image.Image], T], what: str = "") -> T | None:
+    """What `convert` makes of a PNG; None, with a warning, where it is missing, damaged or too large."""
     try:
         with Image.open(file, formats=["PNG"]) as image:
             if max(image.size) > _MAX_SIDE:
                 raise ValueError(f"expected at most {_MAX_SIDE} pixels a side, got {image.size}")
             return convert(image)
     except (OSError, ValueError, SyntaxError, *_BOMBS) as error:
-        logger.warning("%s is left out of the report: %s", what or file, error)
+        logger.warning("%s is left out: %s", what or file, error)
         return None
 
 
@@ -213,12 +219,14 @@ def _few_colors(image: Image.Image) -> Image.Image:
     return few
 
 
-def _depth_levels(image: Image.Image) -> UInt8Array:
+def depth_levels(image: Image.Image) -> UInt8Array:
+    """(H, W) of a recorded depth picture, in units of `DEPTH_LEVEL`; 0 where there is none."""
     levels = np.rint(np.asarray(image, np.float64) / (1000.0 * DEPTH_LEVEL))
     return np.clip(levels, 0, 255).astype(np.uint8)
 
 
-def _label_levels(image: Image.Image) -> Image.Image:
+def label_levels(image: Image.Image) -> Image.Image:
+    """A recorded label picture with the label itself in each pixel, as grey, instead of its colour."""
     if image.mode != "P":
         raise ValueError(f"expected a palette image, got mode {image.mode}")
     return Image.fromarray(np.asarray(image, np.uint8))
@@ -252,5 +260,6 @@ def fill(template: str, parts: Mapping[str, str]) -> str:
     return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], template)
 
 
-def _part(name: str) -> str:
+def part(name: str) -> str:
+    """A file of the page."""
     return resources.files("dream").joinpath("report_page", name).read_text(encoding="utf-8")

@@ -14,7 +14,7 @@ import dream
 from dream.versions import commit
 
 LIBRARIES = ("numpy", "numba", "scipy")
-_SHOWS_ONLY = ("cli.py", "commands", "recording.py", "report.py", "report_page", "versions.py")
+_SHOWS_ONLY = ("cli.py", "commands", "live", "recording.py", "report.py", "report_page", "versions.py")
 _SCORES = ("metrics.py", "runner.py")
 
 

@@ -64,16 +64,20 @@ function laidOut(reply) {
 }
 
 class Asked {
-  constructor(panel, steps) {
+  // `exchangesOf` a step number gives, perhaps later, what a model was asked then and answered.
+  constructor(panel, steps, exchangesOf) {
     this.panel = panel;
-    this.askedAt = steps.filter((step) => step.asked).map((step) => step.step);
+    this.steps = steps;
+    this.exchangesOf = exchangesOf;
+    this.wanted = null;
     this.large = null;
     this.questionOpen = false;
   }
 
-  show(step) {
-    const block = document.getElementById(`asked-${step.step}`);
-    const exchanges = block ? JSON.parse(block.textContent) : [];
+  async show(step) {
+    this.wanted = step;
+    const exchanges = step.asked ? await this.exchangesOf(step.step) : [];
+    if (this.wanted !== step) return;
     this.panel.replaceChildren(...exchanges.map((exchange, index) => this.exchange(exchange, index, exchanges.length, step)));
     if (exchanges.length > 0) return;
     const none = step.asked ? "What was asked at this step is not in the run's folder." : "No model was asked at this step.";
@@ -82,11 +86,11 @@ class Asked {
 
   // Links to the nearest steps that were asked for.
   others(here) {
-    const before = this.askedAt.findLast((step) => step < here);
-    const after = this.askedAt.find((step) => step > here);
+    const before = this.steps.findLast(({ asked, step }) => asked && step < here);
+    const after = this.steps.find(({ asked, step }) => asked && step > here);
     return [["before", before], ["next", after]]
-      .filter(([, step]) => known(step))
-      .flatMap(([word, step]) => [` The one ${word}: `, element("a", { href: `#step=${step}`, textContent: `step ${step}` }), "."]);
+      .filter(([, found]) => found)
+      .flatMap(([word, { step }]) => [` The one ${word}: `, element("a", { href: `#step=${step}`, textContent: `step ${step}` }), "."]);
   }
 
   exchange(exchange, index, total, step) {

@@ -32,32 +32,48 @@ const EVENTS = [
   { name: "refused", title: "claim of completion refused", of: (step) => step.open_region !== "" },
 ];
 
+// Index of the recorded step nearest to a step number.
+function nearest(steps, number) {
+  let best = 0;
+  steps.forEach((candidate, index) => {
+    if (Math.abs(candidate.step - number) < Math.abs(steps[best].step - number)) best = index;
+  });
+  return best;
+}
+
 class Chart {
-  constructor(run, holder, seek) {
-    this.run = run;
-    this.holder = holder;
-    this.plot = curves(run);
-    this.events = EVENTS.map((event) => ({ ...event, steps: run.steps.filter(event.of) })).filter(({ steps }) => steps.length);
-    this.index = 0;
+  // Holders of the drawing, of the keys to its curves and of the keys to its events.
+  constructor(holder, keys, eventKeys, seek) {
+    Object.assign(this, { run: null, holder, keys, eventKeys, index: 0 });
     const drag = (event) => {
-      if (event.type === "pointermove" && event.buttons !== 1) return;
+      if (!this.run || (event.type === "pointermove" && event.buttons !== 1)) return;
       const box = holder.getBoundingClientRect();
       const at = (event.clientX - box.left - this.left) / (this.width - this.left - this.right);
-      seek(this.nearest(at * this.end));
+      seek(nearest(this.run.steps, at * this.end));
     };
     holder.addEventListener("pointerdown", drag);
     holder.addEventListener("pointermove", drag);
-    new ResizeObserver(() => this.layout()).observe(holder);
+    new ResizeObserver(() => this.run && this.layout()).observe(holder);
+  }
+
+  // Draw a run, or what it has become.
+  open(run) {
+    this.run = run;
+    this.index = Math.min(this.index, Math.max(0, run.steps.length - 1));
+    this.plot = curves(run);
+    this.events = EVENTS.map((event) => ({ ...event, steps: run.steps.filter(event.of) })).filter(({ steps }) => steps.length);
+    this.values = this.plot.series.map(({ of }) => ({ node: element("b"), of }));
+    this.keys.replaceChildren(...this.plot.series.map(({ name, title }, index) => element("li", {}, this.lineKey(name), title, this.values[index].node)));
+    if (run.summary && this.plot.top === 1) this.keys.append(element("li", {}, this.lineKey("goal"), "98.26 %, needed for a success"));
+    this.eventKeys.replaceChildren(...this.events.map(({ name, title, steps }) => {
+      const key = svg("svg", { viewBox: "0 0 12 12", "aria-hidden": "true" }, svg("rect", { class: `event-${name}`, x: 4, y: 1, width: 4, height: 10, rx: 1.5 }));
+      return element("li", {}, key, `${title} (${steps.length})`);
+    }));
     this.layout();
   }
 
-  // Index of the recorded step nearest to a step number.
-  nearest(step) {
-    let best = 0;
-    this.run.steps.forEach((candidate, index) => {
-      if (Math.abs(candidate.step - step) < Math.abs(this.run.steps[best].step - step)) best = index;
-    });
-    return best;
+  lineKey(name) {
+    return svg("svg", { viewBox: "0 0 26 12", "aria-hidden": "true" }, svg("line", { class: name, x1: 1, x2: 25, y1: 6, y2: 6 }));
   }
 
   x(step) {
@@ -161,6 +177,7 @@ class Chart {
     this.index = index;
     const step = this.run.steps[index];
     if (!step) return;
+    for (const { node, of } of this.values) node.textContent = known(of(step)) ? this.plot.say(of(step)) : "–";
     const x = this.x(step.step);
     this.now.setAttribute("x1", x);
     this.now.setAttribute("x2", x);

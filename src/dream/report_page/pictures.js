@@ -18,29 +18,31 @@ function table(colorOf) {
 }
 
 class Pictures {
-  constructor(run) {
+  // `sourcesOf` a step number gives the address of each picture; `deeper` is called where a scale grows.
+  constructor(run, sourcesOf, deeper = () => {}) {
     this.run = run;
+    this.sourcesOf = sourcesOf;
+    this.deeper = deeper;
     this.canvases = Object.fromEntries(SHOWN.map((name) => [name, document.getElementById(name)]));
-    this.tables = {
-      depth: table((level) => (level === 0 ? NO_DEPTH : depthColor((level * run.depth_level) / run.depth_max))),
-      labels: table((level) => run.labels[level]?.color ?? [255, 0, 255]),
-    };
+    this.tables = { depth: this.depthTable(), labels: table((level) => run.labels[level]?.color ?? [255, 0, 255]) };
     this.levels = {};
     this.wanted = null;
     this.decoded = new Map();
   }
 
-  // The images of a step, from its own block of the page.
+  depthTable() {
+    return table((level) => (level === 0 ? NO_DEPTH : depthColor((level * this.run.depth_level) / this.run.depth_max)));
+  }
+
+  // The images of a step; null where there is none, or none that can be decoded.
   load(step) {
     if (!this.decoded.has(step)) {
-      const block = document.getElementById(`pictures-${step}`);
-      const sources = block ? JSON.parse(block.textContent) : {};
+      const sources = this.sourcesOf(step);
       const images = SHOWN.map(async (name) => {
         if (!sources[name]) return null;
         const image = new Image();
         image.src = sources[name];
-        await image.decode();
-        return image;
+        return image.decode().then(() => image, () => null);
       });
       this.decoded.set(step, Promise.all(images));
       if (this.decoded.size > 8) this.decoded.delete(this.decoded.keys().next().value);
@@ -70,15 +72,22 @@ class Pictures {
     context.drawImage(image, 0, 0);
     if (!(name in this.tables)) return;
     const pixels = context.getImageData(0, 0, canvas.width, canvas.height);
-    const colors = this.tables[name];
     const levels = new Uint8Array(canvas.width * canvas.height);
-    for (let pixel = 0; pixel < levels.length; pixel++) {
-      const level = pixels.data[4 * pixel];
-      levels[pixel] = level;
-      pixels.data.set(colors.subarray(3 * level, 3 * level + 3), 4 * pixel);
-    }
+    for (let pixel = 0; pixel < levels.length; pixel++) levels[pixel] = pixels.data[4 * pixel];
+    if (name === "depth") this.reach(levels.reduce((most, level) => Math.max(most, level), 0));
+    const colors = this.tables[name];
+    for (let pixel = 0; pixel < levels.length; pixel++) pixels.data.set(colors.subarray(3 * levels[pixel], 3 * levels[pixel] + 3), 4 * pixel);
     context.putImageData(pixels, 0, 0);
     this.levels[name] = { levels, width: canvas.width, height: canvas.height };
+  }
+
+  // The scale ends at the next five metres beyond the farthest ground that was shown.
+  reach(level) {
+    const farthest = 5 * Math.ceil((level * this.run.depth_level) / 5);
+    if (farthest <= this.run.depth_max) return;
+    this.run.depth_max = farthest;
+    this.tables.depth = this.depthTable();
+    this.deeper();
   }
 
   // What lies under a point of the image, given in shares of its width and height.
