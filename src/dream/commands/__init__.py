@@ -11,6 +11,7 @@ from dream.commands.report import Report
 from dream.commands.results import Results
 from dream.commands.run import Run, planner_name
 from dream.commands.sweep import Sweep
+from dream.commands.watch import Watch
 from dream.commands.worlds import Draw, Worlds
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "Results",
     "Run",
     "Sweep",
+    "Watch",
     "Worlds",
     "planner_name",
 ]

@@ -1,0 +1,1 @@
+"""Run folders, as they are written → a page in a browser."""
