@@ -128,16 +128,22 @@ class WatchedRun:
         with path.open("rb") as lines:
             lines.seek(self._offset)
             read = lines.read(READ_BYTES)
-        whole = read[: read.rfind(b"\n") + 1]
-        if len(read) - len(whole) > MAX_LINE_BYTES:
-            raise ValueError(f"steps.jsonl: expected at most {MAX_LINE_BYTES} bytes in a line, got more")
-        for line in whole.splitlines(keepends=True):
-            step = read_step(line, f"steps.jsonl, line {len(self.steps) + 1}", self._last)
+        *whole, torn = read.split(b"\n")
+        for line in whole:
+            where = f"steps.jsonl, line {len(self.steps) + 1}"
+            self._check_length(line, where)
+            step = read_step(line, where, self._last)
             self._last = step
-            self._offset += len(line)
+            self._offset += len(line) + 1
             self._numbers[step.step] = len(self.steps)
             self.steps.append(ShownStep(step.step, {**step.model_dump(), "spent": self._spent(step)}))
+        self._check_length(torn, "steps.jsonl, its end")
         return len(read) < READ_BYTES
+
+    @staticmethod
+    def _check_length(line: bytes, where: str) -> None:
+        if len(line) > MAX_LINE_BYTES:
+            raise ValueError(f"{where}: expected at most {MAX_LINE_BYTES} bytes, got more")
 
     def _spent(self, step: RecordedStep) -> dict[str, Any] | None:
         """What was kept of the questions of a step says what they cost."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import html
 import io
@@ -146,7 +147,7 @@ def _of_run(watched: Watched, key: str, step: str, what: str) -> tuple[bytes, st
     Paths are made here, from a number and a name of a table: what a page asks for never becomes part of one.
     """
     run = watched.get(key)
-    if run is None or not re.fullmatch(r"\d{1,7}", step) or not run.has(number := int(step)):
+    if run is None or not re.fullmatch(r"[0-9]{1,7}", step) or not run.has(number := int(step)):
         return None
     if what == "asked":
         exchanges = asked_at(run.folder, number) if run.keeps_replies(number) else []
@@ -178,22 +179,25 @@ class _Stream:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         self._pages.open += 1
-        gone = asyncio.create_task(_until_gone(receive))
+        tasks = [asyncio.create_task(self._tell(send)), asyncio.create_task(_until_gone(receive))]
         try:
-            headers = [(b"content-type", b"text/event-stream"), (b"cache-control", b"no-store")]
-            await send({"type": "http.response.start", "status": 200, "headers": headers})
-            async for chunk in self._chunks():
-                if gone.done():
-                    return
-                body = {"type": "http.response.body", "body": chunk, "more_body": True}
-                await asyncio.wait_for(send(body), SEND_S)
-            await send({"type": "http.response.body", "body": b""})
-        except (TimeoutError, OSError):
-            return  # Whoever is there comes back and says where it was.
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                with contextlib.suppress(TimeoutError, OSError):
+                    task.result()  # One that was too slow, or is gone, comes back and says where it was.
         finally:
-            gone.cancel()
+            for task in tasks:
+                task.cancel()
             self._pages.open -= 1
             self._pages.left = time.monotonic()
+
+    async def _tell(self, send: Send) -> None:
+        headers = [(b"content-type", b"text/event-stream"), (b"cache-control", b"no-store")]
+        await send({"type": "http.response.start", "status": 200, "headers": headers})
+        async for chunk in self._chunks():
+            body = {"type": "http.response.body", "body": chunk, "more_body": True}
+            await asyncio.wait_for(send(body), SEND_S)
+        await send({"type": "http.response.body", "body": b""})
 
     async def _chunks(self) -> AsyncIterator[bytes]:
         watched, cursor = self._pages.watched, self._cursor

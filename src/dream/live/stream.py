@@ -18,7 +18,7 @@ from dream.live.folders import MAX_RUNS, Watched, WatchedRun
 AT_ONCE = 200
 """Events at most before the rest has to wait for the next round."""
 
-_POSITION = re.compile(r"[0-9a-f]{8}\.\d{1,7}(-[0-9a-f]{8}\.\d{1,7})*")
+_POSITION = re.compile(r"[0-9a-f]{8}\.[0-9]{1,7}(-[0-9a-f]{8}\.[0-9]{1,7})*")
 
 
 @dataclass(slots=True)

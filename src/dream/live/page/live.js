@@ -139,12 +139,13 @@ function showBudget(run, index) {
   const questions = steps.filter((one) => one.asked);
   const sum = (of) => questions.reduce((total, one) => total + of(one), 0);
   const costs = questions.map((one) => one.spent?.cost_usd);
+  const waited = steps.reduce((total, one) => total + one.waited_s, 0);
   const parameters = run.config.planner_parameters ?? {};
   at("meter").hidden = !known(run.cap);
   at("meter").firstElementChild.style.width = known(run.cap) ? `${Math.min(100, (100 * step.step) / run.cap)}%` : "0";
   const lines = [
     ["Steps", String(step.step), "", known(run.cap) ? `of ${run.cap}, ${Math.max(0, run.cap - step.step)} left` : ""],
-    ["Mission clock", minutes(step.time)],
+    ["Mission clock", minutes(step.time + waited), "", waited > 0 ? `${minutes(waited)} of it waiting for answers` : ""],
   ];
   if (questions.length === 0) lines.push(["Model calls", "none", "", parameters.model ? "" : "this planner asks no model"]);
   else {
@@ -155,7 +156,6 @@ function showBudget(run, index) {
       ["Without a usable reply", String(fallbacks), fallbacks ? "warn" : ""],
       ["Tokens", costs.every((cost) => cost !== undefined) ? count(sum((one) => one.spent.tokens)) : "not known"],
       ["Cost", costs.every(known) ? dollars(sum((one) => one.spent.cost_usd)) : "price unknown", "", known(parameters.max_usd) ? `of US$ ${parameters.max_usd}` : ""],
-      ["Waited for answers", minutes(steps.reduce((total, one) => total + one.waited_s, 0))],
     );
   }
   rows(at("budget"), lines);
@@ -172,7 +172,7 @@ function showHealth(run, index) {
   at("health-step").textContent = `at step ${step.step}`;
   const sigma = step.position_sigma_m;
   rows(at("health"), [
-    ["Position", sigma > 0 ? `± ${metres(sigma, 2)}` : "exact", sigma > 1 ? "warn" : "", sigma > 0 ? "one sigma" : "as the simulator gives it"],
+    ["Position", sigma > 0 ? `± ${metres(sigma, 2)}` : "taken as exact", sigma > 1 ? "warn" : "", sigma > 0 ? "one sigma" : ""],
     ["Clearance", known(step.clearance_m) ? metres(step.clearance_m) : "nothing near", known(step.clearance_m) && step.clearance_m < 0.5 ? "warn" : "", known(least) ? `least ${metres(least)}` : ""],
     ["On the way", step.arrival_note || "nothing to note", step.arrival_note ? "warn" : "", notes.length ? `${plural(notes.length, "note")} so far` : ""],
     ["Contacts", String(touched), touched ? "bad" : ""],
