@@ -74,6 +74,8 @@ class Pages:
     open: int = 0
     left: float = field(default_factory=time.monotonic)
     """When the last one went, on the clock `time.monotonic`."""
+    closing: Callable[[], bool] = lambda: False
+    """Whether the server is about to end, and pages have to let go."""
     _looked: float = 0.0
     _looking: asyncio.Lock = field(default_factory=asyncio.Lock)
 
@@ -203,7 +205,7 @@ class _Stream:
         watched, cursor = self._pages.watched, self._cursor
         began, beaten = time.monotonic(), -BEAT_S
         yield b"retry: 1000\n\n"
-        while time.monotonic() - began < LIFE_S:
+        while time.monotonic() - began < LIFE_S and not self._pages.closing():
             await self._pages.look()
             news = b"".join(cursor.news(watched))
             if cursor.is_behind(watched):
@@ -280,6 +282,8 @@ def serve(places: list[Path], doors: Doors, listening: socket.socket, over: Call
             timeout_graceful_shutdown=1,
         )
     )
+
+    pages.closing = lambda: server.should_exit
 
     async def run() -> None:
         async def watch() -> None:

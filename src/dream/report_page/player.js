@@ -24,6 +24,7 @@ class Player {
   open(steps) {
     if (steps !== this.steps) {
       this.pause();
+      clearTimeout(this.settle);
       Object.assign(this, { steps, travelled: [], current: 0 });
     }
     steps.slice(this.travelled.length).forEach((step) => this.travelled.push((this.travelled.at(-1) ?? 0) + step.distance_m));
@@ -42,7 +43,8 @@ class Player {
     this.place();
     // Browsers limit how often an address may change, so it follows once the step has settled.
     clearTimeout(this.settle);
-    this.settle = setTimeout(() => history.replaceState(null, "", `#${this.address(step, this.atEnd)}`), 250);
+    const hash = `#${this.address(step, this.atEnd)}`;
+    this.settle = setTimeout(() => history.replaceState(null, "", hash), 250);
   }
 
   // Where it is among the steps there are.
