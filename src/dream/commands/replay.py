@@ -56,11 +56,15 @@ class Replay:
     """Which of them makes the estimate of a dive again from log.mcap."""
     out: Path | None = None
     """Folder to make a run folder of the replay in, with its report; nothing is written unless given."""
+    rerun: bool = False
+    """Only write run.rrd into the run's folder, to be looked at step by step in the Rerun viewer."""
     json: bool = False
     """Print one JSON object and nothing else."""
 
     def __call__(self) -> int:
         """Exit status 0; 1 where the planner of then decides otherwise."""
+        if self.rerun:
+            return self._write_rerun()
         from dream.evaluation.again import answering, check_world, read_record
 
         record = read_record(self.run)
@@ -97,6 +101,17 @@ class Replay:
         else:
             _print(record, told)
         return 1 if same_planner and told["first_difference"] is not None else 0
+
+    def _write_rerun(self) -> int:
+        from dream.live.rerun import write_rerun
+
+        path = write_rerun(self.run)
+        if self.json:
+            print_json({"run": str(self.run), "rerun": str(path)})
+        else:
+            print(f"{path}\nto look at it: rerun {shlex.quote(str(path))}")
+            print("(the viewer tells its makers of its use; not after: rerun analytics disable)")
+        return 0
 
     def _asked(self, record: Record, name: str) -> AnyPlanner:
         """The planner of a name; where it asks a model, that of then."""
