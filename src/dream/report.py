@@ -149,9 +149,10 @@ def _blocks(folder: Path, step: RecordedStep) -> tuple[int, list[str]]:
 def _pictures(folder: Path, step: int) -> tuple[dict[str, str | None], int]:
     """Data URLs of a step's pictures, None where one cannot be read, and the highest level of its depth."""
     depth = open_picture(folder / f"frames/{step:04d}_depth.png", depth_levels)
+    rgb = open_picture(folder / f"frames/{step:04d}_rgb.png", lambda image: image.convert("RGB"))
     pictures = {
         "map": _url("png", open_picture(folder / f"maps/{step:04d}.png", _few_colors)),
-        "rgb": _url("jpeg", open_picture(folder / f"frames/{step:04d}_rgb.png", lambda image: image.convert("RGB"))),
+        "rgb": _url("jpeg", rgb),
         "depth": _url("png", Image.fromarray(depth) if depth is not None else None),
         "labels": _url("png", open_picture(folder / f"frames/{step:04d}_labels.png", label_levels)),
     }
@@ -159,7 +160,7 @@ def _pictures(folder: Path, step: int) -> tuple[dict[str, str | None], int]:
 
 
 def asked_at(folder: Path, step: int) -> list[dict[str, Any]]:
-    """What a model, at a step, was shown and answered; its pictures byte by byte, None where one cannot be read."""
+    """What a model was shown at a step, byte by byte, and answered; None for pictures that cannot be read."""
     return [
         {
             "prompt": exchange.prompt,

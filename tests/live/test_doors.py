@@ -10,7 +10,8 @@ TOKEN = "0123456789abcdef"
 
 
 @pytest.mark.parametrize(
-    "header", ["localhost", "localhost:8412", "LOCALHOST:1", "127.0.0.1:8412", "127.8.9.1", "[::1]:8412", "[::1]"]
+    "header",
+    ["localhost", "localhost:8412", "LOCALHOST:1", "127.0.0.1:8412", "127.8.9.1", "[::1]:8412", "[::1]"],
 )
 def test_at_a_loopback_address_this_machine_is_answered(header: str) -> None:
     assert Doors().answers_to(header)

@@ -139,7 +139,9 @@ def test_what_was_read_of_a_run_stays_while_others_come_and_go(growing: Make, tm
     assert numbers(only(watched)) == [0, 1, 2]
 
 
-def test_the_newest_of_too_many_are_shown(growing: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_newest_of_too_many_are_shown(
+    growing: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(folders, "MAX_RUNS", 2)
     for age, name in enumerate(("new", "older", "oldest")):
         made = growing(name)
@@ -202,7 +204,9 @@ def test_a_pipe_in_the_place_of_a_file_does_not_hold_it_up(growing: Make) -> Non
         ({"protocol": "another"}, None),
     ],
 )
-def test_the_budget_of_steps_is_that_of_the_mission(growing: Make, config: dict[str, object], cap: int) -> None:
+def test_the_budget_of_steps_is_that_of_the_mission(
+    growing: Make, config: dict[str, object], cap: int
+) -> None:
     assert only(Watched([growing(**config).folder])).head()["cap"] == cap
 
 
@@ -213,8 +217,13 @@ def test_what_questions_cost_is_read_from_what_was_kept(growing: Make) -> None:
         made.append(json.dumps({**json.loads(line), "asked": None if step == 0 else asked}).encode() + b"\n")
     (made.folder / "replies").mkdir()
     kept = {
-        **{"prompt": "p", "model": "m", "question": "q", "pictures": [], "replies": ["r"], "fallback": ""},
-        **{"requests": 2, "tokens_in": 5, "tokens_out": 2, "cost_usd": 0.25, "seconds": 1.0},
+        **dict.fromkeys(("prompt", "model", "question", "fallback"), ""),
+        **dict.fromkeys(("pictures", "replies"), ()),
+        "requests": 2,
+        "tokens_in": 5,
+        "tokens_out": 2,
+        "cost_usd": 0.25,
+        "seconds": 1.0,
     }
     (made.folder / "replies/0001.json").write_text(json.dumps(kept))
     run = only(Watched([made.folder]))

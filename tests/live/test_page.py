@@ -13,10 +13,6 @@ import pytest
 pytest.importorskip("fastapi")
 pytest.importorskip("uvicorn")
 pytest.importorskip("playwright")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-if CHROMIUM is None:
-    pytest.skip("no Chromium on this machine to open the page with", allow_module_level=True)
-
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from dream.live import server
@@ -24,6 +20,8 @@ from dream.live.doors import Doors
 from dream.live.server import listen, serve
 from tests.live.runs import STEPS, Growing
 
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine to open the page with")
 Make = Callable[..., Growing]
 HOSTILE = "</p><script>document.title='owned'</script><img src=x onerror=alert(1)>"
 TOKEN = "a-token-of-some-length"

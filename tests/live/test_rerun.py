@@ -48,8 +48,11 @@ def test_every_step_is_there_with_all_that_was_recorded(growing: Make) -> None:
     ):
         blobs = logged[entity, component]
         assert sorted(blobs) == list(range(STEPS))
-        for step in (0, STEPS - 1):
-            assert bytes(np.ravel(blobs[step]).astype(np.uint8)) == (run.folder / name.format(step)).read_bytes()
+        for number in (0, STEPS - 1):
+            assert (
+                bytes(np.ravel(blobs[number]).astype(np.uint8))
+                == (run.folder / name.format(number)).read_bytes()
+            )
     assert sorted(logged["camera/labels", "buffer"]) == list(range(STEPS))
     for step in steps:
         assert step.coverage is not None

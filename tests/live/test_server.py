@@ -6,7 +6,7 @@ import json
 import logging
 import re
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, MutableMapping
 from pathlib import Path
 from typing import Any
 
@@ -43,8 +43,8 @@ def pages(run: Growing) -> Pages:
 
 
 @pytest.fixture
-def client(pages: Pages) -> Iterator[TestClient]:
-    yield TestClient(application(pages, Doors()), base_url="http://localhost:8412", follow_redirects=False)
+def client(pages: Pages) -> TestClient:
+    return TestClient(application(pages, Doors()), base_url="http://localhost:8412", follow_redirects=False)
 
 
 @pytest.fixture
@@ -144,8 +144,11 @@ def test_what_was_asked_is_given_with_its_pictures(pages: Pages, client: TestCli
     assert client.get(f"{base}/1/asked").json() == []
     (run.folder / "replies").mkdir()
     kept = {
-        **{"prompt": "p", "model": "m", "question": "q", "pictures": [], "replies": ["<b>"], "fallback": ""},
-        **{"requests": 1, "tokens_in": 5, "tokens_out": 2, "cost_usd": None, "seconds": 1.0},
+        **dict.fromkeys(("prompt", "model", "question", "fallback"), ""),
+        **dict.fromkeys(("requests", "tokens_in", "tokens_out", "seconds"), 1),
+        "pictures": [],
+        "replies": ["<b>"],
+        "cost_usd": None,
     }
     (run.folder / "replies/0001.json").write_text(json.dumps(kept))
     (exchange,) = client.get(f"{base}/1/asked").json()
@@ -157,8 +160,8 @@ def test_what_was_asked_is_given_with_its_pictures(pages: Pages, client: TestCli
 
 @pytest.mark.parametrize(
     "path",
-    ["99/map", "-1/map", "0/config.json", "0/steps.jsonl", "0/..%2fconfig.json", "..%2f..%2f0/map", "0/map.png",
-     "0/%2e%2e/config.json", "0x1/map", "1e0/map", "٣/map", "00000000000000000000003/map", "0/", "0"],
+    ["99/map", "-1/map", "0/config.json", "0/steps.jsonl", "0/..%2fconfig.json", "..%2f..%2f0/map",
+     "0/map.png", "0/%2e%2e/config.json", "0x1/map", "1e0/map", "٣/map", "000000000003/map", "0/", "0"],
 )  # fmt: skip
 def test_nothing_but_pictures_of_recorded_steps_is_given(client: TestClient, base: str, path: str) -> None:
     assert client.get(f"{base}/{path}").status_code == 404
@@ -190,7 +193,9 @@ def test_damaged_pictures_are_missing_and_the_others_are_there(
     depth.write_bytes(depth.read_bytes()[:200])
     (run.folder / "frames/0001_labels.png").unlink()
     with caplog.at_level(logging.WARNING):
-        answers = {what: client.get(f"{base}/1/{what}").status_code for what in ("rgb", "depth", "labels", "map")}
+        answers = {
+            what: client.get(f"{base}/1/{what}").status_code for what in ("rgb", "depth", "labels", "map")
+        }
     assert answers == {"rgb": 404, "depth": 404, "labels": 404, "map": 200}
     assert client.get(f"{base}/2/rgb").status_code == 200
 
@@ -224,7 +229,15 @@ def test_pages_of_others_may_link_but_not_use(client: TestClient, base: str, sit
 
 
 def test_with_a_token_nothing_is_given_without_it(guarded: TestClient, base: str) -> None:
-    for path in ("/", "/page.js", "/events", f"{base}/0/map", "/?token=", "/?token=wrong", f"/page.js?token={TOKEN}"):
+    for path in (
+        "/",
+        "/page.js",
+        "/events",
+        f"{base}/0/map",
+        "/?token=",
+        "/?token=wrong",
+        f"/page.js?token={TOKEN}",
+    ):
         answer = guarded.get(path)
         assert answer.status_code == 401, path
         assert TOKEN not in answer.text + str(answer.headers)
@@ -290,7 +303,7 @@ def test_too_many_pages_are_turned_away_and_let_in_when_one_goes(
             nonlocal refused
             refused, _ = await streamed(app, "/events", until=lambda body: True)
 
-        tasks = []
+        tasks: list[asyncio.Task[None]] = []
 
         def until(body: bytes) -> bool:
             if not tasks:
@@ -315,7 +328,7 @@ def test_a_page_that_takes_too_long_is_let_go(pages: Pages, monkeypatch: pytest.
             await asyncio.Event().wait()
             return {}
 
-        async def send(message: dict[str, Any]) -> None:
+        async def send(message: MutableMapping[str, Any]) -> None:
             if message["type"] == "http.response.body":
                 assert pages.open == 1
                 await asyncio.Event().wait()
@@ -356,7 +369,9 @@ def test_a_run_that_is_not_there_yet_is_waited_for(
 # ---- where it listens
 
 
-def test_the_usual_port_gives_way_and_one_that_was_asked_for_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_usual_port_gives_way_and_one_that_was_asked_for_does_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         monkeypatch.setattr(server, "PORT", port)

@@ -67,12 +67,12 @@ def test_steps_in_many_rounds_are_those_in_one(two: Watched, monkeypatch: pytest
 
 
 def test_the_open_run_comes_whole_and_the_others_in_brief(two: Watched) -> None:
-    first, second = two
+    _, second = two
     events = told(list(Cursor.at("", second.key).news(two)))
     for name, _, data in events:
         if name == "step":
             assert ("reasoning" in data["step"]) == (data["run"] == second.key)
-    assert [name for name, _, _ in events][0] == "runs"
+    assert events[0][0] == "runs"
     assert [data["name"] for name, _, data in events if name == "run"] == ["one", "two"]
 
 
@@ -98,7 +98,9 @@ def test_a_run_made_anew_under_its_name_begins_again(two: Watched) -> None:
     assert len(steps_in(events)) == 2 * STEPS
 
 
-@pytest.mark.parametrize("position", ["", "x", "../etc", "a" * 10_000, "12345678.1-", "12345678.-1", "1234567é.1"])
+@pytest.mark.parametrize(
+    "position", ["", "x", "../etc", "a" * 10_000, "12345678.1-", "12345678.-1", "1234567é.1"]
+)
 def test_what_is_no_position_begins_at_the_beginning(two: Watched, position: str) -> None:
     assert len(steps_in(told(list(Cursor.at(position, "").news(two))))) == 2 * STEPS
 

@@ -23,7 +23,7 @@ from dream.live.server import EXTRA, Pages, address, listen, serve
 NICER = 5
 """By which the server's process yields to the mission's."""
 LINGER_S = 3.0
-"""Seconds without a page after which it ends, once the mission is over: a page that reloads is back by then."""
+"""Seconds without a page after which it ends, once the mission is over: one that reloads is back by then."""
 
 
 def check_installed() -> None:
@@ -68,7 +68,7 @@ def _tell(server: subprocess.Popen[str]) -> None:
     assert server.stdout is not None
     for line in server.stdout:
         with contextlib.suppress(OSError, ValueError):
-            print(f"dream: {json.loads(line)}", file=sys.stderr, flush=True)
+            sys.stderr.write(f"dream: {json.loads(line)}\n")
 
 
 def main() -> None:
@@ -103,7 +103,8 @@ def main() -> None:
 
 def _say(line: str) -> None:
     with contextlib.suppress(OSError):
-        print(json.dumps(line), flush=True)
+        sys.stdout.write(json.dumps(line) + "\n")
+        sys.stdout.flush()
 
 
 if __name__ == "__main__":

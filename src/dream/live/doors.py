@@ -116,7 +116,8 @@ class Doorkeeper:
         if scope["method"] not in ("GET", "HEAD"):
             return 405, "There is nothing to change here.\n", {"allow": "GET, HEAD"}
         # A page of another server may link to this one; it may neither use nor exhaust it.
-        if scope["path"] != "/" and headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none"):
+        site = headers.get("sec-fetch-site", "none")
+        if scope["path"] != "/" and site not in ("same-origin", "none"):
             return 403, "Only the page of this server may ask for that.\n", {}
         if not self._doors.token:
             return None

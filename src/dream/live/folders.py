@@ -56,7 +56,7 @@ class ShownStep:
 
     number: int
     whole: dict[str, Any]
-    """Its line, and `spent`: the tokens and the US$ that its questions cost; None where they are not known."""
+    """Its line, and `spent`: the tokens and the US$ that its questions cost; None where not known."""
 
     @property
     def brief(self) -> dict[str, Any]:
@@ -246,7 +246,7 @@ class Watched:
         folders: list[Path] = []
         for place in self._places:
             folders += [place.resolve()] if _is_run(place) else _runs_in(place)
-        found = {folder: None for folder in folders}
+        found = dict.fromkeys(folders)
         self.left_out = max(0, len(found) - MAX_RUNS)
         runs = (WatchedRun(folder) for folder in list(found)[:MAX_RUNS])
         self._runs = {run.key: self._runs.get(run.key, run) for run in runs}
@@ -257,7 +257,7 @@ def _is_run(folder: Path) -> bool:
 
 
 def _runs_in(place: Path) -> list[Path]:
-    """Run folders directly in a folder, the newest first. Links, as `latest` is one, are no runs of their own."""
+    """Run folders directly in a folder, the newest first; no links, as `latest` is one."""
     made: list[tuple[float, Path]] = []
     # What is not there yet, or is being removed, is looked for again.
     with contextlib.suppress(OSError):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib.util
 import re
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,10 +43,10 @@ def write_rerun(folder: Path) -> Path:
 
     config, steps = read_config(folder), read_steps(folder)
     path = folder / NAME
-    with whole_or_nothing(path) as partial:
+    with whole_or_nothing(path) as unfinished:
         # The same run is the same recording, however often it is written.
         recording = rr.RecordingStream("dream", recording_id=folder.resolve().name)
-        recording.save(partial, default_blueprint=_layout(coverage=any(step.coverage for step in steps)))
+        recording.save(unfinished, default_blueprint=_layout(coverage=any(step.coverage for step in steps)))
         classes = [
             rr.AnnotationInfo(id=int(label), label=label.name.lower(), color=LABEL_COLORS[label])
             for label in Label
@@ -76,25 +77,28 @@ def _log_pictures(recording: rerun.RecordingStream, folder: Path, step: int) -> 
 
     png = "image/png"
 
-    def whole(image: Image.Image, path: Path) -> bytes:
+    def whole(path: Path, image: Image.Image) -> bytes:
         image.load()
         return path.read_bytes()
 
-    pictures: dict[str, tuple[str, Callable[[Image.Image, Path], Any]]] = {
-        "camera/rgb": (f"frames/{step:04d}_rgb.png", lambda *of: rr.EncodedImage(contents=whole(*of), media_type=png)),
+    pictures: dict[str, tuple[str, Callable[[Path, Image.Image], Any]]] = {
+        "camera/rgb": (
+            f"frames/{step:04d}_rgb.png",
+            lambda *of: rr.EncodedImage(contents=whole(*of), media_type=png),
+        ),
         "camera/depth": (
             f"frames/{step:04d}_depth.png",
             lambda *of: rr.EncodedDepthImage(blob=whole(*of), media_type=png, meter=1000.0),
         ),
         "camera/labels": (
             f"frames/{step:04d}_labels.png",
-            lambda image, _: rr.SegmentationImage(np.asarray(label_levels(image))),
+            lambda _, image: rr.SegmentationImage(np.asarray(label_levels(image))),
         ),
         "map": (f"maps/{step:04d}.png", lambda *of: rr.EncodedImage(contents=whole(*of), media_type=png)),
     }
     for entity, (name, convert) in pictures.items():
         path = folder / name
-        picture = open_picture(path, lambda image, convert=convert, path=path: convert(image, path))
+        picture = open_picture(path, partial(convert, path))
         # Where there is none, that of the step before must not stay.
         recording.log(entity, rr.Clear(recursive=False) if picture is None else picture)
 
@@ -122,7 +126,8 @@ def _log_words(recording: rerun.RecordingStream, folder: Path, step: RecordedSte
     }
     for what, text in happened.items():
         if text:
-            recording.log("events", rr.TextLog(f"{what}: {text}", level="INFO" if what == "ended" else "WARN"))
+            level = "INFO" if what == "ended" else "WARN"
+            recording.log("events", rr.TextLog(f"{what}: {text}", level=level))
     if step.asked is not None:
         replies = [reply for exchange in asked_at(folder, step.step) for reply in exchange["replies"]]
         recording.log("reply", rr.TextDocument("\n\n".join(replies) or "Nothing came back."))

@@ -131,7 +131,8 @@ def _page() -> tuple[str, str, str]:
         "depth_level": DEPTH_LEVEL,
     }
     own = {name: _own_part(name) for name in ("live.html", "live.css", "live.js")}
-    parts = {"stage": part("stage.html"), "player": part("player.html"), "fixed": html.escape(json.dumps(fixed))}
+    shared = {name: part(f"{name}.html") for name in ("stage", "player")}
+    parts = {**shared, "fixed": html.escape(json.dumps(fixed))}
     return (
         fill(own["live.html"], parts),
         part("page.css") + own["live.css"],
@@ -244,7 +245,9 @@ def listen(host: str, port: int | None) -> socket.socket:
                 return found
     except OSError as error:
         where = f"{host}:{PORT if port is None else port}"
-        raise OSError(f"--host, --port: expected a place to listen at, got {where} ({error.strerror})") from error
+        raise OSError(
+            f"--host, --port: expected a place to listen at, got {where} ({error.strerror})"
+        ) from error
     raise AssertionError("the system gives a free port or an error")
 
 
