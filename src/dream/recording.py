@@ -559,10 +559,8 @@ def read_exchanges(folder: Path, step: int) -> list[Exchange]:
         ValueError: A file is damaged; the message names it.
     """
     exchanges: list[Exchange] = []
-    while (path := _exchange_path(folder, step, len(exchanges) + 1)).is_file():
-        if path.stat().st_size > MAX_EXCHANGE_BYTES:
-            raise ValueError(f"{path}: expected at most {MAX_EXCHANGE_BYTES} bytes, got more")
-        recorded = _checked(RecordedExchange, _json(path), str(path))
+    for number, recorded in enumerate(read_replies(folder, step), start=1):
+        path = _exchange_path(folder, step, number)
         shown = {name: _shown(_shown_path(path, name)) for name in recorded.pictures}
         exchanges.append(
             Exchange(
@@ -581,6 +579,16 @@ def read_exchanges(folder: Path, step: int) -> list[Exchange]:
             )
         )
     return exchanges
+
+
+def read_replies(folder: Path, step: int) -> list[RecordedExchange]:
+    """The same without the pictures, whose names they hold. Raises as `read_exchanges` does."""
+    replies: list[RecordedExchange] = []
+    while (path := _exchange_path(folder, step, len(replies) + 1)).is_file():
+        if path.stat().st_size > MAX_EXCHANGE_BYTES:
+            raise ValueError(f"{path}: expected at most {MAX_EXCHANGE_BYTES} bytes, got more")
+        replies.append(_checked(RecordedExchange, _json(path), str(path)))
+    return replies
 
 
 def _shown(path: Path) -> bytes | None:

@@ -21,7 +21,10 @@ from dream.live.server import listen, serve
 from tests.live.runs import STEPS, Growing
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine to open the page with")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine to open the page with"),
+]
 Make = Callable[..., Growing]
 HOSTILE = "</p><script>document.title='owned'</script><img src=x onerror=alert(1)>"
 TOKEN = "a-token-of-some-length"

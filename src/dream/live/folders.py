@@ -28,7 +28,7 @@ from dream.recording import (
     RunConfig,
     RunSummary,
     read_config,
-    read_exchanges,
+    read_replies,
     read_step,
     read_summary,
 )
@@ -150,7 +150,7 @@ class WatchedRun:
         if step.asked is None or not self.keeps_replies(step.step):
             return None
         try:
-            exchanges = read_exchanges(self.folder, step.step)
+            exchanges = read_replies(self.folder, step.step)
         except (OSError, ValueError) as error:
             logger.warning("the cost of step %d is not known: %s", step.step, error)
             return None

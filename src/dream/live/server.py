@@ -254,9 +254,19 @@ def listen(host: str, port: int | None) -> socket.socket:
 def address(doors: Doors, listening: socket.socket) -> str:
     """What to open in a browser; with the token, if there is one."""
     port = listening.getsockname()[1]
-    host = {"0.0.0.0": socket.gethostname(), "::": socket.gethostname()}.get(doors.host, doors.host)
+    host = _reached_at() if doors.host in ("0.0.0.0", "::") else doors.host
     bracketed = f"[{host}]" if ":" in host else host
     return f"http://{bracketed}:{port}/" + (f"?token={doors.token}" if doors.token else "")
+
+
+def _reached_at() -> str:
+    """This machine's address on the network that it has; its name where it has none. Nothing is sent."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
+        try:
+            asking.connect(("192.0.2.1", 9))  # RFC 5737: an address of nobody.
+        except OSError:
+            return socket.gethostname()
+        return str(asking.getsockname()[0])
 
 
 def serve(places: list[Path], doors: Doors, listening: socket.socket, over: Callable[[Pages], bool]) -> None:
