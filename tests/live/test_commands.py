@@ -118,7 +118,16 @@ def test_a_token_is_made_for_others_and_told_once(growing: Make) -> None:
 @needs_server
 def test_a_mission_is_served_while_it_flies_and_ends_as_ever(tmp_path: Path) -> None:
     mission = started(
-        "run", "--world", "flat/empty", "--max-steps", "3", "--out", str(tmp_path), "--live", "--json"
+        "run",
+        "random",
+        "--world",
+        "flat/empty",
+        "--max-steps",
+        "3",
+        "--out",
+        str(tmp_path),
+        "--live",
+        "--json",
     )
     assert mission.stderr is not None
     address = re.search(r"http://\S+", mission.stderr.readline())
