@@ -16,7 +16,7 @@ LAYERS = [
     {"robots"},
     {"course"},
     {"mission"},
-    {"recording", "evaluation", "report"},
+    {"recording", "evaluation", "report", "live"},
     {"commands"},
     {"cli"},
 ]

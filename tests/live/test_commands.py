@@ -19,7 +19,6 @@ from pathlib import Path
 import pytest
 
 from dream.cli import run_command
-from dream.live import beside
 from tests.live.runs import Growing
 
 Make = Callable[..., Growing]
@@ -59,7 +58,7 @@ def is_gone(address: str) -> bool:
 def test_without_what_it_needs_it_says_what_to_install(
     words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(beside.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     monkeypatch.chdir(tmp_path)
     assert run_command(words) == 2
     assert 'pip install "dream-auv[live]"' in capsys.readouterr().err

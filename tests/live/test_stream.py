@@ -55,7 +55,8 @@ def test_a_page_that_comes_back_misses_nothing_and_gets_nothing_twice(
 
 def test_steps_in_many_rounds_are_those_in_one(two: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stream, "AT_ONCE", 2)
-    cursor, rounds = Cursor(), []
+    cursor = Cursor()
+    rounds: list[list[tuple[str, int, int]]] = []
     while cursor.is_behind(two) and len(rounds) < 100:
         rounds.append(steps_in(told(list(cursor.news(two)))))
     assert len(rounds) > 3
