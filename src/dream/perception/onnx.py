@@ -7,6 +7,7 @@ you would take a program.
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -139,20 +140,31 @@ def _varint(part: memoryview, at: int) -> tuple[int, int]:
     raise ValueError("model: a number has more than 10 bytes. Is it an ONNX file?")
 
 
-def checked_bytes(path: str | Path) -> bytes:
+def checked_bytes(path: str | Path, *, most: int | None = None, sha256: str | None = None) -> bytes:
     """The file's bytes, if it is a model that may be run.
 
+    Args:
+        path: Of the model.
+        most: Bytes at most; `MOST_BYTES` unless given.
+        sha256: Digest that the file must have; any where None.
+
     Raises:
-        ValueError: It is too large, damaged, of unknown operators, or its weights lie in other files.
+        ValueError: It is too large, another file, damaged, of unknown operators, or its weights lie in other
+            files.
     """
-    path = Path(path)
+    path, most = Path(path), MOST_BYTES if most is None else most
     try:
         with path.open("rb") as file:
-            model = file.read(MOST_BYTES + 1)
+            model = file.read(most + 1)
     except OSError as error:
         raise ValueError(f"model: expected a readable file, got {path} ({error.strerror})") from error
-    if len(model) > MOST_BYTES:
-        raise ValueError(f"model: expected at most {MOST_BYTES >> 20} MiB, got more in {path}")
+    if len(model) > most:
+        raise ValueError(f"model: expected at most {most >> 20} MiB, got more in {path}")
+    found_sha256 = hashlib.sha256(model).hexdigest() if sha256 is not None else None
+    if found_sha256 != sha256:
+        raise ValueError(
+            f"model: expected {path} with SHA-256 {sha256}, got {found_sha256}. Was it replaced or damaged?"
+        )
     found = contents(model)
     if found.external:
         raise ValueError(
@@ -174,23 +186,34 @@ class Network:
     Assumes: float32 in and out, a batch of one.
     """
 
-    def __init__(self, path: str | Path, *, threads: int = 1) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        threads: int = 1,
+        most: int | None = None,
+        sha256: str | None = None,
+        extra: str = EXTRA,
+    ) -> None:
         """Open a file.
 
         Args:
             path: Of the model.
             threads: That one inference may use, 1 to 8.
+            most: Bytes of the file at most; `MOST_BYTES` unless given.
+            sha256: Digest that the file must have; any where None.
+            extra: What to say where ONNX Runtime is not installed.
 
         Raises:
             ValueError: The file is refused, with the reason; see `checked_bytes`.
         """
         if not 1 <= threads <= 8:
             raise ValueError(f"threads: expected 1 to 8, got {threads}")
-        model = checked_bytes(path)
+        model = checked_bytes(path, most=most, sha256=sha256)
         try:
             import onnxruntime
         except ImportError as error:
-            raise ValueError(EXTRA) from error
+            raise ValueError(extra) from error
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
         options.inter_op_num_threads = 1

@@ -7,6 +7,7 @@ from dream.planning.baselines import (
     RandomWalk,
     Spiral,
     SweepAndGraze,
+    UivNav,
 )
 from dream.planning.belief import Belief
 from dream.planning.sixsteps import SixSteps
@@ -21,6 +22,7 @@ AnyPlanner = (
     | NextBestView
     | SweepAndGraze
     | RandomWalk
+    | UivNav
     | Dream
     | Vanilla
     | Ranked
@@ -35,6 +37,7 @@ PLANNERS: dict[str, AnyPlanner] = {
     "nbv": NextBestView(),
     "sweep-and-graze": SweepAndGraze(),
     "random": RandomWalk(),
+    "uivnav": UivNav(),
     "dream": Dream(),
     "vanilla": Vanilla(),
     "ranked": Ranked(),
@@ -42,9 +45,10 @@ PLANNERS: dict[str, AnyPlanner] = {
 """Every planner by its name on the command line, with its default parameters. The first is the default."""
 
 OFFLINE: tuple[str, ...] = tuple(
-    name for name, planner in PLANNERS.items() if not isinstance(planner, Asking)
+    name for name, planner in PLANNERS.items() if not isinstance(planner, Asking | UivNav)
 )
-"""Names of those that ask no model and need nothing but this machine."""
+"""Names of those that need nothing but this machine: they ask no model, and run no network, which takes ONNX
+Runtime."""
 
 __all__ = [
     "OFFLINE",
@@ -61,5 +65,6 @@ __all__ = [
     "SixSteps",
     "Spiral",
     "SweepAndGraze",
+    "UivNav",
     "Vanilla",
 ]

@@ -6,5 +6,6 @@ from dream.planning.baselines.lawnmower import Lawnmower
 from dream.planning.baselines.nbv import NextBestView
 from dream.planning.baselines.random_walk import RandomWalk
 from dream.planning.baselines.spiral import Spiral
+from dream.planning.baselines.uivnav import UivNav
 
-__all__ = ["Lawnmower", "NearestFrontier", "NextBestView", "RandomWalk", "Spiral", "SweepAndGraze"]
+__all__ = ["Lawnmower", "NearestFrontier", "NextBestView", "RandomWalk", "Spiral", "SweepAndGraze", "UivNav"]

@@ -1,0 +1,180 @@
+"""Steering by sight, as a network learnt it from a teacher: no map, no position, no memory."""
+
+from __future__ import annotations
+
+import json
+import math
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.geometry import wrap_angle
+from dream.planning.parameters import check_count, check_range
+from dream.protocol import SurveyProtocol
+from dream.types import Decision, Float32Array, Mission, Observation, Reasoning, UInt8Array
+
+if TYPE_CHECKING:
+    from dream.mapping import OccupancyMap
+    from dream.perception.onnx import Network
+
+SHIPPED = Path(__file__).parent.parent / "weights" / "uivnav.onnx"
+"""The network that comes with DREAM; `uivnav.json` beside it is its card."""
+TURNS_DEG = (-90, -60, -30, 0, 30, 60, 90)
+"""What the network chooses between, in the order of its outputs: from right to left."""
+MOST_BYTES = 16 << 20
+"""Of a network's file; the one that comes with DREAM has less than 3 MB."""
+EXTRA = 'UIVNav needs onnxruntime: pip install "dream-auv[learned]"'
+
+
+@dataclass(frozen=True, slots=True)
+class UivNav:
+    """See where the target is and what is near, and steer as the teacher would have.
+
+    What it does: makes of each frame a small image of two channels, nearness and share of target
+    (`perception.representation`); asks a network for the turn; then advances by the protocol's longest step.
+    It reads neither map nor pose nor colours, and keeps nothing from one step to the next but a count of
+    the steps, for its dice. Where it would bump into something, the guard shortens its move, as everybody's.
+
+    Reference: UIVNav (arXiv 2309.08806), re-implemented: its representation, network and data are not
+    published; these are ours. See docs/uivnav.md.
+
+    Assumes: a camera like the protocol's, and targets that a frame shows. Fails when: there is nothing in
+    view to steer for, or what is in view was seen long ago: it has no memory, and goes round. It never says
+    that it is done.
+    """
+
+    temperature: float = 0.5
+    """How freely it draws its turn: 1 as often as the network says, 0 always the likeliest."""
+    walk_seed: int = 0
+    """Seed of what it draws."""
+    weights: str | None = None
+    """File of another network (ONNX, (n, 2, 72, 96) float32 in, (n, 7) logits out)."""
+
+    def __post_init__(self) -> None:
+        check_range("temperature", self.temperature, 0.0, 10.0)
+        check_count("walk_seed", self.walk_seed, 0, 2**63 - 1)
+        if self.weights is not None and not isinstance(self.weights, str):
+            raise ValueError(f"weights: expected the path of an ONNX file, got {self.weights!r}")
+
+    def begin(self, mission: Mission) -> _Sighted:
+        """A fresh pilot, the same for the same seed.
+
+        Raises:
+            ValueError: The network is refused, with the reason, or ONNX Runtime is not installed.
+        """
+        return _Sighted(self, mission.protocol, opened(self.weights))
+
+
+def opened(weights: str | None = None) -> Policy:
+    """The network in a file, checked; the one that comes with DREAM where None.
+
+    Raises:
+        ValueError: It is too large, damaged, not as its card says, or has other inputs or outputs.
+    """
+    from dream.perception.onnx import Network
+
+    if weights is None:
+        network = Network(SHIPPED, most=MOST_BYTES, sha256=_digest(SHIPPED.with_suffix(".json")), extra=EXTRA)
+    else:
+        network = Network(weights, most=MOST_BYTES, extra=EXTRA)
+    return Policy(network)
+
+
+def _digest(card: Path) -> str:
+    """SHA-256 of the network, as its card says."""
+    try:
+        said = json.loads(card.read_text(encoding="utf-8"))
+        digest = said["sha256"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"card: expected the network's sha256 in {card}, got none ({error})") from error
+    return str(digest)
+
+
+class Policy:
+    """A network that was found to be one that steers."""
+
+    def __init__(self, network: Network) -> None:
+        """Check its inputs and outputs, and ask it twice.
+
+        Raises:
+            ValueError: They are not as they should be.
+        """
+        from dream.perception.representation import HEIGHT, WIDTH
+
+        expected = (2, HEIGHT, WIDTH)
+        if any(got not in (want, None) for got, want in zip(network.input_shape[1:], expected, strict=True)):
+            raise ValueError(
+                f"weights: expected an input of (n, 2, {HEIGHT}, {WIDTH}), got {network.input_shape} in "
+                f"{network.path}. Was it trained on `perception.represent`?"
+            )
+        if len(network.outputs) != 1:
+            raise ValueError(f"weights: expected one output, got {', '.join(network.outputs) or 'none'}")
+        self._network = network
+        self._name = next(iter(network.outputs))
+        for level in (0, 255):
+            self.logits(np.full(expected, level, np.uint8))
+
+    def logits(self, picture: UInt8Array) -> Float32Array:
+        """(7,) a score for each of `TURNS_DEG`.
+
+        Args:
+            picture: (2, 72, 96) uint8; see `perception.represent`.
+
+        Raises:
+            ValueError: They are not seven finite numbers.
+        """
+        fed = picture[None].astype(np.float32) / np.float32(255.0)
+        (scores,) = self._network.run(fed, [self._name])
+        if scores.shape != (1, len(TURNS_DEG)):
+            raise ValueError(
+                f"weights: expected (n, {len(TURNS_DEG)}) logits, one for each turn, got {scores.shape} from "
+                f"{self._network.path}"
+            )
+        logits: Float32Array = scores[0]
+        return logits
+
+
+@dataclass(slots=True)
+class _Sighted:
+    planner: UivNav
+    protocol: SurveyProtocol
+    policy: Policy
+    steps: int = 0
+
+    def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
+        from dream.perception.representation import represent
+
+        protocol = self.protocol
+        picture = represent(observation.depth, observation.labels, altitude=protocol.altitude)
+        shares = _shares(self.policy.logits(picture), self.planner.temperature)
+        # Two frames that are alike, as where a move was refused, must not be answered alike for ever.
+        words = [self.planner.walk_seed, self.steps, zlib.crc32(picture.tobytes())]
+        chosen = int(np.random.default_rng(words).choice(len(TURNS_DEG), p=shares))
+        self.steps += 1
+        turn = _allowed(math.radians(TURNS_DEG[chosen]), protocol)
+        advance = max(protocol.advances)
+        target = 100.0 * float(picture[1].mean()) / 255.0
+        how = f"a turn of {math.degrees(turn):.0f}°, then on" if turn else "straight on"
+        action = (
+            f"The target takes {target:.1f} % of the view: {how} for {advance:g} m, "
+            f"which the network chooses {100.0 * shares[chosen]:.0f} times in 100."
+        )
+        return Decision(turn, advance, reasoning=Reasoning(action=action))
+
+
+def _shares(logits: Float32Array, temperature: float) -> npt.NDArray[np.float64]:
+    """(7,) probabilities that sum to 1; all for the first of the greatest at a temperature of 0."""
+    scores = logits.astype(np.float64) - float(logits.max())
+    if temperature == 0.0:
+        return np.where(np.arange(len(scores)) == scores.argmax(), 1.0, 0.0)
+    shares = np.exp(scores / temperature)
+    return np.asarray(shares / shares.sum())
+
+
+def _allowed(turn: float, protocol: SurveyProtocol) -> float:
+    """The nearest turn of the protocol."""
+    return min(protocol.turn_angles, key=lambda allowed: (abs(wrap_angle(turn - allowed)), abs(allowed)))
