@@ -7,9 +7,8 @@ publishes no formula; this one is ours.
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
+import numpy.typing as npt
 
 from dream.types import Float32Array, Label, UInt8Array
 
@@ -49,22 +48,24 @@ def represent(depth: Float32Array, labels: UInt8Array, *, altitude: float = ALTI
     if not 0.0 < altitude < np.inf:
         raise ValueError(f"altitude: expected metres above 0, got {altitude}")
     returned = np.isfinite(depth) & (depth > 0.0) & (labels != Label.WATER)
-    least = np.float32(CLOSEST * altitude)
-    nearness = np.where(returned, least / np.maximum(np.where(returned, depth, least), least), 0.0)
-    stack = np.stack([nearness, returned, labels == Label.TARGET]).astype(np.float32)
-    near, seen, target = _overlaps(HEIGHT, depth.shape[0]) @ stack @ _overlaps(WIDTH, depth.shape[1]).T
-    blocks = np.stack([near / np.maximum(seen, 1.0), target / np.float32(depth.size)])
+    least = CLOSEST * altitude
+    nearness = least / np.maximum(np.where(returned, depth, np.inf), least, dtype=np.float64)
+    parts = np.stack([nearness, returned, labels == Label.TARGET])
+    near, seen, target = _sums(_sums(parts, HEIGHT).swapaxes(1, 2), WIDTH).swapaxes(1, 2)
+    blocks = np.stack([near / np.maximum(seen, 1.0), target / depth.size])
     levels: UInt8Array = np.rint(255.0 * np.clip(blocks, 0.0, 1.0)).astype(np.uint8)
     return levels
 
 
-@lru_cache(maxsize=8)
-def _overlaps(blocks: int, pixels: int) -> Float32Array:
-    """(blocks, pixels): how much of each pixel lies in each of the equal blocks of a line of pixels.
+def _sums(images: npt.NDArray[np.float64], blocks: int) -> npt.NDArray[np.float64]:
+    """(n, blocks, k): sums over equal blocks of the rows of images (n, m, k), in parts of which a row has
+    `blocks` and a block m, so that whole numbers have exact sums.
 
-    In units of which a pixel has `blocks` and a block has `pixels`: whole numbers, whose sums are exact.
+    Not by a product of matrices, which would wake the threads of a linear algebra library for a millisecond.
     """
-    block, pixel = np.arange(blocks)[:, None] * pixels, np.arange(pixels)[None, :] * blocks
-    overlap = np.minimum(block + pixels, pixel + blocks) - np.maximum(block, pixel)
-    inside: Float32Array = np.maximum(overlap, 0).astype(np.float32)
-    return inside
+    count = images.shape[1]
+    row, part = np.divmod(np.arange(blocks + 1) * count, blocks)
+    above = np.zeros((len(images), count + 1, images.shape[2]))
+    np.cumsum(images, axis=1, out=above[:, 1:])
+    up_to = blocks * above[:, row] + part[:, None] * images[:, np.minimum(row, count - 1)]
+    return np.diff(up_to, axis=1)
