@@ -17,6 +17,7 @@ LAYERS = [
     {"course"},
     {"mission"},
     {"recording", "evaluation", "report", "live"},
+    {"learning"},
     {"commands"},
     {"cli"},
 ]

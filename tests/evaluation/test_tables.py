@@ -199,6 +199,23 @@ def test_the_best_baseline_is_no_planner_of_ours() -> None:
     assert best_baseline(alone, alone.cases) is None
 
 
+@pytest.mark.parametrize(
+    ("parameters", "title"),
+    [
+        ({"weights": None}, "uivnav (re-implemented)"),
+        ({"weights": "mine.onnx"}, "uivnav (re-implemented; another network)"),
+    ],
+)
+def test_what_we_wrote_after_a_paper_is_called_so_wherever_it_stands(
+    parameters: dict[str, Any], title: str
+) -> None:
+    made = results([flown(L1, "uivnav", FAST)], (L1,), ["uivnav"])
+    found = compare(replace(made, manifest={**made.manifest, "planners": {"uivnav": parameters}}))
+    assert found.planners == (title,)
+    assert row(tables.headline(found, (L1,)), title)
+    assert baselines(found.planners) == [title]
+
+
 def test_planners_are_compared_in_the_worlds_that_both_have_flown() -> None:
     half = comparison(*(m for m in three_each() if m.row.key[1:] != ("reef/L", 2, 0, "lawnmower")))
     line = row(tables.against_the_best_baseline(half), "All worlds", "sixsteps", "lawnmower")

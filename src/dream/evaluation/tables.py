@@ -58,6 +58,9 @@ REEFS = (*REEF_FAMILIES, "letter")
 BY_BELIEF = 0.1
 """Share of a planner's questions without a reply that counts from which on its rows are marked."""
 
+REIMPLEMENTED = {"uivnav": "re-implemented"}
+"""What is said of a planner after a paper whose code and parameters are not public."""
+
 Measure = Callable[[Case, Row], float]
 """A number of one mission; NaN where it has none."""
 
@@ -301,7 +304,12 @@ def title(planner: str, parameters: Mapping[str, Any], *, by_belief: bool) -> st
         by_belief: Was it `belief` that decided much of it?
     """
     model = str(parameters.get("model_name") or parameters.get("model") or "")
-    told = ["wire test" if is_wire_test(parameters) else model, "partly belief" if by_belief else ""]
+    told = [
+        REIMPLEMENTED.get(planner, ""),
+        "another network" if parameters.get("weights") else "",
+        "wire test" if is_wire_test(parameters) else model,
+        "partly belief" if by_belief else "",
+    ]
     said = "; ".join(filter(None, told))
     return f"{planner} ({said})" if said else planner
 
@@ -377,8 +385,8 @@ def baselines(planners: Iterable[str]) -> list[str]:
     """Those of the planners that are baselines by where their code stands."""
     return [
         name
-        for name in planners
-        if name in PLANNERS and type(PLANNERS[name]).__module__.startswith("dream.planning.baselines")
+        for name, planner in ((name, PLANNERS.get(name.partition(" (")[0])) for name in planners)
+        if type(planner).__module__.startswith("dream.planning.baselines")
     ]
 
 
