@@ -120,7 +120,7 @@ def test_a_floor_looks_the_same_from_the_tank_s_height_as_from_the_reef_s() -> N
         depth[down > 0.0] = (protocol.altitude / down[down > 0.0])[:, None]
         labels = np.where(np.isnan(depth), np.uint8(Label.WATER), np.uint8(Label.SEABED))
         shown.append(represent(depth, labels, altitude=protocol.altitude))
-    np.testing.assert_array_equal(*shown)
+    np.testing.assert_array_equal(shown[0], shown[1])
 
 
 def test_what_is_given_is_not_changed_and_what_comes_is_a_copy() -> None:
