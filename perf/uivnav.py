@@ -164,7 +164,11 @@ def early(folders: Sequence[Path]) -> None:
 
 
 def table(folders: Sequence[Path]) -> None:
-    """Print methods with steps and coverage, ours in our worlds and the paper's in its own."""
+    """Print methods with steps and coverage, ours in our worlds and the paper's in its own.
+
+    Steps to the planner's own stop, the cap without one. Of reefs the share of individuals is seen, of wrecks
+    that of their surface.
+    """
     flown = missions(folders)
     print("| method | reefs: steps | reefs: coverage, % | wrecks: steps | wrecks: coverage, % |")
     print("|---|--:|--:|--:|--:|")
@@ -176,9 +180,12 @@ def table(folders: Sequence[Path]) -> None:
                 row for (world, _, _), (row, _) in of_it.items() if (family_of(world) == "wreck") == is_wreck
             ]
             if rows:
-                steps = [row.steps if row.t_stop is not None else 200 for row in rows]
+                steps = [
+                    protocol_named(row.protocol).cap if row.t_stop is None else row.t_stop for row in rows
+                ]
                 cells.append(f"{np.mean(steps):.1f}")
-                cells.append(f"{100.0 * np.mean([row.instances for row in rows]):.2f}")
+                seen = [row.area if is_wreck else row.instances for row in rows]
+                cells.append(f"{100.0 * np.mean(seen):.2f}")
             else:
                 cells += ["–", "–"]
         print(f"| {' | '.join(cells)} |")

@@ -12,7 +12,7 @@ import pytest
 
 from dream.evaluation.runner import simulate
 from dream.mapping import OccupancyMap
-from dream.planning import OFFLINE, PLANNERS, AnyPlanner, Asking
+from dream.planning import OFFLINE, PLANNERS, AnyPlanner, Asking, UivNav
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
 from dream.types import Decision, Mission, Observation, Step
@@ -116,9 +116,9 @@ def test_its_parameters_are_frozen_and_documented(planner: AnyPlanner) -> None:
         assert heading in (planner.__doc__ or "")
 
 
-def test_only_those_that_ask_no_model_are_called_offline(planner: AnyPlanner) -> None:
+def test_only_those_that_need_no_model_and_no_network_are_called_offline(planner: AnyPlanner) -> None:
     name = next(name for name, default in PLANNERS.items() if type(default) is type(planner))
-    assert (name in OFFLINE) == (not isinstance(planner, Asking))
+    assert (name in OFFLINE) == (not isinstance(planner, Asking | UivNav))
 
 
 def test_every_answer_of_a_model_is_told(planner: AnyPlanner, flown: list[Step]) -> None:

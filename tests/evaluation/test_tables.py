@@ -202,8 +202,8 @@ def test_the_best_baseline_is_no_planner_of_ours() -> None:
 @pytest.mark.parametrize(
     ("parameters", "title"),
     [
-        ({"weights": None}, "uivnav (re-implemented)"),
-        ({"weights": "mine.onnx"}, "uivnav (re-implemented; another network)"),
+        ({"weights": None}, "uivnav (our re-implementation)"),
+        ({"weights": "mine.onnx"}, "uivnav (our re-implementation; another network)"),
     ],
 )
 def test_what_we_wrote_after_a_paper_is_called_so_wherever_it_stands(

@@ -32,7 +32,8 @@ class Flying:
     """Options of every command that flies many missions."""
 
     planners: tuple[str, ...] = OFFLINE
-    """Which planners, with their default parameters; all that ask no model unless given."""
+    """Which planners, with their default parameters; all that need neither a model nor a network unless
+    given."""
     asking: Asking = field(default_factory=Asking)
     """For those of the planners that ask a model."""
     max_steps: int | None = None
@@ -62,7 +63,7 @@ class Flying:
         askers = [name for name, planner in chosen.items() if isinstance(planner, Asking)]
         if not askers:
             if self.asking != Asking():
-                every = [name for name in PLANNERS if name not in OFFLINE]
+                every = [name for name, planner in PLANNERS.items() if isinstance(planner, Asking)]
                 raise ValueError(
                     f"--planners: expected one that asks a model, such as {every[0]}, beside options for "
                     f"asking, got {' '.join(chosen)}"

@@ -58,7 +58,7 @@ REEFS = (*REEF_FAMILIES, "letter")
 BY_BELIEF = 0.1
 """Share of a planner's questions without a reply that counts from which on its rows are marked."""
 
-REIMPLEMENTED = {"uivnav": "re-implemented"}
+REIMPLEMENTED = {"uivnav": "our re-implementation"}
 """What is said of a planner after a paper whose code and parameters are not public."""
 
 Measure = Callable[[Case, Row], float]
@@ -950,7 +950,7 @@ def paper_tables(comparison: Comparison) -> list[Table]:
         ]
         unmeasured = (NONE, UNMEASURED, *([NONE] * (1 + (len(ASKING) if asked else 0))))
         if not any("uivnav" in planner for planner in comparison.planners):
-            rows.append(("UIVNav (our re-implementation)", *unmeasured))
+            rows.append((f"UIVNav ({REIMPLEMENTED['uivnav']})", *unmeasured))
         if not any(
             row.vlm_calls is not None and planner not in comparison.wire_tests
             for (_, planner), row in comparison.rows.items()
