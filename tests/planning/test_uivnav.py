@@ -118,7 +118,7 @@ def test_a_turn_that_the_protocol_lacks_becomes_the_nearest(tmp_path: Path) -> N
 def test_it_draws_as_often_as_the_network_says(tmp_path: Path) -> None:
     shares = np.array([0.05, 0.05, 0.1, 0.5, 0.2, 0.05, 0.05])
     path = str(always(tmp_path / "m.onnx", np.log(shares)))
-    same = [observed_at(0.0, 0.0, 0.0)] * 250
+    same = [observed_at(float(k), 0.0, 0.0) for k in range(250)]
     for temperature, expected in ((1.0, shares), (0.5, shares**2 / (shares**2).sum())):
         drawn = Counter(d.turn for d in decided(UivNav(temperature=temperature, weights=path), *same))
         found = np.array([drawn[math.radians(turn)] for turn in TURNS_DEG]) / len(same)
@@ -134,6 +134,15 @@ def test_frames_that_are_alike_are_not_answered_alike_for_ever_but_as_the_seed_s
     assert len({decision.turn for decision in first}) > 2
     assert decided(UivNav(temperature=1.0, weights=path), *same) == first
     assert decided(UivNav(temperature=1.0, weights=path, walk_seed=1), *same) != first
+
+
+def test_straight_on_that_got_it_nowhere_is_not_tried_again_at_once(tmp_path: Path) -> None:
+    path = str(always(tmp_path / "m.onnx", [0.0, 0.0, 2.0, 9.0, 0.0, 0.0, 0.0]))
+    here, farther = observed_at(0.0, 0.0, 0.0), observed_at(1.0, 0.0, 0.0)
+    turned = observed_at(1.0, 0.0, -math.pi / 6.0)
+    seen = [here, farther, farther, turned, turned, turned]
+    turns = [round(math.degrees(d.turn)) for d in decided(UivNav(temperature=0.0, weights=path), *seen)]
+    assert turns == [0, 0, -30, 0, -30, 0]
 
 
 def test_depth_counts_in_the_protocol_s_altitude(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from dream.geometry import wrap_angle
+from dream.geometry import SE2, wrap_angle
 from dream.planning.parameters import check_count, check_range
 from dream.protocol import SurveyProtocol
 from dream.types import Decision, Float32Array, Mission, Observation, Reasoning, UInt8Array
@@ -36,8 +36,9 @@ class UivNav:
 
     What it does: makes of each frame a small image of two channels, nearness and share of target
     (`perception.representation`); asks a network for the turn; then advances by the protocol's longest step.
-    It reads neither map nor pose nor colours, and keeps nothing from one step to the next but a count of
-    the steps, for its dice. Where it would bump into something, the guard shortens its move, as everybody's.
+    It reads neither map nor position nor colours. Of the steps before it keeps their number, for its dice,
+    and one bit: where straight on got it nowhere, it does not try straight on again at once. For the guard
+    shortens its moves as everybody's, and the edge of the area is nothing that a camera shows.
 
     Reference: UIVNav (arXiv 2309.08806), re-implemented: its representation, network and data are not
     published; these are ours. See docs/uivnav.md.
@@ -144,18 +145,24 @@ class _Sighted:
     protocol: SurveyProtocol
     policy: Policy
     steps: int = 0
+    from_here: SE2 | None = None
+    """Where it last went straight on from; None where it turned. Only whether it got away is asked of it."""
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         from dream.perception.representation import represent
 
         protocol = self.protocol
         picture = represent(observation.depth, observation.labels, altitude=protocol.altitude)
-        shares = _shares(self.policy.logits(picture), self.planner.temperature)
+        logits = self.policy.logits(picture)
+        if self.from_here is not None and self.from_here.distance(observation.pose) < 0.5 * protocol.lattice:
+            logits = np.where(np.array(TURNS_DEG) == 0, np.float32(-np.inf), logits)
+        shares = _shares(logits, self.planner.temperature)
         # Two frames that are alike, as where a move was refused, must not be answered alike for ever.
         words = [self.planner.walk_seed, self.steps, zlib.crc32(picture.tobytes())]
         chosen = int(np.random.default_rng(words).choice(len(TURNS_DEG), p=shares))
         self.steps += 1
         turn = _allowed(math.radians(TURNS_DEG[chosen]), protocol)
+        self.from_here = None if turn else observation.pose
         advance = max(protocol.advances)
         target = 100.0 * float(picture[1].mean()) / 255.0
         how = f"a turn of {math.degrees(turn):.0f}°, then on" if turn else "straight on"
