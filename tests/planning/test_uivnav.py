@@ -250,6 +250,18 @@ def test_the_network_that_comes_with_it_must_be_the_one_of_its_card(
         opened()
 
 
+def test_the_network_that_comes_with_it_is_small_and_knows_no_left_from_right() -> None:
+    card = json.loads(uivnav.SHIPPED.with_suffix(".json").read_text())
+    assert uivnav.SHIPPED.stat().st_size < 3_000_000
+    assert UivNav().temperature == card["temperature"], "drawn as freely as it was tried out"
+    policy = opened()
+    for seed in range(4):
+        picture = np.random.default_rng(seed).integers(0, 256, (2, 72, 96), dtype=np.uint8)
+        there, mirrored = policy.logits(picture), policy.logits(picture[:, :, ::-1])
+        np.testing.assert_allclose(mirrored[::-1], there, atol=1e-4)
+        assert np.ptp(there) > 0.01
+
+
 def test_without_onnx_runtime_it_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
