@@ -11,7 +11,7 @@ from dream.commands.report import Report
 from dream.commands.results import Results
 from dream.commands.run import Run, planner_name
 from dream.commands.sweep import Sweep
-from dream.commands.watch import Watch
+from dream.commands.train import Train
 from dream.commands.worlds import Draw, Worlds
 
 __all__ = [
@@ -27,7 +27,7 @@ __all__ = [
     "Results",
     "Run",
     "Sweep",
-    "Watch",
+    "Train",
     "Worlds",
     "planner_name",
 ]

@@ -17,8 +17,16 @@ Float64Array = npt.NDArray[np.float64]
 
 TURNS = tuple(math.radians(degrees) for degrees in (-90, -60, -30, 0, 30, 60, 90))
 """Radians, positive to the left: what the expert and the network choose from."""
+AHEAD = 3
+"""Index of the turn of 0."""
 EVERY = 3
 """Rows and columns of the frame of which one is looked at."""
+EDGE = math.radians(33.0)
+"""To the side of ahead: what lies further out, the side of the image may cut off."""
+LEAST = 0.002
+"""Altitudes² of ground: a target that covers less does not pull."""
+SPECK = 3
+"""Pixels that are looked at: as few as that block nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +52,7 @@ class Expert:
     side: float = 0.5
     """Pull of the target that the side of the image cuts off, within the reach."""
     straight: float = 0.3
-    """Cost of each 30 degrees of turn, where the greatest pull counts 1."""
+    """Cost of each 60 degrees of turn, where the greatest pull counts 1."""
     sharpness: float = 6.0
     """Of the choice: the logarithm of the odds between the greatest pull and none."""
     wander: float = 0.5
@@ -91,12 +99,11 @@ class Expert:
         beyond = away - protocol.reach
         weight = np.where(beyond > 0.0, np.exp(-np.maximum(beyond, 0.0) / (self.far * scale)), self.near)
         worth = np.where(target, ground * weight, 0.0)
-        sector = np.clip(np.rint(rays.bearing / math.radians(30.0)), -1, 1).astype(np.intp) + 3
-        pull = np.bincount(sector.ravel(), worth.ravel(), minlength=7)
+        sector = np.clip(np.rint(rays.bearing / math.radians(30.0)), -1, 1).astype(np.intp) + AHEAD
+        pull = np.bincount(sector.ravel(), worth.ravel(), minlength=len(TURNS)).astype(np.float64)
         cut = np.where(target & (beyond <= 0.0), ground * self.side, 0.0)
-        edge = np.abs(rays.bearing) > math.radians(33.0)
-        for turn, sign in ((1, -1.0), (5, 1.0)):
-            pull[turn] = cut[edge & (np.sign(rays.bearing) == sign)].sum()
+        pull[AHEAD - 2] = cut[rays.bearing < -EDGE].sum()
+        pull[AHEAD + 2] = cut[rays.bearing > EDGE].sum()
         return pull
 
     def _free(
@@ -108,34 +115,31 @@ class Expert:
         x, y = z * rays.ahead, z * rays.left
         solid = returned & (height > protocol.band[0]) & (height < protocol.band[1])
         half = self.room * scale
-        free = np.ones(7, np.bool_)
+        free = np.ones(len(TURNS), np.bool_)
         xs, ys = x[solid], y[solid]
         for k, turn in enumerate(TURNS):
             c, s = math.cos(turn), math.sin(turn)
             along, across = c * xs + s * ys, np.abs(c * ys - s * xs)
             hit = (along > 0.0) & (along < self.clearance * scale) & (across < half)
-            free[k] = np.count_nonzero(hit) < 4
+            free[k] = np.count_nonzero(hit) <= SPECK
         return free
 
     def _chosen(self, pull: Float64Array, free: npt.NDArray[np.bool_]) -> Float64Array:
-        cost = np.abs(np.arange(7) - 3.0)
+        cost = np.abs(np.arange(len(TURNS)) - AHEAD)  # In turns of 30 degrees.
         allowed = np.where(free, pull, 0.0)
         if allowed.max() > LEAST:
-            score = self.sharpness * (allowed / allowed.max() - self.straight * cost * 0.5)
+            score = self.sharpness * (allowed / allowed.max() - self.straight * cost / 2.0)
             odds = np.where(free, np.exp(score), 0.0)
-        elif free[3]:
+        elif free[AHEAD]:
             odds = np.where(free & (cost > 0), self.wander * np.exp(-self.bend * cost), 0.0)
             odds *= self.wander / odds.sum() if odds.any() else 0.0
-            odds[3] = 1.0 - self.wander
+            odds[AHEAD] = 1.0 - self.wander
         else:
             odds = np.where(free, np.exp(-self.bend * cost), 0.0)
-        if not odds.any():
-            odds = np.array([1.0, 0, 0, 0, 0, 0, 1.0])
-        return odds / odds.sum()
-
-
-LEAST = 0.002
-"""Altitudes² of target: less is a speck."""
+        if not odds.any():  # Shut in on all sides: what was behind was free when it came.
+            odds[[0, -1]] = 1.0
+        shares: Float64Array = odds / odds.sum()
+        return shares
 
 
 @dataclass(frozen=True, slots=True, eq=False)

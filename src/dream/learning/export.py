@@ -44,7 +44,6 @@ def as_onnx(student: torch.nn.Sequential) -> bytes:
     except ImportError as error:
         raise ValueError(EXTRA) from error
     constants: dict[str, Any] = {
-        "one": np.array([1], np.int64),
         "back": np.array([-1], np.int64),
         "far": np.array([np.iinfo(np.int64).min], np.int64),
         "columns": np.array([3], np.int64),
@@ -73,7 +72,6 @@ def as_onnx(student: torch.nn.Sequential) -> bytes:
         helper.make_node("Add", ["straight", "uncrossed"], ["sum"]),
         helper.make_node("Mul", ["sum", "half"], [OUTPUT]),
     ]
-    del constants["one"]
     float32 = onnx.TensorProto.FLOAT
     graph = helper.make_graph(
         nodes,
@@ -88,7 +86,9 @@ def as_onnx(student: torch.nn.Sequential) -> bytes:
     onnx.checker.check_model(model, full_check=True)
     written: bytes = model.SerializeToString(deterministic=True)
     if len(written) > MOST_BYTES:
-        raise ValueError(f"model: expected at most {MOST_BYTES} bytes, got {len(written)}. Take a smaller network")
+        raise ValueError(
+            f"model: expected at most {MOST_BYTES} bytes, got {len(written)}. Take a smaller network"
+        )
     check(written, student)
     return written
 
@@ -96,7 +96,10 @@ def as_onnx(student: torch.nn.Sequential) -> bytes:
 def check(model: bytes, student: torch.nn.Sequential) -> float:
     """By how much the file's answers differ from PyTorch's, at most; a ValueError where that is too much."""
     images = np.random.default_rng(0).integers(0, 256, (8, PLANES, HEIGHT, WIDTH), np.uint8)
-    ours, theirs = run(model, images.astype(np.float32) / np.float32(255.0)), answers_of(student, images)
+    ours, theirs = (
+        answers_in(model, images.astype(np.float32) / np.float32(255.0)),
+        answers_of(student, images),
+    )
     worst = float(np.abs(ours - theirs).max())
     if not worst <= AGREES:
         raise ValueError(
@@ -105,7 +108,7 @@ def check(model: bytes, student: torch.nn.Sequential) -> float:
     return worst
 
 
-def run(model: bytes, pictures: Float32Array) -> Float32Array:
+def answers_in(model: bytes, pictures: Float32Array) -> Float32Array:
     """(n, 7) logits for (n, 2, 72, 96) float32 pictures, on one core."""
     import onnxruntime
 

@@ -87,5 +87,4 @@ class Network:
                 layers += [convolution, nn.BatchNorm2d(after), nn.ReLU()]
             layers += [nn.Flatten(), nn.Dropout(self.dropout), nn.Linear(self.features, self.hidden)]
             layers += [nn.ReLU(), nn.Linear(self.hidden, len(TURNS))]
-            made: torch.nn.Sequential = nn.Sequential(*layers)
-        return made
+            return nn.Sequential(*layers)

@@ -5,12 +5,13 @@ Each mission is one file, written whole or not at all, so that what is broken of
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import json
 import math
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -97,6 +98,31 @@ class Frames:
         return Frames(np.concatenate([p.images for p in parts]), np.concatenate([p.odds for p in parts]))
 
 
+@dataclass(frozen=True, slots=True)
+class Taught:
+    """The teacher flies: a planner like others, to be compared with those who learned from it."""
+
+    expert: Expert = field(default_factory=Expert)
+    seed: int = 0
+    """Of what it draws."""
+
+    def begin(self, mission: Mission) -> _Teaching:
+        """A fresh pilot, the same for the same seed."""
+        return _Teaching(self.expert, mission.protocol, np.random.default_rng(self.seed))
+
+
+@dataclass(slots=True)
+class _Teaching:
+    expert: Expert
+    protocol: SurveyProtocol
+    rng: np.random.Generator
+
+    def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
+        odds = self.expert.weigh(observation.depth, observation.labels, self.protocol)
+        turn = TURNS[int(self.rng.choice(len(TURNS), p=odds))]
+        return Decision(turn, max(self.protocol.advances))
+
+
 def fly(lesson: Lesson) -> Frames:
     """Fly one mission and keep what the expert says to every frame. The same again for the same lesson."""
     stage, protocol = _stage(lesson.case.world, lesson.case.seed), protocol_named(lesson.protocol)
@@ -177,7 +203,7 @@ def _stage(world: str, seed: int) -> _Stage:
     return _Stage(made, Colourless(made), Solids(made))
 
 
-def gather(lessons: Sequence[Lesson], folder: Path, engine: Engine) -> Iterator[Frames]:
+def gather(lessons: Sequence[Lesson], folder: Path, engine: Engine) -> Generator[Frames, None, None]:
     """Fly what is missing in a folder, and yield the frames of every lesson, in order.
 
     Raises:
@@ -187,14 +213,14 @@ def gather(lessons: Sequence[Lesson], folder: Path, engine: Engine) -> Iterator[
     folder.mkdir(parents=True, exist_ok=True)
     files = {lesson: lesson.file(folder) for lesson in lessons}
     missing = [lesson for lesson in lessons if read(files[lesson]) is None]
-    flown = engine.run(fly, [[lesson] for lesson in missing])
-    for lesson in lessons:
-        while (frames := read(files[lesson])) is None:
-            ended, outcome = next(flown)
-            if isinstance(outcome, Failure):
-                raise ValueError(f"{ended.case.world} {ended.case.seed}: {outcome.message}")
-            write(files[ended], outcome)
-        yield frames
+    with contextlib.closing(engine.run(fly, [[lesson] for lesson in missing])) as flown:
+        for lesson in lessons:
+            while (frames := read(files[lesson])) is None:
+                ended, outcome = next(flown)
+                if isinstance(outcome, Failure):
+                    raise ValueError(f"{ended.case.world} {ended.case.seed}: {outcome.message}")
+                write(files[ended], outcome)
+            yield frames
 
 
 def write(path: Path, frames: Frames) -> None:
@@ -207,7 +233,8 @@ def write(path: Path, frames: Frames) -> None:
 def read(path: Path) -> Frames | None:
     """The frames in a file; None where there is none, or a damaged one."""
     try:
-        with np.load(path, allow_pickle=False) as content:
+        # Opened here, since np.load leaves a damaged file open.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
             images, odds = content["images"], content["odds"]
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None

@@ -1,0 +1,134 @@
+"""`dream train`: a network that steers by sight, learned from a teacher in simulated reefs."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dream.commands.console import LINE_EVERY, check_writable, print_json
+from dream.errors import MissionAborted
+
+if TYPE_CHECKING:
+    from dream.learning.curriculum import Progress
+
+
+@dataclass(frozen=True, slots=True)
+class Train:
+    """Teach a network to steer by sight, as the planner `uivnav` does: no map, no position, no memory.
+
+    A teacher who sees only the present frame flies simulated reefs and says, to every frame, how likely it
+    would turn which way; a student learns to say the same. Then the student flies, the teacher says what it
+    would have done there, and a new student learns from all of it: once for each of the --rounds. All of
+    them fly trials on other reefs, and the best is kept: `uivnav.onnx`, and `uivnav.json`, its card. Try it
+    with `dream run uivnav --weights train/uivnav.onnx`.
+
+    With its defaults it makes the network that comes with DREAM, in half an hour on two cores. No world of a
+    suite is ever learned from. Interrupted, the same command goes on where it was.
+    """
+
+    out: Path = Path("train")
+    """Folder of the frames, the students, the network and its card."""
+    missions: int = 126
+    """That the teacher flies; nine kinds of reef in turn."""
+    more: int = 45
+    """That the student flies, in each further round."""
+    rounds: int = 2
+    """Further ones; 0 learns from the teacher's missions alone. More may be asked for later."""
+    steps: int = 150
+    """Of each mission."""
+    epochs: int = 8
+    """How often a student sees every frame."""
+    trials: int = 18
+    """Worlds in which the students are tried."""
+    seed: int = 0
+    """Of all that is drawn. The same seed on the same machine gives the same network."""
+    jobs: int | None = None
+    """Missions at a time; as many as there are processors unless given."""
+    device: str = "auto"
+    """Where a student learns: cpu, cuda, or auto for a GPU where there is one."""
+    json: bool = False
+    """Print one JSON object and nothing else."""
+
+    def __call__(self) -> int:
+        """Exit status 0."""
+        from dream.evaluation.engines import Processes
+        from dream.learning.curriculum import CARD, MODEL, Curriculum, learn
+        from dream.learning.training import Training
+
+        curriculum = Curriculum(
+            missions=self.missions,
+            more=self.more,
+            rounds=self.rounds,
+            steps=self.steps,
+            trials=self.trials,
+            seed=self.seed,
+            training=Training(epochs=self.epochs, seed=self.seed),
+        )
+        engine = Processes(self.jobs)
+        check_writable(self.out)
+        try:
+            with contextlib.closing(learn(curriculum, self.out, engine, self.device)) as work:
+                for _ in _shown(work):
+                    pass
+        except KeyboardInterrupt:
+            raise MissionAborted(
+                f"aborted: interrupted; what is done is kept in {self.out}, "
+                "and the same command goes on from there"
+            ) from None
+        card = json.loads((self.out / CARD).read_text(encoding="utf-8"))
+        if self.json:
+            print_json({"out": str(self.out), "card": card})
+        else:
+            _print(card, self.out / MODEL)
+        return 0
+
+
+def _shown(work: Iterator[Progress]) -> Iterator[Progress]:
+    """Pass the work on, with a bar for each part of it on standard error, or a line every so often."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bars
+
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[said]}", markup=False),
+        TimeElapsedColumn(),
+    )
+    last = time.monotonic()
+    with Bars(*columns, console=console, disable=not console.is_terminal) as bars:
+        tasks: dict[str, Any] = {}
+        for now in work:
+            if now.part not in tasks:
+                tasks[now.part] = bars.add_task(now.part, total=now.total, said="")
+            bars.update(tasks[now.part], completed=now.done, said=now.said)
+            ended = now.done == now.total
+            if not console.is_terminal and (ended or time.monotonic() - last >= LINE_EVERY):
+                last = time.monotonic()
+                said = f", {now.said}" if now.said else ""
+                print(f"{now.part}: {now.done}/{now.total}{said}", file=sys.stderr)
+            yield now
+
+
+def _print(card: dict[str, Any], model: Path) -> None:
+    """The trials as a table, and what came of them."""
+    from rich.console import Console
+    from rich.table import Table
+
+    trials = card["trials"]
+    table = Table(title=f"{trials['worlds']} reefs that nothing was learned from, {trials['steps']} steps")
+    for heading in ("", "of the targets", "targets a metre", "metres"):
+        table.add_column(heading, justify="right" if heading else "left")
+    for name, row in trials["rows"].items():
+        table.add_row(name, f"{row['share']:.1%}", f"{row['targets_per_metre']:.2f}", f"{row['metres']:.1f}")
+    console = Console(width=None if sys.stdout.isatty() else 120)
+    console.print(table)
+    console.print(f"{model}: {card['chosen']}", markup=False, highlight=False, soft_wrap=True)
