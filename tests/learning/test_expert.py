@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dream.learning.expert import TURNS, Expert
 from dream.perception.representation import represent
 from dream.planning.baselines.uivnav import TURNS_DEG
 from dream.protocol import DREAM_V1
+from dream.types import Label
 from tests.learning.frames import Where, floor, nowhere
 
 RIGHT_90, RIGHT_60, RIGHT_30, STRAIGHT, LEFT_30, LEFT_60, LEFT_90 = range(7)
@@ -71,12 +72,17 @@ def test_before_a_wall_it_turns_out_of_view() -> None:
     assert odds.sum() == pytest.approx(1.0)
 
 
+@settings(max_examples=15)
 @given(st.integers(0, 2**32 - 1))
 def test_the_mirror_image_gets_the_mirrored_answer(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    depth = rng.uniform(1.0, 20.0, (240, 320)).astype(np.float32)
-    depth[rng.random(depth.shape) < 0.2] = np.nan
-    labels = np.where(np.isnan(depth), 0, rng.integers(1, 4, depth.shape)).astype(np.uint8)
+
+    def some(count: int, least: float, size: float) -> Where:
+        discs = [disc(*rng.uniform((least, -7.0, 0.1), (14.0, 7.0, size))) for _ in range(count)]
+        return lambda x, y: np.logical_or.reduce([each(x, y) for each in discs])
+
+    depth, labels = floor(some(4, 2.0, 2.0), some(2, 2.5, 0.5))
+    labels[(rng.random(labels.shape) < 0.1) & (labels > 0)] = int(Label.TARGET)
     straight = Expert().weigh(depth, labels, DREAM_V1)
     crossed = Expert().weigh(depth[:, ::-1], labels[:, ::-1], DREAM_V1)
     np.testing.assert_allclose(crossed, straight[::-1], rtol=1e-9)
@@ -87,10 +93,13 @@ def test_half_the_size_looks_the_same() -> None:
     half = replace(
         DREAM_V1, name="half", altitude=1.0, reach=4.0, band=(0.25, 1.25), max_depth=10.0, min_depth=0.05
     )
-    small = disc(5.0, 2.0, 0.8), disc(1.4, 0.0, 0.25)
-    large = disc(10.0, 4.0, 1.6), disc(2.8, 0.0, 0.5)
-    depth, labels = floor(*small, half)
-    whole_depth, whole_labels = floor(*large)
+
+    def boxes(size: float) -> Where:
+        near, off = disc(1.4 * size, 0.0, 0.25 * size), disc(2.4 * size, 1.4 * size, 0.25 * size)
+        return lambda x, y: near(x, y) | off(x, y)
+
+    depth, labels = floor(disc(5.0, 2.0, 0.8), boxes(1.0), half)
+    whole_depth, whole_labels = floor(disc(10.0, 4.0, 1.6), boxes(2.0))
     np.testing.assert_allclose(
         Expert().weigh(depth, labels, half), Expert().weigh(whole_depth, whole_labels, DREAM_V1), rtol=1e-5
     )
