@@ -48,7 +48,7 @@ class UivNav:
     that it is done.
     """
 
-    temperature: float = 0.7
+    temperature: float = 1.0
     """How freely it draws its turn: 1 as often as the network says, 0 always the likeliest."""
     walk_seed: int = 0
     """Seed of what it draws."""
