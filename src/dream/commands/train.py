@@ -28,8 +28,8 @@ class Train:
     them fly trials on other reefs, and the best is kept: `uivnav.onnx`, and `uivnav.json`, its card. Try it
     with `dream run uivnav --weights train/uivnav.onnx`.
 
-    With its defaults it makes the network that comes with DREAM, in half an hour on two cores. No world of a
-    suite is ever learned from. Interrupted, the same command goes on where it was.
+    With its defaults it makes the network that comes with DREAM, in a quarter of an hour on two cores. No
+    world of a suite is ever learned from. Interrupted, the same command goes on where it was.
     """
 
     out: Path = Path("train")
@@ -38,7 +38,7 @@ class Train:
     """That the teacher flies; nine kinds of reef in turn."""
     more: int = 45
     """That the student flies, in each further round."""
-    rounds: int = 2
+    rounds: int = 1
     """Further ones; 0 learns from the teacher's missions alone. More may be asked for later."""
     steps: int = 150
     """Of each mission."""

@@ -51,7 +51,7 @@ class Curriculum:
     """That the teacher flies."""
     more: int = 45
     """That the student flies, in each further round."""
-    rounds: int = 2
+    rounds: int = 1
     """Further ones."""
     steps: int = 150
     """Of a mission to learn from."""
@@ -244,6 +244,17 @@ def summary(outcomes: list[Outcome]) -> dict[str, float]:
     }
 
 
+def _options(curriculum: Curriculum) -> list[str]:
+    """What `dream train` is to be told, where that is not as it would do anyway."""
+    usual = Curriculum()
+    told = {
+        name: getattr(curriculum, name) for name in ("missions", "more", "rounds", "steps", "trials", "seed")
+    }
+    options = [f"--{name} {value}" for name, value in told.items() if value != getattr(usual, name)]
+    epochs = curriculum.training.epochs
+    return options + [f"--epochs {epochs}"] * (epochs != usual.training.epochs)
+
+
 def _of_name(name: str) -> tuple[int, float]:
     """Round and temperature of a student's row."""
     _, number, _, temperature = name.split()
@@ -299,6 +310,6 @@ def _card(
             "python": platform.python_version(),
             **{name: version(name) for name in ("torch", "onnx", "numpy")},
         },
-        "command": "dream train",
+        "command": " ".join(["dream train", *_options(curriculum)]),
         "licence": "Apache-2.0",
     }
