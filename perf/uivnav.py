@@ -310,6 +310,15 @@ def noise(out: Path, weights: str | None) -> None:
         print(f"{world_name} {seed}", flush=True)
 
 
+def whole(kept: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Missions of the worlds in which all were flown, so that levels are compared on the same worlds."""
+    count: dict[tuple[str, int], int] = defaultdict(int)
+    for k in kept:
+        count[k["world"], k["seed"]] += 1
+    every = 1 + len(IOUS) + len(DEPTH_ERRORS)
+    return [k for k in kept if count[k["world"], k["seed"]] == every]
+
+
 def curve(kept: Sequence[dict[str, Any]], what: str, key: str) -> Iterator[tuple[float, Array, list[str]]]:
     """Of each level of a kind of noise, the least first: the level, a value for each world, the families."""
     rest = {"iou": ("depth_error", 0.0), "depth_error": ("iou", 1.0)}[key]
@@ -425,7 +434,7 @@ def main() -> int:
     elif options.what == "speed":
         speed(options.weights)
     else:
-        kept = [json.loads(line) for line in options.noise.read_text().splitlines()]
+        kept = whole([json.loads(line) for line in options.noise.read_text().splitlines()])
         levels(kept)
         picture = Picture("uivnav-noise", "What noise does to UIVNav", "", lambda theme: draw(kept, theme))
         options.picture.write_bytes(picture.svg())
