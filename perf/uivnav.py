@@ -352,7 +352,8 @@ def draw(kept: Sequence[dict[str, Any]], theme: Theme) -> Figure:
         for axes, (key, below) in zip(axes_row, keys.items(), strict=True):
             levels, means, lows, highs = [], [], [], []
             for level, values, strata in curve(kept, what, key):
-                got = statistics.interval(values, strata, statistics.mean)
+                limits = (0.0, 100.0) if what == "coverage" else (0.0, math.inf)
+                got = statistics.interval(values, strata, statistics.mean, limits=limits)
                 levels.append(level)
                 means.append(got.value)
                 lows.append(got.value - got.low)
