@@ -33,6 +33,7 @@ An underwater robot that finds and maps a habitat without knowing where it is.
   probe    can a model read our map? questions with known answers
   worlds   list the worlds
   draw     draw a world as a picture
+  watch    runs in a browser, while they are flown and after
   report   write the HTML page of a recorded run again
   replay   a recorded run again through the loop: are its decisions the same?
   export   a recorded dive as a data set for others
@@ -42,7 +43,7 @@ An underwater robot that finds and maps a habitat without knowing where it is.
 """
 COMMANDS = (
     *("run", "dive", "mission", "bench", "sweep", "results", "oracle", "probe", "worlds", "draw", "report"),
-    *("replay", "export", "train"),
+    *("replay", "watch", "export", "train"),
 )
 
 FAILED, BAD_INPUT = 1, 2

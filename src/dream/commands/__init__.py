@@ -12,6 +12,7 @@ from dream.commands.results import Results
 from dream.commands.run import Run, planner_name
 from dream.commands.sweep import Sweep
 from dream.commands.train import Train
+from dream.commands.watch import Watch
 from dream.commands.worlds import Draw, Worlds
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "Run",
     "Sweep",
     "Train",
+    "Watch",
     "Worlds",
     "planner_name",
 ]
