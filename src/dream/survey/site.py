@@ -1,0 +1,89 @@
+"""Where on earth a run took place."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+Float64Array = npt.NDArray[np.float64]
+
+MOST_BYTES = 1 << 16
+"""A larger site file is refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """The origin of a run's `world` on the globe, its heading and its depth datum."""
+
+    name: str
+    latitude: float
+    """Degrees north, WGS 84, of the local origin."""
+    longitude: float
+    """Degrees east."""
+    heading_deg: float = 0.0
+    """True bearing of the local y axis, clockwise from north: 0 where y is north and x is east."""
+    datum: str = "local sea surface"
+    """What depths are below: a chart datum such as MLLW."""
+    datum_offset: float = 0.0
+    """Metres from the datum up to the local z = 0."""
+
+    def __post_init__(self) -> None:
+        if not self.name.strip():
+            raise ValueError("site: expected a name, got none")
+        limits = {"latitude": 90.0, "longitude": 180.0, "heading_deg": 360.0, "datum_offset": 12_000.0}
+        for field, limit in limits.items():
+            value = getattr(self, field)
+            if not (math.isfinite(value) and abs(value) <= limit):
+                raise ValueError(f"site: {field}: expected a number within ±{limit:g}, got {value}")
+
+    def east_north(self, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[Float64Array, Float64Array]:
+        """Metres true east and north of the origin for points of the world."""
+        x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
+        bearing = math.radians(self.heading_deg)
+        c, s = math.cos(bearing), math.sin(bearing)
+        return c * x + s * y, -s * x + c * y
+
+
+class _File(BaseModel):
+    """`site.json`, as an operator writes it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    name: Annotated[str, Field(min_length=1, max_length=200)]
+    latitude: float
+    longitude: float
+    heading_deg: float = 0.0
+    datum: Annotated[str, Field(max_length=200)] = "local sea surface"
+    datum_offset: float = 0.0
+
+
+def read_site(path: Path) -> Site:
+    """A site from a JSON file with the fields of `Site`.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It does not say a site; the message names what is wrong.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(
+            f'{path}: expected a site file such as {{"name": "Inner reef", "latitude": 54.9, "longitude": 8.3}}'
+            ", got no file"
+        )
+    if path.stat().st_size > MOST_BYTES:
+        raise ValueError(f"{path}: expected at most {MOST_BYTES} bytes, got {path.stat().st_size}")
+    try:
+        fields = _File.model_validate_json(path.read_bytes())
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(map(str, first["loc"])) or "the whole"
+        raise ValueError(f"{path}: {where}: {first['msg']}, got {str(first['input'])[:80]!r}") from error
+    try:
+        return Site(**fields.model_dump())
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error

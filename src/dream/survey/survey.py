@@ -1,0 +1,147 @@
+"""What one survey found: measures, individuals, patches, maps, and the way they were got.
+
+A `Survey` holds all that products, the archive and comparisons need; the run folder is not looked at again,
+except for an orthomosaic. Positions are in the run's own `world` (east-north-up, metres) until a `Site` says
+where on earth that is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.geometry import Bounds
+from dream.survey.site import Site
+from dream.types import Reasoning, Target
+
+Float64Array = npt.NDArray[np.float64]
+Float32Array = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """One figure with its 95 % interval."""
+
+    name: str
+    """Such as `reef_area`, `density`, `median_size`, `reef_height`."""
+    value: float | None
+    """None where it could not be measured; `note` says why."""
+    low: float | None
+    high: float | None
+    unit: str
+    """Such as `m2`, `1/m2`, `m`; empty for a share."""
+    note: str = ""
+    """How it was got, or why it was not."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Individuals:
+    """N individuals, each counted once. Arrays share their first axis."""
+
+    position: Float64Array
+    """(N, 3) metres in the world, the middle of each at its highest."""
+    sigma: Float64Array
+    """(N,) metres, standard error of the position over ground, pose errors included."""
+    size: Float64Array
+    """(N,) metres across, the longest diameter."""
+    size_sigma: Float64Array
+    """(N,) metres, standard error."""
+    hits: npt.NDArray[np.int32]
+    """(N,) frames in which it was found."""
+    looks: npt.NDArray[np.int32]
+    """(N,) frames in which it could have been."""
+    confidence: Float64Array
+    """(N,) probability that it is one."""
+    patch: npt.NDArray[np.int32]
+    """(N,) index into `Survey.patches`; −1 for none."""
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Patch:
+    """One patch of reef, or the outline of a wreck or of a piece of its debris."""
+
+    rings: tuple[Float64Array, ...]
+    """(K, 2) each, metres in the world, closed (first point = last); the first is the outline,
+    counter-clockwise, the others its holes, clockwise."""
+    measures: tuple[Measure, ...]
+    """Of it: `area`, `length`, `width`, `height`, `rugosity`, `density`, `count`, as far as they apply."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layers:
+    """Maps on one grid: `cells[row, col]`, row grows with y, col with x, the first cell at the lower left."""
+
+    bounds: Bounds
+    """Whole numbers of cells."""
+    cell: float
+    """Metres."""
+    state: npt.NDArray[np.uint8]
+    """(rows, cols) 0 unknown, 1 explored, 2 target, 3 solid, 4 solid target (a wreck)."""
+    target_probability: Float32Array
+    """(rows, cols) NaN where nothing was seen."""
+    relief: Float32Array
+    """(rows, cols) metres above the bare seabed around it; NaN where nothing was seen."""
+    times_seen: npt.NDArray[np.uint16]
+    """(rows, cols) frames that saw it within reach."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """Where the vehicle was, one row a step."""
+
+    time: Float64Array
+    """(S,) seconds since the mission started."""
+    position: Float64Array
+    """(S, 3) metres in the world."""
+    yaw: Float64Array
+    """(S,) radians."""
+    sigma: Float64Array
+    """(S,) metres by which the position may err."""
+
+
+@dataclass(frozen=True, slots=True)
+class DecisionPoint:
+    """What was decided at a step, where it led, and why."""
+
+    step: int
+    time: float
+    x: float
+    y: float
+    yaw: float
+    """Where the step ended, metres and radians."""
+    turn: float
+    advance: float
+    reasoning: Reasoning
+    note: str = ""
+    """What the guard changed or what was wrong on the way."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Survey:
+    """One mission as a monitor reads it."""
+
+    name: str
+    """That of the run folder."""
+    began: datetime
+    """With its time zone."""
+    site: Site | None
+    """None where the run had no origin: measures hold all the same, products on the globe do not."""
+    target: Target
+    protocol: str
+    area: Bounds
+    """The operator's box."""
+    measures: tuple[Measure, ...]
+    individuals: Individuals
+    patches: tuple[Patch, ...]
+    layers: Layers
+    track: Track
+    decisions: tuple[DecisionPoint, ...]
+    made_by: dict[str, Any]
+    """Version, commit, planner, world and seed where simulated, and the parameters of the measuring."""
