@@ -191,11 +191,11 @@ def _individuals() -> Individuals:
     return Individuals(
         position=np.column_stack([x, y, np.full(60, SEABED + 0.3)]),
         sigma=np.full(60, 0.05),
-        size=0.15 + 0.2 * ((number * 37) % 60) / 59.0,
+        size=np.asarray(0.15 + 0.2 * ((number * 37) % 60) / 59.0, np.float64),
         size_sigma=np.full(60, 0.02),
         hits=np.ceil(0.9 * looks).astype(np.int32),
         looks=looks,
-        confidence=0.9 + 0.1 * (number % 10) / 10.0,
+        confidence=np.asarray(0.9 + 0.01 * (number % 10), np.float64),
         patch=patch,
     )
 
