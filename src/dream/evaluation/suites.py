@@ -65,10 +65,12 @@ def suite_named(name: str) -> tuple[Case, ...]:
 def family_of(world: str) -> str:
     """The family that a world is counted with: one of `REEF_FAMILIES`, letter, wreck, pool or flat.
 
+    A reef some years on, `reef/string+1y1`, is of the family that it was of.
+
     Raises:
         ValueError: The world is of no family.
     """
-    kind, _, name = world.partition("/")
+    kind, _, name = world.partition("+")[0].partition("/")
     if kind in ("wreck", "pool", "flat"):
         return kind
     if kind == "reef" and name in LETTERS:

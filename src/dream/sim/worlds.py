@@ -1,6 +1,7 @@
 """Every world by its name, and how an arena is put together.
 
-`make_world("reef/string", 3)` gives the same world for ever, on every machine.
+`make_world("reef/string", 3)` gives the same world for ever, on every machine; `reef/string+1y2` is the same
+reef a year on, the second of its futures (`dream.sim.years`).
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from dream.sim.validity import check_seed
 from dream.sim.water import WATERS, Water
 from dream.sim.world import Instances, Mesh, World
 from dream.sim.wrecks import wreck
+from dream.sim.years import LATER, later
 
 Builder = Callable[[np.random.Generator], World]
 
@@ -180,11 +182,14 @@ WORLDS: tuple[str, ...] = tuple(BUILDERS)
 
 
 def make_world(name: str, seed: int) -> World:
-    """The world of that name and seed.
+    """The world of that name and seed; a name such as `reef/string+1y2` is that reef some years on.
 
     Raises:
         ValueError: No world has that name, or the seed is not in [0, 2**63).
     """
+    on = LATER.fullmatch(name)
+    if on is not None:
+        return later(make_world(on["name"], seed), float(on["years"]), int(on["seed"]))
     build = look_up(BUILDERS, name, "world", see="See dream worlds")
     check_seed(seed)
     words = np.frombuffer(hashlib.sha256(name.encode()).digest()[:16], "<u4")
