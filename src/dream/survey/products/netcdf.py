@@ -1,0 +1,286 @@
+"""One survey or several of a site as a netCDF file by the CF conventions 1.8: measures over time, and maps.
+
+The classic format (CDF-2) is written by SciPy and read by everything that reads netCDF. `time` counts the surveys, one
+for a single one. Measures are variables over `time` with a `bounds`-like companion for their interval: `NAME_interval`
+(time, side) holds the lower and upper end of the 95 %, and is named in `ancillary_variables`. Maps lie north up on the
+map sheet of the site, as the GeoTIFFs do.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.survey.products.geotiff import Laid, corners_of, laid_on, sheet_around
+from dream.survey.products.ground import Ground, site_of
+from dream.survey.products.styles import EXPLORED, SOLID, SOLID_TARGET, TARGET, UNKNOWN
+from dream.survey.survey import Measure, Survey
+
+NAME = "survey.nc"
+FINER = 2
+"""Cells along one of the map: less than a GeoTIFF has, as each also tells its latitude and longitude."""
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+MEANINGS = {
+    UNKNOWN: "not_seen",
+    EXPLORED: "seen_none_found",
+    TARGET: "target",
+    SOLID: "obstacle",
+    SOLID_TARGET: "high_target",
+}
+FILL = 9.96921e36
+"""netCDF's own for floats: CF wants a number, and NaN is not understood everywhere."""
+FILL_BYTE, FILL_SHORT = -127, -32767
+
+_UNITS = {"m2": "m2", "1/m2": "m-2", "m": "m", "": "1"}
+
+
+def write(surveys: Sequence[Survey], path: Path) -> None:
+    """Write surveys of one site, in the order of their time.
+
+    Args:
+        surveys: At least one, all with the same origin and heading.
+        path: Of the file.
+
+    Raises:
+        ValueError: A survey has no origin, or they are of different sites.
+        OSError: It cannot be written.
+    """
+    from scipy.io import netcdf_file
+
+    surveys = sorted(surveys, key=lambda survey: survey.began)
+    ground = _common_ground(surveys)
+    corners = np.concatenate([corners_of(survey.layers) for survey in surveys])
+    sheet = sheet_around(ground, corners, min(survey.layers.cell for survey in surveys) / FINER)
+    on = [laid_on(sheet, survey.layers, ground) for survey in surveys]
+    with netcdf_file(path, "w", version=2) as file:
+        _describe(file, surveys, ground)
+        file.createDimension("time", len(surveys))
+        file.createDimension("side", 2)
+        file.createDimension("name_length", max(len(survey.name.encode()) for survey in surveys))
+        file.createDimension("y", sheet.rows)
+        file.createDimension("x", sheet.cols)
+        _times(file, surveys)
+        easting = sheet.west + sheet.cell * (np.arange(sheet.cols) + 0.5)
+        northing = sheet.north - sheet.cell * (np.arange(sheet.rows) + 0.5)
+        for name, values, of in (("x", easting, "easting"), ("y", northing, "northing")):
+            _variable(
+                file,
+                name,
+                "d",
+                (name,),
+                values,
+                standard_name=f"projection_{name}_coordinate",
+                long_name=of,
+                units="m",
+                axis=name.upper(),
+            )
+        _grid_mapping(file, ground)
+        _globe(file, ground, easting, northing)
+        _maps(file, surveys, on)
+        _measures(file, surveys)
+
+
+def _common_ground(surveys: Sequence[Survey]) -> Ground:
+    if not surveys:
+        raise ValueError("netCDF: expected at least one survey, got none")
+    site = site_of(surveys[0])
+    for survey in surveys[1:]:
+        other = site_of(survey)
+        same = ("latitude", "longitude", "heading_deg", "datum_offset", "name", "datum")
+        if any(getattr(site, field) != getattr(other, field) for field in same):
+            raise ValueError(
+                f"netCDF: expected surveys of one site, got {site.name} and {other.name}, "
+                "which differ in their origin, heading or datum. Write a file for each"
+            )
+    return Ground(site)
+
+
+def _describe(file: Any, surveys: Sequence[Survey], ground: Ground) -> None:
+    site, first, last = ground.site, surveys[0], surveys[-1]
+    box = np.concatenate([corners_of(survey.layers) for survey in surveys])
+    longitude, latitude = ground.globe(box[:, 0], box[:, 1])
+    versions = dict.fromkeys(str(survey.made_by.get("version", "unknown")) for survey in surveys)
+    attributes = {
+        "Conventions": "CF-1.8, ACDD-1.3",
+        "title": f"Surveys of {site.name}",
+        "summary": "Measures with 95 % intervals and maps from missions of an underwater robot: what was seen, "
+        "where the target stands, its relief, and how often each place was looked at.",
+        "keywords": "seabed habitat, reef, wreck, autonomous underwater vehicle",
+        "source": f"DREAM {', '.join(versions)}",
+        "history": f"{_iso(last.began)}: made from {', '.join(survey.name for survey in surveys)}",
+        "references": "docs/survey-measures.md of DREAM",
+        "comment": f"Depths are below {site.datum}; z = 0 of the run lies {site.datum_offset:g} m above it",
+        "geospatial_lat_min": float(latitude.min()),
+        "geospatial_lat_max": float(latitude.max()),
+        "geospatial_lon_min": float(longitude.min()),
+        "geospatial_lon_max": float(longitude.max()),
+        "geospatial_vertical_positive": "up",
+        "time_coverage_start": _iso(first.began),
+        "time_coverage_end": _iso(_ended(last)),
+    }
+    _set(file, attributes)
+
+
+def _times(file: Any, surveys: Sequence[Survey]) -> None:
+    began = np.array([(survey.began - EPOCH).total_seconds() for survey in surveys])
+    ended = np.array([(_ended(survey) - EPOCH).total_seconds() for survey in surveys])
+    _variable(
+        file,
+        "time",
+        "d",
+        ("time",),
+        began,
+        standard_name="time",
+        long_name="when the survey began",
+        units="seconds since 1970-01-01 00:00:00",
+        calendar="standard",
+        axis="T",
+        bounds="time_bounds",
+    )
+    _variable(file, "time_bounds", "d", ("time", "side"), np.column_stack([began, ended]))
+    width = file.dimensions["name_length"]
+    names = np.array([list(survey.name.encode().ljust(width)) for survey in surveys], np.uint8).view("S1")
+    _variable(file, "survey", "c", ("time", "name_length"), names, long_name="name of the survey")
+
+
+def _grid_mapping(file: Any, ground: Ground) -> None:
+    attributes = {
+        name: value
+        for name, value in ground.crs.to_cf().items()
+        if not (isinstance(value, str) and not value) and value != "undefined"
+    }
+    # GDAL and QGIS read it from there; the CF attributes say the same.
+    attributes["spatial_ref"] = attributes["crs_wkt"]
+    attributes["long_name"] = f"EPSG:{ground.epsg}"
+    _variable(file, "crs", "i", (), np.int32(0), **attributes)
+
+
+def _globe(
+    file: Any, ground: Ground, easting: npt.NDArray[np.float64], northing: npt.NDArray[np.float64]
+) -> None:
+    """Latitude and longitude of every cell, for readers that know no projection."""
+    x, y = ground.world(*np.meshgrid(easting, northing))
+    longitude, latitude = ground.globe(x, y)
+    for name, values, unit in (("lat", latitude, "degrees_north"), ("lon", longitude, "degrees_east")):
+        whole = {"lat": "latitude", "lon": "longitude"}[name]
+        _variable(
+            file, name, "d", ("y", "x"), values, standard_name=whole, long_name=whole, units=unit
+        )
+
+
+def _maps(file: Any, surveys: Sequence[Survey], on: Sequence[Laid]) -> None:
+    shared: dict[str, Any] = {"grid_mapping": "crs", "coordinates": "lat lon"}
+    grid = ("time", "y", "x")
+    layers = [survey.layers for survey in surveys]
+    state = np.stack([o.take(of.state.astype(np.int8), UNKNOWN) for o, of in zip(on, layers, strict=True)])
+    _variable(
+        file,
+        "habitat",
+        "b",
+        grid,
+        state,
+        long_name="what the place is",
+        flag_values=np.array(list(MEANINGS), np.int8),
+        flag_meanings=" ".join(MEANINGS.values()),
+        **shared,
+    )
+    for name, what, unit in (
+        ("target_probability", "probability of target", "1"),
+        ("relief", "height above the bare seabed around it", "m"),
+    ):
+        values = np.stack(
+            [o.take(getattr(of, name), math.nan) for o, of in zip(on, layers, strict=True)]
+        ).astype(np.float32)
+        values[~np.isfinite(values)] = FILL
+        _variable(
+            file,
+            name,
+            "f",
+            grid,
+            values,
+            long_name=what,
+            units=unit,
+            _FillValue=np.float32(FILL),
+            **shared,
+        )
+    seen = np.stack([o.take(of.times_seen, 0) for o, of in zip(on, layers, strict=True)])
+    _variable(
+        file,
+        "times_seen",
+        "h",
+        grid,
+        np.minimum(seen, 32767).astype(np.int16),
+        long_name="frames that saw it within reach",
+        units="1",
+        **shared,
+    )
+
+
+def _measures(file: Any, surveys: Sequence[Survey]) -> None:
+    units = {measure.name: measure.unit for survey in surveys for measure in survey.measures}
+    for name, unit in units.items():
+        of: list[Measure | None] = [
+            next((m for m in survey.measures if m.name == name), None) for survey in surveys
+        ]
+        values = np.array([_filled(m.value if m else None) for m in of])
+        ends = np.array([[_filled(m.low if m else None), _filled(m.high if m else None)] for m in of])
+        words = re.sub(r"\W", "_", name)
+        plain = name.replace("_", " ")
+        variable = words if re.match(r"[A-Za-z]", words) else f"measure_{words}"
+        _variable(
+            file,
+            variable,
+            "d",
+            ("time",),
+            values,
+            long_name=plain,
+            units=_UNITS.get(unit, unit),
+            _FillValue=FILL,
+            ancillary_variables=f"{variable}_interval",
+            comment="; ".join(dict.fromkeys(m.note for m in of if m and m.note)) or "none",
+        )
+        _variable(
+            file,
+            f"{variable}_interval",
+            "d",
+            ("time", "side"),
+            ends,
+            long_name=f"lower and upper end of the 95 % interval of {plain}",
+            units=_UNITS.get(unit, unit),
+            _FillValue=FILL,
+        )
+
+
+def _variable(
+    file: Any, name: str, kind: str, dimensions: tuple[str, ...], values: Any, **attributes: Any
+) -> None:
+    variable = file.createVariable(name, kind, dimensions)
+    _set(variable, attributes)
+    variable.data[...] = values
+
+
+def _set(holder: Any, attributes: Mapping[str, Any]) -> None:
+    """Set attributes. SciPy would write text as ASCII only, and a plain float in single precision."""
+    for key, value in attributes.items():
+        kept = value.encode() if isinstance(value, str) else value
+        setattr(holder, key, np.float64(kept) if isinstance(kept, float) else kept)
+
+
+def _filled(value: float | None) -> float:
+    return FILL if value is None else value
+
+
+def _ended(survey: Survey) -> datetime:
+    seconds = float(survey.track.time[-1]) if len(survey.track.time) else 0.0
+    return survey.began + timedelta(seconds=seconds)
+
+
+def _iso(moment: datetime) -> str:
+    return moment.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
