@@ -1,9 +1,8 @@
 """One survey or several of a site as a netCDF file by the CF conventions 1.8: measures over time, and maps.
 
 The classic format (CDF-2) is written by SciPy and read by everything that reads netCDF. `time` counts the surveys, one
-for a single one. Measures are variables over `time` with a `bounds`-like companion for their interval: `NAME_interval`
-(time, side) holds the lower and upper end of the 95 %, and is named in `ancillary_variables`. Maps lie north up on the
-map sheet of the site, as the GeoTIFFs do.
+for a single one. Measures are variables over `time`; `NAME_low` and `NAME_high` are the ends of their 95 % intervals and
+stand in their `ancillary_variables`. Maps lie north up on the map sheet of the site, as the GeoTIFFs do.
 """
 
 from __future__ import annotations
@@ -230,7 +229,6 @@ def _measures(file: Any, surveys: Sequence[Survey]) -> None:
             next((m for m in survey.measures if m.name == name), None) for survey in surveys
         ]
         values = np.array([_filled(m.value if m else None) for m in of])
-        ends = np.array([[_filled(m.low if m else None), _filled(m.high if m else None)] for m in of])
         words = re.sub(r"\W", "_", name)
         plain = name.replace("_", " ")
         variable = words if re.match(r"[A-Za-z]", words) else f"measure_{words}"
@@ -243,19 +241,20 @@ def _measures(file: Any, surveys: Sequence[Survey]) -> None:
             long_name=plain,
             units=_UNITS.get(unit, unit),
             _FillValue=FILL,
-            ancillary_variables=f"{variable}_interval",
+            ancillary_variables=f"{variable}_low {variable}_high",
             comment="; ".join(dict.fromkeys(m.note for m in of if m and m.note)) or "none",
         )
-        _variable(
-            file,
-            f"{variable}_interval",
-            "d",
-            ("time", "side"),
-            ends,
-            long_name=f"lower and upper end of the 95 % interval of {plain}",
-            units=_UNITS.get(unit, unit),
-            _FillValue=FILL,
-        )
+        for end, which in (("low", "lower"), ("high", "upper")):
+            _variable(
+                file,
+                f"{variable}_{end}",
+                "d",
+                ("time",),
+                np.array([_filled(getattr(m, end) if m else None) for m in of]),
+                long_name=f"{which} end of the 95 % interval of {plain}",
+                units=_UNITS.get(unit, unit),
+                _FillValue=FILL,
+            )
 
 
 def _variable(
