@@ -1,0 +1,331 @@
+"""An archive as a GeoPackage: one file, no server.
+
+Reference: OGC 12-128r17, GeoPackage 1.3, which is SQLite with some tables of its own.
+
+A rollback journal and a lock of the whole file while a survey is written: writers take turns, and what one
+left half-written when it died is undone by whoever opens the file next. The journal is SQLite's default
+rather than a write-ahead log, so that between writes the archive is one file that can be copied.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import sqlite3
+import struct
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from dream.survey import files
+from dream.survey.archive import entries as told
+from dream.survey.archive.entries import Entry
+from dream.survey.archive.rows import Row, rows
+from dream.survey.archive.schema import MIGRATIONS, VERSIONS, WGS84, Column, Table, order
+from dream.survey.survey import Survey
+
+APPLICATION = 0x47504B47
+"""`GPKG`, in the header of the file."""
+GEOPACKAGE = 10_300
+"""Version 1.3; QGIS of 2026's stable systems calls 1.4 partly supported."""
+PATIENCE = 30.0
+"""Seconds to wait for another writer."""
+
+_KINDS = {"id": "INTEGER", "integer": "INTEGER", "real": "DOUBLE", "text": "TEXT", "time": "DATETIME"}
+_KINDS |= {"blob": "BLOB"}
+_OF_GEOPACKAGE = (
+    """CREATE TABLE gpkg_spatial_ref_sys (srs_name TEXT NOT NULL, srs_id INTEGER NOT NULL PRIMARY KEY,
+    organization TEXT NOT NULL, organization_coordsys_id INTEGER NOT NULL, definition TEXT NOT NULL,
+    description TEXT)""",
+    """CREATE TABLE gpkg_contents (table_name TEXT NOT NULL PRIMARY KEY, data_type TEXT NOT NULL,
+    identifier TEXT UNIQUE, description TEXT DEFAULT '',
+    last_change DATETIME NOT NULL DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ','now')), min_x DOUBLE, min_y DOUBLE,
+    max_x DOUBLE, max_y DOUBLE, srs_id INTEGER, CONSTRAINT fk_gc_r_srs_id FOREIGN KEY (srs_id) REFERENCES
+    gpkg_spatial_ref_sys(srs_id))""",
+    """CREATE TABLE gpkg_geometry_columns (table_name TEXT NOT NULL, column_name TEXT NOT NULL,
+    geometry_type_name TEXT NOT NULL, srs_id INTEGER NOT NULL, z TINYINT NOT NULL, m TINYINT NOT NULL,
+    CONSTRAINT pk_geom_cols PRIMARY KEY (table_name, column_name), CONSTRAINT uk_gc_table_name UNIQUE
+    (table_name), CONSTRAINT fk_gc_tn FOREIGN KEY (table_name) REFERENCES gpkg_contents(table_name),
+    CONSTRAINT fk_gc_srs FOREIGN KEY (srs_id) REFERENCES gpkg_spatial_ref_sys (srs_id))""",
+)
+_WKT = (
+    'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563,AUTHORITY["EPSG","7030"]],'
+    'AUTHORITY["EPSG","6326"]],PRIMEM["Greenwich",0,AUTHORITY["EPSG","8901"]],UNIT["degree",'
+    '0.0174532925199433,AUTHORITY["EPSG","9122"]],AUTHORITY["EPSG","4326"]]'
+)
+_SYSTEMS = (
+    ("Undefined Cartesian", -1, "NONE", -1, "undefined", None),
+    ("Undefined geographic", 0, "NONE", 0, "undefined", None),
+    ("WGS 84 geodetic", WGS84, "EPSG", WGS84, _WKT, "longitude, latitude in degrees"),
+)
+
+
+class GeoPackageArchive:
+    """Surveys in a GeoPackage. Use it as a context, or close it."""
+
+    def __init__(self, path: Path, *, begin: bool = False) -> None:
+        """Open it, bring it to the present version, and see that it is whole.
+
+        Args:
+            path: Of the file.
+            begin: Make it where there is none.
+
+        Raises:
+            FileNotFoundError: There is none, and none is to be begun.
+            OSError: It cannot be opened.
+            ValueError: It is no archive, is damaged, or of a later version.
+        """
+        self._path = path
+        if not begin and not path.is_file():
+            raise FileNotFoundError(
+                f"{path}: expected an archive of surveys, got no file. Begin one with dream survey add, or "
+                "name another with --archive"
+            )
+        with self._told():
+            self._connection = sqlite3.connect(path, timeout=PATIENCE, isolation_level=None)
+        try:
+            with self._told():
+                # What was reported as kept is on the disk, also where the power fails.
+                self._connection.execute("PRAGMA synchronous = FULL")
+                self._connection.execute("PRAGMA foreign_keys = ON")
+                self._migrate(begin=begin)
+        except BaseException:
+            self._connection.close()
+            raise
+
+    def __enter__(self) -> GeoPackageArchive:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give the file back."""
+        self._connection.close()
+
+    @property
+    def name(self) -> str:
+        """Its path."""
+        return str(self._path)
+
+    def add(self, survey: Survey) -> tuple[int, bool]:
+        """Keep a survey; its number, and whether it is new there."""
+        head, others = rows(survey)
+        with self._told(), self._transaction():
+            found = self._connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+            if found != "ok":
+                raise sqlite3.DatabaseError(found)
+            there = self._connection.execute("SELECT id FROM surveys WHERE digest = ?", (head["digest"],))
+            if kept := there.fetchone():
+                return int(kept[0]), False
+            number = self._insert("surveys", head)
+            for table, rows_of in others.items():
+                for row in rows_of:
+                    self._insert(table, {"survey_id": number, **row})
+            self._connection.execute(
+                """UPDATE gpkg_contents SET last_change = strftime('%Y-%m-%dT%H:%M:%fZ','now'),
+                min_x = min(coalesce(min_x, ?1), ?1), max_x = max(coalesce(max_x, ?2), ?2),
+                min_y = min(coalesce(min_y, ?3), ?3), max_y = max(coalesce(max_y, ?4), ?4)
+                WHERE srs_id IS NOT NULL""",
+                _envelope(head["geom"]),
+            )
+        return number, True
+
+    def entries(self) -> list[Entry]:
+        """What is there, by number."""
+        with self._told(), self._transaction("DEFERRED"):
+            surveys = self._connection.execute(f"SELECT {', '.join(told.COLUMNS)} FROM surveys ORDER BY id")
+            measures = self._connection.execute(
+                f"SELECT {', '.join(told.MEASURES)} FROM measures WHERE patch IS NULL ORDER BY id"
+            )
+            return told.entries(surveys.fetchall(), measures.fetchall())
+
+    def get(self, number: int) -> Survey:
+        """The survey of that number."""
+        with self._told():
+            found = self._connection.execute(
+                "SELECT digest, body FROM surveys JOIN documents ON survey_id = id WHERE id = ?", (number,)
+            ).fetchone()
+        return document(found, number, self.name)
+
+    def _insert(self, table: str, row: Row) -> int:
+        values = [header(value) + value if name == "geom" else value for name, value in row.items()]
+        marks = ", ".join("?" * len(row))
+        done = self._connection.execute(f"INSERT INTO {table} ({', '.join(row)}) VALUES ({marks})", values)
+        return int(done.lastrowid or 0)
+
+    def _migrate(self, *, begin: bool) -> None:
+        version = self._version()
+        if version == len(MIGRATIONS):
+            return
+        if version == 0 and not begin:
+            raise ValueError(f"{self._path}: expected an archive of surveys, got an empty file")
+        # Another may have been faster: look again with the lock.
+        with self._transaction():
+            version = self._version()
+            if version == 0:
+                self._connection.execute(f"PRAGMA application_id = {APPLICATION}")
+                self._connection.execute(f"PRAGMA user_version = {GEOPACKAGE}")
+                for statement in _OF_GEOPACKAGE:
+                    self._connection.execute(statement)
+                self._connection.executemany(
+                    "INSERT INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, ?)", _SYSTEMS
+                )
+                self._connection.execute(
+                    f"CREATE TABLE {VERSIONS} (version INTEGER PRIMARY KEY NOT NULL, made TEXT NOT NULL)"
+                )
+            known = order(MIGRATIONS[:version])
+            for number, tables in enumerate(MIGRATIONS[version:], start=version + 1):
+                for table in tables:
+                    for statement in statements(table, extends=table.name in known):
+                        self._connection.execute(statement)
+                    if table.name not in known and not table.hidden:
+                        self._register(table)
+                    known[table.name] = table
+                self._connection.execute(
+                    f"INSERT INTO {VERSIONS} VALUES (?, strftime('%Y-%m-%dT%H:%M:%fZ','now'))", (number,)
+                )
+
+    def _version(self) -> int:
+        """0 of an empty file.
+
+        Raises:
+            ValueError: It is no archive, or of a later version.
+        """
+        tables = {name for (name,) in self._connection.execute("SELECT name FROM sqlite_master")}
+        if not tables:
+            return 0
+        if VERSIONS not in tables:
+            raise ValueError(f"{self._path}: expected an archive of surveys, got another database")
+        version = int(self._connection.execute(f"SELECT max(version) FROM {VERSIONS}").fetchone()[0])
+        if version > len(MIGRATIONS):
+            raise ValueError(
+                f"{self._path}: expected an archive of version {len(MIGRATIONS)} at most, got {version}. "
+                "Open it with a later dream"
+            )
+        return version
+
+    def _register(self, table: Table) -> None:
+        geometry = table.geometry
+        self._connection.execute(
+            "INSERT INTO gpkg_contents (table_name, data_type, identifier, description, srs_id) "
+            "VALUES (?, ?, ?, ?, ?)",
+            (
+                table.name,
+                "attributes" if geometry is None else "features",
+                table.name,
+                table.title,
+                None if geometry is None else WGS84,
+            ),
+        )
+        if geometry is not None:
+            self._connection.execute(
+                "INSERT INTO gpkg_geometry_columns VALUES (?, ?, ?, ?, 0, 0)",
+                (table.name, geometry.name, geometry.kind, WGS84),
+            )
+
+    @contextlib.contextmanager
+    def _transaction(self, kind: str = "IMMEDIATE") -> Iterator[None]:
+        self._connection.execute(f"BEGIN {kind}")
+        try:
+            yield
+            self._connection.execute("COMMIT")
+        except BaseException:
+            # Some errors, such as a full disk, have rolled it back already.
+            if self._connection.in_transaction:
+                self._connection.execute("ROLLBACK")
+            raise
+
+    @contextlib.contextmanager
+    def _told(self) -> Iterator[None]:
+        """Say what SQLite complains of in words of the archive."""
+        try:
+            yield
+        except UnicodeDecodeError as error:  # Of a complaint that quotes what is damaged.
+            raise ValueError(f"{self._path}: expected an archive of surveys, got a damaged file") from error
+        except sqlite3.DatabaseError as error:
+            code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
+            if code in _FAILED:
+                raise OSError(f"{self._path}: {_FAILED[code]} ({error}). Nothing was changed") from error
+            raise ValueError(
+                f"{self._path}: expected an archive of surveys, got a damaged or foreign file ({error})"
+            ) from error
+
+
+_FAILED = {
+    sqlite3.SQLITE_FULL: "could not write the archive: there is no room",
+    sqlite3.SQLITE_IOERR: "could not read or write the archive",
+    sqlite3.SQLITE_BUSY: f"another program has been writing to the archive for {PATIENCE:g} s",
+    sqlite3.SQLITE_READONLY: "expected an archive that can be written",
+    sqlite3.SQLITE_CANTOPEN: "expected a place where an archive can be opened",
+    sqlite3.SQLITE_PERM: "expected an archive that may be opened",
+    sqlite3.SQLITE_TOOBIG: "the survey is larger than a row may be",
+    sqlite3.SQLITE_NOMEM: "there is not enough memory",
+}
+"""Errors that are no fault of the file's content."""
+
+
+def statements(table: Table, *, extends: bool) -> list[str]:
+    """The SQL that makes a table, or that adds its columns to the one that is there."""
+    if extends:
+        return [f"ALTER TABLE {table.name} ADD COLUMN {_column(column)}" for column in table.columns]
+    made = [f"CREATE TABLE {table.name} ({', '.join(_column(column) for column in table.columns)})"]
+    made += [
+        f"CREATE INDEX {table.name}_{column.name} ON {table.name} ({column.name})"
+        for column in table.columns
+        if column.of and column.kind != "id"
+    ]
+    return made
+
+
+def _column(column: Column) -> str:
+    words = [column.name, column.kind if column.is_geometry else _KINDS[column.kind]]
+    if column.kind == "id":
+        # Numbers of surveys are not given twice.
+        words.append("PRIMARY KEY NOT NULL" if column.of else "PRIMARY KEY AUTOINCREMENT NOT NULL")
+    elif column.required:
+        words.append("NOT NULL")
+    if column.unique:
+        words.append("UNIQUE")
+    if column.of:
+        words.append(f"REFERENCES {column.of}(id)")
+    return " ".join(words)
+
+
+def header(geometry: bytes) -> bytes:
+    """What a GeoPackage puts before well-known binary, with an envelope for all but points (clause 2.1.3)."""
+    kind = struct.unpack_from("<I", geometry, 1)[0]
+    if kind == 1:
+        return struct.pack("<2sBBi", b"GP", 0, 0b0000_0001, WGS84)
+    return struct.pack("<2sBBi4d", b"GP", 0, 0b0000_0011, WGS84, *_envelope(geometry))
+
+
+def _envelope(geometry: bytes) -> tuple[float, float, float, float]:
+    """West, east, south and north of a line, or of a polygon's outline."""
+    import numpy as np
+
+    start = 5 if struct.unpack_from("<I", geometry, 1)[0] == 2 else 9
+    (count,) = struct.unpack_from("<I", geometry, start)
+    points = np.frombuffer(geometry, "<f8", 2 * count, start + 4).reshape(-1, 2)
+    (west, south), (east, north) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    return west, east, south, north
+
+
+def document(found: Sequence[Any] | None, number: int, where: str) -> Survey:
+    """The survey of a row of digest and body.
+
+    Raises:
+        ValueError: There is no row, or the body is not what was added.
+    """
+    if found is None:
+        raise ValueError(
+            f"{where}: expected the number of a survey in it, got {number}. See dream survey list"
+        )
+    digest, body = found
+    data = bytes(body)
+    if hashlib.sha256(data).hexdigest() != digest:
+        raise ValueError(f"{where}: survey {number}: expected what was added, got damaged content")
+    return files.loaded(data, f"{where}: survey {number}")

@@ -1,0 +1,142 @@
+"""Survey → the rows of an archive's tables, geometries as well-known binary."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import struct
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.survey import files, globe
+from dream.survey.archive.schema import FROM_NOWHERE
+from dream.survey.site import Site
+from dream.survey.survey import Measure, Survey
+
+Row = dict[str, Any]
+
+
+def rows(survey: Survey) -> tuple[Row, dict[str, list[Row]]]:
+    """The row of `surveys`, and those of the other tables, which lack its id yet.
+
+    Raises:
+        ValueError: The survey is inconsistent, or its run had no origin.
+    """
+    site = survey.site
+    if site is None:
+        raise ValueError(f"{survey.name}: {FROM_NOWHERE}")
+    body = files.dumped(survey)
+    box = survey.area
+    corners = [(box.x_min, box.y_min), (box.x_max, box.y_min), (box.x_max, box.y_max), (box.x_min, box.y_max)]
+    head = {
+        "digest": hashlib.sha256(body).hexdigest(),
+        "name": _text(survey.name),
+        "site": _text(site.name),
+        "began": time(survey.began),
+        "target": str(survey.target),
+        "protocol": _text(survey.protocol),
+        "steps": len(survey.track.time),
+        "patches": len(survey.patches),
+        "individuals": len(survey.individuals),
+        "latitude": site.latitude,
+        "longitude": site.longitude,
+        "heading_deg": site.heading_deg,
+        "datum": _text(site.datum),
+        "datum_offset_m": site.datum_offset,
+        "geom": _polygon(site, [np.array([*corners, corners[0]])]),
+    }
+    measures = [_measure(one, None) for one in survey.measures]
+    patches = []
+    for number, patch in enumerate(survey.patches):
+        patches.append({"patch": number, "geom": _polygon(site, patch.rings)})
+        measures += [_measure(one, number) for one in patch.measures]
+    track = survey.track.position
+    return head, {
+        "documents": [{"body": body}],
+        "measures": measures,
+        "patches": patches,
+        "individuals": list(_individuals(survey, site)),
+        # A line has two ends at least.
+        "tracks": [{"geom": _line(site, track)}] if len(track) > 1 else [],
+        "decisions": list(_decisions(survey, site)),
+    }
+
+
+def time(moment: datetime) -> str:
+    """As tables hold a time: ISO 8601 in UTC, to the millisecond."""
+    return moment.astimezone(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def _measure(measure: Measure, patch: int | None) -> Row:
+    return {
+        "patch": patch,
+        "name": _text(measure.name),
+        "value": measure.value,
+        "low": measure.low,
+        "high": measure.high,
+        "unit": _text(measure.unit),
+        "note": _text(measure.note),
+    }
+
+
+def _individuals(survey: Survey, site: Site) -> Iterator[Row]:
+    them = survey.individuals
+    longitude, latitude = globe.degrees(site, them.position[:, 0], them.position[:, 1])
+    for k in range(len(them)):
+        yield {
+            "patch": int(them.patch[k]) if them.patch[k] >= 0 else None,
+            "z_m": float(them.position[k, 2]),
+            "sigma_m": float(them.sigma[k]),
+            "size_m": float(them.size[k]),
+            "size_sigma_m": float(them.size_sigma[k]),
+            "hits": int(them.hits[k]),
+            "looks": int(them.looks[k]),
+            "confidence": float(them.confidence[k]),
+            "geom": _point(longitude[k], latitude[k]),
+        }
+
+
+def _decisions(survey: Survey, site: Site) -> Iterator[Row]:
+    for one in survey.decisions:
+        longitude, latitude = globe.degrees(site, one.x, one.y)
+        why = one.reasoning
+        yield {
+            "step": one.step,
+            "time_s": one.time,
+            "turn_deg": math.degrees(one.turn),
+            "advance_m": one.advance,
+            "distribution": _text(why.distribution),
+            "target_area": _text(why.target_area),
+            "completion": _text(why.completion),
+            "next_target": _text(why.next_target),
+            "safety": _text(why.safety),
+            "action": _text(why.action),
+            "note": _text(one.note),
+            "geom": _point(float(longitude), float(latitude)),
+        }
+
+
+def _text(words: str) -> str:
+    """As a database takes it: a model may say what has no place in one."""
+    return words.replace("\x00", "\ufffd").encode("utf-8", "replace").decode()
+
+
+def _point(longitude: float, latitude: float) -> bytes:
+    return struct.pack("<BIdd", 1, 1, longitude, latitude)
+
+
+def _line(site: Site, points: npt.NDArray[np.float64]) -> bytes:
+    return struct.pack("<BI", 1, 2) + _points(site, points)
+
+
+def _polygon(site: Site, rings: Sequence[npt.NDArray[np.float64]]) -> bytes:
+    return struct.pack("<BII", 1, 3, len(rings)) + b"".join(_points(site, ring) for ring in rings)
+
+
+def _points(site: Site, points: npt.NDArray[np.float64]) -> bytes:
+    degrees = np.column_stack(globe.degrees(site, points[:, 0], points[:, 1]))
+    return struct.pack("<I", len(degrees)) + degrees.astype("<f8").tobytes()
