@@ -207,7 +207,10 @@ def test_a_writer_that_is_killed_loses_nothing_that_it_said_it_kept(where: str) 
         time.sleep(rng.uniform(0.0, 0.1))
         writer.send_signal(signal.SIGKILL)
     for writer in writers:
-        lines = [line.split() for line in writer.communicate(timeout=60)[0].splitlines()]
+        assert writer.stdout is not None
+        lines = [line.split() for line in writer.stdout.read().splitlines()]
+        writer.wait(60.0)
+        writer.stdout.close()
         said |= {words[1]: int(words[0]) for words in lines if len(words) == 2}
     with open_archive(where) as archive:
         entries = {entry.name: entry.number for entry in archive.entries()}

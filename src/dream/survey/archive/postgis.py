@@ -179,8 +179,11 @@ class PostgisArchive:
         Raises:
             ValueError: It is of a later version.
         """
-        there = self._connection.execute("SELECT to_regclass(%s)", (f"{SCHEMA}.{VERSIONS}",)).fetchone()
-        if there is None or there[0] is None:
+        # Asked of the catalogue as of now: to_regclass may answer from before a lock was waited for.
+        there = self._connection.execute(
+            "SELECT 1 FROM pg_catalog.pg_tables WHERE schemaname = %s AND tablename = %s", (SCHEMA, VERSIONS)
+        )
+        if there.fetchone() is None:
             return 0
         found = self._connection.execute(f"SELECT max(version) FROM {SCHEMA}.{VERSIONS}").fetchone()
         version = int((found and found[0]) or 0)
