@@ -26,10 +26,11 @@ def paint(
 ) -> None:
     """Add one frame to a plan.
 
-    The pixels of the depth image and their neighbours to the right and below make squares of two triangles; each is
-    drawn from above with the colour picture on it. What a triangle adds weighs (pixels per m² of ground) ** `sharpness`:
-    the nearest and steepest view dominates, and where two are alike they blend. Towards the border of the picture, within
-    `margin` of its width, the weight fades to 0, so that no seam is left.
+    The pixels of the depth image and their neighbours to the right and below make squares of two triangles;
+    each is drawn from above with the colour picture on it. What a triangle adds weighs (pixels per m² of
+    ground) ** `sharpness`: the nearest and steepest view dominates, and where two are alike they blend.
+    Towards the border of the picture, within `margin` of its width, the weight fades to 0, so that no seam is
+    left.
 
     Args:
         points: (H, W, 2) column and row of the plan, fractional, under each pixel.
@@ -55,9 +56,10 @@ def paint(
                 ax, ay = points[v0, u0, 0], points[v0, u0, 1]
                 bx, by = points[v0, u0 + du, 0], points[v0, u0 + du, 1]
                 cx, cy = points[v0 + dv, u0, 0], points[v0 + dv, u0, 1]
-                if max(
-                    abs(ax - bx), abs(ay - by), abs(ax - cx), abs(ay - cy), abs(bx - cx), abs(by - cy)
-                ) > longest:
+                if (
+                    max(abs(ax - bx), abs(ay - by), abs(ax - cx), abs(ay - cy), abs(bx - cx), abs(by - cy))
+                    > longest
+                ):
                     continue
                 twice = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
                 if abs(twice) < 1e-9:
@@ -78,8 +80,8 @@ def paint(
                         # The middle of a depth pixel is the middle of k × k colour pixels.
                         fu = (u0 + s * du + 0.5) * k - 0.5
                         fv = (v0 + t * dv + 0.5) * k - 0.5
-                        iu = min(max(int(math.floor(fu)), 0), rgb.shape[1] - 2)
-                        iv = min(max(int(math.floor(fv)), 0), rgb.shape[0] - 2)
+                        iu = min(max(math.floor(fu), 0), rgb.shape[1] - 2)
+                        iv = min(max(math.floor(fv), 0), rgb.shape[0] - 2)
                         wu, wv = min(max(fu - iu, 0.0), 1.0), min(max(fv - iv, 0.0), 1.0)
                         for channel in range(3):
                             upper = (1.0 - wu) * rgb[iv, iu, channel] + wu * rgb[iv, iu + 1, channel]

@@ -1,7 +1,8 @@
 """A survey as one GeoPackage: track, decisions with their reasoning, patches, individuals, swath, and styles.
 
-Written with sqlite3 alone, as the standard says (OGC 12-128r17, GeoPackage 1.3.1): QGIS 3.22, which many still have,
-calls the 1.4 of newer GDAL only partly supported. Geometries are on the map sheet of the site (`ground`).
+Written with sqlite3 alone, as the standard says (OGC 12-128r17, GeoPackage 1.3.1): QGIS 3.22, which many
+still have, calls the 1.4 of newer GDAL only partly supported. Geometries are on the map sheet of the site
+(`ground`).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import numpy.typing as npt
 
 from dream.survey.products import styles
 from dream.survey.products.ground import Ground, site_of
+from dream.survey.products.outlines import outlines
 from dream.survey.survey import Survey
 from dream.types import Reasoning
 
@@ -49,18 +51,17 @@ CREATE TABLE gpkg_contents (
   min_x DOUBLE, min_y DOUBLE, max_x DOUBLE, max_y DOUBLE, srs_id INTEGER,
   CONSTRAINT fk_gc_r_srs_id FOREIGN KEY (srs_id) REFERENCES gpkg_spatial_ref_sys(srs_id));
 CREATE TABLE gpkg_geometry_columns (
-  table_name TEXT NOT NULL, column_name TEXT NOT NULL, geometry_type_name TEXT NOT NULL, srs_id INTEGER NOT NULL,
-  z TINYINT NOT NULL, m TINYINT NOT NULL,
-  CONSTRAINT pk_geom_cols PRIMARY KEY (table_name, column_name),
-  CONSTRAINT uk_gc_table_name UNIQUE (table_name),
-  CONSTRAINT fk_gc_tn FOREIGN KEY (table_name) REFERENCES gpkg_contents(table_name),
-  CONSTRAINT fk_gc_srs FOREIGN KEY (srs_id) REFERENCES gpkg_spatial_ref_sys (srs_id));
+  table_name TEXT NOT NULL, column_name TEXT NOT NULL, geometry_type_name TEXT NOT NULL, srs_id INTEGER NOT
+  NULL, z TINYINT NOT NULL, m TINYINT NOT NULL, CONSTRAINT pk_geom_cols PRIMARY KEY (table_name, column_name),
+  CONSTRAINT uk_gc_table_name UNIQUE (table_name), CONSTRAINT fk_gc_tn FOREIGN KEY (table_name) REFERENCES
+  gpkg_contents(table_name), CONSTRAINT fk_gc_srs FOREIGN KEY (srs_id) REFERENCES gpkg_spatial_ref_sys
+  (srs_id));
 CREATE TABLE layer_styles (
   id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, f_table_catalog TEXT, f_table_schema TEXT, f_table_name TEXT,
-  f_geometry_column TEXT, styleName TEXT, styleQML TEXT, styleSLD TEXT, useAsDefault BOOLEAN, description TEXT,
-  owner TEXT, ui TEXT, update_time DATETIME);
-INSERT INTO gpkg_contents (table_name, data_type, identifier) VALUES ('layer_styles', 'attributes', 'layer_styles');
-INSERT INTO gpkg_spatial_ref_sys VALUES
+  f_geometry_column TEXT, styleName TEXT, styleQML TEXT, styleSLD TEXT, useAsDefault BOOLEAN, description
+  TEXT, owner TEXT, ui TEXT, update_time DATETIME);
+INSERT INTO gpkg_contents (table_name, data_type, identifier) VALUES ('layer_styles', 'attributes',
+'layer_styles'); INSERT INTO gpkg_spatial_ref_sys VALUES
   ('Undefined cartesian SRS', -1, 'NONE', -1, 'undefined', 'undefined cartesian coordinate reference system'),
   ('Undefined geographic SRS', 0, 'NONE', 0, 'undefined', 'undefined geographic coordinate reference system');
 """
@@ -104,7 +105,8 @@ class Table:
 def write(survey: Survey, path: Path) -> None:
     """Write a survey as a GeoPackage.
 
-    The file is not complete until this returns; whoever needs it whole or not at all writes it elsewhere first.
+    The file is not complete until this returns; whoever needs it whole or not at all writes it elsewhere
+    first.
 
     Raises:
         ValueError: The survey has no origin.
@@ -176,8 +178,8 @@ def _add(file: sqlite3.Connection, table: Table, srs: int, changed: datetime) ->
         )
     if table.style:
         file.execute(
-            "INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, f_geometry_column, styleName, "
-            "styleQML, styleSLD, useAsDefault, description, owner, update_time) "
+            "INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, f_geometry_column, "
+            "styleName, styleQML, styleSLD, useAsDefault, description, owner, update_time) "
             "VALUES ('', '', ?, 'geom', ?, ?, '', 1, ?, '', ?)",
             (table.name, table.name, table.style, table.description, _time(changed)),
         )
@@ -199,7 +201,9 @@ def _track(survey: Survey, ground: Ground) -> Table:
         # A line is at least two points, also of a vehicle that never left its place.
         rows.append(
             (
-                _geometry(_LINE, [_on_sheet(ground, track.position[:, :2])], -ground.depth(track.position[:, 2])),
+                _geometry(
+                    _LINE, [_on_sheet(ground, track.position[:, :2])], -ground.depth(track.position[:, 2])
+                ),
                 survey.name,
                 _time(survey.began),
                 _time(_at(survey, float(track.time[-1]))),
@@ -267,9 +271,7 @@ def _decisions(survey: Survey, ground: Ground) -> Table:
         },
         rows,
         "POINT",
-        style=styles.point_qml(
-            styles.DECISION, 3.4, "#4a3405", angle="heading_grid_deg", shape="arrow"
-        ),
+        style=styles.point_qml(styles.DECISION, 3.4, "#4a3405", angle="heading_grid_deg", shape="arrow"),
     )
 
 
@@ -342,11 +344,13 @@ def _individuals(survey: Survey, ground: Ground) -> Table:
 
 
 def _swath(survey: Survey, ground: Ground) -> Table:
-    polygons = seen_polygons(survey)
-    area = float((survey.layers.state != styles.UNKNOWN).sum()) * survey.layers.cell**2
+    layers = survey.layers
+    corner = (layers.bounds.x_min, layers.bounds.y_min)
+    polygons = outlines(layers.state != styles.UNKNOWN)
+    area = float((layers.state != styles.UNKNOWN).sum()) * layers.cell**2
     rows = []
     if polygons:
-        rings = [[_on_sheet(ground, ring) for ring in polygon] for polygon in polygons]
+        rings = [[_on_sheet(ground, ring * layers.cell + corner) for ring in polygon] for polygon in polygons]
         rows.append((_multipolygon(rings), area))
     return Table(
         "swath",
@@ -384,7 +388,14 @@ def _measures(survey: Survey) -> Table:
     return Table(
         "measures",
         "Of the whole survey; low and high bound 95 %",
-        {"name": "TEXT", "value": "DOUBLE", "low": "DOUBLE", "high": "DOUBLE", "unit": "TEXT", "note": "TEXT"},
+        {
+            "name": "TEXT",
+            "value": "DOUBLE",
+            "low": "DOUBLE",
+            "high": "DOUBLE",
+            "unit": "TEXT",
+            "note": "TEXT",
+        },
         [(m.name, m.value, m.low, m.high, m.unit, m.note) for m in survey.measures],
     )
 
@@ -408,100 +419,14 @@ def _about(survey: Survey) -> Table:
     return Table("about", "What survey this is", {"key": "TEXT", "value": "TEXT"}, rows)
 
 
-def seen_polygons(survey: Survey) -> list[tuple[Float64Array, ...]]:
-    """The ground that was seen, as polygons along the edges of cells.
-
-    Returns:
-        One tuple of closed (K, 2) rings in the world a polygon: the outline first, then its holes.
-    """
-    layers = survey.layers
-    seen = layers.state != styles.UNKNOWN
-    polygons = []
-    for rings in outlines(seen):
-        polygons.append(
-            tuple(ring * layers.cell + (layers.bounds.x_min, layers.bounds.y_min) for ring in rings)
-        )
-    return polygons
-
-
-def outlines(mask: npt.NDArray[np.bool_]) -> list[list[Float64Array]]:
-    """Polygons around the cells of a mask, in columns and rows; cells that touch at a corner are apart.
-
-    Each is its outline, counter-clockwise, and its holes, clockwise. The walk keeps the cell on its left, and where two
-    cells meet at a corner it turns left, around its own.
-    """
-    padded = np.pad(mask, 1)
-    rows, cols = mask.shape
-    # Unit edges by direction, the cell on their left: east under a cell, north on its right side, and so on.
-    starts = {
-        (1, 0): np.argwhere(mask & ~padded[:-2, 1:-1]),
-        (0, 1): np.argwhere(mask & ~padded[1:-1, 2:]) + (0, 1),
-        (-1, 0): np.argwhere(mask & ~padded[2:, 1:-1]) + (1, 1),
-        (0, -1): np.argwhere(mask & ~padded[1:-1, :-2]) + (1, 0),
-    }
-    leaving: dict[tuple[int, int], list[tuple[int, int]]] = {}
-    for step, corners in starts.items():
-        for row, col in corners.tolist():
-            leaving.setdefault((col, row), []).append(step)
-    shells: list[Float64Array] = []
-    holes: list[Float64Array] = []
-    while leaving:
-        start = next(iter(leaving))
-        ring, at, step = [start], start, leaving[start][0]
-        while True:
-            steps = leaving[at]
-            steps.remove(step)
-            if not steps:
-                del leaving[at]
-            at = (at[0] + step[0], at[1] + step[1])
-            if at == start:
-                break
-            left = (-step[1], step[0])
-            onward = leaving[at]
-            turn = left if left in onward else (step if step in onward else (step[1], -step[0]))
-            if turn != step:
-                ring.append(at)
-            step = turn
-        corners = np.array([*ring, ring[0]], np.float64)
-        (shells if _signed_area(corners) > 0.0 else holes).append(corners)
-    polygons = [[shell] for shell in shells]
-    areas = [_signed_area(shell) for shell in shells]
-    for hole in holes:
-        # The least shell around it; a cell just outside the hole is inside of that.
-        around = [n for n, shell in enumerate(shells) if _contains(shell, _beside(hole))]
-        polygons[min(around, key=areas.__getitem__)].append(hole)
-    return polygons
-
-
-def _beside(hole: Float64Array) -> Float64Array:
-    """The middle of a cell of the mask that bounds a hole: half a cell to the left of its first edge."""
-    along = hole[1] - hole[0]
-    along = along / np.hypot(*along)
-    middle: Float64Array = hole[0] + 0.5 * along + 0.5 * np.array([-along[1], along[0]])
-    return middle
-
-
-def _contains(ring: Float64Array, point: Float64Array) -> bool:
-    """Is the point inside? By the crossings of a ray to the east."""
-    (x0, y0), (x1, y1) = ring[:-1].T, ring[1:].T
-    crosses = (y0 > point[1]) != (y1 > point[1])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = x0 + (point[1] - y0) / (y1 - y0) * (x1 - x0)
-    return bool(np.count_nonzero(crosses & (at > point[0])) % 2)
-
-
-def _signed_area(ring: Float64Array) -> float:
-    """Positive where it is counter-clockwise."""
-    return float(0.5 * np.sum(ring[:-1, 0] * ring[1:, 1] - ring[1:, 0] * ring[:-1, 1]))
-
-
 def _on_sheet(ground: Ground, points: Float64Array) -> Float64Array:
     """(N, 2) on the map sheet of (N, 2) of the world."""
     return np.column_stack(ground.sheet(points[:, 0], points[:, 1]))
 
 
 def _geometry(kind: int, parts: Rings, heights: Float64Array | None = None) -> Geometry:
-    """Little-endian ISO WKB of a point, a line or a polygon; `heights` go with the points of the only part."""
+    """Little-endian ISO WKB of a point, a line or a polygon; `heights` go with the points of the only
+    part."""
     body = struct.pack("<BI", 1, kind + (_Z if heights is not None else 0))
     if heights is not None:
         parts = [np.column_stack([parts[0], heights])]

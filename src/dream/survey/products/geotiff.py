@@ -1,9 +1,10 @@
 """The maps of a survey as cloud-optimised GeoTIFFs, north up on the map sheet, with their styles beside them.
 
-A survey is turned against its sheet (by the heading of its site, and because the sheet's north is not the true one), and
-many readers of rasters ignore a turned geotransform. So each map is laid on a grid of its own, north up, with cells of a
-quarter of the size; each takes the value of the map cell that its middle lies in. No value is made up between two cells, and
-an edge moves by at most half of the finer cell's diagonal: 0.04 m for cells of 0.25 m.
+A survey is turned against its sheet (by the heading of its site, and because the sheet's north is not the
+true one), and many readers of rasters ignore a turned geotransform. So each map is laid on a grid of its own,
+north up, with cells of a quarter of the size; each takes the value of the map cell that its middle lies in.
+No value is made up between two cells, and an edge moves by at most half of the finer cell's diagonal: 0.04 m
+for cells of 0.25 m.
 """
 
 from __future__ import annotations
@@ -58,10 +59,15 @@ class Sheet:
 
     def centres(self) -> tuple[Float64Array, Float64Array]:
         """(rows, cols) easting and northing of the middle of each cell; the first row lies in the north."""
-        easting = self.west + self.cell * (np.arange(self.cols) + 0.5)
-        northing = self.north - self.cell * (np.arange(self.rows) + 0.5)
+        easting, northing = self.axes()
         shape = (self.rows, self.cols)
         return np.broadcast_to(easting, shape), np.broadcast_to(northing[:, None], shape)
+
+    def axes(self) -> tuple[Float64Array, Float64Array]:
+        """(cols,) easting and (rows,) northing of the middles of its columns and rows."""
+        easting = self.west + self.cell * (np.arange(self.cols, dtype=np.float64) + 0.5)
+        northing = self.north - self.cell * (np.arange(self.rows, dtype=np.float64) + 0.5)
+        return easting, northing
 
 
 def sheet_around(ground: Ground, corners: Float64Array, cell: float) -> Sheet:
@@ -75,7 +81,8 @@ def sheet_around(ground: Ground, corners: Float64Array, cell: float) -> Sheet:
     east, north = (math.ceil(values.max() / cell - 1e-6) for values in (easting, northing))
     if (east - west) * (north - south) > MOST_CELLS:
         raise ValueError(
-            f"raster: expected at most {MOST_CELLS} cells, got {east - west} × {north - south} of {cell:g} m. "
+            f"raster: expected at most {MOST_CELLS} cells, "
+            f"got {east - west} × {north - south} of {cell:g} m. "
             "Take larger cells"
         )
     return Sheet(west * cell, north * cell, cell, north - south, east - west)
@@ -257,20 +264,19 @@ def write_cog(
                 dataset.colorinterp = (ColorInterp.palette,)
             if mask is not None:
                 dataset.write_mask(mask)
-        with memory.open() as dataset:
-            # Where GDAL closes a file it cannot report that the disk was full: it is written in memory, then by us.
-            with MemoryFile() as target:
-                copy(
-                    dataset,
-                    target.name,
-                    driver="COG",
-                    blocksize=BLOCK,
-                    compress="DEFLATE",
-                    predictor="YES" if colors is None else "NO",
-                    overview_resampling="MODE" if classes else "AVERAGE",
-                    overview_count=_overviews(sheet),
-                )
-                path.write_bytes(target.read())
+        # Closing a file, GDAL cannot report that the disk was full: it writes to memory, and we to the disk.
+        with memory.open() as dataset, MemoryFile() as target:
+            copy(
+                dataset,
+                target.name,
+                driver="COG",
+                blocksize=BLOCK,
+                compress="DEFLATE",
+                predictor="YES" if colors is None else "NO",
+                overview_resampling="MODE" if classes else "AVERAGE",
+                overview_count=_overviews(sheet),
+            )
+            path.write_bytes(target.read())
 
 
 def _overviews(sheet: Sheet) -> int:

@@ -2,9 +2,9 @@
 
     world (x, y) → true east and north of the origin → longitude, latitude (WGS 84) → UTM, or UPS near a pole
 
-The second step is an azimuthal equidistant projection about the origin, which keeps bearings and distances from
-there; pyproj does it and the third. Nothing is rounded to a plane: UTM has a scale of its own (0.9996 to 1.0010) and a
-north of its own, which is why a survey with heading 0 is turned against its map sheet too.
+The second step is an azimuthal equidistant projection about the origin, which keeps bearings and distances
+from there; pyproj does it and the third. Nothing is rounded to a plane: UTM has a scale of its own (0.9996 to
+1.0010) and a north of its own, which is why a survey with heading 0 is turned against its map sheet too.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def epsg_of(latitude: float, longitude: float) -> int:
     """
     if not UTM_SOUTH <= latitude <= UTM_NORTH:
         return UPS[latitude > 0.0]
-    zone = int(math.floor((longitude + 180.0) / 6.0)) % 60 + 1
+    zone = math.floor((longitude + 180.0) / 6.0) % 60 + 1
     return (32600 if latitude >= 0.0 else 32700) + zone
 
 
@@ -71,17 +71,23 @@ class Ground:
     @cached_property
     def crs(self) -> CRS:
         """Of the map sheet."""
-        return _pyproj().CRS.from_epsg(self.epsg)
+        found: CRS = _pyproj().CRS.from_epsg(self.epsg)
+        return found
 
     @cached_property
     def _to_globe(self) -> Transformer:
-        about = f"+proj=aeqd +lat_0={self.site.latitude!r} +lon_0={self.site.longitude!r} +datum=WGS84 +units=m"
+        about = (
+            f"+proj=aeqd +lat_0={self.site.latitude!r} +lon_0={self.site.longitude!r} +datum=WGS84 +units=m"
+        )
         pyproj = _pyproj()
-        return pyproj.Transformer.from_crs(pyproj.CRS.from_proj4(about), "EPSG:4326", always_xy=True)
+        local = pyproj.CRS.from_proj4(about)
+        found: Transformer = pyproj.Transformer.from_crs(local, "EPSG:4326", always_xy=True)
+        return found
 
     @cached_property
     def _to_sheet(self) -> Transformer:
-        return _pyproj().Transformer.from_crs("EPSG:4326", self.crs, always_xy=True)
+        found: Transformer = _pyproj().Transformer.from_crs("EPSG:4326", self.crs, always_xy=True)
+        return found
 
     def globe(self, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[Float64Array, Float64Array]:
         """Longitude and latitude in degrees of points of the world.
@@ -92,7 +98,8 @@ class Ground:
         east, north = self.site.east_north(x, y)
         if not np.all(np.hypot(east, north) <= FARTHEST):  # Not so for NaN either.
             raise ValueError(
-                f"site {self.site.name}: expected points within {FARTHEST / 1000.0:g} km of its origin, got others"
+                f"site {self.site.name}: expected points within {FARTHEST / 1000.0:g} km of its origin, "
+                "got others"
             )
         longitude, latitude = self._to_globe.transform(east, north)
         return np.asarray(longitude, np.float64), np.asarray(latitude, np.float64)

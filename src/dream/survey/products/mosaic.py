@@ -1,8 +1,9 @@
 """One picture of the sea floor from the frames of a run, seen from straight above, georeferenced.
 
-Each frame's depth image is a surface; it is drawn from above with the frame's colours on it. Where frames overlap, the
-nearest and steepest view dominates. Colours are as the camera saw them: water dims and tints what is far, so that the
-brightness follows the track. Poses are those that the vehicle believed; their errors are in the picture.
+Each frame's depth image is a surface; it is drawn from above with the frame's colours on it. Where frames
+overlap, the nearest and steepest view dominates. Colours are as the camera saw them: water dims and tints
+what is far, so that the brightness follows the track. Poses are those that the vehicle believed; their errors
+are in the picture.
 """
 
 from __future__ import annotations
@@ -132,13 +133,14 @@ class Mosaic:
         good = np.isfinite(seen.depth) & (seen.depth > 0.0) & (seen.labels != Label.WATER)
         points = seen.camera.back_project(np.where(good, seen.depth, 1.0), seen.T_world_camera)[..., :2]
         away = np.linalg.norm(points - seen.T_world_camera.translation[:2], axis=-1)
-        return points, good & (away <= self.reach)
+        return np.asarray(points, np.float64), good & (away <= self.reach)
 
 
 class _Plan:
     """From the world to the cells of a sheet, by the affine map that is exact in three corners of a box.
 
-    A sheet is not quite an affine image of the world: over a box of 100 m it is so to within a millimetre or two.
+    A sheet is not quite an affine image of the world: over a box of 100 m it is so to within a millimetre or
+    two.
     """
 
     def __init__(self, sheet: geotiff.Sheet, ground: Ground, box: Bounds) -> None:

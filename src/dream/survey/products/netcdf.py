@@ -1,12 +1,14 @@
 """One survey or several of a site as a netCDF file by the CF conventions 1.8: measures over time, and maps.
 
-The classic format (CDF-2) is written by SciPy and read by everything that reads netCDF. `time` counts the surveys, one
-for a single one. Measures are variables over `time`; `NAME_low` and `NAME_high` are the ends of their 95 % intervals and
-stand in their `ancillary_variables`. Maps lie north up on the map sheet of the site, as the GeoTIFFs do.
+The classic format (CDF-2) is written by SciPy and read by everything that reads netCDF. `time` counts the
+surveys, one for a single one. Measures are variables over `time`; `NAME_low` and `NAME_high` are the ends of
+their 95 % intervals and stand in their `ancillary_variables`. Maps lie north up on the map sheet of the site,
+as the GeoTIFFs do.
 """
 
 from __future__ import annotations
 
+import io
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -58,7 +60,9 @@ def write(surveys: Sequence[Survey], path: Path) -> None:
     corners = np.concatenate([corners_of(survey.layers) for survey in surveys])
     sheet = sheet_around(ground, corners, min(survey.layers.cell for survey in surveys) / FINER)
     on = [laid_on(sheet, survey.layers, ground) for survey in surveys]
-    with netcdf_file(path, "w", version=2) as file:
+    # Made in memory: SciPy cannot be told to give up where the disk is full.
+    content = io.BytesIO()
+    with netcdf_file(content, "w", version=2) as file:
         _describe(file, surveys, ground)
         file.createDimension("time", len(surveys))
         file.createDimension("side", 2)
@@ -66,8 +70,7 @@ def write(surveys: Sequence[Survey], path: Path) -> None:
         file.createDimension("y", sheet.rows)
         file.createDimension("x", sheet.cols)
         _times(file, surveys)
-        easting = sheet.west + sheet.cell * (np.arange(sheet.cols) + 0.5)
-        northing = sheet.north - sheet.cell * (np.arange(sheet.rows) + 0.5)
+        easting, northing = sheet.axes()
         for name, values, of in (("x", easting, "easting"), ("y", northing, "northing")):
             _variable(
                 file,
@@ -84,6 +87,8 @@ def write(surveys: Sequence[Survey], path: Path) -> None:
         _globe(file, ground, easting, northing)
         _maps(file, surveys, on)
         _measures(file, surveys)
+        file.flush()
+        path.write_bytes(content.getvalue())
 
 
 def _common_ground(surveys: Sequence[Survey]) -> Ground:
@@ -109,8 +114,8 @@ def _describe(file: Any, surveys: Sequence[Survey], ground: Ground) -> None:
     attributes = {
         "Conventions": "CF-1.8, ACDD-1.3",
         "title": f"Surveys of {site.name}",
-        "summary": "Measures with 95 % intervals and maps from missions of an underwater robot: what was seen, "
-        "where the target stands, its relief, and how often each place was looked at.",
+        "summary": "Measures with 95 % intervals and maps from missions of an underwater robot: what was "
+        "seen, where the target stands, its relief, and how often each place was looked at.",
         "keywords": "seabed habitat, reef, wreck, autonomous underwater vehicle",
         "source": f"DREAM {', '.join(versions)}",
         "history": f"{_iso(last.began)}: made from {', '.join(survey.name for survey in surveys)}",
@@ -169,9 +174,7 @@ def _globe(
     longitude, latitude = ground.globe(x, y)
     for name, values, unit in (("lat", latitude, "degrees_north"), ("lon", longitude, "degrees_east")):
         whole = {"lat": "latitude", "lon": "longitude"}[name]
-        _variable(
-            file, name, "d", ("y", "x"), values, standard_name=whole, long_name=whole, units=unit
-        )
+        _variable(file, name, "d", ("y", "x"), values, standard_name=whole, long_name=whole, units=unit)
 
 
 def _maps(file: Any, surveys: Sequence[Survey], on: Sequence[Laid]) -> None:

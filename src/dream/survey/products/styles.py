@@ -94,11 +94,15 @@ def _raster_qml(renderer: str) -> str:
 
 def line_qml(color: str, width: float) -> str:
     """A style of lines; `width` in millimetres on paper."""
-    symbol = _layer("SimpleLine", {"line_color": _rgba(color), "line_width": f"{width:g}", "joinstyle": "round"})
+    symbol = _layer(
+        "SimpleLine", {"line_color": _rgba(color), "line_width": f"{width:g}", "joinstyle": "round"}
+    )
     return _vector_qml("line", symbol)
 
 
-def point_qml(color: str, size: float, border: str = "#ffffff", *, angle: str = "", shape: str = "circle") -> str:
+def point_qml(
+    color: str, size: float, border: str = "#ffffff", *, angle: str = "", shape: str = "circle"
+) -> str:
     """A style of points; `size` in millimetres, `angle` the column that turns each, clockwise from north."""
     options = {
         "name": shape,

@@ -1,0 +1,79 @@
+"""`dream survey export`: a survey in the formats that its readers open."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from dream.commands.console import print_json, with_progress
+
+
+@dataclass(frozen=True, slots=True)
+class Export:
+    """Write the products of a survey into one folder: maps, GeoPackage, netCDF, Darwin Core, mosaic, reports.
+
+    What cannot be made of the survey is left out, and it is said why: maps on the globe need an origin, a
+    mosaic needs the run, Darwin Core needs the species.
+    """
+
+    survey: tyro.conf.Positional[str]
+    """Number of a survey in the archive, a survey's file, or the folder of a run."""
+    to: Path
+    """Folder to make; it must not exist."""
+    archive: str | None = None
+    """Where the archive is: a GeoPackage, or the URL of a database."""
+    run: Path | None = None
+    """Folder of the run, with its observations, for the mosaic."""
+    only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PRODUCT ...")] = ()
+    """Of geotiff, geopackage, netcdf, darwin-core, mosaic, tables, html, pdf; all where none is named."""
+    species: str = ""
+    """What the individuals are, for Darwin Core: a scientific name."""
+    species_id: str = ""
+    """Of that name in a register: urn:lsid:marinespecies.org:taxname:NUMBER."""
+    author: str = ""
+    """Who answers for the data, for Darwin Core."""
+    email: str = ""
+    """Where to reach them."""
+    licence: str = ""
+    """On what terms the data may be used, such as CC-BY-4.0."""
+    json: bool = False
+    """Print one JSON object and nothing else."""
+
+    def __call__(self) -> int:
+        """Exit status 0."""
+        from dream.survey.products import Author, Species, export
+
+        for one, other, missing in (
+            (self.species, self.species_id, "--species and --species-id"),
+            (self.author, self.licence, "--author and --licence"),
+        ):
+            if bool(one) != bool(other):
+                raise ValueError(f"export: expected both {missing}, got one of them")
+        survey = None
+        run = self.run
+        made = export(
+            survey,
+            self.to,
+            run=run,
+            species=Species(self.species, self.species_id) if self.species else None,
+            author=Author(self.author, self.licence, self.email) if self.author else None,
+            only=self.only,
+            watched=lambda files: with_progress(iter(files), f"mosaic of {survey.name}", len(files)),
+        )
+        if self.json:
+            print_json(
+                {
+                    "survey": survey.name,
+                    "to": str(made.folder),
+                    "files": list(made.files),
+                    "left_out": dict(made.left_out),
+                }
+            )
+        else:
+            print(f"{made.folder}: {', '.join(made.files)}")
+            for name, reason in made.left_out.items():
+                print(f"  without {name}: {reason}")
+        return 0

@@ -1,0 +1,274 @@
+"""Individuals as Darwin Core occurrences, as OBIS asks for what a machine saw and a machine named.
+
+Required by OBIS: occurrenceID, eventDate, decimalLongitude, decimalLatitude, scientificName,
+scientificNameID, occurrenceStatus, basisOfRecord; for imagery MachineObservation, and PredictedByMachine as
+the status of an identification that nobody has checked (manual.obis.org). What the species is, a person says:
+nothing is looked up and nothing is guessed.
+
+`darwin-core.zip` is a Darwin Core Archive: occurrences as the core, sizes and confidences as OBIS's
+measurements, `meta.xml` which says what the columns are, and `eml.xml` where it is known who made it and
+under which licence.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+import uuid
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, timedelta
+from pathlib import Path
+from xml.sax.saxutils import escape, quoteattr
+
+import numpy as np
+
+from dream.survey.products.ground import Ground, site_of
+from dream.survey.products.words import simulated
+from dream.survey.survey import Survey
+from dream.types import Target
+
+CSV, ARCHIVE = "occurrence.csv", "darwin-core.zip"
+DWC = "http://rs.tdwg.org/dwc/terms/"
+OBIS = "http://rs.iobis.org/obis/terms/"
+WITHIN = 2.4477
+"""Standard errors of a circle that holds 95 % of a normal scatter over the ground: √(−2 ln 0.05)."""
+NAMESPACE = uuid.uuid5(uuid.NAMESPACE_OID, "DREAM survey")
+"""Of our identifiers: the same survey gives the same ones again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Species:
+    """What the individuals are, as a person says."""
+
+    name: str
+    """Such as "Ostrea edulis", with or without its author."""
+    id: str
+    """Of the name in a register: for OBIS its LSID in WoRMS, `urn:lsid:marinespecies.org:taxname:...`."""
+
+    def __post_init__(self) -> None:
+        if not re.search(r"\w", self.name) or "\n" in self.name:
+            raise ValueError(f"species: expected a scientific name, got {self.name!r}")
+        if not re.fullmatch(r"(urn:lsid:[\w.-]+:\w+:\S+|https?://\S+)", self.id):
+            raise ValueError(
+                f"species id: expected the LSID or the address of {self.name} in a register, such as "
+                f"urn:lsid:marinespecies.org:taxname:NUMBER, got {self.id!r}"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Author:
+    """Who answers for the data, and on what terms they may be used."""
+
+    name: str
+    licence: str
+    """As the owner chose it, such as CC-BY-4.0 or CC0-1.0."""
+    email: str = ""
+
+
+def write(survey: Survey, species: Species, folder: Path, author: Author | None = None) -> list[Path]:
+    """Write `occurrence.csv` and `darwin-core.zip`.
+
+    Args:
+        survey: With an origin, of a reef.
+        species: Of all individuals.
+        folder: To write to.
+        author: For `eml.xml`, which is left out where nobody is named.
+
+    Raises:
+        ValueError: The survey has no origin, or is of a wreck.
+        OSError: They cannot be written.
+    """
+    if survey.target is Target.WRECK:
+        raise ValueError(f"{survey.name}: expected a survey of organisms, got one of a wreck")
+    rows = occurrences(survey, species)
+    measured = _measurements(survey, [row["occurrenceID"] for row in rows])
+    occurrence = _csv(COLUMNS, rows)
+    path, archive = folder / CSV, folder / ARCHIVE
+    path.write_text(occurrence, encoding="utf-8")
+    files = {
+        CSV: occurrence,
+        "extendedmeasurementorfact.csv": _csv(_MEASURED, measured),
+        "meta.xml": _meta(COLUMNS, described=author is not None),
+    }
+    if author is not None:
+        files["eml.xml"] = _eml(survey, species, author)
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as file:
+        for name, text in files.items():
+            # A fixed date, so that the same survey gives the same bytes.
+            file.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), text.encode(), zipfile.ZIP_DEFLATED)
+    archive.write_bytes(content.getvalue())
+    return [path, archive]
+
+
+def occurrences(survey: Survey, species: Species) -> list[dict[str, str]]:
+    """One occurrence an individual, by the names of Darwin Core terms."""
+    ground = Ground(site_of(survey))
+    found = survey.individuals
+    longitude, latitude = ground.globe(found.position[:, 0], found.position[:, 1])
+    depth = ground.depth(found.position[:, 2])
+    began = survey.began.astimezone(UTC)
+    ended = began + timedelta(seconds=float(survey.track.time[-1]) if len(survey.track.time) else 0.0)
+    when = "/".join(moment.strftime("%Y-%m-%dT%H:%M:%SZ") for moment in (began, ended))
+    event = _identifier(survey, "event")
+    version = str(survey.made_by.get("version", ""))
+    common = {
+        "basisOfRecord": "MachineObservation",
+        "occurrenceStatus": "present",
+        "scientificName": species.name,
+        "scientificNameID": species.id,
+        "identificationVerificationStatus": "PredictedByMachine",
+        "identifiedBy": f"DREAM {version}".strip(),
+        "eventID": event,
+        "eventDate": when,
+        "samplingProtocol": f"autonomous visual survey, DREAM protocol {survey.protocol}",
+        "sampleSizeValue": f"{float((survey.layers.state != 0).sum()) * survey.layers.cell**2:.1f}",
+        "sampleSizeUnit": "square metre",
+        "geodeticDatum": "EPSG:4326",
+        "locality": ground.site.name,
+        "verticalDatum": ground.site.datum,
+        "individualCount": "1",
+    }
+    # Whoever takes a row out of the file has to see it there.
+    made_up = f"SIMULATED, nothing real was seen ({text}); " if (text := simulated(survey)) else ""
+    return [
+        {
+            "occurrenceID": _identifier(survey, f"individual {n + 1}"),
+            **common,
+            "decimalLongitude": f"{longitude[n]:.7f}",
+            "decimalLatitude": f"{latitude[n]:.7f}",
+            # Seven digits are a centimetre; 0 is no value that the term allows.
+            "coordinateUncertaintyInMeters": f"{max(0.01, WITHIN * float(found.sigma[n])):.2f}",
+            "minimumDepthInMeters": f"{depth[n]:.2f}",
+            "maximumDepthInMeters": f"{depth[n]:.2f}",
+            "occurrenceRemarks": f"{made_up}found in {found.hits[n]} of {found.looks[n]} frames",
+        }
+        for n in range(len(found))
+    ]
+
+
+COLUMNS = (
+    *("occurrenceID", "basisOfRecord", "occurrenceStatus", "scientificName", "scientificNameID"),
+    *("identificationVerificationStatus", "identifiedBy", "eventID", "eventDate", "samplingProtocol"),
+    *("sampleSizeValue", "sampleSizeUnit", "decimalLongitude", "decimalLatitude", "geodeticDatum"),
+    *("coordinateUncertaintyInMeters", "minimumDepthInMeters", "maximumDepthInMeters", "verticalDatum"),
+    *("locality", "individualCount", "occurrenceRemarks"),
+)
+_MEASURED = (
+    "occurrenceID",
+    "measurementType",
+    "measurementValue",
+    "measurementAccuracy",
+    "measurementUnit",
+    "measurementMethod",
+)
+
+
+def _measurements(survey: Survey, ids: Sequence[str]) -> list[dict[str, str]]:
+    found = survey.individuals
+    rows = []
+    for n, occurrence in enumerate(ids):
+        rows.append(
+            {
+                "occurrenceID": occurrence,
+                "measurementType": "longest diameter seen from above",
+                "measurementValue": f"{found.size[n]:.3f}",
+                "measurementAccuracy": f"{found.size_sigma[n]:.3f}",
+                "measurementUnit": "m",
+                "measurementMethod": "from labelled images and depth; the accuracy is one standard error",
+            }
+        )
+        rows.append(
+            {
+                "occurrenceID": occurrence,
+                "measurementType": "probability that it is an individual",
+                "measurementValue": f"{np.clip(found.confidence[n], 0.0, 1.0):.3f}",
+                "measurementAccuracy": "",
+                "measurementUnit": "",
+                "measurementMethod": "from how often it was found and could have been",
+            }
+        )
+    return rows
+
+
+def _identifier(survey: Survey, what: str) -> str:
+    """The same for the same survey on every machine, and no other's."""
+    site = site_of(survey)
+    of = "|".join(
+        (
+            site.name,
+            f"{site.latitude:.7f}",
+            f"{site.longitude:.7f}",
+            survey.began.isoformat(),
+            survey.name,
+            what,
+        )
+    )
+    return f"urn:uuid:{uuid.uuid5(NAMESPACE, of)}"
+
+
+def _csv(columns: Sequence[str], rows: Sequence[Mapping[str, str]]) -> str:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def _meta(columns: Sequence[str], *, described: bool) -> str:
+    """What the columns of the archive are (Darwin Core text guide)."""
+    layout = (
+        'encoding="UTF-8" fieldsTerminatedBy="," linesTerminatedBy="\\n" '
+        'fieldsEnclosedBy="&quot;" ignoreHeaderLines="1"'
+    )
+    core = "".join(f'<field index="{n}" term="{DWC}{name}"/>' for n, name in enumerate(columns))
+    more = "".join(
+        f'<field index="{n}" term="{DWC}{name}"/>'
+        for n, name in enumerate(_MEASURED)
+        if name != "occurrenceID"
+    )
+    metadata = ' metadata="eml.xml"' if described else ""
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        f'<archive xmlns="http://rs.tdwg.org/dwc/text/"{metadata}>'
+        f'<core {layout} rowType="{DWC}Occurrence"><files><location>{CSV}</location></files>'
+        f'<id index="0"/>{core}</core>'
+        f'<extension {layout} rowType="{OBIS}ExtendedMeasurementOrFact">'
+        "<files><location>extendedmeasurementorfact.csv</location></files>"
+        f'<coreid index="0"/>{more}</extension></archive>\n'
+    )
+
+
+def _eml(survey: Survey, species: Species, author: Author) -> str:
+    """What the data set is (Ecological Metadata Language 2.2)."""
+    ground = Ground(site_of(survey))
+    box = survey.area
+    x, y = [box.x_min, box.x_max, box.x_max, box.x_min], [box.y_min, box.y_min, box.y_max, box.y_max]
+    longitude, latitude = ground.globe(x, y)
+    day = survey.began.astimezone(UTC).strftime("%Y-%m-%d")
+    email = f"<electronicMailAddress>{escape(author.email)}</electronicMailAddress>" if author.email else ""
+    party = f"<individualName><surName>{escape(author.name)}</surName></individualName>{email}"
+    edges = (
+        f"<westBoundingCoordinate>{longitude.min():.7f}</westBoundingCoordinate>"
+        f"<eastBoundingCoordinate>{longitude.max():.7f}</eastBoundingCoordinate>"
+        f"<northBoundingCoordinate>{latitude.max():.7f}</northBoundingCoordinate>"
+        f"<southBoundingCoordinate>{latitude.min():.7f}</southBoundingCoordinate>"
+    )
+    made_up = "SIMULATED: " if simulated(survey) else ""
+    title = f"{made_up}{species.name} at {ground.site.name}, {day}, seen by an autonomous underwater vehicle"
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        '<eml:eml xmlns:eml="https://eml.ecoinformatics.org/eml-2.2.0" '
+        f'packageId={quoteattr(_identifier(survey, "data set"))} system="DREAM"><dataset>'
+        f"<title>{escape(title)}</title><creator>{party}</creator><pubDate>{day}</pubDate>"
+        "<language>eng</language><abstract><para>Individuals located, sized and counted once across the "
+        "frames of one mission. Identified by a machine, not verified by a person.</para></abstract>"
+        f"<intellectualRights><para>{escape(author.licence)}</para></intellectualRights>"
+        f"<coverage><geographicCoverage><geographicDescription>{escape(ground.site.name)}</geographicDescription>"
+        f"<boundingCoordinates>{edges}</boundingCoordinates></geographicCoverage>"
+        f"<temporalCoverage><singleDateTime><calendarDate>{day}</calendarDate></singleDateTime></temporalCoverage>"
+        f"</coverage><contact>{party}</contact></dataset></eml:eml>\n"
+    )

@@ -1,0 +1,236 @@
+"""All products of a survey into one folder, which is there whole or not at all.
+
+What needs an origin is left out of a survey without one, and the folder's README.md says so; the reports and
+the tables need none.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dream.names import look_up
+from dream.survey.products import (
+    darwin_core,
+    geopackage,
+    geotiff,
+    mosaic,
+    netcdf,
+    page,
+    pdf,
+    tables,
+)
+from dream.survey.products.darwin_core import Author, Species
+from dream.survey.products.ground import epsg_of, site_of
+from dream.survey.survey import Survey
+
+PRODUCTS: Mapping[str, str] = {
+    "geotiff": "maps as cloud-optimised GeoTIFFs, with styles for QGIS",
+    "geopackage": "track, decisions, patches, individuals, swath",
+    "netcdf": "measures and maps by the CF conventions",
+    "darwin-core": "individuals as occurrences for OBIS and GBIF",
+    "mosaic": "the sea floor as one georeferenced picture",
+    "tables": "measures and individuals as CSV",
+    "html": "a report to read on a screen",
+    "pdf": "a report to print",
+}
+FILES: Mapping[str, str] = {
+    "habitat.tif": "what each place is, coloured; QGIS takes the legend from habitat.qml",
+    "target_probability.tif": "how sure it is that the target stands in a place, 0 to 1",
+    "relief.tif": "metres above the bare seabed",
+    "times_seen.tif": "frames in which each place was looked at",
+    mosaic.NAME: "the sea floor from above, as the camera saw it",
+    geopackage.NAME: "track, decisions with their reasoning, patches, individuals, swath; styles inside",
+    netcdf.NAME: "measures with intervals, and the maps, by CF 1.8",
+    darwin_core.CSV: "one Darwin Core occurrence an individual",
+    darwin_core.ARCHIVE: "the same with sizes as a Darwin Core Archive, for OBIS and GBIF",
+    tables.MEASURES: "all measures with their intervals, of the survey and of each patch",
+    tables.INDIVIDUALS: "position, size and confidence of each individual",
+    page.NAME: "the survey report, for a browser",
+    pdf.NAME: "the survey report, for print",
+    "README.md": "what the files are",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """What was written."""
+
+    folder: Path
+    files: tuple[str, ...]
+    """Names, sorted."""
+    left_out: Mapping[str, str]
+    """Why, by product."""
+
+
+def export(
+    survey: Survey,
+    to: Path,
+    *,
+    run: Path | None = None,
+    species: Species | None = None,
+    author: Author | None = None,
+    only: Sequence[str] = (),
+    watched: Callable[[Sequence[Path]], Iterable[Path]] = iter,
+) -> Exported:
+    """Write the products of a survey.
+
+    They grow in `.partial.NAME` beside `to`, which takes its place at the end. Whatever interrupts it, `to`
+    is not made.
+
+    Args:
+        survey: That is told of.
+        to: The folder to make; it must not exist.
+        run: Folder of the run with its observations, for the mosaic.
+        species: What the individuals are, for Darwin Core.
+        author: Who answers for the data, for Darwin Core.
+        only: Names of `PRODUCTS`; all where empty. What is named and cannot be made is an error, not left
+        out. watched: Passes the files of the frames on, and may show how far the mosaic is.
+
+    Raises:
+        ValueError: `to` exists, the survey is damaged, or what was named cannot be made of it.
+        ImportError: What a product needs is not installed.
+        OSError: It cannot be written; nothing is left then.
+    """
+    for name in only:
+        look_up(PRODUCTS, name, "product")
+    if to.exists():
+        raise ValueError(f"export: expected a folder that does not exist, got {to}. Choose another")
+    check(survey)
+    folder = to.with_name(f".partial.{to.name}")
+    makers = _makers(survey, folder, run, species, author, watched)
+    left_out: dict[str, str] = {}
+    try:
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        for name in only or PRODUCTS:
+            if reason := _missing(name, survey, run, species):
+                if name in only:
+                    raise ValueError(f"{name}: {reason}")
+                left_out[name] = reason
+                continue
+            makers[name]()
+        told = [(name, FILES[name]) for name in FILES if (folder / name).exists()]
+        if not only or "html" in only:
+            page.write(survey, folder / page.NAME, [line for line in told if line[0] != page.NAME])
+        (folder / "README.md").write_text(_readme(survey, folder, left_out), encoding="utf-8")
+        files = tuple(sorted(path.name for path in folder.iterdir()))
+        folder.rename(to)
+    except OSError as error:
+        raise OSError(f"export: {to} could not be made ({error.strerror or error})") from error
+    finally:
+        with suppress(OSError):
+            shutil.rmtree(folder)
+    return Exported(to, files, left_out)
+
+
+def _makers(
+    survey: Survey,
+    folder: Path,
+    run: Path | None,
+    species: Species | None,
+    author: Author | None,
+    watched: Callable[[Sequence[Path]], Iterable[Path]],
+) -> dict[str, Callable[[], object]]:
+    """How each product is written; only those are called of which nothing is missing."""
+
+    def occurrences() -> None:
+        assert species is not None
+        darwin_core.write(survey, species, folder, author)
+
+    def picture() -> None:
+        assert run is not None
+        mosaic.mosaic_for(survey).write(survey, run, folder / mosaic.NAME, watched)
+
+    return {
+        "geotiff": lambda: geotiff.write(survey, folder),
+        "geopackage": lambda: geopackage.write(survey, folder / geopackage.NAME),
+        "netcdf": lambda: netcdf.write([survey], folder / netcdf.NAME),
+        "darwin-core": occurrences,
+        "mosaic": picture,
+        "tables": lambda: tables.write(survey, folder),
+        # Last of all, as it lists the others.
+        "html": lambda: None,
+        "pdf": lambda: pdf.write(survey, folder / pdf.NAME),
+    }
+
+
+def _missing(name: str, survey: Survey, run: Path | None, species: Species | None) -> str:
+    """Why a product cannot be made; empty where it can."""
+    if name in ("geotiff", "geopackage", "netcdf", "darwin-core", "mosaic"):
+        try:
+            site_of(survey)
+        except ValueError as error:
+            return str(error)
+    if name == "darwin-core":
+        if survey.target == "wreck":
+            return "a wreck is no occurrence of a species"
+        if species is None:
+            return "which species the individuals are has to be said: --species and --species-id"
+        if not len(survey.individuals):
+            return "no individual was found"
+    if name == "mosaic":
+        if run is None:
+            return "the pictures lie in the folder of the run: say --run FOLDER"
+        if not any((run / "observations").glob("*.npz")):
+            return f"{run} keeps no observations. Fly with --keep-observations"
+    return ""
+
+
+def check(survey: Survey) -> None:
+    """See that the parts of a survey fit each other.
+
+    Raises:
+        ValueError: They do not; the message says which.
+    """
+    layers, found, track = survey.layers, survey.individuals, survey.track
+    box = layers.bounds
+    if not layers.cell > 0.0:
+        raise ValueError(f"{survey.name}: layers: expected a cell above 0 m, got {layers.cell}")
+    shape = (round(box.depth / layers.cell), round(box.width / layers.cell))
+    for name in ("state", "target_probability", "relief", "times_seen"):
+        if getattr(layers, name).shape != shape:
+            raise ValueError(
+                f"{survey.name}: layers.{name}: expected {shape} cells, as its bounds say, "
+                f"got {getattr(layers, name).shape}"
+            )
+    if layers.state.max(initial=0) > 4:
+        raise ValueError(
+            f"{survey.name}: layers.state: expected values from 0 to 4, got {layers.state.max()}"
+        )
+    for name in ("sigma", "size", "size_sigma", "hits", "looks", "confidence", "patch"):
+        if getattr(found, name).shape != (len(found),):
+            raise ValueError(
+                f"{survey.name}: individuals.{name}: expected {len(found)}, got {getattr(found, name).shape}"
+            )
+    numbers = {
+        "individuals.position": found.position,
+        "individuals.size": found.size,
+        "track.position": track.position,
+        **{f"patches[{n}]": np.concatenate(patch.rings) for n, patch in enumerate(survey.patches)},
+    }
+    for name, values in numbers.items():
+        if not np.isfinite(values).all():
+            raise ValueError(f"{survey.name}: {name}: expected finite numbers, got others")
+    if len(found) and (found.patch.min() < -1 or found.patch.max() >= len(survey.patches)):
+        raise ValueError(
+            f"{survey.name}: individuals.patch: expected indices of {len(survey.patches)} patches, got others"
+        )
+
+
+def _readme(survey: Survey, folder: Path, left_out: Mapping[str, str]) -> str:
+    place = survey.site.name if survey.site is not None else "a place without origin"
+    lines = [f"# Survey {survey.name}: {place}", ""]
+    lines += [f"- `{name}`: {what}" for name, what in FILES.items() if (folder / name).exists()]
+    if left_out:
+        lines += ["", "Left out:", ""]
+        lines += [f"- {name}: {reason}" for name, reason in left_out.items()]
+    if survey.site is not None:
+        sheet = epsg_of(survey.site.latitude, survey.site.longitude)
+        lines += ["", f"Depths are below {survey.site.datum}. Maps lie on EPSG:{sheet}, north up."]
+    return "\n".join(lines) + "\n"

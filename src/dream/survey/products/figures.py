@@ -1,0 +1,360 @@
+"""Maps and the size-frequency figure of the reports: north up where that is known, with a scale and a north
+arrow."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.survey.products.styles import (
+    DECISION,
+    EXPLORED,
+    INDIVIDUAL,
+    NOT_SEEN,
+    PROBABILITY_COLORS,
+    RELIEF_COLORS,
+    SEEN_COLORS,
+    STATE_COLORS,
+    TRACK,
+    UNKNOWN,
+    rgb,
+    state_names,
+)
+from dream.survey.survey import Survey
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Float64Array = npt.NDArray[np.float64]
+
+INK, SOFT, GRID = "#0c2431", "#4d6573", "#d5e0e5"
+BIN = 0.025
+"""Metres, width of the bins of sizes; doubled until there are at most 24."""
+
+
+@contextmanager
+def settings() -> Iterator[None]:
+    """How all figures are drawn, whatever the user's matplotlibrc says."""
+    import matplotlib as mpl
+
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(
+            {
+                "svg.hashsalt": "dream",
+                "svg.fonttype": "path",
+                "pdf.fonttype": 42,
+                "font.size": 9.0,
+                "axes.edgecolor": SOFT,
+                "axes.labelcolor": SOFT,
+                "axes.linewidth": 0.6,
+                "axes.titlesize": 10.0,
+                "axes.titlelocation": "left",
+                "axes.titleweight": "bold",
+                "axes.titlecolor": INK,
+                "text.color": INK,
+                "text.parse_math": False,
+                "xtick.color": SOFT,
+                "ytick.color": SOFT,
+                "xtick.major.width": 0.6,
+                "ytick.major.width": 0.6,
+                "legend.frameon": False,
+                "image.composite_image": False,
+            }
+        )
+        yield
+
+
+def svg(figure: Figure) -> bytes:
+    """A figure as a picture that a page can hold."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="svg", dpi=200, metadata={"Date": None, "Creator": None})
+    return buffer.getvalue()
+
+
+def new_figure(width: float, height: float) -> tuple[Figure, Axes]:
+    """Inches."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
+    return figure, figure.add_subplot()
+
+
+def east_north(survey: Survey, points: Float64Array) -> Float64Array:
+    """(N, 2) metres east and north of the origin; the world's own where the survey has none."""
+    if survey.site is None:
+        return points
+    return np.column_stack(survey.site.east_north(points[:, 0], points[:, 1]))
+
+
+def habitat_map(axes: Axes, survey: Survey) -> None:
+    """What was found: the map, outlines of patches with their numbers, individuals to scale, the track."""
+    from matplotlib.collections import EllipseCollection
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch as Swatch
+    from matplotlib.patheffects import withStroke
+
+    layers = survey.layers
+    picture = np.empty((*layers.state.shape, 3), np.uint8)
+    picture[:] = rgb(NOT_SEEN)
+    for value, color in STATE_COLORS.items():
+        picture[layers.state == value] = rgb(color)
+    _show(axes, survey, picture)
+    halo = [withStroke(linewidth=2.2, foreground="white")]
+    for number, patch in enumerate(survey.patches, start=1):
+        for ring in patch.rings:
+            axes.plot(*east_north(survey, ring).T, color="#0d5c38", linewidth=1.0, zorder=3)
+        if len(survey.patches) > 1:
+            x, y = east_north(survey, patch.rings[0]).T
+            axes.text(
+                (x.min() + x.max()) / 2.0,
+                y.max(),
+                str(number),
+                ha="center",
+                va="bottom",
+                fontsize=9,
+                weight="bold",
+                path_effects=halo,
+                zorder=6,
+            )
+    found = survey.individuals
+    if len(found):
+        axes.add_collection(
+            EllipseCollection(
+                found.size,
+                found.size,
+                np.zeros(len(found)),
+                units="xy",
+                offsets=east_north(survey, found.position[:, :2]),
+                transOffset=axes.transData,
+                facecolor=INDIVIDUAL,
+                edgecolor="white",
+                linewidth=0.25,
+                zorder=4,
+            )
+        )
+    track = east_north(survey, survey.track.position[:, :2])
+    axes.plot(*track.T, color=TRACK, linewidth=1.1, zorder=5, alpha=0.85)
+    for at, marker in ((0, "o"), (-1, "s")):
+        if len(track):
+            axes.plot(*track[at], marker=marker, color=DECISION, markeredgecolor=INK, markersize=5, zorder=6)
+    names = state_names(survey.target)
+    handles: list[Any] = [
+        Swatch(facecolor=STATE_COLORS[value], edgecolor=SOFT, linewidth=0.4, label=name)
+        for value, name in names.items()
+        if (layers.state == value).any() or value == EXPLORED
+    ]
+    if (layers.state == UNKNOWN).any():
+        handles.append(Swatch(facecolor=NOT_SEEN, edgecolor=SOFT, linewidth=0.4, label="not seen"))
+    if len(found):
+        handles.append(
+            Line2D(
+                [], [], marker="o", linestyle="", color=INDIVIDUAL, markersize=4, label="individual, to scale"
+            )
+        )
+    handles.append(Line2D([], [], color=TRACK, linewidth=1.3, label="track, ○ start □ end"))
+    axes.legend(
+        handles=handles,
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.09),
+        ncols=min(4, len(handles)),
+        fontsize=8,
+        handlelength=1.4,
+        columnspacing=1.4,
+    )
+
+
+def relief_map(axes: Axes, survey: Survey) -> None:
+    """Height above the bare seabed."""
+    relief = survey.layers.relief
+    known = relief[np.isfinite(relief)]
+    highest = max(0.1, float(np.quantile(known, 0.995))) if known.size else 1.0
+    _ramp_map(axes, survey, relief, (0.0, highest), RELIEF_COLORS, "metres above the bare seabed")
+
+
+def probability_map(axes: Axes, survey: Survey) -> None:
+    """How sure it is that the target stands in a place."""
+    _ramp_map(
+        axes,
+        survey,
+        survey.layers.target_probability,
+        (0.0, 1.0),
+        PROBABILITY_COLORS,
+        "probability of target",
+    )
+
+
+def times_seen_map(axes: Axes, survey: Survey) -> None:
+    """In how many frames each place was looked at."""
+    seen = survey.layers.times_seen.astype(np.float32)
+    seen[seen == 0] = np.nan
+    known = seen[np.isfinite(seen)]
+    most = max(2.0, float(np.quantile(known, 0.98))) if known.size else 2.0
+    _ramp_map(axes, survey, seen, (1.0, most), SEEN_COLORS, "frames that saw it")
+
+
+def _ramp_map(
+    axes: Axes,
+    survey: Survey,
+    values: npt.NDArray[np.float32],
+    span: tuple[float, float],
+    colors: tuple[str, ...],
+    label: str,
+) -> None:
+    from matplotlib.colors import LinearSegmentedColormap
+
+    ramp = LinearSegmentedColormap.from_list("ramp", list(colors))
+    ramp.set_bad(NOT_SEEN)
+    image = _show(axes, survey, np.ma.masked_invalid(values), cmap=ramp, vmin=span[0], vmax=span[1])
+    assert axes.figure is not None
+    bar = axes.figure.colorbar(
+        image, ax=axes, shrink=0.7, pad=0.02, aspect=28, extend="max" if span[1] != 1.0 else "neither"
+    )
+    bar.set_label(label, fontsize=8)
+    bar.ax.tick_params(labelsize=7.5)
+    bar.outline.set_linewidth(0.4)
+
+
+def _show(axes: Axes, survey: Survey, picture: npt.NDArray[Any], **options: Any) -> Any:
+    """Draw a map, turned to the north, with its scale, arrow and box."""
+    from matplotlib.transforms import Affine2D
+
+    box = survey.layers.bounds
+    image = axes.imshow(
+        picture,
+        extent=(box.x_min, box.x_max, box.y_min, box.y_max),
+        origin="lower",
+        interpolation="nearest",
+        zorder=1,
+        **options,
+    )
+    heading = 0.0 if survey.site is None else survey.site.heading_deg
+    # The world's y axis bears `heading` clockwise from north.
+    image.set_transform(Affine2D().rotate_deg(-heading) + axes.transData)
+    area = survey.area
+    ring = np.array(
+        [
+            (area.x_min, area.y_min),
+            (area.x_max, area.y_min),
+            (area.x_max, area.y_max),
+            (area.x_min, area.y_max),
+            (area.x_min, area.y_min),
+        ]
+    )
+    axes.plot(*east_north(survey, ring).T, color=SOFT, linewidth=0.7, linestyle=(0, (4, 2)), zorder=2)
+    outer = np.array(
+        [
+            (box.x_min, box.y_min),
+            (box.x_max, box.y_min),
+            (box.x_max, box.y_max),
+            (box.x_min, box.y_max),
+        ]
+    )
+    corners = east_north(survey, np.concatenate([outer, ring]))
+    (west, south), (east, north) = corners.min(axis=0), corners.max(axis=0)
+    pad = 0.03 * max(east - west, north - south)
+    axes.set_xlim(west - pad, east + pad)
+    axes.set_ylim(south - pad, north + pad)
+    axes.set_aspect("equal")
+    axes.tick_params(labelsize=7.5, length=2.5)
+    if survey.site is None:
+        axes.set_xlabel("x, metres", fontsize=8)
+        axes.set_ylabel("y, metres", fontsize=8)
+    else:
+        axes.set_xlabel("metres east of the origin", fontsize=8)
+        axes.set_ylabel("metres north of the origin", fontsize=8)
+        _north(axes)
+    _scale(axes, east - west)
+    return image
+
+
+def _north(axes: Axes) -> None:
+    axes.annotate(
+        "N",
+        xy=(0.965, 0.975),
+        xytext=(0.965, 0.865),
+        xycoords="axes fraction",
+        ha="center",
+        va="center",
+        fontsize=9,
+        weight="bold",
+        arrowprops={"arrowstyle": "-|>,head_width=0.28,head_length=0.55", "color": INK, "linewidth": 1.2},
+        bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.75},
+        zorder=8,
+    )
+
+
+def _scale(axes: Axes, width: float) -> None:
+    """A bar of a round length, about a fifth of the map."""
+    length = scale_length(width)
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    x, y = left + 0.035 * (right - left), bottom + 0.035 * (top - bottom)
+    thick = 0.010 * (top - bottom)
+    axes.add_patch(
+        _rectangle(x - 0.4 * thick, y - 0.4 * thick, length + 0.8 * thick, 5.2 * thick, "white", 0.75, 7.0)
+    )
+    axes.add_patch(_rectangle(x, y, length / 2.0, thick, INK, 1.0, 8.0))
+    axes.add_patch(_rectangle(x + length / 2.0, y, length / 2.0, thick, "white", 1.0, 8.0))
+    axes.text(
+        x + length / 2.0, y + 1.6 * thick, f"{length:g} m", ha="center", va="bottom", fontsize=8, zorder=8
+    )
+
+
+def _rectangle(
+    x: float, y: float, width: float, height: float, color: str, alpha: float, order: float
+) -> Any:
+    from matplotlib.patches import Rectangle
+
+    edge = INK if alpha == 1.0 else "none"
+    return Rectangle(
+        (x, y), width, height, facecolor=color, edgecolor=edge, linewidth=0.6, alpha=alpha, zorder=order
+    )
+
+
+def scale_length(width: float) -> float:
+    """1, 2 or 5 times a power of ten, at most a fifth of `width`."""
+    most = width / 5.0
+    power = 10.0 ** math.floor(math.log10(most))
+    return next(power * step for step in (5.0, 2.0, 1.0) if power * step <= most * (1.0 + 1e-9))
+
+
+def size_figure(axes: Axes, survey: Survey) -> None:
+    """How many individuals there are of each size, with the median and its interval."""
+    from matplotlib.ticker import MaxNLocator
+
+    sizes = survey.individuals.size
+    width = BIN
+    while sizes.size and np.ptp(sizes) / width > 24.0:
+        width *= 2.0
+    first = math.floor(float(sizes.min(initial=math.inf)) / width) if sizes.size else 0
+    last = math.floor(float(sizes.max(initial=0.0)) / width) + 1
+    edges = width * np.arange(first, max(last, first + 1) + 1)
+    axes.hist(sizes, edges.tolist(), color="#1f9e62", edgecolor="white", linewidth=0.8, zorder=2)
+    median = next((m for m in survey.measures if m.name == "median_size" and m.value is not None), None)
+    if median is not None and median.value is not None:
+        if median.low is not None and median.high is not None:
+            axes.axvspan(median.low, median.high, color=DECISION, alpha=0.3, linewidth=0, zorder=1)
+        axes.axvline(median.value, color=INK, linewidth=1.3, zorder=3)
+        axes.annotate(
+            f"median {median.value:.3f} m, with its 95 % interval",
+            (median.value, 1.0),
+            (5, 3),
+            xycoords=("data", "axes fraction"),
+            textcoords="offset points",
+            fontsize=8,
+            ha="left" if median.value < edges.mean() else "right",
+        )
+    axes.set_xlabel(f"longest diameter, metres (bins of {100.0 * width:g} cm)", fontsize=8)
+    axes.set_ylabel("individuals found", fontsize=8)
+    axes.tick_params(labelsize=8)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(axis="y", color=GRID, linewidth=0.6, zorder=0)
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.margins(x=0.02)

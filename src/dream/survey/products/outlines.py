@@ -1,0 +1,80 @@
+"""From a mask of cells to polygons along their edges."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Float64Array = npt.NDArray[np.float64]
+
+
+def outlines(mask: npt.NDArray[np.bool_]) -> list[list[Float64Array]]:
+    """Polygons around the cells of a mask, in columns and rows; cells that touch at a corner are apart.
+
+    Each is its outline, counter-clockwise, and its holes, clockwise. The walk keeps the cell on its left, and
+    where two cells meet at a corner it turns left, around its own.
+    """
+    padded = np.pad(mask, 1)
+    # Unit edges by direction, the cell on their left: east under a cell, north on its right side, and so on.
+    starts = {
+        (1, 0): np.argwhere(mask & ~padded[:-2, 1:-1]),
+        (0, 1): np.argwhere(mask & ~padded[1:-1, 2:]) + np.array((0, 1)),
+        (-1, 0): np.argwhere(mask & ~padded[2:, 1:-1]) + np.array((1, 1)),
+        (0, -1): np.argwhere(mask & ~padded[1:-1, :-2]) + np.array((1, 0)),
+    }
+    leaving: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    for step, corners in starts.items():
+        for row, col in corners.tolist():
+            leaving.setdefault((col, row), []).append(step)
+    shells: list[Float64Array] = []
+    holes: list[Float64Array] = []
+    # From below: two rings never both leave the lowest corner that is left, so that none closes too early.
+    for start in sorted(leaving, key=lambda corner: corner[::-1]):
+        if start not in leaving:
+            continue
+        ring, at, step = [start], start, leaving[start][0]
+        while True:
+            steps = leaving[at]
+            steps.remove(step)
+            if not steps:
+                del leaving[at]
+            at = (at[0] + step[0], at[1] + step[1])
+            if at == start:
+                break
+            left = (-step[1], step[0])
+            onward = leaving[at]
+            turn = left if left in onward else (step if step in onward else (step[1], -step[0]))
+            if turn != step:
+                ring.append(at)
+            step = turn
+        closed = np.array([*ring, ring[0]], np.float64)
+        (shells if _signed_area(closed) > 0.0 else holes).append(closed)
+    polygons = [[shell] for shell in shells]
+    areas = [_signed_area(shell) for shell in shells]
+    for hole in holes:
+        # The least shell around it; a cell just outside the hole is inside of that.
+        around = [n for n, shell in enumerate(shells) if _contains(shell, _beside(hole))]
+        polygons[min(around, key=areas.__getitem__)].append(hole)
+    return polygons
+
+
+def _beside(hole: Float64Array) -> Float64Array:
+    """The middle of a cell of the mask that bounds a hole: half a cell to the left of its first edge."""
+    along = hole[1] - hole[0]
+    along = along / np.hypot(*along)
+    middle: Float64Array = hole[0] + 0.5 * along + 0.5 * np.array([-along[1], along[0]])
+    return middle
+
+
+def _contains(ring: Float64Array, point: Float64Array) -> bool:
+    """Is the point inside? By the crossings of a ray to the east."""
+    (x0, y0), (x1, y1) = ring[:-1].T, ring[1:].T
+    crosses = (y0 > point[1]) != (y1 > point[1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = x0 + (point[1] - y0) / (y1 - y0) * (x1 - x0)
+    return bool(np.count_nonzero(crosses & (at > point[0])) % 2)
+
+
+def _signed_area(ring: Float64Array) -> float:
+    """Positive where it is counter-clockwise."""
+    return float(0.5 * np.sum(ring[:-1, 0] * ring[1:, 1] - ring[1:, 0] * ring[:-1, 1]))

@@ -1,0 +1,86 @@
+"""Measures and individuals as plain CSV, which opens in any spreadsheet; needs no origin."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from dream.survey.products.ground import Ground
+from dream.survey.survey import Survey
+
+MEASURES, INDIVIDUALS = "measures.csv", "individuals.csv"
+
+
+def write(survey: Survey, folder: Path) -> list[Path]:
+    """Write `measures.csv`, of the survey and of each patch, and `individuals.csv`.
+
+    Positions are metres in the world of the run; longitude and latitude come with them where there is an
+    origin.
+
+    Raises:
+        OSError: They cannot be written.
+    """
+    measures, individuals = folder / MEASURES, folder / INDIVIDUALS
+    _write(measures, ("of", "name", "value", "low", "high", "unit", "note"), _measures(survey))
+    _write(individuals, *_individuals(survey))
+    return [measures, individuals]
+
+
+def _measures(survey: Survey) -> Iterable[Sequence[Any]]:
+    of = [("survey", survey.measures)]
+    of += [(f"patch {number}", patch.measures) for number, patch in enumerate(survey.patches, start=1)]
+    for what, measures in of:
+        for m in measures:
+            yield what, m.name, _plain(m.value), _plain(m.low), _plain(m.high), m.unit, m.note
+
+
+def _individuals(survey: Survey) -> tuple[tuple[str, ...], list[list[Any]]]:
+    found = survey.individuals
+    columns: tuple[str, ...] = (
+        "individual",
+        "patch",
+        "x_m",
+        "y_m",
+        "z_m",
+        "position_sigma_m",
+        "size_m",
+        "size_sigma_m",
+    )
+    columns += ("confidence", "hits", "looks")
+    rows = [
+        [
+            number + 1,
+            int(found.patch[number]) + 1 if found.patch[number] >= 0 else "",
+            *(f"{value:.3f}" for value in found.position[number]),
+            f"{found.sigma[number]:.3f}",
+            f"{found.size[number]:.3f}",
+            f"{found.size_sigma[number]:.3f}",
+            f"{found.confidence[number]:.3f}",
+            int(found.hits[number]),
+            int(found.looks[number]),
+        ]
+        for number in range(len(found))
+    ]
+    if survey.site is None:
+        return columns, rows
+    ground = Ground(survey.site)
+    longitude, latitude = ground.globe(found.position[:, 0], found.position[:, 1])
+    depth = ground.depth(found.position[:, 2])
+    for number, row in enumerate(rows):
+        row += [f"{longitude[number]:.8f}", f"{latitude[number]:.8f}", f"{depth[number]:.3f}"]
+    return (*columns, "longitude", "latitude", "depth_m"), rows
+
+
+def _write(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(rows)
+    path.write_text(text.getvalue(), encoding="utf-8")
+
+
+def _plain(value: float | None) -> str:
+    return "" if value is None else f"{value:.6g}"

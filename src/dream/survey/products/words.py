@@ -1,0 +1,216 @@
+"""How a survey is put into words, the same in every report."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+from dream.survey.survey import Measure, Survey
+from dream.types import Target
+
+_UNITS = {"m2": "m²", "1/m2": "per m²", "m": "m", "": ""}
+
+
+@dataclass(frozen=True, slots=True)
+class Meaning:
+    """What a measure is called, and what it says."""
+
+    title: str
+    says: str
+    share: bool = False
+    """Told in percent."""
+
+
+MEANINGS = {
+    "reef_area": Meaning("Reef area", "ground that reef covers"),
+    "area": Meaning("Area", "ground that it covers"),
+    "patch_count": Meaning("Patches", "separate pieces of reef"),
+    "patches": Meaning("Patches", "separate pieces of reef"),
+    "density": Meaning("Density", "individuals on each square metre of reef"),
+    "count": Meaning("Individuals", "each counted once over all frames"),
+    "individuals": Meaning("Individuals", "each counted once over all frames"),
+    "median_size": Meaning("Median size", "half of the individuals are wider than this"),
+    "mean_size": Meaning("Mean size", "mean of the longest diameters"),
+    "reef_height": Meaning("Reef height", "how high the reef stands above the bare seabed"),
+    "mean_height": Meaning("Mean height", "of the reef above the bare seabed"),
+    "max_height": Meaning("Highest reef", "its highest point above the bare seabed"),
+    "height": Meaning("Height", "above the bare seabed"),
+    "rugosity": Meaning("Rugosity", "length along the surface over length on the plan; 1 is flat"),
+    "length": Meaning("Length", "longest extent"),
+    "width": Meaning("Width", "extent across its length"),
+    "seen_share": Meaning("Area looked at", "share of the operator's box that was seen", share=True),
+    "outline_area": Meaning("Outline of the wreck", "ground that the hull covers"),
+    "hull_seen": Meaning("Hull seen", "share of the outer surface that was looked at", share=True),
+    "debris_extent": Meaning("Debris field", "distance from the hull to its farthest piece"),
+    "debris_area": Meaning("Debris", "ground that pieces of the wreck cover"),
+    "highest_point": Meaning("Highest point", "above the bare seabed"),
+}
+
+
+HEADLINES = (
+    *("reef_area", "density", "median_size", "reef_height"),
+    *("outline_area", "hull_seen", "debris_extent", "highest_point"),
+)
+"""Measures that stand first in every report, as far as a survey has them."""
+
+
+def meaning(name: str) -> Meaning:
+    """What a measure means; one that is not known here keeps its name."""
+    plain = name.replace("_", " ")
+    return MEANINGS.get(
+        name, Meaning(plain[:1].upper() + plain[1:], "", share=name.endswith(("_share", "_seen")))
+    )
+
+
+def value_text(measure: Measure) -> str:
+    """Such as "34.8 m²"; "not measured" where it was not."""
+    if measure.value is None:
+        return "not measured"
+    return _with_unit(measure, _number(measure.value, measure))
+
+
+def interval_text(measure: Measure) -> str:
+    """Such as "33.1 to 36.6 m²"; empty where there is none."""
+    if measure.value is None or measure.low is None or measure.high is None:
+        return ""
+    return _with_unit(measure, f"{_number(measure.low, measure)} to {_number(measure.high, measure)}")
+
+
+def _with_unit(measure: Measure, text: str) -> str:
+    if meaning(measure.name).share:
+        return f"{text} %"
+    unit = _UNITS.get(measure.unit, measure.unit)
+    return f"{text} {unit}" if unit else text
+
+
+def _number(value: float, measure: Measure) -> str:
+    """With as many digits as its interval is worth: two of its width, at most three after the point."""
+    scale = 100.0 if meaning(measure.name).share else 1.0
+    width = abs(scale * value)
+    if measure.low is not None and measure.high is not None:
+        width = max(scale * (measure.high - measure.low), 1e-3 * width)
+    digits = 0 if width <= 0.0 else min(3, max(0, 1 - math.floor(math.log10(width))))
+    whole = measure.name in ("count", "patch_count", "patches", "individuals")
+    return f"{scale * value:,.{0 if whole else digits}f}"
+
+
+def simulated(survey: Survey) -> str:
+    """Said of what no camera has seen; empty of a dive in real water."""
+    world = survey.made_by.get("world")
+    if not world:
+        return ""
+    seed = survey.made_by.get("seed")
+    return f"Simulated: world {world}" + (f", seed {seed}" if seed is not None else "")
+
+
+def found(survey: Survey) -> str:
+    """What was looked for."""
+    return {Target.OYSTERS: "oyster reef", Target.WRECK: "wreck"}.get(survey.target, "target")
+
+
+def summary(survey: Survey) -> list[str]:
+    """What was found, in a few sentences for whoever reads nothing else."""
+    of = {measure.name: measure for measure in survey.measures if measure.value is not None}
+    lines = []
+    if survey.target is Target.WRECK:
+        if area := of.get("outline_area"):
+            lines.append(f"The wreck covers {_between(area)} of the seabed.")
+        if high := of.get("highest_point"):
+            lines.append(f"Its highest point stands {_between(high)} above the bare seabed around it.")
+        if seen := of.get("hull_seen"):
+            lines.append(f"{value_text(seen)} of its outer surface was looked at.")
+    else:
+        if area := of.get("reef_area"):
+            count = len(survey.patches)
+            patches = f" in {count} {'patch' if count == 1 else 'patches'}" if count else ""
+            lines.append(f"Reef covers {_between(area)}{patches}.")
+        if density := of.get("density"):
+            lines.append(f"On each square metre of it there are {_between(density, unit=False)} individuals.")
+        if size := of.get("median_size"):
+            lines.append(f"Half of them are wider than {_between(size)}.")
+        if height := of.get("reef_height"):
+            lines.append(f"The reef stands {_between(height)} above the bare seabed.")
+    seen_share = _seen_share(survey)
+    lines.append(
+        f"{100.0 * seen_share:.0f} % of the mapped ground was looked at; of the rest nothing is known."
+    )
+    return lines
+
+
+def _between(measure: Measure, *, unit: bool = True) -> str:
+    """Such as "34.8 m² (33.1 to 36.6)"."""
+    assert measure.value is not None  # `summary` takes no others.
+    value = value_text(measure) if unit else _number(measure.value, measure)
+    if measure.low is None or measure.high is None:
+        return value
+    return f"{value} ({_number(measure.low, measure)} to {_number(measure.high, measure)})"
+
+
+def _seen_share(survey: Survey) -> float:
+    return float((survey.layers.state != 0).mean())
+
+
+def limits(survey: Survey) -> list[str]:
+    """What the figures do not say. Stands in every report."""
+    worst = float(survey.track.sigma.max(initial=0.0))
+    lines = [
+        "Every interval is a 95 % interval: in one case of twenty the true figure lies outside of it.",
+        "A camera and a program made these figures. Nobody has checked the individuals one by one, and none "
+        "was touched: whether one is alive, and what grows below the surface of the reef, is not known.",
+    ]
+    if survey.target is not Target.WRECK:
+        lines.append(
+            "An individual is what stands apart in the pictures, often a clump of several shells. Its size is "
+            "its longest diameter as seen from above. Where clumps grow into each other, their number is "
+            "corrected, and the interval is wider."
+        )
+    lines.append(
+        "Ground that no frame saw counts neither as reef nor as bare. The map of how often each place was "
+        "looked at shows where the figures rest on few frames."
+    )
+    lines.append(
+        f"Positions are those that the vehicle believed; along the way they may err by up to {worst:.2f} m "
+        "(one sigma), and all of them share the error of the origin, which is not included."
+    )
+    if survey.site is None:
+        lines.append(
+            "The survey has no origin: positions are metres from where the run began, and north is not known."
+        )
+    if text := simulated(survey):
+        lines.append(f"{text}. No real place was surveyed.")
+    return lines
+
+
+def facts(survey: Survey) -> list[tuple[str, str]]:
+    """When, where and how, as (what, value)."""
+    told = [
+        ("Survey", survey.name),
+        ("Began", survey.began.strftime("%d %B %Y, %H:%M %Z").lstrip("0")),
+        ("Looked for", found(survey)),
+    ]
+    if survey.site is not None:
+        site = survey.site
+        north, east = "N" if site.latitude >= 0 else "S", "E" if site.longitude >= 0 else "W"
+        told += [
+            ("Origin", f"{abs(site.latitude):.5f}° {north}, {abs(site.longitude):.5f}° {east} (WGS 84)"),
+            ("Depths below", site.datum),
+        ]
+    steps = len(survey.track.time) - 1
+    minutes = (float(survey.track.time[-1]) if len(survey.track.time) else 0.0) / 60.0
+    told += [
+        ("Mission", f"{max(0, steps)} steps, {travelled(survey):.0f} m in {minutes:.0f} min"),
+        ("Box", f"{survey.area.width:g} × {survey.area.depth:g} m"),
+        ("Protocol", survey.protocol),
+    ]
+    if planner := survey.made_by.get("planner"):
+        told.append(("Planner", str(planner)))
+    if text := simulated(survey):
+        told.append(("Simulated", text.removeprefix("Simulated: ")))
+    return told
+
+
+def travelled(survey: Survey) -> float:
+    """Metres over ground."""
+    track = survey.track.position[:, :2]
+    return float(sum(math.dist(a, b) for a, b in pairwise(track)))
