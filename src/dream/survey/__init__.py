@@ -1,5 +1,6 @@
 """From a mission to what a monitor of reefs needs: measures with intervals, maps, change over time."""
 
+from dream.survey.measuring import About, measure, measure_observations
 from dream.survey.survey import (
     DecisionPoint,
     Individuals,
@@ -10,4 +11,15 @@ from dream.survey.survey import (
     Track,
 )
 
-__all__ = ["DecisionPoint", "Individuals", "Layers", "Measure", "Patch", "Survey", "Track"]
+__all__ = [
+    "About",
+    "DecisionPoint",
+    "Individuals",
+    "Layers",
+    "Measure",
+    "Patch",
+    "Survey",
+    "Track",
+    "measure",
+    "measure_observations",
+]

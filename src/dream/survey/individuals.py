@@ -1,0 +1,228 @@
+"""The fine picture of the ground → individuals, each located, sized and counted once.
+
+Clumps of shells grow into crusts, so that a connected patch of target is no individual. What tells neighbours
+apart is relief: each clump is a small mound, and all frames together draw it. A peak of that relief, weighed
+by how sure its spot is target, is an individual. One that lies under or hard beside another shows no
+peak of its own; for those each peak that is found stands for more than one, by a capture model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.protocol import SurveyProtocol
+from dream.survey.calibration import Calibration
+from dream.survey.ground import Frame, Ground
+from dream.types import BoolArray, Float32Array
+
+Float64Array = npt.NDArray[np.float64]
+Int32Array = npt.NDArray[np.int32]
+
+BLUR = 0.04
+"""Metres: the picture is blurred so much, so that the shells of one clump make one peak."""
+APART = 0.08
+"""Metres between two peaks at least."""
+TALLEST = 0.3
+"""Metres: what stands higher above the ground around it counts as this high."""
+FLAT = 0.03
+"""Metres: what target is worth in relief where it has none."""
+SPARSEST = 0.25
+"""Share of the ground around a peak, so blurred, that is target at least."""
+CROWD = 0.25
+"""Metres: how far around a peak its crowding is looked at."""
+BLOCK = 4
+"""Cells along a block for what is smooth."""
+WIDEST = 0.25
+"""Metres from its peak where the shell of an individual ends at the latest."""
+HIDDEN = 0.12
+"""Metres before a peak at which a return hides it."""
+RECOGNISED = 0.75
+"""How often an individual in view is labelled target, hidden ones included; a frame has one vote."""
+MISTAKEN = 0.03
+"""How often bare ground is."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Peaks:
+    """N peaks of relief. Arrays share their first axis."""
+
+    position: Float64Array
+    """(N, 3) metres in the world: over its middle, at the height of its top."""
+    cover: Float64Array
+    """(N,) share of the ground within about `CROWD` that is target."""
+    nearest: Float64Array
+    """(N,) least depth that it was seen at, metres."""
+    across: Float64Array
+    """(N,) metres: the longest axis of its shell, as an ellipse of the same second moments."""
+    room: Float64Array
+    """(N,) metres to the next peak; inf where there is none."""
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+
+def peaks(ground: Ground) -> Peaks:
+    """Every peak of the relief of what is target."""
+    from scipy import ndimage
+    from scipy.spatial import cKDTree
+
+    cell, seen = ground.cell, ground.seen
+    share = np.where(seen, ground.share, np.float32(0.0))
+    above = np.where(seen, ground.height - bare_ground(ground), np.float32(0.0))
+    relief = share * (np.clip(above, -0.02, TALLEST) + np.float32(FLAT))
+    sigma = BLUR / cell
+    weight = np.maximum(ndimage.gaussian_filter(seen.astype(np.float32), sigma), 0.05)
+    dense = ndimage.gaussian_filter(share, sigma) / weight
+    relief = ndimage.gaussian_filter(relief, sigma) / weight
+    reach = round(APART / cell)
+    disc = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1]) <= reach + 0.3
+    top = (dense > SPARSEST) & (weight > 0.1)
+    top &= relief == ndimage.maximum_filter(relief, footprint=disc)
+    row, col = np.nonzero(top)
+    x, y = ground.centres(row, col)
+    place = np.column_stack([x, y])
+    tree = cKDTree(place) if len(place) else None
+    room = tree.query(place, k=2)[0][:, 1] if tree is not None and len(place) > 1 else np.full(len(x), np.inf)
+    cover = crowding(ground)[np.minimum(row // BLOCK, -(-share.shape[0] // BLOCK) - 1), col // BLOCK]
+    near = ndimage.minimum_filter(ground.nearest, 5)[row, col].astype(np.float64)
+    across, height = _shells(ground, place, share)
+    return Peaks(np.column_stack([place, height]), cover, near, across, room)
+
+
+def bare_ground(ground: Ground) -> Float32Array:
+    """(rows, cols) world z of the ground between the shells: a smooth surface through what is not target."""
+    from scipy import ndimage
+
+    bare = ground.seen & (ground.share < 0.3)
+    total = _blocks(np.where(bare, ground.height, 0.0))
+    count = _blocks(bare.astype(np.float64))
+    surface, weight = np.zeros_like(total), np.zeros_like(count)
+    # Where nothing bare is near, the wider means decide.
+    for sigma, worth in ((0.08, 1.0), (0.16, 0.05), (0.4, 1e-3), (1.2, 1e-6), (4.0, 1e-12)):
+        width = sigma / (BLOCK * ground.cell)
+        surface += worth * ndimage.gaussian_filter(total, width)
+        weight += worth * ndimage.gaussian_filter(count, width)
+    level = np.divide(surface, weight, out=np.full_like(surface, _level(ground)), where=weight > 1e-30)
+    row, col = ((np.arange(side) + 0.5) / BLOCK - 0.5 for side in ground.height.shape)
+    return _bilinear(level, row, col)
+
+
+def crowding(ground: Ground) -> Float64Array:
+    """Share of what was seen within about `CROWD` that is target, in blocks of `BLOCK` cells."""
+    from scipy import ndimage
+
+    width = CROWD / (BLOCK * ground.cell)
+    cover = ndimage.gaussian_filter(_blocks(np.where(ground.seen, ground.share, 0.0)), width)
+    seen = ndimage.gaussian_filter(_blocks(ground.seen.astype(np.float64)), width)
+    share: Float64Array = cover / np.maximum(seen, 0.05 * BLOCK * BLOCK)
+    return share
+
+
+def stands_for(found: Peaks, calibration: Calibration) -> Float64Array:
+    """(N,) individuals that each peak stands for, by crowding and range: the capture model."""
+    near = np.clip(found.nearest - 3.0, -2.0, 6.0)
+    a, by_cover, by_range = calibration.capture
+    weight: Float64Array = np.exp(np.clip(a + by_cover * (found.cover - 0.5) + by_range * near, -2.0, 2.5))
+    return weight
+
+
+def recognised(
+    found: Peaks, frames: Iterable[Frame], protocol: SurveyProtocol
+) -> tuple[Int32Array, Int32Array]:
+    """(N,) frames in which each peak was labelled target, and in which it could have been."""
+    from dream.survey import _kernels
+
+    hits, looks = np.zeros(len(found), np.int32), np.zeros(len(found), np.int32)
+    limits = np.array([protocol.min_depth, protocol.max_depth, protocol.reach])
+    for frame in frames:
+        _kernels.recognise(
+            found.position,
+            frame.depth,
+            frame.labels,
+            frame.lens,
+            frame.rotation,
+            frame.origin,
+            limits,
+            HIDDEN,
+            hits,
+            looks,
+        )
+    return hits, np.maximum(looks, hits)
+
+
+def confidence(hits: Int32Array, looks: Int32Array, in_patch: BoolArray) -> Float64Array:
+    """(N,) probability that each peak is an individual: every look an independent witness (Bayes).
+
+    Beforehand that is likely on a patch of reef, and not elsewhere.
+    """
+    prior = np.where(in_patch, 0.95, 0.3)
+    odds = np.log(prior / (1.0 - prior)) + hits * math.log(RECOGNISED / MISTAKEN)
+    odds = odds + (looks - hits) * math.log((1.0 - RECOGNISED) / (1.0 - MISTAKEN))
+    probability: Float64Array = 1.0 / (1.0 + np.exp(-np.clip(odds, -30.0, 30.0)))
+    return probability
+
+
+def _shells(ground: Ground, place: Float64Array, share: Float32Array) -> tuple[Float64Array, Float64Array]:
+    """Length of the longest axis of the shell that belongs to each peak, and the height of its top.
+
+    A cell of shell belongs to the nearest peak within `WIDEST`.
+    """
+    from scipy.spatial import cKDTree
+
+    count = len(place)
+    if count == 0:
+        return np.zeros(0), np.zeros(0)
+    row, col = np.nonzero(share > 0.5)
+    x, y = ground.centres(row, col)
+    away, owner = cKDTree(place).query(np.column_stack([x, y]), distance_upper_bound=WIDEST)
+    mine = np.isfinite(away)
+    owner, row, col = owner[mine], row[mine], col[mine]
+    x, y = x[mine], y[mine]
+    total = np.maximum(np.bincount(owner, minlength=count), 1)
+
+    def mean(values: Float64Array) -> Float64Array:
+        return np.asarray(np.bincount(owner, weights=values, minlength=count) / total)
+
+    mx, my = mean(x), mean(y)
+    dx, dy = x - mx[owner], y - my[owner]
+    xx, yy, xy = mean(dx * dx), mean(dy * dy), mean(dx * dy)
+    # A cell has a width of its own.
+    own = ground.cell**2 / 12.0
+    longest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy) + own
+    height = np.full(count, -np.inf)
+    np.maximum.at(height, owner, ground.height[row, col].astype(np.float64))
+    middle = ((place - (ground.bounds.x_min, ground.bounds.y_min)) / ground.cell).astype(np.intp)
+    here = ground.height[middle[:, 1], middle[:, 0]].astype(np.float64)
+    level = np.where(np.isfinite(height), height, np.nan_to_num(here, nan=_level(ground)))
+    return 4.0 * np.sqrt(longest), level
+
+
+def _level(ground: Ground) -> float:
+    """World z of all that was seen, about."""
+    return float(np.median(ground.height[ground.seen])) if ground.seen.any() else 0.0
+
+
+def _blocks(values: npt.NDArray[np.floating]) -> Float64Array:
+    """Sums over blocks."""
+    pad = [(0, -side % BLOCK) for side in values.shape]
+    wide = np.pad(values, pad)
+    rows, cols = wide.shape
+    sums: Float64Array = wide.reshape(rows // BLOCK, BLOCK, cols // BLOCK, BLOCK).sum(
+        axis=(1, 3), dtype=np.float64
+    )
+    return sums
+
+
+def _bilinear(values: Float64Array, row: Float64Array, col: Float64Array) -> Float32Array:
+    """Values of a coarse grid at every pair of rows and columns of a fine one."""
+    i = np.clip(np.floor(row).astype(np.intp), 0, max(values.shape[0] - 2, 0))
+    j = np.clip(np.floor(col).astype(np.intp), 0, max(values.shape[1] - 2, 0))
+    fy, fx = np.clip(row - i, 0.0, 1.0), np.clip(col - j, 0.0, 1.0)
+    below, right = np.minimum(i + 1, values.shape[0] - 1), np.minimum(j + 1, values.shape[1] - 1)
+    lines = values[i] * (1.0 - fy)[:, None] + values[below] * fy[:, None]
+    return (lines[:, j] * (1.0 - fx) + lines[:, right] * fx).astype(np.float32)

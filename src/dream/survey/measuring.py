@@ -1,0 +1,262 @@
+"""A run folder → a survey: what its frames say of a reef or a wreck, each figure with its interval."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dream import __version__
+from dream.mapping import Layers as MapLayers
+from dream.mapping import OccupancyMap
+from dream.recording import RecordedStep, RunConfig, read_config, read_steps
+from dream.robots import replay
+from dream.survey.calibration import calibration_for
+from dream.survey.ground import Frame, Ground, fuse, scatter_of
+from dream.survey.intervals import around
+from dream.survey.reef import measure_reef
+from dream.survey.site import Site
+from dream.survey.survey import DecisionPoint, Layers, Measure, Survey, Track
+from dream.survey.wreck import measure_wreck, no_individuals
+from dream.types import Observation, Reasoning, Target
+from dream.versions import commit
+
+UNKNOWN, EXPLORED, TARGET, SOLID, SOLID_TARGET = range(5)
+"""Values of `Layers.state`."""
+HULL_SHARE = 0.15
+"""Share of the target cells that are solid in a wreck, at least, where nobody said what was looked for."""
+
+Told = Callable[[int, int], None]
+"""Is told how many of how many frames are taken in."""
+
+
+@dataclass(frozen=True, slots=True)
+class About:
+    """What a survey says of its mission beside what was seen."""
+
+    name: str
+    began: datetime
+    site: Site | None = None
+    target: Target = Target.ANY
+    decisions: tuple[DecisionPoint, ...] = ()
+    sigma: tuple[float, ...] = ()
+    """Metres by which the position may err at each observation; none where it is the truth."""
+    made_by: dict[str, Any] = field(default_factory=dict)
+
+
+def measure(run: Path, site: Site | None = None, *, told: Told | None = None) -> Survey:
+    """The survey of a run whose observations were kept.
+
+    Args:
+        run: Its folder, of the simulator or of a dive.
+        site: Where on earth it was; what the folder's `site.json` says where None.
+        told: Is told of the progress.
+
+    Raises:
+        FileNotFoundError: It is no run, or its observations were not kept; the message says how to fly again.
+        ValueError: Some of it is damaged.
+    """
+    config, steps = read_config(run), read_steps(run)
+    kept = _Kept(run)
+    occupancy = _map_of(run)
+    if site is None and (run / "site.json").is_file():
+        from dream.survey.site import read_site
+
+        site = read_site(run / "site.json")
+    return measure_observations(kept, occupancy, _about(run, config, steps, len(kept), site), told=told)
+
+
+def measure_observations(
+    observations: Collection[Observation], occupancy: MapLayers, about: About, *, told: Told | None = None
+) -> Survey:
+    """The survey of a mission from what it saw.
+
+    Args:
+        observations: All of them, in order. They are gone through up to twice.
+        occupancy: The map that they made.
+        about: The mission.
+        told: Is told of the progress.
+
+    Raises:
+        ValueError: There are no observations.
+    """
+    if not len(observations):
+        raise ValueError("survey: expected at least one observation, got none")
+    frames, track = _taken_in(observations, about, told)
+    ground = fuse(frames, occupancy.bounds, occupancy.protocol, scatter_of(frames))
+    # What counts is how far poses err against each other, not against the globe.
+    sigma = float(np.median(track.sigma)) if len(track.sigma) else 0.0
+    target = _kind(occupancy) if about.target is Target.ANY else about.target
+    if target is Target.WRECK:
+        measures, found, above = measure_wreck(ground, observations, occupancy, sigma)
+        individuals = no_individuals()
+    else:
+        reef = measure_reef(ground, frames, occupancy, sigma)
+        measures, found, above, individuals = reef.measures, reef.patches, reef.height, reef.individuals
+    parameters = {"cell": ground.cell, "scatter": ground.scatter}
+    calibration = asdict(calibration_for(ground.scatter))
+    return Survey(
+        name=about.name,
+        began=about.began,
+        site=about.site,
+        target=target,
+        protocol=occupancy.protocol.name,
+        area=occupancy.bounds,
+        measures=(*measures, _seen_share(occupancy)),
+        individuals=individuals,
+        patches=found,
+        layers=_layers(occupancy, ground, above),
+        track=track,
+        decisions=about.decisions,
+        made_by={**about.made_by, "measuring": {**parameters, "calibration": calibration}},
+    )
+
+
+class _Kept(Collection[Observation]):
+    """The observations in a run folder, read one by one."""
+
+    def __init__(self, run: Path) -> None:
+        self._files = sorted((run / replay.FOLDER).glob("*.npz"))
+        if not self._files:
+            raise FileNotFoundError(
+                f"{run}: expected a run with its observations, got no {replay.FOLDER}/*.npz in it. "
+                "Fly it again with --keep-observations, or with --site"
+            )
+        for number, file in enumerate(self._files):
+            if file.name != f"{number:04d}.npz":
+                raise ValueError(f"{file}: expected {number:04d}.npz before it, which is missing")
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+    def __iter__(self) -> Iterator[Observation]:
+        return (replay.read(file).observation for file in self._files)
+
+    def __contains__(self, item: object) -> bool:
+        return any(item is seen for seen in self)
+
+
+def _taken_in(
+    observations: Collection[Observation], about: About, told: Told | None
+) -> tuple[list[Frame], Track]:
+    frames, times, places, yaws = [], [], [], []
+    for number, seen in enumerate(observations, start=1):
+        frames.append(Frame.of(seen))
+        times.append(seen.time)
+        places.append(seen.T_world_base.translation)
+        yaws.append(seen.T_world_base.yaw)
+        if told is not None:
+            told(number, len(observations))
+    sigma = np.zeros(len(frames))
+    given = np.asarray(about.sigma[: len(frames)], np.float64)
+    sigma[: len(given)] = given
+    track = Track(
+        np.array(times, np.float64), np.array(places, np.float64), np.array(yaws, np.float64), sigma
+    )
+    return frames, track
+
+
+def _kind(occupancy: MapLayers) -> Target:
+    """What was found: a hull stands in the way, shells lie on the ground."""
+    target = occupancy.target
+    solid = np.count_nonzero(target & occupancy.solid)
+    return Target.WRECK if solid > HULL_SHARE * max(np.count_nonzero(target), 1) else Target.OYSTERS
+
+
+def _seen_share(occupancy: MapLayers) -> Measure:
+    """Of the area that was to be seen; a cell at its border may count or not."""
+    wanted = occupancy.to_see
+    seen = occupancy.known & wanted
+    share = int(np.count_nonzero(seen)) / max(int(np.count_nonzero(wanted)), 1)
+    rim = int(np.count_nonzero(seen[1:] != seen[:-1]) + np.count_nonzero(seen[:, 1:] != seen[:, :-1]))
+    told = around("seen_share", share, 0.25 * rim / max(wanted.size, 1), "")
+    assert told.high is not None
+    return Measure("seen_share", share, told.low, min(told.high, 1.0), "", "of the area that was to be seen")
+
+
+def _layers(occupancy: MapLayers, ground: Ground, above: np.ndarray[Any, np.dtype[np.float64]]) -> Layers:
+    seen, solid, target = occupancy.known, occupancy.solid, occupancy.target
+    state = np.full(occupancy.shape, UNKNOWN, np.uint8)
+    state[seen] = EXPLORED
+    state[target & seen] = TARGET
+    state[solid] = SOLID
+    state[solid & target] = SOLID_TARGET
+    probability = np.where(seen, occupancy.target_probability, np.nan).astype(np.float32)
+    return Layers(
+        bounds=occupancy.bounds,
+        cell=occupancy.protocol.cell,
+        state=state,
+        target_probability=probability,
+        relief=np.where(seen, above, np.nan).astype(np.float32),
+        times_seen=ground.times,
+    )
+
+
+def _map_of(run: Path) -> OccupancyMap:
+    path = run / "map.npz"
+    if not path.is_file():
+        raise FileNotFoundError(f"{run}: expected a run with its map, got no map.npz in it. Fly it again")
+    return OccupancyMap.load(path)
+
+
+def _about(
+    run: Path, config: RunConfig, steps: Sequence[RecordedStep], observed: int, site: Site | None
+) -> About:
+    sigma = {step.step: step.position_sigma_m for step in steps}
+    return About(
+        name=run.resolve().name,
+        began=_began(run),
+        site=site,
+        target=_target(config),
+        decisions=tuple(_decision(step) for step in steps if step.step > 0),
+        sigma=tuple(sigma.get(number, 0.0) for number in range(observed)),
+        made_by={
+            "version": __version__,
+            "commit": commit(),
+            "planner": config.planner,
+            "world": config.world,
+            "seed": config.seed,
+            "flown_by": {"version": config.version, "commit": config.commit},
+        },
+    )
+
+
+def _began(run: Path) -> datetime:
+    """By the folder's name, which is in UTC; by its first step where it was called otherwise."""
+    found = re.match(r"(\d{4}-\d\d-\d\dT\d\d-\d\d)_", run.resolve().name)
+    if found:
+        try:
+            return datetime.strptime(found.group(1), "%Y-%m-%dT%H-%M").replace(tzinfo=UTC)
+        except ValueError:
+            pass  # Such as month 13: not ours.
+    return datetime.fromtimestamp((run / "config.json").stat().st_mtime, UTC)
+
+
+def _target(config: RunConfig) -> Target:
+    """What the orders look for; anything where they do not say one thing."""
+    legs = (config.orders or {}).get("legs")
+    named = {leg.get("target") for leg in legs if isinstance(leg, dict)} if isinstance(legs, list) else set()
+    only = named.pop() if len(named) == 1 else None
+    return Target(only) if only in set(Target) else Target.ANY
+
+
+def _decision(step: RecordedStep) -> DecisionPoint:
+    said = step.reasoning
+    return DecisionPoint(
+        step=step.step,
+        time=step.time,
+        x=step.pose.x,
+        y=step.pose.y,
+        yaw=step.pose.yaw,
+        turn=step.guarded.turn,
+        advance=step.guarded.advance,
+        reasoning=Reasoning(
+            said.distribution, said.target_area, said.completion, said.next_target, said.safety, said.action
+        ),
+        note="; ".join(filter(None, (step.guarded.note, step.arrival_note, step.open_region))),
+    )

@@ -1,0 +1,368 @@
+"""The measures of an oyster reef: area and patches, height, density of individuals, sizes.
+
+Definitions after Baggett et al. 2014, *Oyster Habitat Restoration Monitoring and Assessment Handbook*, and
+as docs/survey-measures.md says them exactly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.mapping import Layers as MapLayers
+from dream.survey import individuals, patches, relief
+from dream.survey.calibration import Calibration, calibration_for
+from dream.survey.ground import Frame, Ground
+from dream.survey.individuals import Peaks
+from dream.survey.intervals import around, in_ratio, together, unknown
+from dream.survey.survey import Individuals, Measure, Patch
+from dream.types import BoolArray
+
+Float64Array = npt.NDArray[np.float64]
+Int32Array = npt.NDArray[np.int32]
+
+FINE = 0.05
+"""Metres: the cells that patches are drawn in, about."""
+SURE = 0.5
+"""Share of the views that take a cell for target, from which it is."""
+LONE = 0.25
+"""Metres to the next peak from which an individual's own outline is seen."""
+CLEAR = 4.5
+"""Metres: deeper in the image no outline is sharp enough to be sized."""
+FEWEST_SIZED = 12
+"""Lone individuals from which a median is told by them alone."""
+REACHES_ON = 0.75
+"""Metres over which a reef is half as likely to go on into ground that was not seen, about."""
+WANDER = 3.0
+"""Metres along an outline over which errors of the pose move it alike."""
+BIN = 0.05
+"""Metres: the width of the bins of the size-frequency."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reef:
+    """All of a reef that a survey tells."""
+
+    measures: tuple[Measure, ...]
+    patches: tuple[Patch, ...]
+    individuals: Individuals
+    height: Float64Array
+    """(rows, cols) metres above the seabed on the map's grid; NaN where nothing was seen."""
+
+
+def measure_reef(ground: Ground, frames: Sequence[Frame], occupancy: MapLayers, sigma: float) -> Reef:
+    """Everything about a reef.
+
+    Args:
+        ground: What all frames together show.
+        frames: To look for each individual in.
+        occupancy: The mission's map, over the bounds of `ground`.
+        sigma: Metres by which poses may err against each other.
+    """
+    calibration = calibration_for(ground.scatter)
+    times = max(1, round(FINE / ground.cell))
+    cell = times * ground.cell
+    cover = _any(ground.seen & (ground.share >= SURE), times)
+    marks, count = patches.parts(patches.closed(cover, cell), cell)
+    reef = marks >= 0
+    corner = (ground.bounds.x_min, ground.bounds.y_min)
+    unseen = _unseen(reef, cell, occupancy)
+
+    peaks = individuals.peaks(ground)
+    patch = _at(marks, peaks, corner, cell)
+    hits, looks = individuals.recognised(peaks, frames, occupancy.protocol)
+    sure = individuals.confidence(hits, looks, patch >= 0)
+    worth = np.where(patch >= 0, sure * individuals.stands_for(peaks, calibration), 0.0)
+    sizes = _Sizes.of(peaks, sure, calibration)
+
+    heights = _heights(ground, reef, cell, occupancy.protocol.cell)
+    shapes = [
+        _shape(number, marks, corner, cell, heights, worth[patch == number], sigma, calibration)
+        for number in range(count)
+    ]
+    outline = sum(shape.perimeter for shape in shapes)
+    area = sum(shape.area for shape in shapes)
+    measures = _totals(shapes, area, outline, worth, unseen, sigma, calibration)
+    measures += sizes.measures(patch >= 0)
+    measures += _relief_measures(heights, reef, cell, ground, calibration)
+    found = Individuals(
+        position=peaks.position,
+        sigma=np.full(len(peaks), together(sigma, ground.cell)) + ground.scatter * peaks.nearest**2,
+        size=sizes.size,
+        size_sigma=sizes.error,
+        hits=hits,
+        looks=looks,
+        confidence=sure,
+        patch=patch,
+    )
+    return Reef(
+        measures,
+        tuple(Patch(shape.rings, shape.measures) for shape in shapes),
+        found,
+        heights.above,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shape:
+    """One patch."""
+
+    rings: tuple[Float64Array, ...]
+    area: float
+    perimeter: float
+    count: float
+    measures: tuple[Measure, ...]
+
+
+def _shape(
+    number: int,
+    marks: Int32Array,
+    corner: tuple[float, float],
+    cell: float,
+    heights: relief.Relief,
+    worth: Float64Array,
+    sigma: float,
+    calibration: Calibration,
+) -> _Shape:
+    mask = marks == number
+    rows, cols = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    low = (int(rows[0]), int(cols[0]))
+    box = np.s_[low[0] : rows[-1] + 1, low[1] : cols[-1] + 1]
+    rings = patches.rings(mask[box], (corner[0] + low[1] * cell, corner[1] + low[0] * cell), cell)
+    outline = patches.perimeter(rings)
+    inside = float(np.count_nonzero(mask)) * cell * cell
+    area = max(inside + calibration.edge * outline, 0.25 * inside)
+    error = _area_error(outline, cell, sigma, calibration)
+    length, width = patches.calipers(rings[0])
+    side = together(2.0 * calibration.edge_spread, sigma, cell)
+    count = float(worth.sum())
+    count_error = _count_error(worth, calibration)
+    ratio = together(count_error, error / area)
+    above = heights.above[_reduced(mask, heights.above.shape) > 0.5]
+    above = above[np.isfinite(above)]
+    measures = [
+        around("area", area, error, "m2"),
+        around("length", length + 2.0 * calibration.edge, side, "m", "greatest distance across"),
+        around("width", width + 2.0 * calibration.edge, side, "m", "least distance across"),
+        _height("height", above, calibration),
+        in_ratio("density", count / area, ratio, "1/m2") if count else around("density", 0.0, 0.5, "1/m2"),
+        in_ratio("count", count, count_error, "") if count else around("count", 0.0, 1.0, ""),
+    ]
+    return _Shape(rings, area, outline, count, tuple(measures))
+
+
+def _totals(
+    shapes: Sequence[_Shape],
+    area: float,
+    outline: float,
+    worth: Float64Array,
+    unseen: float,
+    sigma: float,
+    calibration: Calibration,
+) -> tuple[Measure, ...]:
+    """Of the whole reef: area, patches, count, density."""
+    if not shapes:
+        none = "no patch of reef was found"
+        return (
+            around("reef_area", 0.0, 0.5 * patches.SMALLEST + unseen, "m2", none),
+            Measure("patch_count", 0.0, 0.0, 0.0, "", none),
+            unknown("density", "1/m2", none),
+            Measure("count", 0.0, 0.0, 0.0, "", none),
+        )
+    error = _area_error(outline, 0.05, sigma, calibration)
+    count = float(worth.sum())
+    # The parts that were not seen are as likely to be there as not, and as densely grown.
+    share = unseen / (area + unseen)
+    count_error = _count_error(worth, calibration)
+    density = count / area
+    doubtful = sum(shape.area < 1.5 * patches.SMALLEST for shape in shapes)
+    note = f"{unseen:.1f} m2 of it not seen but likely" if unseen >= 0.05 else ""
+    return (
+        around("reef_area", area + unseen, together(error, unseen), "m2", note),
+        Measure("patch_count", float(len(shapes)), float(len(shapes) - doubtful), float(len(shapes) + 1), ""),
+        in_ratio("density", density, together(count_error, error / area), "1/m2"),
+        in_ratio("count", count + density * unseen, together(count_error, share), ""),
+    )
+
+
+def _area_error(outline: float, cell: float, sigma: float, calibration: Calibration) -> float:
+    """Square metres: the outline may be off all along, wander with the poses, and end anywhere in a cell."""
+    return together(
+        calibration.edge_spread * outline,
+        sigma * math.sqrt(outline * WANDER),
+        cell / math.sqrt(12.0) * math.sqrt(outline * cell),
+    )
+
+
+def _count_error(worth: Float64Array, calibration: Calibration) -> float:
+    """Of the logarithm of a count: of the capture model, and of chance where few were found."""
+    total = float(worth.sum())
+    chance = float((worth * np.maximum(worth - 1.0, 0.1)).sum())
+    return together(calibration.capture_spread, math.sqrt(chance) / max(total, 1.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sizes:
+    """Sizes of all individuals: those that stand alone are measured, the others are likely to be alike."""
+
+    size: Float64Array
+    error: Float64Array
+    lone: BoolArray
+    calibration: Calibration
+
+    @staticmethod
+    def of(peaks: Peaks, sure: Float64Array, calibration: Calibration) -> _Sizes:
+        constant, times = calibration.size
+        size = constant + times * peaks.across
+        lone = (peaks.room >= LONE) & (peaks.nearest <= CLEAR) & (sure > 0.5)
+        if np.count_nonzero(lone) < FEWEST_SIZED:
+            lone = (sure > 0.5) & (peaks.nearest <= max(CLEAR, _median(peaks.nearest)))
+        error = np.full(len(peaks), calibration.size_residual)
+        if lone.any():
+            middle = float(np.median(size[lone]))
+            spread = float(size[lone].std())
+            # What is measured scatters by the error of measuring, too: drawn in, it does not.
+            kept = math.sqrt(max(spread**2 - calibration.size_residual**2, 0.0)) / max(spread, 1e-9)
+            kept = max(kept, 0.3)
+            size = np.where(lone, middle + kept * (size - middle), middle + 0.5 * kept * (size - middle))
+            error = np.where(lone, error, max(spread, calibration.size_residual))
+        return _Sizes(np.maximum(size, 0.02), error, lone, calibration)
+
+    def measures(self, on_reef: BoolArray) -> tuple[Measure, ...]:
+        """The median, and the shares in bins of size."""
+        chosen = self.size[self.lone & on_reef]
+        if len(chosen) < 3:
+            chosen = self.size[self.lone]
+        if len(chosen) < 3:
+            return (unknown("median_size", "m", "fewer than three individuals stand clear of others"),)
+        middle = _median(chosen)
+        chance = 1.25 * float(chosen.std()) / math.sqrt(len(chosen)) / middle
+        note = f"from {len(chosen)} that stand clear of others"
+        measures = [
+            in_ratio("median_size", middle, together(self.calibration.size_spread, chance), "m", note)
+        ]
+        number = np.floor(chosen / BIN + 1e-9).astype(np.intp)
+        for k in range(int(number.min()), int(number.max()) + 1):
+            share = float(np.mean(number == k))
+            # Wilson's interval has no width of zero where a bin is empty or full.
+            n = len(chosen)
+            middle_share = (share + 1.92 / n) / (1.0 + 3.84 / n)
+            half = 1.96 / (1.0 + 3.84 / n) * math.sqrt(share * (1.0 - share) / n + 0.96 / n**2)
+            # A bin's edge moves with the calibration of sizes.
+            half = together(half, self.calibration.size_spread * float(k * BIN) / BIN * 0.25)
+            name = f"size_share_{round(100 * k * BIN):03d}_{round(100 * (k + 1) * BIN):03d}_cm"
+            low, high = max(middle_share - half, 0.0), min(middle_share + half, 1.0)
+            measures.append(Measure(name, share, min(low, share), max(high, share), "", note))
+        return tuple(measures)
+
+
+def _heights(ground: Ground, reef: BoolArray, cell: float, post: float) -> relief.Relief:
+    """Heights on the map's grid above the membrane through the bare seabed."""
+    times = round(post / ground.cell)
+    level, _ = relief.averaged(ground.height.astype(np.float64), ground.seen, times)
+    rows, cols = level.shape
+    near = _grown(reef, relief.RIM, cell)
+    under = _reduced(near, (rows, cols)) > 0.0
+    base = relief.spanned(level, under)
+    return relief.Relief(base, level - base)
+
+
+def _relief_measures(
+    heights: relief.Relief, reef: BoolArray, cell: float, ground: Ground, calibration: Calibration
+) -> tuple[Measure, ...]:
+    share = _reduced(reef, heights.above.shape)
+    above = heights.above[share > 0.5]
+    above = above[np.isfinite(above)]
+    times = max(1, round(relief.CHAIN / ground.cell))
+    level, _ = relief.averaged(ground.height.astype(np.float64), ground.seen, times)
+    ratio = relief.chain_ratio(level, _reduced(reef, level.shape) > 0.5)
+    measures = [_height("reef_height", above, calibration)]
+    if len(above) >= 4:
+        highest = calibration.relief * float(np.quantile(above, 0.99))
+        measures.append(
+            around("reef_height_max", highest, 1.5 * calibration.relief_spread, "m", "1 % of it is higher")
+        )
+    if ratio is None:
+        measures.append(unknown("rugosity", "", "too little of the reef's surface was seen"))
+    else:
+        excess = calibration.rugosity * (ratio - 1.0)
+        told = in_ratio("rugosity", excess, calibration.rugosity_spread, "")
+        assert told.low is not None
+        assert told.high is not None
+        note = f"chain ratio, links of {relief.CHAIN:g} m"
+        measures.append(Measure("rugosity", 1.0 + excess, 1.0 + told.low, 1.0 + told.high, "", note))
+    return tuple(measures)
+
+
+def _height(name: str, above: Float64Array, calibration: Calibration) -> Measure:
+    if len(above) < 4:
+        return unknown(name, "m", "less than a square metre of it was seen with seabed beside it")
+    mean = calibration.relief * float(above.mean())
+    return around(name, mean, calibration.relief_spread, "m", "mean above the seabed around", least=-math.inf)
+
+
+def _unseen(reef: BoolArray, cell: float, occupancy: MapLayers) -> float:
+    """Square metres of reef to be expected where nothing was seen: the likelier the nearer to reef."""
+    from scipy import ndimage
+
+    hidden = occupancy.to_see & ~occupancy.known
+    if not reef.any() or not hidden.any():
+        return 0.0
+    side = occupancy.protocol.cell
+    within = _reduced(reef, hidden.shape) > 0.0
+    away = ndimage.distance_transform_edt(~within, side)
+    chance = np.where(hidden & ~within, 0.5 * np.exp(-away / REACHES_ON), 0.0)
+    return float(chance.sum()) * side * side
+
+
+def _at(marks: Int32Array, peaks: Peaks, corner: tuple[float, float], cell: float) -> Int32Array:
+    """(N,) the patch that each peak lies in."""
+    col, row = np.floor((peaks.position[:, :2] - corner) / cell).astype(np.intp).T
+    row, col = np.clip(row, 0, marks.shape[0] - 1), np.clip(col, 0, marks.shape[1] - 1)
+    return marks[row, col].astype(np.int32)
+
+
+def _grown(mask: BoolArray, radius: float, cell: float) -> BoolArray:
+    from scipy import ndimage
+
+    if not mask.any():
+        return mask
+    near: BoolArray = ndimage.distance_transform_edt(~mask, cell) <= radius
+    return near
+
+
+def _any(fine: BoolArray, times: int) -> BoolArray:
+    """Squares of cells of which any is set."""
+    return _sums(fine, times) > 0.0
+
+
+def _sums(fine: BoolArray, times: int) -> Float64Array:
+    pad = [(0, -side % times) for side in fine.shape]
+    wide = np.pad(fine, pad)
+    rows, cols = wide.shape
+    sums: Float64Array = wide.reshape(rows // times, times, cols // times, times).sum(
+        axis=(1, 3), dtype=np.float64
+    )
+    return sums
+
+
+def _reduced(fine: BoolArray, shape: tuple[int, ...]) -> Float64Array:
+    """Share of each cell of a coarser grid over the same ground that is set."""
+    times = max(1, round(fine.shape[0] / shape[0]))
+    if fine.shape[0] < shape[0]:
+        times_up = round(shape[0] / fine.shape[0])
+        up = np.repeat(np.repeat(fine, times_up, axis=0), times_up, axis=1)
+        return up[: shape[0], : shape[1]].astype(np.float64)
+    share = _sums(fine, times) / (times * times)
+    full = np.zeros(shape)
+    rows, cols = min(shape[0], share.shape[0]), min(shape[1], share.shape[1])
+    full[:rows, :cols] = share[:rows, :cols]
+    return full
+
+
+def _median(values: Float64Array) -> float:
+    return float(np.median(values)) if len(values) else math.nan
