@@ -210,8 +210,7 @@ def _ramp_map(
 ) -> None:
     from matplotlib.colors import LinearSegmentedColormap
 
-    ramp = LinearSegmentedColormap.from_list("ramp", list(colors))
-    ramp.set_bad(NOT_SEEN)
+    ramp = LinearSegmentedColormap.from_list("ramp", list(colors)).with_extremes(bad=NOT_SEEN)
     image = _show(axes, survey, np.ma.masked_invalid(values), cmap=ramp, vmin=span[0], vmax=span[1])
     assert axes.figure is not None
     bar = axes.figure.colorbar(

@@ -232,7 +232,6 @@ def write_cog(
     from rasterio.enums import ColorInterp
     from rasterio.io import MemoryFile
     from rasterio.shutil import copy
-    from rasterio.transform import from_origin
 
     profile = {
         "driver": "GTiff",
@@ -241,7 +240,7 @@ def write_cog(
         "count": len(bands),
         "dtype": bands.dtype.name,
         "crs": rasterio.crs.CRS.from_epsg(ground.epsg),
-        "transform": from_origin(sheet.west, sheet.north, sheet.cell, sheet.cell),
+        "transform": rasterio.Affine(sheet.cell, 0.0, sheet.west, 0.0, -sheet.cell, sheet.north),
         "nodata": nodata,
         # Without it three bands of bytes would not be taken as a colour picture.
         "photometric": "RGB" if len(bands) == 3 else "MINISBLACK",

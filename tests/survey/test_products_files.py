@@ -1,0 +1,330 @@
+"""netCDF, Darwin Core, tables and reports: what standards ask, and what a reader has to find."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import io
+import re
+import xml.etree.ElementTree as ET
+import zipfile
+from dataclasses import replace
+from datetime import timedelta
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.io import netcdf_file
+
+from dream.survey import Measure
+from dream.survey.products import Author, Species, darwin_core, figures, netcdf, page, pdf, tables, words
+from dream.survey.products.ground import Ground
+from dream.survey.site import Site
+from tests.survey import scenes
+from tests.survey.scenes import SITE, reef, wreck
+
+pytest.importorskip("pyproj")
+
+OYSTER = Species("Ostrea edulis", "urn:lsid:marinespecies.org:taxname:1")
+LATER = replace(
+    reef(),
+    name="a year later",
+    began=scenes.BEGAN + timedelta(days=365),
+    measures=(Measure("reef_area", 30.0, 28.0, 32.0, "m2"), Measure("cover", 0.4, None, None, "")),
+)
+
+
+@pytest.fixture(scope="module")
+def series(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two surveys, given in the wrong order."""
+    path = tmp_path_factory.mktemp("series") / "survey.nc"
+    netcdf.write([LATER, reef()], path)
+    return path
+
+
+def test_measures_over_time(series: Path) -> None:
+    with netcdf_file(series, mmap=False) as file:
+        of = file.variables
+        assert of["time"][:].tolist() == [1_780_306_200.0, 1_780_306_200.0 + 365 * 86_400]
+        assert (of["time_bounds"][:, 1] - of["time_bounds"][:, 0]).tolist() == [120.0, 120.0]
+        assert b"".join(of["survey"][1]).decode().strip() == "a year later"
+        first = next(m for m in reef().measures if m.name == "reef_area")
+        assert of["reef_area"][:].tolist() == [first.value, 30.0]
+        assert of["reef_area_low"][:].tolist() == [first.low, 28.0]
+        assert of["reef_area_high"][:].tolist() == [first.high, 32.0]
+        assert of["reef_area"].units == b"m2"
+        # What was not measured, then or at all, is the fill value and no number.
+        assert of["rugosity"][:].tolist() == [netcdf.FILL, netcdf.FILL]
+        assert of["cover_low"][:].tolist() == [netcdf.FILL, netcdf.FILL]
+        assert b"too seldom" in of["rugosity"].comment
+
+
+def test_maps_stand_at_their_place(series: Path) -> None:
+    x, y = scenes.centres()
+    easting, northing = Ground(SITE).sheet(x.ravel(), y.ravel())
+    longitude, latitude = Ground(SITE).globe(x.ravel(), y.ravel())
+    with netcdf_file(series, mmap=False) as file:
+        of = file.variables
+        col = np.abs(of["x"][:][:, None] - easting).argmin(axis=0)
+        row = np.abs(of["y"][:][:, None] - northing).argmin(axis=0)
+        assert (of["habitat"][0][row, col] == reef().layers.state.ravel()).all()
+        assert np.abs(of["lat"][:][row, col] - latitude).max() < 1e-6
+        assert np.abs(of["lon"][:][row, col] - longitude).max() < 2e-6
+        relief = of["relief"][1][row, col]
+        expected = np.nan_to_num(reef().layers.relief.ravel(), nan=np.float32(netcdf.FILL))
+        assert (relief == expected).all()
+
+
+def test_rules_of_cf(series: Path) -> None:
+    """What CF 1.8 asks of this kind of file, by its sections."""
+    with netcdf_file(series, mmap=False) as file:
+        assert b"CF-1.8" in file.Conventions  # 2.6.1
+        for name in ("title", "history", "source", "references", "comment"):  # 2.6.2
+            assert getattr(file, name)
+        for name, variable in file.variables.items():
+            assert re.fullmatch(r"[A-Za-z]\w*", name)  # 2.3
+            if name in ("crs", "time_bounds"):
+                continue
+            assert variable.long_name  # 3.2
+            if name not in ("survey", "habitat"):
+                assert variable.units  # 3.1
+            for other in getattr(variable, "ancillary_variables", b"").split():  # 3.4
+                assert other.decode() in file.variables
+            if variable.dimensions[-2:] == ("y", "x") and name not in ("lat", "lon"):
+                assert variable.grid_mapping == b"crs"  # 5.6
+                assert variable.coordinates == b"lat lon"  # 5
+        time, crs, habitat = (file.variables[name] for name in ("time", "crs", "habitat"))
+        assert (time.standard_name, time.calendar, time.bounds) == (
+            b"time",
+            b"standard",
+            b"time_bounds",
+        )  # 4.4, 7.1
+        assert crs.grid_mapping_name == b"transverse_mercator"  # F
+        assert crs.longitude_of_central_meridian == 9.0
+        assert crs.semi_major_axis == 6_378_137.0, "in double precision"
+        assert len(habitat.flag_meanings.split()) == len(habitat.flag_values) == 5  # 3.5
+        assert set(np.unique(habitat[:])) <= set(habitat.flag_values.tolist())
+
+
+def test_a_cf_checker_finds_no_fault(series: Path) -> None:
+    runner = pytest.importorskip("compliance_checker.runner")
+    runner.CheckSuite.load_all_available_checkers()
+    report = io.StringIO()
+    passed, broken = runner.ComplianceChecker.run_checker(
+        str(series), ["cf:1.8"], verbose=0, criteria="normal", output_filename="-", output_format="text"
+    )
+    assert passed, report.getvalue()
+    assert not broken
+
+
+def test_surveys_of_two_sites_make_no_series(tmp_path: Path) -> None:
+    elsewhere = reef(site=Site("Outer reef", 54.8, 8.3))
+    with pytest.raises(ValueError, match="surveys of one site, got Inner reef and Outer reef"):
+        netcdf.write([reef(), elsewhere], tmp_path / "survey.nc")
+    with pytest.raises(ValueError, match="at least one"):
+        netcdf.write([], tmp_path / "survey.nc")
+    assert not list(tmp_path.iterdir())
+
+
+def rows_of(text: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+def test_occurrences_as_obis_asks(tmp_path: Path) -> None:
+    real = replace(reef(), made_by={"version": "0.1.0"})
+    darwin_core.write(real, OYSTER, tmp_path)
+    rows = rows_of((tmp_path / "occurrence.csv").read_text())
+    assert len(rows) == 60
+    longitude, latitude = Ground(SITE).globe(*real.individuals.position[:, :2].T)
+    for n, row in enumerate(rows):
+        assert row["basisOfRecord"] == "MachineObservation"
+        assert row["identificationVerificationStatus"] == "PredictedByMachine"
+        assert row["occurrenceStatus"] == "present"
+        assert (row["scientificName"], row["scientificNameID"]) == (OYSTER.name, OYSTER.id)
+        assert row["eventDate"] == "2026-06-01T09:30:00Z/2026-06-01T09:32:00Z"
+        assert float(row["decimalLongitude"]) == pytest.approx(longitude[n], abs=6e-8)
+        assert float(row["decimalLatitude"]) == pytest.approx(latitude[n], abs=6e-8)
+        # √(−2 ln 0.05) standard errors hold 95 % of a circular scatter.
+        uncertainty = float(row["coordinateUncertaintyInMeters"])
+        assert uncertainty == pytest.approx(0.05 * np.sqrt(-2.0 * np.log(0.05)), abs=0.005)
+        assert row["minimumDepthInMeters"] == row["maximumDepthInMeters"] == "5.20"
+        assert row["verticalDatum"] == "MLLW"
+    assert len({row["occurrenceID"] for row in rows}) == 60
+
+
+def test_identifiers_are_the_same_again_and_no_others(tmp_path: Path) -> None:
+    once = [row["occurrenceID"] for row in darwin_core.occurrences(reef(), OYSTER)]
+    again = [row["occurrenceID"] for row in darwin_core.occurrences(reef(), OYSTER)]
+    later = [row["occurrenceID"] for row in darwin_core.occurrences(LATER, OYSTER)]
+    assert once == again
+    assert not set(once) & set(later)
+
+
+def test_what_is_simulated_says_so_in_every_row() -> None:
+    assert all(
+        row["occurrenceRemarks"].startswith("SIMULATED") for row in darwin_core.occurrences(reef(), OYSTER)
+    )
+    real = replace(reef(), made_by={})
+    assert not any("SIMULATED" in row["occurrenceRemarks"] for row in darwin_core.occurrences(real, OYSTER))
+
+
+def test_an_archive_whose_columns_are_what_it_says(tmp_path: Path) -> None:
+    darwin_core.write(reef(), OYSTER, tmp_path, Author("Ada & Lovelace <A.>", "CC0-1.0", "ada@example.org"))
+    with zipfile.ZipFile(tmp_path / "darwin-core.zip") as archive:
+        assert archive.testzip() is None
+        texts = {name: archive.read(name).decode() for name in archive.namelist()}
+    meta = ET.fromstring(texts["meta.xml"])
+    space = "{http://rs.tdwg.org/dwc/text/}"
+    assert meta.get("metadata") == "eml.xml"
+    for part in (meta.find(f"{space}core"), meta.find(f"{space}extension")):
+        assert part is not None
+        location = part.find(f"{space}files/{space}location")
+        assert location is not None
+        assert location.text is not None
+        header = next(csv.reader(io.StringIO(texts[location.text])))
+        for field in part.findall(f"{space}field"):
+            assert header[int(field.get("index", ""))] == field.get("term", "").rpartition("/")[2]
+    ids = {row["occurrenceID"] for row in rows_of(texts["occurrence.csv"])}
+    measured = rows_of(texts["extendedmeasurementorfact.csv"])
+    assert {row["occurrenceID"] for row in measured} == ids
+    sizes = [float(r["measurementValue"]) for r in measured if r["measurementType"].startswith("longest")]
+    assert sizes == pytest.approx(reef().individuals.size.tolist(), abs=5e-4)
+    eml = ET.fromstring(texts["eml.xml"])
+    names = [name.text for name in eml.iter("surName")]
+    assert names == ["Ada & Lovelace <A.>"] * 2
+    assert [rights.text for rights in eml.findall("dataset/intellectualRights/para")] == ["CC0-1.0"]
+
+
+def test_no_species_and_no_author_are_made_up(tmp_path: Path) -> None:
+    for name, number in (("", OYSTER.id), ("Ostrea edulis", ""), ("Ostrea edulis", "140658")):
+        with pytest.raises(ValueError, match="species"):
+            Species(name, number)
+    darwin_core.write(reef(), OYSTER, tmp_path)
+    with zipfile.ZipFile(tmp_path / "darwin-core.zip") as archive:
+        assert "eml.xml" not in archive.namelist()
+        assert b"metadata" not in archive.read("meta.xml")
+    with pytest.raises(ValueError, match="one of a wreck"):
+        darwin_core.write(wreck(), OYSTER, tmp_path)
+
+
+def test_tables_open_with_and_without_an_origin(tmp_path: Path) -> None:
+    tables.write(reef(), tmp_path)
+    measures = rows_of((tmp_path / "measures.csv").read_text())
+    assert len(measures) == len(reef().measures) + sum(len(patch.measures) for patch in reef().patches)
+    assert measures[0]["of"] == "survey"
+    assert float(measures[0]["value"]) == pytest.approx(reef().measures[0].value, rel=1e-5)
+    placed = rows_of((tmp_path / "individuals.csv").read_text())
+    tables.write(reef(site=None), tmp_path)
+    local = rows_of((tmp_path / "individuals.csv").read_text())
+    assert len(placed) == len(local) == 60
+    assert "longitude" in placed[0]
+    assert "longitude" not in local[0]
+    assert float(local[7]["x_m"]) == pytest.approx(reef().individuals.position[7, 0], abs=5e-4)
+
+
+class Seen(HTMLParser):
+    """What a browser would show, load and run."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.text, self.tags, self.loads = "", [], []
+        self.feed(text)
+        self.close()
+
+    text: str
+    tags: list[str]
+    loads: list[str]
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.loads += [value or "" for name, value in attributes if name in ("src", "href", "onload")]
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+@pytest.mark.parametrize("survey", [reef(), wreck(), reef(site=None)], ids=["reef", "wreck", "no origin"])
+def test_a_page_that_loads_nothing_and_tells_every_measure(survey: Any, tmp_path: Path) -> None:
+    page.write(survey, tmp_path / "report.html", [("survey.gpkg", "all of it")])
+    text = (tmp_path / "report.html").read_text()
+    seen = Seen(text)
+    assert "script" not in seen.tags
+    assert all(load.startswith("data:") for load in seen.loads)
+    assert "default-src 'none'" in text
+    for measure in survey.measures:
+        assert words.value_text(measure) in seen.text
+        assert words.interval_text(measure) in seen.text
+    for line in (*words.summary(survey), *words.limits(survey)):
+        assert line in seen.text
+    assert ("no origin" in seen.text) == (survey.site is None)
+    for load in seen.loads[1:]:
+        ET.fromstring(base64.b64decode(load.partition(",")[2]))
+
+
+def test_words_of_a_stranger_stay_words(tmp_path: Path) -> None:
+    evil = "<script>alert(1)</script>$\\frac{"
+    survey = replace(
+        reef(site=replace(SITE, name=evil)),
+        name=evil,
+        measures=(
+            Measure("<b>", 1.0, 0.0, 2.0, "<i>", evil),
+            Measure("median_size", None, None, None, "m", evil),
+        ),
+        made_by={"world": evil, "planner": evil},
+    )
+    page.write(survey, tmp_path / "report.html")
+    seen = Seen((tmp_path / "report.html").read_text())
+    assert "script" not in seen.tags
+    assert evil in seen.text
+    pdf.write(survey, tmp_path / "report.pdf")
+
+
+def test_a_pdf_of_three_pages_that_is_the_same_again(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        pdf.write(reef(), tmp_path / f"{name}.pdf")
+    content = (tmp_path / "one.pdf").read_bytes()
+    assert content.startswith(b"%PDF-")
+    assert len(re.findall(rb"/Type /Page\b", content)) == 3
+    assert content == (tmp_path / "two.pdf").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("width", "length"), [(4.9, 0.5), (5.0, 1.0), (24.0, 2.0), (25.0, 5.0), (40.0, 5.0), (50.0, 10.0)]
+)
+def test_a_scale_of_round_length(width: float, length: float) -> None:
+    assert figures.scale_length(width) == pytest.approx(length)
+
+
+def test_maps_of_the_report_are_turned_to_the_north() -> None:
+    """With y bearing east, what lies along y is drawn to the right."""
+    survey = reef(site=replace(SITE, heading_deg=90.0))
+    east, north = figures.east_north(survey, np.array([[0.0, 10.0]]))[0]
+    assert (east, north) == pytest.approx((10.0, 0.0), abs=1e-9)
+    figure, axes = figures.new_figure(4.0, 4.0)
+    figures.habitat_map(axes, survey)
+    figure.canvas.draw()
+    image = axes.images[0]
+    corner = image.get_transform().transform(((0.0, 0.0),))
+    assert axes.transData.inverted().transform(corner)[0] == pytest.approx((0.0, 0.0), abs=1e-6)
+    far = image.get_transform().transform(((0.0, 16.0),))
+    assert axes.transData.inverted().transform(far)[0] == pytest.approx((16.0, 0.0), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("measure", "value", "interval"),
+    [
+        (Measure("reef_area", 34.8348, 33.09, 36.58, "m2"), "34.8 m²", "33.1 to 36.6 m²"),
+        (Measure("density", 1.7224, 1.5157, 1.9291, "1/m2"), "1.72 per m²", "1.52 to 1.93 per m²"),
+        (Measure("count", 60.0, 52.8, 67.2, ""), "60", "53 to 67"),
+        (Measure("hull_seen", 0.93, 0.9, 0.96, ""), "93.0 %", "90.0 to 96.0 %"),
+        (Measure("reef_area", 12_345.6, 11_000.0, 13_000.0, "m2"), "12,346 m²", "11,000 to 13,000 m²"),
+        (Measure("reef_area", None, None, None, "m2"), "not measured", ""),
+        (Measure("something_new", 2.0, None, None, "kg"), "2.0 kg", ""),
+        (Measure("patch_count", 0.0, 0.0, 0.0, ""), "0", "0 to 0"),
+    ],
+)
+def test_figures_have_the_digits_that_they_are_worth(measure: Measure, value: str, interval: str) -> None:
+    assert words.value_text(measure) == value
+    assert words.interval_text(measure) == interval
