@@ -94,7 +94,7 @@ def test_area_of_the_reef_is_kept(maps: Path) -> None:
 
 @pytest.mark.parametrize("name", MAPS)
 def test_cloud_optimised_by_its_own_layout(maps: Path, name: str) -> None:
-    """The rules of the format: tiled, overviews that halve, directories before data, coarse data before fine."""
+    """The rules of the format: tiled, overviews, directories before data, coarse data before fine."""
     path = maps / f"{name}.tif"
     with rasterio.open(path) as file:
         assert file.profile["tiled"]

@@ -1,4 +1,4 @@
-"""The picture of the sea floor: every colour at its place, the better view in front, the kernel as its slow twin."""
+"""The picture of the sea floor: colours at their place, the better view in front, the kernel's twin."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_the_nearer_view_dominates_and_two_alike_blend() -> None:
 
 
 def test_water_missing_depth_and_what_is_far_are_left_out() -> None:
-    shape, x, _ = plan()
+    shape, _, _ = plan()
     seen = looking_down(10.0, 8.0, 2.0)
     seen.labels[:, :24] = Label.WATER
     seen.depth[:18] = np.nan

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from dream.commands.console import print_json, with_progress
+
+if TYPE_CHECKING:
+    from dream.survey import Survey
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,13 +24,15 @@ class Export:
     """
 
     survey: tyro.conf.Positional[str]
-    """Number of a survey in the archive, a survey's file, or the folder of a run."""
+    """Folder of a run, file of a survey, or number of one in the archive."""
     to: Path
     """Folder to make; it must not exist."""
+    site: Path | None = None
+    """Of a run that does not know its origin: the file that does."""
     archive: str | None = None
-    """Where the archive is: a GeoPackage, or the URL of a database."""
+    """Path or URL of the archive. Default: that in DREAM_ARCHIVE, else surveys.gpkg."""
     run: Path | None = None
-    """Folder of the run, with its observations, for the mosaic."""
+    """Folder of the run with its observations, for the mosaic, where the survey comes from elsewhere."""
     only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PRODUCT ...")] = ()
     """Of geotiff, geopackage, netcdf, darwin-core, mosaic, tables, html, pdf; all where none is named."""
     species: str = ""
@@ -46,34 +52,51 @@ class Export:
         """Exit status 0."""
         from dream.survey.products import Author, Species, export
 
-        for one, other, missing in (
+        for one, other, both in (
             (self.species, self.species_id, "--species and --species-id"),
             (self.author, self.licence, "--author and --licence"),
         ):
             if bool(one) != bool(other):
-                raise ValueError(f"export: expected both {missing}, got one of them")
-        survey = None
-        run = self.run
+                raise ValueError(f"export: expected both {both}, got one of them")
+        if self.to.exists():  # Before a run is measured, which takes a while.
+            raise ValueError(f"export: expected a folder that does not exist, got {self.to}. Choose another")
+        survey, run = self._opened()
+        title = f"mosaic of {survey.name}"
         made = export(
             survey,
             self.to,
-            run=run,
+            run=self.run or run,
             species=Species(self.species, self.species_id) if self.species else None,
             author=Author(self.author, self.licence, self.email) if self.author else None,
             only=self.only,
-            watched=lambda files: with_progress(iter(files), f"mosaic of {survey.name}", len(files)),
+            watched=lambda files: with_progress(iter(files), title, len(files)),
         )
+        told = {"survey": survey.name, "to": str(made.folder), "files": list(made.files)}
         if self.json:
-            print_json(
-                {
-                    "survey": survey.name,
-                    "to": str(made.folder),
-                    "files": list(made.files),
-                    "left_out": dict(made.left_out),
-                }
-            )
-        else:
-            print(f"{made.folder}: {', '.join(made.files)}")
-            for name, reason in made.left_out.items():
-                print(f"  without {name}: {reason}")
+            print_json({**told, "left_out": dict(made.left_out)})
+            return 0
+        print(f"{made.folder}: {', '.join(made.files)}")
+        for name, reason in made.left_out.items():
+            print(f"  without {name}: {reason}")
         return 0
+
+    def _opened(self) -> tuple[Survey, Path | None]:
+        """The survey, and the folder of its run where that is what was named."""
+        path = Path(self.survey)
+        if path.is_dir():
+            from dream.survey.measuring import measure
+            from dream.survey.site import read_site
+
+            return measure(path, read_site(self.site) if self.site else None), path
+        if path.is_file():
+            from dream.survey import files
+
+            return files.read(path), None
+        if not self.survey.isdigit():
+            raise FileNotFoundError(
+                f"{self.survey}: expected the folder of a run, a survey's file or its number, got neither"
+            )
+        from dream.survey.archive import DEFAULT, VARIABLE, open_archive
+
+        with open_archive(self.archive or os.environ.get(VARIABLE, DEFAULT)) as archive:
+            return archive.get(int(self.survey)), None

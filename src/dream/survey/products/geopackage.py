@@ -60,8 +60,7 @@ CREATE TABLE layer_styles (
   id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, f_table_catalog TEXT, f_table_schema TEXT, f_table_name TEXT,
   f_geometry_column TEXT, styleName TEXT, styleQML TEXT, styleSLD TEXT, useAsDefault BOOLEAN, description
   TEXT, owner TEXT, ui TEXT, update_time DATETIME);
-INSERT INTO gpkg_contents (table_name, data_type, identifier) VALUES ('layer_styles', 'attributes',
-'layer_styles'); INSERT INTO gpkg_spatial_ref_sys VALUES
+INSERT INTO gpkg_spatial_ref_sys VALUES
   ('Undefined cartesian SRS', -1, 'NONE', -1, 'undefined', 'undefined cartesian coordinate reference system'),
   ('Undefined geographic SRS', 0, 'NONE', 0, 'undefined', 'undefined geographic coordinate reference system');
 """
@@ -133,6 +132,12 @@ def write(survey: Survey, path: Path) -> None:
             file.execute(f"PRAGMA user_version = {VERSION}")
             for srs in dict.fromkeys((4326, ground.epsg)):
                 file.execute("INSERT INTO gpkg_spatial_ref_sys VALUES (?, ?, 'EPSG', ?, ?, '')", _srs(srs))
+            styled = ("layer_styles", "attributes", "layer_styles", _time(survey.began))
+            file.execute(
+                "INSERT INTO gpkg_contents (table_name, data_type, identifier, last_change) "
+                "VALUES (?, ?, ?, ?)",
+                styled,
+            )
             for table in tables:
                 _add(file, table, ground.epsg, survey.began)
             file.execute("COMMIT")

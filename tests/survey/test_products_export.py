@@ -1,0 +1,151 @@
+"""All products into one folder: whole or not at all, whatever goes wrong on the way."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dream.survey import Survey
+from dream.survey.products import PRODUCTS, Species, export
+from dream.survey.products.export import FILES
+from tests.survey.scenes import reef, wreck
+
+pytest.importorskip("pyproj")
+pytest.importorskip("rasterio")
+
+OYSTER = Species("Ostrea edulis", "urn:lsid:marinespecies.org:taxname:1")
+QUICK = ("geotiff", "geopackage", "netcdf", "tables")
+
+
+def test_every_product_of_a_reef(tmp_path: Path) -> None:
+    made = export(reef(), tmp_path / "out", species=OYSTER)
+    assert made.folder == tmp_path / "out"
+    assert set(made.files) == {path.name for path in made.folder.iterdir()}
+    assert set(FILES) - {"mosaic.tif"} <= set(made.files)
+    assert list(made.left_out) == ["mosaic"]
+    assert "--run" in made.left_out["mosaic"]
+    readme = (made.folder / "README.md").read_text()
+    for name in made.files:
+        assert name.endswith(".qml") or name in readme or name == "README.md"
+    assert "EPSG:32632" in readme
+    assert "survey.gpkg" in (made.folder / "report.html").read_text()
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_without_an_origin_reports_and_tables_still_come(tmp_path: Path) -> None:
+    made = export(reef(site=None), tmp_path / "out", species=OYSTER, run=tmp_path)
+    assert made.files == ("README.md", "individuals.csv", "measures.csv", "report.html", "report.pdf")
+    assert set(made.left_out) == set(PRODUCTS) - {"tables", "html", "pdf"}
+    assert all("run without origin" in reason for reason in made.left_out.values())
+
+
+@pytest.mark.parametrize("name", ["geotiff", "geopackage", "netcdf", "darwin-core", "mosaic"])
+def test_what_is_asked_for_and_cannot_be_made_is_an_error(name: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=f"{name}: .*run without origin"):
+        export(reef(site=None), tmp_path / "out", only=("tables", name))
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_occurrences_of_a_wreck_nor_of_nameless_species(tmp_path: Path) -> None:
+    for survey, species, reason in ((wreck(), OYSTER, "wreck"), (reef(), None, "--species-id")):
+        with pytest.raises(ValueError, match=reason):
+            export(survey, tmp_path / "out", only=("darwin-core",), species=species)
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_unknown_product_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="geotif"):
+        export(reef(), tmp_path / "out", only=("geotif",))
+
+
+def test_a_folder_that_exists_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "kept").write_text("mine")
+    with pytest.raises(ValueError, match="does not exist"):
+        export(reef(), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["kept"]
+
+
+def shrunk(survey: Survey) -> Survey:
+    return replace(survey, layers=replace(survey.layers, relief=survey.layers.relief[:-1]))
+
+
+def strange_state(survey: Survey) -> Survey:
+    return replace(survey, layers=replace(survey.layers, state=survey.layers.state + np.uint8(9)))
+
+
+def lost_sizes(survey: Survey) -> Survey:
+    return replace(survey, individuals=replace(survey.individuals, size=survey.individuals.size[:3]))
+
+
+def nowhere(survey: Survey) -> Survey:
+    position = survey.individuals.position.copy()
+    position[7, 1] = np.nan
+    return replace(survey, individuals=replace(survey.individuals, position=position))
+
+
+def of_no_patch(survey: Survey) -> Survey:
+    return replace(survey, patches=survey.patches[:1])
+
+
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        (shrunk, "layers.relief"),
+        (strange_state, "layers.state"),
+        (lost_sizes, "individuals.size"),
+        (nowhere, "individuals.position"),
+        (of_no_patch, "individuals.patch"),
+    ],
+)
+def test_a_damaged_survey_is_refused(damage: Callable[[Survey], Survey], says: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=says):
+        export(damage(reef()), tmp_path / "out")
+    assert not list(tmp_path.iterdir())
+
+
+def test_where_the_disk_is_full_nothing_is_left(tmp_path: Path) -> None:
+    """No file may grow beyond a limit, by the system itself: each time another product is the one that
+    fails."""
+    program = (
+        "import resource; from pathlib import Path; from tests.survey.scenes import reef\n"
+        "from dream.survey.products import export\n"
+        "for room in (2_000, 9_000, 30_000, 120_000):\n"
+        "    resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))\n"
+        f"    try: export(reef(), Path({str(tmp_path / 'out')!r}), only={QUICK!r})\n"
+        "    except OSError as error: print(error)\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-W", "error", "-c", program],
+        capture_output=True,
+        text=True,
+        cwd=Path(__file__).parents[2],
+        check=False,
+    )
+    assert (ended.returncode, ended.stderr) == (0, "")
+    told = ended.stdout.splitlines()
+    assert len(told) == 4
+    assert all(line.startswith("export: ") and "could not be made" in line for line in told)
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_interruption_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("dream.survey.products.geopackage.write", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        export(reef(), tmp_path / "out", only=QUICK)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_same_survey_gives_the_same_files(tmp_path: Path) -> None:
+    one, two = (export(reef(), tmp_path / name, only=QUICK).folder for name in ("one", "two"))
+    for path in one.iterdir():
+        assert path.read_bytes() == (two / path.name).read_bytes(), path.name
