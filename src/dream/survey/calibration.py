@@ -24,8 +24,8 @@ class Calibration:
     hidden, and their cells are seen in part."""
     edge_spread: float
     """Metres, of a reef."""
-    size: tuple[float, float]
-    """True size of a lone individual: constant, metres, and times its measured axis."""
+    size: float
+    """Times the measured extent of a lone individual."""
     size_residual: float
     """Metres: standard deviation of one individual's."""
     size_spread: float
@@ -45,7 +45,7 @@ SHARP = Calibration(
     capture_spread=0.05,
     edge=0.0,
     edge_spread=0.05,
-    size=(0.0, 1.0),
+    size=1.0,
     size_residual=0.03,
     size_spread=0.05,
     relief=1.0,

@@ -83,6 +83,34 @@ class Ground:
         """(rows, cols)."""
         return np.isfinite(self.nearest)
 
+    def around_target(self, margin: float) -> Ground:
+        """The part within so many metres of anything that may be target; `times` stays that of the whole."""
+        target = self.share > 0.0
+        if not target.any():
+            return self
+        box = []
+        for axis, side in ((1, self.height.shape[0]), (0, self.height.shape[1])):
+            found, far = np.flatnonzero(target.any(axis=axis)), math.ceil(margin / self.cell)
+            box.append((max(int(found[0]) - far, 0), min(int(found[-1]) + far + 1, side)))
+        (south, north), (west, east) = box
+        part = np.s_[south:north, west:east]
+        corner = (self.bounds.x_min, self.bounds.y_min)
+        return Ground(
+            Bounds(
+                corner[0] + west * self.cell,
+                corner[1] + south * self.cell,
+                corner[0] + east * self.cell,
+                corner[1] + north * self.cell,
+            ),
+            self.cell,
+            self.height[part],
+            self.share[part],
+            self.nearest[part],
+            self.top[part],
+            self.times,
+            self.scatter,
+        )
+
     def centres(
         self, row: npt.NDArray[np.intp], col: npt.NDArray[np.intp]
     ) -> tuple[Float64Array, Float64Array]:

@@ -33,12 +33,16 @@ FLAT = 0.03
 """Metres: what target is worth in relief where it has none."""
 SPARSEST = 0.25
 """Share of the ground around a peak, so blurred, that is target at least."""
+AROUND = 2.0
+"""Metres: how far around target the ground matters to it."""
 CROWD = 0.25
 """Metres: how far around a peak its crowding is looked at."""
 BLOCK = 4
 """Cells along a block for what is smooth."""
 WIDEST = 0.25
 """Metres from its peak where the shell of an individual ends at the latest."""
+DIRECTIONS = 12
+"""Along which an extent is taken."""
 HIDDEN = 0.12
 """Metres before a peak at which a return hides it."""
 RECOGNISED = 0.75
@@ -58,9 +62,9 @@ class Peaks:
     nearest: Float64Array
     """(N,) least depth that it was seen at, metres."""
     across: Float64Array
-    """(N,) metres: the longest axis of its shell, as an ellipse of the same second moments."""
-    room: Float64Array
-    """(N,) metres to the next peak; inf where there is none."""
+    """(N,) metres: the greatest extent of its shell, as it shows."""
+    lone: BoolArray
+    """(N,) its shell touches that of no other peak."""
 
     def __len__(self) -> int:
         return len(self.position)
@@ -69,8 +73,8 @@ class Peaks:
 def peaks(ground: Ground) -> Peaks:
     """Every peak of the relief of what is target."""
     from scipy import ndimage
-    from scipy.spatial import cKDTree
 
+    ground = ground.around_target(AROUND)
     cell, seen = ground.cell, ground.seen
     share = np.where(seen, ground.share, np.float32(0.0))
     above = np.where(seen, ground.height - bare_ground(ground), np.float32(0.0))
@@ -86,12 +90,10 @@ def peaks(ground: Ground) -> Peaks:
     row, col = np.nonzero(top)
     x, y = ground.centres(row, col)
     place = np.column_stack([x, y])
-    tree = cKDTree(place) if len(place) else None
-    room = tree.query(place, k=2)[0][:, 1] if tree is not None and len(place) > 1 else np.full(len(x), np.inf)
     cover = crowding(ground)[np.minimum(row // BLOCK, -(-share.shape[0] // BLOCK) - 1), col // BLOCK]
     near = ndimage.minimum_filter(ground.nearest, 5)[row, col].astype(np.float64)
-    across, height = _shells(ground, place, share)
-    return Peaks(np.column_stack([place, height]), cover, near, across, room)
+    across, lone, height = _shells(ground, place, share)
+    return Peaks(np.column_stack([place, height]), cover, near, across, lone)
 
 
 def bare_ground(ground: Ground) -> Float32Array:
@@ -167,39 +169,44 @@ def confidence(hits: Int32Array, looks: Int32Array, in_patch: BoolArray) -> Floa
     return probability
 
 
-def _shells(ground: Ground, place: Float64Array, share: Float32Array) -> tuple[Float64Array, Float64Array]:
-    """Length of the longest axis of the shell that belongs to each peak, and the height of its top.
+def _shells(
+    ground: Ground, place: Float64Array, share: Float32Array
+) -> tuple[Float64Array, BoolArray, Float64Array]:
+    """The greatest extent of each peak's shell, whether it touches no other's, and the height of its top.
 
-    A cell of shell belongs to the nearest peak within `WIDEST`.
+    A cell of shell belongs to the nearest peak within `WIDEST`. Extents are taken along `DIRECTIONS` lines.
     """
+    from scipy import ndimage
     from scipy.spatial import cKDTree
 
     count = len(place)
     if count == 0:
-        return np.zeros(0), np.zeros(0)
-    row, col = np.nonzero(share > 0.5)
+        return np.zeros(0), np.zeros(0, np.bool_), np.zeros(0)
+    shell = share > 0.5
+    row, col = np.nonzero(shell)
     x, y = ground.centres(row, col)
     away, owner = cKDTree(place).query(np.column_stack([x, y]), distance_upper_bound=WIDEST)
     mine = np.isfinite(away)
-    owner, row, col = owner[mine], row[mine], col[mine]
-    x, y = x[mine], y[mine]
-    total = np.maximum(np.bincount(owner, minlength=count), 1)
-
-    def mean(values: Float64Array) -> Float64Array:
-        return np.asarray(np.bincount(owner, weights=values, minlength=count) / total)
-
-    mx, my = mean(x), mean(y)
-    dx, dy = x - mx[owner], y - my[owner]
-    xx, yy, xy = mean(dx * dx), mean(dy * dy), mean(dx * dy)
-    # A cell has a width of its own.
-    own = ground.cell**2 / 12.0
-    longest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy) + own
+    owner, row, col, x, y = (values[mine] for values in (owner, row, col, x, y))
+    across = np.zeros(count)
+    for angle in np.arange(DIRECTIONS) * (math.pi / DIRECTIONS):
+        along = math.cos(angle) * x + math.sin(angle) * y
+        high, low = np.full(count, -np.inf), np.full(count, np.inf)
+        np.maximum.at(high, owner, along)
+        np.minimum.at(low, owner, along)
+        np.maximum(across, high - low, out=across, where=high >= low)
+    marks, _ = ndimage.label(shell, np.ones((3, 3)))
+    # Parts of shell, and the peaks that own a cell of each.
+    pairs = np.unique(np.column_stack([marks[row, col], owner]), axis=0)
+    owners = np.bincount(pairs[:, 0])
+    shared = np.zeros(count, np.bool_)
+    shared[pairs[owners[pairs[:, 0]] > 1, 1]] = True
     height = np.full(count, -np.inf)
     np.maximum.at(height, owner, ground.height[row, col].astype(np.float64))
     middle = ((place - (ground.bounds.x_min, ground.bounds.y_min)) / ground.cell).astype(np.intp)
     here = ground.height[middle[:, 1], middle[:, 0]].astype(np.float64)
     level = np.where(np.isfinite(height), height, np.nan_to_num(here, nan=_level(ground)))
-    return 4.0 * np.sqrt(longest), level
+    return across + ground.cell, ~shared & (across > 0.0), level
 
 
 def _level(ground: Ground) -> float:

@@ -48,7 +48,7 @@ def closed(cover: BoolArray, cell: float, radius: float = CLOSING) -> BoolArray:
 
 
 def parts(mask: BoolArray, cell: float, smallest: float = SMALLEST) -> tuple[Int32Array, int]:
-    """(rows, cols) the patch that a cell belongs to, −1 for none, the largest first; and how many there are."""
+    """(rows, cols) the patch of each cell, −1 for none, the largest first; and how many there are."""
     from scipy import ndimage
 
     marks, count = ndimage.label(mask, np.ones((3, 3)))

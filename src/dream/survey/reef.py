@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.mapping import Layers as MapLayers
+from dream.protocol import SurveyProtocol
 from dream.survey import individuals, patches, relief
 from dream.survey.calibration import Calibration, calibration_for
 from dream.survey.ground import Frame, Ground
@@ -29,8 +30,6 @@ FINE = 0.05
 """Metres: the cells that patches are drawn in, about."""
 SURE = 0.5
 """Share of the views that take a cell for target, from which it is."""
-LONE = 0.25
-"""Metres to the next peak from which an individual's own outline is seen."""
 CLEAR = 4.5
 """Metres: deeper in the image no outline is sharp enough to be sized."""
 FEWEST_SIZED = 12
@@ -54,7 +53,75 @@ class Reef:
     """(rows, cols) metres above the seabed on the map's grid; NaN where nothing was seen."""
 
 
-def measure_reef(ground: Ground, frames: Sequence[Frame], occupancy: MapLayers, sigma: float) -> Reef:
+@dataclass(frozen=True, slots=True, eq=False)
+class Reading:
+    """What is read off the fine picture of the ground, before any correction."""
+
+    corner: tuple[float, float]
+    """x and y of the lower left corner of `marks`."""
+    cell: float
+    """Metres, of `marks`."""
+    marks: Int32Array
+    """(rows, cols) the patch of a cell, −1 for none."""
+    count: int
+    """Patches."""
+    peaks: Peaks
+    patch: Int32Array
+    """(N,) the patch of each peak; −1 for none."""
+    hits: Int32Array
+    looks: Int32Array
+    sure: Float64Array
+    """(N,) probability that a peak is an individual."""
+    heights: relief.Relief
+    rugosity: float | None
+    """Chain ratio of what was seen of the reef."""
+
+    @property
+    def reef(self) -> BoolArray:
+        """(rows, cols) is it reef?"""
+        return self.marks >= 0
+
+
+def read(ground: Ground, frames: Sequence[Frame], protocol: SurveyProtocol) -> Reading:
+    """Patches, peaks and heights as they show.
+
+    Args:
+        ground: What all frames together show.
+        frames: To look for each individual in.
+        protocol: Of the mission.
+    """
+    times = max(1, round(FINE / ground.cell))
+    cell = times * ground.cell
+    cover = _any(ground.seen & (ground.share >= SURE), times)
+    marks, count = patches.parts(patches.closed(cover, cell), cell)
+    corner = (ground.bounds.x_min, ground.bounds.y_min)
+    peaks = individuals.peaks(ground)
+    patch = _at(marks, peaks, corner, cell)
+    hits, looks = individuals.recognised(peaks, frames, protocol)
+    links = max(1, round(relief.CHAIN / ground.cell))
+    level, _ = relief.averaged(ground.height.astype(np.float64), ground.seen, links)
+    return Reading(
+        corner=corner,
+        cell=cell,
+        marks=marks,
+        count=count,
+        peaks=peaks,
+        patch=patch,
+        hits=hits,
+        looks=looks,
+        sure=individuals.confidence(hits, looks, patch >= 0),
+        heights=_heights(ground, marks >= 0, cell, protocol.cell),
+        rugosity=relief.chain_ratio(level, _reduced(marks >= 0, level.shape) > 0.5),
+    )
+
+
+def measure_reef(
+    ground: Ground,
+    frames: Sequence[Frame],
+    occupancy: MapLayers,
+    sigma: float,
+    calibration: Calibration | None = None,
+) -> Reef:
     """Everything about a reef.
 
     Args:
@@ -62,48 +129,35 @@ def measure_reef(ground: Ground, frames: Sequence[Frame], occupancy: MapLayers, 
         frames: To look for each individual in.
         occupancy: The mission's map, over the bounds of `ground`.
         sigma: Metres by which poses may err against each other.
+        calibration: That of the depths' scatter unless given.
     """
-    calibration = calibration_for(ground.scatter)
-    times = max(1, round(FINE / ground.cell))
-    cell = times * ground.cell
-    cover = _any(ground.seen & (ground.share >= SURE), times)
-    marks, count = patches.parts(patches.closed(cover, cell), cell)
-    reef = marks >= 0
-    corner = (ground.bounds.x_min, ground.bounds.y_min)
-    unseen = _unseen(reef, cell, occupancy)
-
-    peaks = individuals.peaks(ground)
-    patch = _at(marks, peaks, corner, cell)
-    hits, looks = individuals.recognised(peaks, frames, occupancy.protocol)
-    sure = individuals.confidence(hits, looks, patch >= 0)
-    worth = np.where(patch >= 0, sure * individuals.stands_for(peaks, calibration), 0.0)
-    sizes = _Sizes.of(peaks, sure, calibration)
-
-    heights = _heights(ground, reef, cell, occupancy.protocol.cell)
+    calibration = calibration or calibration_for(ground.scatter)
+    seen = read(ground, frames, occupancy.protocol)
+    peaks, patch = seen.peaks, seen.patch
+    worth = np.where(patch >= 0, seen.sure * individuals.stands_for(peaks, calibration), 0.0)
+    sizes = _Sizes.of(peaks, seen.sure, calibration)
     shapes = [
-        _shape(number, marks, corner, cell, heights, worth[patch == number], sigma, calibration)
-        for number in range(count)
+        _shape(number, seen, worth[patch == number], sigma, calibration) for number in range(seen.count)
     ]
-    outline = sum(shape.perimeter for shape in shapes)
-    area = sum(shape.area for shape in shapes)
-    measures = _totals(shapes, area, outline, worth, unseen, sigma, calibration)
+    measures = _totals(shapes, worth, _unseen(seen, occupancy), sigma, calibration)
     measures += sizes.measures(patch >= 0)
-    measures += _relief_measures(heights, reef, cell, ground, calibration)
+    measures += _relief_measures(seen, calibration)
+    error = together(sigma, ground.cell) + ground.scatter * peaks.nearest**2
     found = Individuals(
         position=peaks.position,
-        sigma=np.full(len(peaks), together(sigma, ground.cell)) + ground.scatter * peaks.nearest**2,
+        sigma=error,
         size=sizes.size,
         size_sigma=sizes.error,
-        hits=hits,
-        looks=looks,
-        confidence=sure,
+        hits=seen.hits,
+        looks=seen.looks,
+        confidence=seen.sure,
         patch=patch,
     )
     return Reef(
         measures,
         tuple(Patch(shape.rings, shape.measures) for shape in shapes),
         found,
-        heights.above,
+        seen.heights.above,
     )
 
 
@@ -118,17 +172,9 @@ class _Shape:
     measures: tuple[Measure, ...]
 
 
-def _shape(
-    number: int,
-    marks: Int32Array,
-    corner: tuple[float, float],
-    cell: float,
-    heights: relief.Relief,
-    worth: Float64Array,
-    sigma: float,
-    calibration: Calibration,
-) -> _Shape:
-    mask = marks == number
+def _shape(number: int, seen: Reading, worth: Float64Array, sigma: float, calibration: Calibration) -> _Shape:
+    corner, cell, heights = seen.corner, seen.cell, seen.heights
+    mask = seen.marks == number
     rows, cols = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     low = (int(rows[0]), int(cols[0]))
     box = np.s_[low[0] : rows[-1] + 1, low[1] : cols[-1] + 1]
@@ -156,15 +202,10 @@ def _shape(
 
 
 def _totals(
-    shapes: Sequence[_Shape],
-    area: float,
-    outline: float,
-    worth: Float64Array,
-    unseen: float,
-    sigma: float,
-    calibration: Calibration,
+    shapes: Sequence[_Shape], worth: Float64Array, unseen: float, sigma: float, calibration: Calibration
 ) -> tuple[Measure, ...]:
     """Of the whole reef: area, patches, count, density."""
+    area, outline = (math.fsum(getattr(shape, name) for shape in shapes) for name in ("area", "perimeter"))
     if not shapes:
         none = "no patch of reef was found"
         return (
@@ -173,7 +214,7 @@ def _totals(
             unknown("density", "1/m2", none),
             Measure("count", 0.0, 0.0, 0.0, "", none),
         )
-    error = _area_error(outline, 0.05, sigma, calibration)
+    error = _area_error(outline, FINE, sigma, calibration)
     count = float(worth.sum())
     # The parts that were not seen are as likely to be there as not, and as densely grown.
     share = unseen / (area + unseen)
@@ -216,9 +257,8 @@ class _Sizes:
 
     @staticmethod
     def of(peaks: Peaks, sure: Float64Array, calibration: Calibration) -> _Sizes:
-        constant, times = calibration.size
-        size = constant + times * peaks.across
-        lone = (peaks.room >= LONE) & (peaks.nearest <= CLEAR) & (sure > 0.5)
+        size = calibration.size * peaks.across
+        lone = peaks.lone & (peaks.nearest <= CLEAR) & (sure > 0.5)
         if np.count_nonzero(lone) < FEWEST_SIZED:
             lone = (sure > 0.5) & (peaks.nearest <= max(CLEAR, _median(peaks.nearest)))
         error = np.full(len(peaks), calibration.size_residual)
@@ -271,25 +311,20 @@ def _heights(ground: Ground, reef: BoolArray, cell: float, post: float) -> relie
     return relief.Relief(base, level - base)
 
 
-def _relief_measures(
-    heights: relief.Relief, reef: BoolArray, cell: float, ground: Ground, calibration: Calibration
-) -> tuple[Measure, ...]:
-    share = _reduced(reef, heights.above.shape)
-    above = heights.above[share > 0.5]
+def _relief_measures(seen: Reading, calibration: Calibration) -> tuple[Measure, ...]:
+    share = _reduced(seen.reef, seen.heights.above.shape)
+    above = seen.heights.above[share > 0.5]
     above = above[np.isfinite(above)]
-    times = max(1, round(relief.CHAIN / ground.cell))
-    level, _ = relief.averaged(ground.height.astype(np.float64), ground.seen, times)
-    ratio = relief.chain_ratio(level, _reduced(reef, level.shape) > 0.5)
     measures = [_height("reef_height", above, calibration)]
     if len(above) >= 4:
         highest = calibration.relief * float(np.quantile(above, 0.99))
         measures.append(
             around("reef_height_max", highest, 1.5 * calibration.relief_spread, "m", "1 % of it is higher")
         )
-    if ratio is None:
+    if seen.rugosity is None:
         measures.append(unknown("rugosity", "", "too little of the reef's surface was seen"))
     else:
-        excess = calibration.rugosity * (ratio - 1.0)
+        excess = calibration.rugosity * (seen.rugosity - 1.0)
         told = in_ratio("rugosity", excess, calibration.rugosity_spread, "")
         assert told.low is not None
         assert told.high is not None
@@ -305,10 +340,11 @@ def _height(name: str, above: Float64Array, calibration: Calibration) -> Measure
     return around(name, mean, calibration.relief_spread, "m", "mean above the seabed around", least=-math.inf)
 
 
-def _unseen(reef: BoolArray, cell: float, occupancy: MapLayers) -> float:
+def _unseen(seen: Reading, occupancy: MapLayers) -> float:
     """Square metres of reef to be expected where nothing was seen: the likelier the nearer to reef."""
     from scipy import ndimage
 
+    reef = seen.reef
     hidden = occupancy.to_see & ~occupancy.known
     if not reef.any() or not hidden.any():
         return 0.0

@@ -1,0 +1,510 @@
+"""How good the measures of a survey are: against the truth of simulated reefs and wrecks.
+
+    python perf/survey.py                      # the table of docs/survey-measures.md
+    python perf/survey.py --calibrate          # the numbers of src/dream/survey/calibration.py
+    python perf/survey.py --worlds 2 --wrecks 0 --swims 0
+
+Reefs of all four families, seeds 70000 and up, are flown by `belief` in dream-v1 and dream-v1-noisy, some in
+dream-v1-nav; calibration uses seeds 60000 and up, which the table does not. Poses of missions and the truth of
+worlds are kept in `--cache`, so that an interrupted call goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import math
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import optimize
+from scipy.spatial import cKDTree
+
+from dream.commands.console import with_progress
+from dream.geometry import SE3, Camera
+from dream.mapping import OccupancyMap
+from dream.mission import explore
+from dream.planning import Belief
+from dream.protocol import SurveyProtocol, protocol_named
+from dream.robots import Teleport
+from dream.robots.simulated import Simulated
+from dream.sim.camera_noise import noise_generator, with_noise
+from dream.sim.render import Frame, Renderer
+from dream.sim.render.scene import rotation_matrices
+from dream.sim.visibility import Visibility
+from dream.sim.world import World
+from dream.sim.worlds import make_world
+from dream.survey import About, Survey, measure_observations, patches, reef, relief
+from dream.survey.calibration import Calibration
+from dream.survey.ground import Frame as Seen
+from dream.survey.ground import fuse, scatter_of
+from dream.types import Label, Observation, Target
+
+Float64Array = npt.NDArray[np.float64]
+
+FAMILIES = ("reef/fringing", "reef/string", "reef/patch", "reef/mixed")
+FIRST, FIRST_OF_CALIBRATION = 70_000, 60_000
+TILE, ABOVE, PIXELS = 4.0, 15.0, 400
+"""Metres along a tile of the view from straight above, metres of its camera above the ground, and pixels."""
+TRUE_CELL = 0.02
+"""Metres of the true picture of the ground."""
+MATCH = 0.1
+"""Metres between a peak and an individual that are the same."""
+HEADLINES = ("reef_area", "density", "median_size", "reef_height")
+LIMITS = {"reef_area": "5 %", "density": "10 %", "median_size": "10 %", "reef_height": "5 cm"}
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """One mission of the validation."""
+
+    protocol: str
+    world: str
+    seed: int
+
+    @property
+    def stem(self) -> str:
+        """In the cache."""
+        return f"{self.world.replace('/', '-')}-{self.seed}"
+
+
+class Colourless:
+    """A renderer that spares itself the colour, which neither `belief` nor a measure looks at."""
+
+    def __init__(self, world: World) -> None:
+        self._renderer = Renderer(world)
+
+    def render(self, camera: Camera, T_world_camera: SE3) -> Frame:
+        """Black."""
+        seen = self._renderer.measure(camera, T_world_camera)
+        return Frame(np.zeros((camera.height, camera.width, 3), np.uint8), *seen)
+
+
+# ---------------------------------------------------------------------------------------------- missions
+
+
+def flown(mission: Mission, world: World, cache: Path) -> dict[str, npt.NDArray[Any]]:
+    """Poses of every frame, believed and true, from the cache or by flying it."""
+    path = cache / mission.protocol / f"{mission.stem}.npz"
+    if not path.exists():
+        protocol = protocol_named(mission.protocol)
+        kind = Simulated if protocol.swims else Teleport
+        robot = kind(world, protocol, renderer=Colourless(world))  # type: ignore[arg-type]
+        believed, truth, times, sigma = [], [], [], []
+        for step in explore(robot, Belief(), OccupancyMap(world.bounds, protocol)):
+            seen = step.observation
+            really = step.arrival.truth or seen.T_world_base
+            believed.append(_matrix(seen.T_world_base))
+            truth.append(_matrix(really))
+            times.append(seen.time)
+            sigma.append(step.arrival.sigma)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = path.with_suffix(".partial.npz")
+        np.savez(partial, believed=believed, truth=truth, time=times, sigma=sigma)
+        partial.replace(path)
+    with np.load(path) as arrays:
+        return {name: arrays[name] for name in arrays.files}
+
+
+def seen_again(mission: Mission, world: World, cache: Path) -> tuple[list[Observation], list[float]]:
+    """What the mission saw, drawn again without colour, and how far each pose may err."""
+    protocol = protocol_named(mission.protocol)
+    poses, renderer = flown(mission, world, cache), Colourless(world)
+    start, camera = protocol.snap(world.starts[0]), protocol.camera
+    observations = []
+    for number, (believed, truth) in enumerate(zip(poses["believed"], poses["truth"], strict=True)):
+        T_world_camera = _transform(truth) @ protocol.T_base_camera
+        frame = renderer.render(camera, T_world_camera)
+        if protocol.noise is not None:
+            rng = noise_generator(world, start, number)
+            hull = world.targets_are_hull
+            frame = with_noise(frame, camera, T_world_camera, protocol.noise, rng, targets_are_hull=hull)
+        observations.append(
+            Observation(
+                float(poses["time"][number]),
+                frame.rgb,
+                frame.depth,
+                frame.labels,
+                camera,
+                _transform(believed),
+                protocol.T_base_camera,
+            )
+        )
+    return observations, poses["sigma"].tolist()
+
+
+def mapped(observations: list[Observation], world: World, protocol: SurveyProtocol) -> OccupancyMap:
+    """The map that the mission made."""
+    occupancy = OccupancyMap(world.bounds, protocol)
+    occupancy.clear_launch(observations[0].pose.x, observations[0].pose.y)
+    for seen in observations:
+        occupancy.integrate(seen.depth, seen.labels, seen.camera, seen.T_world_camera)
+    return occupancy
+
+
+def _matrix(T: SE3) -> Float64Array:
+    return np.column_stack([T.rotation, T.translation])
+
+
+def _transform(matrix: Float64Array) -> SE3:
+    return SE3(np.ascontiguousarray(matrix[:, :3]), np.ascontiguousarray(matrix[:, 3]))
+
+
+# ------------------------------------------------------------------------------------------------- truth
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """A world from straight above, in cells of `TRUE_CELL`."""
+
+    top: Float64Array
+    """(rows, cols) world z of what is on top, boulders left out; NaN where only they are."""
+    cover: npt.NDArray[np.bool_]
+    """(rows, cols) shell or hull."""
+
+
+def plan(world: World) -> Plan:
+    """Drawn by the renderer, tile by tile around the targets."""
+    bounds, renderer = world.bounds, Renderer(world)
+    shape = (round(bounds.depth / TRUE_CELL), round(bounds.width / TRUE_CELL))
+    top, cover = np.full(shape, np.nan), np.zeros(shape, np.bool_)
+    focal = PIXELS * ABOVE / TILE
+    camera = Camera(PIXELS, PIXELS, focal, focal, 0.5 * PIXELS, 0.5 * PIXELS)
+    # The camera's right is east and its down is south, so that it looks straight down.
+    down = np.diag([1.0, -1.0, -1.0])
+    targets = np.asarray(world.targets.position, np.float64)
+    step = 0.9 * TILE
+    xs = np.arange(bounds.x_min + 0.5 * step, bounds.x_max + 0.5 * step, step)
+    ys = np.arange(bounds.y_min + 0.5 * step, bounds.y_max + 0.5 * step, step)
+    tree = cKDTree(targets[:, :2])
+    for x in xs:
+        for y in ys:
+            if tree.query((x, y))[0] > 0.75 * TILE + 2.5:
+                continue
+            z = float(world.terrain.height(x, y)) + ABOVE
+            T_world_camera = SE3(down, np.array([x, y, z]))
+            seen = renderer.measure(camera, T_world_camera)
+            points = camera.back_project(seen.depth, T_world_camera)
+            labels = np.asarray(seen.labels)
+            valid = np.isfinite(points[..., 2]) & ((labels == Label.SEABED) | (labels == Label.TARGET))
+            col = np.floor((points[..., 0] - bounds.x_min) / TRUE_CELL)
+            row = np.floor((points[..., 1] - bounds.y_min) / TRUE_CELL)
+            valid &= (row >= 0) & (col >= 0) & (row < shape[0]) & (col < shape[1])
+            r, c = row[valid].astype(np.intp), col[valid].astype(np.intp)
+            np.fmax.at(top, (r, c), points[..., 2][valid])
+            shell = labels[valid] == Label.TARGET
+            cover[r[shell], c[shell]] = True
+    return Plan(top, cover)
+
+
+def sizes_of(world: World) -> Float64Array:
+    """(N,) the longest distance across each individual seen from above, what is in the ground left out."""
+    targets = world.targets
+    turns = rotation_matrices(targets.wxyz)
+    sizes = np.zeros(len(targets))
+    for number, (which, scale, position) in enumerate(
+        zip(targets.mesh, targets.scale, targets.position, strict=True)
+    ):
+        corners = (world.meshes[which].vertices.astype(np.float64) * scale) @ turns[number].T + position
+        corners = corners[corners[:, 2] > world.terrain.height(corners[:, 0], corners[:, 1])]
+        if len(corners):
+            sizes[number], _ = patches.calipers(corners[:, :2])
+    return sizes
+
+
+def truth_of(world: World) -> dict[str, Any]:
+    """The measures of a reef as they are, by the definitions of docs/survey-measures.md."""
+    drawn = plan(world)
+    corner = (world.bounds.x_min, world.bounds.y_min)
+    marks, count = patches.parts(patches.closed(drawn.cover, TRUE_CELL), TRUE_CELL)
+    position, sizes = np.asarray(world.targets.position, np.float64), sizes_of(world)
+    col, row = ((position[:, :2] - corner) / TRUE_CELL).astype(np.intp).T
+    member = marks[np.clip(row, 0, marks.shape[0] - 1), np.clip(col, 0, marks.shape[1] - 1)]
+    on_reef = marks >= 0
+    area = float(on_reef.sum()) * TRUE_CELL**2
+    above = heights(drawn, on_reef)
+    links = round(relief.CHAIN / TRUE_CELL)
+    level, _ = relief.averaged(drawn.top, np.isfinite(drawn.top), links)
+    inside, _ = relief.averaged(on_reef.astype(float), np.ones_like(on_reef), links)
+    counts = np.bincount(member[member >= 0], minlength=count)
+    return {
+        "reef_area": area,
+        "patch_count": float(count),
+        "count": float(counts.sum()),
+        "density": float(counts.sum()) / area,
+        "median_size": float(np.median(sizes[member >= 0])),
+        "reef_height": float(np.nanmean(above)),
+        "reef_height_max": float(np.nanquantile(above, 0.99)),
+        "rugosity": relief.chain_ratio(level, inside > 0.5),
+        "patches": [
+            {
+                "area": float((marks == number).sum()) * TRUE_CELL**2,
+                "count": float(counts[number]),
+                "middle": [
+                    float(np.median(at[marks == number])) for at in np.indices(marks.shape, sparse=False)
+                ],
+            }
+            for number in range(min(count, 12))
+        ],
+    }
+
+
+def heights(drawn: Plan, on_reef: npt.NDArray[np.bool_]) -> Float64Array:
+    """Metres above the membrane that the bare seabed holds, of the posts that are reef."""
+    # A post is no whole number of true cells: both are cut into squares of a centimetre.
+    fine = round(TRUE_CELL / 0.01)
+    times = round(relief.POST / 0.01)
+    top = np.repeat(np.repeat(drawn.top, fine, axis=0), fine, axis=1)
+    mask = np.repeat(np.repeat(on_reef, fine, axis=0), fine, axis=1)
+    level, _ = relief.averaged(top, np.isfinite(top), times)
+    near = patches_grown(on_reef)
+    under, _ = relief.averaged(
+        np.repeat(np.repeat(near, fine, axis=0), fine, axis=1).astype(np.float32), np.ones_like(mask), times
+    )
+    share, _ = relief.averaged(mask.astype(np.float32), np.ones_like(mask), times)
+    above = level - relief.spanned(level, under > 0.0)
+    return above[(share > 0.5) & np.isfinite(above)]
+
+
+def patches_grown(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """The mask and `relief.RIM` around it."""
+    from scipy import ndimage
+
+    grown: npt.NDArray[np.bool_] = ndimage.distance_transform_edt(~mask, TRUE_CELL) <= relief.RIM
+    return grown
+
+
+def truth_of_wreck(world: World, seen: npt.NDArray[np.bool_]) -> dict[str, Any]:
+    """Outline, share of the hull seen, debris and highest point as they are."""
+    drawn = plan(world)
+    marks, count = patches.parts(patches.closed(drawn.cover, TRUE_CELL), TRUE_CELL, 0.25)
+    corner = (world.bounds.x_min, world.bounds.y_min)
+    rings = [patches.rings(marks == number, corner, TRUE_CELL)[0] for number in range(count)]
+    tops = [
+        (world.meshes[mesh].vertices[:, 2] + position[2]).max()
+        for mesh, position in zip(world.targets.mesh, world.targets.position, strict=True)
+    ]
+    ground = float(np.median(world.terrain.height(rings[0][:, 0], rings[0][:, 1])))
+    return {
+        "outline_area": float((marks == 0).sum()) * TRUE_CELL**2,
+        "hull_seen": float(seen.mean()),
+        "debris_extent": patches.calipers(np.concatenate(rings))[0],
+        "debris_area": float((marks > 0).sum()) * TRUE_CELL**2,
+        "highest_point": float(max(tops)) - ground,
+    }
+
+
+def known_truth(world: World, mission: Mission, cache: Path) -> dict[str, Any]:
+    """Of a reef, from the cache where it was found before."""
+    path = cache / "truth" / f"{mission.stem}.json"
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(truth_of(world)))
+    found: dict[str, Any] = json.loads(path.read_text())
+    return found
+
+
+# -------------------------------------------------------------------------------------------- calibration
+
+
+def calibrate(missions: list[Mission], cache: Path) -> Calibration:
+    """The calibration of one protocol from missions of its own."""
+    tiles: list[tuple[npt.NDArray[np.intp], Float64Array, Float64Array, Float64Array]] = []
+    edges, sizes, medians, reliefs, rugosities = [], [], [], [], []
+    for mission in with_progress(iter(missions), "missions", len(missions)):
+        world = make_world(mission.world, mission.seed)
+        protocol, truth = protocol_named(mission.protocol), known_truth(world, mission, cache)
+        observations, _ = seen_again(mission, world, cache)
+        frames = [Seen.of(seen) for seen in observations]
+        ground = fuse(frames, world.bounds, protocol, scatter_of(frames))
+        read = reef.read(ground, frames, protocol)
+        peaks, on_reef = read.peaks, read.patch >= 0
+        outline = sum(
+            patches.perimeter(patches.rings(read.marks == number, read.corner, read.cell))
+            for number in range(read.count)
+        )
+        measured = float(np.count_nonzero(read.reef)) * read.cell**2
+        edges.append((truth["reef_area"] - measured) / outline)
+        position, true_sizes = np.asarray(world.targets.position, np.float64)[:, :2], sizes_of(world)
+        # A patch may be missed as a whole; the model is of what is looked at.
+        tile = [_tiles(at, world) for at in (peaks.position[on_reef, :2], position)]
+        names = np.unique(np.concatenate(tile))
+        there = np.bincount(np.searchsorted(names, tile[1]), minlength=len(names)).astype(np.float64)
+        near = np.clip(peaks.nearest - 3.0, -2.0, 6.0)
+        features = np.column_stack([np.ones(len(peaks)), peaks.cover - 0.5, near])[on_reef]
+        tiles.append((np.searchsorted(names, tile[0]), features, read.sure[on_reef], there))
+        lone = peaks.lone & (peaks.nearest <= reef.CLEAR) & (read.sure > 0.5)
+        away, which = cKDTree(position).query(peaks.position[:, :2])
+        match = lone & (away <= MATCH)
+        pair = np.column_stack([peaks.across[match], true_sizes[which[match]]])
+        sizes.append(pair)
+        medians.append((peaks.across[lone & on_reef], truth["median_size"]))
+        above = read.heights.above[reef._reduced(read.reef, read.heights.above.shape) > 0.5]
+        reliefs.append((float(np.nanmean(above)), truth["reef_height"]))
+        assert read.rugosity is not None
+        rugosities.append((read.rugosity - 1.0, truth["rugosity"] - 1.0))
+    capture = _capture(tiles)
+    ratios = [
+        math.log(float((sure * np.exp(features @ capture)).sum()) / there.sum())
+        for _, features, sure, there in tiles
+    ]
+    pairs = np.concatenate(sizes)
+    # A ratio: a regression would draw every reef's sizes towards those that it was fitted to.
+    slope = math.exp(float(np.mean([math.log(true / np.median(mine)) for mine, true in medians])))
+    residual = 1.4826 * float(np.median(np.abs(pairs[:, 1] - slope * pairs[:, 0])))
+    off = [math.log(slope * np.median(mine) / true) for mine, true in medians]
+    rise = np.array(reliefs)
+    times = float((rise[:, 0] * rise[:, 1]).sum() / np.square(rise[:, 0]).sum())
+    rough = np.log([true / mine for mine, true in rugosities])
+    freedom = math.sqrt(len(missions) / max(len(missions) - 3, 1))
+    found = Calibration(
+        capture=(round(capture[0], 3), round(capture[1], 3), round(capture[2], 3)),
+        capture_spread=freedom * float(np.sqrt(np.mean(np.square(ratios)))),
+        edge=float(np.mean(edges)),
+        edge_spread=freedom * float(np.std(edges)),
+        size=slope,
+        size_residual=residual,
+        size_spread=freedom * float(np.sqrt(np.mean(np.square(off)))),
+        relief=times,
+        relief_spread=freedom * float(np.std(rise[:, 1] - times * rise[:, 0])),
+        rugosity=float(np.exp(rough.mean())),
+        rugosity_spread=freedom * float(rough.std()),
+    )
+    print("  of each: log count", np.round(ratios, 3), " edge", np.round(edges, 4))
+    print("  size", np.round(off, 3), " relief", np.round(rise[:, 1] - times * rise[:, 0], 3))
+    return found
+
+
+def _tiles(at: Float64Array, world: World) -> npt.NDArray[np.int64]:
+    """(N,) the square metre that each position lies in."""
+    col, row = np.floor(at - (world.bounds.x_min, world.bounds.y_min)).astype(np.int64).T
+    return row * 100_000 + col
+
+
+def _capture(
+    tiles: list[tuple[npt.NDArray[np.intp], Float64Array, Float64Array, Float64Array]],
+) -> Float64Array:
+    """Weights of the capture model: what makes the individuals of every square metre likeliest (Poisson)."""
+
+    def loss(weights: Float64Array) -> tuple[float, Float64Array]:
+        total, slope = 0.0, np.zeros(3)
+        for tile, features, sure, there in tiles:
+            worth = sure * np.exp(np.clip(features @ weights, -3.0, 3.0))
+            expected = np.bincount(tile, weights=worth, minlength=len(there)) + 0.05
+            total += float((expected - there * np.log(expected)).sum())
+            slope += (((1.0 - there / expected)[tile] * worth)[:, None] * features).sum(axis=0)
+        return total / 1e3, slope / 1e3
+
+    best = optimize.minimize(loss, np.array([0.6, 0.0, 0.0]), jac=True, method="BFGS")
+    return np.asarray(best.x)
+
+
+# --------------------------------------------------------------------------------------------- validation
+
+
+def measured(mission: Mission, cache: Path) -> tuple[Survey, dict[str, Any]]:
+    """The survey of a mission, and the truth."""
+    world, protocol = make_world(mission.world, mission.seed), protocol_named(mission.protocol)
+    observations, sigma = seen_again(mission, world, cache)
+    occupancy = mapped(observations, world, protocol)
+    target = Target.WRECK if world.targets_are_hull else Target.OYSTERS
+    about = About(mission.stem, datetime.now(UTC), target=target, sigma=tuple(sigma))
+    survey = measure_observations(observations, occupancy, about)
+    if not world.targets_are_hull:
+        return survey, known_truth(world, mission, cache)
+    poses = np.array(
+        [[T.x, T.y, T.yaw] for T in (_transform(m).se2 for m in flown(mission, world, cache)["truth"])]
+    )
+    seen = Visibility(world, protocol).seen(poses).any(axis=0)
+    return survey, truth_of_wreck(world, seen)
+
+
+def compared(survey: Survey, truth: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Every measure of the whole beside its truth."""
+    for told in survey.measures:
+        true = truth.get(told.name)
+        if told.value is not None and true is not None:
+            assert told.low is not None
+            assert told.high is not None
+            yield {
+                "name": told.name,
+                "value": told.value,
+                "low": told.low,
+                "high": told.high,
+                "truth": true,
+                "holds": bool(told.low <= true <= told.high),
+            }
+
+
+def table(rows: list[dict[str, Any]]) -> None:
+    """Print what came of all missions."""
+    print(
+        "| protocol | measure | missions | median error | 90 % of errors below | mean error | in the interval |"
+    )
+    print("|---|---|--:|--:|--:|--:|--:|")
+    keys = sorted({(row["protocol"], row["name"]) for row in rows})
+    for protocol, name in keys:
+        chosen = [row for row in rows if (row["protocol"], row["name"]) == (protocol, name)]
+        value, true = (np.array([row[key] for row in chosen]) for key in ("value", "truth"))
+        metres = name in ("reef_height", "reef_height_max", "highest_point", "debris_extent")
+        share = name in ("hull_seen", "patch_count", "rugosity", "debris_area")
+        error = value - true if metres or share else value / true - 1.0
+        unit, times = ("cm", 100.0) if metres else ("", 1.0) if share else ("%", 100.0)
+        shown = [np.median(np.abs(error)), np.quantile(np.abs(error), 0.9), error.mean()]
+        cells = [f"{times * number:.2f} {unit}".strip() for number in shown]
+        held = sum(row["holds"] for row in chosen)
+        print(f"| {protocol} | {name} | {len(chosen)} | {' | '.join(cells)} | {held / len(chosen):.0%} |")
+
+
+def main() -> int:
+    """Validate, or calibrate."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--worlds", type=int, default=15, help="reefs of each family")
+    parser.add_argument("--swims", type=int, default=2, help="of each family in dream-v1-nav")
+    parser.add_argument("--wrecks", type=int, default=1, help="wrecks of each kind")
+    parser.add_argument("--calibrate", action="store_true")
+    parser.add_argument("--cache", type=Path, default=Path("/tmp/dream-survey"))
+    options = parser.parse_args()
+    if options.calibrate:
+        for protocol in ("dream-v1", "dream-v1-noisy"):
+            seeds = range(FIRST_OF_CALIBRATION, FIRST_OF_CALIBRATION + options.worlds)
+            missions = [Mission(protocol, family, seed) for seed in seeds for family in FAMILIES]
+            print(protocol, json.dumps(dataclasses.asdict(calibrate(missions, options.cache)), indent=1))
+        return 0
+    seeds = range(FIRST, FIRST + options.worlds)
+    missions = [
+        Mission(protocol, family, seed)
+        for seed in seeds
+        for family in FAMILIES
+        for protocol in ("dream-v1", "dream-v1-noisy")
+    ]
+    missions += [
+        Mission("dream-v1-nav", family, FIRST + k) for k in range(options.swims) for family in FAMILIES
+    ]
+    missions += [
+        Mission(protocol, f"wreck/{kind}", FIRST + k)
+        for k in range(options.wrecks)
+        for kind in range(1, 6)
+        for protocol in ("dream-v1", "dream-v1-noisy")
+    ]
+    rows = []
+    with (options.cache / "rows.jsonl").open("w") as lines:
+        for mission in with_progress(iter(missions), "missions", len(missions)):
+            survey, truth = measured(mission, options.cache)
+            for row in compared(survey, truth):
+                rows.append({"protocol": mission.protocol, "mission": mission.stem, **row})
+                lines.write(json.dumps(rows[-1]) + "\n")
+                lines.flush()
+    table(rows)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
