@@ -36,6 +36,10 @@ LATER = replace(
 )
 
 
+def opened(path: Path) -> Any:
+    return netcdf_file(path, mmap=False)
+
+
 @pytest.fixture(scope="module")
 def series(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two surveys, given in the wrong order."""
@@ -45,7 +49,7 @@ def series(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_measures_over_time(series: Path) -> None:
-    with netcdf_file(series, mmap=False) as file:
+    with opened(series) as file:
         of = file.variables
         assert of["time"][:].tolist() == [1_780_306_200.0, 1_780_306_200.0 + 365 * 86_400]
         assert (of["time_bounds"][:, 1] - of["time_bounds"][:, 0]).tolist() == [120.0, 120.0]
@@ -65,7 +69,7 @@ def test_maps_stand_at_their_place(series: Path) -> None:
     x, y = scenes.centres()
     easting, northing = Ground(SITE).sheet(x.ravel(), y.ravel())
     longitude, latitude = Ground(SITE).globe(x.ravel(), y.ravel())
-    with netcdf_file(series, mmap=False) as file:
+    with opened(series) as file:
         of = file.variables
         col = np.abs(of["x"][:][:, None] - easting).argmin(axis=0)
         row = np.abs(of["y"][:][:, None] - northing).argmin(axis=0)
@@ -73,13 +77,14 @@ def test_maps_stand_at_their_place(series: Path) -> None:
         assert np.abs(of["lat"][:][row, col] - latitude).max() < 1e-6
         assert np.abs(of["lon"][:][row, col] - longitude).max() < 2e-6
         relief = of["relief"][1][row, col]
-        expected = np.nan_to_num(reef().layers.relief.ravel(), nan=np.float32(netcdf.FILL))
+        of_map = reef().layers.relief.ravel()
+        expected = np.where(np.isnan(of_map), np.float32(netcdf.FILL), of_map)
         assert (relief == expected).all()
 
 
 def test_rules_of_cf(series: Path) -> None:
     """What CF 1.8 asks of this kind of file, by its sections."""
-    with netcdf_file(series, mmap=False) as file:
+    with opened(series) as file:
         assert b"CF-1.8" in file.Conventions  # 2.6.1
         for name in ("title", "history", "source", "references", "comment"):  # 2.6.2
             assert getattr(file, name)
@@ -328,3 +333,18 @@ def test_maps_of_the_report_are_turned_to_the_north() -> None:
 def test_figures_have_the_digits_that_they_are_worth(measure: Measure, value: str, interval: str) -> None:
     assert words.value_text(measure) == value
     assert words.interval_text(measure) == interval
+
+
+def test_shares_of_sizes_are_drawn_with_their_intervals_and_not_listed() -> None:
+    shares = tuple(
+        Measure(f"size_share_{first:03d}_{first + 5:03d}_cm", 0.2, 0.1, 0.3, "") for first in range(10, 35, 5)
+    )
+    survey = replace(reef(), measures=reef().measures + shares)
+    assert words.listed(survey) == list(reef().measures)
+    assert words.meaning(shares[1].name).title == "15 to 20 cm wide"
+    assert words.value_text(shares[1]) == "20 %"
+    _, axes = figures.new_figure(4.0, 3.0)
+    figures.size_figure(axes, survey)
+    bars = [(bar.get_x(), bar.get_width(), bar.get_height()) for bar in axes.containers[0]]
+    assert bars[0] == pytest.approx((0.10, 0.05, 20.0))
+    assert np.sort(np.asarray(axes.lines[0].get_ydata(), float)) == pytest.approx([10.0, 30.0])

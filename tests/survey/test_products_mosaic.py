@@ -30,7 +30,7 @@ def looking_down(x: float, y: float, height: float, yaw: float = 0.0, scale: int
     points = fine.back_project(np.full((36 * scale, 48 * scale), height), base @ mount)
     return Observation(
         time=0.0,
-        rgb=colour(points[..., 0], points[..., 1]),
+        rgb=colour(np.asarray(points[..., 0], np.float64), np.asarray(points[..., 1], np.float64)),
         depth=depth,
         labels=np.full(depth.shape, Label.SEABED, np.uint8),
         camera=camera,
@@ -109,8 +109,8 @@ def test_a_step_in_depth_is_no_surface() -> None:
 def test_the_kernel_is_its_slow_twin() -> None:
     rng = np.random.default_rng(3)
     height, width, k, shape = 5, 6, 2, (24, 28)
-    points = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1) * 4.0 + 2.0
-    points += rng.uniform(-0.8, 0.8, points.shape)
+    even = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1) * 4.0 + 2.0
+    points = np.asarray(even + rng.uniform(-0.8, 0.8, even.shape), np.float64)
     good = rng.random((height, width)) < 0.9
     rgb = rng.integers(0, 256, (k * height, k * width, 3), np.uint8)
     color, weight = np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32)

@@ -117,7 +117,9 @@ def export(
             makers[name]()
         told = [(name, FILES[name]) for name in FILES if (folder / name).exists()]
         if not only or "html" in only:
-            page.write(survey, folder / page.NAME, [line for line in told if line[0] != page.NAME])
+            picture = folder / mosaic.NAME
+            others = [line for line in told if line[0] != page.NAME]
+            page.write(survey, folder / page.NAME, others, picture if picture.exists() else None)
         (folder / "README.md").write_text(_readme(survey, folder, left_out), encoding="utf-8")
         files = tuple(sorted(path.name for path in folder.iterdir()))
         folder.rename(to)

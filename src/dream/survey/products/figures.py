@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +26,8 @@ from dream.survey.products.styles import (
     rgb,
     state_names,
 )
-from dream.survey.survey import Survey
+from dream.survey.products.words import size_bin
+from dream.survey.survey import Measure, Survey
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -110,7 +111,7 @@ def habitat_map(axes: Axes, survey: Survey) -> None:
     halo = [withStroke(linewidth=2.2, foreground="white")]
     for number, patch in enumerate(survey.patches, start=1):
         for ring in patch.rings:
-            axes.plot(*east_north(survey, ring).T, color="#0d5c38", linewidth=1.0, zorder=3)
+            axes.plot(*east_north(survey, ring).T, color="#0d5c38", linewidth=0.8, zorder=3)
         if len(survey.patches) > 1:
             x, y = east_north(survey, patch.rings[0]).T
             axes.text(
@@ -325,17 +326,17 @@ def scale_length(width: float) -> float:
 
 
 def size_figure(axes: Axes, survey: Survey) -> None:
-    """How many individuals there are of each size, with the median and its interval."""
-    from matplotlib.ticker import MaxNLocator
+    """How many individuals there are of each size: shares with their intervals, the median with its own.
 
-    sizes = survey.individuals.size
-    width = BIN
-    while sizes.size and np.ptp(sizes) / width > 24.0:
-        width *= 2.0
-    first = math.floor(float(sizes.min(initial=math.inf)) / width) if sizes.size else 0
-    last = math.floor(float(sizes.max(initial=0.0)) / width) + 1
-    edges = width * np.arange(first, max(last, first + 1) + 1)
-    axes.hist(sizes, edges.tolist(), color="#1f9e62", edgecolor="white", linewidth=0.8, zorder=2)
+    Where the survey tells no shares, those that were found are counted as they are.
+    """
+    shares = [
+        (ends, m) for m in survey.measures if (ends := size_bin(m.name)) is not None and m.value is not None
+    ]
+    if shares:
+        _size_shares(axes, shares)
+    else:
+        _size_counts(axes, survey.individuals.size)
     median = next((m for m in survey.measures if m.name == "median_size" and m.value is not None), None)
     if median is not None and median.value is not None:
         if median.low is not None and median.high is not None:
@@ -348,12 +349,58 @@ def size_figure(axes: Axes, survey: Survey) -> None:
             xycoords=("data", "axes fraction"),
             textcoords="offset points",
             fontsize=8,
-            ha="left" if median.value < edges.mean() else "right",
+            ha="left" if median.value < sum(axes.get_xlim()) / 2.0 else "right",
         )
-    axes.set_xlabel(f"longest diameter, metres (bins of {100.0 * width:g} cm)", fontsize=8)
-    axes.set_ylabel("individuals found", fontsize=8)
     axes.tick_params(labelsize=8)
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(axis="y", color=GRID, linewidth=0.6, zorder=0)
+
+
+def _size_shares(axes: Axes, shares: Sequence[tuple[tuple[int, int], Measure]]) -> None:
+    for (first, last), measure in shares:
+        assert measure.value is not None  # `size_figure` takes no others.
+        middle, height = 0.005 * (first + last), 100.0 * measure.value
+        axes.bar(
+            middle, height, 0.01 * (last - first), color="#1f9e62", edgecolor="white", linewidth=0.8, zorder=2
+        )
+        if measure.low is not None and measure.high is not None:
+            low, high = 100.0 * measure.low, 100.0 * measure.high
+            axes.plot(
+                [middle, middle], [low, high], color=INK, linewidth=1.1, marker="_", markersize=5, zorder=4
+            )
+    axes.set_xlabel("longest diameter, metres", fontsize=8)
+    axes.set_ylabel("% of the individuals, with 95 % intervals", fontsize=8)
+    axes.set_ylim(bottom=0.0)
+
+
+def _size_counts(axes: Axes, sizes: Float64Array) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    width = BIN
+    while sizes.size and np.ptp(sizes) / width > 24.0:
+        width *= 2.0
+    first = math.floor(float(sizes.min()) / width) if sizes.size else 0
+    last = math.floor(float(sizes.max(initial=0.0)) / width) + 1
+    edges = width * np.arange(first, max(last, first + 1) + 1)
+    axes.hist(sizes, edges.tolist(), color="#1f9e62", edgecolor="white", linewidth=0.8, zorder=2)
+    axes.set_xlabel(f"longest diameter, metres (bins of {100.0 * width:g} cm)", fontsize=8)
+    axes.set_ylabel("individuals found", fontsize=8)
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.margins(x=0.02)
+
+
+def sea_floor(axes: Axes, picture: npt.NDArray[np.uint8], extent: tuple[float, float, float, float]) -> None:
+    """The mosaic, north of the map sheet up.
+
+    Args:
+        axes: To draw on.
+        picture: (rows, cols, 4) RGBA, the first row in the north.
+        extent: West, east, south, north, in metres from the origin.
+    """
+    axes.imshow(picture, extent=extent, interpolation="nearest", zorder=1)
+    axes.set_aspect("equal")
+    axes.tick_params(labelsize=7.5, length=2.5)
+    axes.set_xlabel("metres east of the origin", fontsize=8)
+    axes.set_ylabel("metres north of the origin", fontsize=8)
+    _north(axes)
+    _scale(axes, extent[1] - extent[0])

@@ -276,7 +276,7 @@ def _decisions(survey: Survey, ground: Ground) -> Table:
         },
         rows,
         "POINT",
-        style=styles.point_qml(styles.DECISION, 3.4, "#4a3405", angle="heading_grid_deg", shape="arrow"),
+        style=styles.point_qml(styles.DECISION, 2.6, "#4a3405", angle="heading_grid_deg", shape="triangle"),
     )
 
 

@@ -228,7 +228,7 @@ def write_cog(
         colors: RGBA of the values of a single band of classes.
         mask: (rows, cols) where there is data.
     """
-    rasterio = _rasterio()
+    rasterio = import_rasterio()
     from rasterio.enums import ColorInterp
     from rasterio.io import MemoryFile
     from rasterio.shutil import copy
@@ -283,7 +283,12 @@ def _overviews(sheet: Sheet) -> int:
     return max(0, math.ceil(math.log2(max(sheet.rows, sheet.cols) / BLOCK)))
 
 
-def _rasterio() -> Any:
+def import_rasterio() -> Any:
+    """It is an extra, and slow to import.
+
+    Raises:
+        ImportError: It is not installed.
+    """
     try:
         import rasterio
         import rasterio.crs

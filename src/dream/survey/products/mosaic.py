@@ -27,6 +27,8 @@ Float64Array = npt.NDArray[np.float64]
 
 NAME = "mosaic.tif"
 LEAST_WEIGHT = 1e-30
+SMALL = 1400
+"""Cells along the longer side of a mosaic in a report."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,3 +165,22 @@ def mosaic_for(survey: Survey) -> Mosaic:
     if protocol is None:
         return Mosaic()
     return Mosaic(cell=min(0.025, 0.1 * survey.layers.cell), reach=protocol.reach)
+
+
+def small(path: Path, ground: Ground) -> tuple[UInt8Array, tuple[float, float, float, float]]:
+    """A mosaic at most `SMALL` cells wide and high, for a report.
+
+    Returns:
+        (rows, cols, 4) RGBA, the first row in the north; and west, east, south, north in metres of the sheet
+        from the origin of the site.
+    """
+    rasterio = geotiff.import_rasterio()
+    east, north = (float(value) for value in ground.sheet(0.0, 0.0))
+    with rasterio.open(path) as file:
+        shrink = max(1.0, max(file.shape) / SMALL)
+        shape = tuple(max(1, round(side / shrink)) for side in file.shape)
+        picture = file.read(out_shape=(3, *shape))
+        mask = file.dataset_mask(out_shape=shape)
+        box = file.bounds
+    extent = (box.left - east, box.right - east, box.bottom - north, box.top - north)
+    return np.concatenate([picture, mask[None]]).transpose(1, 2, 0), extent

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import html
+import io
 from collections.abc import Callable, Sequence
 from importlib import resources
 from pathlib import Path
@@ -15,6 +16,8 @@ from typing import TYPE_CHECKING
 
 from dream.report import digest, fill
 from dream.survey.products import figures, words
+from dream.survey.products.ground import Ground, site_of
+from dream.survey.products.mosaic import small
 from dream.survey.survey import Measure, Survey
 from dream.types import Target
 
@@ -24,13 +27,16 @@ if TYPE_CHECKING:
 NAME = "report.html"
 
 
-def write(survey: Survey, path: Path, files: Sequence[tuple[str, str]] = ()) -> None:
+def write(
+    survey: Survey, path: Path, files: Sequence[tuple[str, str]] = (), mosaic: Path | None = None
+) -> None:
     """Write the page.
 
     Args:
         survey: With or without an origin.
         path: Of the file.
         files: (name, what it is) of what lies beside it.
+        mosaic: The GeoTIFF of the sea floor, which is shown smaller.
 
     Raises:
         OSError: It cannot be written.
@@ -51,7 +57,8 @@ def write(survey: Survey, path: Path, files: Sequence[tuple[str, str]] = ()) -> 
             "headlines": _headlines(survey),
             "summary": "".join(f"<p>{html.escape(line)}</p>" for line in words.summary(survey)),
             "map": _picture(survey, figures.habitat_map, 7.4, 6.6, "Map of what was found"),
-            "measures": _measures(survey.measures),
+            "sea_floor": _sea_floor(survey, mosaic) if mosaic is not None else "",
+            "measures": _measures(words.listed(survey)),
             "patches": _patches(survey),
             "sizes": _sizes(survey),
             "relief": _picture(survey, figures.relief_map, 6.2, 5.0, "Map of the relief"),
@@ -158,6 +165,21 @@ def _picture(
         draw(axes, survey)
         data = base64.b64encode(figures.svg(figure)).decode()
     return f'<img class="figure" alt="{html.escape(what)}" src="data:image/svg+xml;base64,{data}">'
+
+
+def _sea_floor(survey: Survey, path: Path) -> str:
+    picture, extent = small(path, Ground(site_of(survey)))
+    with figures.settings():
+        figure, axes = figures.new_figure(9.0, 7.0)
+        figures.sea_floor(axes, picture, extent)
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="jpeg", dpi=150, pil_kwargs={"quality": 82})
+    data = base64.b64encode(buffer.getvalue()).decode()
+    return (
+        "<section class='panel'><h2>The sea floor from above <small>put together from the frames; colours as "
+        "the camera saw them</small></h2><img class='figure' alt='Mosaic of the sea floor' "
+        f"src='data:image/jpeg;base64,{data}'></section>"
+    )
 
 
 def _files(files: Sequence[tuple[str, str]]) -> str:

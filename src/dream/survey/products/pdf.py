@@ -77,7 +77,7 @@ def _second(survey: Survey) -> Figure:
             words.interval_text(m),
             ". ".join(filter(None, (words.meaning(m.name).says, m.note))),
         )
-        for m in survey.measures
+        for m in words.listed(survey)
     ]
     y = _table(
         page, ("", "value", "95 % interval", "what it says"), rows, (0.08, 0.26, 0.40, 0.58), y, wrap=44

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -33,6 +34,7 @@ MEANINGS = {
     "median_size": Meaning("Median size", "half of the individuals are wider than this"),
     "mean_size": Meaning("Mean size", "mean of the longest diameters"),
     "reef_height": Meaning("Reef height", "how high the reef stands above the bare seabed"),
+    "reef_height_max": Meaning("Highest reef", "its highest parts above the bare seabed"),
     "mean_height": Meaning("Mean height", "of the reef above the bare seabed"),
     "max_height": Meaning("Highest reef", "its highest point above the bare seabed"),
     "height": Meaning("Height", "above the bare seabed"),
@@ -57,10 +59,23 @@ HEADLINES = (
 
 def meaning(name: str) -> Meaning:
     """What a measure means; one that is not known here keeps its name."""
+    if (ends := size_bin(name)) is not None:
+        return Meaning(f"{ends[0]} to {ends[1]} cm wide", "share of the individuals", share=True)
     plain = name.replace("_", " ")
     return MEANINGS.get(
         name, Meaning(plain[:1].upper() + plain[1:], "", share=name.endswith(("_share", "_seen")))
     )
+
+
+def size_bin(name: str) -> tuple[int, int] | None:
+    """Centimetres, the ends of the sizes whose share a measure tells, such as `size_share_015_020_cm`."""
+    found = re.fullmatch(r"size_share_(\d+)_(\d+)_cm", name)
+    return (int(found[1]), int(found[2])) if found else None
+
+
+def listed(survey: Survey) -> list[Measure]:
+    """The measures that a table tells: all but the shares of sizes, which a figure shows."""
+    return [measure for measure in survey.measures if size_bin(measure.name) is None]
 
 
 def value_text(measure: Measure) -> str:
@@ -161,8 +176,8 @@ def limits(survey: Survey) -> list[str]:
     ]
     if survey.target is not Target.WRECK:
         lines.append(
-            "An individual is what stands apart in the pictures, often a clump of several shells. Its size is "
-            "its longest diameter as seen from above. Where clumps grow into each other, their number is "
+            "An individual is what stands apart in the pictures, often a clump of several shells. Its size "
+            "is its longest diameter as seen from above. Where clumps grow into each other, their number is "
             "corrected, and the interval is wider."
         )
     lines.append(
