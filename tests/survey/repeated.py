@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from dream.geometry import SE2, Bounds
+from dream.geometry import Bounds
 from dream.survey import Individuals, Layers, Patch, Survey, Track
 from dream.survey.site import Site
 from dream.types import Target
@@ -41,7 +41,8 @@ class Reef:
 class Surveying:
     """How well a survey sees. All standard deviations in metres unless said."""
 
-    drift: SE2 = SE2(0.2, -0.15, math.radians(0.6))
+    drift: tuple[float, float, float] = (0.2, 0.15, math.radians(0.6))
+    """East, north and turn about the middle."""
     place: float = 0.03
     looks: float = 12.0
     """Mean number of looks."""
@@ -65,7 +66,7 @@ def reef(rng: np.random.Generator, density: float = 8.0) -> Reef:
         grid = np.mgrid[-a:a:pitch, -b:b:pitch].reshape(2, -1).T
         grid = grid + rng.uniform(-0.35 * pitch, 0.35 * pitch, grid.shape)
         grid = grid[(grid[:, 0] / a) ** 2 + (grid[:, 1] / b) ** 2 < 1.0]
-        places.append(grid + [x, y])
+        places.append(grid + np.array([x, y]))
         patches.append(np.full(len(grid), number, np.int32))
     position = np.concatenate(places)
     return Reef(position, rng.uniform(0.15, 0.35, len(position)), np.concatenate(patches))
@@ -84,7 +85,7 @@ def survey(
 ) -> Survey:
     """What one mission makes of it."""
     how = seeing or Surveying()
-    drift = np.array([how.drift.x, how.drift.y, how.drift.yaw]) * rng.normal(0.0, 1.0, 3)
+    drift = np.array(how.drift) * rng.normal(0.0, 1.0, 3)
     n = len(reef.position)
     looks = 1 + rng.poisson(how.looks - 1.0, n).astype(np.int32)
     shows = rng.beta(how.rate * how.differing, (1.0 - how.rate) * how.differing, n)

@@ -10,6 +10,7 @@ from dream.commands.replay import Replay
 from dream.commands.report import Report
 from dream.commands.results import Results
 from dream.commands.run import Run, planner_name
+from dream.commands.survey import Survey
 from dream.commands.sweep import Sweep
 from dream.commands.train import Train
 from dream.commands.watch import Watch
@@ -27,6 +28,7 @@ __all__ = [
     "Report",
     "Results",
     "Run",
+    "Survey",
     "Sweep",
     "Train",
     "Watch",

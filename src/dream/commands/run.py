@@ -70,32 +70,26 @@ class Run:
     keep_observations: bool = False
     """Keep all that is seen to the last bit, as a dive does: some 0.2 MB a step. `dream replay` then plays it
     back, and `dream export` makes a data set of it."""
-    live: bool = False
-    """Show it in a browser while it flies, at an address that is printed; dream watch does so afterwards."""
+    site: Path | None = None
+    """File that says where on earth the world lies, for `dream survey`: name, latitude, longitude,
+    heading_deg, datum. It is kept with the run, and so is all that is seen."""
     json: bool = False
     """Print the summary as one JSON object and nothing else."""
     swim: Swim = field(default_factory=Swim)
 
     def __call__(self) -> int:
         """Exit status 0; a MissionAborted where the mission did not end by itself."""
-        if self.live:
-            from dream.live.beside import check_installed
-
-            check_installed()
-        with contextlib.ExitStack() as shown:
-            return self._fly_and_tell(shown)
-
-    def _fly_and_tell(self, shown: contextlib.ExitStack) -> int:
-        """The same; what has to stay until the outcome is told is left to `shown`."""
         from dream import recording
         from dream.evaluation.metrics import Scorer
         from dream.evaluation.runner import run_config, simulate, summarize
         from dream.planning.vlm.orders import write_mission
         from dream.report import write_report
         from dream.robots.replay import keep
+        from dream.survey.site import read_site, write_site
 
         if self.max_steps is not None and self.max_steps < 1:
             raise ValueError(f"--max-steps: expected at least 1, got {self.max_steps}")
+        site = None if self.site is None else read_site(self.site)
         began = time.perf_counter()
         with compiling_told():
             with kept_interrupts() as check:
@@ -134,14 +128,12 @@ class Run:
             now = datetime.datetime.now(datetime.UTC)
             folder = recording.new_run_folder(self.out, world.name, world.seed, name, now)
             recording.write_config(folder, config)
-            if self.live:
-                from dream.live.beside import shown_live
-
-                shown.enter_context(shown_live(folder))
             if orders is not None:
                 write_mission(folder / "mission.json", words, orders)
                 draw_orders(orders, world.bounds, protocol, folder / "mission.png")
-            if self.keep_observations:
+            if site is not None:
+                write_site(site, folder / "site.json")
+            if self.keep_observations or site is not None:
                 steps = keep(steps, folder, protocol)
             recorded = recording.record(
                 steps, folder, annotate=lambda step: {"coverage": scorer.add(step).as_dict()}

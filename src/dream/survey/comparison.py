@@ -526,7 +526,8 @@ def _resampled(layers: Layers, grid: _Grid, laid: Registration) -> npt.NDArray[n
     dx, dy = x.ravel() - T.x, y.ravel() - T.y
     points = np.column_stack([c * dx + s * dy, -s * dx + c * dy])
     states = _Grid(layers).at(layers.state.astype(np.int16), points)
-    return np.maximum(states, 0).astype(np.uint8).reshape(grid.shape)
+    resampled: npt.NDArray[np.uint8] = np.maximum(states, 0).astype(np.uint8).reshape(grid.shape)
+    return resampled
 
 
 def _change(

@@ -36,6 +36,8 @@ MOST_ROWS = 2_000_000
 """Individuals, steps, points of rings: more are refused."""
 MOST_SIDE = 8192
 """Cells along a side of the maps."""
+SLIVER = 0.01
+"""Square metres: a smaller hole may be too thin to have a sense."""
 FAR = 1e5
 """Metres: nothing of a survey is farther from its origin."""
 
@@ -457,7 +459,7 @@ def _check(header: _Header, arrays: Arrays, where: str) -> None:
             expect((ring[0] == ring[-1]).all(), name, "a last point that is the first", ring[-1].tolist())
             turn = _signed_area(ring)
             expect(
-                turn > 0.0 if hole == 0 else turn < 0.0,
+                turn > 0.0 if hole == 0 else turn < SLIVER,
                 name,
                 "an outline counter-clockwise, holes clockwise, with an area",
                 f"{turn:g} m2",

@@ -222,8 +222,8 @@ def frames(a: Survey, b: Survey) -> tuple[SE2, str]:
     apart = math.hypot(T_a_b.x, T_a_b.y)
     if apart > SAME_PLACE:
         raise ValueError(
-            f"compare: expected two surveys of one site, got origins {apart / 1000.0:.1f} km apart. Is one of "
-            "the two site files wrong?"
+            f"compare: expected two surveys of one site, got origins {apart / 1000.0:.1f} km apart. Is one "
+            "of the two site files wrong?"
         )
     return T_a_b, ""
 

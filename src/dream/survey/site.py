@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -63,6 +65,23 @@ class _File(BaseModel):
     datum_offset: float = 0.0
 
 
+def write_site(site: Site, path: Path) -> None:
+    """Write a site file, as `read_site` reads it: whole or not at all.
+
+    Raises:
+        OSError: It could not be written.
+    """
+    partial = path.with_name(f".partial.{path.name}")
+    try:
+        partial.write_text(json.dumps(asdict(site), indent=2) + "\n", encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        raise OSError(f"could not write {path} ({error.strerror or error})") from error
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
 def read_site(path: Path) -> Site:
     """A site from a JSON file with the fields of `Site`.
 
@@ -72,8 +91,8 @@ def read_site(path: Path) -> Site:
     """
     if not path.is_file():
         raise FileNotFoundError(
-            f'{path}: expected a site file such as {{"name": "Inner reef", "latitude": 54.9, "longitude": 8.3}}'
-            ", got no file"
+            f'{path}: expected a site file such as {{"name": "Inner reef", "latitude": 54.9, "longitude": '
+            "8.3}, got no file"
         )
     if path.stat().st_size > MOST_BYTES:
         raise ValueError(f"{path}: expected at most {MOST_BYTES} bytes, got {path.stat().st_size}")

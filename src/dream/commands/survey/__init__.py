@@ -1,1 +1,34 @@
-"""What each command of `dream survey` does."""
+"""`dream survey`: surveys kept over the years, and what changed between them. One file a subcommand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from dream.commands.survey.add import Add
+from dream.commands.survey.compare import Compare
+from dream.commands.survey.export import Export
+from dream.commands.survey.list import List
+from dream.commands.survey.show import Show
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """From missions to monitoring: measure a run, keep its survey, tell what changed, write what others open.
+
+    Each of these takes --json, and explains itself with --help.
+    """
+
+    command: (
+        Annotated[Add, tyro.conf.subcommand("add")]
+        | Annotated[List, tyro.conf.subcommand("list")]
+        | Annotated[Show, tyro.conf.subcommand("show")]
+        | Annotated[Compare, tyro.conf.subcommand("compare")]
+        | Annotated[Export, tyro.conf.subcommand("export")]
+    )
+
+    def __call__(self) -> int:
+        """Exit status of the subcommand."""
+        return self.command()

@@ -13,13 +13,14 @@ import contextlib
 import hashlib
 import sqlite3
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from dream.survey import files
 from dream.survey.archive import entries as told
+from dream.survey.archive import wkb
 from dream.survey.archive.entries import Entry
 from dream.survey.archive.rows import Row, rows
 from dream.survey.archive.schema import MIGRATIONS, VERSIONS, WGS84, Column, Table, order
@@ -121,16 +122,16 @@ class GeoPackageArchive:
             there = self._connection.execute("SELECT id FROM surveys WHERE digest = ?", (head["digest"],))
             if kept := there.fetchone():
                 return int(kept[0]), False
-            number = self._insert("surveys", head)
+            number = insert(self._connection, "surveys", head)
             for table, rows_of in others.items():
                 for row in rows_of:
-                    self._insert(table, {"survey_id": number, **row})
+                    insert(self._connection, table, {"survey_id": number, **row})
             self._connection.execute(
                 """UPDATE gpkg_contents SET last_change = strftime('%Y-%m-%dT%H:%M:%fZ','now'),
                 min_x = min(coalesce(min_x, ?1), ?1), max_x = max(coalesce(max_x, ?2), ?2),
                 min_y = min(coalesce(min_y, ?3), ?3), max_y = max(coalesce(max_y, ?4), ?4)
                 WHERE srs_id IS NOT NULL""",
-                _envelope(head["geom"]),
+                wkb.envelope(head["geom"]),
             )
         return number, True
 
@@ -151,12 +152,6 @@ class GeoPackageArchive:
             ).fetchone()
         return document(found, number, self.name)
 
-    def _insert(self, table: str, row: Row) -> int:
-        values = [header(value) + value if name == "geom" else value for name, value in row.items()]
-        marks = ", ".join("?" * len(row))
-        done = self._connection.execute(f"INSERT INTO {table} ({', '.join(row)}) VALUES ({marks})", values)
-        return int(done.lastrowid or 0)
-
     def _migrate(self, *, begin: bool) -> None:
         version = self._version()
         if version == len(MIGRATIONS):
@@ -167,13 +162,7 @@ class GeoPackageArchive:
         with self._transaction():
             version = self._version()
             if version == 0:
-                self._connection.execute(f"PRAGMA application_id = {APPLICATION}")
-                self._connection.execute(f"PRAGMA user_version = {GEOPACKAGE}")
-                for statement in _OF_GEOPACKAGE:
-                    self._connection.execute(statement)
-                self._connection.executemany(
-                    "INSERT INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, ?)", _SYSTEMS
-                )
+                begin_file(self._connection)
                 self._connection.execute(
                     f"CREATE TABLE {VERSIONS} (version INTEGER PRIMARY KEY NOT NULL, made TEXT NOT NULL)"
                 )
@@ -183,7 +172,7 @@ class GeoPackageArchive:
                     for statement in statements(table, extends=table.name in known):
                         self._connection.execute(statement)
                     if table.name not in known and not table.hidden:
-                        self._register(table)
+                        register(self._connection, table)
                     known[table.name] = table
                 self._connection.execute(
                     f"INSERT INTO {VERSIONS} VALUES (?, strftime('%Y-%m-%dT%H:%M:%fZ','now'))", (number,)
@@ -207,25 +196,6 @@ class GeoPackageArchive:
                 "Open it with a later dream"
             )
         return version
-
-    def _register(self, table: Table) -> None:
-        geometry = table.geometry
-        self._connection.execute(
-            "INSERT INTO gpkg_contents (table_name, data_type, identifier, description, srs_id) "
-            "VALUES (?, ?, ?, ?, ?)",
-            (
-                table.name,
-                "attributes" if geometry is None else "features",
-                table.name,
-                table.title,
-                None if geometry is None else WGS84,
-            ),
-        )
-        if geometry is not None:
-            self._connection.execute(
-                "INSERT INTO gpkg_geometry_columns VALUES (?, ?, ?, ?, 0, 0)",
-                (table.name, geometry.name, geometry.kind, WGS84),
-            )
 
     @contextlib.contextmanager
     def _transaction(self, kind: str = "IMMEDIATE") -> Iterator[None]:
@@ -295,23 +265,79 @@ def _column(column: Column) -> str:
     return " ".join(words)
 
 
-def header(geometry: bytes) -> bytes:
+def header(geometry: bytes, srs: int = WGS84) -> bytes:
     """What a GeoPackage puts before well-known binary, with an envelope for all but points (clause 2.1.3)."""
-    kind = struct.unpack_from("<I", geometry, 1)[0]
-    if kind == 1:
-        return struct.pack("<2sBBi", b"GP", 0, 0b0000_0001, WGS84)
-    return struct.pack("<2sBBi4d", b"GP", 0, 0b0000_0011, WGS84, *_envelope(geometry))
+    if wkb.kind(geometry) == 1:
+        return struct.pack("<2sBBi", b"GP", 0, 0b0000_0001, srs)
+    return struct.pack("<2sBBi4d", b"GP", 0, 0b0000_0011, srs, *wkb.envelope(geometry))
 
 
-def _envelope(geometry: bytes) -> tuple[float, float, float, float]:
-    """West, east, south and north of a line, or of a polygon's outline."""
-    import numpy as np
+def begin_file(connection: sqlite3.Connection) -> None:
+    """Make an empty database a GeoPackage."""
+    connection.execute(f"PRAGMA application_id = {APPLICATION}")
+    connection.execute(f"PRAGMA user_version = {GEOPACKAGE}")
+    for statement in _OF_GEOPACKAGE:
+        connection.execute(statement)
+    connection.executemany("INSERT INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, ?)", _SYSTEMS)
 
-    start = 5 if struct.unpack_from("<I", geometry, 1)[0] == 2 else 9
-    (count,) = struct.unpack_from("<I", geometry, start)
-    points = np.frombuffer(geometry, "<f8", 2 * count, start + 4).reshape(-1, 2)
-    (west, south), (east, north) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    return west, east, south, north
+
+def register(connection: sqlite3.Connection, table: Table, srs: int = WGS84) -> None:
+    """List a table for those who open the file."""
+    geometry = table.geometry
+    connection.execute(
+        "INSERT INTO gpkg_contents (table_name, data_type, identifier, description, srs_id) "
+        "VALUES (?, ?, ?, ?, ?)",
+        (
+            table.name,
+            "attributes" if geometry is None else "features",
+            table.name,
+            table.title,
+            None if geometry is None else srs,
+        ),
+    )
+    if geometry is not None:
+        connection.execute(
+            "INSERT INTO gpkg_geometry_columns VALUES (?, ?, ?, ?, 0, 0)",
+            (table.name, geometry.name, geometry.kind, srs),
+        )
+
+
+def write_layers(
+    path: Path, tables: Sequence[Table], rows_of: Mapping[str, Iterable[Row]], *, on_globe: bool
+) -> None:
+    """Write a GeoPackage that holds these tables and nothing else.
+
+    Args:
+        path: Of a file that is not there.
+        tables: Their columns.
+        rows_of: By table; `geom` is well-known binary.
+        on_globe: Places are longitude and latitude; else metres of no known system.
+
+    Raises:
+        OSError: It could not be written.
+    """
+    srs = WGS84 if on_globe else -1
+    try:
+        with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as connection:
+            connection.execute("BEGIN IMMEDIATE")
+            begin_file(connection)
+            for table in tables:
+                for statement in statements(table, extends=False):
+                    connection.execute(statement)
+                register(connection, table, srs)
+                for row in rows_of[table.name]:
+                    insert(connection, table.name, row, srs)
+            connection.execute("COMMIT")
+    except sqlite3.DatabaseError as error:
+        raise OSError(f"could not write {path} ({error})") from error
+
+
+def insert(connection: sqlite3.Connection, table: str, row: Row, srs: int = WGS84) -> int:
+    """Add a row; its key."""
+    values = [header(value, srs) + value if name == "geom" else value for name, value in row.items()]
+    marks = ", ".join("?" * len(row))
+    done = connection.execute(f"INSERT INTO {table} ({', '.join(row)}) VALUES ({marks})", values)
+    return int(done.lastrowid or 0)
 
 
 def document(found: Sequence[Any] | None, number: int, where: str) -> Survey:

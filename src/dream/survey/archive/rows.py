@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.survey import files, globe
+from dream.survey.archive import wkb
 from dream.survey.archive.schema import FROM_NOWHERE
 from dream.survey.site import Site
 from dream.survey.survey import Measure, Survey
@@ -47,12 +47,12 @@ def rows(survey: Survey) -> tuple[Row, dict[str, list[Row]]]:
         "heading_deg": site.heading_deg,
         "datum": _text(site.datum),
         "datum_offset_m": site.datum_offset,
-        "geom": _polygon(site, [np.array([*corners, corners[0]])]),
+        "geom": wkb.polygon([_places(site, np.array([*corners, corners[0]]))]),
     }
     measures = [_measure(one, None) for one in survey.measures]
     patches = []
     for number, patch in enumerate(survey.patches):
-        patches.append({"patch": number, "geom": _polygon(site, patch.rings)})
+        patches.append({"patch": number, "geom": wkb.polygon([_places(site, ring) for ring in patch.rings])})
         measures += [_measure(one, number) for one in patch.measures]
     track = survey.track.position
     return head, {
@@ -61,7 +61,7 @@ def rows(survey: Survey) -> tuple[Row, dict[str, list[Row]]]:
         "patches": patches,
         "individuals": list(_individuals(survey, site)),
         # A line has two ends at least.
-        "tracks": [{"geom": _line(site, track)}] if len(track) > 1 else [],
+        "tracks": [{"geom": wkb.line(_places(site, track))}] if len(track) > 1 else [],
         "decisions": list(_decisions(survey, site)),
     }
 
@@ -96,7 +96,7 @@ def _individuals(survey: Survey, site: Site) -> Iterator[Row]:
             "hits": int(them.hits[k]),
             "looks": int(them.looks[k]),
             "confidence": float(them.confidence[k]),
-            "geom": _point(longitude[k], latitude[k]),
+            "geom": wkb.point(longitude[k], latitude[k]),
         }
 
 
@@ -116,7 +116,7 @@ def _decisions(survey: Survey, site: Site) -> Iterator[Row]:
             "safety": _text(why.safety),
             "action": _text(why.action),
             "note": _text(one.note),
-            "geom": _point(float(longitude), float(latitude)),
+            "geom": wkb.point(float(longitude), float(latitude)),
         }
 
 
@@ -125,18 +125,5 @@ def _text(words: str) -> str:
     return words.replace("\x00", "\ufffd").encode("utf-8", "replace").decode()
 
 
-def _point(longitude: float, latitude: float) -> bytes:
-    return struct.pack("<BIdd", 1, 1, longitude, latitude)
-
-
-def _line(site: Site, points: npt.NDArray[np.float64]) -> bytes:
-    return struct.pack("<BI", 1, 2) + _points(site, points)
-
-
-def _polygon(site: Site, rings: Sequence[npt.NDArray[np.float64]]) -> bytes:
-    return struct.pack("<BII", 1, 3, len(rings)) + b"".join(_points(site, ring) for ring in rings)
-
-
-def _points(site: Site, points: npt.NDArray[np.float64]) -> bytes:
-    degrees = np.column_stack(globe.degrees(site, points[:, 0], points[:, 1]))
-    return struct.pack("<I", len(degrees)) + degrees.astype("<f8").tobytes()
+def _places(site: Site, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    return np.column_stack(globe.degrees(site, points[:, 0], points[:, 1]))

@@ -1,0 +1,74 @@
+"""`dream survey list`: what is in the archive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from dream.commands.console import print_json
+from dream.commands.survey.sources import archive_at
+from dream.commands.survey.words import measure_told, plain
+
+
+@dataclass(frozen=True, slots=True)
+class List:
+    """List the surveys in the archive, oldest first, with their main figures."""
+
+    site: str | None = None
+    """Only those of this site."""
+    archive: str | None = None
+    """Path, or postgresql:// URL, of the archive. Default: that in DREAM_ARCHIVE, else surveys.gpkg."""
+    json: bool = False
+    """Print one JSON object and nothing else."""
+
+    def __call__(self) -> int:
+        """Exit status 0."""
+        from dream.names import look_up
+
+        with archive_at(self.archive) as archive:
+            entries, where = archive.entries(), archive.name
+        if self.site is not None:
+            sites = {entry.site: [one for one in entries if one.site == entry.site] for entry in entries}
+            entries = look_up(sites, self.site, "site", see="dream survey list")
+        entries = sorted(entries, key=lambda entry: (entry.began, entry.number))
+        if self.json:
+            surveys = [
+                {
+                    "survey": entry.number,
+                    "name": entry.name,
+                    "site": entry.site,
+                    "began": entry.began.isoformat(),
+                    "target": entry.target,
+                    "protocol": entry.protocol,
+                    "patches": entry.patches,
+                    "individuals": entry.individuals,
+                    "measures": [measure_told(measure) for measure in entry.measures],
+                }
+                for entry in entries
+            ]
+            print_json({"archive": where, "surveys": surveys})
+            return 0
+        from rich.console import Console
+        from rich.table import Table
+
+        table = Table(title=f"Surveys in {where}", title_justify="left")
+        for heading, side in (("no", "right"), ("site", "left"), ("began", "left"), ("survey", "left")):
+            table.add_column(heading, justify="right" if side == "right" else "left", overflow="fold")
+        for heading in ("patches", "individuals", "reef or outline", "density"):
+            table.add_column(heading, justify="right")
+        for entry in entries:
+            figures = {measure.name: measure for measure in entry.measures}
+            area = figures.get("reef_area") or figures.get("outline_area")
+            table.add_row(
+                str(entry.number),
+                plain(entry.site),
+                f"{entry.began:%Y-%m-%d %H:%M}",
+                plain(entry.name),
+                str(entry.patches),
+                str(entry.individuals),
+                "" if area is None or area.value is None else f"{area.value:.1f} m²",
+                ""
+                if (one := figures.get("density")) is None or one.value is None
+                else f"{one.value:.1f} /m²",
+            )
+        Console().print(table)
+        return 0

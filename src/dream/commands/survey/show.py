@@ -1,0 +1,90 @@
+"""`dream survey show`: the figures of one survey."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import tyro
+
+from dream.commands.console import compiling_told, print_json
+from dream.commands.survey.sources import found
+from dream.commands.survey.words import measure_row, measure_told, plain
+
+if TYPE_CHECKING:
+    from dream.survey import Survey
+
+
+@dataclass(frozen=True, slots=True)
+class Show:
+    """Show the measures of a survey with their 95 % intervals, of the whole and of its patches."""
+
+    survey: tyro.conf.Positional[str]
+    """Number of a survey in the archive, its file, or the folder of a run."""
+    site: Path | None = None
+    """Of a run that does not know its origin: the file that does."""
+    archive: str | None = None
+    """Path, or postgresql:// URL, of the archive. Default: that in DREAM_ARCHIVE, else surveys.gpkg."""
+    json: bool = False
+    """Print one JSON object and nothing else."""
+
+    def __call__(self) -> int:
+        """Exit status 0."""
+        with compiling_told():
+            survey = found(self.survey, self.archive, self.site)
+        if self.json:
+            print_json(_told(survey))
+        else:
+            _print(survey)
+        return 0
+
+
+def _told(survey: Survey) -> dict[str, Any]:
+    site = survey.site
+    return {
+        "name": survey.name,
+        "began": survey.began.isoformat(),
+        "site": None
+        if site is None
+        else {
+            "name": site.name,
+            "latitude": site.latitude,
+            "longitude": site.longitude,
+            "heading_deg": site.heading_deg,
+            "datum": site.datum,
+        },
+        "target": str(survey.target),
+        "protocol": survey.protocol,
+        "steps": len(survey.decisions),
+        "individuals": len(survey.individuals),
+        "measures": [measure_told(measure) for measure in survey.measures],
+        "patches": [[measure_told(measure) for measure in patch.measures] for patch in survey.patches],
+        "made_by": survey.made_by,
+    }
+
+
+def _print(survey: Survey) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    where = "no origin" if survey.site is None else plain(survey.site.name)
+    console.print(f"[bold]{plain(survey.name)}[/bold]  {where}, {survey.began:%Y-%m-%d %H:%M %Z}")
+    console.print(
+        f"{survey.target} by {plain(survey.protocol)}, {len(survey.decisions)} decisions, "
+        f"{len(survey.individuals)} individuals in {len(survey.patches)} patches"
+    )
+    table = Table("measure", "value", "95 % interval", "note")
+    for measure in survey.measures:
+        table.add_row(*measure_row(measure))
+    console.print(table)
+    if not survey.patches:
+        return
+    names = list(dict.fromkeys(measure.name for patch in survey.patches for measure in patch.measures))
+    table = Table("patch", *(name.replace("_", " ") for name in names))
+    for k, patch in enumerate(survey.patches, start=1):
+        values = {measure.name: measure_row(measure) for measure in patch.measures}
+        cells = (values.get(name, ("", "", "", "")) for name in names)
+        table.add_row(str(k), *(f"{value}\n{interval}".strip() for _, value, interval, _ in cells))
+    console.print(table)

@@ -1,0 +1,74 @@
+"""Where a command of `dream survey` finds a survey, and the archive."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
+    from dream.survey import Survey
+    from dream.survey.archive import Archive
+
+
+def archive_at(where: str | None, *, begin: bool = False) -> AbstractContextManager[Archive]:
+    """The archive that `--archive` names, else DREAM_ARCHIVE, else surveys.gpkg."""
+    from dream.survey.archive import DEFAULT, VARIABLE, open_archive
+
+    return open_archive(where or os.environ.get(VARIABLE) or DEFAULT, begin=begin)
+
+
+def found(what: str, archive: str | None, site: Path | None = None) -> Survey:
+    """The survey that somebody named: the number of one in the archive, its file, or the folder of a run.
+
+    Args:
+        what: As it was typed. A folder or file of that name comes before a number.
+        archive: As `--archive` gives it.
+        site: A file that says where it was, for one that does not know.
+
+    Raises:
+        FileNotFoundError: There is nothing of that name.
+        ValueError: It is damaged; or it knows its site, and another was named.
+        OSError: The archive cannot be reached.
+    """
+    from dream.survey.site import read_site
+
+    where = None if site is None else read_site(site)
+    path = Path(what)
+    if path.is_dir():
+        survey = _measured(path)
+    elif path.is_file():
+        from dream.survey import files
+
+        survey = files.read(path)
+    elif what.isdigit():
+        with archive_at(archive) as kept:
+            survey = kept.get(int(what))
+    else:
+        raise FileNotFoundError(
+            f"{what}: expected the number of a survey in the archive, its file, or the folder of a run, got "
+            "none of them. See dream survey list"
+        )
+    if where is None or where == survey.site:
+        return survey
+    if survey.site is not None:
+        raise ValueError(
+            f"--site: expected none, because {survey.name} says where it was ({survey.site.name}), got {site}"
+        )
+    return replace(survey, site=where)
+
+
+def _measured(run: Path) -> Survey:
+    """A run's survey, with progress on standard error where that is a terminal."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from dream.survey.measuring import measure
+
+    console = Console(stderr=True)
+    with Progress(console=console, disable=not console.is_terminal, transient=True) as bar:
+        task = bar.add_task(f"measuring {run.name}", total=None)
+        return measure(run, told=lambda done, of: bar.update(task, completed=done, total=of))

@@ -1,0 +1,250 @@
+"""A comparison as files: a picture of the change, its layers as a GeoPackage, its figures as JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.survey import globe
+from dream.survey.archive import wkb
+from dream.survey.archive.geopackage import write_layers
+from dream.survey.archive.schema import Column, Table
+from dream.survey.comparison import Change, Comparison, Fate
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Float64Array = npt.NDArray[np.float64]
+
+GROUND = {
+    Change.NOT_COMPARABLE: "#f2f2f2",
+    Change.BARE: "#d8d2c4",
+    Change.KEPT: "#8a8a84",
+    Change.GAIN: "#0072b2",
+    Change.LOSS: "#d55e00",
+}
+"""Colours of ground: gain and loss are told apart by those who do not tell red from green (Okabe and Ito)."""
+VERDICTS = {"gain": "#0072b2", "loss": "#d55e00", "unchanged": "#333333", "not comparable": "#aaaaaa"}
+
+_TABLES = (
+    Table(
+        "patches",
+        "Patches and what became of them",
+        (
+            Column("id", "id"),
+            Column("patch", "integer"),
+            Column("verdict", "text"),
+            Column("p", "real", required=False),
+            Column("q", "real", required=False),
+            Column("seen_share", "real"),
+            Column("count_before", "real", required=False),
+            Column("count_after", "real", required=False),
+            Column("area_before_m2", "real", required=False),
+            Column("area_after_m2", "real", required=False),
+            Column("geom", "POLYGON"),
+        ),
+    ),
+    Table(
+        "individuals",
+        "Individuals and what became of them",
+        (
+            Column("id", "id"),
+            Column("survey", "text"),
+            Column("fate", "text"),
+            Column("size_m", "real"),
+            Column("confidence", "real"),
+            Column("geom", "POINT"),
+        ),
+    ),
+    Table(
+        "ground",
+        "Ground by what became of it, in strips of cells",
+        (Column("id", "id"), Column("change", "text"), Column("geom", "POLYGON")),
+    ),
+)
+
+
+def write_change(comparison: Comparison, folder: Path) -> tuple[Path, ...]:
+    """Write `change.png`, `change.gpkg` and `change.json` into a folder: each whole or not at all.
+
+    Raises:
+        OSError: They could not be written; then none of them is new.
+    """
+    names = ("change.png", "change.gpkg", "change.json")
+    partial = Path(tempfile.mkdtemp(prefix=".partial.", dir=folder))
+    try:
+        draw(comparison, partial / names[0])
+        rows = {"patches": _patches(comparison), "individuals": _individuals(comparison)}
+        rows["ground"] = _ground(comparison)
+        write_layers(partial / names[1], _TABLES, rows, on_globe=comparison.a.site is not None)
+        text = json.dumps(comparison.as_dict(), allow_nan=False, indent=2) + "\n"
+        (partial / names[2]).write_text(text, encoding="utf-8")
+        for name in names:
+            (partial / name).replace(folder / name)
+    except OSError as error:
+        raise OSError(f"could not write the change to {folder} ({error.strerror or error})") from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return tuple(folder / name for name in names)
+
+
+def draw(comparison: Comparison, path: Path) -> None:
+    """A picture of the change on the earlier survey's ground, with a scale, north and the figures."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.colors import ListedColormap
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch as Key
+
+    bounds = comparison.bounds
+    height = 8.0 * bounds.depth / bounds.width + 1.6
+    figure = Figure(figsize=(8.0, min(14.0, max(5.0, height))), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.imshow(
+        comparison.change,
+        cmap=ListedColormap([GROUND[change] for change in Change]),
+        vmin=-0.5,
+        vmax=4.5,
+        origin="lower",
+        extent=(bounds.x_min, bounds.x_max, bounds.y_min, bounds.y_max),
+        interpolation="nearest",
+    )
+    a = comparison.a.individuals.position[:, :2]
+    dots = (
+        (a[comparison.fate_a == Fate.THERE], "#000000", 0.8, "."),
+        (a[comparison.fate_a == Fate.LOST], "#7a2e00", 5.0, "x"),
+        (comparison.positions_b[comparison.fate_b == Fate.NEW], "#00304d", 5.0, "+"),
+    )
+    for points, color, size, mark in dots:
+        axes.scatter(points[:, 0], points[:, 1], s=size, c=color, marker=mark, linewidths=0.4)
+    for number, patch in enumerate(comparison.patches, start=1):
+        color = VERDICTS[patch.verdict]
+        for ring in patch.rings:
+            axes.plot(*ring.T, color=color, linewidth=1.6 if patch.verdict in ("gain", "loss") else 0.8)
+        count = next((one for one in patch.differences), None)
+        share = "" if count is None or count.before <= 0.0 else f" {count.change / count.before:+.0%}"
+        top = patch.rings[0][np.argmax(patch.rings[0][:, 1])]
+        axes.annotate(
+            f"{number} {patch.verdict}{share}",
+            top,
+            xytext=(0, 3),
+            textcoords="offset points",
+            color=color,
+            fontsize=7,
+            ha="center",
+            bbox={"facecolor": "white", "alpha": 0.75, "linewidth": 0.0, "pad": 1.0},
+        )
+    _furnish(axes, comparison)
+    words = ("not comparable", "bare in both", "target in both", "gain", "loss")
+    keys = [Key(facecolor=GROUND[change], edgecolor="#888888") for change in Change]
+    axes.legend(
+        keys, words, loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=5, fontsize=7, frameon=False
+    )
+    figure.savefig(path)
+
+
+def _furnish(axes: Axes, comparison: Comparison) -> None:
+    """Title, scale, north."""
+    bounds, laid = comparison.bounds, comparison.registration
+    a, b = comparison.a, comparison.b
+    axes.set_title(
+        f"{a.began:%Y-%m-%d} to {b.began:%Y-%m-%d}: {a.name} → {b.name}\n"
+        f"{comparison.comparable:.0f} m² seen by both, laid on each other to {100.0 * laid.sigma:.0f} cm "
+        "(× only before, + only after)",
+        fontsize=8,
+        loc="left",
+        parse_math=False,
+    )
+    axes.set_xlabel("x, metres", fontsize=7)
+    axes.set_ylabel("y, metres", fontsize=7)
+    axes.tick_params(labelsize=7)
+    axes.set_xlim(bounds.x_min, bounds.x_max)
+    axes.set_ylim(bounds.y_min, bounds.y_max)
+    length = next(one for one in (20.0, 10.0, 5.0, 2.0, 1.0, 0.5) if one <= 0.3 * bounds.width or one == 0.5)
+    x, y = bounds.x_min + 0.04 * bounds.width, bounds.y_min + 0.04 * bounds.depth
+    axes.plot([x, x + length], [y, y], color="black", linewidth=3.0, solid_capstyle="butt")
+    axes.annotate(
+        f"{length:g} m",
+        (x + 0.5 * length, y),
+        xytext=(0, 4),
+        textcoords="offset points",
+        ha="center",
+        fontsize=7,
+    )
+    if a.site is None:
+        return
+    # The local y axis has this bearing, so north is as much to the other side.
+    bearing = math.radians(a.site.heading_deg)
+    north = (-math.sin(bearing), math.cos(bearing))
+    foot = (bounds.x_max - 0.07 * bounds.width, bounds.y_min + 0.05 * bounds.depth)
+    tip = (foot[0] + 0.07 * bounds.width * north[0], foot[1] + 0.07 * bounds.width * north[1])
+    axes.annotate("", tip, foot, arrowprops={"arrowstyle": "-|>", "color": "black"})
+    axes.annotate("N", tip, ha="center", va="bottom", fontsize=8)
+
+
+def _on_globe(comparison: Comparison, points: Float64Array) -> Float64Array:
+    """(n, 2) longitude and latitude, or metres of the earlier survey's world where it has no site."""
+    site = comparison.a.site
+    if site is None:
+        return points
+    return np.column_stack(globe.degrees(site, points[:, 0], points[:, 1]))
+
+
+def _patches(comparison: Comparison) -> Iterator[dict[str, Any]]:
+    for number, patch in enumerate(comparison.patches, start=1):
+        figures = {one.name: one for one in patch.differences}
+        count, area = figures.get("count"), figures.get("area")
+        yield {
+            "patch": number,
+            "verdict": patch.verdict,
+            "p": patch.p,
+            "q": patch.q,
+            "seen_share": patch.seen,
+            "count_before": None if count is None else count.before,
+            "count_after": None if count is None else count.after,
+            "area_before_m2": None if area is None else area.before,
+            "area_after_m2": None if area is None else area.after,
+            "geom": wkb.polygon([_on_globe(comparison, ring) for ring in patch.rings]),
+        }
+
+
+def _individuals(comparison: Comparison) -> Iterator[dict[str, Any]]:
+    for survey, them, places, fates in (
+        ("before", comparison.a.individuals, comparison.a.individuals.position[:, :2], comparison.fate_a),
+        ("after", comparison.b.individuals, comparison.positions_b, comparison.fate_b),
+    ):
+        for k, place in enumerate(_on_globe(comparison, places)):
+            yield {
+                "survey": survey,
+                "fate": Fate(int(fates[k])).name.lower().replace("_", " "),
+                "size_m": float(them.size[k]),
+                "confidence": float(them.confidence[k]),
+                "geom": wkb.point(*place.tolist()),
+            }
+
+
+def _ground(comparison: Comparison) -> Iterator[dict[str, Any]]:
+    """Strips of cells of one row that became the same; bare ground is left out."""
+    cell, bounds = comparison.cell, comparison.bounds
+    for row, cells in enumerate(comparison.change):
+        starts = np.flatnonzero(np.diff(cells, prepend=255))
+        for start, end in zip(starts, [*starts[1:], len(cells)], strict=True):
+            change = Change(int(cells[start]))
+            if change is Change.BARE:
+                continue
+            west, east = bounds.x_min + cell * start, bounds.x_min + cell * end
+            south = bounds.y_min + cell * row
+            corners = [(west, south), (east, south), (east, south + cell), (west, south + cell)]
+            ring = np.array([*corners, corners[0]])
+            yield {
+                "change": change.name.lower().replace("_", " "),
+                "geom": wkb.polygon([_on_globe(comparison, ring)]),
+            }
