@@ -15,6 +15,7 @@ from dream.planning.belief import STANDS
 from dream.types import LOOK_AROUND, UNASKED, Asked, BoolArray, Decision, Mission, Observation, Target
 
 if TYPE_CHECKING:
+    from dream.mapping.prior import Prior
     from dream.mission import Pilot, Planner
 
 
@@ -32,6 +33,8 @@ class Course:
     """Its area is that of the leg."""
     max_steps: int
     """Of all legs together."""
+    prior: Prior | None = None
+    """What an earlier survey holds of the map's ground."""
     leg: Flown = field(init=False)
     """The one that is flown, or was the last."""
     over: bool = False
@@ -119,6 +122,7 @@ class Course:
             leg.area,
             flown,
             self.asked,
+            self.prior,
         )
 
 

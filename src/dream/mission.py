@@ -14,6 +14,7 @@ from dream.compiling import working_time
 from dream.control import guard, setpoint
 from dream.course import Course
 from dream.mapping import OccupancyMap, check_completion
+from dream.mapping.prior import Prior
 from dream.orders import Orders, everything
 from dream.types import (
     LOOK_AROUND,
@@ -65,6 +66,7 @@ def explore(
     max_steps: int | None = None,
     target: Target = Target.ANY,
     orders: Orders | None = None,
+    prior: Prior | None = None,
 ) -> Iterator[Step]:
     """Run one mission, yielding after every decision; the planner begins at once.
 
@@ -80,18 +82,22 @@ def explore(
         max_steps: Decisions at most; the protocol's cap unless given.
         target: What the operator looks for, where there are no orders.
         orders: What the operator orders; to map everything where None.
+        prior: What an earlier survey holds of the same ground, on the map's cells; only the planner hears of
+            it, and only one that can use it does.
 
     Returns:
         The steps; the map of each is the live one.
 
     Raises:
-        ValueError: The planner cannot begin; nothing has moved yet.
+        ValueError: The planner cannot begin, or the prior does not fit the map; nothing has moved yet.
     """
     protocol = occupancy.protocol
+    if prior is not None:
+        prior.check_fits(occupancy.bounds, protocol.cell)
     orders = everything(target) if orders is None else orders
     cap = protocol.cap if max_steps is None else max_steps
     cap = cap if orders.max_steps is None else min(cap, orders.max_steps)
-    course = Course(planner, orders, occupancy, cap)
+    course = Course(planner, orders, occupancy, cap, prior)
     return _steps(robot, course, occupancy, cap)
 
 

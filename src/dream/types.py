@@ -20,6 +20,7 @@ from dream.protocol import SurveyProtocol
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
+    from dream.mapping.prior import Prior
     from dream.orders import Flown
 
 UInt8Array = npt.NDArray[np.uint8]
@@ -115,6 +116,8 @@ class Mission:
     """Steps that are spent before the planner decides for the first time."""
     asked: Asked = UNASKED
     """What was spent on models before that, by earlier legs of the same orders."""
+    prior: Prior | None = None
+    """What an earlier survey holds of the same ground; how things were, not how they are."""
 
     @property
     def to_see(self) -> Bounds:

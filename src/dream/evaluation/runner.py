@@ -38,6 +38,7 @@ from dream.evaluation.results import (
 )
 from dream.evaluation.suites import Case
 from dream.mapping import OccupancyMap
+from dream.mapping.prior import Prior
 from dream.mission import Planner, Robot, explore
 from dream.orders import Orders, sentences, written
 from dream.planning import PLANNERS, AnyPlanner
@@ -77,6 +78,7 @@ def simulate(
     swimming: Swimming | None = None,
     renderer: Renderer | None = None,
     solids: Solids | None = None,
+    prior: Prior | None = None,
 ) -> Iterator[Step]:
     """One mission of a planner in a world; see `mission.explore`.
 
@@ -90,6 +92,7 @@ def simulate(
         swimming: What swims, where the protocol is of a vehicle that does.
         renderer: Of this world, where one is made already.
         solids: Of this world, where they are made already.
+        prior: What an earlier survey holds of the same ground.
     """
     if not 0 <= start < len(world.starts):
         raise ValueError(f"start: expected 0 to {len(world.starts) - 1} for {world.name}, got {start}")
@@ -102,7 +105,10 @@ def simulate(
         world, protocol, world.starts[start], renderer=renderer, solids=solids, fineness=fineness
     )
     occupancy = OccupancyMap(world.bounds, protocol)
-    return explore(robot, planner, occupancy, max_steps=max_steps, target=labelled_in(world), orders=orders)
+    target = labelled_in(world)
+    return explore(
+        robot, planner, occupancy, max_steps=max_steps, target=target, orders=orders, prior=prior
+    )
 
 
 def swimming_under(protocol: SurveyProtocol, swimming: Swimming | None) -> Swimming | None:

@@ -16,6 +16,8 @@ from dream.planning.hull import PATCH, Hull
 from dream.planning.lookahead import NOTHING, LookAhead, Plan, Prospect
 from dream.planning.outlook import Listed, Outlook
 from dream.planning.parameters import check_count, check_range
+from dream.planning.recall import LIKELY, Recall
+from dream.planning.rounds import Rounds
 from dream.planning.travel import Pose, Travel, careful_standoff, careful_travel, nearest_open, travel_from
 from dream.planning.vain import VainLooks
 from dream.planning.views import all_views_from
@@ -43,6 +45,8 @@ BENEATH = 0.02
 NEAR = 5
 """Steps within which the hull's views are worked out for every second node; within twice as many for every
 fourth, for every sixteenth beyond."""
+EMPTY = 0.9
+"""How much less a group is looked for where a believed survey saw none."""
 MOST_VISITS = 3
 """Of a pose without anything new: then what it headed for is given up; after twice as many, leftovers too."""
 GIVEN_UP = np.iinfo(np.uint16).max // 2
@@ -192,6 +196,9 @@ class BeliefPilot:
     """None where the protocol asks for no traversal."""
     passed_in_vain: BoolArray = field(init=False)
     """(rows, cols) cells that are not worth another try to traverse them."""
+    recall: Recall | None = field(init=False)
+    """None where there is no earlier survey."""
+    rounds: Rounds = field(default_factory=Rounds)
     tried: dict[int, IntArray] = field(default_factory=dict)
     """By node, what of the hull it was foretold to show and did not: from there nothing of it ever will."""
     visits: Counter[Pose] = field(default_factory=Counter)
@@ -206,6 +213,7 @@ class BeliefPilot:
         self.walk = None if self.mission.protocol.traversal is None else Walk(self.mission)
         self.passed_in_vain = np.zeros_like(self.vain.observed)
         self.patience = self.planner.patience
+        self.recall = None if self.mission.prior is None else Recall(self.mission.prior)
 
     @property
     def size(self) -> float:
@@ -236,13 +244,18 @@ class BeliefPilot:
         else:
             # What it had foretold, with the solids that it knew of then, counts as looked at too.
             self.vain.note(pose, occupancy, self.outlook.shown(here)[0] if self.news else None)
-        self.outlook.update(occupancy)
+        foretold = None
+        if self.recall is not None:
+            self.recall.look(self.outlook.shown(here)[0], occupancy)
+            self.recall.compare(occupancy)
+            foretold = self.recall.solid(occupancy)
+        self.outlook.update(occupancy, foretold)
         self.hull.integrate(observation)
         self._try_hull(here)
         # Beside a hull every place counts that the guard allows.
         away_from_hull = _away_from_hull(occupancy)
         travel = careful_travel(pose, occupancy) if away_from_hull is None else travel_from(pose, occupancy)
-        moves = self.outlook.moves(travel.free, occupancy, careful_standoff(protocol))
+        moves = self.outlook.moves(travel.free, occupancy, careful_standoff(protocol), foretold)
 
         # 1 Distribution: where targets are to be expected.
         completion = check_completion(occupancy, pose)
@@ -273,7 +286,11 @@ class BeliefPilot:
             return walk
         # ... and then what shows most soonest, with the tour over what is left.
         prospect = self.prospect(thought, occupancy)
-        plan = self.look_ahead.plan(prospect, travel, moves, self.outlook.known_tiles(occupancy))
+        plan = None
+        if self.recall is not None and self.recall.believed > 0.5:
+            plan = self._round(thought, prospect, moves, occupancy)
+        if plan is None:
+            plan = self.look_ahead.plan(prospect, travel, moves, self.outlook.known_tiles(occupancy))
         if plan is not None and visits >= MOST_VISITS:
             self._give_up(plan, occupancy)
             plan = None
@@ -288,6 +305,19 @@ class BeliefPilot:
             self._give_up(plan, occupancy)
         why = "" if plan else "Nothing is left that any known way leads to a view of: done."
         return replace(thought, travel=travel, plan=plan, why=why)
+
+    def _round(
+        self, thought: Thought, prospect: Prospect, moves: npt.NDArray[np.uint8], occupancy: OccupancyMap
+    ) -> Plan | None:
+        """The way round what is foretold and was not seen yet; None where hardly any of it is left."""
+        assert self.recall is not None
+        square = self.mission.protocol.cell**2
+        left = ~occupancy.observed & (self.vain.count < self.patience) | self.recall.unheard(occupancy)
+        worth = self.recall.weighed(thought.expected.beside, left)
+        worth = np.where(left & (worth >= LIKELY), square * worth, 0.0)
+        whole = square * np.count_nonzero(occupancy.target) + float(worth.sum())
+        round_all = replace(prospect, ground=self.outlook.on_tiles(worth))
+        return self.rounds.plan(round_all, thought.travel, moves, whole)
 
     def _walk(
         self,
@@ -428,7 +458,10 @@ class BeliefPilot:
         expected, completion, travel = thought.expected, thought.completion, thought.travel
         planner, square = self.planner, self.mission.protocol.cell**2
         todo = ~occupancy.observed & (self.vain.count < self.patience)
-        ground = planner.eager * expected.beside * square
+        beside = expected.beside
+        if self.recall is not None:
+            beside = self.recall.weighed(beside, todo)
+        ground = planner.eager * beside * square
         if not completion.regions and not expected.hiding.any():
             # Where no target was seen, all ground must be.
             row, col = completion.open_cells.T
@@ -445,6 +478,8 @@ class BeliefPilot:
             search *= expected.risk > planner.risk
         ground = np.where(todo, ground + NEGLIGIBLE, 0.0)
         hiding = np.where(expected.hiding, search * square, 0.0)
+        if self.recall is not None:
+            hiding[self.recall.prior.seen] *= 1.0 - self.recall.believed * EMPTY
         return Prospect(
             self.outlook,
             ground=self.outlook.on_tiles(ground),

@@ -154,15 +154,21 @@ class Outlook:
             np.minimum(np.concatenate(fars), 255).astype(np.uint8),
         )
 
-    def update(self, occupancy: OccupancyMap) -> None:
-        """Take in what is solid now."""
+    def update(self, occupancy: OccupancyMap, foretold: BoolArray | None = None) -> None:
+        """Take in what is solid now.
+
+        Args:
+            occupancy: What is known.
+            foretold: (rows, cols) what is held to be solid beside that.
+        """
         from dream.mapping import within
         from dream.planning._kernels.lookahead import sight_lines
 
-        protocol, changed = self.mission.protocol, occupancy.solid != self._solid
+        solid = occupancy.solid if foretold is None else occupancy.solid | foretold
+        protocol, changed = self.mission.protocol, solid != self._solid
         if not changed.any():
             return
-        self._solid = occupancy.solid
+        self._solid = solid
         near = within(changed, protocol.reach + 2.0 * protocol.cell, protocol.cell)
         which = np.flatnonzero(near[self.cells_of_nodes()])
         scale = protocol.lattice / protocol.cell
@@ -187,7 +193,11 @@ class Outlook:
         return (col + self.west) * lattice, (row + self.south) * lattice
 
     def moves(
-        self, known: npt.NDArray[np.uint8], occupancy: OccupancyMap, standoff: float
+        self,
+        known: npt.NDArray[np.uint8],
+        occupancy: OccupancyMap,
+        standoff: float,
+        foretold: BoolArray | None = None,
     ) -> npt.NDArray[np.uint8]:
         """(rows, cols, headings, advances) FREE: known to be so; UNKNOWN: nothing is known against it; or 0.
 
@@ -195,13 +205,18 @@ class Outlook:
             known: Likewise, 1 where the guard would let it pass.
             occupancy: What is known.
             standoff: Metres to keep from the middle of solid cells.
+            foretold: (rows, cols) what is held to be solid beside those that are known.
         """
+        from scipy.ndimage import distance_transform_edt
+
         from dream.planning._kernels.lookahead import possible_moves
 
         protocol = self.mission.protocol
         edge = occupancy.distance_to_bounds
         # From the bounds the body keeps off, no more.
         room = np.minimum(occupancy.distance_to_solid, edge + standoff - protocol.body_radius - protocol.cell)
+        if foretold is not None and foretold.any():
+            room = np.minimum(room, distance_transform_edt(~foretold, protocol.cell))
         scale = protocol.lattice / protocol.cell
         moves = np.zeros_like(known)
         possible_moves(
@@ -218,6 +233,11 @@ class Outlook:
         shown = np.zeros(2 * self.tiles, np.bool_)
         shown[(row + self._pad) * self._stride + col + self._pad + offset[here][clear]] = True
         return shown[: self.tiles][self._tile_of], shown[self.tiles :][self._tile_of]
+
+    def tile_places(self, tiles: IntArray) -> tuple[IntArray, IntArray]:
+        """Rows and columns of tiles, of the node at their lower left corner."""
+        row, col = np.divmod(tiles, self._stride)
+        return row - self._pad, col - self._pad
 
     def on_tiles(self, cells: FloatArray) -> Float32Array:
         """(tiles,) the sums of (map rows, map cols)."""

@@ -100,7 +100,7 @@ class Walk:
 
         protocol = self.mission.protocol
         assert protocol.traversal is not None
-        rest = self._rest(travel, moves)
+        rest = rest_of(self.path, travel, moves)
         self.path = [travel.start]
         offsets, turns = offsets_of(protocol), np.array(protocol.turns, np.int64)
         steps, _ = search(moves, offsets, turns, *travel.start)
@@ -168,16 +168,17 @@ class Walk:
         away, _ = cKDTree(places).query(middles)
         return left[away <= self._reach]
 
-    def _rest(self, travel: Travel, moves: npt.NDArray[np.uint8]) -> list[Pose]:
-        """What of the last walk is still to go; empty where the vehicle is not on it, or it is blocked."""
-        from dream.planning._kernels.lookahead import FREE
 
-        if len(self.path) < 2 or self.path[1] != travel.start:
+def rest_of(path: list[Pose], travel: Travel, moves: npt.NDArray[np.uint8]) -> list[Pose]:
+    """What of a way is still to go, one step on; empty where the vehicle is not on it, or it is blocked."""
+    from dream.planning._kernels.lookahead import FREE
+
+    if len(path) < 2 or path[1] != travel.start:
+        return []
+    rest, advances = path[1:], travel.protocol.advances
+    for step, (before, after) in enumerate(pairwise(rest)):
+        _, advance = travel.move(before, after)
+        kind = moves[(*before[:2], after[2], advances.index(advance))] if advance else FREE
+        if kind == 0 or (kind != FREE and step == 0):
             return []
-        rest, advances = self.path[1:], self.mission.protocol.advances
-        for step, (before, after) in enumerate(pairwise(rest)):
-            _, advance = travel.move(before, after)
-            kind = moves[(*before[:2], after[2], advances.index(advance))] if advance else FREE
-            if kind == 0 or (kind != FREE and step == 0):
-                return []
-        return rest
+    return rest
