@@ -41,7 +41,7 @@ from dream.sim.render.scene import rotation_matrices
 from dream.sim.visibility import Visibility
 from dream.sim.world import World
 from dream.sim.worlds import make_world
-from dream.survey import About, Survey, measure_observations, patches, reef, relief
+from dream.survey import About, Survey, individuals, measure_observations, patches, reef, relief
 from dream.survey.calibration import Calibration
 from dream.survey.ground import Frame as Seen
 from dream.survey.ground import fuse, scatter_of
@@ -248,7 +248,7 @@ def truth_of(world: World) -> dict[str, Any]:
                 "area": float((marks == number).sum()) * TRUE_CELL**2,
                 "count": float(counts[number]),
                 "middle": [
-                    TRUE_CELL * float(np.median(at)) + low
+                    TRUE_CELL * 0.5 * float(at.min() + at.max() + 1) + low
                     for at, low in zip(np.nonzero(marks == number)[::-1], corner, strict=True)
                 ],
             }
@@ -338,17 +338,15 @@ def calibrate(missions: list[Mission], cache: Path) -> Calibration:
         tile = [_tiles(at, world) for at in (peaks.position[on_reef, :2], position)]
         names = np.unique(np.concatenate(tile))
         there = np.bincount(np.searchsorted(names, tile[1]), minlength=len(names)).astype(np.float64)
-        near = np.clip(peaks.nearest - 3.0, -2.0, 6.0)
-        features = np.column_stack([np.ones(len(peaks)), peaks.cover - 0.5, near])[on_reef]
+        features = individuals.features(peaks)[on_reef]
         tiles.append((np.searchsorted(names, tile[0]), features, read.sure[on_reef], there))
         lone = peaks.lone & (peaks.nearest <= reef.CLEAR) & (read.sure > 0.5)
         away, which = cKDTree(position).query(peaks.position[:, :2])
         match = lone & (away <= MATCH)
-        pair = np.column_stack([peaks.across[match], true_sizes[which[match]]])
+        pair = np.column_stack([peaks.across[match], true_sizes[np.asarray(which)[match]]])
         sizes.append(pair)
         medians.append((peaks.across[lone & on_reef], truth["median_size"]))
-        above = read.heights.above[reef._reduced(read.reef, read.heights.above.shape) > 0.5]
-        reliefs.append((float(np.nanmean(above)), truth["reef_height"]))
+        reliefs.append((float(read.above.mean()), truth["reef_height"]))
         assert read.rugosity is not None
         rugosities.append((read.rugosity - 1.0, truth["rugosity"] - 1.0))
     capture = _capture(tiles)
@@ -386,7 +384,7 @@ def calibrate(missions: list[Mission], cache: Path) -> Calibration:
 def _tiles(at: Float64Array, world: World) -> npt.NDArray[np.int64]:
     """(N,) the square metre that each position lies in."""
     col, row = np.floor(at - (world.bounds.x_min, world.bounds.y_min)).astype(np.int64).T
-    return row * 100_000 + col
+    return np.asarray(row * 100_000 + col, np.int64)
 
 
 def _capture(
@@ -422,7 +420,7 @@ def measured(mission: Mission, cache: Path) -> tuple[Survey, dict[str, Any]]:
         return survey, known_truth(world, mission, cache)
     been = [_transform(matrix).se2 for matrix in flown(mission, world, cache)["truth"]]
     poses = np.array([[pose.x, pose.y, pose.yaw] for pose in been])
-    seen = Visibility(world, protocol).seen(poses).any(axis=0)
+    seen = np.asarray(Visibility(world, protocol).seen(poses).any(axis=0))
     return survey, truth_of_wreck(world, seen)
 
 
@@ -441,6 +439,29 @@ def compared(survey: Survey, truth: dict[str, Any]) -> Iterator[dict[str, Any]]:
                 "truth": true,
                 "holds": bool(told.low <= true <= told.high),
             }
+    for patch in survey.patches:
+        told_of = {told.name: told for told in patch.measures}
+        area, middle = (
+            told_of["area"].value or 0.0,
+            0.5 * (patch.rings[0].max(axis=0) + patch.rings[0].min(axis=0)),
+        )
+        for true_patch in truth.get("patches", ()):
+            near = (
+                math.dist(middle, true_patch["middle"]) < 1.0 and abs(area / true_patch["area"] - 1.0) < 0.3
+            )
+            density = true_patch["count"] / true_patch["area"]
+            for name, true in (("area", true_patch["area"]), ("density", density)) if near else ():
+                told = told_of[name]
+                if told.value is None or told.low is None or told.high is None:
+                    continue
+                yield {
+                    "name": f"patch_{name}",
+                    "value": told.value,
+                    "low": told.low,
+                    "high": told.high,
+                    "truth": true,
+                    "holds": bool(told.low <= true <= told.high),
+                }
 
 
 def table(rows: list[dict[str, Any]]) -> None:

@@ -52,7 +52,9 @@ def test_means_over_squares_leave_out_what_is_not_valid() -> None:
 @pytest.mark.parametrize("slope", [0.0, 0.3, 1.0])
 def test_a_chain_on_a_slope_is_longer_by_its_secant(slope: float) -> None:
     rows, _ = np.indices((30, 30))
-    ratio = relief.chain_ratio(rows * relief.CHAIN * slope, np.ones((30, 30), np.bool_))
+    ratio = relief.chain_ratio(
+        np.asarray(rows * relief.CHAIN * slope, np.float64), np.ones((30, 30), np.bool_)
+    )
     # Half of the links run along the contour.
     assert ratio == pytest.approx(0.5 + 0.5 * math.hypot(1.0, slope))
 

@@ -20,8 +20,8 @@ class Calibration:
     capture_spread: float
     """Standard deviation of the logarithm of a reef's count."""
     edge: float
-    """Metres that the true outline lies outside the measured one: the far sides of the outermost shells are
-    hidden, and their cells are seen in part."""
+    """Metres that the true outline lies outside the measured one. Below 0: cells that are seen in part count
+    whole, and depths that scatter take shells beyond where they end."""
     edge_spread: float
     """Metres, of a reef."""
     size: float
@@ -41,22 +41,35 @@ class Calibration:
 
 
 SHARP = Calibration(
-    capture=(1.16, 2.01, 0.0),
-    capture_spread=0.05,
-    edge=0.0,
-    edge_spread=0.05,
-    size=1.0,
-    size_residual=0.03,
-    size_spread=0.05,
-    relief=1.0,
-    relief_spread=0.03,
-    rugosity=1.0,
-    rugosity_spread=0.3,
+    capture=(1.199, 2.185, -0.053),
+    capture_spread=0.039,
+    edge=-0.0049,
+    edge_spread=0.0063,
+    size=0.956,
+    size_residual=0.027,
+    size_spread=0.030,
+    relief=1.044,
+    relief_spread=0.0022,
+    rugosity=1.173,
+    rugosity_spread=0.081,
 )
-"""For depths that hardly scatter, as in `dream-v1`."""
+"""For depths that hardly scatter, as in `dream-v1`: 24 missions."""
 
-SCATTERED = SHARP
-"""For depths that scatter by about 0.002 z², labels that miss one individual in ten, and false targets."""
+SCATTERED = Calibration(
+    capture=(1.183, 2.211, -0.106),
+    capture_spread=0.039,
+    edge=-0.0544,
+    edge_spread=0.0131,
+    size=0.805,
+    size_residual=0.056,
+    size_spread=0.042,
+    relief=1.016,
+    relief_spread=0.0025,
+    rugosity=1.212,
+    rugosity_spread=0.163,
+)
+"""For depths that scatter by about 0.002 z², labels that miss one individual in ten in each frame, and false
+targets, as in `dream-v1-noisy`: 24 missions."""
 
 BETWEEN = 0.001
 """Per metre: depths that scatter more take the second."""

@@ -115,7 +115,8 @@ class Ground:
         self, row: npt.NDArray[np.intp], col: npt.NDArray[np.intp]
     ) -> tuple[Float64Array, Float64Array]:
         """World x and y of the middles of cells."""
-        return self.bounds.x_min + (col + 0.5) * self.cell, self.bounds.y_min + (row + 0.5) * self.cell
+        x, y = self.bounds.x_min + (col + 0.5) * self.cell, self.bounds.y_min + (row + 0.5) * self.cell
+        return np.asarray(x, np.float64), np.asarray(y, np.float64)
 
 
 def fuse(frames: Iterable[Frame], bounds: Bounds, protocol: SurveyProtocol, scatter: float) -> Ground:

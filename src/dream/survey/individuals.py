@@ -78,11 +78,11 @@ def peaks(ground: Ground) -> Peaks:
     cell, seen = ground.cell, ground.seen
     share = np.where(seen, ground.share, np.float32(0.0))
     above = np.where(seen, ground.height - bare_ground(ground), np.float32(0.0))
-    relief = share * (np.clip(above, -0.02, TALLEST) + np.float32(FLAT))
+    raw = share * (np.clip(above, -0.02, TALLEST) + np.float32(FLAT))
     sigma = BLUR / cell
     weight = np.maximum(ndimage.gaussian_filter(seen.astype(np.float32), sigma), 0.05)
     dense = ndimage.gaussian_filter(share, sigma) / weight
-    relief = ndimage.gaussian_filter(relief, sigma) / weight
+    relief = ndimage.gaussian_filter(raw, sigma) / weight
     reach = round(APART / cell)
     disc = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1]) <= reach + 0.3
     top = (dense > SPARSEST) & (weight > 0.1)
@@ -125,11 +125,15 @@ def crowding(ground: Ground) -> Float64Array:
     return share
 
 
+def features(found: Peaks) -> Float64Array:
+    """(N, 3) what the capture model goes by: one, crowding, and range."""
+    range_ = np.clip(found.nearest - 3.0, -2.0, 6.0)
+    return np.column_stack([np.ones(len(found)), found.cover - 0.5, range_])
+
+
 def stands_for(found: Peaks, calibration: Calibration) -> Float64Array:
     """(N,) individuals that each peak stands for, by crowding and range: the capture model."""
-    near = np.clip(found.nearest - 3.0, -2.0, 6.0)
-    a, by_cover, by_range = calibration.capture
-    weight: Float64Array = np.exp(np.clip(a + by_cover * (found.cover - 0.5) + by_range * near, -2.0, 2.5))
+    weight: Float64Array = np.exp(np.clip(features(found) @ calibration.capture, -2.0, 2.5))
     return weight
 
 
@@ -185,9 +189,10 @@ def _shells(
     shell = share > 0.5
     row, col = np.nonzero(shell)
     x, y = ground.centres(row, col)
-    away, owner = cKDTree(place).query(np.column_stack([x, y]), distance_upper_bound=WIDEST)
+    away, nearest = cKDTree(place).query(np.column_stack([x, y]), distance_upper_bound=WIDEST)
     mine = np.isfinite(away)
-    owner, row, col, x, y = (values[mine] for values in (owner, row, col, x, y))
+    owner = np.asarray(nearest)[mine]
+    row, col, x, y = row[mine], col[mine], x[mine], y[mine]
     across = np.zeros(count)
     for angle in np.arange(DIRECTIONS) * (math.pi / DIRECTIONS):
         along = math.cos(angle) * x + math.sin(angle) * y
@@ -232,4 +237,4 @@ def _bilinear(values: Float64Array, row: Float64Array, col: Float64Array) -> Flo
     fy, fx = np.clip(row - i, 0.0, 1.0), np.clip(col - j, 0.0, 1.0)
     below, right = np.minimum(i + 1, values.shape[0] - 1), np.minimum(j + 1, values.shape[1] - 1)
     lines = values[i] * (1.0 - fy)[:, None] + values[below] * fy[:, None]
-    return (lines[:, j] * (1.0 - fx) + lines[:, right] * fx).astype(np.float32)
+    return np.asarray(lines[:, j] * (1.0 - fx) + lines[:, right] * fx, np.float32)

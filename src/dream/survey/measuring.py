@@ -164,8 +164,8 @@ def _taken_in(
 def _kind(occupancy: MapLayers) -> Target:
     """What was found: a hull stands in the way, shells lie on the ground."""
     target = occupancy.target
-    solid = np.count_nonzero(target & occupancy.solid)
-    return Target.WRECK if solid > HULL_SHARE * max(np.count_nonzero(target), 1) else Target.OYSTERS
+    solid, every = int(np.count_nonzero(target & occupancy.solid)), int(np.count_nonzero(target))
+    return Target.WRECK if solid > HULL_SHARE * max(every, 1) else Target.OYSTERS
 
 
 def _seen_share(occupancy: MapLayers) -> Measure:

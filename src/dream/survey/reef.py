@@ -38,6 +38,10 @@ REACHES_ON = 0.75
 """Metres over which a reef is half as likely to go on into ground that was not seen, about."""
 WANDER = 3.0
 """Metres along an outline over which errors of the pose move it alike."""
+STEEPEST = 0.2
+"""Slope of a seabed on which a pose that errs over ground errs in height, at most."""
+HIGHEST_SPREAD = 0.06
+"""Share by which the highest percent of a reef may be off: few cells make it."""
 BIN = 0.05
 """Metres: the width of the bins of the size-frequency."""
 
@@ -80,6 +84,13 @@ class Reading:
     def reef(self) -> BoolArray:
         """(rows, cols) is it reef?"""
         return self.marks >= 0
+
+    @property
+    def above(self) -> Float64Array:
+        """(M,) metres above the seabed of the cells of the map that are reef, as far as they were seen."""
+        share = _reduced(self.reef, self.heights.above.shape)
+        above = self.heights.above[share > 0.5]
+        return above[np.isfinite(above)]
 
 
 def read(ground: Ground, frames: Sequence[Frame], protocol: SurveyProtocol) -> Reading:
@@ -141,7 +152,7 @@ def measure_reef(
     ]
     measures = _totals(shapes, worth, _unseen(seen, occupancy), sigma, calibration)
     measures += sizes.measures(patch >= 0)
-    measures += _relief_measures(seen, calibration)
+    measures += _relief_measures(seen, sigma, calibration)
     error = together(sigma, ground.cell) + ground.scatter * peaks.nearest**2
     found = Individuals(
         position=peaks.position,
@@ -194,7 +205,7 @@ def _shape(number: int, seen: Reading, worth: Float64Array, sigma: float, calibr
         around("area", area, error, "m2"),
         around("length", length + 2.0 * calibration.edge, side, "m", "greatest distance across"),
         around("width", width + 2.0 * calibration.edge, side, "m", "least distance across"),
-        _height("height", above, calibration),
+        _height("height", above, sigma, calibration),
         in_ratio("density", count / area, ratio, "1/m2") if count else around("density", 0.0, 0.5, "1/m2"),
         in_ratio("count", count, count_error, "") if count else around("count", 0.0, 1.0, ""),
     ]
@@ -311,16 +322,13 @@ def _heights(ground: Ground, reef: BoolArray, cell: float, post: float) -> relie
     return relief.Relief(base, level - base)
 
 
-def _relief_measures(seen: Reading, calibration: Calibration) -> tuple[Measure, ...]:
-    share = _reduced(seen.reef, seen.heights.above.shape)
-    above = seen.heights.above[share > 0.5]
-    above = above[np.isfinite(above)]
-    measures = [_height("reef_height", above, calibration)]
+def _relief_measures(seen: Reading, sigma: float, calibration: Calibration) -> tuple[Measure, ...]:
+    above = seen.above
+    measures = [_height("reef_height", above, sigma, calibration)]
     if len(above) >= 4:
         highest = calibration.relief * float(np.quantile(above, 0.99))
-        measures.append(
-            around("reef_height_max", highest, 1.5 * calibration.relief_spread, "m", "1 % of it is higher")
-        )
+        error = together(HIGHEST_SPREAD * highest, calibration.relief_spread, STEEPEST * sigma)
+        measures.append(around("reef_height_max", highest, error, "m", "1 % of it is higher"))
     if seen.rugosity is None:
         measures.append(unknown("rugosity", "", "too little of the reef's surface was seen"))
     else:
@@ -333,11 +341,12 @@ def _relief_measures(seen: Reading, calibration: Calibration) -> tuple[Measure, 
     return tuple(measures)
 
 
-def _height(name: str, above: Float64Array, calibration: Calibration) -> Measure:
+def _height(name: str, above: Float64Array, sigma: float, calibration: Calibration) -> Measure:
     if len(above) < 4:
         return unknown(name, "m", "less than a square metre of it was seen with seabed beside it")
     mean = calibration.relief * float(above.mean())
-    return around(name, mean, calibration.relief_spread, "m", "mean above the seabed around", least=-math.inf)
+    error = together(calibration.relief_spread, STEEPEST * sigma)
+    return around(name, mean, error, "m", "mean above the seabed around", least=-math.inf)
 
 
 def _unseen(seen: Reading, occupancy: MapLayers) -> float:
@@ -359,7 +368,7 @@ def _at(marks: Int32Array, peaks: Peaks, corner: tuple[float, float], cell: floa
     """(N,) the patch that each peak lies in."""
     col, row = np.floor((peaks.position[:, :2] - corner) / cell).astype(np.intp).T
     row, col = np.clip(row, 0, marks.shape[0] - 1), np.clip(col, 0, marks.shape[1] - 1)
-    return marks[row, col].astype(np.int32)
+    return np.asarray(marks[row, col], np.int32)
 
 
 def _grown(mask: BoolArray, radius: float, cell: float) -> BoolArray:

@@ -66,7 +66,7 @@ def spanned(height: Float64Array, under: BoolArray) -> Float64Array:
 
     open_ = under | ~np.isfinite(height)
     # Unseen ground far from any reef needs no value.
-    wanted = open_ & ndimage.binary_dilation(under, np.ones((3, 3)), iterations=4)
+    wanted = open_ & ndimage.binary_dilation(under, np.ones((3, 3), np.bool_), iterations=4)
     marks, count = ndimage.label(wanted)
     surface = np.where(open_, np.nan, height)
     known = np.isfinite(surface)
