@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dream.commands.survey.export import Export
 from dream.survey import Survey
 from dream.survey.products import PRODUCTS, Species, export
 from dream.survey.products.export import FILES
@@ -149,3 +151,52 @@ def test_the_same_survey_gives_the_same_files(tmp_path: Path) -> None:
     one, two = (export(reef(), tmp_path / name, only=QUICK).folder for name in ("one", "two"))
     for path in one.iterdir():
         assert path.read_bytes() == (two / path.name).read_bytes(), path.name
+
+
+@pytest.mark.parametrize("package", ["pyproj", "rasterio"])
+def test_a_missing_package_is_named(package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(ValueError, match=rf"{package}.*dream-auv\[survey\]"):
+        export(reef(), tmp_path / "out", only=("geotiff",))
+    export(reef(site=None), tmp_path / "local", only=("tables",))
+    assert [path.name for path in tmp_path.iterdir()] == ["local"]
+
+
+def opened(command: Export, survey: Survey, monkeypatch: pytest.MonkeyPatch) -> Export:
+    monkeypatch.setattr(Export, "_opened", lambda _: (survey, None))
+    return command
+
+
+def test_the_command_prints_one_object(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = Export("7", tmp_path / "out", only=("tables", "geopackage"), json=True)
+    assert opened(command, reef(), monkeypatch)() == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["files"] == ["README.md", "individuals.csv", "measures.csv", "survey.gpkg"]
+    assert told["left_out"] == {}
+    with pytest.raises(ValueError, match="does not exist"):
+        command()
+
+
+def test_the_command_says_what_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    opened(Export("7", tmp_path / "out"), reef(site=None), monkeypatch)()
+    out = capsys.readouterr().out
+    assert "measures.csv" in out
+    assert "without geotiff: " in out
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"species": "Ostrea edulis"}, "--species-id"),
+        ({"author": "Ada"}, "--licence"),
+        ({"survey": "no such thing"}, "a survey's file or its number"),
+    ],
+)
+def test_the_command_refuses_half_of_an_answer(options: dict[str, str], says: str, tmp_path: Path) -> None:
+    with pytest.raises((ValueError, FileNotFoundError), match=says):
+        Export(**{"survey": "7", "to": tmp_path / "out", **options})()  # type: ignore[arg-type]
+    assert not list(tmp_path.iterdir())

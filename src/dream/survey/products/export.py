@@ -93,8 +93,8 @@ def export(
         out. watched: Passes the files of the frames on, and may show how far the mosaic is.
 
     Raises:
-        ValueError: `to` exists, the survey is damaged, or what was named cannot be made of it.
-        ImportError: What a product needs is not installed.
+        ValueError: `to` exists, the survey is damaged, what was named cannot be made of it, or what a product
+            needs is not installed.
         OSError: It cannot be written; nothing is left then.
     """
     for name in only:

@@ -340,7 +340,7 @@ def size_figure(axes: Axes, survey: Survey) -> None:
     median = next((m for m in survey.measures if m.name == "median_size" and m.value is not None), None)
     if median is not None and median.value is not None:
         if median.low is not None and median.high is not None:
-            axes.axvspan(median.low, median.high, color=DECISION, alpha=0.3, linewidth=0, zorder=1)
+            axes.axvspan(median.low, median.high, color=DECISION, alpha=0.35, linewidth=0, zorder=2.5)
         axes.axvline(median.value, color=INK, linewidth=1.3, zorder=3)
         axes.annotate(
             f"median {median.value:.3f} m, with its 95 % interval",

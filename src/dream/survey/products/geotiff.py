@@ -287,11 +287,11 @@ def import_rasterio() -> Any:
     """It is an extra, and slow to import.
 
     Raises:
-        ImportError: It is not installed.
+        ValueError: It is not installed.
     """
     try:
         import rasterio
         import rasterio.crs
     except ImportError as error:
-        raise ImportError("GeoTIFF: expected rasterio, got none. Install dream-auv[survey]") from error
+        raise ValueError('GeoTIFFs need rasterio: pip install "dream-auv[survey]"') from error
     return rasterio

@@ -61,7 +61,7 @@ class Ground:
     """The ground of a site, between the world of its runs and its map sheet.
 
     Assumes: points within 20 km of the origin.
-    Fails when: pyproj is not installed (ImportError with what to install).
+    Fails when: pyproj is not installed (a ValueError says what to install).
     """
 
     def __init__(self, site: Site) -> None:
@@ -131,7 +131,5 @@ def _pyproj() -> Any:
     try:
         import pyproj
     except ImportError as error:
-        raise ImportError(
-            "products on the globe: expected pyproj, got none. Install dream-auv[survey]"
-        ) from error
+        raise ValueError('Maps on the globe need pyproj: pip install "dream-auv[survey]"') from error
     return pyproj

@@ -110,7 +110,7 @@ def _measures(measures: Sequence[Measure]) -> str:
         f"<tr><th scope='row'>{html.escape(words.meaning(m.name).title)}</th>"
         f"<td class='value'>{html.escape(words.value_text(m))}</td>"
         f"<td class='interval'>{html.escape(words.interval_text(m))}</td>"
-        f"<td class='meaning'>{html.escape(_meaning(m))}</td></tr>"
+        f"<td class='meaning'>{html.escape(words.explained(m))}</td></tr>"
         for m in measures
     )
     return (
@@ -118,11 +118,6 @@ def _measures(measures: Sequence[Measure]) -> str:
         "<th scope='col'>95 % interval</th>"
         f"<th scope='col'>What it says</th></tr></thead><tbody>{rows}</tbody></table></div>"
     )
-
-
-def _meaning(measure: Measure) -> str:
-    sentences = (words.meaning(measure.name).says, measure.note)
-    return ". ".join(text[:1].upper() + text[1:] for text in sentences if text)
 
 
 def _patches(survey: Survey) -> str:

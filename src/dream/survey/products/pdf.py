@@ -75,7 +75,7 @@ def _second(survey: Survey) -> Figure:
             words.meaning(m.name).title,
             words.value_text(m),
             words.interval_text(m),
-            ". ".join(filter(None, (words.meaning(m.name).says, m.note))),
+            words.explained(m),
         )
         for m in words.listed(survey)
     ]

@@ -67,6 +67,12 @@ def meaning(name: str) -> Meaning:
     )
 
 
+def explained(measure: Measure) -> str:
+    """What it says, and how it was got."""
+    sentences = (meaning(measure.name).says, measure.note)
+    return ". ".join(text[:1].upper() + text[1:] for text in sentences if text)
+
+
 def size_bin(name: str) -> tuple[int, int] | None:
     """Centimetres, the ends of the sizes whose share a measure tells, such as `size_share_015_020_cm`."""
     found = re.fullmatch(r"size_share_(\d+)_(\d+)_cm", name)
@@ -184,9 +190,13 @@ def limits(survey: Survey) -> list[str]:
         "Ground that no frame saw counts neither as reef nor as bare. The map of how often each place was "
         "looked at shows where the figures rest on few frames."
     )
+    if worst > 0.0:
+        errs = f"along the way they may err by up to {max(worst, 0.01):.2f} m (one sigma)"
+    else:
+        errs = "by its own account without error"
     lines.append(
-        f"Positions are those that the vehicle believed; along the way they may err by up to {worst:.2f} m "
-        "(one sigma), and all of them share the error of the origin, which is not included."
+        f"Positions are those that the vehicle believed, {errs}; all of them share the error of the origin, "
+        "which is not included."
     )
     if survey.site is None:
         lines.append(
