@@ -268,7 +268,7 @@ def test_the_file_is_a_geopackage_1_3(kept: Path) -> None:
 def test_gdal_opens_every_layer(kept: Path) -> None:
     pyogrio = pytest.importorskip("pyogrio")
     layers = dict(pyogrio.list_layers(kept).tolist())
-    assert layers["patches"] == "Polygon"
+    assert layers["patches"] == "MultiPolygon"
     assert layers["measures"] is None
     for name in ("surveys", "patches", "individuals", "tracks", "decisions"):
         meta, _, geometry, _ = pyogrio.raw.read(kept, layer=name)

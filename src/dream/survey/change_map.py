@@ -49,7 +49,7 @@ _TABLES = (
             Column("count_after", "real", required=False),
             Column("area_before_m2", "real", required=False),
             Column("area_after_m2", "real", required=False),
-            Column("geom", "POLYGON"),
+            Column("geom", "MULTIPOLYGON"),
         ),
     ),
     Table(
@@ -104,7 +104,7 @@ def draw(comparison: Comparison, path: Path) -> None:
     from matplotlib.patches import Patch as Key
 
     bounds = comparison.bounds
-    height = 8.0 * bounds.depth / bounds.width + 1.6
+    height = 7.4 * bounds.depth / bounds.width + 1.5
     figure = Figure(figsize=(8.0, min(14.0, max(5.0, height))), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
@@ -212,7 +212,7 @@ def _patches(comparison: Comparison) -> Iterator[dict[str, Any]]:
             "count_after": None if count is None else count.after,
             "area_before_m2": None if area is None else area.before,
             "area_after_m2": None if area is None else area.after,
-            "geom": wkb.polygon([_on_globe(comparison, ring) for ring in patch.rings]),
+            "geom": wkb.multipolygon([_on_globe(comparison, ring) for ring in patch.rings]),
         }
 
 

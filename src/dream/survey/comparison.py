@@ -230,7 +230,7 @@ class Comparing:
         seen_a, seen_b = a.layers.state > 0, theirs > 0
         both = seen_a & seen_b
         target_a, target_b = np.isin(a.layers.state, (2, 4)) & both, np.isin(theirs, (2, 4)) & both
-        change = _change(both, target_a, target_b, grid.cell, self.edge + 2.0 * laid.sigma)
+        change = _change(both, target_a, target_b, grid.cell, self.edge + grid.cell + 2.0 * laid.sigma)
         at_b = laid.place(b.individuals.position[:, :2])
         common_a = grid.at(both, a.individuals.position[:, :2])
         common_b = grid.at(both, at_b)

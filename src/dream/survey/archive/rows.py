@@ -52,7 +52,9 @@ def rows(survey: Survey) -> tuple[Row, dict[str, list[Row]]]:
     measures = [_measure(one, None) for one in survey.measures]
     patches = []
     for number, patch in enumerate(survey.patches):
-        patches.append({"patch": number, "geom": wkb.polygon([_places(site, ring) for ring in patch.rings])})
+        patches.append(
+            {"patch": number, "geom": wkb.multipolygon([_places(site, ring) for ring in patch.rings])}
+        )
         measures += [_measure(one, number) for one in patch.measures]
     track = survey.track.position
     return head, {

@@ -18,7 +18,8 @@ class Column:
 
     name: str
     kind: str
-    """`id`, `integer`, `real`, `text`, `time`, `blob`, or a geometry: `POINT`, `LINESTRING`, `POLYGON`."""
+    """`id`, `integer`, `real`, `text`, `time`, `blob`, or a geometry: `POINT`, `LINESTRING`,
+    `POLYGON`, `MULTIPOLYGON`."""
     required: bool = True
     unique: bool = False
     of: str = ""
@@ -98,7 +99,7 @@ MIGRATIONS: tuple[tuple[Table, ...], ...] = (
         Table(
             "patches",
             "Patches of reef, or outlines of wrecks",
-            (_ID, _SURVEY, Column("patch", "integer"), Column("geom", "POLYGON")),
+            (_ID, _SURVEY, Column("patch", "integer"), Column("geom", "MULTIPOLYGON")),
         ),
         Table(
             "individuals",
