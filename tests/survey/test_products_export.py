@@ -163,7 +163,7 @@ def test_a_missing_package_is_named(package: str, tmp_path: Path, monkeypatch: p
 
 
 def opened(command: Export, survey: Survey, monkeypatch: pytest.MonkeyPatch) -> Export:
-    monkeypatch.setattr(Export, "_opened", lambda _: (survey, None))
+    monkeypatch.setattr("dream.commands.survey.export.found", lambda *_: survey)
     return command
 
 
@@ -193,7 +193,7 @@ def test_the_command_says_what_is_left_out(
     [
         ({"species": "Ostrea edulis"}, "--species-id"),
         ({"author": "Ada"}, "--licence"),
-        ({"survey": "no such thing"}, "a survey's file or its number"),
+        ({"survey": "no such thing"}, "none of them"),
     ],
 )
 def test_the_command_refuses_half_of_an_answer(options: dict[str, str], says: str, tmp_path: Path) -> None:

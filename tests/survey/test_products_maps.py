@@ -17,7 +17,7 @@ from hypothesis.extra.numpy import arrays
 
 from dream.survey.products import geopackage, geotiff, mosaic
 from dream.survey.products.ground import Ground
-from dream.survey.products.outlines import outlines
+from dream.survey.products.outlines import grouped, outlines
 from dream.survey.site import Site
 from dream.survey.survey import Survey
 from tests.survey import scenes
@@ -221,8 +221,26 @@ def test_geometries_stand_at_their_place(package: Path) -> None:
         assert (magic, flags, srs) == (b"GP", 3, 32632)
         assert (west, south) == (east, north) == (easting[n], northing[n])
         assert struct.unpack_from("<BI3d", blob, 40) == (1, 1001, easting[n], northing[n], -5.7 + 0.5)
-    assert struct.unpack_from("<BII", patch, 40) == (1, 3, 2), "an outline and a hole"
-    assert struct.unpack_from("<I", patch, 49) == (len(survey.patches[1].rings[0]),)
+    assert struct.unpack_from("<BII", patch, 40) == (1, 6, 1)
+    assert struct.unpack_from("<BII", patch, 49) == (1, 3, 2), "an outline and a hole"
+    assert struct.unpack_from("<I", patch, 58) == (len(survey.patches[1].rings[0]),)
+
+
+def test_parts_of_a_patch_are_polygons_with_their_own_holes() -> None:
+    """Two squares that touch at a corner, a hole in each, one of them with an island in it."""
+
+    def square(x: float, y: float, side: float, *, hole: bool = False) -> Any:
+        ring = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)]) * side + (x, y)
+        return ring[::-1] if hole else ring
+
+    one, two = square(0, 0, 10), square(10, 10, 10)
+    in_one, in_two, island = square(2, 2, 6, hole=True), square(12, 12, 3, hole=True), square(4, 4, 2)
+    found = grouped([one, in_one, two, in_two, island])
+    assert [[ring.tolist() for ring in rings] for rings in found] == [
+        [one.tolist(), in_one.tolist()],
+        [two.tolist(), in_two.tolist()],
+        [island.tolist()],
+    ]
 
 
 def test_reasons_sizes_and_intervals_are_told(package: Path) -> None:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 
-from dream.commands.console import print_json, with_progress
-
-if TYPE_CHECKING:
-    from dream.survey import Survey
+from dream.commands.console import compiling_told, print_json, with_progress
+from dream.commands.survey.sources import found
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,13 +21,13 @@ class Export:
     """
 
     survey: tyro.conf.Positional[str]
-    """Folder of a run, file of a survey, or number of one in the archive."""
+    """Number of a survey in the archive, its file, or the folder of a run."""
     to: Path
     """Folder to make; it must not exist."""
     site: Path | None = None
     """Of a run that does not know its origin: the file that does."""
     archive: str | None = None
-    """Path or URL of the archive. Default: that in DREAM_ARCHIVE, else surveys.gpkg."""
+    """Path, or postgresql:// URL, of the archive. Default: that in DREAM_ARCHIVE, else surveys.gpkg."""
     run: Path | None = None
     """Folder of the run with its observations, for the mosaic, where the survey comes from elsewhere."""
     only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PRODUCT ...")] = ()
@@ -60,12 +57,14 @@ class Export:
                 raise ValueError(f"export: expected both {both}, got one of them")
         if self.to.exists():  # Before a run is measured, which takes a while.
             raise ValueError(f"export: expected a folder that does not exist, got {self.to}. Choose another")
-        survey, run = self._opened()
+        with compiling_told():
+            survey = found(self.survey, self.archive, self.site)
+        run = self.run or (Path(self.survey) if Path(self.survey).is_dir() else None)
         title = f"mosaic of {survey.name}"
         made = export(
             survey,
             self.to,
-            run=self.run or run,
+            run=run,
             species=Species(self.species, self.species_id) if self.species else None,
             author=Author(self.author, self.licence, self.email) if self.author else None,
             only=self.only,
@@ -79,24 +78,3 @@ class Export:
         for name, reason in made.left_out.items():
             print(f"  without {name}: {reason}")
         return 0
-
-    def _opened(self) -> tuple[Survey, Path | None]:
-        """The survey, and the folder of its run where that is what was named."""
-        path = Path(self.survey)
-        if path.is_dir():
-            from dream.survey.measuring import measure
-            from dream.survey.site import read_site
-
-            return measure(path, read_site(self.site) if self.site else None), path
-        if path.is_file():
-            from dream.survey import files
-
-            return files.read(path), None
-        if not self.survey.isdigit():
-            raise FileNotFoundError(
-                f"{self.survey}: expected the folder of a run, a survey's file or its number, got neither"
-            )
-        from dream.survey.archive import DEFAULT, VARIABLE, open_archive
-
-        with open_archive(self.archive or os.environ.get(VARIABLE, DEFAULT)) as archive:
-            return archive.get(int(self.survey)), None

@@ -27,7 +27,7 @@ from dream.survey.products.styles import (
     state_names,
 )
 from dream.survey.products.words import size_bin
-from dream.survey.survey import Measure, Survey
+from dream.survey.survey import Measure, Patch, Survey
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -110,8 +110,7 @@ def habitat_map(axes: Axes, survey: Survey) -> None:
     _show(axes, survey, picture)
     halo = [withStroke(linewidth=2.2, foreground="white")]
     for number, patch in enumerate(survey.patches, start=1):
-        for ring in patch.rings:
-            axes.plot(*east_north(survey, ring).T, color="#0d5c38", linewidth=0.8, zorder=3)
+        axes.add_patch(_outlined(survey, patch))
         if len(survey.patches) > 1:
             x, y = east_north(survey, patch.rings[0]).T
             axes.text(
@@ -169,6 +168,23 @@ def habitat_map(axes: Axes, survey: Survey) -> None:
         fontsize=8,
         handlelength=1.4,
         columnspacing=1.4,
+    )
+
+
+def _outlined(survey: Survey, patch: Patch) -> Any:
+    """A patch on the map, its holes left open."""
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path
+
+    # Holes turn the other way than outlines, which is how they stay empty.
+    shape = Path.make_compound_path(*(Path(east_north(survey, ring), closed=True) for ring in patch.rings))
+    green = "#0d5c38"
+    return PathPatch(
+        shape,
+        facecolor=(*(value / 255 for value in rgb(green)), 0.3),
+        edgecolor=green,
+        linewidth=0.8,
+        zorder=3,
     )
 
 

@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from dream.survey.products import styles
 from dream.survey.products.ground import Ground, site_of
-from dream.survey.products.outlines import outlines
+from dream.survey.products.outlines import grouped, outlines
 from dream.survey.survey import Survey
 from dream.types import Reasoning
 
@@ -293,8 +293,8 @@ def _patches(survey: Survey, ground: Ground) -> Table:
         for _, name in columns:
             measure = of.get(name)
             values += [measure.value, measure.low, measure.high] if measure else [None] * 3
-        rings = [_on_sheet(ground, ring) for ring in patch.rings]
-        rows.append((_geometry(_POLYGON, rings), number + 1, *values))
+        rings = grouped([_on_sheet(ground, ring) for ring in patch.rings])
+        rows.append((_multipolygon(rings), number + 1, *values))
     return Table(
         "patches",
         "Patches of reef, or a wreck and its debris, with what was measured of each; low and high bound 95 %",
@@ -303,7 +303,7 @@ def _patches(survey: Survey, ground: Ground) -> Table:
             **{name + end: "DOUBLE" for name, _ in columns for end in ("", "_low", "_high")},
         },
         rows,
-        "POLYGON",
+        "MULTIPOLYGON",
         style=styles.polygon_qml(styles.STATE_COLORS[styles.TARGET], "#0d5c38", 0.4, 70),
     )
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -26,8 +28,7 @@ def outlines(mask: npt.NDArray[np.bool_]) -> list[list[Float64Array]]:
     for step, corners in starts.items():
         for row, col in corners.tolist():
             leaving.setdefault((col, row), []).append(step)
-    shells: list[Float64Array] = []
-    holes: list[Float64Array] = []
+    rings: list[Float64Array] = []
     # From below: two rings never both leave the lowest corner that is left, so that none closes too early.
     for start in sorted(leaving, key=lambda corner: corner[::-1]):
         if start not in leaving:
@@ -47,23 +48,23 @@ def outlines(mask: npt.NDArray[np.bool_]) -> list[list[Float64Array]]:
             if turn != step:
                 ring.append(at)
             step = turn
-        closed = np.array([*ring, ring[0]], np.float64)
-        (shells if _signed_area(closed) > 0.0 else holes).append(closed)
-    polygons = [[shell] for shell in shells]
-    areas = [_signed_area(shell) for shell in shells]
-    for hole in holes:
-        # The least shell around it; a cell just outside the hole is inside of that.
-        around = [n for n, shell in enumerate(shells) if _contains(shell, _beside(hole))]
-        polygons[min(around, key=areas.__getitem__)].append(hole)
-    return polygons
+        rings.append(np.array([*ring, ring[0]], np.float64))
+    return grouped(rings)
 
 
-def _beside(hole: Float64Array) -> Float64Array:
-    """The middle of a cell of the mask that bounds a hole: half a cell to the left of its first edge."""
-    along = hole[1] - hole[0]
-    along = along / np.hypot(*along)
-    middle: Float64Array = hole[0] + 0.5 * along + 0.5 * np.array([-along[1], along[0]])
-    return middle
+def grouped(rings: Sequence[Float64Array]) -> list[list[Float64Array]]:
+    """Polygons of closed rings: each counter-clockwise one, then the clockwise ones that are its holes."""
+    areas = [_signed_area(ring) for ring in rings]
+    shells = {n: [ring] for n, ring in enumerate(rings) if areas[n] > 0.0}
+    for n, ring in enumerate(rings):
+        if areas[n] > 0.0:
+            continue
+        # Rings may share corners, but no side: its middle is clearly inside a shell, or clearly not.
+        middle = 0.5 * (ring[0] + ring[1])
+        around = [shell for shell, (outline, *_) in shells.items() if _contains(outline, middle)]
+        if around:
+            shells[min(around, key=areas.__getitem__)].append(ring)
+    return list(shells.values())
 
 
 def _contains(ring: Float64Array, point: Float64Array) -> bool:
