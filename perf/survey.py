@@ -318,6 +318,7 @@ def known_truth(world: World, mission: Mission, cache: Path) -> dict[str, Any]:
 def calibrate(missions: list[Mission], cache: Path) -> Calibration:
     """The calibration of one protocol from missions of its own."""
     tiles: list[tuple[npt.NDArray[np.intp], Float64Array, Float64Array, Float64Array]] = []
+    own: list[tuple[float, float]] = []
     edges, sizes, medians, reliefs, rugosities = [], [], [], [], []
     for mission in with_progress(iter(missions), "missions", len(missions)):
         world = make_world(mission.world, mission.seed)
@@ -333,6 +334,7 @@ def calibrate(missions: list[Mission], cache: Path) -> Calibration:
         )
         measured = float(np.count_nonzero(read.reef)) * read.cell**2
         edges.append((truth["reef_area"] - measured) / outline)
+        own.extend(_patches_apart(read, truth))
         position, true_sizes = np.asarray(world.targets.position, np.float64)[:, :2], sizes_of(world)
         # A patch may be missed as a whole; the model is of what is looked at.
         tile = [_tiles(at, world) for at in (peaks.position[on_reef, :2], position)]
@@ -368,6 +370,7 @@ def calibrate(missions: list[Mission], cache: Path) -> Calibration:
         capture_spread=freedom * float(np.sqrt(np.mean(np.square(ratios)))),
         edge=float(np.mean(edges)),
         edge_spread=freedom * float(np.std(edges)),
+        edge_wander=float(np.sqrt(np.mean([(off - np.mean(edges) * long) ** 2 / long for off, long in own]))),
         size=slope,
         size_residual=residual,
         size_spread=freedom * float(np.sqrt(np.mean(np.square(off)))),
@@ -379,6 +382,21 @@ def calibrate(missions: list[Mission], cache: Path) -> Calibration:
     print("  of each: log count", np.round(ratios, 3), " edge", np.round(edges, 4))
     print("  size", np.round(off, 3), " relief", np.round(rise[:, 1] - times * rise[:, 0], 3))
     return found
+
+
+def _patches_apart(read: reef.Reading, truth: dict[str, Any]) -> Iterator[tuple[float, float]]:
+    """Of every patch that is found and there: square metres that it has more in truth, and its outline."""
+    for number in range(read.count):
+        rings = patches.rings(read.marks == number, read.corner, read.cell)
+        area = float(np.count_nonzero(read.marks == number)) * read.cell**2
+        for true in truth["patches"]:
+            if _same_patch(rings[0], area, true):
+                yield true["area"] - area, patches.perimeter(rings)
+
+
+def _same_patch(ring: Float64Array, area: float, true: dict[str, Any]) -> bool:
+    middle = 0.5 * (ring.max(axis=0) + ring.min(axis=0))
+    return math.dist(middle, true["middle"]) < 1.0 and abs(area / true["area"] - 1.0) < 0.4
 
 
 def _tiles(at: Float64Array, world: World) -> npt.NDArray[np.int64]:
@@ -441,14 +459,9 @@ def compared(survey: Survey, truth: dict[str, Any]) -> Iterator[dict[str, Any]]:
             }
     for patch in survey.patches:
         told_of = {told.name: told for told in patch.measures}
-        area, middle = (
-            told_of["area"].value or 0.0,
-            0.5 * (patch.rings[0].max(axis=0) + patch.rings[0].min(axis=0)),
-        )
+        area = told_of["area"].value or 0.0
         for true_patch in truth.get("patches", ()):
-            near = (
-                math.dist(middle, true_patch["middle"]) < 1.0 and abs(area / true_patch["area"] - 1.0) < 0.3
-            )
+            near = _same_patch(patch.rings[0], area, true_patch)
             density = true_patch["count"] / true_patch["area"]
             for name, true in (("area", true_patch["area"]), ("density", density)) if near else ():
                 told = told_of[name]

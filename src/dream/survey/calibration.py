@@ -24,6 +24,9 @@ class Calibration:
     whole, and depths that scatter take shells beyond where they end."""
     edge_spread: float
     """Metres, of a reef."""
+    edge_wander: float
+    """Square metres for each root of a metre of outline: what the area of one patch errs by on its own, false
+    targets at its rim included."""
     size: float
     """Times the measured extent of a lone individual."""
     size_residual: float
@@ -45,6 +48,7 @@ SHARP = Calibration(
     capture_spread=0.039,
     edge=-0.0049,
     edge_spread=0.0063,
+    edge_wander=0.05,
     size=0.956,
     size_residual=0.027,
     size_spread=0.030,
@@ -60,6 +64,7 @@ SCATTERED = Calibration(
     capture_spread=0.039,
     edge=-0.0544,
     edge_spread=0.0131,
+    edge_wander=0.1,
     size=0.805,
     size_residual=0.056,
     size_spread=0.042,

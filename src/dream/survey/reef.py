@@ -193,7 +193,8 @@ def _shape(number: int, seen: Reading, worth: Float64Array, sigma: float, calibr
     outline = patches.perimeter(rings)
     inside = float(np.count_nonzero(mask)) * cell * cell
     area = max(inside + calibration.edge * outline, 0.25 * inside)
-    error = _area_error(outline, cell, sigma, calibration)
+    own = calibration.edge_wander * math.sqrt(outline)
+    error = together(_area_error(outline, cell, sigma, calibration), own)
     length, width = patches.calipers(rings[0])
     side = together(2.0 * calibration.edge_spread, sigma, cell)
     count = float(worth.sum())
@@ -205,7 +206,8 @@ def _shape(number: int, seen: Reading, worth: Float64Array, sigma: float, calibr
         around("area", area, error, "m2"),
         around("length", length + 2.0 * calibration.edge, side, "m", "greatest distance across"),
         around("width", width + 2.0 * calibration.edge, side, "m", "least distance across"),
-        _height("height", above, sigma, calibration),
+        # Of a part, fewer stretches of the seabed around it are averaged.
+        _height("height", above, sigma, calibration, part=np.count_nonzero(mask) / seen.reef.sum()),
         in_ratio("density", count / area, ratio, "1/m2") if count else around("density", 0.0, 0.5, "1/m2"),
         in_ratio("count", count, count_error, "") if count else around("count", 0.0, 1.0, ""),
     ]
@@ -341,11 +343,13 @@ def _relief_measures(seen: Reading, sigma: float, calibration: Calibration) -> t
     return tuple(measures)
 
 
-def _height(name: str, above: Float64Array, sigma: float, calibration: Calibration) -> Measure:
+def _height(
+    name: str, above: Float64Array, sigma: float, calibration: Calibration, *, part: float = 1.0
+) -> Measure:
     if len(above) < 4:
         return unknown(name, "m", "less than a square metre of it was seen with seabed beside it")
     mean = calibration.relief * float(above.mean())
-    error = together(calibration.relief_spread, STEEPEST * sigma)
+    error = together(calibration.relief_spread / math.sqrt(part), STEEPEST * sigma)
     return around(name, mean, error, "m", "mean above the seabed around", least=-math.inf)
 
 
