@@ -23,6 +23,7 @@ from dream.survey.products.styles import (
     STATE_COLORS,
     TRACK,
     UNKNOWN,
+    outline_color,
     rgb,
     state_names,
 )
@@ -178,11 +179,11 @@ def _outlined(survey: Survey, patch: Patch) -> Any:
 
     # Holes turn the other way than outlines, which is how they stay empty.
     shape = Path.make_compound_path(*(Path(east_north(survey, ring), closed=True) for ring in patch.rings))
-    green = "#0d5c38"
+    edge = outline_color(survey.target)
     return PathPatch(
         shape,
-        facecolor=(*(value / 255 for value in rgb(green)), 0.3),
-        edgecolor=green,
+        facecolor=(*(value / 255 for value in rgb(edge)), 0.3),
+        edgecolor=edge,
         linewidth=0.8,
         zorder=3,
     )

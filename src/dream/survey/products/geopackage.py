@@ -24,7 +24,7 @@ from dream.survey.products import styles
 from dream.survey.products.ground import Ground, site_of
 from dream.survey.products.outlines import grouped, outlines
 from dream.survey.survey import Survey
-from dream.types import Reasoning
+from dream.types import Reasoning, Target
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -295,6 +295,8 @@ def _patches(survey: Survey, ground: Ground) -> Table:
             values += [measure.value, measure.low, measure.high] if measure else [None] * 3
         rings = grouped([_on_sheet(ground, ring) for ring in patch.rings])
         rows.append((_multipolygon(rings), number + 1, *values))
+    wreck = survey.target is Target.WRECK
+    color = styles.STATE_COLORS[styles.SOLID_TARGET if wreck else styles.TARGET]
     return Table(
         "patches",
         "Patches of reef, or a wreck and its debris, with what was measured of each; low and high bound 95 %",
@@ -304,7 +306,7 @@ def _patches(survey: Survey, ground: Ground) -> Table:
         },
         rows,
         "MULTIPOLYGON",
-        style=styles.polygon_qml(styles.STATE_COLORS[styles.TARGET], "#0d5c38", 0.4, 70),
+        style=styles.polygon_qml(color, styles.outline_color(survey.target), 0.4, 70),
     )
 
 

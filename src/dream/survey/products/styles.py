@@ -25,6 +25,11 @@ NOT_SEEN = "#c9d3d9"
 TRACK, DECISION, INDIVIDUAL, BOX = "#0b5f86", "#f2b134", "#0a6e40", "#30414b"
 
 
+def outline_color(target: Target) -> str:
+    """Of a patch of reef, or of a wreck and its pieces."""
+    return "#7a3806" if target is Target.WRECK else "#0d5c38"
+
+
 def state_names(target: Target) -> dict[int, str]:
     """What the values of `Layers.state` are called, where something was seen."""
     if target is Target.WRECK:

@@ -44,9 +44,9 @@ MEANINGS = {
     "seen_share": Meaning("Area looked at", "share of the operator's box that was seen", share=True),
     "outline_area": Meaning("Outline of the wreck", "ground that the hull covers"),
     "hull_seen": Meaning("Hull seen", "share of the outer surface that was looked at", share=True),
-    "debris_extent": Meaning("Debris field", "distance from the hull to its farthest piece"),
+    "debris_extent": Meaning("Debris field", "extent of hull and pieces together"),
     "debris_area": Meaning("Debris", "ground that pieces of the wreck cover"),
-    "highest_point": Meaning("Highest point", "above the bare seabed"),
+    "highest_point": Meaning("Highest point", "of the wreck"),
 }
 
 
