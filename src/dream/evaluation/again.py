@@ -13,6 +13,7 @@ from typing import Any
 from dream.evaluation.runner import labelled_in, simulate
 from dream.geometry import Bounds, wrap_angle
 from dream.mapping import OccupancyMap
+from dream.mapping.prior import Prior
 from dream.mission import explore
 from dream.names import look_up
 from dream.orders import Orders
@@ -96,6 +97,13 @@ class Record:
     def orders(self) -> Orders | None:
         """What the operator ordered."""
         return None if self.config.orders is None else read_orders(json.dumps(self.config.orders))
+
+    def prior(self, bounds: Bounds) -> Prior | None:
+        """What it was told of an earlier survey; None where there was none."""
+        told = (self.config.model_extra or {}).get("from_survey")
+        if told is None:
+            return None
+        return Prior.load(self.folder / "prior.npz", told, bounds, self.protocol.cell)
 
     def bounds(self, world: World | None) -> Bounds:
         """The survey area."""
@@ -185,7 +193,13 @@ def fly_again(record: Record, planner: AnyPlanner, world: World | None) -> Itera
         # A dive takes whatever its labels call a target; so did this one.
         target = Target.ANY if record.dive is not None or world is None else labelled_in(world)
         again = explore(
-            robot, planner, occupancy, max_steps=config.max_steps, target=target, orders=record.orders
+            robot,
+            planner,
+            occupancy,
+            max_steps=config.max_steps,
+            target=target,
+            orders=record.orders,
+            prior=record.prior(occupancy.bounds),
         )
     else:
         assert world is not None
@@ -196,6 +210,7 @@ def fly_again(record: Record, planner: AnyPlanner, world: World | None) -> Itera
             start=config.start,
             max_steps=config.max_steps,
             orders=record.orders,
+            prior=record.prior(world.bounds),
         )
     return islice(again, steps)
 

@@ -106,9 +106,7 @@ def simulate(
     )
     occupancy = OccupancyMap(world.bounds, protocol)
     target = labelled_in(world)
-    return explore(
-        robot, planner, occupancy, max_steps=max_steps, target=target, orders=orders, prior=prior
-    )
+    return explore(robot, planner, occupancy, max_steps=max_steps, target=target, orders=orders, prior=prior)
 
 
 def swimming_under(protocol: SurveyProtocol, swimming: Swimming | None) -> Swimming | None:

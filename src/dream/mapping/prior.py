@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import zipfile
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -64,3 +67,33 @@ class Prior:
                 f"prior: expected the map's {bounds} in cells of {cell:g} m, got {self.bounds} "
                 f"in cells of {self.cell:g} m. Was it made for another area?"
             )
+
+    def as_dict(self) -> dict[str, Any]:
+        """What is recorded of it beside its cells."""
+        area = self.cell**2 * float(np.count_nonzero(self.seen))
+        return {"source": self.source, "years": self.years, "sigma": self.sigma, "seen_m2": round(area, 2)}
+
+    def save(self, path: Path) -> None:
+        """Write its cells to an .npz file."""
+        with path.open("wb") as file:
+            np.savez_compressed(file, target=self.target, solid=self.solid)
+
+    @staticmethod
+    def load(path: Path, about: dict[str, Any], bounds: Bounds, cell: float) -> Prior:
+        """Read what `save` wrote, with what `as_dict` told.
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            ValueError: It is damaged, or of another map.
+        """
+        try:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as cells:
+                target, solid = cells["target"].astype(np.float32), cells["solid"].astype(np.bool_)
+            sigma, years, source = float(about["sigma"]), float(about["years"]), str(about["source"])
+        except FileNotFoundError:
+            raise
+        except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            raise ValueError(
+                f"{path}: expected what a mission was told of an earlier survey, got {error}"
+            ) from error
+        return Prior(bounds, cell, target, solid, sigma, years, source)

@@ -268,6 +268,9 @@ class BeliefPilot:
             target_area=sentences.target_area(area, completion),
             completion=self._certainty(completion, expected),
         )
+        if self.recall is not None:
+            told = reasoning.distribution + sentences.recalled(self.recall, occupancy)
+            reasoning = replace(reasoning, distribution=told)
         if self.walk is not None:
             reasoning = replace(
                 reasoning, completion=reasoning.completion + sentences.traversal(occupancy, completion)

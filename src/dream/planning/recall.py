@@ -93,6 +93,14 @@ class Recall:
         likely = np.nan_to_num(self.foretold) >= LIKELY
         return likely & _unheard(occupancy) & occupancy.to_see & (self.looks < LOOKS)
 
+    def told(self, occupancy: OccupancyMap) -> tuple[int, int, int]:
+        """Cells where a target is foretold and is still to be seen; with a new target; and with one gone."""
+        likely, seen = np.nan_to_num(self.foretold) >= LIKELY, self.prior.seen
+        unheard = _unheard(occupancy)
+        new = occupancy.target & seen & ~likely
+        gone = (np.nan_to_num(self.prior.target) > 0.5) & ~unheard & ~occupancy.target
+        return tuple(int(np.count_nonzero(k)) for k in (likely & unheard, new, gone))  # type: ignore[return-value]
+
     def solid(self, occupancy: OccupancyMap) -> BoolArray | None:
         """(rows, cols) what stood in ground that is not known yet; None where the survey is not believed."""
         return self.prior.solid & ~occupancy.known if self.believed > 0.5 else None

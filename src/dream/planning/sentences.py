@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
     from dream.mapping.completion import Completion, Region
     from dream.planning.lookahead import Plan
+    from dream.planning.recall import Recall
 
 COMPASS = ("east", "northeast", "north", "northwest")
 
@@ -38,6 +39,17 @@ def expectations(beside: npt.NDArray[np.floating[Any]], groups: float, occupancy
     return (
         f" Beside known targets {area:.1f} m² more are to be expected, "
         f"and {groups:.2f} groups in ground not searched."
+    )
+
+
+def recalled(recall: Recall, occupancy: OccupancyMap) -> str:
+    """Step 1: what an earlier survey foretells, how far it is believed, and what is other than it was."""
+    left, new, gone = (n * occupancy.protocol.cell**2 for n in recall.told(occupancy))
+    prior = recall.prior
+    return (
+        f" The survey {prior.source}, {prior.years:.1f} years old, is believed to {recall.believed:.0%}: "
+        f"{left:.1f} m² where it foretells targets are still to be seen; {new:.1f} m² of targets are new, "
+        f"{gone:.1f} m² are gone."
     )
 
 
