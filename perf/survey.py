@@ -367,21 +367,27 @@ def calibrate(missions: list[Mission], cache: Path) -> Calibration:
     freedom = math.sqrt(len(missions) / max(len(missions) - 3, 1))
     found = Calibration(
         capture=(round(capture[0], 3), round(capture[1], 3), round(capture[2], 3)),
-        capture_spread=freedom * float(np.sqrt(np.mean(np.square(ratios)))),
+        capture_spread=freedom * _spread(ratios),
         edge=float(np.mean(edges)),
-        edge_spread=freedom * float(np.std(edges)),
+        edge_spread=freedom * _spread(edges - np.mean(edges)),
         edge_wander=float(np.sqrt(np.mean([(off - np.mean(edges) * long) ** 2 / long for off, long in own]))),
         size=slope,
         size_residual=residual,
-        size_spread=freedom * float(np.sqrt(np.mean(np.square(off)))),
+        size_spread=freedom * _spread(off),
         relief=times,
-        relief_spread=freedom * float(np.std(rise[:, 1] - times * rise[:, 0])),
+        relief_spread=freedom * _spread(rise[:, 1] - times * rise[:, 0]),
         rugosity=float(np.exp(rough.mean())),
-        rugosity_spread=freedom * float(rough.std()),
+        rugosity_spread=freedom * _spread(rough - rough.mean()),
     )
     print("  of each: log count", np.round(ratios, 3), " edge", np.round(edges, 4))
     print("  size", np.round(off, 3), " relief", np.round(rise[:, 1] - times * rise[:, 0], 3))
     return found
+
+
+def _spread(errors: npt.ArrayLike) -> float:
+    """Standard deviation about 0, or that of a normal error as often beyond where the tails are heavier."""
+    far = np.abs(np.asarray(errors, np.float64))
+    return max(float(np.sqrt(np.mean(far**2))), float(np.quantile(far, 0.95)) / 1.96)
 
 
 def _patches_apart(read: reef.Reading, truth: dict[str, Any]) -> Iterator[tuple[float, float]]:

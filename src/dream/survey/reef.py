@@ -39,7 +39,7 @@ REACHES_ON = 0.75
 WANDER = 3.0
 """Metres along an outline over which errors of the pose move it alike."""
 STEEPEST = 0.2
-"""Slope of a seabed on which a pose that errs over ground errs in height, at most."""
+"""Slope of a seabed on which what errs over ground errs in height, at most."""
 HIGHEST_SPREAD = 0.06
 """Share by which the highest percent of a reef may be off: few cells make it."""
 BIN = 0.05
@@ -152,7 +152,8 @@ def measure_reef(
     ]
     measures = _totals(shapes, worth, _unseen(seen, occupancy), sigma, calibration)
     measures += sizes.measures(patch >= 0)
-    measures += _relief_measures(seen, sigma, calibration)
+    outline = math.fsum(shape.perimeter for shape in shapes)
+    measures += _relief_measures(seen, _height_error(seen, outline, sigma, calibration), calibration)
     error = together(sigma, ground.cell) + ground.scatter * peaks.nearest**2
     found = Individuals(
         position=peaks.position,
@@ -206,8 +207,7 @@ def _shape(number: int, seen: Reading, worth: Float64Array, sigma: float, calibr
         around("area", area, error, "m2"),
         around("length", length + 2.0 * calibration.edge, side, "m", "greatest distance across"),
         around("width", width + 2.0 * calibration.edge, side, "m", "least distance across"),
-        # Of a part, fewer stretches of the seabed around it are averaged.
-        _height("height", above, sigma, calibration, part=np.count_nonzero(mask) / seen.reef.sum()),
+        _height("height", above, _height_error(seen, outline, sigma, calibration), calibration),
         in_ratio("density", count / area, ratio, "1/m2") if count else around("density", 0.0, 0.5, "1/m2"),
         in_ratio("count", count, count_error, "") if count else around("count", 0.0, 1.0, ""),
     ]
@@ -321,16 +321,16 @@ def _heights(ground: Ground, reef: BoolArray, cell: float, post: float) -> relie
     near = _grown(reef, relief.RIM, cell)
     under = _reduced(near, (rows, cols)) > 0.0
     base = relief.spanned(level, under)
-    return relief.Relief(base, level - base)
+    return relief.Relief(base, level - base, post)
 
 
-def _relief_measures(seen: Reading, sigma: float, calibration: Calibration) -> tuple[Measure, ...]:
+def _relief_measures(seen: Reading, error: float, calibration: Calibration) -> tuple[Measure, ...]:
     above = seen.above
-    measures = [_height("reef_height", above, sigma, calibration)]
+    measures = [_height("reef_height", above, error, calibration)]
     if len(above) >= 4:
         highest = calibration.relief * float(np.quantile(above, 0.99))
-        error = together(HIGHEST_SPREAD * highest, calibration.relief_spread, STEEPEST * sigma)
-        measures.append(around("reef_height_max", highest, error, "m", "1 % of it is higher"))
+        spread = together(HIGHEST_SPREAD * highest, error)
+        measures.append(around("reef_height_max", highest, spread, "m", "1 % of it is higher"))
     if seen.rugosity is None:
         measures.append(unknown("rugosity", "", "too little of the reef's surface was seen"))
     else:
@@ -343,14 +343,18 @@ def _relief_measures(seen: Reading, sigma: float, calibration: Calibration) -> t
     return tuple(measures)
 
 
-def _height(
-    name: str, above: Float64Array, sigma: float, calibration: Calibration, *, part: float = 1.0
-) -> Measure:
+def _height(name: str, above: Float64Array, error: float, calibration: Calibration) -> Measure:
     if len(above) < 4:
         return unknown(name, "m", "less than a square metre of it was seen with seabed beside it")
     mean = calibration.relief * float(above.mean())
-    error = together(calibration.relief_spread / math.sqrt(part), STEEPEST * sigma)
     return around(name, mean, error, "m", "mean above the seabed around", least=-math.inf)
+
+
+def _height_error(seen: Reading, outline: float, sigma: float, calibration: Calibration) -> float:
+    """Metres: the seabed that holds the membrane begins anywhere in a cell of the map, all along the outline."""
+    stretches = max(outline / WANDER, 1.0)
+    resolution = STEEPEST * seen.heights.cell / math.sqrt(12.0 * stretches)
+    return together(calibration.relief_spread, resolution, STEEPEST * sigma)
 
 
 def _unseen(seen: Reading, occupancy: MapLayers) -> float:

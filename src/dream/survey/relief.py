@@ -26,12 +26,14 @@ CHAIN = 0.10
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Relief:
-    """Heights above the seabed, on a grid of `POST` metres."""
+    """Heights above the seabed, on the grid of a map."""
 
     base: Float64Array
     """(rows, cols) world z of the seabed, spanned where reef covers it; NaN where nothing is."""
     above: Float64Array
     """(rows, cols) mean height of the top above it; NaN where it was not seen."""
+    cell: float
+    """Metres."""
 
 
 def averaged(values: Float64Array, valid: BoolArray, times: int) -> tuple[Float64Array, Float64Array]:
