@@ -45,6 +45,8 @@ BENEATH = 0.02
 NEAR = 5
 """Steps within which the hull's views are worked out for every second node; within twice as many for every
 fourth, for every sixteenth beyond."""
+LEAVE, LEAST = 0.01, 0.002
+"""Shares of the targets, seen and foretold, that a way round them may leave: at first, and in the end."""
 EMPTY = 0.9
 """How much less a group is looked for where a believed survey saw none."""
 MOST_VISITS = 3
@@ -315,12 +317,18 @@ class BeliefPilot:
         """The way round what is foretold and was not seen yet; None where hardly any of it is left."""
         assert self.recall is not None
         square = self.mission.protocol.cell**2
-        left = ~occupancy.observed & (self.vain.count < self.patience) | self.recall.unheard(occupancy)
-        worth = self.recall.weighed(thought.expected.beside, left)
-        worth = np.where(left & (worth >= LIKELY), square * worth, 0.0)
-        whole = square * np.count_nonzero(occupancy.target) + float(worth.sum())
-        round_all = replace(prospect, ground=self.outlook.on_tiles(worth))
-        return self.rounds.plan(round_all, thought.travel, moves, whole)
+        unseen = ~occupancy.observed & (self.vain.count < self.patience)
+        known = square * np.count_nonzero(occupancy.target)
+        # First what is in plain view; what a low rock may hide costs more than it brings on the way.
+        either = unseen | self.recall.unheard(occupancy)
+        for left, leave in ((unseen, LEAVE), (either, LEAVE), (either, LEAST)):
+            worth = self.recall.weighed(thought.expected.beside, left)
+            worth = np.where(left & (worth >= LIKELY), square * worth, 0.0)
+            ahead = replace(prospect, ground=self.outlook.on_tiles(worth))
+            plan = self.rounds.plan(ahead, thought.travel, moves, leave * (known + float(worth.sum())))
+            if plan is not None:
+                return plan
+        return None
 
     def _walk(
         self,

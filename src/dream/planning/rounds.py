@@ -24,14 +24,12 @@ WIDTH = 48
 HORIZON = 60
 """Steps at most."""
 SEARCHES = tuple(
-    (part, beside, pace) for pace in (0.003, 0.001, 0.01, 0.03) for part, beside in ((0.4, 0.75), (0.6, 0.9))
+    (part, beside, pace) for pace in (0.003, 0.01, 0.03, 0.1) for part, beside in ((0.4, 0.75), (0.6, 0.9))
 )
 """Searches: the side of a part and how near it is seen from, in reaches, and the share of what is left that a
 step counts as much as. None is best everywhere."""
 EACH_STEP = 3
 """Of the searches, while the rest of a way is there to go on with."""
-LEAVE = (0.01, 0.002)
-"""Share of the whole that may be left: first of all, then of the little that was."""
 
 
 @dataclass(slots=True, eq=False)
@@ -55,7 +53,7 @@ class Rounds:
     """Searches made so far."""
 
     def plan(
-        self, prospect: Prospect, travel: Travel, moves: npt.NDArray[np.uint8], whole: float
+        self, prospect: Prospect, travel: Travel, moves: npt.NDArray[np.uint8], leave: float
     ) -> Plan | None:
         """The way, and None where hardly anything is left.
 
@@ -63,18 +61,17 @@ class Rounds:
             prospect: What is worth looking at; its ground alone counts.
             travel: Ways over known free ground.
             moves: See `Outlook.moves`.
-            whole: Weight of all, that which was seen included.
+            leave: Weight that may be left.
         """
         from dream.planning._kernels import rounds as kernels
 
         outlook = prospect.outlook
-        rest, self.path = rest_of(self.path, travel, moves), []
         weights = np.zeros_like(prospect.weights)
         weights[: outlook.tiles] = prospect.ground
-        left = float(weights.sum())
-        leave = next((share * whole for share in LEAVE if left > share * whole), None)
-        if leave is None:
+        total = float(weights.sum())
+        if total <= leave:
             return None
+        rest, self.path = rest_of(self.path, travel, moves), []
         index = np.flatnonzero(weights > 1e-4 * leave)
         views, shape = outlook.views(prospect.listed), travel.steps.shape
         found = [np.array([np.ravel_multi_index(pose, shape) for pose in rest])] if len(rest) > 1 else []
@@ -86,7 +83,7 @@ class Rounds:
         best, value, shows = found[0][:1], (np.inf, np.inf), np.zeros(0, np.uint64)
         for path in found:
             length, seen, left = kernels.follow(weights, views, path, shape, index, leave)
-            judged = (round(max(left - leave, 0.0) / whole, 6), length)
+            judged = (round(max(left - leave, 0.0) / total, 6), length)
             if length and judged < value:
                 best, value, shows = path[: length + 1], judged, seen
         if len(best) < 2:

@@ -1,0 +1,159 @@
+"""Planning with an earlier survey: what it foretells, how far it is believed, and what stays as it is."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dream.evaluation.runner import simulate
+from dream.geometry import Bounds
+from dream.mapping import OccupancyMap
+from dream.mapping.prior import Prior
+from dream.planning import Belief
+from dream.planning.belief import BeliefPilot
+from dream.planning.recall import BELIEVED, LIKELY, LOOKS, Recall
+from dream.protocol import DREAM_V1
+from dream.sim.world import World
+from dream.types import BoolArray, Mission, Step
+from tests.mapping.analytic import AREA, map_with
+from tests.planning.flights import observed_at
+
+SIDE = round(AREA.width / DREAM_V1.cell)
+NOWHERE: BoolArray = np.zeros((SIDE, SIDE), np.bool_)
+
+
+def survey(target: BoolArray, seen: BoolArray | None = None, years: float = 1.0) -> Prior:
+    told = np.where(np.ones_like(NOWHERE) if seen is None else seen, np.where(target, 0.99, 0.0), np.nan)
+    return Prior(AREA, DREAM_V1.cell, told.astype(np.float32), NOWHERE, years=years)
+
+
+def patch(row: int, col: int, half: int = 6) -> BoolArray:
+    cells = NOWHERE.copy()
+    cells[row - half : row + half, col - half : col + half] = True
+    return cells
+
+
+def test_what_is_foretold_is_likeliest_where_it_was_and_never_certain() -> None:
+    was = patch(40, 40)
+    recall = Recall(survey(was))
+    assert recall.foretold[40, 40] > 0.7
+    assert LIKELY < recall.foretold[40, 46] < recall.foretold[40, 40]
+    assert 0.0 < recall.foretold[5, 5] < LIKELY
+    assert recall.foretold.max() < 1.0
+
+
+def test_the_older_a_survey_the_less_it_foretells_and_the_more_may_have_come() -> None:
+    young, old = (Recall(survey(patch(40, 40), years=years)).foretold for years in (1.0, 8.0))
+    assert old[40, 40] < young[40, 40] and old[5, 5] > young[5, 5]
+
+
+def test_where_the_survey_saw_nothing_it_foretells_nothing() -> None:
+    seen = NOWHERE.copy()
+    seen[:, :60] = True
+    recall = Recall(survey(patch(40, 40), seen))
+    assert np.isnan(recall.foretold[:, 60:]).all() and not np.isnan(recall.foretold[:, :60]).any()
+    beside = np.full(NOWHERE.shape, 0.3, np.float32)
+    np.testing.assert_array_equal(recall.weighed(beside, ~NOWHERE)[:, 60:], beside[:, 60:])
+
+
+def test_a_survey_that_holds_is_believed_and_one_that_does_not_is_not() -> None:
+    was = patch(40, 40, 10)
+    seen = patch(40, 40, 20)
+    right, elsewhere = Recall(survey(was)), Recall(survey(patch(40, 60, 10)))
+    occupancy = map_with(explored=seen, target=was)
+    right.compare(occupancy)
+    elsewhere.compare(occupancy)
+    assert right.believed > BELIEVED > 0.5 > elsewhere.believed
+
+
+def test_a_map_of_nothing_leaves_the_belief_as_it_was() -> None:
+    recall = Recall(survey(patch(40, 40)))
+    recall.compare(OccupancyMap(AREA, DREAM_V1))
+    assert recall.believed == pytest.approx(BELIEVED)
+
+
+def test_an_unbelieved_survey_weighs_nothing() -> None:
+    recall = Recall(survey(patch(40, 40)))
+    recall.believed = 0.0
+    beside = np.full(NOWHERE.shape, 0.3, np.float32)
+    np.testing.assert_array_equal(recall.weighed(beside, ~NOWHERE), beside)
+    assert recall.solid(OccupancyMap(AREA, DREAM_V1)) is None
+
+
+def test_a_cell_of_which_nothing_is_heard_is_given_up_after_some_looks() -> None:
+    recall, occupancy = Recall(survey(patch(40, 40))), OccupancyMap(AREA, DREAM_V1)
+    assert recall.unheard(occupancy)[40, 40]
+    for _ in range(LOOKS):
+        recall.look(~NOWHERE, occupancy)
+    assert not recall.unheard(occupancy).any()
+
+
+def test_a_prior_of_another_map_is_refused_before_anything_moves(string_reef: World) -> None:
+    small = Prior(
+        Bounds(0.0, 0.0, 5.0, 5.0), 0.25, np.zeros((20, 20), np.float32), np.zeros((20, 20), np.bool_)
+    )
+    with pytest.raises(ValueError, match="prior: expected the map's"):
+        simulate(string_reef, Belief(), DREAM_V1, prior=small)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("target", np.zeros((3, 3), np.float32), "target: expected"),
+        ("target", np.full(NOWHERE.shape, 1.5, np.float32), "probabilities"),
+        ("solid", np.zeros((3, 3), np.bool_), "solid: expected"),
+        ("sigma", -1.0, "sigma"),
+        ("years", float("nan"), "years"),
+    ],
+)
+def test_a_prior_that_says_nonsense_is_refused(field: str, value: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(survey(NOWHERE), **{field: value})
+
+
+@pytest.fixture(scope="module")
+def known(string_reef: World) -> list[Step]:
+    """The first steps of a mission that knows the reef as it is."""
+    box, cell = string_reef.bounds, DREAM_V1.cell
+    shape = round(box.depth / cell), round(box.width / cell)
+    was = np.zeros(shape, np.float32)
+    col, row = (
+        ((string_reef.targets.position[:, k] - low) / cell).astype(int)
+        for k, low in ((0, box.x_min), (1, box.y_min))
+    )
+    was[row, col] = 0.99
+    prior = Prior(box, cell, was, np.zeros(shape, np.bool_), source="last year")
+    return list(simulate(string_reef, Belief(), DREAM_V1, max_steps=12, prior=prior))
+
+
+def test_it_goes_where_the_targets_were(known: list[Step], string_reef: World) -> None:
+    blind = list(simulate(string_reef, Belief(), DREAM_V1, max_steps=12))
+    areas = [float(steps[-1].occupancy.target.sum()) for steps in (known, blind)]
+    assert areas[0] >= areas[1]
+    assert not any(step.arrival.collided for step in known)
+
+
+def test_its_words_say_what_the_survey_foretells_and_what_is_new(known: list[Step]) -> None:
+    words = known[-1].decision.reasoning.distribution
+    told = re.search(r"The survey last year, 1\.0 years old, is believed to (\d+)%: ([\d.]+) m²", words)
+    assert told is not None and int(told[1]) > 50 and "are new" in words and "are gone" in words
+
+
+def test_what_a_survey_says_was_empty_is_not_seen_ground() -> None:
+    """The risk of stopping is the same with a survey of bare ground as without any."""
+    occupancy = map_with(explored=patch(40, 40, 20), target=patch(40, 40))
+    thoughts = []
+    for prior in (None, survey(NOWHERE)):
+        pilot = Belief().begin(Mission(DREAM_V1, AREA, 200, prior=prior))
+        assert isinstance(pilot, BeliefPilot)
+        thoughts.append(pilot.consider(observed_at(0.0, 0.0, 0.0), occupancy))
+    assert thoughts[0].expected.risk == thoughts[1].expected.risk
+    assert thoughts[0].completion.complete == thoughts[1].completion.complete
+
+
+def test_without_a_survey_there_is_nothing_to_recall() -> None:
+    pilot = Belief().begin(Mission(DREAM_V1, AREA, 200))
+    assert isinstance(pilot, BeliefPilot) and pilot.recall is None
