@@ -55,6 +55,8 @@ TILE, ABOVE, PIXELS = 4.0, 15.0, 400
 """Metres along a tile of the view from straight above, metres of its camera above the ground, and pixels."""
 TRUE_CELL = 0.02
 """Metres of the true picture of the ground."""
+POST = 0.25
+"""Metres: the cells that heights are means over, as those of the map of `dream-v1`."""
 MATCH = 0.1
 """Metres between a peak and an individual that are the same."""
 HEADLINES = ("reef_area", "density", "median_size", "reef_height")
@@ -261,7 +263,7 @@ def heights(drawn: Plan, on_reef: npt.NDArray[np.bool_]) -> Float64Array:
     """Metres above the membrane that the bare seabed holds, of the posts that are reef."""
     # A post is no whole number of true cells: both are cut into squares of a centimetre.
     fine = round(TRUE_CELL / 0.01)
-    times = round(relief.POST / 0.01)
+    times = round(POST / 0.01)
     top = np.repeat(np.repeat(drawn.top, fine, axis=0), fine, axis=1)
     mask = np.repeat(np.repeat(on_reef, fine, axis=0), fine, axis=1)
     level, _ = relief.averaged(top, np.isfinite(top), times)

@@ -170,6 +170,24 @@ def test_poses_that_may_err_widen_the_intervals(world: World, middle: tuple[floa
     assert (unsure.individuals.sigma > sure.individuals.sigma).all()
 
 
+def test_what_was_not_seen_beside_a_reef_is_expected_and_doubted(
+    world: World, middle: tuple[float, float]
+) -> None:
+    frames = around(world, middle, DREAM_V1)
+    whole, half = (
+        measure_observations(part, mapped(part, world, DREAM_V1), ABOUT) for part in (frames, frames[1:2])
+    )
+    told = [{measure.name: measure for measure in survey.measures} for survey in (whole, half)]
+    assert "not seen but likely" in told[1]["reef_area"].note
+    shares = [
+        ((area.high or 0.0) - (area.low or 0.0)) / (area.value or 1.0)
+        for area in (told[0]["reef_area"], told[1]["reef_area"])
+    ]
+    assert shares[1] > 1.5 * shares[0]
+    seen = [survey["seen_share"].value or 0.0 for survey in told]
+    assert seen[1] < 0.7 * seen[0]
+
+
 def test_a_seabed_without_a_reef_has_none(world: World) -> None:
     empty = make_world("flat/empty", 1)
     frames = around(empty, (0.0, 0.0), DREAM_V1)

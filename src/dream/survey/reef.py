@@ -351,7 +351,7 @@ def _height(name: str, above: Float64Array, error: float, calibration: Calibrati
 
 
 def _height_error(seen: Reading, outline: float, sigma: float, calibration: Calibration) -> float:
-    """Metres: the seabed that holds the membrane begins anywhere in a cell of the map, all along the outline."""
+    """Metres: the seabed that holds the membrane begins anywhere in a cell of the map, all along the rim."""
     stretches = max(outline / WANDER, 1.0)
     resolution = STEEPEST * seen.heights.cell / math.sqrt(12.0 * stretches)
     return together(calibration.relief_spread, resolution, STEEPEST * sigma)

@@ -16,8 +16,6 @@ from dream.types import BoolArray
 
 Float64Array = npt.NDArray[np.float64]
 
-POST = 0.25
-"""Metres between the points at which the membrane is known."""
 RIM = 0.25
 """Metres around the reef that the membrane spans as well: there its foot is."""
 CHAIN = 0.10
