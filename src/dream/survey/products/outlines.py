@@ -29,7 +29,7 @@ def outlines(mask: npt.NDArray[np.bool_]) -> list[list[Float64Array]]:
         for row, col in corners.tolist():
             leaving.setdefault((col, row), []).append(step)
     rings: list[Float64Array] = []
-    # From below: two rings never both leave the lowest corner that is left, so that none closes too early.
+    # The lowest corner that is left is one where the ring turns, so that no corner is told that is none.
     for start in sorted(leaving, key=lambda corner: corner[::-1]):
         if start not in leaving:
             continue
@@ -46,6 +46,11 @@ def outlines(mask: npt.NDArray[np.bool_]) -> list[list[Float64Array]]:
             onward = leaving[at]
             turn = left if left in onward else (step if step in onward else (step[1], -step[0]))
             if turn != step:
+                if at in ring:
+                    # A hole that touches its outline, or another hole, in a corner is a ring of its own.
+                    first = ring.index(at)
+                    rings.append(np.array([*ring[first:], at], np.float64))
+                    del ring[first:]
                 ring.append(at)
             step = turn
         rings.append(np.array([*ring, ring[0]], np.float64))
