@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from dream.geometry import Bounds
-from dream.survey import Individuals, Layers, Patch, Survey, Track
+from dream.survey import Individuals, Layers, Patch, Picture, Survey, Track
 from dream.survey.site import Site
 from dream.types import Target
 
@@ -23,6 +23,7 @@ Float64Array = npt.NDArray[np.float64]
 
 BOX = Bounds(0.0, 0.0, 40.0, 40.0)
 CELL = 0.25
+FINE = 0.05
 SITE = Site("Test reef", 54.9, 8.3)
 AREAS = ((9.0, 9.0, 4.0, 2.2), (28.0, 10.0, 3.0, 3.0), (10.0, 28.0, 2.5, 4.0), (29.0, 29.0, 5.0, 2.0))
 """Ellipses: middle and half-axes."""
@@ -63,8 +64,13 @@ def reef(rng: np.random.Generator, density: float = 8.0) -> Reef:
     places, patches = [], []
     for number, (x, y, a, b) in enumerate(AREAS):
         pitch = 1.0 / math.sqrt(density)
-        grid = np.mgrid[-a:a:pitch, -b:b:pitch].reshape(2, -1).T
+        reach = max(a, b) + pitch
+        grid = np.mgrid[-reach:reach:pitch, -reach:reach:pitch].reshape(2, -1).T
         grid = grid + rng.uniform(-0.35 * pitch, 0.35 * pitch, grid.shape)
+        # Turned, so that no two reefs stand on the same lattice.
+        angle = float(rng.uniform(0.0, math.pi))
+        c, s = math.cos(angle), math.sin(angle)
+        grid = grid @ np.array([[c, s], [-s, c]])
         grid = grid[(grid[:, 0] / a) ** 2 + (grid[:, 1] / b) ** 2 < 1.0]
         places.append(grid + np.array([x, y]))
         patches.append(np.full(len(grid), number, np.int32))
@@ -135,7 +141,25 @@ def survey(
         track=Track(np.zeros(2), np.zeros((2, 3)), np.zeros(2), np.full(2, 0.1)),
         decisions=(),
         made_by={},
+        picture=_picture(reef, rng, drift, state > 0),
     )
+
+
+def _picture(
+    reef: Reef, rng: np.random.Generator, drift: Float64Array, seen: npt.NDArray[np.bool_]
+) -> Picture:
+    """Discs where individuals are, found or not; one cell in fifty is told wrong."""
+    count = round(BOX.width / FINE)
+    covered = np.zeros((count, count), np.bool_)
+    for (x, y), size in zip(_drifted(reef.position, drift), reef.size, strict=True):
+        half = math.ceil(0.5 * size / FINE) + 1
+        col, row = math.floor(x / FINE), math.floor(y / FINE)
+        near = np.s_[max(row - half, 0) : row + half + 1, max(col - half, 0) : col + half + 1]
+        rows, cols = np.ogrid[near]
+        covered[near] |= np.hypot(FINE * (cols + 0.5) - x, FINE * (rows + 0.5) - y) < 0.5 * size
+    share = np.where(covered ^ (rng.random(covered.shape) < 0.02), 200, 0).astype(np.uint8)
+    share[~np.kron(seen, np.ones((round(CELL / FINE),) * 2, np.bool_))] = 255
+    return Picture(BOX, FINE, share)
 
 
 def _drifted(points: Float64Array, drift: Float64Array) -> Float64Array:

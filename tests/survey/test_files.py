@@ -104,7 +104,10 @@ INCONSISTENT: dict[str, tuple[Callable[[Survey], Survey], str]] = {
         "layers.times_seen: expected values of uint16",
     ),
     "an open ring": (_ring(lambda ring: ring[:-1]), "expected a last point that is the first"),
-    "an outline the wrong way round": (_ring(lambda ring: ring[::-1]), "expected an outline counter-clockwise"),
+    "an outline the wrong way round": (
+        _ring(lambda ring: ring[::-1]),
+        "expected an outline counter-clockwise",
+    ),
     "a ring of three points": (_ring(lambda ring: ring[[0, 1, 0]]), "rings"),
     "an interval upside down": (
         lambda s: replace(s, measures=(Measure("density", 1.0, 2.0, 0.5, "1/m2"),)),

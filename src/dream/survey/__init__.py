@@ -7,6 +7,7 @@ from dream.survey.survey import (
     Layers,
     Measure,
     Patch,
+    Picture,
     Survey,
     Track,
 )
@@ -18,6 +19,7 @@ __all__ = [
     "Layers",
     "Measure",
     "Patch",
+    "Picture",
     "Survey",
     "Track",
     "measure",

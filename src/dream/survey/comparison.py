@@ -14,14 +14,15 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
-from dream.geometry import Bounds
-from dream.survey.registration import Registering, Registration, mutual
-from dream.survey.survey import Individuals, Layers, Survey
+from dream.geometry import SE2, Bounds
+from dream.survey.registration import Registering, Registration, mutual, placed
+from dream.survey.survey import Individuals, Layers, Picture, Survey
 
 Float64Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.intp]
 
+_Tested = tuple[float, tuple["Difference", ...], float | None, float]
 Verdict = Literal["gain", "loss", "unchanged", "not comparable"]
 Z95 = 1.959964
 """Standard deviations to each side of a 95 % interval."""
@@ -186,23 +187,28 @@ class Comparing:
     What it does: lays the later survey on the earlier one and keeps to ground that both saw. Of a patch the
     individuals are counted in both, each weighed by how likely it is one and by how likely one like it is
     found: a binomial in its looks, whose rate comes from the hits of those that were found (of which those
-    never hit are missing: zero-truncated). The difference is held against the variance that the counts have
-    where nothing changed, and against `spread`, by which repeated surveys differ beyond that. Patches
-    without individuals are told by their area. The tests of all patches together keep the share of false
-    changes among those that are told at `level`.
+    never hit are missing: zero-truncated). How much of them chance finds shows in how many of one survey the
+    other found again. What is covered is held against each other too, in squares that both pictures show.
+    Each difference is held against the chance and against the spread by which repeated surveys differ beyond
+    it; the two tests are weighed by how sharp they are. Patches with few individuals are told by their area.
+    A patch is called changed where its own test says so at `level` and, of all that are called so, a share of
+    `false` at most is false.
 
-    Reference: Horvitz and Thompson, JASA 47 (1952), for the weights; Benjamini and Hochberg, JRSS B 57
-    (1995), for many patches. `spread`, `area_spread` and `edge` were measured on repeated simulated surveys
-    (perf/change.py).
+    Reference: Horvitz and Thompson, JASA 47 (1952), for the weights; Petersen's mark and recapture for the
+    chance; Benjamini and Hochberg, JRSS B 57 (1995), for many patches. The spreads were measured on repeated
+    simulated surveys of worlds of their own (perf/change.py).
 
-    Assumes: the two surveys were measured alike, with the same camera and labels.
-    Fails when: as many die as settle. The count stays, and only the fates of individuals tell of it, which
-    in a dense crust are often mistaken for each other.
+    Assumes: the two surveys were measured alike, with the same camera and labels, and most individuals are
+    still there.
+    Fails when: as many die as settle. Count and cover stay, and only the fates of individuals tell of it,
+    which in a dense crust are often mistaken for each other.
     """
 
     level: float = 0.05
-    """Share of false changes."""
-    spread: float = 0.05
+    """Share of unchanged patches that are called changed, at most."""
+    false: float = 0.1
+    """Share of false ones among the patches that are called changed, at most."""
+    spread: float = 0.03
     """Standard deviation of the ratio of the counts of a patch in repeated surveys, beyond chance."""
     area_spread: float = 0.05
     """The same of areas."""
@@ -210,6 +216,14 @@ class Comparing:
     """Metres by which an outline is drawn otherwise each time, over `edge_length` of it."""
     edge_length: float = 1.0
     """Metres along an outline that err alike."""
+    cover_spread: float = 0.08
+    """The same of what is covered, in the fine pictures."""
+    cover_least: float = 0.05
+    """Square metres by which it differs at the least."""
+    together: float = 0.15
+    """Correlation of count and cover in repeated surveys."""
+    block: float = 0.1
+    """Metres: side of the squares whose cover is compared."""
     least: int = 10
     """Individuals in both together below which a patch is told by its area."""
     least_seen: float = 0.3
@@ -235,16 +249,20 @@ class Comparing:
         common_a = grid.at(both, a.individuals.position[:, :2])
         common_b = grid.at(both, at_b)
         units = self._units(a, b, grid, laid)
+        fate_a, fate_b = _fates(a.individuals, b.individuals, at_b, common_a, common_b, laid)
         counts = (
-            _Counts(a.individuals, common_a, grid.at(units.ground, a.individuals.position[:, :2])),
-            _Counts(b.individuals, common_b, grid.at(units.ground, at_b)),
+            _Counts(a.individuals, common_a, grid.at(units.ground, a.individuals.position[:, :2]), fate_b),
+            _Counts(b.individuals, common_b, grid.at(units.ground, at_b), fate_a),
         )
+        covers = None
+        if a.picture is not None and b.picture is not None:
+            ground = np.where(both, units.ground, -1)
+            covers = _covers(a.picture, b.picture, laid, grid, ground, len(units.rings), self.block)
         tested = [
-            self._patch(units, number, grid, both, target_a, target_b, counts)
+            self._patch(units, number, grid, both, target_a, target_b, counts, covers)
             for number in range(len(units.rings))
         ]
         changes = self._judged(units, tested)
-        fate_a, fate_b = _fates(a.individuals, b.individuals, at_b, common_a, common_b, laid)
         cell2 = grid.cell**2
         return Comparison(
             a=a,
@@ -304,44 +322,55 @@ class Comparing:
         target_a: BoolArray,
         target_b: BoolArray,
         counts: tuple[_Counts, _Counts],
-    ) -> tuple[float, tuple[Difference, ...], float | None]:
-        """Share seen by both, the figures, and p."""
+        covers: tuple[Float64Array, Float64Array] | None,
+    ) -> _Tested:
+        """Share seen by both, the figures, p, and the direction."""
         own = units.ground == number
         seen = float((own & both).sum() / max(1, own.sum()))
         if seen < self.least_seen:
-            return seen, (), None
+            return seen, (), None, 0.0
         area = self._area(target_a & own, target_b & own, grid)
         one, other = (count.of(number) for count in counts)
         count = self._count(one, other)
         if one.found + other.found < self.least:
-            return seen, (count, area), area.p
-        return seen, (count, area), count.p
+            return seen, (count, area), area.p, math.copysign(1.0, area.change)
+        if covers is None:
+            return seen, (count, area), count.p, math.copysign(1.0, count.change)
+        cover = self._cover(covers[0][number], covers[1][number])
+        # Both tell of the same; each weighs by how sharply it tells of a share of what was there.
+        told = [
+            (one.change / error, 0.5 * (one.before + one.after) / error)
+            for one, error in (
+                (count, self._count_error(one, other)),
+                (cover, self._cover_error(cover.before, cover.after)),
+            )
+        ]
+        (z, weight), (other_z, other_weight) = told
+        spread = math.sqrt(weight**2 + other_weight**2 + 2.0 * self.together * weight * other_weight)
+        both_tell = (weight * z + other_weight * other_z) / max(spread, 1e-9)
+        return seen, (count, cover, area), _two_sided(both_tell), math.copysign(1.0, both_tell)
+
+    def _count_error(self, one: _Count, other: _Count) -> float:
+        """Standard deviation of the difference where nothing changed: both find shares of the same ones."""
+        same = 0.5 * (one.total + other.total)
+        chance = same * (one.odds + other.odds) + one.doubt + other.doubt + 1.0
+        return math.sqrt(chance + (self.spread * same) ** 2)
+
+    def _cover_error(self, was: float, now: float) -> float:
+        return math.hypot(self.cover_spread * 0.5 * (was + now), self.cover_least)
+
+    def _cover(self, was: float, now: float) -> Difference:
+        error = self._cover_error(was, now)
+        change, half = now - was, Z95 * error
+        p = _two_sided(change / error)
+        return Difference("cover", was, now, change, change - half, change + half, p, "m2")
 
     def _count(self, one: _Count, other: _Count) -> Difference:
         change = other.total - one.total
-        same = 0.5 * (one.total + other.total)
-        # Where nothing changed, both find shares of the same individuals.
-        null = same * (one.odds + other.odds) + one.doubt + other.doubt + (self.spread * same) ** 2 + 1.0
-        # The interval: as many as were found in each.
-        variance = (
-            one.total * one.odds
-            + other.total * other.odds
-            + one.doubt
-            + other.doubt
-            + (self.spread * min(one.total, other.total)) ** 2
-            + 1.0
-        )
-        half = Z95 * math.sqrt(variance)
-        return Difference(
-            "count",
-            one.total,
-            other.total,
-            change,
-            change - half,
-            change + half,
-            _two_sided(change / math.sqrt(null)),
-            "",
-        )
+        chance = one.total * one.odds + other.total * other.odds + one.doubt + other.doubt + 1.0
+        half = Z95 * math.sqrt(chance + (self.spread * 0.5 * (one.total + other.total)) ** 2)
+        p = _two_sided(change / self._count_error(one, other))
+        return Difference("count", one.total, other.total, change, change - half, change + half, p, "")
 
     def _area(self, before: BoolArray, after: BoolArray, grid: _Grid) -> Difference:
         cell2 = grid.cell**2
@@ -362,17 +391,14 @@ class Comparing:
             "m2",
         )
 
-    def _judged(
-        self, units: _Units, tested: list[tuple[float, tuple[Difference, ...], float | None]]
-    ) -> tuple[PatchChange, ...]:
-        q = adjusted([p for _, _, p in tested])
+    def _judged(self, units: _Units, tested: list[_Tested]) -> tuple[PatchChange, ...]:
+        q = adjusted([p for _, _, p, _ in tested])
         changes = []
-        for number, (seen, differences, p) in enumerate(tested):
+        for number, (seen, differences, p, direction) in enumerate(tested):
             verdict: Verdict = "not comparable" if p is None else "unchanged"
             share = q[number]
-            if p is not None and share is not None and share <= self.level:
-                told_by = next(one for one in differences if one.p == p)
-                verdict = "gain" if told_by.change > 0.0 else "loss"
+            if p is not None and share is not None and p <= self.level and share <= self.false:
+                verdict = "gain" if direction > 0.0 else "loss"
             changes.append(
                 PatchChange(
                     before=units.before[number],
@@ -471,19 +497,30 @@ class _Count:
 class _Counts:
     """Individuals of one survey on ground that both saw, by patch."""
 
-    def __init__(self, individuals: Individuals, common: BoolArray, patch: IntArray) -> None:
+    def __init__(
+        self,
+        individuals: Individuals,
+        common: BoolArray,
+        patch: IntArray,
+        others: npt.NDArray[np.uint8],
+    ) -> None:
+        """Of one survey; `others` are the fates of those of the other, which this one found again or not."""
         self._common, self._patch = common, patch
         self._sure = individuals.confidence
         self._found = detection(individuals.hits, individuals.looks)
-        self._odds = float(((1.0 - self._found) / self._found).mean()) if len(self._found) else 0.0
+        again = int((others == Fate.THERE).sum())
+        missed = int(np.isin(others, (Fate.LOST, Fate.NEW)).sum())
+        # Of two that lie close, now the one and now the other is taken for the peak of both.
+        self._odds = missed / max(again, 1) if again >= missed else 1.0
 
     def of(self, patch: int | None) -> _Count:
         mine = self._common if patch is None else self._common & (self._patch == patch)
         sure, found = self._sure[mine], self._found[mine]
+        by_looks = float(((1.0 - found) / found).mean()) if len(found) else 0.0
         return _Count(
             found=int(mine.sum()),
             total=float((sure / found).sum()),
-            odds=float(((1.0 - found) / found).mean()) if len(found) else self._odds,
+            odds=max(by_looks, self._odds),
             doubt=float((sure * (1.0 - sure) / found**2).sum()),
         )
 
@@ -528,6 +565,45 @@ def _resampled(layers: Layers, grid: _Grid, laid: Registration) -> npt.NDArray[n
     states = _Grid(layers).at(layers.state.astype(np.int16), points)
     resampled: npt.NDArray[np.uint8] = np.maximum(states, 0).astype(np.uint8).reshape(grid.shape)
     return resampled
+
+
+def _covers(
+    a: Picture, b: Picture, laid: Registration, grid: _Grid, ground: IntArray, units: int, block: float
+) -> tuple[Float64Array, Float64Array]:
+    """Square metres that are covered of each patch, before and after, in blocks that both pictures show."""
+    ours, theirs = (_blocks(one, T, grid, block) for one, T in ((a, None), (b, laid.T_a_b)))
+    rows, cols = np.nonzero(np.isfinite(ours) & np.isfinite(theirs))
+    middle = np.column_stack(
+        [grid.bounds.x_min + (cols + 0.5) * block, grid.bounds.y_min + (rows + 0.5) * block]
+    )
+    unit = grid.at(ground, middle)
+    kept = unit >= 0
+    before, after = (
+        block**2 * np.bincount(unit[kept], share[rows, cols][kept], units) for share in (ours, theirs)
+    )
+    return np.asarray(before, np.float64), np.asarray(after, np.float64)
+
+
+def _blocks(picture: Picture, T: SE2 | None, grid: _Grid, block: float) -> Float64Array:
+    """(rows, cols) mean share of what a picture shows of each block of the earlier survey's ground; or NaN."""
+    rows, cols = np.nonzero(picture.share <= 200)
+    places = np.column_stack(
+        [
+            picture.bounds.x_min + (cols + 0.5) * picture.cell,
+            picture.bounds.y_min + (rows + 0.5) * picture.cell,
+        ]
+    )
+    if T is not None:
+        places = placed(T, places)
+    shape = (math.ceil(grid.bounds.depth / block), math.ceil(grid.bounds.width / block))
+    col = np.floor((places[:, 0] - grid.bounds.x_min) / block).astype(np.intp)
+    row = np.floor((places[:, 1] - grid.bounds.y_min) / block).astype(np.intp)
+    inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
+    flat = row[inside] * shape[1] + col[inside]
+    count = np.bincount(flat, minlength=shape[0] * shape[1])
+    total = np.bincount(flat, picture.share[rows, cols][inside] / 200.0, shape[0] * shape[1])
+    with np.errstate(invalid="ignore"):
+        return np.asarray(total / count, np.float64).reshape(shape)
 
 
 def _change(

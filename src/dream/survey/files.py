@@ -23,7 +23,7 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationErro
 from dream.geometry import Bounds
 from dream.recording import whole_or_nothing
 from dream.survey.site import Site
-from dream.survey.survey import DecisionPoint, Individuals, Layers, Measure, Patch, Survey, Track
+from dream.survey.survey import DecisionPoint, Individuals, Layers, Measure, Patch, Picture, Survey, Track
 from dream.types import Reasoning, Target
 
 SUFFIX = ".survey.npz"
@@ -59,8 +59,9 @@ _TYPES = {
     **{f"layers.{name}": kind for name, kind in _LAYERS.items()},
     **{f"track.{name}": kind for name, kind in _TRACK.items()},
     "rings": "<f8",
+    "picture.share": "|u1",
 }
-"""Of every array in the file."""
+"""Of every array in the file; of a survey without a picture, that has no cells."""
 _HEADER = "header.json"
 _BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, OSError)
 """What a damaged archive of arrays raises, by where the damage is."""
@@ -126,6 +127,11 @@ class _Bounds(_Part):
     y_max: float
 
 
+class _Picture(_Part):
+    bounds: _Bounds
+    cell: Annotated[float, Field(gt=0.0, le=1000.0)]
+
+
 class _Header(_Part):
     format: Literal["dream-survey"]
     version: Literal[1]
@@ -139,6 +145,7 @@ class _Header(_Part):
     patches: Annotated[list[_Patch], Field(max_length=100_000)]
     layers: _Bounds
     cell: Annotated[float, Field(gt=0.0, le=1000.0)]
+    picture: _Picture | None
     decisions: Annotated[list[_Decision], Field(max_length=MOST_ROWS)]
     made_by: dict[str, Any]
 
@@ -272,6 +279,7 @@ def _arrays(survey: Survey) -> dict[str, Array]:
         **{f"individuals.{name}": getattr(survey.individuals, name) for name in _INDIVIDUALS},
         **{f"layers.{name}": getattr(survey.layers, name) for name in _LAYERS},
         **{f"track.{name}": getattr(survey.track, name) for name in _TRACK},
+        "picture.share": np.zeros((0, 0), np.uint8) if survey.picture is None else survey.picture.share,
         "rings": np.concatenate([np.asarray(ring, np.float64).reshape(-1, 2) for ring in rings])
         if rings
         else np.zeros((0, 2)),
@@ -319,6 +327,9 @@ def _header(survey: Survey) -> _Header:
         ],
         layers=_box(layers.bounds),
         cell=layers.cell,
+        picture=None
+        if survey.picture is None
+        else _Picture(bounds=_box(survey.picture.bounds), cell=survey.picture.cell),
         decisions=[
             _Decision(
                 step=one.step,
@@ -386,6 +397,11 @@ def _survey(header: _Header, arrays: Arrays, where: str) -> Survey:
                 for one in header.decisions
             ),
             made_by=header.made_by,
+            picture=None
+            if header.picture is None
+            else Picture(
+                Bounds(**header.picture.bounds.model_dump()), header.picture.cell, arrays["picture.share"]
+            ),
         )
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
@@ -401,15 +417,21 @@ def _check(header: _Header, arrays: Arrays, where: str) -> None:
         if not holds:
             raise ValueError(f"{where}: {name}: expected {expected}, got {got}")
 
-    box, cell = header.layers, header.cell
-    sides = ((box.y_max - box.y_min) / cell, (box.x_max - box.x_min) / cell)
-    whole = tuple(round(side) if math.isfinite(side) and side < 2 * MOST_SIDE else 0 for side in sides)
-    expect(
-        all(1 <= n <= MOST_SIDE and abs(n - side) < 1e-6 * n for n, side in zip(whole, sides, strict=True)),
-        "layers.bounds",
-        f"1 to {MOST_SIDE} whole cells of {cell:g} m a side",
-        f"{sides[0]:g} x {sides[1]:g}",
-    )
+    def cells(box: _Bounds, cell: float, name: str) -> tuple[int, ...]:
+        sides = ((box.y_max - box.y_min) / cell, (box.x_max - box.x_min) / cell)
+        whole = tuple(round(side) if math.isfinite(side) and side < 2 * MOST_SIDE else 0 for side in sides)
+        expect(
+            all(
+                1 <= n <= MOST_SIDE and abs(n - side) < 1e-6 * n for n, side in zip(whole, sides, strict=True)
+            ),
+            f"{name}.bounds",
+            f"1 to {MOST_SIDE} whole cells of {cell:g} m a side",
+            f"{sides[0]:g} x {sides[1]:g}",
+        )
+        return whole
+
+    whole = cells(header.layers, header.cell, "layers")
+    fine = (0, 0) if header.picture is None else cells(header.picture.bounds, header.picture.cell, "picture")
     people, steps, points = len(arrays["individuals.sigma"]), len(arrays["track.time"]), len(arrays["rings"])
     expect(
         max(people, steps, points) <= MOST_ROWS, "rows", f"at most {MOST_ROWS}", max(people, steps, points)
@@ -422,6 +444,8 @@ def _check(header: _Header, arrays: Arrays, where: str) -> None:
             shape = whole
         elif name.startswith("track."):
             shape = (steps, 3) if name == "track.position" else (steps,)
+        elif name == "picture.share":
+            shape = fine
         elif name == "rings":
             shape = (sum(sum(patch.rings) for patch in header.patches), 2)
         expect(array.shape == shape, name, f"shape {shape}", array.shape)
@@ -446,6 +470,8 @@ def _check(header: _Header, arrays: Arrays, where: str) -> None:
     expect(not (arrays["layers.state"] > 4).any(), "layers.state", "values of 0 to 4", "others")
     share = arrays["layers.target_probability"]
     expect(not ((share < 0.0) | (share > 1.0)).any(), "layers.target_probability", "0 to 1 or NaN", "others")
+    share = arrays["picture.share"]
+    expect(not ((share > 200) & (share < 255)).any(), "picture.share", "0 to 200 or 255", "others")
     expect(not np.isinf(arrays["layers.relief"]).any(), "layers.relief", "metres or NaN", "infinity")
     _check_measures(header, where)
     start = 0

@@ -21,7 +21,7 @@ from dream.survey.ground import Frame, Ground, fuse, scatter_of
 from dream.survey.intervals import around
 from dream.survey.reef import measure_reef
 from dream.survey.site import Site
-from dream.survey.survey import DecisionPoint, Layers, Measure, Survey, Track
+from dream.survey.survey import DecisionPoint, Layers, Measure, Picture, Survey, Track
 from dream.survey.wreck import measure_wreck, no_individuals
 from dream.types import Observation, Reasoning, Target
 from dream.versions import commit
@@ -30,6 +30,9 @@ UNKNOWN, EXPLORED, TARGET, SOLID, SOLID_TARGET = range(5)
 """Values of `Layers.state`."""
 HULL_SHARE = 0.15
 """Share of the target cells that are solid in a wreck, at least, where nobody said what was looked for."""
+
+AROUND_TARGET = 1.0
+"""Metres around target that the picture of the ground shows."""
 
 Told = Callable[[int, int], None]
 """Is told how many of how many frames are taken in."""
@@ -114,6 +117,7 @@ def measure_observations(
         track=track,
         decisions=about.decisions,
         made_by={**about.made_by, "measuring": {**parameters, "calibration": calibration}},
+        picture=_picture(ground),
     )
 
 
@@ -195,6 +199,13 @@ def _layers(occupancy: MapLayers, ground: Ground, above: np.ndarray[Any, np.dtyp
         relief=np.where(seen, above, np.nan).astype(np.float32),
         times_seen=ground.times,
     )
+
+
+def _picture(ground: Ground) -> Picture:
+    """Of the ground around target, which is all that a comparison looks at."""
+    near = ground.around_target(AROUND_TARGET)
+    share = np.where(near.seen, np.rint(200.0 * near.share), 255.0).astype(np.uint8)
+    return Picture(near.bounds, near.cell, share)
 
 
 def _map_of(run: Path) -> OccupancyMap:

@@ -93,6 +93,18 @@ class Layers:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """What covers the ground, fine enough to show an individual: on a grid as that of `Layers`."""
+
+    bounds: Bounds
+    """Whole numbers of cells; what is far from any target is left out."""
+    cell: float
+    """Metres."""
+    share: npt.NDArray[np.uint8]
+    """(rows, cols) share of the views that took it for target, in steps of 1/200; 255 where not seen."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Track:
     """Where the vehicle was, one row a step."""
 
@@ -145,3 +157,5 @@ class Survey:
     decisions: tuple[DecisionPoint, ...]
     made_by: dict[str, Any]
     """Version, commit, planner, world and seed where simulated, and the parameters of the measuring."""
+    picture: Picture | None = None
+    """None of a survey without, which can be compared less sharply."""

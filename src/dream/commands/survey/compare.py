@@ -79,6 +79,7 @@ def _print(comparison: Comparison, files: tuple[Path, ...]) -> None:
         table.add_row("all", *_cells(one), "", f"{one.p:.2g}")
     for k, patch in enumerate(comparison.patches, start=1):
         verdict = {"gain": "[green]gain[/]", "loss": "[red]loss[/]"}.get(patch.verdict, patch.verdict)
+        verdict += "" if patch.p is None else f" (p {patch.p:.2g})"
         name = f"patch {k}" if patch.before is not None else f"patch {k}, new"
         if not patch.differences:
             table.add_row(name, "", "", "", "", verdict, "")

@@ -1,0 +1,317 @@
+"""Comparing surveys: laid on each other, told apart from chance, and only where both looked."""
+
+from __future__ import annotations
+
+import json
+import math
+import sqlite3
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.path import Path as Outline
+from PIL import Image
+from scipy.spatial import cKDTree
+from scipy.stats import false_discovery_control
+
+from dream.geometry import SE2
+from dream.survey import Survey
+from dream.survey.archive import wkb
+from dream.survey.change_map import write_change
+from dream.survey.comparison import Change, Comparing, Comparison, Fate, _Grid, adjusted, detection
+from dream.survey.registration import Registering, frames, mutual, placed
+from dream.types import Target
+from tests.survey import scenes
+from tests.survey.repeated import AREAS, BOX, SITE, Reef, Surveying, reef, survey, without
+
+COMPARING = Comparing()
+STILL = Surveying(drift=(0.0, 0.0, 0.0))
+
+
+def pair(seed: int, share: float = 0.0, how: Surveying | None = None) -> tuple[Survey, Survey]:
+    """Two surveys; in the second a share of patch 1 is dead."""
+    rng = np.random.default_rng(seed)
+    before = reef(rng)
+    after = without(before, 1, share, rng) if share else before
+    return survey(before, rng, how, "first"), survey(after, rng, how, "second")
+
+
+@pytest.fixture(scope="module")
+def same() -> list[Comparison]:
+    return [COMPARING.compare(*pair(seed)) for seed in range(6)]
+
+
+@pytest.fixture(scope="module")
+def less() -> list[Comparison]:
+    return [COMPARING.compare(*pair(seed, 0.2)) for seed in range(6)]
+
+
+# --- One on the other
+
+
+def test_a_drift_is_found_to_a_fraction_of_a_cell_and_the_covariance_says_so() -> None:
+    """The normalised square of the error is near its 3 degrees of freedom."""
+    squares = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        there = reef(rng)
+        a = survey(there, rng, STILL)
+        b = survey(there, rng, replace(STILL, drift=(1e-9, 1e-9, 1e-9)))
+        T = SE2(*rng.uniform(-0.25, 0.25, 2), float(rng.uniform(-0.01, 0.01)))
+        # Seen from a frame of which T says where it is in the first.
+        inverse = SE2(*placed(SE2(0.0, 0.0, -T.yaw), np.array([[-T.x, -T.y]]))[0].tolist(), -T.yaw)
+        position = b.individuals.position.copy()
+        position[:, :2] = placed(inverse, position[:, :2])
+        moved = replace(b, individuals=replace(b.individuals, position=position))
+        found = Registering().register(a, moved)
+        assert found.by == "individuals"
+        pivot = np.array([found.pivot])
+        at = placed(found.T_a_b, placed(inverse, pivot))[0] - pivot[0]
+        error = np.array([*at, math.remainder(found.T_a_b.yaw - T.yaw, math.tau)])
+        assert np.hypot(*at) < 0.03
+        squares.append(float(error @ np.linalg.solve(found.covariance, error)))
+    assert 0.5 < np.mean(squares) < 9.0
+
+
+def test_ground_that_shows_nothing_in_common_is_told_of_and_the_poses_are_taken() -> None:
+    rng = np.random.default_rng(2)
+    a, b = survey(reef(rng), rng, STILL), survey(reef(rng), rng, STILL)
+    blank = replace(b.layers, state=np.minimum(b.layers.state, 1))
+    found = Registering().register(a, replace(b, layers=blank))
+    assert found.by == "poses"
+    assert found.T_a_b == SE2(0.0, 0.0, 0.0)
+    assert found.sigma >= 0.3
+    assert "Nothing in both showed" in found.note
+
+
+def test_a_wreck_is_laid_by_its_map() -> None:
+    found = Registering().register(scenes.wreck(), scenes.wreck())
+    assert found.by == "map"
+    assert math.hypot(found.T_a_b.x, found.T_a_b.y) < 0.2
+
+
+def test_frames_of_other_origins_and_headings_meet_on_the_globe() -> None:
+    a, b = pair(3, how=STILL)
+    turned = replace(SITE, heading_deg=40.0, latitude=SITE.latitude + 2e-4, longitude=SITE.longitude - 1e-4)
+    T_a_b, _ = frames(a, replace(b, site=turned))
+    c, s = math.cos(T_a_b.yaw), math.sin(T_a_b.yaw)
+
+    def there(points: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+        x, y = (points - [T_a_b.x, T_a_b.y]).T
+        return np.column_stack([c * x + s * y, -s * x + c * y])
+
+    position = b.individuals.position.copy()
+    position[:, :2] = there(position[:, :2])
+    b = replace(b, site=turned, individuals=replace(b.individuals, position=position))
+    tree = cKDTree(a.individuals.position[:, :2])
+    placed_b = Registering().register(a, b).place(b.individuals.position[:, :2])
+    assert len(mutual(tree, placed_b, 0.15)) > 0.8 * len(b.individuals)
+
+
+@pytest.mark.parametrize(
+    "change, complaint",
+    [
+        ({"site": replace(SITE, name="Other reef")}, "expected two surveys of one site, got 'Test reef'"),
+        ({"site": None}, "got second, a run without origin"),
+        ({"site": replace(SITE, latitude=55.9)}, "got origins 111.* km apart"),
+        ({"target": Target.WRECK}, "expected two surveys of one target, got oysters and wreck"),
+    ],
+)
+def test_surveys_that_cannot_be_compared_are_refused(change: dict[str, object], complaint: str) -> None:
+    a, b = pair(1)
+    with pytest.raises(ValueError, match=complaint):
+        COMPARING.compare(a, replace(b, **change))  # type: ignore[arg-type]
+
+
+def test_without_any_origin_the_frames_are_taken_for_the_same_and_that_is_said() -> None:
+    a, b = pair(1, how=STILL)
+    found = COMPARING.compare(replace(a, site=None), replace(b, site=None))
+    assert "Neither run had an origin" in found.registration.note
+
+
+# --- What changed
+
+
+def test_a_survey_held_against_itself_has_not_changed() -> None:
+    a, _ = pair(4)
+    found = COMPARING.compare(a, a)
+    assert {patch.verdict for patch in found.patches} == {"unchanged"}
+    assert set(found.fate_a.tolist()) == {Fate.THERE, Fate.NOT_COMPARABLE}
+    assert (found.fate_a == found.fate_b).all()
+    assert (found.fate_a == Fate.THERE).sum() > 0.8 * len(a.individuals)
+    assert not np.isin(found.change, (Change.GAIN, Change.LOSS)).any()
+    assert found.only_a == found.only_b == 0.0
+    for difference in found.differences:
+        assert difference.change == pytest.approx(0.0, abs=1e-9)
+        assert difference.low < 0.0 < difference.high
+
+
+def test_nothing_that_did_not_change_is_told_as_changed(same: list[Comparison]) -> None:
+    verdicts = [patch.verdict for one in same for patch in one.patches]
+    assert len(verdicts) == 6 * len(AREAS)
+    assert verdicts.count("unchanged") >= len(verdicts) - 1
+
+
+def test_a_fifth_of_a_patch_that_died_is_found_there_and_nowhere_else(less: list[Comparison]) -> None:
+    found = [[patch.verdict for patch in one.patches] for one in less]
+    assert sum(verdicts[1] == "loss" for verdicts in found) >= 5
+    assert sum(verdicts[k] != "unchanged" for verdicts in found for k in (0, 2, 3)) <= 1
+
+
+def test_the_interval_of_the_count_holds_what_died(less: list[Comparison]) -> None:
+    """A fifth of those on ground that both saw."""
+    held = 0
+    for one in less:
+        count = next(d for d in one.patches[1].differences if d.name == "count")
+        held += count.low <= -0.2 * count.before <= count.high
+    assert held >= 5
+
+
+def test_without_pictures_the_individuals_tell() -> None:
+    a, b = (replace(one, picture=None) for one in pair(5, 0.3))
+    verdicts = [patch.verdict for patch in COMPARING.compare(a, b).patches]
+    assert verdicts == ["unchanged", "loss", "unchanged", "unchanged"]
+    assert {d.name for d in COMPARING.compare(a, b).patches[0].differences} == {"count", "area"}
+
+
+def test_the_other_way_round_a_loss_is_a_gain() -> None:
+    a, b = pair(6, 0.3)
+    there, back = COMPARING.compare(a, b), COMPARING.compare(b, a)
+    assert there.patches[1].verdict == "loss"
+    assert back.patches[1].verdict == "gain"
+    for one, other in zip(there.patches[1].differences, back.patches[1].differences, strict=True):
+        assert one.change == pytest.approx(-other.change, abs=0.05 * max(1.0, one.before))
+
+
+def test_a_patch_that_is_gone_is_lost_ground_and_one_that_came_is_gained() -> None:
+    rng = np.random.default_rng(7)
+    whole = reef(rng)
+
+    def only(patches: tuple[int, ...]) -> Survey:
+        kept = np.isin(whole.patch, patches)
+        part = Reef(whole.position[kept], whole.size[kept], whole.patch[kept])
+        found = survey(part, np.random.default_rng(8), STILL)
+        state = found.layers.state.copy()
+        x = BOX.x_min + 0.25 * (np.arange(state.shape[1]) + 0.5)
+        y = BOX.y_min + 0.25 * (np.arange(state.shape[0]) + 0.5)
+        for k, (mid_x, mid_y, a, b) in enumerate(AREAS):
+            if k not in patches:
+                inside = (x[None, :] - mid_x) ** 2 / (a + 1) ** 2 + (y[:, None] - mid_y) ** 2 / (b + 1) ** 2
+                state[(inside < 1.0) & (state == 2)] = 1
+        renumbered = np.searchsorted(patches, found.individuals.patch).astype(np.int32)
+        return replace(
+            found,
+            layers=replace(found.layers, state=state),
+            patches=tuple(found.patches[k] for k in patches),
+            individuals=replace(found.individuals, patch=renumbered),
+        )
+
+    found = COMPARING.compare(only((0, 1, 2)), only((0, 2, 3)))
+    verdicts = {(patch.before, patch.after): patch.verdict for patch in found.patches}
+    assert verdicts == {(0, (0,)): "unchanged", (1, ()): "loss", (2, (1,)): "unchanged", (None, (2,)): "gain"}
+    ground = found.as_dict()["ground_m2"]
+    assert ground["loss"] == pytest.approx(math.pi * 9.0, rel=0.2)
+    assert ground["gain"] == pytest.approx(math.pi * 10.0, rel=0.2)
+
+
+def test_only_ground_that_both_saw_is_compared() -> None:
+    a, b = pair(9, how=STILL)
+    state = b.layers.state.copy()
+    state[:, : state.shape[1] // 2] = 0
+    found = COMPARING.compare(a, replace(b, layers=replace(b.layers, state=state)))
+    assert [patch.verdict for patch in found.patches] == [
+        *("not comparable", "unchanged", "not comparable", "unchanged")
+    ]
+    assert found.patches[0].p is None
+    assert (found.change[:, : state.shape[1] // 2 - 1] == Change.NOT_COMPARABLE).all()
+    west = a.individuals.position[:, 0] < 19.0
+    assert (found.fate_a[west] == Fate.NOT_COMPARABLE).all()
+    both = (a.layers.state > 0) & (state > 0)
+    assert found.comparable == pytest.approx(both.sum() * 0.0625, rel=0.02)
+
+
+def test_a_wreck_is_told_by_its_area() -> None:
+    found = COMPARING.compare(scenes.wreck(), scenes.wreck())
+    assert [patch.verdict for patch in found.patches] == ["unchanged"] * len(found.patches)
+    assert [difference.name for difference in found.differences] == ["area"]
+
+
+# --- The parts
+
+
+@pytest.mark.parametrize("rate", [0.1, 0.4, 0.9])
+def test_the_share_that_is_found_comes_from_those_that_are(rate: float) -> None:
+    rng = np.random.default_rng(3)
+    looks = rng.integers(1, 12, 40_000)
+    hits = rng.binomial(looks, rate)
+    found = hits > 0
+    share = detection(hits[found].astype(np.int32), looks[found].astype(np.int32))
+    assert (1.0 / share).sum() == pytest.approx(40_000, rel=0.02)
+
+
+def test_many_tests_are_held_to_a_rate_of_false_ones() -> None:
+    p = np.random.default_rng(1).uniform(0.0, 1.0, 20) ** 3
+    mixed = [None, *p.tolist(), None]
+    assert np.array(adjusted(mixed)[1:-1]) == pytest.approx(false_discovery_control(p))
+    assert adjusted(mixed)[0] is None
+
+
+def test_cells_within_rings_are_those_that_a_plotting_library_finds() -> None:
+    one = scenes.reef()
+    grid = _Grid(one.layers)
+    x, y = np.meshgrid(grid.x, grid.y)
+    points = np.column_stack([x.ravel(), y.ravel()])
+    for patch in one.patches:
+        expected = Outline(patch.rings[0]).contains_points(points)
+        for hole in patch.rings[1:]:
+            expected &= ~Outline(hole).contains_points(points)
+        assert (grid.within(patch.rings).ravel() != expected).sum() <= 2
+
+
+def test_parts_that_touch_at_a_corner_are_polygons_of_their_own_with_their_holes() -> None:
+    def square(x: float, y: float, side: float) -> np.ndarray:  # type: ignore[type-arg]
+        return np.array([(x, y), (x + side, y), (x + side, y + side), (x, y + side), (x, y)])
+
+    shape = wkb.multipolygon([square(0, 0, 4), square(4, 4, 3), square(5, 5, 1)[::-1], square(1, 1, 1)[::-1]])
+    assert wkb.kind(shape) == 6
+    assert wkb.envelope(shape) == (0.0, 7.0, 0.0, 7.0)
+    parts = [
+        wkb.polygon([square(0, 0, 4), square(1, 1, 1)[::-1]]),
+        wkb.polygon([square(4, 4, 3), square(5, 5, 1)[::-1]]),
+    ]
+    assert shape[9:] == b"".join(parts)
+
+
+# --- As files
+
+
+def test_the_change_is_written_as_a_picture_layers_and_figures(
+    less: list[Comparison], tmp_path: Path
+) -> None:
+    png, gpkg, text = write_change(less[0], tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["change.gpkg", "change.json", "change.png"]
+    with Image.open(png) as picture:
+        assert len(picture.convert("RGB").getcolors(1 << 24) or ()) > 5
+    assert json.loads(text.read_text()) == less[0].as_dict()
+    database = sqlite3.connect(gpkg)
+    assert database.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+    verdicts = [row[0] for row in database.execute("SELECT verdict FROM patches ORDER BY patch")]
+    fates = dict(
+        database.execute("SELECT fate, count(*) FROM individuals WHERE survey = 'before' GROUP BY 1")
+    )
+    database.close()
+    assert verdicts == [patch.verdict for patch in less[0].patches]
+    assert fates["lost"] == (less[0].fate_a == Fate.LOST).sum()
+
+
+def test_on_a_full_disk_no_part_of_the_change_is_written(
+    same: list[Comparison], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(OSError, match=r"could not write the change to .*No space left"):
+        write_change(same[0], tmp_path)
+    assert list(tmp_path.iterdir()) == []
