@@ -47,14 +47,16 @@ def test_what_is_foretold_is_likeliest_where_it_was_and_never_certain() -> None:
 
 def test_the_older_a_survey_the_less_it_foretells_and_the_more_may_have_come() -> None:
     young, old = (Recall(survey(patch(40, 40), years=years)).foretold for years in (1.0, 8.0))
-    assert old[40, 40] < young[40, 40] and old[5, 5] > young[5, 5]
+    assert old[40, 40] < young[40, 40]
+    assert old[5, 5] > young[5, 5]
 
 
 def test_where_the_survey_saw_nothing_it_foretells_nothing() -> None:
     seen = NOWHERE.copy()
     seen[:, :60] = True
     recall = Recall(survey(patch(40, 40), seen))
-    assert np.isnan(recall.foretold[:, 60:]).all() and not np.isnan(recall.foretold[:, :60]).any()
+    assert np.isnan(recall.foretold[:, 60:]).all()
+    assert not np.isnan(recall.foretold[:, :60]).any()
     beside = np.full(NOWHERE.shape, 0.3, np.float32)
     np.testing.assert_array_equal(recall.weighed(beside, ~NOWHERE)[:, 60:], beside[:, 60:])
 
@@ -139,7 +141,10 @@ def test_it_goes_where_the_targets_were(known: list[Step], string_reef: World) -
 def test_its_words_say_what_the_survey_foretells_and_what_is_new(known: list[Step]) -> None:
     words = known[-1].decision.reasoning.distribution
     told = re.search(r"The survey last year, 1\.0 years old, is believed to (\d+)%: ([\d.]+) m²", words)
-    assert told is not None and int(told[1]) > 50 and "are new" in words and "are gone" in words
+    assert told is not None
+    assert int(told[1]) > 50
+    assert "are new" in words
+    assert "are gone" in words
 
 
 def test_what_a_survey_says_was_empty_is_not_seen_ground() -> None:
@@ -156,4 +161,5 @@ def test_what_a_survey_says_was_empty_is_not_seen_ground() -> None:
 
 def test_without_a_survey_there_is_nothing_to_recall() -> None:
     pilot = Belief().begin(Mission(DREAM_V1, AREA, 200))
-    assert isinstance(pilot, BeliefPilot) and pilot.recall is None
+    assert isinstance(pilot, BeliefPilot)
+    assert pilot.recall is None

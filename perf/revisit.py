@@ -1,0 +1,103 @@
+"""What an earlier survey is worth: `belief` on a reef a year on, with the survey of then and without.
+
+    python perf/revisit.py                    dev-like worlds of four families; hours on a busy machine
+    python perf/revisit.py --seeds 101 102    only some
+    python perf/revisit.py --kind other       with the survey of another reef; also shift, empty
+
+Every mission is kept in `--out` as it ends, so that the same call goes on where it was. Ratios are of steps
+to 98.26 %, in pairs, 200 where it was never reached; see docs/revisit.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.progress import track
+
+from dream.evaluation.metrics import Scorer
+from dream.evaluation.runner import simulate
+from dream.evaluation.suites import REEF_FAMILIES
+from dream.geometry import Bounds
+from dream.mapping import OccupancyMap
+from dream.mapping.prior import Prior
+from dream.planning import Belief
+from dream.protocol import DREAM_V1
+from dream.sim.worlds import make_world
+
+KINDS = ("right", "other", "shift", "empty")
+SHIFT = 4.0
+"""Metres east and north by which a survey is told in the wrong place."""
+SIGMA = 0.1
+
+
+def fly(name: str, seed: int, keep: Path, prior: Prior | None = None) -> dict[str, Any]:
+    """One mission to its own stop, or its record where it was flown before; its map lies beside it."""
+    if keep.exists():
+        return dict(json.loads(keep.read_text()))
+    world = make_world(name, seed)
+    scorer = Scorer(world, DREAM_V1)
+    for step in simulate(world, Belief(), DREAM_V1, prior=prior):
+        scorer.add(step)
+    step.occupancy.save(keep.with_suffix(".npz"))
+    told = {key: scorer.summary()[key] for key in ("t90", "t98", "t_stop", "collisions", "success")}
+    keep.write_text(json.dumps(told))
+    return told
+
+
+def surveyed(path: Path, bounds: Bounds, kind: str) -> Prior:
+    """The survey that a kept map makes, right or wrong in one of the ways, on the cells of those bounds."""
+    then, cell = OccupancyMap.load(path), DREAM_V1.cell
+    shape = round(bounds.depth / cell), round(bounds.width / cell)
+    row, col = np.mgrid[: shape[0], : shape[1]]
+    shift = SHIFT if kind == "shift" else 0.0
+    x = bounds.x_min + (col + 0.5) * cell - shift
+    y = bounds.y_min + (row + 0.5) * cell - shift
+    inside = then.contains(x, y)
+    i, j = then.cell_of(x[inside], y[inside])
+    target, solid = np.full(shape, np.nan, np.float32), np.zeros(shape, np.bool_)
+    told = then.target_probability if kind != "empty" else np.zeros_like(then.target_probability)
+    target[inside] = np.where(then.seen[i, j], told[i, j], np.nan)
+    solid[inside] = then.solid[i, j]
+    return Prior(bounds, cell, target, solid, SIGMA, 1.0, "of a year ago")
+
+
+def main() -> int:
+    """Fly what is missing and print a line a family."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, nargs="+", default=range(101, 111))
+    parser.add_argument("--kind", choices=KINDS, default="right")
+    parser.add_argument("--out", type=Path, default=Path("bench/revisit"))
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    cases = [(family, seed) for seed in options.seeds for family in REEF_FAMILIES]
+    rows: dict[str, list[tuple[float, float, float, float]]] = {}
+    for family, seed in track(cases, description=options.kind, transient=True):
+        first, later = f"reef/{family}", f"reef/{family}+1y1"
+        of = seed if options.kind != "other" else options.seeds[0] + (seed - options.seeds[0] + 1) % 5
+        fly(first, of, options.out / f"{family}-{of}-before.json")
+        without = fly(later, seed, options.out / f"{family}-{seed}-without.json")
+        prior = surveyed(
+            options.out / f"{family}-{of}-before.npz", make_world(later, seed).bounds, options.kind
+        )
+        with_it = fly(later, seed, options.out / f"{family}-{seed}-{options.kind}.json", prior)
+        told = [mission[key] or DREAM_V1.cap for mission in (with_it, without) for key in ("t98", "t_stop")]
+        rows.setdefault(family, []).append((told[0], told[2], told[1], told[3]))
+    print("| worlds | 98.26 % with | without | median ratio | own stop with | without |")
+    print("|---|--:|--:|--:|--:|--:|")
+    everything = [row for of_family in rows.values() for row in of_family]
+    for title, chosen in [("all", everything), *rows.items()]:
+        table = np.array(chosen)
+        ratio = float(np.median(table[:, 0] / table[:, 1]))
+        cells = [f"{title} ({len(table)})", *(f"{table[:, k].mean():.1f}" for k in (0, 1))]
+        cells += [f"{ratio:.2f}", *(f"{table[:, k].mean():.1f}" for k in (2, 3))]
+        print(f"| {' | '.join(cells)} |")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
