@@ -57,6 +57,8 @@ class Surveying:
     """Relative standard deviation of the share found, of a whole patch at once."""
     edge: float = 0.1
     """Of outlines."""
+    unseen: float = 0.04
+    """Share of the box that it does not see, elsewhere each time."""
 
 
 def reef(rng: np.random.Generator, density: float = 8.0) -> Reef:
@@ -191,7 +193,6 @@ def _state(rng: np.random.Generator, how: Surveying, drift: Float64Array) -> npt
     for mid_x, mid_y, a, b in AREAS:
         r = np.sqrt(((x - mid_x) / a) ** 2 + ((y - mid_y) / b) ** 2)
         state[(r - 1.0) * min(a, b) + wobble < 0.0] = 2
-    # One corner of the box was not seen, another each time.
     unseen = ndimage.gaussian_filter(rng.normal(0.0, 1.0, (count, count)), 12.0)
-    state[unseen > np.quantile(unseen, 0.93)] = 0
+    state[unseen > np.quantile(unseen, 1.0 - how.unseen)] = 0
     return state

@@ -585,7 +585,7 @@ def _covers(
 
 
 def _blocks(picture: Picture, T: SE2 | None, grid: _Grid, block: float) -> Float64Array:
-    """(rows, cols) mean share of what a picture shows of each block of the earlier survey's ground; or NaN."""
+    """(rows, cols) mean share of what a picture shows of each block of the earlier survey's grid, or NaN."""
     rows, cols = np.nonzero(picture.share <= 200)
     places = np.column_stack(
         [
