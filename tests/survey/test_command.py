@@ -1,0 +1,142 @@
+"""`dream survey`: what it prints, what it writes, how it fails; and `dream run --site`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dream.cli import run_command
+from dream.survey import files
+from dream.survey.archive import VARIABLE
+from dream.survey.site import Site, read_site, write_site
+from tests.survey.repeated import reef, survey, without
+from tests.survey.scenes import reef as made_reef
+
+
+@pytest.fixture
+def two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with two surveys of a site, in which we are; a third of a patch died between them."""
+    rng = np.random.default_rng(12)
+    before = reef(rng)
+    files.write(survey(before, rng, name="first"), tmp_path / "first.survey.npz")
+    files.write(survey(without(before, 1, 0.33, rng), rng, name="second"), tmp_path / "second.survey.npz")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv(VARIABLE, raising=False)
+    return tmp_path
+
+
+def said(words: str, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    """The one object that a command prints."""
+    capsys.readouterr()
+    assert run_command([*words.split(), "--json"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("\n") == 1
+    return dict(json.loads(printed))
+
+
+def complaint(words: str, capsys: pytest.CaptureFixture[str], status: int = 2) -> str:
+    """The one line that a command fails with."""
+    capsys.readouterr()
+    assert run_command(words.split()) == status
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.count("\n") == 1
+    return printed.err
+
+
+def test_surveys_are_kept_listed_shown_and_compared(two: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert said("survey add first.survey.npz", capsys) == {
+        "archive": "surveys.gpkg",
+        "survey": 1,
+        "name": "first",
+        "new": True,
+    }
+    assert said("survey add second.survey.npz", capsys)["survey"] == 2
+    assert not said("survey add first.survey.npz", capsys)["new"]
+    listed = said("survey list", capsys)["surveys"]
+    assert [(one["survey"], one["name"], one["site"]) for one in listed] == [
+        (1, "first", "Test reef"),
+        (2, "second", "Test reef"),
+    ]
+    assert said("survey show 2", capsys)["individuals"] == listed[1]["individuals"]
+    compared = said("survey compare 1 2 --out told", capsys)
+    assert [patch["verdict"] for patch in compared["patches"]].count("loss") == 1
+    assert compared["patches"][1]["verdict"] == "loss"
+    assert sorted(path.name for path in (two / "told").iterdir()) == [
+        *("change.gpkg", "change.json", "change.png")
+    ]
+    for words in ("survey list", "survey show 1", "survey compare 1 second.survey.npz"):
+        assert run_command(words.split()) == 0
+        assert "first" in capsys.readouterr().out
+
+
+def test_the_archive_is_the_one_that_is_named_else_that_of_the_environment(
+    two: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(VARIABLE, str(two / "there.gpkg"))
+    assert said("survey add first.survey.npz", capsys)["archive"] == str(two / "there.gpkg")
+    assert said("survey add first.survey.npz --archive here.gpkg", capsys)["archive"] == "here.gpkg"
+    assert not (two / "surveys.gpkg").exists()
+
+
+@pytest.mark.parametrize(
+    "words, expected",
+    [
+        ("survey list", "surveys.gpkg: expected an archive of surveys, got no file"),
+        ("survey show 1", "surveys.gpkg: expected an archive of surveys, got no file"),
+        ("survey show nothing", "nothing: expected the number of a survey in the archive, its file, or the"),
+        ("survey show first.survey.npz --site none.json", "none.json: expected a site file"),
+        ("survey add nowhere.survey.npz", "run without origin"),
+        ("survey add damaged.survey.npz", "damaged.survey.npz: expected the file of a survey, got damaged"),
+        ("survey add .", "expected a run folder, got no config.json"),
+        ("survey add first.survey.npz --archive damaged.survey.npz", "got a damaged or foreign file"),
+        ("survey compare first.survey.npz elsewhere.survey.npz", "expected two surveys of one site"),
+        ("survey compare first.survey.npz nowhere.survey.npz", "a run without origin"),
+        ("survey list --archive mysql://me:secret@host/reef", "expected a path or postgresql://"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line_and_nothing_is_written(
+    words: str, expected: str, two: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one = made_reef()
+    files.write(replace(one, site=None), two / "nowhere.survey.npz")
+    files.write(replace(one, site=Site("Other reef", 10.0, 10.0)), two / "elsewhere.survey.npz")
+    (two / "damaged.survey.npz").write_bytes(files.dumped(one)[:-3000])
+    before = {path: path.read_bytes() for path in two.iterdir()}
+    error = complaint(words, capsys)
+    assert expected in error
+    assert "secret" not in error
+    assert {path: path.read_bytes() for path in two.rglob("*") if path.is_file()} == before
+
+
+def test_a_run_with_a_site_is_measured_and_kept(two: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    site = Site("Inner reef", 54.9, 8.3, heading_deg=20.0)
+    write_site(site, two / "reef.json")
+    assert read_site(two / "reef.json") == site
+    said("run belief --world reef/string --max-steps 12 --site reef.json --out runs", capsys)
+    run = next(path for path in (two / "runs").iterdir() if not path.is_symlink())
+    assert read_site(run / "site.json") == site
+    assert len(list((run / "observations").iterdir())) == 12
+    added = said(f"survey add {run} --save flown.survey.npz", capsys)
+    assert added["name"] == run.name
+    assert files.read(two / "flown.survey.npz").site == site
+    assert said("survey show 1", capsys)["site"]["name"] == "Inner reef"
+    assert "expected none, because" in complaint(f"survey show {run} --site {_other(two)}", capsys)
+
+
+def test_a_site_that_cannot_be_read_stops_a_run_before_it_begins(
+    two: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (two / "bad.json").write_text('{"name": "reef", "latitude": 95, "longitude": 8}')
+    assert "latitude" in complaint("run --site bad.json --out runs", capsys)
+    assert not (two / "runs").exists()
+
+
+def _other(folder: Path) -> Path:
+    write_site(Site("Other reef", 1.0, 2.0), folder / "other.json")
+    return folder / "other.json"
