@@ -182,6 +182,8 @@ def test_the_command_prints_one_object(
 def test_the_command_says_what_is_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    for report in ("page", "pdf"):
+        monkeypatch.setattr(f"dream.survey.products.{report}.write", lambda *_: None)
     opened(Export("7", tmp_path / "out"), reef(site=None), monkeypatch)()
     out = capsys.readouterr().out
     assert "measures.csv" in out
