@@ -170,11 +170,11 @@ def test_from_a_run_it_lies_on_the_globe(tmp_path: Path) -> None:
     pytest.importorskip("pyproj")
     (tmp_path / replay.FOLDER).mkdir()
     for number in range(3):
-        kept = replay.Kept(None, looking_down(8.0 + number, 7.0, 2.0))
+        kept = replay.Kept(None, looking_down(7.0 + 1.5 * number, 8.0, 2.0))
         replay.write(tmp_path / replay.FOLDER / f"{number:04d}.npz", kept)
     path = tmp_path / "mosaic.tif"
     Mosaic(cell=CELL).write(reef(), tmp_path, path)
-    x, y = np.array([8.0, 9.3, 10.5]), np.array([7.0, 6.5, 7.4])
+    x, y = np.array([7.0, 8.3, 10.5]), np.array([8.0, 7.5, 8.4])
     easting, northing = Ground(SITE).sheet(x, y)
     with rasterio.open(path) as file:
         assert file.count == 3
@@ -183,6 +183,16 @@ def test_from_a_run_it_lies_on_the_globe(tmp_path: Path) -> None:
         (unseen,) = file.sample([Ground(SITE).sheet(1.0, 1.0)], masked=True)
     assert np.abs(found.astype(float) - colour(x, y)).max() <= 2.0
     assert unseen.mask.all()
+
+
+def test_frames_of_another_run_are_refused(tmp_path: Path) -> None:
+    pytest.importorskip("rasterio")
+    pytest.importorskip("pyproj")
+    (tmp_path / replay.FOLDER).mkdir()
+    replay.write(tmp_path / replay.FOLDER / "0000.npz", replay.Kept(None, looking_down(7.0, 9.0, 2.0)))
+    with pytest.raises(ValueError, match=r"0000.npz: .*1\.00 m from its track"):
+        Mosaic(cell=CELL).write(reef(), tmp_path, tmp_path / "mosaic.tif")
+    assert not (tmp_path / "mosaic.tif").exists()
 
 
 def test_without_observations_it_says_how_to_get_them(tmp_path: Path) -> None:

@@ -27,6 +27,8 @@ Float64Array = npt.NDArray[np.float64]
 
 NAME = "mosaic.tif"
 LEAST_WEIGHT = 1e-30
+SAME_PLACE = 0.1
+"""Metres: a frame that was made farther from the track of a survey is of another run."""
 SMALL = 1400
 """Cells along the longer side of a mosaic in a report."""
 
@@ -68,7 +70,7 @@ class Mosaic:
 
         Raises:
             FileNotFoundError: Nothing was kept of the run.
-            ValueError: An observation is damaged, or the survey has no origin.
+            ValueError: An observation is damaged or of another run, or the survey has no origin.
             OSError: It cannot be written.
         """
         ground = Ground(site_of(survey))
@@ -81,7 +83,7 @@ class Mosaic:
         box = survey.layers.bounds
         sheet = geotiff.sheet_around(ground, geotiff.corners_of(survey.layers), self.cell)
         plan = _Plan(sheet, ground, box)
-        frames = (replay.read(file).observation for file in watched(files))
+        frames = (_of(survey, replay.read(file).observation, file) for file in watched(files))
         picture, mask = self.paint(frames, plan.to_cells, (sheet.rows, sheet.cols))
         geotiff.write_cog(
             path,
@@ -136,6 +138,18 @@ class Mosaic:
         points = seen.camera.back_project(np.where(good, seen.depth, 1.0), seen.T_world_camera)[..., :2]
         away = np.linalg.norm(points - seen.T_world_camera.translation[:2], axis=-1)
         return np.asarray(points, np.float64), good & (away <= self.reach)
+
+
+def _of(survey: Survey, seen: Observation, file: Path) -> Observation:
+    """The same, once it is sure that it was made on the way that the survey tells."""
+    here = seen.T_world_base.translation[:2]
+    away = np.linalg.norm(survey.track.position[:, :2] - here, axis=1).min(initial=np.inf)
+    if not away <= SAME_PLACE:
+        raise ValueError(
+            f"{file}: expected a frame of {survey.name}, got one made {away:.2f} m from its track. "
+            "Is it the folder of another run?"
+        )
+    return seen
 
 
 class _Plan:
