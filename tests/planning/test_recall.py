@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -111,7 +112,7 @@ def test_a_prior_of_another_map_is_refused_before_anything_moves(string_reef: Wo
         ("years", float("nan"), "years"),
     ],
 )
-def test_a_prior_that_says_nonsense_is_refused(field: str, value: object, message: str) -> None:
+def test_a_prior_that_says_nonsense_is_refused(field: str, value: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         replace(survey(NOWHERE), **{field: value})
 

@@ -40,8 +40,8 @@ def test_a_name_and_a_seed_give_the_same_future_for_ever(on: World) -> None:
 
 def test_what_does_not_live_stays_as_it_was(on: World) -> None:
     before = made("reef/string")
-    for field in ("bounds", "starts", "water", "meshes", "seed", "protocol"):
-        assert getattr(on, field) == getattr(before, field)
+    for name in ("bounds", "starts", "water", "meshes", "seed", "protocol"):
+        assert getattr(on, name) == getattr(before, name)
     for field in dataclasses.fields(before.obstacles):
         np.testing.assert_array_equal(
             getattr(on.obstacles, field.name), getattr(before.obstacles, field.name)
