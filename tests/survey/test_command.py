@@ -121,7 +121,8 @@ def test_a_run_with_a_site_is_measured_and_kept(two: Path, capsys: pytest.Captur
     said("run belief --world reef/string --max-steps 12 --site reef.json --out runs", capsys)
     run = next(path for path in (two / "runs").iterdir() if not path.is_symlink())
     assert read_site(run / "site.json") == site
-    assert len(list((run / "observations").iterdir())) == 12
+    # A first look before all of them.
+    assert len(list((run / "observations").iterdir())) == 13
     added = said(f"survey add {run} --save flown.survey.npz", capsys)
     assert added["name"] == run.name
     assert files.read(two / "flown.survey.npz").site == site

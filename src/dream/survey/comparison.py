@@ -336,7 +336,7 @@ class Comparing:
             return seen, (count, area), area.p, math.copysign(1.0, area.change)
         if covers is None:
             return seen, (count, area), count.p, math.copysign(1.0, count.change)
-        cover = self._cover(covers[0][number], covers[1][number])
+        cover = self._cover(float(covers[0][number]), float(covers[1][number]))
         # Both tell of the same; each weighs by how sharply it tells of a share of what was there.
         told = [
             (one.change / error, 0.5 * (one.before + one.after) / error)
