@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import optimize
+from scipy import ndimage, optimize
 from scipy.spatial import cKDTree
 
 from dream.commands.console import with_progress
@@ -278,8 +278,6 @@ def heights(drawn: Plan, on_reef: npt.NDArray[np.bool_]) -> Float64Array:
 
 def patches_grown(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     """The mask and `relief.RIM` around it."""
-    from scipy import ndimage
-
     grown: npt.NDArray[np.bool_] = ndimage.distance_transform_edt(~mask, TRUE_CELL) <= relief.RIM
     return grown
 
@@ -288,6 +286,7 @@ def truth_of_wreck(world: World, seen: npt.NDArray[np.bool_]) -> dict[str, Any]:
     """Outline, share of the hull seen, debris and highest point as they are."""
     drawn = plan(world)
     marks, count = patches.parts(patches.closed(drawn.cover, TRUE_CELL), TRUE_CELL, 0.25)
+    marks[ndimage.binary_fill_holes(marks == 0)] = 0
     corner = (world.bounds.x_min, world.bounds.y_min)
     rings = [patches.rings(marks == number, corner, TRUE_CELL)[0] for number in range(count)]
     tops = [
@@ -446,8 +445,9 @@ def measured(mission: Mission, cache: Path) -> tuple[Survey, dict[str, Any]]:
         return survey, known_truth(world, mission, cache)
     been = [_transform(matrix).se2 for matrix in flown(mission, world, cache)["truth"]]
     poses = np.array([[pose.x, pose.y, pose.yaw] for pose in been])
-    seen = np.asarray(Visibility(world, protocol).seen(poses).any(axis=0))
-    return survey, truth_of_wreck(world, seen)
+    visibility = Visibility(world, protocol)
+    seen = np.asarray(visibility.seen(poses).any(axis=0))
+    return survey, truth_of_wreck(world, seen[visibility.countable])
 
 
 def compared(survey: Survey, truth: dict[str, Any]) -> Iterator[dict[str, Any]]:

@@ -49,10 +49,14 @@ def test_the_sums_of_a_frame_are_those_of_its_points() -> None:
     for (v, u), z in np.ndenumerate(seen.depth):
         px, py, pz = points[v, u]
         label = seen.labels[v, u]
-        if not (0.1 <= z <= 20.0) or np.hypot(px - x, py - y) > DREAM_V1.reach:
+        if not (0.1 <= z <= 20.0):
             continue
         row, col = int((py + 4.0) // drawn.cell), int((px + 4.0) // drawn.cell)
         if not (0 <= row < rows and 0 <= col < cols):
+            continue
+        if label == Label.TARGET:
+            top[row, col] = max(top[row, col], pz)
+        if np.hypot(px - x, py - y) > DREAM_V1.reach:
             continue
         times[row // 10, col // 10] = 1
         if label not in (Label.SEABED, Label.TARGET):
@@ -63,7 +67,6 @@ def test_the_sums_of_a_frame_are_those_of_its_points() -> None:
         nearest[row, col] = min(nearest[row, col], z)
         if label == Label.TARGET:
             share[row, col] += w
-            top[row, col] = max(top[row, col], pz)
     seen_cells = weight > 0.0
     assert seen_cells.sum() > 300
     assert (drawn.seen == seen_cells).all()

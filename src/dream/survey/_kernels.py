@@ -47,7 +47,7 @@ def splat(
         height: (rows, cols) sum of weight times z; added to.
         share: (rows, cols) sum of the weights of target; added to.
         nearest: (rows, cols) least depth; lowered.
-        top: (rows, cols) greatest z of target; raised.
+        top: (rows, cols) greatest z of target, also beyond the reach; raised.
     """
     rows, cols = weight.shape
     high, wide = depth.shape
@@ -61,19 +61,21 @@ def splat(
             a = (u + 0.5 - lens[2]) / lens[0]
             dx = z * (rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2])
             dy = z * (rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2])
-            if dx * dx + dy * dy > limits[2] * limits[2]:
-                continue
             col = math.floor((origin[0] + dx - corner[0]) / cell)
             row = math.floor((origin[1] + dy - corner[1]) / cell)
             if row < 0 or col < 0 or row >= rows or col >= cols:
                 continue
             dz = z * (rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2])
+            if label == TARGET:
+                # The top of a hull is only in the image from further off than labels are trusted.
+                top[row, col] = max(top[row, col], origin[2] + dz)
+            if dx * dx + dy * dy > limits[2] * limits[2]:
+                continue
             w = 1.0 / (z * z * z * z)
             weight[row, col] += w
             height[row, col] += w * (origin[2] + dz)
             if label == TARGET:
                 share[row, col] += w
-                top[row, col] = max(top[row, col], origin[2] + dz)
             if z < nearest[row, col]:
                 nearest[row, col] = z
 

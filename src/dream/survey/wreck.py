@@ -21,10 +21,21 @@ Float64Array = npt.NDArray[np.float64]
 
 SMALLEST_PIECE = 0.25
 """Square metres: a smaller piece is no debris but may be a false target."""
+EDGE = 0.08
+"""Metres by which an outline may be off all along: a flare hides the foot of a hull, and depths that scatter
+thicken its walls. Seen on a few simulated wrecks, not calibrated."""
+APART = 0.5
+"""Share of the debris that may be taken for hull or the other way round, or not be seen."""
+TOP = 0.15
+"""Metres by which the highest point may be off: thin fittings are seen in part."""
+LEAST_UNSEEN = 0.02
+"""Share of a hull that may be hidden where nothing is expected to be."""
+DISTANCE = 6.0
+"""Metres: how far off the top of a hull is where it is in the image, about."""
 HIGHEST = 5
 """The highest point is as high as so many cells of the fine picture."""
-HULL_SPREAD = 0.25
-"""Share by which what is expected of the unseen hull may be wrong, times two."""
+HULL_SPREAD = 0.5
+"""Share of the unseen hull by which what is expected of it may be wrong."""
 
 
 def measure_wreck(
@@ -46,6 +57,8 @@ def measure_wreck(
         Measures of the whole, the hull and its debris as patches, and (rows, cols) metres above the seabed on
         the map's grid.
     """
+    from scipy import ndimage
+
     calibration, cell = calibration_for(ground.scatter), ground.cell
     times = round(occupancy.protocol.cell / cell)
     covered = ground.seen & (ground.share >= 0.5)
@@ -62,11 +75,13 @@ def measure_wreck(
     corner = (ground.bounds.x_min, ground.bounds.y_min)
     pieces, outlines = [], []
     fine = np.repeat(np.repeat(base, times, axis=0), times, axis=1)
-    edge = together(calibration.edge_spread, sigma)
+    edge = together(EDGE, sigma)
     for number in range(count):
         mask = marks == number
         rows, cols = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
         box = np.s_[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
+        # A deck above the camera is not seen: what the outline holds is hull.
+        mask[box] = ndimage.binary_fill_holes(mask[box])
         rings = patches.rings(mask[box], (corner[0] + cols[0] * cell, corner[1] + rows[0] * cell), cell)
         outlines.append(rings)
         outline = patches.perimeter(rings[:1])
@@ -82,7 +97,7 @@ def measure_wreck(
                     around("area", area, edge * outline, "m2"),
                     around("length", length, side, "m", "greatest distance across"),
                     around("width", width, side, "m", "least distance across"),
-                    _highest("height", heights, ground, calibration.relief_spread),
+                    _highest("height", heights, ground),
                 ),
             )
         )
@@ -93,10 +108,8 @@ def measure_wreck(
     measures = (
         hull[0],
         _seen_share(observations, occupancy),
-        around(
-            "debris_extent", extent, math.sqrt(2.0) * edge, "m", "greatest distance across hull and debris"
-        ),
-        around("debris_area", debris, edge * sum(map(patches.perimeter, outlines[1:])), "m2"),
+        around("debris_extent", extent, 2.0 * edge, "m", "greatest distance across hull and debris"),
+        around("debris_area", debris, together(APART * debris, patches.SMALLEST), "m2"),
         hull[1],
     )
     return measures, tuple(pieces), above
@@ -108,12 +121,12 @@ def no_individuals() -> Individuals:
     return Individuals(np.zeros((0, 3)), none, none, none, whole, whole, none, whole)
 
 
-def _highest(name: str, heights: Float64Array, ground: Ground, spread: float) -> Measure:
+def _highest(name: str, heights: Float64Array, ground: Ground) -> Measure:
     if len(heights) < HIGHEST:
         return unknown(name, "m", "too little of it was seen with seabed beside it")
     # The greatest of many depths that scatter is too great; a few cells are passed over for it.
     passed = HIGHEST if ground.scatter < 5e-4 else max(HIGHEST, round(0.005 * len(heights)))
-    error = together(spread, 4.0 * ground.scatter * 9.0)
+    error = together(TOP, 2.0 * ground.scatter * DISTANCE**2)
     return around(name, float(heights[-min(passed, len(heights))]), error, "m", "above the seabed around")
 
 
@@ -125,7 +138,7 @@ def _seen_share(observations: Iterable[Observation], occupancy: MapLayers) -> Me
     if total <= 0.0:
         return unknown("hull_seen", "", "no hull was seen")
     share, rest = hull.found / total, hull.unseen / total
-    error = rest * math.sqrt(0.25 + 1.0 / max(hull.unseen, 1.0)) + 2.0 * HULL_SPREAD * rest * share
+    error = together(HULL_SPREAD * rest, rest / math.sqrt(max(hull.unseen, 1.0)), LEAST_UNSEEN)
     note = f"about {total:.0f} patches of {PATCH:g} m, {hull.unseen:.0f} of them expected and not seen"
     told = around("hull_seen", share, error, "", note)
     return Measure(told.name, share, told.low, min(1.0, told.high or 1.0), "", note)
