@@ -59,9 +59,11 @@ def test_a_drift_is_found_to_a_fraction_of_a_cell_and_the_covariance_says_so() -
         there = reef(rng)
         a = survey(there, rng, STILL)
         b = survey(there, rng, replace(STILL, drift=(1e-9, 1e-9, 1e-9)))
-        T = SE2(*rng.uniform(-0.25, 0.25, 2), float(rng.uniform(-0.01, 0.01)))
+        east, north, yaw = (float(rng.uniform(-most, most)) for most in (0.25, 0.25, 0.01))
+        T = SE2(east, north, yaw)
         # Seen from a frame of which T says where it is in the first.
-        inverse = SE2(*placed(SE2(0.0, 0.0, -T.yaw), np.array([[-T.x, -T.y]]))[0].tolist(), -T.yaw)
+        back = placed(SE2(0.0, 0.0, -T.yaw), np.array([[-T.x, -T.y]]))[0]
+        inverse = SE2(float(back[0]), float(back[1]), -T.yaw)
         position = b.individuals.position.copy()
         position[:, :2] = placed(inverse, position[:, :2])
         moved = replace(b, individuals=replace(b.individuals, position=position))
@@ -98,7 +100,7 @@ def test_frames_of_other_origins_and_headings_meet_on_the_globe() -> None:
     T_a_b, _ = frames(a, replace(b, site=turned))
     c, s = math.cos(T_a_b.yaw), math.sin(T_a_b.yaw)
 
-    def there(points: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+    def there(points: np.ndarray) -> np.ndarray:
         x, y = (points - [T_a_b.x, T_a_b.y]).T
         return np.column_stack([c * x + s * y, -s * x + c * y])
 
@@ -270,7 +272,7 @@ def test_cells_within_rings_are_those_that_a_plotting_library_finds() -> None:
 
 
 def test_parts_that_touch_at_a_corner_are_polygons_of_their_own_with_their_holes() -> None:
-    def square(x: float, y: float, side: float) -> np.ndarray:  # type: ignore[type-arg]
+    def square(x: float, y: float, side: float) -> np.ndarray:
         return np.array([(x, y), (x + side, y), (x + side, y + side), (x, y + side), (x, y)])
 
     shape = wkb.multipolygon([square(0, 0, 4), square(4, 4, 3), square(5, 5, 1)[::-1], square(1, 1, 1)[::-1]])
