@@ -69,7 +69,7 @@ class Recall:
         now = 1.0 - (1.0 - stays) * (1.0 - coming * beside) * (1.0 - strays)
         self.foretold = np.where(seen, np.clip(now, 1e-3, 0.98), np.nan).astype(np.float32)
         self.looks = np.zeros(self.foretold.shape, np.uint8)
-        self._usual = float(np.clip(now[seen].mean(), 1e-3, 0.98)) if seen.any() else 0.5
+        self._usual = float(np.clip(now[seen].mean(), UNTOLD, 0.98)) if seen.any() else UNTOLD
 
     def compare(self, occupancy: OccupancyMap) -> None:
         """Weigh the survey by all that is seen by now."""
