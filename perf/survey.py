@@ -498,7 +498,8 @@ def table(rows: list[dict[str, Any]]) -> None:
         error = value - true if metres or share else value / true - 1.0
         unit, times = ("cm", 100.0) if metres else ("", 1.0) if share else ("%", 100.0)
         shown = [np.median(np.abs(error)), np.quantile(np.abs(error), 0.9), error.mean()]
-        cells = [f"{times * number:.2f} {unit}".strip() for number in shown]
+        digits = 3 if share else 2
+        cells = [f"{times * number:.{digits}f} {unit}".strip() for number in shown]
         held = sum(row["holds"] for row in chosen)
         print(f"| {protocol} | {name} | {len(chosen)} | {' | '.join(cells)} | {held / len(chosen):.0%} |")
 
