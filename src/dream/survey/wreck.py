@@ -30,7 +30,7 @@ TOP = 0.15
 """Metres by which the highest point may be off: thin fittings are seen in part."""
 LEAST_UNSEEN = 0.02
 """Share of a hull that may be hidden where nothing is expected to be."""
-DISTANCE = 6.0
+DISTANCE = 10.0
 """Metres: how far off the top of a hull is where it is in the image, about."""
 HIGHEST = 5
 """The highest point is as high as so many cells of the fine picture."""
@@ -125,7 +125,7 @@ def _highest(name: str, heights: Float64Array, ground: Ground) -> Measure:
     if len(heights) < HIGHEST:
         return unknown(name, "m", "too little of it was seen with seabed beside it")
     # The greatest of many depths that scatter is too great; a few cells are passed over for it.
-    passed = HIGHEST if ground.scatter < 5e-4 else max(HIGHEST, round(0.005 * len(heights)))
+    passed = HIGHEST if ground.scatter < 5e-4 else max(HIGHEST, round(0.002 * len(heights)))
     error = together(TOP, 2.0 * ground.scatter * DISTANCE**2)
     return around(name, float(heights[-min(passed, len(heights))]), error, "m", "above the seabed around")
 
