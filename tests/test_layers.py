@@ -16,7 +16,7 @@ LAYERS = [
     {"robots"},
     {"course"},
     {"mission"},
-    {"recording", "evaluation", "report", "live"},
+    {"recording", "evaluation", "report", "live", "survey"},
     {"learning"},
     {"commands"},
     {"cli"},

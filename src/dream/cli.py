@@ -33,16 +33,18 @@ An underwater robot that finds and maps a habitat without knowing where it is.
   probe    can a model read our map? questions with known answers
   worlds   list the worlds
   draw     draw a world as a picture
+  watch    runs in a browser, while they are flown and after
   report   write the HTML page of a recorded run again
   replay   a recorded run again through the loop: are its decisions the same?
   export   a recorded dive as a data set for others
   survey   what the reef is, how it changed: measure, keep, compare, export
+  train    teach the network that steers by sight, on simulated reefs
 
 `dream COMMAND --help` explains a command. To begin with: dream run --world reef/string
 """
 COMMANDS = (
     *("run", "dive", "mission", "bench", "sweep", "results", "oracle", "probe", "worlds", "draw", "report"),
-    *("replay", "export", "survey"),
+    *("replay", "watch", "export", "survey", "train"),
 )
 
 FAILED, BAD_INPUT = 1, 2

@@ -72,6 +72,8 @@ class Run:
     keep_observations: bool = False
     """Keep all that is seen to the last bit, as a dive does: some 0.2 MB a step. `dream replay` then plays it
     back, and `dream export` makes a data set of it."""
+    live: bool = False
+    """Show it in a browser while it flies, at an address that is printed; dream watch does so afterwards."""
     site: Path | None = None
     """File that says where on earth the world lies, for `dream survey`: name, latitude, longitude,
     heading_deg, datum. It is kept with the run, and so is all that is seen."""
@@ -87,6 +89,15 @@ class Run:
 
     def __call__(self) -> int:
         """Exit status 0; a MissionAborted where the mission did not end by itself."""
+        if self.live:
+            from dream.live.beside import check_installed
+
+            check_installed()
+        with contextlib.ExitStack() as shown:
+            return self._fly_and_tell(shown)
+
+    def _fly_and_tell(self, shown: contextlib.ExitStack) -> int:
+        """The same; what has to stay until the outcome is told is left to `shown`."""
         from dream import recording
         from dream.evaluation.metrics import Scorer
         from dream.evaluation.runner import run_config, simulate, summarize
@@ -142,6 +153,10 @@ class Run:
             now = datetime.datetime.now(datetime.UTC)
             folder = recording.new_run_folder(self.out, world.name, world.seed, name, now)
             recording.write_config(folder, config)
+            if self.live:
+                from dream.live.beside import shown_live
+
+                shown.enter_context(shown_live(folder))
             if orders is not None:
                 write_mission(folder / "mission.json", words, orders)
                 draw_orders(orders, world.bounds, protocol, folder / "mission.png")
