@@ -14,8 +14,10 @@ import dream
 from dream.versions import commit
 
 LIBRARIES = ("numpy", "numba", "scipy")
-_SHOWS_ONLY = ("cli.py", "commands", "learning", "live", "recording.py", "report.py", "report_page", "survey")
-_SHOWS_ONLY += ("versions.py",)
+_SHOWS_ONLY = (
+    *("cli.py", "commands", "learning", "live", "recording.py", "report.py", "report_page", "survey"),
+    "versions.py",
+)
 _SCORES = ("metrics.py", "runner.py")
 
 
