@@ -5,11 +5,11 @@ BIN := .venv/bin
 UV := env -u VIRTUAL_ENV -u UV_PYTHON -u UV_PROJECT_ENVIRONMENT -u UV_PROJECT -u PYTHONPATH \
 	UV_PYTHON_DOWNLOADS=never .tools/bin/uv
 
-.PHONY: help setup run tank test test-ray check results perf clean
+.PHONY: help setup run tank survey test test-ray test-train check results perf clean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup: .venv/.synced ## Build .venv, with .venv/bin/dream in it
 
@@ -31,12 +31,25 @@ run: setup ## Explore an oyster reef and write its report
 tank: setup ## Dive in a simulated tank, through programs that stand in for a BlueROV2
 	@$(BIN)/dream dive --stand-in --world pool/arc --out runs
 
+survey: setup ## Survey a reef, come back a year on, say what changed, and write it for others
+	@at=runs/survey-$$(date +%Y-%m-%dT%H-%M-%S); export DREAM_ARCHIVE=$$at/surveys.gpkg; set -e; \
+	$(BIN)/dream run --world reef/string --site examples/site.json --out $$at/before; \
+	$(BIN)/dream survey add $$at/before/latest; \
+	$(BIN)/dream run --world reef/string+1y1 --start 1 --site examples/site.json --from-survey 1 --out $$at/after; \
+	$(BIN)/dream survey add $$at/after/latest; \
+	$(BIN)/dream survey compare 1 2 --out $$at/change; \
+	$(BIN)/dream survey export 2 --run $$at/after/latest --to $$at/products
+
 test: setup ## Run all tests
 	@$(BIN)/pytest -n 3 --dist loadscope
 
 test-ray: setup ## Run the tests that need Ray, an optional extra
 	@$(UV) sync --quiet --locked --compile-bytecode --inexact --extra ray
 	@$(BIN)/pytest tests/evaluation/test_engines.py
+
+test-train: setup ## Run the tests of training, which need PyTorch, an optional extra
+	@$(UV) sync --quiet --locked --inexact --extra train
+	@$(BIN)/pytest tests/learning
 
 check: setup ## Lint, types and format
 	@$(BIN)/ruff check .
