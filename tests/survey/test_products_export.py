@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,22 @@ def test_every_product_of_a_reef(tmp_path: Path) -> None:
     assert "EPSG:32632" in readme
     assert "survey.gpkg" in (made.folder / "report.html").read_text()
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_earlier_surveys_stand_before_it_in_the_series(tmp_path: Path) -> None:
+    from scipy.io import netcdf_file
+
+    pytest.importorskip("pyproj")
+    now = reef()
+    before = replace(now, name="the year before", began=now.began - timedelta(days=365))
+    made = export(now, tmp_path / "export", earlier=[before], only=["netcdf"])
+    with netcdf_file(made.folder / "survey.nc", mmap=False) as file:
+        names = [b"".join(row).decode().strip("\0 ") for row in file.variables["survey"][:]]
+    assert names == ["the year before", now.name]
+    elsewhere = replace(before, site=replace(now.site, latitude=10.0)) if now.site else before
+    with pytest.raises(ValueError, match="site"):
+        export(now, tmp_path / "other", earlier=[elsewhere], only=["netcdf"])
+    assert not (tmp_path / "other").exists()
 
 
 def test_without_an_origin_reports_and_tables_still_come(tmp_path: Path) -> None:

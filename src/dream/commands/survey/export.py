@@ -30,6 +30,8 @@ class Export:
     """Path, or postgresql:// URL, of the archive. Default: that in DREAM_ARCHIVE, else surveys.gpkg."""
     run: Path | None = None
     """Folder of the run with its observations, for the mosaic, where the survey comes from elsewhere."""
+    earlier: Annotated[tuple[str, ...], tyro.conf.arg(metavar="SURVEY ...")] = ()
+    """Other surveys of the site, named likewise: the netCDF file is then a series over time."""
     only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PRODUCT ...")] = ()
     """Of geotiff, geopackage, netcdf, darwin-core, mosaic, tables, html, pdf; all where none is named."""
     species: str = ""
@@ -59,6 +61,7 @@ class Export:
             raise ValueError(f"export: expected a folder that does not exist, got {self.to}. Choose another")
         with compiling_told():
             survey = found(self.survey, self.archive, self.site)
+            earlier = [found(one, self.archive, self.site) for one in self.earlier]
         run = self.run or (Path(self.survey) if Path(self.survey).is_dir() else None)
         title = f"mosaic of {survey.name}"
         made = export(
@@ -67,6 +70,7 @@ class Export:
             run=run,
             species=Species(self.species, self.species_id) if self.species else None,
             author=Author(self.author, self.licence, self.email) if self.author else None,
+            earlier=earlier,
             only=self.only,
             watched=lambda files: with_progress(iter(files), title, len(files)),
         )

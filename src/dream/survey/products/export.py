@@ -75,6 +75,7 @@ def export(
     run: Path | None = None,
     species: Species | None = None,
     author: Author | None = None,
+    earlier: Sequence[Survey] = (),
     only: Sequence[str] = (),
     watched: Callable[[Sequence[Path]], Iterable[Path]] = iter,
 ) -> Exported:
@@ -89,8 +90,10 @@ def export(
         run: Folder of the run with its observations, for the mosaic.
         species: What the individuals are, for Darwin Core.
         author: Who answers for the data, for Darwin Core.
+        earlier: Other surveys of the site, which stand beside this one in the netCDF file.
         only: Names of `PRODUCTS`; all where empty. What is named and cannot be made is an error, not left
-        out. watched: Passes the files of the frames on, and may show how far the mosaic is.
+            out.
+        watched: Passes the files of the frames on, and may show how far the mosaic is.
 
     Raises:
         ValueError: `to` exists, the survey is damaged, what was named cannot be made of it, or what a product
@@ -101,9 +104,10 @@ def export(
         look_up(PRODUCTS, name, "product")
     if to.exists():
         raise ValueError(f"export: expected a folder that does not exist, got {to}. Choose another")
-    check(survey)
+    for one in (survey, *earlier):
+        check(one)
     folder = to.with_name(f".partial.{to.name}")
-    makers = _makers(survey, folder, run, species, author, watched)
+    makers = _makers(survey, folder, run, species, author, earlier, watched)
     left_out: dict[str, str] = {}
     try:
         shutil.rmtree(folder, ignore_errors=True)
@@ -137,6 +141,7 @@ def _makers(
     run: Path | None,
     species: Species | None,
     author: Author | None,
+    earlier: Sequence[Survey],
     watched: Callable[[Sequence[Path]], Iterable[Path]],
 ) -> dict[str, Callable[[], object]]:
     """How each product is written; only those are called of which nothing is missing."""
@@ -152,7 +157,7 @@ def _makers(
     return {
         "geotiff": lambda: geotiff.write(survey, folder),
         "geopackage": lambda: geopackage.write(survey, folder / geopackage.NAME),
-        "netcdf": lambda: netcdf.write([survey], folder / netcdf.NAME),
+        "netcdf": lambda: netcdf.write([*earlier, survey], folder / netcdf.NAME),
         "darwin-core": occurrences,
         "mosaic": picture,
         "tables": lambda: tables.write(survey, folder),
