@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from scipy.stats import false_discovery_control
 
 from dream.geometry import SE2
-from dream.survey import Survey
+from dream.survey import Measure, Survey
 from dream.survey.archive import wkb
 from dream.survey.change_map import write_change
 from dream.survey.comparison import Change, Comparing, Comparison, Fate, _Grid, adjusted, detection
@@ -168,6 +168,36 @@ def test_the_interval_of_the_count_holds_what_died(less: list[Comparison]) -> No
         count = next(d for d in one.patches[1].differences if d.name == "count")
         held += count.low <= -0.2 * count.before <= count.high
     assert held >= 5
+
+
+def test_sizes_that_err_together_are_no_change_of_the_median() -> None:
+    """A survey whose sizes are all 5 % too great is within what its own median says it may err by."""
+    a, b = pair(5, how=ALL)
+    a, b = (
+        replace(one, measures=(Measure("median_size", middle, 0.9 * middle, 1.1 * middle, "m"),))
+        for one in (a, b)
+        for middle in (float(np.median(one.individuals.size)),)
+    )
+    b = replace(b, individuals=replace(b.individuals, size=1.05 * b.individuals.size))
+    told = {one.name: one for one in COMPARING.compare(a, b).differences}["median_size"]
+    assert told.change == pytest.approx(0.05 * told.before, rel=0.5)
+    assert told.low < 0.0 < told.high
+    assert told.p > 0.2
+
+
+def test_only_sizes_that_were_measured_make_a_median() -> None:
+    """Most stand in a crust, and have been given the size of those that stand clear."""
+    a, _ = pair(5, how=ALL)
+    people, one_in_four = a.individuals, np.arange(len(a.individuals)) % 4 == 0
+    given = replace(
+        people,
+        size=np.where(one_in_four, people.size, 9.0),
+        size_sigma=np.where(one_in_four, 0.01, 0.05),
+    )
+    told = Measure("median_size", 0.2, 0.19, 0.21, "m")
+    a = replace(a, individuals=given, measures=(told,))
+    found = {one.name: one for one in COMPARING.compare(a, a).differences}["median_size"]
+    assert found.before == pytest.approx(np.median(people.size[one_in_four]))
 
 
 def test_without_pictures_the_individuals_tell() -> None:

@@ -432,9 +432,10 @@ class Comparing:
             found.append(count)
             if area.before > 0.0 and area.after > 0.0:
                 found.append(_density(count, area))
-            sizes = (a.individuals.size[common_a], b.individuals.size[common_b])
-            if min(map(len, sizes)) >= self.least:
-                found.append(_median(*sizes))
+            sizes = (_sized(a.individuals, common_a), _sized(b.individuals, common_b))
+            errors = [error for error in map(_size_error, (a, b)) if error is not None]
+            if min(map(len, sizes)) >= self.least and len(errors) == 2:
+                found.append(_median(sizes, errors))
         return tuple(found)
 
 
@@ -663,10 +664,29 @@ def _density(count: Difference, area: Difference) -> Difference:
     return Difference("density", before, after, change, change - half, change + half, p, "1/m2")
 
 
-def _median(before: Float64Array, after: Float64Array) -> Difference:
-    """Medians and their difference; standard errors by order statistics (binomial ranks)."""
-    medians, errors = [], []
-    for sizes in (np.sort(before), np.sort(after)):
+def _sized(individuals: Individuals, common: BoolArray) -> Float64Array:
+    """Sizes of those on common ground that were measured; the others are only said to be like them."""
+    if not common.any():
+        return individuals.size[common]
+    least = float(individuals.size_sigma[common].min())
+    return individuals.size[common & (individuals.size_sigma <= least * (1.0 + 1e-9))]
+
+
+def _size_error(survey: Survey) -> float | None:
+    """Standard error of a survey's median size, as its own interval has it; None where it tells none."""
+    told = next((one for one in survey.measures if one.name == "median_size"), None)
+    if told is None or told.low is None or told.high is None:
+        return None
+    return (told.high - told.low) / (2.0 * Z95)
+
+
+def _median(samples: tuple[Float64Array, Float64Array], told: list[float]) -> Difference:
+    """Medians and their difference; standard errors by order statistics (binomial ranks).
+
+    All sizes of a survey err together too (`told`), which their scatter does not show.
+    """
+    medians, errors = [], [*told]
+    for sizes in map(np.sort, samples):
         n = len(sizes)
         half = 0.5 * math.sqrt(n)
         low, high = (min(n - 1, max(0, round(0.5 * n + sign * half))) for sign in (-1.0, 1.0))
