@@ -138,7 +138,7 @@ def _tell(same: list[Comparison], lost: list[tuple[Comparison, int]]) -> None:
         if patches:
             limits = share_interval(found, len(patches))
             print(f"{title}: {found} of {len(patches)} ({limits.low:.3f} to {limits.high:.3f})")
-    for name in ("count", "area"):
+    for name in ("found", "target_area"):
         ratios = np.array([_log_ratio(patch, name) for patch in tested])
         ratios = ratios[np.isfinite(ratios)]
         if len(ratios):

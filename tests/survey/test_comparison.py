@@ -165,7 +165,7 @@ def test_the_interval_of_the_count_holds_what_died(less: list[Comparison]) -> No
     """A fifth of those on ground that both saw."""
     held = 0
     for one in less:
-        count = next(d for d in one.patches[1].differences if d.name == "count")
+        count = next(d for d in one.patches[1].differences if d.name == "found")
         held += count.low <= -0.2 * count.before <= count.high
     assert held >= 5
 
@@ -200,11 +200,35 @@ def test_only_sizes_that_were_measured_make_a_median() -> None:
     assert found.before == pytest.approx(np.median(people.size[one_in_four]))
 
 
+def test_figures_of_other_things_than_a_survey_measures_have_other_names(less: list[Comparison]) -> None:
+    """Peaks that were found are about half of the individuals; cells of target are less than the reef."""
+    names = {one.name for told in less for part in (told, *told.patches) for one in part.differences}
+    assert {"found", "found_density", "target_area"} <= names
+    assert not names & {"count", "density", "area", "reef_area"}
+
+
+def test_ground_that_only_the_later_survey_saw_counts_beyond_the_box_of_the_earlier_one() -> None:
+    a, b = pair(9, how=STILL)
+    half = a.layers.state.shape[1] // 2
+    bounds = replace(a.layers.bounds, x_max=a.layers.bounds.x_min + half * a.layers.cell)
+    west = replace(
+        a.layers,
+        bounds=bounds,
+        **{
+            name: getattr(a.layers, name)[:, :half]
+            for name in ("state", "target_probability", "relief", "times_seen")
+        },
+    )
+    found = COMPARING.compare(replace(a, layers=west), b)
+    beyond = float((b.layers.state[:, half:] > 0).sum()) * a.layers.cell**2
+    assert found.only_b == pytest.approx(beyond, rel=0.05)
+
+
 def test_without_pictures_the_individuals_tell() -> None:
     a, b = (replace(one, picture=None) for one in pair(5, 0.3, ALL))
     verdicts = [patch.verdict for patch in COMPARING.compare(a, b).patches]
     assert verdicts == ["unchanged", "loss", "unchanged", "unchanged"]
-    assert {d.name for d in COMPARING.compare(a, b).patches[0].differences} == {"count", "area"}
+    assert {d.name for d in COMPARING.compare(a, b).patches[0].differences} == {"found", "target_area"}
 
 
 def test_the_other_way_round_a_loss_is_a_gain() -> None:
@@ -266,7 +290,7 @@ def test_only_ground_that_both_saw_is_compared() -> None:
 def test_a_wreck_is_told_by_its_area() -> None:
     found = COMPARING.compare(scenes.wreck(), scenes.wreck())
     assert [patch.verdict for patch in found.patches] == ["unchanged"] * len(found.patches)
-    assert [difference.name for difference in found.differences] == ["area"]
+    assert [difference.name for difference in found.differences] == ["target_area"]
 
 
 # --- The parts

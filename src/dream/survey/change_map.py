@@ -45,16 +45,16 @@ _TABLES = (
             Column("p", "real", required=False),
             Column("q", "real", required=False),
             Column("seen_share", "real"),
-            Column("count_before", "real", required=False),
-            Column("count_after", "real", required=False),
-            Column("area_before_m2", "real", required=False),
-            Column("area_after_m2", "real", required=False),
+            Column("found_before", "real", required=False),
+            Column("found_after", "real", required=False),
+            Column("target_before_m2", "real", required=False),
+            Column("target_after_m2", "real", required=False),
             Column("geom", "MULTIPOLYGON"),
         ),
     ),
     Table(
         "individuals",
-        "Individuals and what became of them",
+        "Individuals that were found, and what became of them",
         (
             Column("id", "id"),
             Column("survey", "text"),
@@ -201,17 +201,17 @@ def _on_globe(comparison: Comparison, points: Float64Array) -> Float64Array:
 def _patches(comparison: Comparison) -> Iterator[dict[str, Any]]:
     for number, patch in enumerate(comparison.patches, start=1):
         figures = {one.name: one for one in patch.differences}
-        count, area = figures.get("count"), figures.get("area")
+        count, area = figures.get("found"), figures.get("target_area")
         yield {
             "patch": number,
             "verdict": patch.verdict,
             "p": patch.p,
             "q": patch.q,
             "seen_share": patch.seen,
-            "count_before": None if count is None else count.before,
-            "count_after": None if count is None else count.after,
-            "area_before_m2": None if area is None else area.before,
-            "area_after_m2": None if area is None else area.after,
+            "found_before": None if count is None else count.before,
+            "found_after": None if count is None else count.after,
+            "target_before_m2": None if area is None else area.before,
+            "target_after_m2": None if area is None else area.after,
             "geom": wkb.multipolygon([_on_globe(comparison, ring) for ring in patch.rings]),
         }
 

@@ -57,7 +57,9 @@ class Difference:
     """One figure before and after, on ground that both saw."""
 
     name: str
-    """`count`, `area`, `density`, `median_size`."""
+    """`found` (individuals that show in the relief, which are fewer than a survey's `count` says there are),
+    `found_density`, `target_area` (cells of the map; the reef of a survey is closed over its gaps, and larger),
+    `cover`, `median_size`."""
     before: float
     after: float
     change: float
@@ -195,13 +197,15 @@ class Comparing:
     `false` at most is false.
 
     Reference: Horvitz and Thompson, JASA 47 (1952), for the weights; Petersen's mark and recapture for the
-    chance; Benjamini and Hochberg, JRSS B 57 (1995), for many patches. The spreads were measured on repeated
-    simulated surveys of worlds of their own (perf/change.py).
+    chance; Benjamini and Hochberg, JRSS B 57 (1995), for many patches. `spread`, `cover_spread` and `together`
+    were measured on repeated simulated surveys of worlds of their own (perf/change.py). `edge`, `edge_length`
+    and `area_spread` were not: they are a cell of the map, and guesses that err towards "unchanged".
 
     Assumes: the two surveys were measured alike, with the same camera and labels, and most individuals are
     still there.
     Fails when: as many die as settle. Count and cover stay, and only the fates of individuals tell of it,
-    which in a dense crust are often mistaken for each other.
+    which in a dense crust are often mistaken for each other. Fewer but larger individuals: count falls, cover
+    grows, and the two tests cancel each other; `differences` shows both.
     """
 
     level: float = 0.05
@@ -278,7 +282,7 @@ class Comparing:
             differences=self._whole(counts, target_a, target_b, grid, a, b, common_a, common_b),
             comparable=float(both.sum()) * cell2,
             only_a=float((seen_a & ~seen_b).sum()) * cell2,
-            only_b=float((seen_b & ~seen_a).sum()) * cell2,
+            only_b=float((seen_b & ~seen_a).sum()) * cell2 + _beyond(b.layers, grid, laid),
         )
 
     def _units(self, a: Survey, b: Survey, grid: _Grid, laid: Registration) -> _Units:
@@ -370,7 +374,7 @@ class Comparing:
         chance = one.total * one.odds + other.total * other.odds + one.doubt + other.doubt + 1.0
         half = Z95 * math.sqrt(chance + (self.spread * 0.5 * (one.total + other.total)) ** 2)
         p = _two_sided(change / self._count_error(one, other))
-        return Difference("count", one.total, other.total, change, change - half, change + half, p, "")
+        return Difference("found", one.total, other.total, change, change - half, change + half, p, "")
 
     def _area(self, before: BoolArray, after: BoolArray, grid: _Grid) -> Difference:
         cell2 = grid.cell**2
@@ -381,7 +385,7 @@ class Comparing:
         half = Z95 * math.sqrt(variance)
         change = now - was
         return Difference(
-            "area",
+            "target_area",
             was,
             now,
             change,
@@ -568,6 +572,15 @@ def _resampled(layers: Layers, grid: _Grid, laid: Registration) -> npt.NDArray[n
     return resampled
 
 
+def _beyond(layers: Layers, grid: _Grid, laid: Registration) -> float:
+    """Square metres that the later survey saw outside the earlier one's grid."""
+    rows, cols = np.nonzero(layers.state > 0)
+    theirs = _Grid(layers)
+    there = laid.place(np.column_stack([theirs.x[cols], theirs.y[rows]]))
+    inside = grid.at(np.ones(grid.shape, np.bool_), there)
+    return float((~inside).sum()) * layers.cell**2
+
+
 def _covers(
     a: Picture, b: Picture, laid: Registration, grid: _Grid, ground: IntArray, units: int, block: float
 ) -> tuple[Float64Array, Float64Array]:
@@ -661,7 +674,7 @@ def _density(count: Difference, area: Difference) -> Difference:
     change = after - before
     half = Z95 * error
     p = _two_sided(change / max(error, 1e-9))
-    return Difference("density", before, after, change, change - half, change + half, p, "1/m2")
+    return Difference("found_density", before, after, change, change - half, change + half, p, "1/m2")
 
 
 def _sized(individuals: Individuals, common: BoolArray) -> Float64Array:

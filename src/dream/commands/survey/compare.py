@@ -70,7 +70,7 @@ def _print(comparison: Comparison, files: tuple[Path, ...]) -> None:
     if laid["note"]:
         console.print(plain(laid["note"]), highlight=False)
     console.print(
-        f"individuals: {fates['there']} there in both, {fates['lost']} only before, {fates['new']} only "
+        f"individuals found: {fates['there']} there in both, {fates['lost']} only before, {fates['new']} only "
         f"after, {fates['not_comparable']} on ground that one of them did not see",
         highlight=False,
     )
