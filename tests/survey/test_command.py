@@ -75,6 +75,25 @@ def test_surveys_are_kept_listed_shown_and_compared(two: Path, capsys: pytest.Ca
         assert "first" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("name", ["[/]", r"\[/]", r"\\[/]", "[bold]"])
+def test_names_that_look_like_markup_are_printed_as_they_are(
+    name: str, two: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one = replace(files.read(two / "first.survey.npz"), site=Site(name, 1.0, 2.0), name=name)
+    files.write(one, two / "odd.survey.npz")
+    folder = "to[" + "/]"
+    for words in (
+        "survey add odd.survey.npz --archive [/odd].gpkg",
+        "survey list --archive [/odd].gpkg",
+        "survey show odd.survey.npz",
+        f"survey compare odd.survey.npz odd.survey.npz --out {folder}",
+    ):
+        (two / "[").mkdir(exist_ok=True)
+        capsys.readouterr()
+        assert run_command(words.split()) == 0, words
+        assert name in "".join(capsys.readouterr().out.split("\n")), words
+
+
 def test_the_archive_is_the_one_that_is_named_else_that_of_the_environment(
     two: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -89,6 +108,8 @@ def test_the_archive_is_the_one_that_is_named_else_that_of_the_environment(
     [
         ("survey list", "surveys.gpkg: expected an archive of surveys, got no file"),
         ("survey show 1", "surveys.gpkg: expected an archive of surveys, got no file"),
+        ("survey show \u00b2", "\u00b2: expected the number of a survey in the archive, its file, or the"),
+        (f"survey show {10**30}", f"{10**30}: expected the number of a survey in the archive, its file"),
         ("survey show nothing", "nothing: expected the number of a survey in the archive, its file, or the"),
         ("survey show first.survey.npz --site none.json", "none.json: expected a site file"),
         ("survey add nowhere.survey.npz", "run without origin"),

@@ -86,7 +86,7 @@ def _print(comparison: Comparison, files: tuple[Path, ...]) -> None:
         for one in patch.differences:
             table.add_row(name, *_cells(one), verdict, f"{one.p:.2g}")
     console.print(table)
-    console.print(", ".join(map(str, files)), highlight=False, soft_wrap=True)
+    console.print(", ".join(map(str, files)), markup=False, highlight=False, soft_wrap=True)
 
 
 def _table(title: str) -> Table:

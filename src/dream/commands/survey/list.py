@@ -50,7 +50,7 @@ class List:
         from rich.console import Console
         from rich.table import Table
 
-        table = Table(title=f"Surveys in {where}", title_justify="left")
+        table = Table(title=f"Surveys in {plain(where)}", title_justify="left")
         for heading, side in (("no", "right"), ("site", "left"), ("began", "left"), ("survey", "left")):
             table.add_column(heading, justify="right" if side == "right" else "left", overflow="fold")
         for heading in ("patches", "individuals", "reef or outline", "density"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -44,7 +45,7 @@ def found(what: str, archive: str | None, site: Path | None = None) -> Survey:
         from dream.survey import files
 
         survey = files.read(path)
-    elif what.isdigit():
+    elif re.fullmatch(r"[0-9]{1,18}", what):  # As many digits as a database counts with.
         with archive_at(archive) as kept:
             survey = kept.get(int(what))
     else:

@@ -11,7 +11,9 @@ UNITS = {"m2": "m²", "1/m2": "/m²", "m": "m", "": ""}
 
 def plain(text: str) -> str:
     """Words that came from a file, as a terminal may print them: on one line, and no commands to it."""
-    return "".join(letter if letter.isprintable() else " " for letter in text).replace("[", r"\[")
+    from rich.markup import escape
+
+    return escape("".join(letter if letter.isprintable() else " " for letter in text))
 
 
 def number(value: float) -> str:
