@@ -63,7 +63,7 @@ def test_surveys_are_kept_listed_shown_and_compared(two: Path, capsys: pytest.Ca
         (1, "first", "Test reef"),
         (2, "second", "Test reef"),
     ]
-    assert said("survey show 2", capsys)["individuals"] == listed[1]["individuals"]
+    assert said("survey show 2", capsys)["individuals_found"] == listed[1]["individuals_found"]
     compared = said("survey compare 1 2 --out told", capsys)
     assert [patch["verdict"] for patch in compared["patches"]].count("loss") == 1
     assert compared["patches"][1]["verdict"] == "loss"

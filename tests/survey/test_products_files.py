@@ -159,6 +159,36 @@ def test_occurrences_as_obis_asks(tmp_path: Path) -> None:
     assert len({row["occurrenceID"] for row in rows}) == 60
 
 
+def test_what_is_likely_no_individual_is_not_told_to_be_present(tmp_path: Path) -> None:
+    found = reef().individuals
+    confidence = found.confidence.copy()
+    confidence[[3, 40]] = 0.4
+    doubtful = replace(reef(), individuals=replace(found, confidence=confidence))
+    darwin_core.write(doubtful, OYSTER, tmp_path)
+    rows = rows_of((tmp_path / "occurrence.csv").read_text())
+    sure = np.delete(np.arange(60), [3, 40])
+    every = [row["occurrenceID"] for row in darwin_core.occurrences(reef(), OYSTER)]
+    assert [row["occurrenceID"] for row in rows] == [every[n] for n in sure]
+    with zipfile.ZipFile(tmp_path / "darwin-core.zip") as archive:
+        measured = rows_of(archive.read("extendedmeasurementorfact.csv").decode())
+    sizes = [float(r["measurementValue"]) for r in measured if r["measurementType"].startswith("longest")]
+    assert sizes == pytest.approx(found.size[sure].tolist(), abs=5e-4)
+
+
+def test_rows_are_nowhere_taken_for_all_individuals(tmp_path: Path) -> None:
+    """The relief shows about half of them; how many there are is the measure."""
+    count = Measure("count", 1234.0, 1100.0, 1350.0, "")
+    survey = replace(reef(), measures=(count,))
+    darwin_core.write(survey, OYSTER, tmp_path, Author("Ada", "CC0-1.0"))
+    with zipfile.ZipFile(tmp_path / "darwin-core.zip") as archive:
+        assert "the number of records is no count" in archive.read("eml.xml").decode()
+    page.write(survey, tmp_path / "report.html")
+    text = (tmp_path / "report.html").read_text()
+    assert "the 60 individuals that were found one by one. They are not all" in text
+    assert "1,234" in text
+    assert "counted once" not in text
+
+
 def test_identifiers_are_the_same_again_and_no_others(tmp_path: Path) -> None:
     once = [row["occurrenceID"] for row in darwin_core.occurrences(reef(), OYSTER)]
     again = [row["occurrenceID"] for row in darwin_core.occurrences(reef(), OYSTER)]

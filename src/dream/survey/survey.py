@@ -40,7 +40,11 @@ class Measure:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Individuals:
-    """N individuals, each counted once. Arrays share their first axis."""
+    """N individuals that were found, each once. Arrays share their first axis.
+
+    They are fewer than there are: one that lies under or hard beside another has no row. How many there are is
+    the measure `count`, an estimate.
+    """
 
     position: Float64Array
     """(N, 3) metres in the world, the middle of each at its highest."""

@@ -40,7 +40,7 @@ class List:
                     "target": entry.target,
                     "protocol": entry.protocol,
                     "patches": entry.patches,
-                    "individuals": entry.individuals,
+                    "individuals_found": entry.individuals,
                     "measures": [measure_told(measure) for measure in entry.measures],
                 }
                 for entry in entries
@@ -64,7 +64,9 @@ class List:
                 f"{entry.began:%Y-%m-%d %H:%M}",
                 plain(entry.name),
                 str(entry.patches),
-                str(entry.individuals),
+                ""
+                if (all_of := figures.get("count")) is None or all_of.value is None
+                else f"{all_of.value:.0f}",
                 "" if area is None or area.value is None else f"{area.value:.1f} m²",
                 ""
                 if (one := figures.get("density")) is None or one.value is None

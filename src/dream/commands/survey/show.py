@@ -57,7 +57,7 @@ def _told(survey: Survey) -> dict[str, Any]:
         "target": str(survey.target),
         "protocol": survey.protocol,
         "steps": len(survey.decisions),
-        "individuals": len(survey.individuals),
+        "individuals_found": len(survey.individuals),
         "measures": [measure_told(measure) for measure in survey.measures],
         "patches": [[measure_told(measure) for measure in patch.measures] for patch in survey.patches],
         "made_by": survey.made_by,
@@ -73,7 +73,8 @@ def _print(survey: Survey) -> None:
     console.print(f"[bold]{plain(survey.name)}[/bold]  {where}, {survey.began:%Y-%m-%d %H:%M %Z}")
     console.print(
         f"{survey.target} by {plain(survey.protocol)}, {len(survey.decisions)} decisions, "
-        f"{len(survey.individuals)} individuals in {len(survey.patches)} patches"
+        f"{len(survey.individuals)} individuals found (count tells how many there are), "
+        f"patches: {len(survey.patches)}"
     )
     table = Table("measure", "value", "95 % interval", "note")
     for measure in survey.measures:

@@ -103,7 +103,7 @@ MIGRATIONS: tuple[tuple[Table, ...], ...] = (
         ),
         Table(
             "individuals",
-            "Individuals, each counted once",
+            "Individuals that were found, each once; count in measures tells how many there are",
             (
                 _ID,
                 _SURVEY,

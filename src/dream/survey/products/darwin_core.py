@@ -1,5 +1,8 @@
 """Individuals as Darwin Core occurrences, as OBIS asks for what a machine saw and a machine named.
 
+Rows are of those that were found and are likelier than not to be one. They are not all that there are, and
+nothing is to be concluded from their number: that is an estimate, and stands among the measures.
+
 Required by OBIS: occurrenceID, eventDate, decimalLongitude, decimalLatitude, scientificName,
 scientificNameID, occurrenceStatus, basisOfRecord; for imagery MachineObservation, and PredictedByMachine as
 the status of an identification that nobody has checked (manual.obis.org). What the species is, a person says:
@@ -35,6 +38,8 @@ DWC = "http://rs.tdwg.org/dwc/terms/"
 OBIS = "http://rs.iobis.org/obis/terms/"
 WITHIN = 2.4477
 """Standard errors of a circle that holds 95 % of a normal scatter over the ground: √(−2 ln 0.05)."""
+LIKELY = 0.5
+"""Confidence from which an individual is told to be present: a presence that is none would be believed."""
 NAMESPACE = uuid.uuid5(uuid.NAMESPACE_OID, "DREAM survey")
 """Of our identifiers: the same survey gives the same ones again."""
 
@@ -105,7 +110,7 @@ def write(survey: Survey, species: Species, folder: Path, author: Author | None 
 
 
 def occurrences(survey: Survey, species: Species) -> list[dict[str, str]]:
-    """One occurrence an individual, by the names of Darwin Core terms."""
+    """One occurrence for each of `likely`, by the names of Darwin Core terms."""
     ground = Ground(site_of(survey))
     found = survey.individuals
     longitude, latitude = ground.globe(found.position[:, 0], found.position[:, 1])
@@ -146,8 +151,14 @@ def occurrences(survey: Survey, species: Species) -> list[dict[str, str]]:
             "maximumDepthInMeters": f"{depth[n]:.2f}",
             "occurrenceRemarks": f"{made_up}found in {found.hits[n]} of {found.looks[n]} frames",
         }
-        for n in range(len(found))
+        for n in likely(survey)
     ]
+
+
+def likely(survey: Survey) -> list[int]:
+    """Which individuals are told to be present."""
+    rows: list[int] = np.flatnonzero(survey.individuals.confidence >= LIKELY).tolist()
+    return rows
 
 
 COLUMNS = (
@@ -170,7 +181,7 @@ _MEASURED = (
 def _measurements(survey: Survey, ids: Sequence[str]) -> list[dict[str, str]]:
     found = survey.individuals
     rows = []
-    for n, occurrence in enumerate(ids):
+    for n, occurrence in zip(likely(survey), ids, strict=True):
         rows.append(
             {
                 "occurrenceID": occurrence,
@@ -264,8 +275,9 @@ def _eml(survey: Survey, species: Species, author: Author) -> str:
         '<eml:eml xmlns:eml="https://eml.ecoinformatics.org/eml-2.2.0" '
         f'packageId={quoteattr(_identifier(survey, "data set"))} system="DREAM"><dataset>'
         f"<title>{escape(title)}</title><creator>{party}</creator><pubDate>{day}</pubDate>"
-        "<language>eng</language><abstract><para>Individuals located, sized and counted once across the "
-        "frames of one mission. Identified by a machine, not verified by a person.</para></abstract>"
+        "<language>eng</language><abstract><para>Individuals that were found, located and sized across the "
+        "frames of one mission, each once. Others hide under and beside them and have no record: the number of "
+        "records is no count. Identified by a machine, not verified by a person.</para></abstract>"
         f"<intellectualRights><para>{escape(author.licence)}</para></intellectualRights>"
         f"<coverage><geographicCoverage><geographicDescription>{escape(ground.site.name)}</geographicDescription>"
         f"<boundingCoordinates>{edges}</boundingCoordinates></geographicCoverage>"

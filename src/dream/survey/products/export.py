@@ -33,7 +33,7 @@ PRODUCTS: Mapping[str, str] = {
     "geotiff": "maps as cloud-optimised GeoTIFFs, with styles for QGIS",
     "geopackage": "track, decisions, patches, individuals, swath",
     "netcdf": "measures and maps by the CF conventions",
-    "darwin-core": "individuals as occurrences for OBIS and GBIF",
+    "darwin-core": "individuals that were found as occurrences for OBIS and GBIF",
     "mosaic": "the sea floor as one georeferenced picture",
     "tables": "measures and individuals as CSV",
     "html": "a report to read on a screen",
@@ -47,10 +47,10 @@ FILES: Mapping[str, str] = {
     mosaic.NAME: "the sea floor from above, as the camera saw it",
     geopackage.NAME: "track, decisions with their reasoning, patches, individuals, swath; styles inside",
     netcdf.NAME: "measures with intervals, and the maps, by CF 1.8",
-    darwin_core.CSV: "one Darwin Core occurrence an individual",
+    darwin_core.CSV: "one Darwin Core occurrence an individual that was found and is likely one",
     darwin_core.ARCHIVE: "the same with sizes as a Darwin Core Archive, for OBIS and GBIF",
     tables.MEASURES: "all measures with their intervals, of the survey and of each patch",
-    tables.INDIVIDUALS: "position, size and confidence of each individual",
+    tables.INDIVIDUALS: "position, size and confidence of each individual that was found; count tells how many there are",
     page.NAME: "the survey report, for a browser",
     pdf.NAME: "the survey report, for print",
     "README.md": "what the files are",
@@ -179,8 +179,8 @@ def _missing(name: str, survey: Survey, run: Path | None, species: Species | Non
             return "a wreck is no occurrence of a species"
         if species is None:
             return "which species the individuals are has to be said: --species and --species-id"
-        if not len(survey.individuals):
-            return "no individual was found"
+        if not darwin_core.likely(survey):
+            return "no individual was found that is likely one"
     if name == "mosaic":
         if run is None:
             return "the pictures lie in the folder of the run: say --run FOLDER"

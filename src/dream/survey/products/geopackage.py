@@ -331,7 +331,8 @@ def _individuals(survey: Survey, ground: Ground) -> Table:
     ]
     return Table(
         "individuals",
-        "Each counted once; sizes are the longest diameter, depths are below the datum",
+        "Those that were found, each once; count in measures tells how many there are. Sizes are the longest "
+        "diameter, depths are below the datum",
         {
             "individual": "INTEGER",
             "patch": "INTEGER",

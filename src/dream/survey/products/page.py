@@ -148,7 +148,7 @@ def _sizes(survey: Survey) -> str:
     if not len(survey.individuals):
         return ""
     picture = _picture(survey, figures.size_figure, 6.2, 5.0, "How many individuals there are of each size")
-    count = f"{len(survey.individuals)} individuals found"
+    count = "of the individuals that stand clear of others"
     return f"<section class='panel'><h2>Sizes <small>{count}</small></h2>{picture}</section>"
 
 

@@ -83,7 +83,7 @@ def _second(survey: Survey) -> Figure:
         page, ("", "value", "95 % interval", "what it says"), rows, (0.08, 0.26, 0.40, 0.58), y, wrap=44
     )
     if len(survey.individuals):
-        y = _heading(page, f"Sizes of {len(survey.individuals)} individuals", y - 0.012)
+        y = _heading(page, "Sizes of the individuals that stand clear of others", y - 0.012)
         axes = page.add_axes((0.13, y - 0.185, 0.78, 0.17))
         figures.size_figure(axes, survey)
         y -= 0.235

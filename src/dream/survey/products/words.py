@@ -29,8 +29,8 @@ MEANINGS = {
     "patch_count": Meaning("Patches", "separate pieces of reef"),
     "patches": Meaning("Patches", "separate pieces of reef"),
     "density": Meaning("Density", "individuals on each square metre of reef"),
-    "count": Meaning("Individuals", "each counted once over all frames"),
-    "individuals": Meaning("Individuals", "each counted once over all frames"),
+    "count": Meaning("Individuals", "estimate of all, with those that hide beside others"),
+    "individuals": Meaning("Individuals", "estimate of all, with those that hide beside others"),
     "median_size": Meaning("Median size", "half of the individuals are wider than this"),
     "mean_size": Meaning("Mean size", "mean of the longest diameters"),
     "reef_height": Meaning("Reef height", "how high the reef stands above the bare seabed"),
@@ -185,6 +185,10 @@ def limits(survey: Survey) -> list[str]:
             "An individual is what stands apart in the pictures, often a clump of several shells. Its size "
             "is its longest diameter as seen from above. Where clumps grow into each other, their number is "
             "corrected, and the interval is wider."
+        )
+        lines.append(
+            f"Lists and maps show the {len(survey.individuals)} individuals that were found one by one. They are "
+            "not all: how many there are is an estimate, which stands among the measures."
         )
     lines.append(
         "Ground that no frame saw counts neither as reef nor as bare. The map of how often each place was "
