@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dream.survey import globe
 from dream.survey.products.ground import Ground, epsg_of, site_of
 from dream.survey.site import Site
 from tests.survey.scenes import reef
@@ -100,3 +101,24 @@ def test_what_lies_far_off_is_refused() -> None:
 def test_without_an_origin_it_says_so() -> None:
     with pytest.raises(ValueError, match=r"run without origin.*--site"):
         site_of(reef(site=None))
+
+
+@given(
+    st.floats(-89.9, 89.9),
+    st.floats(-180.0, 180.0),
+    st.floats(-360.0, 360.0),
+    st.floats(0.0, 5000.0),
+    st.floats(0.0, 6.28),
+)
+def test_archives_and_products_put_a_point_at_the_same_place(
+    latitude: float, longitude: float, heading: float, away: float, way: float
+) -> None:
+    """The plane that touches the ellipsoid and pyproj's projection, over all that one site may span."""
+    site = Site("here", latitude, longitude, heading_deg=heading)
+    x, y = [away * math.cos(way)], [away * math.sin(way)]
+    (east, north), (easting, northing) = globe.degrees(site, x, y), Ground(site).globe(x, y)
+    of_longitude, of_latitude = metres_per_degree(float(northing[0]))
+    turn = math.remainder(float(east[0] - easting[0]), 360.0)
+    # A plane leaves the ellipsoid by d³ / 3R²: a millimetre at 5 km.
+    most = 1e-4 + away**3 / (2.5 * 6.33e6**2)
+    assert math.hypot(of_longitude * turn, of_latitude * float(north[0] - northing[0])) <= most
