@@ -20,6 +20,8 @@ from dream.sim.render import Frame, Renderer
 from dream.sim.world import World
 from dream.sim.worlds import make_world
 from dream.survey import About, Survey, measure, measure_observations
+from dream.survey.calibration import SHARP
+from dream.survey.reef import _Shape, _totals
 from dream.types import Observation, Target
 
 ABOUT = About("a survey", datetime(2026, 6, 1, tzinfo=UTC))
@@ -198,6 +200,18 @@ def test_a_seabed_without_a_reef_has_none(world: World) -> None:
     assert told["median_size"].value is None
     assert len(survey.individuals) == 0
     assert survey.patches == ()
+
+
+@pytest.mark.parametrize("shapes", [(), (_Shape((), 4.0, 8.0, 0.0, ()),)])
+def test_none_found_is_not_none_for_sure(shapes: tuple[_Shape, ...]) -> None:
+    told = {one.name: one for one in _totals(shapes, np.zeros(0), 0.0, 0.0, SHARP)}
+    assert told["count"].value == 0.0
+    assert told["count"].low == 0.0
+    assert told["count"].high == pytest.approx(3.0)
+    assert (told["patch_count"].high or 0.0) >= 1.0
+    assert (told["reef_area"].high or 0.0) > 0.0
+    if shapes:
+        assert told["density"].high == pytest.approx(3.0 / 4.0)
 
 
 def test_a_wreck_is_known_by_what_it_is() -> None:

@@ -42,6 +42,8 @@ STEEPEST = 0.2
 """Slope of a seabed on which what errs over ground errs in height, at most."""
 HIGHEST_SPREAD = 0.06
 """Share by which the highest percent of a reef may be off: few cells make it."""
+NONE_FOUND = 3.0 / 1.96
+"""Standard error of a count of none: three may be there and be missed, as the rule of three has it."""
 BIN = 0.05
 """Metres: the width of the bins of the size-frequency."""
 
@@ -208,8 +210,10 @@ def _shape(number: int, seen: Reading, worth: Float64Array, sigma: float, calibr
         around("length", length + 2.0 * calibration.edge, side, "m", "greatest distance across"),
         around("width", width + 2.0 * calibration.edge, side, "m", "least distance across"),
         _height("height", above, _height_error(seen, outline, sigma, calibration), calibration),
-        in_ratio("density", count / area, ratio, "1/m2") if count else around("density", 0.0, 0.5, "1/m2"),
-        in_ratio("count", count, count_error, "") if count else around("count", 0.0, 1.0, ""),
+        in_ratio("density", count / area, ratio, "1/m2")
+        if count
+        else around("density", 0.0, NONE_FOUND / area, "1/m2"),
+        in_ratio("count", count, count_error, "") if count else around("count", 0.0, NONE_FOUND, ""),
     ]
     return _Shape(rings, area, outline, count, tuple(measures))
 
@@ -223,9 +227,10 @@ def _totals(
         none = "no patch of reef was found"
         return (
             around("reef_area", 0.0, 0.5 * patches.SMALLEST + unseen, "m2", none),
-            Measure("patch_count", 0.0, 0.0, 0.0, "", none),
+            # One of just the least area may have been passed over, and what stands on it.
+            Measure("patch_count", 0.0, 0.0, 1.0, "", none),
             unknown("density", "1/m2", none),
-            Measure("count", 0.0, 0.0, 0.0, "", none),
+            around("count", 0.0, NONE_FOUND, "", none),
         )
     error = _area_error(outline, FINE, sigma, calibration)
     count = float(worth.sum())
@@ -235,11 +240,18 @@ def _totals(
     density = count / area
     doubtful = sum(shape.area < 1.5 * patches.SMALLEST for shape in shapes)
     note = f"{unseen:.1f} m2 of it not seen but likely" if unseen >= 0.05 else ""
+    if count == 0.0:
+        # A ratio of nothing has no width.
+        told = around("density", 0.0, NONE_FOUND / area, "1/m2"), around("count", 0.0, NONE_FOUND, "")
+    else:
+        told = (
+            in_ratio("density", density, together(count_error, error / area), "1/m2"),
+            in_ratio("count", count + density * unseen, together(count_error, share), ""),
+        )
     return (
         around("reef_area", area + unseen, together(error, unseen), "m2", note),
         Measure("patch_count", float(len(shapes)), float(len(shapes) - doubtful), float(len(shapes) + 1), ""),
-        in_ratio("density", density, together(count_error, error / area), "1/m2"),
-        in_ratio("count", count + density * unseen, together(count_error, share), ""),
+        *told,
     )
 
 
