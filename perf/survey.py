@@ -1,7 +1,7 @@
 """How good the measures of a survey are: against the truth of simulated reefs and wrecks.
 
     python perf/survey.py                      # the table of docs/survey-measures.md
-    python perf/survey.py --calibrate          # the numbers of src/dream/survey/calibration.py
+    python perf/survey.py --calibrate --worlds 6   # the numbers of src/dream/survey/calibration.py
     python perf/survey.py --worlds 2 --wrecks 0 --swims 0
 
 Reefs of all four families, seeds 70000 and up, are flown by `belief` in dream-v1 and dream-v1-noisy, some
@@ -536,6 +536,7 @@ def main() -> int:
         for protocol in ("dream-v1", "dream-v1-noisy")
     ]
     rows = []
+    options.cache.mkdir(parents=True, exist_ok=True)
     with (options.cache / "rows.jsonl").open("w") as lines:
         for mission in with_progress(iter(missions), "missions", len(missions)):
             survey, truth = measured(mission, options.cache)

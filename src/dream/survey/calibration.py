@@ -1,8 +1,8 @@
 """What measuring gets wrong on average, found on simulated reefs of its own, and by how much that varies.
 
 The reefs are `reef/fringing`, `string`, `patch` and `mixed` of seeds 60000 and up, which no suite flies, as
-`belief` flew them; `python perf/survey.py --calibrate` finds the numbers again. Every correction stands for
-something that the method is known to do, and every spread is part of an interval.
+`belief` flew them; `python perf/survey.py --calibrate --worlds 6` finds the numbers again. Every
+correction stands for something that the method is known to do, and every spread is part of an interval.
 """
 
 from __future__ import annotations

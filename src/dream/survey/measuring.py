@@ -238,7 +238,7 @@ def _about(
 
 
 def _began(run: Path) -> datetime:
-    """By the folder's name, which is in UTC; by its first step where it was called otherwise."""
+    """By the folder's name, which is in UTC; by when its config was written where it was called otherwise."""
     found = re.match(r"(\d{4}-\d\d-\d\dT\d\d-\d\d)_", run.resolve().name)
     if found:
         try:
