@@ -189,6 +189,15 @@ def test_rows_are_nowhere_taken_for_all_individuals(tmp_path: Path) -> None:
     assert "counted once" not in text
 
 
+def test_limits_say_where_intervals_come_from_and_what_they_do_not_hold() -> None:
+    told = " ".join(words.limits(replace(reef(), made_by={})))
+    assert "calibrated" in told
+    assert "simulated reefs" in told
+    assert "What lies farther into it is in no figure and in no interval" in told
+    assert "neither as reef nor as bare" not in told
+    assert "not calibrated" in " ".join(words.limits(wreck()))
+
+
 def test_identifiers_are_the_same_again_and_no_others(tmp_path: Path) -> None:
     once = [row["occurrenceID"] for row in darwin_core.occurrences(reef(), OYSTER)]
     again = [row["occurrenceID"] for row in darwin_core.occurrences(reef(), OYSTER)]

@@ -58,8 +58,8 @@ class Difference:
 
     name: str
     """`found` (individuals that show in the relief, which are fewer than a survey's `count` says there are),
-    `found_density`, `target_area` (cells of the map; the reef of a survey is closed over its gaps, and larger),
-    `cover`, `median_size`."""
+    `found_density`, `target_area` (cells of the map; the reef of a survey is closed over its gaps, and
+    larger), `cover`, `median_size`."""
     before: float
     after: float
     change: float
@@ -197,9 +197,9 @@ class Comparing:
     `false` at most is false.
 
     Reference: Horvitz and Thompson, JASA 47 (1952), for the weights; Petersen's mark and recapture for the
-    chance; Benjamini and Hochberg, JRSS B 57 (1995), for many patches. `spread`, `cover_spread` and `together`
-    were measured on repeated simulated surveys of worlds of their own (perf/change.py). `edge`, `edge_length`
-    and `area_spread` were not: they are a cell of the map, and guesses that err towards "unchanged".
+    chance; Benjamini and Hochberg, JRSS B 57 (1995), for many patches. `spread`, `cover_spread` and
+    `together` were measured on repeated simulated surveys of worlds of their own (perf/change.py). `edge`,
+    `edge_length` and `area_spread` were not: they are guesses that err towards "unchanged".
 
     Assumes: the two surveys were measured alike, with the same camera and labels, and most individuals are
     still there.

@@ -42,8 +42,8 @@ class Measure:
 class Individuals:
     """N individuals that were found, each once. Arrays share their first axis.
 
-    They are fewer than there are: one that lies under or hard beside another has no row. How many there are is
-    the measure `count`, an estimate.
+    They are fewer than there are: one that lies under or hard beside another has no row. How many there
+    are is the measure `count`, an estimate.
     """
 
     position: Float64Array

@@ -70,8 +70,8 @@ def _print(comparison: Comparison, files: tuple[Path, ...]) -> None:
     if laid["note"]:
         console.print(plain(laid["note"]), highlight=False)
     console.print(
-        f"individuals found: {fates['there']} there in both, {fates['lost']} only before, {fates['new']} only "
-        f"after, {fates['not_comparable']} on ground that one of them did not see",
+        f"individuals found: {fates['there']} there in both, {fates['lost']} only before, "
+        f"{fates['new']} only after, {fates['not_comparable']} on ground that one of them did not see",
         highlight=False,
     )
     table = _table("where both looked")

@@ -276,8 +276,8 @@ def _eml(survey: Survey, species: Species, author: Author) -> str:
         f'packageId={quoteattr(_identifier(survey, "data set"))} system="DREAM"><dataset>'
         f"<title>{escape(title)}</title><creator>{party}</creator><pubDate>{day}</pubDate>"
         "<language>eng</language><abstract><para>Individuals that were found, located and sized across the "
-        "frames of one mission, each once. Others hide under and beside them and have no record: the number of "
-        "records is no count. Identified by a machine, not verified by a person.</para></abstract>"
+        "frames of one mission, each once. Others hide under and beside them and have no record: the "
+        "number of records is no count. Identified by a machine, not verified by a person.</para></abstract>"
         f"<intellectualRights><para>{escape(author.licence)}</para></intellectualRights>"
         f"<coverage><geographicCoverage><geographicDescription>{escape(ground.site.name)}</geographicDescription>"
         f"<boundingCoordinates>{edges}</boundingCoordinates></geographicCoverage>"

@@ -176,7 +176,8 @@ def limits(survey: Survey) -> list[str]:
     """What the figures do not say. Stands in every report."""
     worst = float(survey.track.sigma.max(initial=0.0))
     lines = [
-        "Every interval is a 95 % interval: in one case of twenty the true figure lies outside of it.",
+        "Every interval is a 95 % interval: in one case of twenty the true figure lies outside of it. "
+        + _calibrated(survey),
         "A camera and a program made these figures. Nobody has checked the individuals one by one, and none "
         "was touched: whether one is alive, and what grows below the surface of the reef, is not known.",
     ]
@@ -187,12 +188,13 @@ def limits(survey: Survey) -> list[str]:
             "corrected, and the interval is wider."
         )
         lines.append(
-            f"Lists and maps show the {len(survey.individuals)} individuals that were found one by one. They are "
-            "not all: how many there are is an estimate, which stands among the measures."
+            f"Lists and maps show the {len(survey.individuals)} individuals that were found one by one. They "
+            "are not all: how many there are is an estimate, which stands among the measures."
         )
     lines.append(
-        "Ground that no frame saw counts neither as reef nor as bare. The map of how often each place was "
-        "looked at shows where the figures rest on few frames."
+        "Ground that no frame saw counts as bare, but for what is likely right beside reef, which is added "
+        "and told with the area. What lies farther into it is in no figure and in no interval. The map of how "
+        "often each place was looked at shows where the figures rest on few frames."
     )
     if worst > 0.0:
         errs = f"along the way they may err by up to {max(worst, 0.01):.2f} m (one sigma)"
@@ -209,6 +211,17 @@ def limits(survey: Survey) -> list[str]:
     if text := simulated(survey):
         lines.append(f"{text}. No real place was surveyed.")
     return lines
+
+
+def _calibrated(survey: Survey) -> str:
+    """What the intervals rest on."""
+    if survey.target is Target.WRECK:
+        return "So it is meant: they were set on a few simulated wrecks, and not calibrated."
+    return (
+        "So it is on simulated reefs, on which the method was calibrated. Where shells grow in another way, or "
+        "the water is worse, counts, densities and sizes err by more until they are checked there against "
+        "quadrats."
+    )
 
 
 def facts(survey: Survey) -> list[tuple[str, str]]:
