@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -162,3 +164,24 @@ def test_a_site_that_cannot_be_read_stops_a_run_before_it_begins(
 def _other(folder: Path) -> Path:
     write_site(Site("Other reef", 1.0, 2.0), folder / "other.json")
     return folder / "other.json"
+
+
+def test_what_the_page_says_to_type_works(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From nothing to a comparison, with missions that are cut short."""
+    pytest.importorskip("rasterio")
+    page = Path(__file__).parents[2].joinpath("docs/survey.md").read_text(encoding="utf-8")
+    typed = page.split("## From nothing to a comparison")[1].split("```sh\n")[1].split("```")[0]
+    file, site = re.findall(r"cat > (\S+) <<'SITE'\n(.*?)\nSITE\n", typed, re.DOTALL)[0]
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv(VARIABLE, raising=False)
+    (tmp_path / file).write_text(site)
+    commands = [shlex.split(line)[1:] for line in typed.splitlines() if line.startswith("dream ")]
+    assert [command[0] for command in commands].count("run") == 2
+    for command in commands:
+        short = ["--max-steps", "5"] if command[0] == "run" else []
+        assert run_command([*command, *short]) == 0, command
+    capsys.readouterr()
+    assert (tmp_path / "runs/change/change.json").is_file()
+    assert (tmp_path / "runs/products/survey.gpkg").is_file()

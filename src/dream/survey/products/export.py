@@ -50,7 +50,7 @@ FILES: Mapping[str, str] = {
     darwin_core.CSV: "one Darwin Core occurrence an individual that was found and is likely one",
     darwin_core.ARCHIVE: "the same with sizes as a Darwin Core Archive, for OBIS and GBIF",
     tables.MEASURES: "all measures with their intervals, of the survey and of each patch",
-    tables.INDIVIDUALS: "position, size and confidence of those that were found; count tells how many there are",
+    tables.INDIVIDUALS: "position, size and confidence of those that were found, which are not all",
     page.NAME: "the survey report, for a browser",
     pdf.NAME: "the survey report, for print",
     "README.md": "what the files are",

@@ -193,8 +193,8 @@ def limits(survey: Survey) -> list[str]:
         )
     lines.append(
         "Ground that no frame saw counts as bare, but for what is likely right beside reef, which is added "
-        "and told with the area. What lies farther into it is in no figure and in no interval. The map of how "
-        "often each place was looked at shows where the figures rest on few frames."
+        "and told with the area. What lies farther into it is in no figure and in no interval. The map of "
+        "how often each place was looked at shows where the figures rest on few frames."
     )
     if worst > 0.0:
         errs = f"along the way they may err by up to {max(worst, 0.01):.2f} m (one sigma)"
@@ -218,8 +218,8 @@ def _calibrated(survey: Survey) -> str:
     if survey.target is Target.WRECK:
         return "So it is meant: they were set on a few simulated wrecks, and not calibrated."
     return (
-        "So it is on simulated reefs, on which the method was calibrated. Where shells grow in another way, or "
-        "the water is worse, counts, densities and sizes err by more until they are checked there against "
+        "So it is on simulated reefs, on which the method was calibrated. Where shells grow in another way, "
+        "or the water is worse, counts, densities and sizes err by more until they are checked there against "
         "quadrats."
     )
 
