@@ -225,6 +225,13 @@ def _header(**changes: Any) -> bytes:
         ("header.json", b"{}", "format: Field required"),
         ("header.json", b"\xff", "header"),
         ("header.json", _header(version=2), "version: Input should be 1"),
+        ("header.json", _header(began="0001-01-01T00:00:00+05:00"), "began: expected a year from 1900"),
+        (
+            "header.json",
+            _header(area={"x_min": 0.0, "y_min": 0.0, "x_max": 1e300, "y_max": 1.0}),
+            r"area: expected metres within",
+        ),
+        ("track.time.npy", _npy(np.full(13, 1e300)), "track.time: expected"),
         ("header.json", _header(cell=1e-9), "layers.bounds: expected"),
         ("header.json", _header(patches=[]), "expected"),
         ("header.json", _header(extra=1), "extra: Extra inputs are not permitted"),

@@ -38,6 +38,10 @@ MOST_SIDE = 8192
 """Cells along a side of the maps."""
 FAR = 1e5
 """Metres: nothing of a survey is farther from its origin."""
+LONG = 1e9
+"""Seconds: no mission takes as long."""
+YEARS = (1900, 9000)
+"""Between which a survey began: clocks and calendars of other programs hold no others."""
 
 Array = npt.NDArray[Any]
 Arrays = Mapping[str, Array]
@@ -453,6 +457,16 @@ def _check(header: _Header, arrays: Arrays, where: str) -> None:
             expect(np.isfinite(array).all(), name, "finite numbers", "NaN or infinity")
     for name in ("individuals.position", "track.position", "rings"):
         expect(not (np.abs(arrays[name]) > FAR).any(), name, f"metres within ±{FAR:g}", "more")
+    expect(not (np.abs(arrays["track.time"]) > LONG).any(), "track.time", f"seconds within ±{LONG:g}", "more")
+    expect(YEARS[0] <= header.began.year <= YEARS[1], "began", "a year from 1900 to 9000", header.began.year)
+    boxes = {"area": header.area, "layers.bounds": header.layers}
+    boxes |= {} if header.picture is None else {"picture.bounds": header.picture.bounds}
+    for name, box in boxes.items():
+        far = max(map(abs, (box.x_min, box.y_min, box.x_max, box.y_max)))
+        expect(far <= FAR, name, f"metres within ±{FAR:g}", f"{far:g}")
+    for one in header.decisions:
+        near = max(abs(one.x), abs(one.y)) <= FAR and abs(one.time) <= LONG
+        expect(near, "decisions", f"metres within ±{FAR:g} and seconds within ±{LONG:g}", f"step {one.step}")
     for name in ("individuals.sigma", "individuals.size", "individuals.size_sigma", "track.sigma"):
         expect(not (arrays[name] < 0.0).any(), name, "0 or more", "less")
     hits, looks = arrays["individuals.hits"], arrays["individuals.looks"]
@@ -475,8 +489,8 @@ def _check(header: _Header, arrays: Arrays, where: str) -> None:
     expect(not np.isinf(arrays["layers.relief"]).any(), "layers.relief", "metres or NaN", "infinity")
     _check_measures(header, where)
     start = 0
-    for number, one in enumerate(header.patches):
-        for hole, length in enumerate(one.rings):
+    for number, part in enumerate(header.patches):
+        for hole, length in enumerate(part.rings):
             ring = arrays["rings"][start : start + length]
             start += length
             name = f"patches.{number}.rings.{hole}"
