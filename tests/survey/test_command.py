@@ -6,6 +6,7 @@ import json
 import re
 import shlex
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -94,6 +95,24 @@ def test_names_that_look_like_markup_are_printed_as_they_are(
         capsys.readouterr()
         assert run_command(words.split()) == 0, words
         assert name in "".join(capsys.readouterr().out.split("\n")), words
+
+
+def test_surveys_the_wrong_way_round_or_made_in_two_ways_are_doubted(
+    two: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    first = files.read(two / "first.survey.npz")
+    later = replace(first, began=first.began + timedelta(days=1), name="later")
+    files.write(later, two / "later.survey.npz")
+    files.write(replace(later, protocol="dream-v1-noisy", name="other"), two / "other.survey.npz")
+    for names, doubts in (
+        ("first.survey.npz later.survey.npz", 0),
+        ("later.survey.npz first.survey.npz", 1),
+        ("first.survey.npz other.survey.npz", 1),
+        ("other.survey.npz first.survey.npz", 2),
+    ):
+        caplog.clear()
+        said(f"survey compare {names}", capsys)
+        assert len([one for one in caplog.records if one.getMessage().startswith("compare:")]) == doubts
 
 
 def test_the_archive_is_the_one_that_is_named_else_that_of_the_environment(

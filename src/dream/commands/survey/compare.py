@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,7 +16,11 @@ from dream.commands.survey.words import UNITS, named, number, plain
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from dream.survey import Survey
     from dream.survey.comparison import Comparison, Difference
+
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +51,8 @@ class Compare:
         check_writable(self.out)
         with compiling_told():
             a, b = (found(what, self.archive, self.site) for what in (self.before, self.after))
+            for doubt in _doubts(a, b):
+                logger.warning("compare: %s", doubt)
             comparison = Comparing().compare(a, b)
         files = write_change(comparison, self.out)
         if self.json:
@@ -53,6 +60,21 @@ class Compare:
         else:
             _print(comparison, files)
         return 0
+
+
+def _doubts(a: Survey, b: Survey) -> list[str]:
+    """What two surveys have that makes their comparison less than it says."""
+    doubts = []
+    if a.began > b.began:
+        doubts.append(
+            f"{a.name} began after {b.name}; what is told as gained was lost, if their clocks are right"
+        )
+    if a.protocol != b.protocol:
+        doubts.append(
+            f"{a.name} was made by {a.protocol} and {b.name} by {b.protocol}: what two ways of looking "
+            "differ by is not in the intervals, and may be told as a change"
+        )
+    return doubts
 
 
 def _print(comparison: Comparison, files: tuple[Path, ...]) -> None:
