@@ -642,7 +642,7 @@ def _fates(
     common_b: BoolArray,
     laid: Registration,
 ) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
-    """Pairs that are each other's nearest within what their places may err are the same individual."""
+    """Pairs of nearest, one to one, within what their places may err are the same individual."""
     fate_a = np.where(common_a, np.uint8(Fate.LOST), np.uint8(Fate.NOT_COMPARABLE))
     fate_b = np.where(common_b, np.uint8(Fate.NEW), np.uint8(Fate.NOT_COMPARABLE))
     if len(a) and len(b):

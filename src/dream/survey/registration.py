@@ -234,7 +234,10 @@ def placed(T_a_b: SE2, points: Float64Array) -> Float64Array:
 
 
 def mutual(tree: cKDTree, points: Float64Array, reach: float) -> IntArray:
-    """(n, 2) pairs of indices, into the tree and into the points, that are each other's nearest."""
+    """(n, 2) pairs of indices, into the tree and into the points: each point with its nearest.
+
+    Of several with the same nearest the one that lies nearest has it, so that each is in one pair at most.
+    """
     distance, near = (found[:, 0] for found in _nearest(tree, points, 1, reach))
     there = np.flatnonzero(np.isfinite(distance))
     order = there[np.argsort(distance[there], kind="stable")]
