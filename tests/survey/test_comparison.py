@@ -202,7 +202,8 @@ def test_only_sizes_that_were_measured_make_a_median() -> None:
 
 def test_figures_of_other_things_than_a_survey_measures_have_other_names(less: list[Comparison]) -> None:
     """Peaks that were found are about half of the individuals; cells of target are less than the reef."""
-    names = {one.name for told in less for part in (told, *told.patches) for one in part.differences}
+    every = [told.differences for told in less] + [part.differences for told in less for part in told.patches]
+    names = {one.name for differences in every for one in differences}
     assert {"found", "found_density", "target_area"} <= names
     assert not names & {"count", "density", "area", "reef_area"}
 
