@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import os
 import re
 import signal
@@ -634,9 +635,21 @@ def _json(path: Path) -> Any:
 
 def _parsed(text: bytes, where: str) -> Any:
     try:
-        return from_json(text, allow_inf_nan=False)
+        parsed = from_json(text, allow_inf_nan=False)
     except ValueError as error:
         raise ValueError(f"{where}: expected one JSON object, got damaged text ({error})") from error
+    if not _is_finite(parsed):
+        raise ValueError(f"{where}: expected finite numbers, got one that is too large")
+    return parsed
+
+
+def _is_finite(value: Any) -> bool:
+    """Whether no number in it is infinite, as 1e999 is once it was read; no page could be told of it."""
+    if isinstance(value, float):
+        return math.isfinite(value)
+    if isinstance(value, dict):
+        return all(map(_is_finite, value.values()))
+    return not isinstance(value, list) or all(map(_is_finite, value))
 
 
 def _checked(model: type[M], fields: Any, where: str) -> M:

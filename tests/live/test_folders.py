@@ -62,6 +62,7 @@ def test_a_line_counts_once_it_is_whole(growing: Make) -> None:
         (b'{"step": 2}\n', "steps.jsonl, line 3: time"),
         (b"x" * (MAX_LINE_BYTES + 1), "expected at most"),
         (b"\xff\xfe\n", "line 3"),
+        (b'{"step": 2, "more": [{"of it": 1e999}]}\n', "steps.jsonl, line 3: expected finite numbers"),
     ],
 )
 def test_damage_is_told_and_what_came_before_stays(growing: Make, damage: bytes, told: str) -> None:
