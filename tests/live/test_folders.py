@@ -108,6 +108,20 @@ def test_how_it_ended_is_known_once_all_steps_are(growing: Make, monkeypatch: py
     assert numbers(run) == list(range(STEPS))
 
 
+def test_a_long_run_is_not_behind_for_ever_once_it_is_found_damaged(
+    growing: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = growing().write(3)
+    made.append(b"{nonsense}\n")
+    monkeypatch.setattr(folders, "READ_BYTES", max(map(len, made.lines)) + 1)
+    run = only(Watched([made.folder]))
+    assert run.behind
+    for _ in range(5):
+        run.look()
+    assert "line 4" in run.problem
+    assert not run.behind
+
+
 def test_runs_that_are_not_there_yet_appear(growing: Make, tmp_path: Path) -> None:
     place = tmp_path / "runs"
     watched = Watched([place])

@@ -6,7 +6,7 @@ import json
 import logging
 import re
 import socket
-from collections.abc import Callable, MutableMapping
+from collections.abc import Callable, Iterator, MutableMapping
 from pathlib import Path
 from typing import Any
 
@@ -273,6 +273,27 @@ def test_a_stream_brings_a_page_up_to_date_and_keeps_it_there(pages: Pages, grow
     assert status == 200
     assert indices(body) == list(range(STEPS))
     assert pages.open == 0
+
+
+def test_a_long_run_is_told_of_as_it_is_read_and_between_two_looks_nobody_works(
+    growing: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = growing("long").write(STEPS)
+    monkeypatch.setattr(folders, "READ_BYTES", max(map(len, made.lines)) + 1)
+    monkeypatch.setattr(server, "LOOK_S", 0.05)
+    rounds = 0
+    news = server.Cursor.news
+
+    def counted(cursor: server.Cursor, watched: Watched) -> Iterator[bytes]:
+        nonlocal rounds
+        rounds += 1
+        return news(cursor, watched)
+
+    monkeypatch.setattr(server.Cursor, "news", counted)
+    app = application(Pages(Watched([made.folder])), Doors())
+    _, body = asyncio.run(streamed(app, "/events", until=lambda body: b"event: beat" in body))
+    assert indices(body) == list(range(STEPS))
+    assert rounds <= 4 * STEPS
 
 
 def test_a_page_that_comes_back_says_where_it_was(pages: Pages) -> None:

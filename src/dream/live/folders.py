@@ -113,6 +113,7 @@ class WatchedRun:
                 self.summary = summary or self.summary
         except (OSError, ValueError) as error:
             self.problem = str(error).replace(f"{self.folder}{os.sep}", "")
+            self.behind = False
             logger.warning("%s is not read on: %s", self.folder.name, self.problem)
         if self.problem or before != (self.config is None, self.summary):
             self.version += 1

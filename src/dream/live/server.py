@@ -209,10 +209,12 @@ class _Stream:
         while time.monotonic() - began < LIFE_S and not self._pages.closing():
             await self._pages.look()
             news = b"".join(cursor.news(watched))
-            if cursor.is_behind(watched):
+            behind = cursor.is_behind(watched)
+            if news and behind:
                 yield news
                 continue
-            if news or time.monotonic() - beaten >= BEAT_S:
+            # What is behind without news waits for the next look at the folders, and is told nothing meanwhile.
+            if not behind and (news or time.monotonic() - beaten >= BEAT_S):
                 beaten = time.monotonic()
                 yield news + cursor.beat(watched)
             await asyncio.sleep(LOOK_S)
