@@ -42,7 +42,9 @@ def test_where_others_can_connect_a_token_is_demanded(host: str) -> None:
         Doors(host)
 
 
-@pytest.mark.parametrize("token", ["short", "x" * 15, "é" * 20])
+@pytest.mark.parametrize(
+    "token", ["short", "x" * 15, "é" * 20, *(f"{'x' * 10}{mark}{'y' * 10}" for mark in ' \n\t;,"\\\x7f')]
+)
 def test_a_poor_token_is_refused_and_not_told(token: str) -> None:
     with pytest.raises(ValueError, match="16 plain characters") as refused:
         Doors("0.0.0.0", token)

@@ -256,6 +256,16 @@ def test_the_token_becomes_a_cookie_that_scripts_cannot_read(guarded: TestClient
     assert TOKEN not in guarded.get("/").text
 
 
+@pytest.mark.parametrize("token", ["q+8/Rt%2B&x=1#Zw==", "!#$%&'()*+-./:<=>?@[]^_`{|}~"])
+def test_any_token_that_is_taken_opens_the_door_by_the_address_that_is_told(pages: Pages, token: str) -> None:
+    doors = Doors("0.0.0.0", token)
+    client = TestClient(application(pages, doors), base_url="http://10.0.0.1", follow_redirects=False)
+    with listen("0.0.0.0", 0) as listening:
+        query = address(doors, listening).partition("/?")[2]
+    assert client.get(f"/?{query}").status_code == 303
+    assert client.get("/").status_code == 200
+
+
 # ---- the stream
 
 

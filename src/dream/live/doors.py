@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hmac
 import ipaddress
+import re
 import secrets
 import socket
 from collections.abc import Iterable, MutableMapping
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 TOKEN_LENGTH = 16
 """Characters of a token at least."""
 COOKIE = "dream-watch"
+
+_PLAIN = re.compile(r"[!#-+\--:<-\[\]-~]+")  # What RFC 6265 allows in a cookie.
 
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -49,8 +52,11 @@ class Doors:
     def __post_init__(self) -> None:
         if not self.token and not is_loopback(self.host):
             raise ValueError(f"token: expected one where others can connect, got none for {self.host}")
-        if self.token and (len(self.token) < TOKEN_LENGTH or not self.token.isascii()):
-            raise ValueError(f"token: expected at least {TOKEN_LENGTH} plain characters, got fewer or others")
+        if self.token and (len(self.token) < TOKEN_LENGTH or not _PLAIN.fullmatch(self.token)):
+            raise ValueError(
+                f"token: expected at least {TOKEN_LENGTH} plain characters, no space, comma, semicolon, "
+                "quote or backslash, got fewer or others"
+            )
 
     def answers_to(self, header: str) -> bool:
         """Whether a request for this host, as its header names it, is meant for this server."""

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 from PIL import Image
 
@@ -213,7 +214,7 @@ class _Stream:
             if news and behind:
                 yield news
                 continue
-            # What is behind without news waits for the next look at the folders, and is told nothing meanwhile.
+            # What is behind without news waits for the next look at the folders.
             if not behind and (news or time.monotonic() - beaten >= BEAT_S):
                 beaten = time.monotonic()
                 yield news + cursor.beat(watched)
@@ -258,7 +259,7 @@ def address(doors: Doors, listening: socket.socket) -> str:
     port = listening.getsockname()[1]
     host = _reached_at() if doors.host in ("0.0.0.0", "::") else doors.host
     bracketed = f"[{host}]" if ":" in host else host
-    return f"http://{bracketed}:{port}/" + (f"?token={doors.token}" if doors.token else "")
+    return f"http://{bracketed}:{port}/" + (f"?token={quote(doors.token, safe='')}" if doors.token else "")
 
 
 def _reached_at() -> str:
