@@ -343,3 +343,22 @@ def test_beats_that_all_fail_are_told_once_come_no_faster_and_end_in_the_last_re
     assert {what for what, _ in scene.sent} == {"begin", "neutral"}
     assert beats <= 25.0 * took + 3
     assert sum("a beat failed" in record.message for record in caplog.records) == 1
+
+
+def test_the_loop_outlives_also_what_fails_while_it_stops_the_vehicle() -> None:
+    began = time.monotonic()
+    scene = Scene(limits=Limits(area=AREA, patience=0.3))
+
+    def gone(standing: Standing) -> None:
+        raise BrokenPipeError("nobody listens")
+
+    scene.bridge = Bridge(scene, scene, scene.limits, lambda: time.monotonic() - began, said=gone)  # type: ignore[arg-type]
+    scene.fix = fix_at(imu_age=0.3)
+    scene.bridge.start()
+    try:
+        deadline = time.monotonic() + 5.0
+        while not scene.resorts and time.monotonic() < deadline:
+            time.sleep(0.01)
+    finally:
+        scene.bridge.close()
+    assert scene.resorts == [LastResort.SURFACE]

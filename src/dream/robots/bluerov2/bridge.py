@@ -322,7 +322,10 @@ class Bridge:
             except Exception as error:  # the loop must outlive whatever it meets, and say so.
                 if not self._over:
                     logger.exception("bridge: a beat failed")
-                self._fail(error)
+                try:
+                    self._fail(error)
+                except Exception:  # the next beat tries again.
+                    logger.debug("bridge: the vehicle could not be stopped", exc_info=True)
 
     def _steer(self, fix: Fix, dt: float, pace: float) -> None:
         with self._lock:
