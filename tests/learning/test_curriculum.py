@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -100,7 +101,28 @@ def test_a_folder_of_another_curriculum_is_refused(folder: Path) -> None:
         next(learn(replace(TINY, seed=1), folder, Inline(), "cpu"))
 
 
-@pytest.mark.parametrize("wrong", [{"missions": 0}, {"rounds": 10}, {"temperatures": ()}, {"steps": -1}])
+@pytest.mark.parametrize("damaged", [b"", b"[]", b"{", b"\xff"])
+def test_a_damaged_plan_is_told_of(tmp_path: Path, damaged: bytes) -> None:
+    (tmp_path / "plan.json").write_bytes(damaged)
+    with pytest.raises(ValueError, match=r"plan\.json: expected one JSON object"):
+        next(learn(TINY, tmp_path, Inline(), "cpu"))
+
+
+def test_what_is_missing_is_told_before_anything_is_flown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("onnx", "onnxruntime"):
+        with monkeypatch.context() as patch:
+            patch.setitem(sys.modules, name, None)
+            engine = Inline()
+            with pytest.raises(ValueError, match=rf'needs {name}: pip install "dream-auv\[train\]"'):
+                next(learn(TINY, tmp_path / name, engine, "cpu"))
+        assert not engine.ran
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"missions": 0}, {"rounds": 10}, {"temperatures": ()}, {"steps": -1}, {"seed": -1}]
+)
 def test_wrong_numbers_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="expected"):
         replace(TINY, **wrong)

@@ -85,6 +85,17 @@ def test_training_that_is_broken_off_ends_as_if_it_never_was(tmp_path: Path) -> 
         np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-7)
 
 
+def test_a_damaged_state_is_told_of_and_not_gone_on_from(tmp_path: Path) -> None:
+    images, odds = stripes(32)
+    kept = tmp_path / "student.pt"
+    next(fit(SMALL.build(0), images, odds, Training(batch=16), kept=kept))
+    whole = kept.read_bytes()
+    for damaged in (b"", whole[:1000], b"nonsense"):
+        kept.write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"student\.pt: expected the state .* Delete it"):
+            next(fit(SMALL.build(0), images, odds, Training(batch=16), kept=kept))
+
+
 def test_training_leaves_the_dice_of_others_alone() -> None:
     images, odds = stripes(32)
     torch.manual_seed(5)
@@ -148,6 +159,7 @@ def test_what_cannot_be_exported_is_refused() -> None:
         lambda: Network(dropout=1.0),
         lambda: Training(epochs=0),
         lambda: Training(rate=0.0),
+        lambda: Training(seed=-1),
         lambda: Training(smoothing=1.0),
         lambda: next(fit(SMALL.build(0), *stripes(1), Training())),
         lambda: device_named("abacus"),

@@ -19,7 +19,7 @@ from dream.evaluation.engines import Engine
 from dream.evaluation.locks import alone_at
 from dream.evaluation.results import write_whole
 from dream.learning.expert import TURNS, Expert
-from dream.learning.export import INPUT, OUTPUT, answers_in, as_onnx
+from dream.learning.export import INPUT, OUTPUT, answers_in, as_onnx, check_installed
 from dream.learning.network import PLANES, Network, import_torch
 from dream.learning.rollouts import TRAINING, VALIDATION, Frames, Lesson, Taught, gather, reef_cases
 from dream.learning.training import Training, device_named, fit
@@ -78,6 +78,8 @@ class Curriculum:
             raise ValueError(f"rounds: expected 0 to 9, got {self.rounds}")
         if not self.temperatures:
             raise ValueError("temperatures: expected one or more, got none")
+        if self.seed < 0:
+            raise ValueError(f"seed: expected 0 or more, got {self.seed}")
 
     def lessons(self, number: int, student: str = "") -> list[Lesson]:
         """The missions of a round: 0 is the teacher's."""
@@ -124,6 +126,7 @@ def learn(
         OSError: The folder cannot be written.
     """
     import_torch()
+    check_installed()
     device = device_named(device)
     with alone_at(folder, folder / ".lock"):
         _claim(folder, curriculum)
@@ -162,10 +165,10 @@ def _claim(folder: Path, curriculum: Curriculum) -> None:
     except FileNotFoundError:
         write_whole(path, (json.dumps(plan, indent=2) + "\n").encode())
         return
-    except ValueError as error:
-        raise ValueError(
-            f"{path}: expected one JSON object, got damaged text. Choose another --out"
-        ) from error
+    except ValueError:
+        before = None
+    if not isinstance(before, dict):
+        raise ValueError(f"{path}: expected one JSON object, got damaged text. Choose another --out")
     for name in plan:
         if before.get(name) != plan[name]:
             raise ValueError(

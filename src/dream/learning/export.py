@@ -6,6 +6,7 @@ into the file, and needs one more package.
 
 from __future__ import annotations
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +26,16 @@ OPSET, IR = 17, 8
 MOST_BYTES = 3_000_000
 AGREES = 1e-5
 """By how much, at most, the file's answers may differ from PyTorch's."""
-EXTRA = 'dream train needs onnx: pip install "dream-auv[train]"'
+EXTRA = 'dream train needs {}: pip install "dream-auv[train]"'
+
+
+def check_installed() -> None:
+    """Raise a ValueError where what writes the file, or runs it, is not installed."""
+    for name in ("onnx", "onnxruntime"):
+        try:
+            importlib.import_module(name)
+        except ImportError as error:
+            raise ValueError(EXTRA.format(name)) from error
 
 
 def as_onnx(student: torch.nn.Sequential) -> bytes:
@@ -36,13 +46,13 @@ def as_onnx(student: torch.nn.Sequential) -> bytes:
     becomes part of its convolution. The same student gives the same bytes.
 
     Raises:
-        ValueError: The file would be too large, or answers otherwise than PyTorch does.
+        ValueError: The file would be too large, or answers otherwise than PyTorch does; or what is needed is
+            not installed.
     """
-    try:
-        import onnx
-        from onnx import helper, numpy_helper
-    except ImportError as error:
-        raise ValueError(EXTRA) from error
+    check_installed()
+    import onnx
+    from onnx import helper, numpy_helper
+
     constants: dict[str, Any] = {
         "back": np.array([-1], np.int64),
         "far": np.array([np.iinfo(np.int64).min], np.int64),

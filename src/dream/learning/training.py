@@ -45,6 +45,8 @@ class Training:
         for name in ("epochs", "batch"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name}: expected at least 1, got {getattr(self, name)}")
+        if self.seed < 0:
+            raise ValueError(f"seed: expected 0 or more, got {self.seed}")
         if not 0.0 < self.rate < math.inf or not 0.0 <= self.decay < math.inf:
             raise ValueError(f"rate: expected above 0 and a decay from 0, got {self.rate} and {self.decay}")
         if not 0.0 <= self.smoothing < 1.0:
@@ -176,8 +178,15 @@ def _resume(path: Path | None, student: Any, optimizer: Any, schedule: Any, devi
     """Epochs that are done."""
     if path is None or not path.is_file():
         return 0
-    state = import_torch().load(path, map_location=device, weights_only=True)
-    student.load_state_dict(state["student"])
-    optimizer.load_state_dict(state["optimizer"])
-    schedule.load_state_dict(state["schedule"])
-    return int(state["epoch"])
+    try:
+        state = import_torch().load(path, map_location=device, weights_only=True)
+        student.load_state_dict(state["student"])
+        optimizer.load_state_dict(state["optimizer"])
+        schedule.load_state_dict(state["schedule"])
+        return int(state["epoch"])
+    except Exception as error:  # what a damaged file makes PyTorch raise is not of one kind.
+        line = (str(error).splitlines() or [type(error).__name__])[0]
+        raise ValueError(
+            f"{path}: expected the state of this student's training, got a damaged or foreign file ({line}). "
+            "Delete it; its epochs are learned again"
+        ) from error
