@@ -141,6 +141,30 @@ def test_a_mission_is_served_while_it_flies_and_ends_as_ever(tmp_path: Path) -> 
 
 @pytest.mark.slow
 @needs_server
+def test_what_lies_where_it_is_called_from_is_not_run(growing: Make, tmp_path: Path) -> None:
+    run = growing().write(1)
+    (tmp_path / "uvicorn.py").write_text("open('run by mistake', 'w').close()")
+    code = (
+        "import sys, time; from pathlib import Path; from dream.live.beside import shown_live\n"
+        "with shown_live(Path(sys.argv[1])):\n"
+        "    time.sleep(600)"
+    )
+    # As the installed command, which has the folder of the command first and not the working directory.
+    words = [sys.executable, "-P", "-c", code, str(run.folder)]
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as mission:
+        try:
+            assert mission.stderr is not None
+            address = re.search(r"http://\S+", mission.stderr.readline())
+            assert address is not None
+            assert "DREAM live" in given(address[0])
+        finally:
+            mission.kill()
+    assert not (tmp_path / "run by mistake").exists()
+    assert is_gone(address[0])
+
+
+@pytest.mark.slow
+@needs_server
 def test_a_server_outlives_no_mission(growing: Make) -> None:
     run = growing().write(1)
     code = (

@@ -39,7 +39,8 @@ def shown_live(folder: Path) -> Iterator[None]:
     The address is told on standard error once the server is up; the mission does not wait for that.
     """
     server = subprocess.Popen(
-        [sys.executable, "-m", "dream.live.beside", str(folder)],
+        # Modules that lie in the working directory are none of ours.
+        [sys.executable, "-P", "-m", "dream.live.beside", str(folder)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
