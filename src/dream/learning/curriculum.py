@@ -27,6 +27,7 @@ from dream.learning.trials import Outcome, Trial, try_out
 from dream.mission import Planner
 from dream.perception.representation import CLOSEST, HEIGHT, WIDTH
 from dream.planning.baselines import Lawnmower, RandomWalk, UivNav
+from dream.planning.baselines.uivnav import TURNS_DEG
 
 MODEL, CARD = "uivnav.onnx", "uivnav.json"
 ADDS = ("rounds", "trials", "horizon", "temperatures")
@@ -290,7 +291,7 @@ def _card(
             "scale": "depth in altitudes of the protocol",
         },
         "output": {"name": OUTPUT, "shape": ["n", len(TURNS)], "type": "float32", "means": "logits"},
-        "turns_deg": [round(float(np.degrees(turn))) for turn in TURNS],
+        "turns_deg": list(TURNS_DEG),
         "advance": "the protocol's longest, always",
         "temperature": temperature,
         "chosen": f"round {number} at temperature {temperature:g}: the largest share in the trials",

@@ -10,12 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import Camera, camera_mount
+from dream.planning.baselines.uivnav import TURNS_DEG
 from dream.protocol import SurveyProtocol
 from dream.types import Float32Array, Label, UInt8Array
 
 Float64Array = npt.NDArray[np.float64]
 
-TURNS = tuple(math.radians(degrees) for degrees in (-90, -60, -30, 0, 30, 60, 90))
+TURNS = tuple(math.radians(degrees) for degrees in TURNS_DEG)
 """Radians, positive to the left: what the expert and the network choose from."""
 AHEAD = 3
 """Index of the turn of 0."""
