@@ -1,7 +1,7 @@
 """UIVNav beside blind baselines, and what noise does to it: figures, tables and picture of docs/uivnav.md.
 
     dream bench test --planners uivnav random lawnmower --out bench/uivnav
-    dream bench --world pool/arc --seeds 1001..1020 --planners uivnav random lawnmower --out bench/uivnav-pool
+    dream bench --world pool/arc --seeds 1001..1010 --planners uivnav random lawnmower --out bench/uivnav-pool
     dream bench paper --planners uivnav --out bench/uivnav-paper
     python perf/uivnav.py early bench/uivnav                      targets per metre in the first steps
     python perf/uivnav.py early bench/uivnav-pool

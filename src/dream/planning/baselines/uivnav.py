@@ -36,9 +36,10 @@ class UivNav:
 
     What it does: makes of each frame a small image of two channels, nearness and share of target
     (`perception.representation`); asks a network for the turn; then advances by the protocol's longest step.
-    It reads neither map nor position nor colours. Of the steps before it keeps their number, for its dice,
-    and one bit: where straight on got it nowhere, it does not try straight on again at once. For the guard
-    shortens its moves as everybody's, and the edge of the area is nothing that a camera shows.
+    It reads neither map nor colours, and of the position only whether it changed. Of the steps before it
+    keeps their number, for its dice, and one bit: where straight on got it nowhere, it does not try
+    straight on again at once. For the guard shortens its moves as everybody's, and the edge of the area
+    is nothing that a camera shows.
 
     Reference: UIVNav (arXiv 2309.08806), re-implemented: its representation, network and data are not
     published; these are ours. See docs/uivnav.md.
