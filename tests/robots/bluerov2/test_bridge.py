@@ -1,5 +1,6 @@
 """The bridge: nothing that should stop the vehicle leaves a command alive."""
 
+import contextlib
 import math
 import time
 from collections.abc import Callable
@@ -362,3 +363,33 @@ def test_the_loop_outlives_also_what_fails_while_it_stops_the_vehicle() -> None:
     finally:
         scene.bridge.close()
     assert scene.resorts == [LastResort.SURFACE]
+
+
+def test_the_last_resort_needs_no_neutral_and_is_tried_until_it_begins() -> None:
+    began = time.monotonic()
+    scene = Scene(limits=Limits(area=AREA, patience=0.3))
+    tries: list[float] = []
+
+    def stuck() -> None:
+        raise OSError("no route to the vehicle")
+
+    def resort(how: LastResort) -> None:
+        tries.append(time.monotonic())
+        if len(tries) < 3:
+            raise OSError("no route to the vehicle")
+        scene.resorts.append(how)
+
+    scene.neutral, scene.resort = stuck, resort  # type: ignore[method-assign]
+    scene.bridge = Bridge(scene, scene, scene.limits, lambda: time.monotonic() - began)  # type: ignore[arg-type]
+    scene.fix = fix_at(imu_age=0.3)
+    scene.bridge.start()
+    try:
+        deadline = time.monotonic() + 5.0
+        while not scene.resorts and time.monotonic() < deadline:
+            time.sleep(0.01)
+        time.sleep(0.2)
+    finally:
+        with contextlib.suppress(OSError):
+            scene.bridge.close()
+    assert scene.resorts == [LastResort.SURFACE]
+    assert len(tries) == 3

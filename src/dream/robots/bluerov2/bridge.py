@@ -287,11 +287,15 @@ class Bridge:
 
     def _stay(self, standing: Standing, now: float) -> None:
         """Neutral, and the last resort where that lasts."""
-        self._drive.neutral()
-        if now - self._neutral_since >= self._limits.patience and not self._resorted:
-            self._resorted, self._over = True, standing.reason
-            logger.warning("%s; last resort: %s", standing.reason, self._limits.last_resort)
-            self._drive.resort(self._limits.last_resort)
+        try:
+            self._drive.neutral()
+        finally:
+            # Comes also where it could not be told to stay, and at the next beat where it could not begin.
+            if now - self._neutral_since >= self._limits.patience and not self._resorted:
+                self._over = standing.reason
+                self._drive.resort(self._limits.last_resort)
+                self._resorted = True
+                logger.warning("%s; last resort: %s", standing.reason, self._limits.last_resort)
 
     def _fail(self, error: Exception) -> None:
         """End the dive by a beat that failed, and will perhaps fail every time."""
