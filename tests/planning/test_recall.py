@@ -65,11 +65,73 @@ def test_where_the_survey_saw_nothing_it_foretells_nothing() -> None:
 def test_a_survey_that_holds_is_believed_and_one_that_does_not_is_not() -> None:
     was = patch(40, 40, 10)
     seen = patch(40, 40, 20)
-    right, elsewhere = Recall(survey(was)), Recall(survey(patch(40, 60, 10)))
-    occupancy = map_with(explored=seen, target=was)
+    right, elsewhere = Recall(survey(was)), Recall(survey(patch(85, 85, 10)))
+    occupancy = heard(seen, was)
     right.compare(occupancy)
     elsewhere.compare(occupancy)
     assert right.believed > BELIEVED > 0.5 > elsewhere.believed
+
+
+def heard(of: BoolArray, target: BoolArray) -> OccupancyMap:
+    """A map that heard of these cells, some target and the others bare ground."""
+    occupancy = map_with(explored=of, target=target & of)
+    occupancy._write("votes", (0, 0), (0x30 * (target & of) + 0x03 * (~target & of)).astype(np.uint8))
+    return occupancy
+
+
+def blocks(north: int = 0, east: int = 0) -> BoolArray:
+    """Three patches, not in one line nor alike."""
+    cells = patch(30 + north, 30 + east, 4) | patch(50 + north, 36 + east, 6)
+    return cells | patch(34 + north, 60 + east, 3)
+
+
+def test_cells_of_which_nothing_was_heard_say_nothing_about_a_survey() -> None:
+    recall = Recall(survey(patch(40, 40, 10)))
+    recall.compare(map_with(explored=patch(40, 40, 20)))
+    assert recall.believed == pytest.approx(BELIEVED)
+
+
+def test_the_evidence_for_every_shift_is_what_a_loop_over_the_cells_gives() -> None:
+    was, now, of = blocks(), blocks(3, -5), patch(45, 40, 22)
+    recall = Recall(survey(was, seen=patch(40, 44, 36)))
+    evidence = recall.evidence(heard(of, now))
+    p, usual, most = recall.foretold, recall._usual, evidence.shape[0] // 2
+    for north, east in ((0, 0), (3, -5), (-most, most), (most, -7)):
+        total = 0.0
+        for row, col in np.argwhere(of):
+            r, c = row - north, col - east
+            if 0 <= r < SIDE and 0 <= c < SIDE and not np.isnan(p[r, c]):
+                share = p[r, c] / usual if now[row, col] else (1.0 - p[r, c]) / (1.0 - usual)
+                total += float(np.log(share))
+        assert evidence[most + north, most + east] == pytest.approx(total, abs=1e-3 + 1e-4 * abs(total))
+
+
+def test_a_survey_told_in_the_wrong_place_is_moved_to_the_right_one() -> None:
+    recall = Recall(survey(blocks()))
+    recall.compare(heard(patch(50, 36, 36), blocks(8, -10)))
+    assert recall.shift == (8, -10)
+    assert recall.believed > 0.5
+    assert recall.spread < 1.0
+    assert recall.foretold[38, 20] > 0.5 > recall.foretold[50, 30]
+    assert np.isnan(recall.foretold[:8]).all()
+
+
+def test_a_survey_told_in_the_right_place_stays_there() -> None:
+    recall = Recall(survey(blocks()))
+    told = recall.foretold.copy()
+    recall.compare(heard(patch(40, 40, 30), blocks()))
+    assert recall.shift == (0, 0)
+    np.testing.assert_array_equal(recall.foretold, told)
+
+
+def test_around_a_target_that_was_not_foretold_it_is_expected_as_without_a_survey() -> None:
+    recall = Recall(survey(patch(40, 40)))
+    recall.compare(heard(patch(80, 80, 4), patch(80, 80, 1)))
+    assert recall.believed > 0.5
+    beside = np.full(NOWHERE.shape, 0.3, np.float32)
+    weighed = recall.weighed(beside, ~NOWHERE)
+    assert weighed[80, 84] == pytest.approx(0.3)
+    assert weighed[60, 80] < 0.1
 
 
 def test_a_map_of_nothing_leaves_the_belief_as_it_was() -> None:
