@@ -92,7 +92,7 @@ def test_cells_of_which_nothing_was_heard_say_nothing_about_a_survey() -> None:
 
 
 def test_the_evidence_for_every_shift_is_what_a_loop_over_the_cells_gives() -> None:
-    was, now, of = blocks(), blocks(3, -5), patch(45, 40, 22)
+    was, now, of = blocks(), blocks(3, -5), patch(60, 40, 34)
     recall = Recall(survey(was, seen=patch(40, 44, 36)))
     evidence = recall.evidence(heard(of, now))
     p, usual, most = recall.foretold, recall._usual, evidence.shape[0] // 2

@@ -45,7 +45,7 @@ BENEATH = 0.02
 NEAR = 5
 """Steps within which the hull's views are worked out for every second node; within twice as many for every
 fourth, for every sixteenth beyond."""
-LEAVE, LEAST = 0.01, 0.002
+LEAVE, LEAST = 0.015, 0.002
 """Shares of the targets, seen and foretold, that a way round them may leave: at first, and in the end."""
 EMPTY = 0.9
 """How much less a group is looked for where a believed survey saw none."""
