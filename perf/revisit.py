@@ -75,6 +75,28 @@ def surveyed(path: Path, bounds: Bounds, kind: str) -> Prior:
     return Prior(bounds, cell, target, solid, SIGMA, 1.0, "of a year ago")
 
 
+def draw(rows: dict[str, list[list[float]]], path: Path) -> None:
+    """A picture of the pairs: without a survey to the right, with one upwards."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    plt.rcParams["svg.hashsalt"] = "revisit"
+    figure, axes = plt.subplots(figsize=(5.0, 5.0), layout="constrained")
+    most = 1.05 * max(max(row[:2]) for of_family in rows.values() for row in of_family)
+    for share, said in ((1.0, "as without"), (0.6, "60 %")):
+        axes.plot([0.0, most], [0.0, share * most], color="0.7", lw=1.0)
+        axes.text(0.93 * most, 0.93 * share * most, said, color="0.4", ha="right", va="bottom")
+    for family, of_family in rows.items():
+        told = np.array(of_family)
+        axes.scatter(told[:, 1], told[:, 0], s=28, label=family)
+    axes.set(xlim=(0, most), ylim=(0, most), aspect="equal")
+    axes.set(xlabel="steps to 98.26 % without a survey", ylabel="with the survey of a year ago")
+    axes.legend(frameon=False, loc="upper left")
+    figure.savefig(path, metadata={"Date": None})
+
+
 def main() -> int:
     """Fly what is missing and print a line a family."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -82,6 +104,7 @@ def main() -> int:
     parser.add_argument("--kind", choices=KINDS, default="right")
     parser.add_argument("--whole", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("bench/revisit"))
+    parser.add_argument("--picture", type=Path, help="file to draw the pairs to")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     cases = [(family, seed) for seed in options.seeds for family in REEF_FAMILIES]
@@ -109,6 +132,8 @@ def main() -> int:
         cells = [f"{title} ({len(table)})", *(f"{k:.1f}" for k in mean[:2]), *(f"{k:.2f}" for k in ratios)]
         cells += [f"{k:.1f}" for k in mean[2:]] if options.whole else []
         print(f"| {' | '.join(cells)} |")
+    if options.picture is not None:
+        draw(rows, options.picture)
     return 0
 
 
