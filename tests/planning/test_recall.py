@@ -13,7 +13,7 @@ from dream.evaluation.runner import simulate
 from dream.geometry import Bounds
 from dream.mapping import OccupancyMap
 from dream.mapping.prior import Prior
-from dream.planning import Belief
+from dream.planning import Belief, sentences
 from dream.planning.belief import BeliefPilot
 from dream.planning.recall import BELIEVED, LIKELY, LOOKS, Recall
 from dream.protocol import DREAM_V1
@@ -114,6 +114,13 @@ def test_a_survey_told_in_the_wrong_place_is_moved_to_the_right_one() -> None:
     assert recall.spread < 1.0
     assert recall.foretold[38, 20] > 0.5 > recall.foretold[50, 30]
     assert np.isnan(recall.foretold[:8]).all()
+
+
+def test_the_words_say_by_how_much_a_survey_was_moved() -> None:
+    recall, occupancy = Recall(survey(blocks())), heard(patch(50, 36, 36), blocks(8, -10))
+    assert "taken to lie" not in sentences.recalled(recall, occupancy)
+    recall.compare(occupancy)
+    assert "2.50 m west and 2.00 m north of where it was told" in sentences.recalled(recall, occupancy)
 
 
 def test_a_survey_told_in_the_right_place_stays_there() -> None:
