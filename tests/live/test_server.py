@@ -23,6 +23,7 @@ from dream.live import folders, server
 from dream.live.doors import COOKIE, Doors
 from dream.live.folders import Watched
 from dream.live.server import Pages, address, application, listen
+from dream.live.stream import Cursor
 from dream.types import Label
 from tests.live.runs import STEPS, Growing
 
@@ -292,14 +293,14 @@ def test_a_long_run_is_told_of_as_it_is_read_and_between_two_looks_nobody_works(
     monkeypatch.setattr(folders, "READ_BYTES", max(map(len, made.lines)) + 1)
     monkeypatch.setattr(server, "LOOK_S", 0.05)
     rounds = 0
-    news = server.Cursor.news
+    news = Cursor.news
 
-    def counted(cursor: server.Cursor, watched: Watched) -> Iterator[bytes]:
+    def counted(cursor: Cursor, watched: Watched) -> Iterator[bytes]:
         nonlocal rounds
         rounds += 1
         return news(cursor, watched)
 
-    monkeypatch.setattr(server.Cursor, "news", counted)
+    monkeypatch.setattr(Cursor, "news", counted)
     app = application(Pages(Watched([made.folder])), Doors())
     _, body = asyncio.run(streamed(app, "/events", until=lambda body: b"event: beat" in body))
     assert indices(body) == list(range(STEPS))
