@@ -14,7 +14,7 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
-from dream.learning.curriculum import CARD, MODEL, Curriculum, Progress, learn
+from dream.learning.curriculum import CARD, MODEL, Curriculum, Progress, learn, missions
 from dream.learning.network import Network
 from dream.learning.rollouts import Lesson
 from dream.learning.training import Training
@@ -65,6 +65,15 @@ def test_the_student_flies_the_second_round(folder: Path) -> None:
     second = TINY.lessons(1, str(folder / "student-0.onnx"))
     assert all(lesson.file(folder / "frames").is_file() for lesson in second)
     assert {lesson.case for lesson in second}.isdisjoint(lesson.case for lesson in TINY.lessons(0))
+
+
+def test_the_missions_that_were_learned_from_are_there_for_others(folder: Path, tmp_path: Path) -> None:
+    card = json.loads((folder / CARD).read_text())
+    found = list(missions(TINY, folder))
+    assert len(found) == TINY.missions + TINY.more
+    assert sum(map(len, found)) == card["rounds"][-1]["frames"]
+    with pytest.raises(ValueError, match="Train once more"):
+        list(missions(replace(TINY, steps=9), folder))
 
 
 def test_the_same_again_is_the_same_network(folder: Path, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from dream.commands.console import LINE_EVERY, check_writable, print_json
 from dream.errors import MissionAborted
+from dream.protocol import DREAM_V1
 
 if TYPE_CHECKING:
     from dream.learning.curriculum import Progress
@@ -52,13 +53,16 @@ class Train:
     """Missions at a time; as many as there are processors unless given."""
     device: str = "auto"
     """Where a student learns: cpu, cuda, or auto for a GPU where there is one."""
+    lerobot: Path | None = None
+    """Folder to make: the missions that were learned from as a data set that LeRobot (3.0) reads."""
     json: bool = False
     """Print one JSON object and nothing else."""
 
     def __call__(self) -> int:
         """Exit status 0."""
         from dream.evaluation.engines import Processes
-        from dream.learning.curriculum import CARD, MODEL, Curriculum, learn
+        from dream.learning import lerobot
+        from dream.learning.curriculum import CARD, MODEL, Curriculum, learn, missions
         from dream.learning.training import Training
 
         curriculum = Curriculum(
@@ -72,6 +76,8 @@ class Train:
         )
         engine = Processes(self.jobs)
         check_writable(self.out)
+        if self.lerobot is not None:
+            lerobot.check_possible(self.lerobot)
         try:
             with contextlib.closing(learn(curriculum, self.out, engine, self.device)) as work:
                 for _ in _shown(work):
@@ -82,6 +88,12 @@ class Train:
                 "and the same command goes on from there"
             ) from None
         card = json.loads((self.out / CARD).read_text(encoding="utf-8"))
+        if self.lerobot is not None:
+            episodes = (
+                lerobot.Episode("Steer over the target in view.", frames.images, frames.odds)
+                for frames in missions(curriculum, self.out)
+            )
+            lerobot.export(episodes, self.lerobot, advance=max(DREAM_V1.advances))
         if self.json:
             print_json({"out": str(self.out), "card": card})
         else:

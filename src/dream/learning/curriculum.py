@@ -21,7 +21,7 @@ from dream.evaluation.results import write_whole
 from dream.learning.expert import TURNS, Expert
 from dream.learning.export import INPUT, OUTPUT, answers_in, as_onnx, check_installed
 from dream.learning.network import PLANES, Network, import_torch
-from dream.learning.rollouts import TRAINING, VALIDATION, Frames, Lesson, Taught, gather, reef_cases
+from dream.learning.rollouts import TRAINING, VALIDATION, Frames, Lesson, Taught, gather, read, reef_cases
 from dream.learning.training import Training, device_named, fit
 from dream.learning.trials import Outcome, Trial, try_out
 from dream.mission import Planner
@@ -154,6 +154,21 @@ def learn(
         write_whole(folder / MODEL, chosen)
         write_whole(folder / CARD, (json.dumps(card, indent=2) + "\n").encode())
         yield Progress("network and card", 1, 1, best)
+
+
+def missions(curriculum: Curriculum, folder: Path) -> Iterator[Frames]:
+    """The frames of every mission that was learned from, in order, from where `learn` left them.
+
+    Raises:
+        ValueError: One is missing.
+    """
+    for number in range(curriculum.rounds + 1):
+        student = str(folder / f"student-{number - 1}.onnx") if number else ""
+        for lesson in curriculum.lessons(number, student):
+            frames = read(lesson.file(folder / "frames"))
+            if frames is None:
+                raise ValueError(f"{folder}: expected the frames of {lesson.case}, got none. Train once more")
+            yield frames
 
 
 def _claim(folder: Path, curriculum: Curriculum) -> None:

@@ -11,6 +11,7 @@ Reference: the documentation and the reader of LeRobot 0.4 (Hugging Face, Apache
 
 from __future__ import annotations
 
+import importlib.util
 import io
 import json
 import math
@@ -91,12 +92,9 @@ def export(episodes: Iterable[Episode], folder: Path, *, advance: float, robot: 
         ValueError: The folder exists, there is no episode, or pyarrow is not installed.
         OSError: It cannot be written.
     """
-    try:
-        import pyarrow as pa
-    except ImportError as error:
-        raise ValueError(EXTRA) from error
-    if folder.exists():
-        raise ValueError(f"data set: expected a folder that does not exist, got {folder}. Choose another")
+    check_possible(folder)
+    import pyarrow as pa
+
     if not 0.0 < advance < math.inf:
         raise ValueError(f"advance: expected metres above 0, got {advance}")
     partial = folder.with_name(f".{folder.name}.partial")
@@ -110,6 +108,14 @@ def export(episodes: Iterable[Episode], folder: Path, *, advance: float, robot: 
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return Exported(folder, len(writing.rows), writing.frames)
+
+
+def check_possible(folder: Path) -> None:
+    """Raise a ValueError where the folder exists already, or pyarrow is not installed."""
+    if importlib.util.find_spec("pyarrow") is None:
+        raise ValueError(EXTRA)
+    if folder.exists():
+        raise ValueError(f"data set: expected a folder that does not exist, got {folder}. Choose another")
 
 
 @dataclass(slots=True)
