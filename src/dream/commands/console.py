@@ -226,8 +226,8 @@ def tell_lost(record: str | None) -> None:
 
 
 def print_json(record: Mapping[str, Any]) -> None:
-    """Print exactly one JSON object."""
-    print(json_format.dumps(record, allow_nan=False))
+    """Print exactly one JSON object, at once: whoever reads it may be waiting for it."""
+    print(json_format.dumps(record, allow_nan=False), flush=True)
 
 
 def price(cost_usd: float | None) -> str:
