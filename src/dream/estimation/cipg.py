@@ -11,7 +11,7 @@ import numpy.typing as npt
 from dream.estimation._kernels import cipg as kernels
 from dream.estimation._kernels.groups import quaternion_from
 from dream.estimation.instruments import Mounting
-from dream.estimation.intake import Outcome, check_sample, corrected, plain
+from dream.estimation.intake import Outcome, carried, corrected, plain
 from dream.geometry import SE3
 from dream.measurements import Imu, Measurement
 
@@ -125,9 +125,7 @@ class Cipg:
         Raises:
             ValueError: The sample is not finite, or `dt` not above 0.
         """
-        check_sample(imu, dt)
-        rates, forces = plain(imu.angular_velocity), plain(imu.specific_force)
-        moved = kernels.predict(_parameters(self), _packed(state), rates, forces, dt)
+        moved = carried(kernels, _parameters(self), _packed(state), imu, dt)
         return CipgState(*moved, outcome=state.outcome)
 
     def bridge(self, state: CipgState, imu: Imu, dt: float) -> CipgState:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from dream.estimation._kernels import dead_reckoning as kernels
 from dream.estimation.instruments import Mounting
-from dream.estimation.intake import Outcome, check_sample, corrected, plain
+from dream.estimation.intake import Outcome, carried, corrected, plain
 from dream.geometry import SE3
 from dream.measurements import Imu, Measurement
 
@@ -83,9 +83,7 @@ class DeadReckoning:
         Raises:
             ValueError: The sample is not finite, or `dt` not above 0.
         """
-        check_sample(imu, dt)
-        rates, forces = plain(imu.angular_velocity), plain(imu.specific_force)
-        moved = kernels.predict(_parameters(self), _packed(state), rates, forces, dt)
+        moved = carried(kernels, _parameters(self), _packed(state), imu, dt)
         return DeadReckoningState(*moved, outcome=state.outcome)
 
     def bridge(self, state: DeadReckoningState, imu: Imu, dt: float) -> DeadReckoningState:

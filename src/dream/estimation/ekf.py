@@ -22,7 +22,7 @@ from dream.estimation.instruments import (
     start_sigmas,
     unsensed,
 )
-from dream.estimation.intake import Outcome, check_sample, corrected, plain
+from dream.estimation.intake import Outcome, carried, corrected, plain
 from dream.geometry import SE3
 from dream.measurements import Imu, Measurement
 
@@ -140,7 +140,8 @@ class Ekf:
         Raises:
             ValueError: The sample is not finite, or `dt` not above 0.
         """
-        return _carried(_parameters(self), state, imu, dt)
+        moved = carried(kernels, _parameters(self), _packed(state), imu, dt)
+        return EkfState(*moved, outcome=state.outcome)
 
     def bridge(self, state: EkfState, imu: Imu, dt: float) -> EkfState:
         """The state `dt` seconds later, where samples are missing and one stands in for them.
@@ -150,7 +151,8 @@ class Ekf:
         Raises:
             ValueError: The sample is not finite, or `dt` not above 0.
         """
-        return _carried(_unsensed(self), state, imu, dt)
+        moved = carried(kernels, _unsensed(self), _packed(state), imu, dt)
+        return EkfState(*moved, outcome=state.outcome)
 
     def correct(self, state: EkfState, measurement: Measurement) -> EkfState:
         """The state after a measurement of its own time; where that is refused, the outcome says why."""
@@ -161,13 +163,6 @@ class Ekf:
     def compiled(self) -> Parameters:
         """The fields as the kernels take them, for loops that are compiled themselves."""
         return _parameters(self)
-
-
-def _carried(told: Parameters, state: EkfState, imu: Imu, dt: float) -> EkfState:
-    check_sample(imu, dt)
-    rates, forces = plain(imu.angular_velocity), plain(imu.specific_force)
-    moved = kernels.predict(told, _packed(state), rates, forces, dt)
-    return EkfState(*moved, outcome=state.outcome)
 
 
 @lru_cache(maxsize=64)

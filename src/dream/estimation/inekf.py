@@ -26,7 +26,7 @@ from dream.estimation.intake import (
     Outcome,
     Source,
     Verdict,
-    check_sample,
+    carried,
     corrected,
     plain,
     refusal,
@@ -165,7 +165,8 @@ class InEkf:
         Raises:
             ValueError: The sample is not finite, or `dt` not above 0.
         """
-        return _carried(_parameters(self), state, imu, dt)
+        moved = carried(kernels, _parameters(self), packed(state), imu, dt)
+        return InEkfState(*moved, outcome=state.outcome)
 
     def bridge(self, state: InEkfState, imu: Imu, dt: float) -> InEkfState:
         """The state `dt` seconds later, where samples are missing and one stands in for them.
@@ -175,7 +176,8 @@ class InEkf:
         Raises:
             ValueError: The sample is not finite, or `dt` not above 0.
         """
-        return _carried(_unsensed(self), state, imu, dt)
+        moved = carried(kernels, _unsensed(self), packed(state), imu, dt)
+        return InEkfState(*moved, outcome=state.outcome)
 
     def correct(self, state: InEkfState, measurement: Measurement) -> InEkfState:
         """The state after a measurement of its own time; where that is refused, the outcome says why."""
@@ -213,13 +215,6 @@ class InEkf:
     def compiled(self) -> Parameters:
         """The fields as the kernels take them, for loops that are compiled themselves."""
         return _parameters(self)
-
-
-def _carried(told: Parameters, state: InEkfState, imu: Imu, dt: float) -> InEkfState:
-    check_sample(imu, dt)
-    rates, forces = plain(imu.angular_velocity), plain(imu.specific_force)
-    moved = kernels.predict(told, packed(state), rates, forces, dt)
-    return InEkfState(*moved, outcome=state.outcome)
 
 
 @lru_cache(maxsize=64)

@@ -105,6 +105,25 @@ def too_steep(measurement: Measurement, rotation: Float64Array) -> bool:
     return isinstance(measurement, Heading) and bool(level < STEEP)
 
 
+def carried(kernels: Any, parameters: Any, state: S, imu: Imu, dt: float) -> S:
+    """What an estimator's kernels make of an inertial sample that counts for `dt` seconds.
+
+    Args:
+        kernels: With `predict`.
+        parameters: As it takes them.
+        state: As it takes it.
+        imu: The sample.
+        dt: Seconds.
+
+    Raises:
+        ValueError: The sample is not finite, or `dt` not above 0.
+    """
+    check_sample(imu, dt)
+    rates, forces = plain(imu.angular_velocity), plain(imu.specific_force)
+    moved: S = kernels.predict(parameters, state, rates, forces, dt)
+    return moved
+
+
 def corrected(
     kernels: Any, parameters: Any, state: S, measurement: Measurement, rotation: Float64Array
 ) -> tuple[S, Outcome]:
