@@ -177,7 +177,8 @@ class Recall:
         unheard = _unheard(occupancy)
         new = occupancy.target & seen & ~likely
         gone = (np.nan_to_num(self.prior.target) > 0.5) & ~unheard & ~occupancy.target
-        return tuple(int(np.count_nonzero(k)) for k in (likely & unheard, new, gone))  # type: ignore[return-value]
+        left, came, went = (int(np.count_nonzero(cells)) for cells in (likely & unheard, new, gone))
+        return left, came, went
 
     def solid(self, occupancy: OccupancyMap) -> BoolArray | None:
         """(rows, cols) what stood in ground that is not known yet; None where the survey is not believed."""

@@ -188,13 +188,7 @@ def dumped(survey: Survey) -> bytes:
     Raises:
         ValueError: The survey is inconsistent.
     """
-    arrays = _arrays(survey)
-    try:
-        header = _header(survey)
-        text = header.model_dump_json().encode()
-    except ValueError as error:  # pydantic's errors are some.
-        raise ValueError(f"survey: {_first(error)}") from error
-    _check(header, arrays, "survey")
+    text, arrays = _checked(survey)
     if len(text) > MOST_HEADER:
         raise ValueError(f"survey: expected a header of at most {MOST_HEADER} bytes, got {len(text)}")
     buffer = io.BytesIO()
@@ -207,6 +201,23 @@ def dumped(survey: Survey) -> bytes:
     if buffer.tell() > MOST_BYTES:
         raise ValueError(f"survey: expected at most {MOST_BYTES} bytes, got {buffer.tell()}")
     return buffer.getvalue()
+
+
+def check(survey: Survey) -> None:
+    """Raise a ValueError where the parts of a survey do not fit each other; the message names the field."""
+    _checked(survey)
+
+
+def _checked(survey: Survey) -> tuple[bytes, Arrays]:
+    """What a file of it would hold: the header and the arrays."""
+    arrays = _arrays(survey)
+    try:
+        header = _header(survey)
+        text = header.model_dump_json().encode()
+    except ValueError as error:  # pydantic's errors are some.
+        raise ValueError(f"survey: {_first(error)}") from error
+    _check(header, arrays, "survey")
+    return text, arrays
 
 
 def loaded(data: bytes, where: str) -> Survey:

@@ -12,9 +12,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from dream.names import look_up
+from dream.survey import files
 from dream.survey.products import (
     darwin_core,
     geopackage,
@@ -105,7 +104,7 @@ def export(
     if to.exists():
         raise ValueError(f"export: expected a folder that does not exist, got {to}. Choose another")
     for one in (survey, *earlier):
-        check(one)
+        files.check(one)
     folder = to.with_name(f".partial.{to.name}")
     makers = _makers(survey, folder, run, species, author, earlier, watched)
     left_out: dict[str, str] = {}
@@ -125,14 +124,14 @@ def export(
             others = [line for line in told if line[0] != page.NAME]
             page.write(survey, folder / page.NAME, others, picture if picture.exists() else None)
         (folder / "README.md").write_text(_readme(survey, folder, left_out), encoding="utf-8")
-        files = tuple(sorted(path.name for path in folder.iterdir()))
+        names = tuple(sorted(path.name for path in folder.iterdir()))
         folder.rename(to)
     except OSError as error:
         raise OSError(f"export: {to} could not be made ({error.strerror or error})") from error
     finally:
         with suppress(OSError):
             shutil.rmtree(folder)
-    return Exported(to, files, left_out)
+    return Exported(to, names, left_out)
 
 
 def _makers(
@@ -187,47 +186,6 @@ def _missing(name: str, survey: Survey, run: Path | None, species: Species | Non
         if not any((run / "observations").glob("*.npz")):
             return f"{run} keeps no observations. Fly with --keep-observations"
     return ""
-
-
-def check(survey: Survey) -> None:
-    """See that the parts of a survey fit each other.
-
-    Raises:
-        ValueError: They do not; the message says which.
-    """
-    layers, found, track = survey.layers, survey.individuals, survey.track
-    box = layers.bounds
-    if not layers.cell > 0.0:
-        raise ValueError(f"{survey.name}: layers: expected a cell above 0 m, got {layers.cell}")
-    shape = (round(box.depth / layers.cell), round(box.width / layers.cell))
-    for name in ("state", "target_probability", "relief", "times_seen"):
-        if getattr(layers, name).shape != shape:
-            raise ValueError(
-                f"{survey.name}: layers.{name}: expected {shape} cells, as its bounds say, "
-                f"got {getattr(layers, name).shape}"
-            )
-    if layers.state.max(initial=0) > 4:
-        raise ValueError(
-            f"{survey.name}: layers.state: expected values from 0 to 4, got {layers.state.max()}"
-        )
-    for name in ("sigma", "size", "size_sigma", "hits", "looks", "confidence", "patch"):
-        if getattr(found, name).shape != (len(found),):
-            raise ValueError(
-                f"{survey.name}: individuals.{name}: expected {len(found)}, got {getattr(found, name).shape}"
-            )
-    numbers = {
-        "individuals.position": found.position,
-        "individuals.size": found.size,
-        "track.position": track.position,
-        **{f"patches[{n}]": np.concatenate(patch.rings) for n, patch in enumerate(survey.patches)},
-    }
-    for name, values in numbers.items():
-        if not np.isfinite(values).all():
-            raise ValueError(f"{survey.name}: {name}: expected finite numbers, got others")
-    if len(found) and (found.patch.min() < -1 or found.patch.max() >= len(survey.patches)):
-        raise ValueError(
-            f"{survey.name}: individuals.patch: expected indices of {len(survey.patches)} patches, got others"
-        )
 
 
 def _readme(survey: Survey, folder: Path, left_out: Mapping[str, str]) -> str:
