@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 import itertools
 import math
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -149,7 +149,7 @@ class Comparison:
                 "new": int((self.fate_b == Fate.NEW).sum()),
                 "not_comparable": int((self.fate_a == 0).sum() + (self.fate_b == 0).sum()),
             },
-            "differences": [_told(one) for one in self.differences],
+            "differences": [asdict(one) for one in self.differences],
             "patches": [
                 {
                     "before": one.before,
@@ -158,7 +158,7 @@ class Comparison:
                     "verdict": one.verdict,
                     "p": one.p,
                     "q": one.q,
-                    "differences": [_told(difference) for difference in one.differences],
+                    "differences": [asdict(difference) for difference in one.differences],
                 }
                 for one in self.patches
             ],
@@ -167,19 +167,6 @@ class Comparison:
 
 def _named(survey: Survey) -> dict[str, Any]:
     return {"name": survey.name, "began": survey.began.isoformat()}
-
-
-def _told(one: Difference) -> dict[str, Any]:
-    return {
-        "name": one.name,
-        "before": one.before,
-        "after": one.after,
-        "change": one.change,
-        "low": one.low,
-        "high": one.high,
-        "p": one.p,
-        "unit": one.unit,
-    }
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,7 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationErro
 
 from dream.geometry import Bounds
 from dream.recording import whole_or_nothing
+from dream.survey.patches import signed_area
 from dream.survey.site import Site
 from dream.survey.survey import DecisionPoint, Individuals, Layers, Measure, Patch, Picture, Survey, Track
 from dream.types import Reasoning, Target
@@ -507,7 +508,7 @@ def _check(header: _Header, arrays: Arrays, where: str) -> None:
             name = f"patches.{number}.rings.{hole}"
             expect((ring[0] == ring[-1]).all(), name, "a last point that is the first", ring[-1].tolist())
             if hole == 0:
-                turn = _signed_area(ring)
+                turn = signed_area(ring)
                 expect(turn > 0.0, name, "an outline counter-clockwise, with an area", f"{turn:g} m2")
 
 
@@ -518,9 +519,3 @@ def _check_measures(header: _Header, where: str) -> None:
             raise ValueError(
                 f"{where}: {measure.name}: expected an interval from low to high, got {low} to {high}"
             )
-
-
-def _signed_area(ring: Array) -> float:
-    """Square metres, positive counter-clockwise."""
-    x, y = (ring - ring[0]).T
-    return float(0.5 * (x[:-1] * y[1:] - x[1:] * y[:-1]).sum())

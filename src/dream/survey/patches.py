@@ -118,7 +118,7 @@ def rings(mask: BoolArray, corner: tuple[float, float], cell: float) -> tuple[Fl
 
 def signed_area(ring: Float64Array) -> float:
     """Square metres in a closed ring; negative where it runs clockwise."""
-    x, y = ring.T
+    x, y = (ring - ring[0]).T
     return float(0.5 * np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from dream.commands.console import print_json
 from dream.commands.survey.sources import archive_at
-from dream.commands.survey.words import measure_told, plain
+from dream.commands.survey.words import plain
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class List:
                     "protocol": entry.protocol,
                     "patches": entry.patches,
                     "individuals_found": entry.individuals,
-                    "measures": [measure_told(measure) for measure in entry.measures],
+                    "measures": [asdict(measure) for measure in entry.measures],
                 }
                 for entry in entries
             ]

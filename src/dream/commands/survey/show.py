@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +10,7 @@ import tyro
 
 from dream.commands.console import compiling_told, print_json
 from dream.commands.survey.sources import found
-from dream.commands.survey.words import measure_row, measure_told, plain
+from dream.commands.survey.words import measure_row, plain
 
 if TYPE_CHECKING:
     from dream.survey import Survey
@@ -58,8 +58,8 @@ def _told(survey: Survey) -> dict[str, Any]:
         "protocol": survey.protocol,
         "steps": len(survey.decisions),
         "individuals_found": len(survey.individuals),
-        "measures": [measure_told(measure) for measure in survey.measures],
-        "patches": [[measure_told(measure) for measure in patch.measures] for patch in survey.patches],
+        "measures": [asdict(measure) for measure in survey.measures],
+        "patches": [[asdict(measure) for measure in patch.measures] for patch in survey.patches],
         "made_by": survey.made_by,
     }
 

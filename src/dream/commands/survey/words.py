@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from dream.survey import Measure
 
 UNITS = {"m2": "m²", "1/m2": "/m²", "m": "m", "": ""}
@@ -24,18 +22,6 @@ def number(value: float) -> str:
 def named(name: str) -> str:
     """`reef_area` as people write it."""
     return name.replace("_", " ")
-
-
-def measure_told(measure: Measure) -> dict[str, Any]:
-    """A measure as `--json` prints it."""
-    return {
-        "name": measure.name,
-        "value": measure.value,
-        "low": measure.low,
-        "high": measure.high,
-        "unit": measure.unit,
-        "note": measure.note,
-    }
 
 
 def measure_row(measure: Measure) -> tuple[str, str, str, str]:

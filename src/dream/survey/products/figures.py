@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from dream.survey.products.outlines import ring_around
 from dream.survey.products.styles import (
     DECISION,
     EXPLORED,
@@ -255,16 +256,7 @@ def _show(axes: Axes, survey: Survey, picture: npt.NDArray[Any], **options: Any)
     heading = 0.0 if survey.site is None else survey.site.heading_deg
     # The world's y axis bears `heading` clockwise from north.
     image.set_transform(Affine2D().rotate_deg(-heading) + axes.transData)
-    area = survey.area
-    ring = np.array(
-        [
-            (area.x_min, area.y_min),
-            (area.x_max, area.y_min),
-            (area.x_max, area.y_max),
-            (area.x_min, area.y_max),
-            (area.x_min, area.y_min),
-        ]
-    )
+    ring = ring_around(survey.area)
     axes.plot(*east_north(survey, ring).T, color=SOFT, linewidth=0.7, linestyle=(0, (4, 2)), zorder=2)
     outer = np.array(
         [

@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from dream.survey.products import styles
 from dream.survey.products.ground import Ground, site_of
-from dream.survey.products.outlines import grouped, outlines
+from dream.survey.products.outlines import grouped, outlines, ring_around
 from dream.survey.survey import Survey
 from dream.types import Reasoning, Target
 
@@ -372,16 +372,7 @@ def _swath(survey: Survey, ground: Ground) -> Table:
 
 def _box(survey: Survey, ground: Ground) -> Table:
     box = survey.area
-    ring = np.array(
-        [
-            (box.x_min, box.y_min),
-            (box.x_max, box.y_min),
-            (box.x_max, box.y_max),
-            (box.x_min, box.y_max),
-            (box.x_min, box.y_min),
-        ]
-    )
-    rows = [(_geometry(_POLYGON, [_on_sheet(ground, ring)]), box.width * box.depth)]
+    rows = [(_geometry(_POLYGON, [_on_sheet(ground, ring_around(box))]), box.width * box.depth)]
     return Table(
         "area",
         "The operator's box",

@@ -7,6 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from dream.geometry import Bounds
+from dream.survey.patches import signed_area
+
 Float64Array = npt.NDArray[np.float64]
 
 
@@ -59,7 +62,7 @@ def outlines(mask: npt.NDArray[np.bool_]) -> list[list[Float64Array]]:
 
 def grouped(rings: Sequence[Float64Array]) -> list[list[Float64Array]]:
     """Polygons of closed rings: each counter-clockwise one, then the clockwise ones that are its holes."""
-    areas = [_signed_area(ring) for ring in rings]
+    areas = [signed_area(ring) for ring in rings]
     shells = {n: [ring] for n, ring in enumerate(rings) if areas[n] > 0.0}
     for n, ring in enumerate(rings):
         if areas[n] > 0.0:
@@ -81,6 +84,8 @@ def _contains(ring: Float64Array, point: Float64Array) -> bool:
     return bool(np.count_nonzero(crosses & (at > point[0])) % 2)
 
 
-def _signed_area(ring: Float64Array) -> float:
-    """Positive where it is counter-clockwise."""
-    return float(0.5 * np.sum(ring[:-1, 0] * ring[1:, 1] - ring[1:, 0] * ring[:-1, 1]))
+def ring_around(box: Bounds) -> Float64Array:
+    """(5, 2) the corners of a box, counter-clockwise and closed."""
+    east, north = box.x_max, box.y_max
+    west, south = box.x_min, box.y_min
+    return np.array([(west, south), (east, south), (east, north), (west, north), (west, south)])
