@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from dream.planning._kernels.lookahead import FREE, gain, is_in, look
-from dream.planning._kernels.walk import NO_WAY, tree, ways_between
+from dream.planning._kernels.walk import NO_WAY, traced, tree, ways_between
 
 
 @njit(cache=True, nogil=True)
@@ -111,15 +111,7 @@ def rounds(
                 break
         if left[best] <= leave or past == begin:
             break
-    steps, at = 0, best
-    while parent[at] >= 0:
-        at = parent[at]
-        steps += 1
-    path, at = np.zeros(steps + 1, np.int32), best
-    for k in range(steps, -1, -1):
-        path[k] = pose[at]
-        at = parent[at]
-    return path, seen[best], left[best]
+    return traced(pose, parent, best), seen[best], left[best]
 
 
 @njit(cache=True, nogil=True)

@@ -239,15 +239,21 @@ def walk(
                 break
         if left[best] < 1e-6 or past == begin:
             break
-    steps, at = 0, best
+    return traced(pose, parent, best), left[best]
+
+
+@njit(cache=True, nogil=True)
+def traced(pose, parent, end):
+    """(steps + 1,) int32 flat poses that lead to a node of a search, the start first."""
+    steps, at = 0, end
     while parent[at] >= 0:
         at = parent[at]
         steps += 1
-    path, at = np.zeros(steps + 1, np.int32), best
+    path, at = np.zeros(steps + 1, np.int32), end
     for k in range(steps, -1, -1):
         path[k] = pose[at]
         at = parent[at]
-    return path, left[best]
+    return path
 
 
 @njit(cache=True, nogil=True)
