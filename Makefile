@@ -4,6 +4,8 @@ BIN := .venv/bin
 # An inherited virtual environment or uv setting must not decide what is built here.
 UV := env -u VIRTUAL_ENV -u UV_PYTHON -u UV_PROJECT_ENVIRONMENT -u UV_PROJECT -u PYTHONPATH \
 	UV_PYTHON_DOWNLOADS=never .tools/bin/uv
+# Kept bytecode spares every process that a test starts a second or more of compiling.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help setup run tank survey test test-ray test-train check results perf clean
 .DEFAULT_GOAL := help
