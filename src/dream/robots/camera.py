@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 from dream.geometry import SE2, SE3
 from dream.protocol import SurveyProtocol
 from dream.sim.camera_noise import noise_generator, with_noise
@@ -31,8 +33,13 @@ class SimulatedCamera:
         self._world = world
         self._protocol = protocol
         self._start = start
-        self._renderer = renderer or Renderer(world)
+        self._given = renderer
         self._fineness = fineness
+
+    @cached_property
+    def _renderer(self) -> Renderer:
+        """Made at the first look: a tour that is only driven needs none."""
+        return self._given or Renderer(self._world)
 
     def observe(self, time: float, moves: int, truth: SE3, believed: SE3) -> Observation:
         """One frame.

@@ -147,7 +147,7 @@ class _Roaming:
         x, y = self.pose.x, self.pose.y
         height = float(self.world.terrain.height(x, y)) + DREAM_V1.altitude
         T_world_camera = SE3.level(x, y, height, self.pose.yaw + turn) @ DREAM_V1.T_base_camera
-        seen = self.renderer.render(DREAM_V1.camera, T_world_camera)
+        seen = self.renderer.measure(DREAM_V1.camera, T_world_camera)
         self.occupancy.integrate(seen.depth, seen.labels, DREAM_V1.camera, T_world_camera)
 
     def _scene(self, ground: Ground, travel: Travel, stage: int) -> Scene:
