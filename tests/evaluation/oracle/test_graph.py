@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dream.evaluation.oracle.graph import PoseGraph, actions_of, pose_graph
-from dream.geometry import SE2
+from dream.geometry import SE2, Bounds
 from dream.protocol import DREAM_V1, DREAM_V1_NAV
 from dream.sim.solids import Solids
 from dream.sim.visibility import Visibility
@@ -13,13 +15,19 @@ from dream.types import LOOK_AROUND
 
 
 @pytest.fixture(scope="module")
-def visibility(string_reef: World) -> Visibility:
-    return Visibility(string_reef, DREAM_V1)
+def world(string_reef: World) -> World:
+    """The part of the reef with most of the boulders: the graph of all of it takes seconds."""
+    return replace(string_reef, bounds=Bounds(-2.0, -8.0, 14.0, 12.0), starts=string_reef.starts[2:3])
 
 
 @pytest.fixture(scope="module")
-def graph(string_reef: World, visibility: Visibility) -> PoseGraph:
-    return pose_graph(string_reef, DREAM_V1, visibility=visibility)
+def visibility(world: World) -> Visibility:
+    return Visibility(world, DREAM_V1)
+
+
+@pytest.fixture(scope="module")
+def graph(world: World, visibility: Visibility) -> PoseGraph:
+    return pose_graph(world, DREAM_V1, visibility=visibility)
 
 
 def key(x: float, y: float, yaw: float) -> tuple[int, int, int]:
@@ -71,10 +79,8 @@ def test_every_individual_is_seen_from_some_pose(graph: PoseGraph, visibility: V
     assert len(graph.individuals) == visibility.countable.sum()
 
 
-def test_it_starts_after_the_look_around(
-    graph: PoseGraph, visibility: Visibility, string_reef: World
-) -> None:
-    home = string_reef.starts[0]
+def test_it_starts_after_the_look_around(graph: PoseGraph, visibility: Visibility, world: World) -> None:
+    home = world.starts[0]
     x, y, yaw = graph.poses[graph.start].tolist()
     quarters = DREAM_V1.headings // 4
     assert key(x, y, yaw) == key(home.x, home.y, home.yaw + LOOK_AROUND * quarters * DREAM_V1.heading_step)
