@@ -104,6 +104,8 @@ class Run:
         from dream.planning.vlm.orders import write_mission
         from dream.report import write_report
         from dream.robots.replay import keep
+        from dream.sim.render import Renderer
+        from dream.sim.visibility import Visibility
         from dream.survey.site import read_site, write_site
 
         if self.max_steps is not None and self.max_steps < 1:
@@ -123,6 +125,7 @@ class Run:
                 prior = None
                 if self.from_survey is not None:
                     prior = _prior(self.from_survey, self.archive, self.planner, world, protocol, site)
+                visibility, renderer = Visibility(world, protocol), Renderer(world)
                 steps = simulate(
                     world,
                     self.planner,
@@ -131,6 +134,8 @@ class Run:
                     max_steps=self.max_steps,
                     orders=orders,
                     swimming=swimming,
+                    renderer=renderer,
+                    solids=visibility.solids,
                     prior=prior,
                 )
                 config = run_config(
@@ -147,7 +152,7 @@ class Run:
                 )
                 if prior is not None:
                     config["from_survey"] = {"given": self.from_survey, **prior.as_dict()}
-                scorer = Scorer(world, protocol, orders=orders)
+                scorer = Scorer(world, protocol, visibility=visibility, renderer=renderer, orders=orders)
                 check()
             # Only now: what is interrupted before it can fly leaves no folder.
             now = datetime.datetime.now(datetime.UTC)

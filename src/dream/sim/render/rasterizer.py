@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from dream.geometry import SE3, Camera
 from dream.sim.render import textures
 from dream.sim.render.scene import build_scene
-from dream.sim.render.shading import FLAKE, SUN, TILES, WATER_STEP, encode_table, flakes, shading
+from dream.sim.render.shading import FLAKE, SUN, TILES, WATER_STEP, Shading, encode_table, flakes, shading
 from dream.sim.world import Float32Array, Int32Array, UInt8Array, World
 
 NEAR = 0.05
@@ -45,17 +46,21 @@ class Frame:
 
 
 class Renderer:
-    """Draws one world from any number of poses. Prepared once; drawing changes nothing in it."""
+    """Draws one world from any number of poses. Prepared once; drawing changes nothing that it shows."""
 
     def __init__(self, world: World) -> None:
+        self._world = world
         self._scene = build_scene(world)
-        self._shading = shading(world, self._scene.entity_offset, FAR)
-        self._water = world.water
         self._encode = encode_table()
         # A flake scatters daylight back: the colour of the water itself, but brighter.
         self._snow = (
             self._encode[np.minimum(4095 * (0.12 + 1.6 * np.array(world.water.veil)), 4095).astype(int)] * 1.0
         )
+
+    @cached_property
+    def _shading(self) -> Shading:
+        """Half of the preparation, and for colours only."""
+        return shading(self._world, self._scene.entity_offset, FAR)
 
     def measure(self, camera: Camera, T_world_camera: SE3) -> Measurement:
         """Depth, labels and ids, without the cost of colour."""
@@ -104,7 +109,7 @@ class Renderer:
             self._encode,
             rgb,
         )
-        drifting = flakes(self._water, T_world_camera.translation) @ T_world_camera.rotation
+        drifting = flakes(self._world.water, T_world_camera.translation) @ T_world_camera.rotation
         _kernels.snow(measured.depth, focal, drifting, FLAKE, self._snow, rgb)
         return Frame(rgb, *measured)
 
