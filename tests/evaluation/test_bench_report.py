@@ -12,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict
+from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from dream.cli import run_command
 from dream.commands import Bench
 from dream.commands.console import _Scores
 from dream.evaluation import tables
-from dream.evaluation.figures import shown_cases
+from dream.evaluation.figures import Picture, shown_cases
 from dream.evaluation.oracle.bounds import Bounds
 from dream.evaluation.report import repeating_command, sections, write_report, write_results
 from dream.evaluation.results import Results, read_results
@@ -84,6 +85,20 @@ class Page(HTMLParser):
 
     def handle_endtag(self, tag: str) -> None:
         self._inside = ""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def worlds_are_made_once() -> Iterator[None]:
+    """The pages show the same few worlds again and again."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dream.sim.worlds.make_world", cache(make_world))
+        yield
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Curves are left out, which take most of the time and say nothing in words."""
+    monkeypatch.setattr(Picture, "_bytes", lambda *_, **__: b"<svg/>")
 
 
 @pytest.fixture(scope="module")
@@ -163,6 +178,7 @@ def test_equal_folders_give_equal_bytes(tmp_path: Path) -> None:
     assert (one.parent / "tables.md").read_bytes() == (two.parent / "tables.md").read_bytes()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_unfinished_benchmark_says_what_is_missing_and_has_no_verdict(tmp_path: Path) -> None:
     failed = [{"world": "wreck/3", "seed": 1, "start": 0, "planner": "lawnmower", "error": f"E: {HOSTILE}"}]
     page = Page(write_report(few(tmp_path, missing=3, finished=None, failed=failed)))
@@ -211,6 +227,7 @@ def test_one_planner_alone_is_not_called_the_fastest(tmp_path: Path) -> None:
     assert text.startswith("sixsteps, the only planner here, reached 98.26 % of the instances in 3 of 3")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_worlds_without_a_tour_and_later_machines_are_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -227,6 +244,7 @@ def test_worlds_without_a_tour_and_later_machines_are_told(
     assert "Ray(jobs=4) on cpu Another" in page.text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_world_that_the_first_look_shows_is_not_called_never(tmp_path: Path) -> None:
     missions = [
         flown(FEW[0], name, Made(60, 70), t90=0, t95=0, t98=0, t100=0) for name in ("sixsteps", "random")
@@ -408,6 +426,7 @@ def asked_by(folder: Path, model: str, *others: str) -> Path:
     return write_bench(folder, order, FEW, planners)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_wire_test_is_never_called_the_fastest(tmp_path: Path) -> None:
     page = Page(write_report(asked_by(tmp_path / "wire", "wire", "sixsteps", "random")))
     assert "sixsteps, random are" not in page.text
@@ -420,6 +439,7 @@ def test_a_wire_test_is_never_called_the_fastest(tmp_path: Path) -> None:
     assert "No verdict. dream (wire test): flown with the stand-in" in alone.text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_documentation_leaves_wire_tests_out_and_says_so(tmp_path: Path) -> None:
     folder = asked_by(tmp_path / "mixed", "wire:slow", "sixsteps")
     write_results([folder], tmp_path / "results.md", tmp_path / "pictures")
@@ -439,6 +459,7 @@ def test_a_benchmark_of_wire_tests_alone_is_not_published(tmp_path: Path) -> Non
     assert not (tmp_path / "results.md").exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_sweep_leaves_wire_tests_out_and_says_so_once(tmp_path: Path) -> None:
     for reach in (4.0, 8.0):
         folder = asked_by(tmp_path / "sweep" / f"reach-{reach:g}", "wire", "sixsteps")
@@ -478,6 +499,7 @@ def test_the_documentation_is_made_from_folders_and_is_the_same_each_time(
         assert said in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_folders_of_one_name_do_not_overwrite_each_other(tmp_path: Path) -> None:
     missions = [flown(FEW[0], "sixsteps", Made(60, 70))]
     folders = [write_bench(tmp_path / name / "paper", missions, FEW[:1], ["sixsteps"]) for name in "ab"]

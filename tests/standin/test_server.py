@@ -219,15 +219,15 @@ def test_a_mission_sees_a_reef_by_what_the_stand_in_reads() -> None:
     world = make_world("reef/string", 3)
     scorer = Scorer(world, DREAM_V1)
     seen, exchanges = 0.0, 0
-    for step in simulate(world, Dream(model="wire"), DREAM_V1, max_steps=45):
+    for step in simulate(world, Dream(model="wire"), DREAM_V1, max_steps=28):
         assert not step.arrival.collided
         assert all(exchange.fallback == "" for exchange in step.decision.exchanges)
         exchanges += len(step.decision.exchanges)
         seen = scorer.add(step).instances
     assert server("").failures == []
     assert exchanges == step.index - LOOK_AROUND
-    # In full it sees 97 % after 70 steps.
-    assert seen > 0.6
+    # In full it sees 97 % after 70 steps; who answers at random sees less than half of this by then.
+    assert seen > 0.5
 
 
 def test_a_mission_of_the_pool_begins_without_a_fault() -> None:

@@ -39,12 +39,12 @@ from dream.robots.bluerov2.navigation import Instruments
 from dream.robots.replay import Replayed
 from dream.sim.worlds import make_world
 
-STEPS = 40
+STEPS = 32
 
 
 @pytest.fixture(scope="module")
 def dive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of forty steps, or fewer where all was seen before."""
+    """The folder of some thirty steps, which see nearly all there is."""
     out = tmp_path_factory.mktemp("dive")
     fly = ["dive", "--stand-in", "--world", "pool/arc", "--max-steps", str(STEPS), "--json"]
     assert run_command([*fly, "--out", str(out)]) == 0
