@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from functools import lru_cache
 
 import pytest
 from hypothesis import settings
@@ -10,6 +12,8 @@ from hypothesis import settings
 from dream.evaluation.runner import simulate
 from dream.planning import SixSteps
 from dream.protocol import DREAM_V1
+from dream.sim.render import Renderer
+from dream.sim.visibility import Visibility
 from dream.sim.world import World
 from dream.sim.worlds import make_world
 from dream.types import Step
@@ -20,6 +24,21 @@ os.environ["DREAM_OFFLINE"] = "1"
 # The first call of a kernel compiles it or reads it from disk, which no deadline should judge.
 settings.register_profile("dream", deadline=None, max_examples=50)
 settings.load_profile("dream")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def worlds_are_prepared_once() -> Iterator[None]:
+    """For the camera of a robot and for scores, where the very same world is flown again and again.
+
+    Neither changes by being asked, and `test_a_world_that_is_used_again_gives_the_same_mission` holds them
+    to it.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        prepared = lru_cache(maxsize=4)(Renderer)
+        patch.setattr("dream.robots.camera.Renderer", prepared)
+        patch.setattr("dream.evaluation.metrics.Renderer", prepared)
+        patch.setattr("dream.evaluation.metrics.Visibility", lru_cache(maxsize=4)(Visibility))
+        yield
 
 
 @pytest.fixture(scope="session")
