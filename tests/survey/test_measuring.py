@@ -2,6 +2,8 @@
 
 import dataclasses
 import math
+import os
+import shutil
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -269,6 +271,22 @@ def test_a_run_folder_is_measured_as_it_was_seen(run: Path) -> None:
     assert heard == [(n, 7) for n in range(1, 8)]
     assert survey.made_by["planner"] == "belief"
     assert survey.made_by["measuring"]["cell"] == pytest.approx(0.025)
+
+
+def test_a_time_that_the_name_of_the_folder_does_not_tell_is_doubted(
+    run: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    assert measure(run).made_by["began_by"] == "the name of its folder"
+    assert caplog.messages == []
+    renamed = Path(shutil.copytree(run, tmp_path / "reef"))
+    when = datetime(2026, 5, 4, 3, 2, tzinfo=UTC)
+    os.utime(renamed / "config.json", (when.timestamp(), when.timestamp()))
+    survey = measure(renamed)
+    assert survey.began == when
+    assert survey.made_by["began_by"] == "when its config.json was written"
+    (told,) = caplog.messages
+    assert told.startswith("reef: began at 2026-05-04 03:02 UTC, going by when its config.json was written")
+    assert "call the folder as 2026-05-04T03-02_..." in told
 
 
 def test_the_place_is_that_of_the_folder(run: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
@@ -25,6 +26,8 @@ from dream.survey.survey import DecisionPoint, Layers, Measure, Picture, Survey,
 from dream.survey.wreck import measure_wreck, no_individuals
 from dream.types import Observation, Reasoning, Target
 from dream.versions import commit
+
+logger = logging.getLogger(__name__)
 
 UNKNOWN, EXPLORED, TARGET, SOLID, SOLID_TARGET = range(5)
 """Values of `Layers.state`."""
@@ -219,9 +222,10 @@ def _about(
     run: Path, config: RunConfig, steps: Sequence[RecordedStep], observed: int, site: Site | None
 ) -> About:
     sigma = {step.step: step.position_sigma_m for step in steps}
+    began, by = _began(run)
     return About(
         name=run.resolve().name,
-        began=_began(run),
+        began=began,
         site=site,
         target=_target(config),
         decisions=tuple(_decision(step) for step in steps if step.step > 0),
@@ -232,20 +236,34 @@ def _about(
             "planner": config.planner,
             "world": config.world,
             "seed": config.seed,
+            "began_by": by,
             "flown_by": {"version": config.version, "commit": config.commit},
         },
     )
 
 
-def _began(run: Path) -> datetime:
-    """By the folder's name, which is in UTC; by when its config was written where it was called otherwise."""
+def _began(run: Path) -> tuple[datetime, str]:
+    """When it began, and by what that is known.
+
+    By the folder's name, which is in UTC; by when its config was written where it is called otherwise, which
+    is said, since a copy of the folder may have been written at any time.
+    """
     found = re.match(r"(\d{4}-\d\d-\d\dT\d\d-\d\d)_", run.resolve().name)
     if found:
         try:
-            return datetime.strptime(found.group(1), "%Y-%m-%dT%H-%M").replace(tzinfo=UTC)
+            began = datetime.strptime(found.group(1), "%Y-%m-%dT%H-%M").replace(tzinfo=UTC)
+            return began, "the name of its folder"
         except ValueError:
             pass  # Such as month 13: not ours.
-    return datetime.fromtimestamp((run / "config.json").stat().st_mtime, UTC)
+    began = datetime.fromtimestamp((run / "config.json").stat().st_mtime, UTC)
+    logger.warning(
+        "%s: began at %s, going by when its config.json was written, as the name of the folder does not say. "
+        "If that is not so, call the folder as %s_..., with the true time",
+        run.resolve().name,
+        began.strftime("%Y-%m-%d %H:%M UTC"),
+        began.strftime("%Y-%m-%dT%H-%M"),
+    )
+    return began, "when its config.json was written"
 
 
 def _target(config: RunConfig) -> Target:
