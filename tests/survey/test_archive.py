@@ -296,6 +296,18 @@ def test_other_files_are_refused_and_left_alone(tmp_path: Path) -> None:
         open_archive(str(tmp_path / "nowhere" / "new.gpkg"), begin=True)
 
 
+def test_a_file_of_a_stranger_calls_no_function_of_ours(kept: Path) -> None:
+    with sqlite3.connect(kept) as database:
+        database.execute("CREATE TRIGGER sly AFTER INSERT ON surveys BEGIN SELECT harm(); END")
+    database.close()
+    harmed: list[str] = []
+    with GeoPackageArchive(kept) as archive:
+        archive._connection.create_function("harm", 0, lambda: harmed.append("harmed"))
+        with pytest.raises(ValueError, match="unsafe use of harm"):
+            archive.add(replace(reef(), name="another"))
+    assert harmed == []
+
+
 def test_damage_is_told_of_and_never_handed_out(kept: Path) -> None:
     """Whatever byte is hit: a clear error, or what was added to the last bit."""
     whole, survey = kept.read_bytes(), files.dumped(reef())

@@ -87,6 +87,8 @@ class GeoPackageArchive:
             self._connection = sqlite3.connect(path, timeout=PATIENCE, isolation_level=None)
         try:
             with self._told():
+                # The file may be a stranger's: its views and triggers call no function that could do harm.
+                self._connection.execute("PRAGMA trusted_schema = OFF")
                 # What was reported as kept is on the disk, also where the power fails.
                 self._connection.execute("PRAGMA synchronous = FULL")
                 self._connection.execute("PRAGMA foreign_keys = ON")
