@@ -268,6 +268,20 @@ def test_tables_open_with_and_without_an_origin(tmp_path: Path) -> None:
     assert float(local[7]["x_m"]) == pytest.approx(reef().individuals.position[7, 0], abs=5e-4)
 
 
+@pytest.mark.parametrize("begins", "=+-@\t\r")
+def test_no_cell_is_taken_for_a_formula(begins: str, tmp_path: Path) -> None:
+    sly = begins + '1+cmd|" /C calc"!A0'
+    told = Measure("sly", -1.5, -2.0, -1.0, "m", sly)
+    site = replace(SITE, name=sly)
+    survey = replace(reef(site=site), measures=(told, *reef().measures))
+    tables.write(survey, tmp_path)
+    darwin_core.write(survey, Species(sly, OYSTER.id), tmp_path)
+    measured = rows_of((tmp_path / "measures.csv").read_bytes().decode())[0]
+    assert (measured["note"], measured["value"]) == (f"'{sly}", "-1.5")
+    occurred = rows_of((tmp_path / "occurrence.csv").read_bytes().decode())[0]
+    assert (occurred["locality"], occurred["scientificName"]) == (f"'{sly}", f"'{sly}")
+
+
 class Seen(HTMLParser):
     """What a browser would show, load and run."""
 

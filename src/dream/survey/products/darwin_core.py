@@ -29,6 +29,7 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 
 from dream.survey.products.ground import Ground, site_of
+from dream.survey.products.tables import harmless
 from dream.survey.products.words import simulated
 from dream.survey.survey import Survey
 from dream.types import Target
@@ -120,22 +121,25 @@ def occurrences(survey: Survey, species: Species) -> list[dict[str, str]]:
     when = "/".join(moment.strftime("%Y-%m-%dT%H:%M:%SZ") for moment in (began, ended))
     event = _identifier(survey, "event")
     version = str(survey.made_by.get("version", ""))
+    free = {
+        "scientificName": species.name,
+        "identifiedBy": f"DREAM {version}".strip(),
+        "samplingProtocol": f"autonomous visual survey, DREAM protocol {survey.protocol}",
+        "locality": ground.site.name,
+        "verticalDatum": ground.site.datum,
+    }
     common = {
         "basisOfRecord": "MachineObservation",
         "occurrenceStatus": "present",
-        "scientificName": species.name,
         "scientificNameID": species.id,
         "identificationVerificationStatus": "PredictedByMachine",
-        "identifiedBy": f"DREAM {version}".strip(),
         "eventID": event,
         "eventDate": when,
-        "samplingProtocol": f"autonomous visual survey, DREAM protocol {survey.protocol}",
         "sampleSizeValue": f"{float((survey.layers.state != 0).sum()) * survey.layers.cell**2:.1f}",
         "sampleSizeUnit": "square metre",
         "geodeticDatum": "EPSG:4326",
-        "locality": ground.site.name,
-        "verticalDatum": ground.site.datum,
         "individualCount": "1",
+        **{name: harmless(text) for name, text in free.items()},
     }
     # Whoever takes a row out of the file has to see it there.
     made_up = f"SIMULATED, nothing real was seen ({text}); " if (text := simulated(survey)) else ""

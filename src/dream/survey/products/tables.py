@@ -34,7 +34,8 @@ def _measures(survey: Survey) -> Iterable[Sequence[Any]]:
     of += [(f"patch {number}", patch.measures) for number, patch in enumerate(survey.patches, start=1)]
     for what, measures in of:
         for m in measures:
-            yield what, m.name, _plain(m.value), _plain(m.low), _plain(m.high), m.unit, m.note
+            numbers = map(_plain, (m.value, m.low, m.high))
+            yield what, harmless(m.name), *numbers, harmless(m.unit), harmless(m.note)
 
 
 def _individuals(survey: Survey) -> tuple[tuple[str, ...], list[list[Any]]]:
@@ -72,6 +73,18 @@ def _individuals(survey: Survey) -> tuple[tuple[str, ...], list[list[Any]]]:
     for number, row in enumerate(rows):
         row += [f"{longitude[number]:.8f}", f"{latitude[number]:.8f}", f"{depth[number]:.3f}"]
     return (*columns, "longitude", "latitude", "depth_m"), rows
+
+
+def harmless(text: str) -> str:
+    """Text that no spreadsheet takes for a formula: an apostrophe before what one could begin with.
+
+    Notes and names come from whoever made the survey; numbers are ours and stay as they are.
+    """
+    return f"'{text}" if text[:1] in _FORMULA else text
+
+
+_FORMULA = tuple("=+-@\t\r")
+"""With which OWASP has formulas begin ("CSV Injection")."""
 
 
 def _write(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
