@@ -156,6 +156,23 @@ def test_what_is_wrong_is_said_in_one_line_and_nothing_is_written(
     assert {path: path.read_bytes() for path in two.rglob("*") if path.is_file()} == before
 
 
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("survey add first.survey.npz --save saved.survey.npz --archive second.survey.npz", "foreign file"),
+        ("survey add first.survey.npz --save none/saved.survey.npz", "could not write none/saved.survey.npz"),
+        ("survey add nowhere.survey.npz --save saved.survey.npz", "run without origin"),
+    ],
+)
+def test_a_survey_is_kept_and_saved_or_neither(
+    words: str, expected: str, two: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files.write(replace(files.read(two / "first.survey.npz"), site=None), two / "nowhere.survey.npz")
+    before = {path: path.read_bytes() for path in two.iterdir()}
+    assert expected in complaint(words, capsys)
+    assert {path: path.read_bytes() for path in two.iterdir()} == before
+
+
 def test_a_run_with_a_site_is_measured_and_kept(two: Path, capsys: pytest.CaptureFixture[str]) -> None:
     site = Site("Inner reef", 54.9, 8.3, heading_deg=20.0)
     write_site(site, two / "reef.json")

@@ -7,12 +7,13 @@ and when it is read: a file that was read holds a survey that can be worked with
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import math
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -162,9 +163,31 @@ def write(survey: Survey, path: Path) -> None:
         ValueError: The survey is inconsistent; the message names the field.
         OSError: The file could not be written.
     """
+    with appearing(survey, path):
+        pass
+
+
+@contextlib.contextmanager
+def appearing(survey: Survey, path: Path) -> Iterator[None]:
+    """Write a survey to a file that appears once the block is done; if that fails, nothing changes.
+
+    Raises:
+        ValueError: The survey is inconsistent; the message names the field.
+        OSError: The file could not be written. All that takes room is written before the block.
+    """
     data = dumped(survey)
-    with whole_or_nothing(path) as partial:
-        partial.write_bytes(data)
+    draft = path.with_name(f".draft.{path.name}")
+    try:
+        try:
+            draft.write_bytes(data)
+        except OSError as error:
+            raise OSError(f"could not write {path} ({error.strerror or error})") from error
+        yield
+        with whole_or_nothing(path) as whole:
+            draft.replace(whole)
+    finally:
+        with contextlib.suppress(OSError):
+            draft.unlink(missing_ok=True)
 
 
 def read(path: Path) -> Survey:

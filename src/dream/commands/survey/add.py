@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,11 +37,12 @@ class Add:
 
         with compiling_told():
             survey = found(self.survey, self.archive, self.site)
-        if self.save is not None:
-            files.write(survey, self.save)
         if survey.site is None:
             raise ValueError(f"{survey.name}: {FROM_NOWHERE}")
-        with archive_at(self.archive, begin=True) as archive:
+        with contextlib.ExitStack() as stack:
+            if self.save is not None:
+                stack.enter_context(files.appearing(survey, self.save))
+            archive = stack.enter_context(archive_at(self.archive, begin=True))
             number, new = archive.add(survey)
             where = archive.name
         if self.json:
