@@ -242,8 +242,22 @@ def test_with_a_token_nothing_is_given_without_it(guarded: TestClient, base: str
         answer = guarded.get(path)
         assert answer.status_code == 401, path
         assert TOKEN not in answer.text + str(answer.headers)
-    assert guarded.get("/", headers={"cookie": f"{COOKIE}=wrong"}).status_code == 401
+    assert guarded.get("/", headers={"cookie": f"{COOKIE}-8412=wrong"}).status_code == 401
     assert guarded.get("/", headers={"cookie": "x" * 4000}).status_code == 401
+
+
+def test_pages_of_two_ports_of_a_host_do_not_lock_each_other_out(pages: Pages) -> None:
+    # A browser sends the cookies of a host to all its ports.
+    cookies: dict[str, str] = {}
+    for port, token in ((8000, TOKEN), (8001, TOKEN[::-1])):
+        client = TestClient(application(pages, Doors(token=token)), base_url=f"http://127.0.0.1:{port}")
+        entered = client.get(f"/?token={token}", follow_redirects=False)
+        name, value = entered.headers["set-cookie"].split(";")[0].split("=", 1)
+        cookies[name] = value
+    for port, token in ((8000, TOKEN), (8001, TOKEN[::-1])):
+        client = TestClient(application(pages, Doors(token=token)), base_url=f"http://127.0.0.1:{port}")
+        header = "; ".join(f"{name}={value}" for name, value in cookies.items())
+        assert client.get("/", headers={"cookie": header}).status_code == 200
 
 
 def test_the_token_becomes_a_cookie_that_scripts_cannot_read(guarded: TestClient, base: str) -> None:

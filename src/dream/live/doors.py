@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 TOKEN_LENGTH = 16
 """Characters of a token at least."""
 COOKIE = "dream-watch"
+"""How the names of our cookies begin; see `cookie_name`."""
 
 _PLAIN = re.compile(r"[!#-+\--:<-\[\]-~]+")  # What RFC 6265 allows in a cookie.
 
@@ -78,6 +79,16 @@ def made_token() -> str:
     return secrets.token_urlsafe(24)
 
 
+def cookie_name(header: str) -> str:
+    """The cookie's name at a host as its header names it.
+
+    Cookies of one host are shared over its ports, also those of other servers behind a tunnel: with the port
+    in its name, two pages that are watched at once do not lock each other out.
+    """
+    port = re.search(r":([0-9]{1,5})$", header)
+    return f"{COOKIE}-{port[1] if port else 80}"
+
+
 def is_loopback(host: str) -> bool:
     """Whether only this machine can connect to a host."""
     address = _address(host)
@@ -127,12 +138,13 @@ class Doorkeeper:
             return 403, "Only the page of this server may ask for that.\n", {}
         if not self._doors.token:
             return None
+        name = cookie_name(headers.get("host", ""))
         brought = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
         if brought and scope["path"] == "/" and self._doors.knows(brought):
             # From now on a cookie stands for it, and the address no longer shows it.
-            cookie = f"{COOKIE}={brought}; HttpOnly; SameSite=Lax; Path=/; Max-Age=604800"
+            cookie = f"{name}={brought}; HttpOnly; SameSite=Lax; Path=/; Max-Age=604800"
             return 303, "", {"location": "/", "set-cookie": cookie}
-        if self._doors.knows(_cookie(headers.get("cookie", ""))):
+        if self._doors.knows(_cookie(headers.get("cookie", ""), name)):
             return None
         return 401, "This page needs its token: open the address that dream watch printed.\n", {}
 
@@ -145,9 +157,9 @@ def _raw(headers: dict[str, str]) -> list[tuple[bytes, bytes]]:
     return [(name.encode(), value.encode()) for name, value in headers.items()]
 
 
-def _cookie(header: str) -> str:
+def _cookie(header: str, name: str) -> str:
     try:
-        found = SimpleCookie(header).get(COOKIE)
+        found = SimpleCookie(header).get(name)
     except CookieError:
         return ""
     return found.value if found else ""
