@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+import errno
 import json
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -53,6 +55,29 @@ def test_a_line_counts_once_it_is_whole(growing: Make) -> None:
         run.look()
         assert numbers(run) == [0, 1, 2]
     assert numbers(only(watched)) == [0, 1]
+
+
+def test_what_cannot_be_read_just_now_is_read_later(growing: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = growing().write(2)
+    watched = Watched([made.folder])
+    run = only(watched)
+    made.write()
+    opened = Path.open
+
+    def fails(self: Path, *arguments: Any, **options: Any) -> Any:
+        if self.name == "steps.jsonl":
+            raise OSError(errno.EIO, "Input/output error", str(self))
+        return opened(self, *arguments, **options)
+
+    with monkeypatch.context() as broken:
+        broken.setattr(Path, "open", fails)
+        for _ in range(2):
+            run.look()
+            assert "Input/output error" in run.problem
+    version = run.version
+    run.look()
+    assert (numbers(run), run.problem) == ([0, 1, 2], "")
+    assert run.version > version, "that it is well again is told"
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,7 @@ class WatchedRun:
     summary: RunSummary | None = None
     steps: list[ShownStep] = field(default_factory=list)
     problem: str = ""
-    """What is damaged; nothing of the run is read after that."""
+    """What is damaged, and nothing of the run is read after that; or why it cannot be read just now."""
     behind: bool = False
     """Whether there is more to read than was read so far."""
     version: int = 0
@@ -82,6 +82,7 @@ class WatchedRun:
     _last: RecordedStep | None = None
     _offset: int = 0
     _written: float = 0.0
+    _damaged: bool = False
 
     @property
     def key(self) -> str:
@@ -94,9 +95,9 @@ class WatchedRun:
 
     def look(self) -> None:
         """Read what came since the last look. Never raises: what is wrong stands in `problem`."""
-        if self.problem:
+        if self._damaged:
             return
-        before = (self.config is None, self.summary)
+        before = (self.config is None, self.summary, self.problem)
         try:
             if self.config is None:
                 if not (self.folder / "config.json").exists():
@@ -111,11 +112,15 @@ class WatchedRun:
             self.behind = not self._read_lines()
             if not self.behind:
                 self.summary = summary or self.summary
+            self.problem = ""
         except (OSError, ValueError) as error:
+            # A disk or a network may be back at the next look; damage stays.
+            self._damaged = isinstance(error, ValueError)
             self.problem = str(error).replace(f"{self.folder}{os.sep}", "")
             self.behind = False
-            logger.warning("%s is not read on: %s", self.folder.name, self.problem)
-        if self.problem or before != (self.config is None, self.summary):
+            if self.problem != before[2]:
+                logger.warning("%s is not read on: %s", self.folder.name, self.problem)
+        if before != (self.config is None, self.summary, self.problem):
             self.version += 1
 
     def _read_lines(self) -> bool:
