@@ -14,6 +14,7 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
+from dream.evaluation.machine import source
 from dream.learning.curriculum import CARD, MODEL, Curriculum, Progress, learn, missions
 from dream.learning.network import Network
 from dream.learning.rollouts import Lesson
@@ -108,6 +109,14 @@ def test_a_folder_of_another_curriculum_is_refused(folder: Path) -> None:
         ValueError, match=r"seed: expected 0 as for what is in it, got 1\. Choose another --out"
     ):
         next(learn(replace(TINY, seed=1), folder, Inline(), "cpu"))
+
+
+def test_a_folder_that_other_code_filled_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = json.loads((folder / "plan.json").read_text())
+    assert plan["source"] != source(), "the teacher is part of it, as it is of no mission"
+    monkeypatch.setattr("dream.learning.curriculum.source", lambda *_: "5eed")
+    with pytest.raises(ValueError, match=rf"source: expected {plan['source']} .* got 5eed\. Choose another"):
+        next(learn(TINY, folder, Inline(), "cpu"))
 
 
 @pytest.mark.parametrize("damaged", [b"", b"[]", b"{", b"\xff"])

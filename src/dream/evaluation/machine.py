@@ -22,10 +22,13 @@ _SCORES = ("metrics.py", "runner.py")
 
 
 @cache
-def source() -> str:
+def source(*also: str) -> str:
     """SHA-256 of the code, and the data with it, that a mission's outcome can depend on.
 
     Where it is equal, results are.
+
+    Args:
+        also: Parts of the package on which more depends than a mission, such as `learning`.
 
     A commit says nothing of changes that were not committed, and an installed package has none.
     """
@@ -33,7 +36,9 @@ def source() -> str:
     digest = hashlib.sha256()
     for path in sorted(root.rglob("*")):
         parts = path.relative_to(root).parts
-        if "__pycache__" in parts or not path.is_file() or parts[0] in _SHOWS_ONLY:
+        if "__pycache__" in parts or not path.is_file():
+            continue
+        if parts[0] in _SHOWS_ONLY and parts[0] not in also:
             continue
         if parts[0] == "evaluation" and parts[1:] not in [(name,) for name in _SCORES]:
             continue

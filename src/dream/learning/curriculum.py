@@ -17,6 +17,7 @@ import numpy as np
 from dream import __version__
 from dream.evaluation.engines import Engine
 from dream.evaluation.locks import alone_at
+from dream.evaluation.machine import libraries, source
 from dream.evaluation.results import write_whole
 from dream.learning.expert import TURNS, Expert
 from dream.learning.export import INPUT, OUTPUT, answers_in, as_onnx, check_installed
@@ -123,7 +124,8 @@ def learn(
         device: Where a student learns; see `training.device_named`.
 
     Raises:
-        ValueError: The folder belongs to another curriculum, or something that is needed is not installed.
+        ValueError: The folder belongs to another curriculum or other code, or something that is needed is
+            not installed.
         OSError: The folder cannot be written.
     """
     import_torch()
@@ -172,8 +174,13 @@ def missions(curriculum: Curriculum, folder: Path) -> Iterator[Frames]:
 
 
 def _claim(folder: Path, curriculum: Curriculum) -> None:
-    """The folder is of this curriculum, or becomes it. What only adds to it may be another than before."""
-    plan = json.loads(json.dumps({"version": __version__, **asdict(curriculum)}))
+    """The folder is of this curriculum and this code, or becomes it. What only adds to it may be another.
+
+    Frames of one simulator and teacher beside those of another would make a network that nobody can make
+    again.
+    """
+    made_by = {"version": __version__, "source": source("learning"), **libraries(), "torch": version("torch")}
+    plan = json.loads(json.dumps({**made_by, **asdict(curriculum)}))
     plan = {name: value for name, value in plan.items() if name not in ADDS}
     path = folder / "plan.json"
     try:
