@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import shutil
@@ -14,6 +15,7 @@ import pytest
 
 from dream.cli import run_command
 from dream.planning import Belief, NearestFrontier, SixSteps
+from dream.planning.baselines.uivnav import SHIPPED
 from dream.recording import read_config, read_steps, read_summary
 from dream.robots.bluerov2.navigation import ESTIMATORS
 from dream.sim.worlds import make_world
@@ -226,6 +228,23 @@ def test_a_run_of_a_model_is_answered_from_what_was_kept(
     change(run / "config.json", lambda config: config["planner_parameters"].update(other))
     said = refused(capsys, "replay", run)
     assert "expected the folder of what openai:gpt-5 answered, got none" in said
+
+
+def test_another_network_under_the_same_name_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("onnxruntime")
+    network = Path(shutil.copy(SHIPPED, tmp_path / "mine.onnx"))
+    run = fly(tmp_path / "runs", "uivnav", "--weights", str(network), "--keep-observations")
+    kept = read_config(run).weights_sha256
+    assert kept == hashlib.sha256(network.read_bytes()).hexdigest()
+    assert replay(capsys, run)[1]["agree"] == STEPS
+    network.write_bytes(network.read_bytes() + b"\0")
+    assert f"whose SHA-256 is {kept[:12]}..., got" in refused(capsys, "replay", run)
+    network.unlink()
+    assert f"weights: expected the path of an ONNX file, got {network}" in refused(capsys, "replay", run)
+    # Who decides anew asks no network of then.
+    assert replay(capsys, run, "--planner", "lawnmower")[1]["planner"] == "lawnmower"
 
 
 @pytest.mark.parametrize(

@@ -176,6 +176,8 @@ class RunConfig(_Recorded):
     planner: str
     planner_parameters: dict[str, Any] = Field(default_factory=dict)
     """By name."""
+    weights_sha256: str | None = None
+    """Of the file of a network that was not the one that comes with DREAM."""
     world_from: str | None = None
     """What was given for the world where it is not a name: a folder."""
     start: int = 0

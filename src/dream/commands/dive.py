@@ -29,6 +29,7 @@ from dream.commands.run import planner_name
 from dream.errors import MissionAborted
 from dream.geometry import SE2, SE3, Bounds
 from dream.planning import PLANNERS, AnyPlanner
+from dream.planning.baselines.uivnav import weights_sha256
 from dream.protocol import SurveyProtocol, protocol_named
 from dream.types import Setpoint
 from dream.versions import commit
@@ -709,6 +710,7 @@ class _Ready:
             "seed": self.told.seed,
             "planner": name,
             "planner_parameters": asdict(self.told.planner),
+            "weights_sha256": weights_sha256(self.told.planner),
             "max_steps": self.told.max_steps,
             "command": repeating_command(self.told, name),
             "mounting": {

@@ -18,6 +18,7 @@ from dream.mission import explore
 from dream.names import look_up
 from dream.orders import Orders
 from dream.planning import PLANNERS, AnyPlanner, Asking
+from dream.planning.baselines.uivnav import weights_sha256
 from dream.planning.vlm import stands_in
 from dream.planning.vlm.orders import read_orders
 from dream.protocol import SurveyProtocol, protocol_named
@@ -75,17 +76,25 @@ class Record:
         """Who decided, with the parameters of then.
 
         Raises:
-            ValueError: There is no such planner here, or it has other parameters.
+            ValueError: There is no such planner here, it has other parameters, or asks another network.
         """
         name = self.config.planner
         default = look_up(PLANNERS, name, "planner")
         try:
-            return replace(default, **self.config.planner_parameters)
+            planner = replace(default, **self.config.planner_parameters)
         except TypeError as error:
             raise ValueError(
                 f"{self.folder / 'config.json'}: expected the parameters of {name}, got others ({error}). "
                 f"It was made by version {self.config.version}"
             ) from error
+        then, now = self.config.weights_sha256, weights_sha256(planner)
+        if then is not None and now != then:
+            raise ValueError(
+                f"weights: expected the network of then, whose SHA-256 is {then[:12]}..., got "
+                f"{(now or 'none')[:12]}... in {self.config.planner_parameters.get('weights')}. "
+                "Put that of then back"
+            )
+        return planner
 
     def was_flown_by(self, planner: AnyPlanner) -> bool:
         """Is it who decided, with the parameters of then?"""

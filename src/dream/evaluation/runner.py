@@ -42,6 +42,7 @@ from dream.mapping.prior import Prior
 from dream.mission import Planner, Robot, explore
 from dream.orders import Orders, sentences, written
 from dream.planning import PLANNERS, AnyPlanner
+from dream.planning.baselines.uivnav import weights_sha256
 from dream.planning.vlm.asking import Asking
 from dream.protocol import SHOWN, SurveyProtocol, protocol_named
 from dream.robots import Swimming, Teleport
@@ -167,6 +168,7 @@ def run_config(
         "start": start,
         "planner": planner_name,
         "planner_parameters": asdict(planner),
+        "weights_sha256": weights_sha256(planner),
         "max_steps": max_steps,
         "swimming": None if swims is None else asdict(swims),
         "orders": None if orders is None else written(orders),

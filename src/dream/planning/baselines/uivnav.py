@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import zlib
@@ -69,6 +70,23 @@ class UivNav:
             ValueError: The network is refused, with the reason, or ONNX Runtime is not installed.
         """
         return _Sighted(self, mission.protocol, opened(self.weights))
+
+
+def weights_sha256(planner: object) -> str | None:
+    """SHA-256 of the file whose network a planner asks; None where there is none but what comes with DREAM.
+
+    Raises:
+        ValueError: It cannot be read.
+    """
+    if not isinstance(planner, UivNav) or planner.weights is None:
+        return None
+    try:
+        with Path(planner.weights).open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise ValueError(
+            f"weights: expected the path of an ONNX file, got {planner.weights} ({error.strerror or error})"
+        ) from error
 
 
 def opened(weights: str | None = None) -> Policy:
