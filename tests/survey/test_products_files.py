@@ -189,6 +189,14 @@ def test_rows_are_nowhere_taken_for_all_individuals(tmp_path: Path) -> None:
     assert "counted once" not in text
 
 
+def test_a_reef_in_ground_that_nobody_saw_is_not_said_to_be_in_the_figures() -> None:
+    some, told = reef(), "where it was looked at and right beside"
+    assert (some.layers.state == 0).any()
+    assert told in words.summary(some)[0]
+    every = replace(some, layers=replace(some.layers, state=np.maximum(some.layers.state, 1)))
+    assert told not in words.summary(every)[0]
+
+
 def test_limits_say_where_intervals_come_from_and_what_they_do_not_hold() -> None:
     told = " ".join(words.limits(replace(reef(), made_by={})))
     assert "calibrated" in told

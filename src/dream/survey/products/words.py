@@ -24,9 +24,9 @@ class Meaning:
 
 
 MEANINGS = {
-    "reef_area": Meaning("Reef area", "ground that reef covers"),
+    "reef_area": Meaning("Reef area", "ground that reef covers, seen or right beside it"),
     "area": Meaning("Area", "ground that it covers"),
-    "patch_count": Meaning("Patches", "separate pieces of reef"),
+    "patch_count": Meaning("Patches", "separate pieces of reef that were seen"),
     "patches": Meaning("Patches", "separate pieces of reef"),
     "density": Meaning("Density", "individuals on each square metre of reef"),
     "count": Meaning("Individuals", "estimate of all, with those that hide beside others"),
@@ -145,7 +145,9 @@ def summary(survey: Survey) -> list[str]:
         if area := of.get("reef_area"):
             count = len(survey.patches)
             patches = f" in {count} {'patch' if count == 1 else 'patches'}" if count else ""
-            lines.append(f"Reef covers {_between(area)}{patches}.")
+            # Unseen ground farther off may hold a reef of its own, which no frame says anything about.
+            where = ", where it was looked at and right beside" if _seen_share(survey) < 1.0 else ""
+            lines.append(f"Reef covers {_between(area)}{patches}{where}.")
         if density := of.get("density"):
             lines.append(f"On each square metre of it there are {_between(density, unit=False)} individuals.")
         if size := of.get("median_size"):
