@@ -54,7 +54,7 @@ def is_gone(address: str) -> bool:
     return False
 
 
-@pytest.mark.parametrize("words", [["watch"], ["run", "--live"]])
+@pytest.mark.parametrize("words", [["watch"], ["run", "--live"], ["dive", "--stand-in", "--live"]])
 def test_without_what_it_needs_it_says_what_to_install(
     words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

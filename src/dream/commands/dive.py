@@ -146,6 +146,8 @@ class Dive:
     """Of the stand-in."""
     seed: int = 1
     """Likewise."""
+    live: bool = False
+    """Show it in a browser while it dives, at an address that is printed."""
     out: Path = Path("runs")
     """Folder that the dive's own folder is made in."""
     json: bool = False
@@ -153,8 +155,6 @@ class Dive:
 
     def __call__(self) -> int:
         """Exit status 0; 1 for a no-go; a MissionAborted where the mission did not end by itself."""
-        from dream import recording
-
         if self.max_steps is not None and self.max_steps < 1:
             raise ValueError(f"--max-steps: expected at least 1, got {self.max_steps}")
         if self.area is None and not self.stand_in:
@@ -176,8 +176,19 @@ class Dive:
             raise ValueError(
                 "dive: expected an operator at a terminal, got none. Say --unattended to dive without one"
             )
+        if self.live:
+            from dream.live.beside import check_installed
+
+            check_installed()
         _check_extra()
         _check_places(self)
+        with contextlib.ExitStack() as shown:
+            return self._dive(shown)
+
+    def _dive(self, shown: contextlib.ExitStack) -> int:
+        """The same; a page that stays until it is closed is left to `shown`: the vehicle waits for none."""
+        from dream import recording
+
         protocol = protocol_named(self.protocol)
         name = planner_name(self.planner)
         with contextlib.ExitStack() as stack:
@@ -191,6 +202,10 @@ class Dive:
             tank = _Tank(self.world, self.seed, self.drive) if self.stand_in else None
             where = "dive" if tank is None else tank.world.name
             folder = recording.new_run_folder(self.out, where, self.seed, name, begun)
+            if self.live and not self.check:
+                from dream.live.beside import shown_live
+
+                shown.enter_context(shown_live(folder))
             if tank is not None:
                 stack.enter_context(tank)
             # The log is whole once the devices are closed.
@@ -766,7 +781,7 @@ def repeating_command(told: Dive, name: str) -> str:
     for owner, default in ((told.planner, PLANNERS[name]), (told, Dive())):
         for field in fields(owner):
             value = getattr(owner, field.name)
-            if field.name in ("planner", "out", "json") or value == getattr(default, field.name):
+            if field.name in ("planner", "out", "json", "live") or value == getattr(default, field.name):
                 continue
             words.append("--" + field.name.replace("_", "-"))
             if value is not True:

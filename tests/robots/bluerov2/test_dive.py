@@ -1,11 +1,13 @@
 """`dream dive --stand-in`: the paper's tank trial, end to end, over the real protocols."""
 
+import contextlib
 import importlib.util
 import json
 import logging
 import math
 import signal
 import socket
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Literal
@@ -42,12 +44,27 @@ from dream.sim.worlds import make_world
 STEPS = 32
 
 
+SHOWN: list[tuple[Path, list[str]]] = []
+"""Folders that a page began or ended to show, and what lay in them then."""
+
+
+@contextlib.contextmanager
+def shown_live(folder: Path) -> Iterator[None]:
+    """In the place of a server and its page, which `tests/live` tries."""
+    SHOWN.append((folder, sorted(path.name for path in folder.iterdir())))
+    yield
+    SHOWN.append((folder, sorted(path.name for path in folder.iterdir())))
+
+
 @pytest.fixture(scope="module")
 def dive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of some thirty steps, which see nearly all there is."""
     out = tmp_path_factory.mktemp("dive")
     fly = ["dive", "--stand-in", "--world", "pool/arc", "--max-steps", str(STEPS), "--json"]
-    assert run_command([*fly, "--out", str(out)]) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dream.live.beside.check_installed", lambda: None)
+        patch.setattr("dream.live.beside.shown_live", shown_live)
+        assert run_command([*fly, "--live", "--out", str(out)]) == 0
     return out / (out / "latest").readlink()
 
 
@@ -65,6 +82,15 @@ def test_the_tank_is_explored(dive: Path) -> None:
     assert told["dive"]["behind_s"] < 5.0
     assert told["dive"]["pictures_per_s"] > 8.0
     assert told["dive"]["log_lost"] == {}
+
+
+@pytest.mark.slow
+def test_a_page_shows_it_from_the_beginning_and_holds_up_nothing(dive: Path) -> None:
+    (begun, before), (ended, after) = SHOWN
+    assert begun == ended == dive
+    assert "steps.jsonl" not in before
+    # What is made once the vehicle is let go is there before anybody has to close the page.
+    assert {"steps.jsonl", "report.html", "log.mcap", "dive.svg"} <= set(after)
 
 
 @pytest.mark.slow
