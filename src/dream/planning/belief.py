@@ -22,7 +22,7 @@ from dream.planning.travel import Pose, Travel, careful_standoff, careful_travel
 from dream.planning.vain import VainLooks
 from dream.planning.views import all_views_from
 from dream.planning.walk import Walk
-from dream.types import BoolArray, Decision, IntArray, Mission, Observation, Reasoning
+from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
@@ -201,8 +201,6 @@ class BeliefPilot:
     recall: Recall | None = field(init=False)
     """None where there is no earlier survey."""
     rounds: Rounds = field(default_factory=Rounds)
-    tried: dict[int, IntArray] = field(default_factory=dict)
-    """By node, what of the hull it was foretold to show and did not: from there nothing of it ever will."""
     visits: Counter[Pose] = field(default_factory=Counter)
     """How often a pose was returned to since anything was new."""
     news: int = 0
@@ -532,24 +530,13 @@ class BeliefPilot:
         rows, cols, positions = rows[chosen], cols[chosen], positions[chosen]
         nodes = rows * self.outlook.cols + cols
         starts, elements = self.hull.visible(positions, weights > 0.0)
-        blocks, worth = self.hull.blocks[elements], np.ones(len(elements), np.bool_)
-        for k in np.flatnonzero(np.isin(nodes, list(self.tried))):
-            headings = self.mission.protocol.headings
-            mine = slice(starts[k * headings], starts[(k + 1) * headings])
-            worth[mine] &= ~np.isin(blocks[mine], self.tried[int(nodes[k])])
-        starts = np.concatenate([[0], np.cumsum(worth)])[starts]
-        middles = self.hull.middles[:, :2]
-        return Listed(weights, expected.hull, middles, nodes, starts, elements[worth])
+        return Listed(weights, expected.hull, self.hull.middles[:, :2], nodes, starts, elements)
 
     def _try_hull(self, pose: Pose) -> None:
         """From there, hope no more for what of the hull should be in view and is still to be seen."""
-        if not len(self.hull.weights):
-            return
         row, col, heading = pose
-        starts, elements = self.hull.visible([self.outlook.position(row, col)])
-        blocks = self.hull.blocks[elements[starts[heading] : starts[heading + 1]]]
-        node = row * self.outlook.cols + col
-        self.tried[node] = np.union1d(self.tried.get(node, blocks), blocks)
+        yaw = heading * self.mission.protocol.heading_step
+        self.hull.give_up(self.outlook.position(row, col), yaw)
 
     def _leftover(
         self, completion: Completion, expected: _Expected, pose: SE2, occupancy: OccupancyMap

@@ -16,16 +16,17 @@ PATCH = 0.5
 """Metres along a patch of hull: an individual of a wreck."""
 SLANT = 1.125
 """Voxels that a surface cuts for each that its area would fill; on average over its directions."""
-WORTH = np.stack([0.77 * 0.75 ** np.arange(8), 0.18 * 0.8 ** np.arange(8)])
-"""(2, looks) probability that one more look shows hull, by how many were in vain: where hull was seen from
-beyond reach, and where it may go on into the unknown. After the last one a voxel is given up. Fitted, within
-0.06, to 42,000 looks at wrecks of the suite `dev`; from the fifth look into the unknown on, continued."""
+_VAIN = np.arange(12)
+WORTH = np.stack([0.76 * 0.78**_VAIN, 0.11 * 0.8 ** np.maximum(_VAIN - 4, 0)])
+"""(2, looks) probability that a look from a new side shows hull, by from how many it was looked at in vain:
+where hull was seen from beyond reach, and where it may go on into the unknown. After the last one a voxel is
+given up. Fitted to 38,000 looks at wrecks of seeds of their own; from the eighth on, continued."""
 CARVED = 1.5
 """Times the reach: how far the water is taken for free where nothing returned."""
-OVERLAP = 3.0
+STEEPEST = 2.0
+"""Widths of a pixel by which neighbouring depths may differ and still be taken for one surface."""
+OVERLAP = 0.8
 """Voxels before an element in which nothing hides it: at a slant, its own surface would."""
-PUSH = 0.25
-"""Voxels behind a return at which the surface is taken to be, so that looks along it are not blocked."""
 
 
 class Hull:
@@ -33,8 +34,9 @@ class Hull:
 
     What it does: keeps voxels of half a map cell that are free, hull, or anything else that returned. What
     counts as unseen is hull that was only seen from beyond reach, and unknown voxels at its edges: those
-    that touch both hull and free water. Both are worth what looks at their like have shown; each look in
-    vain makes them worth less, until they are given up.
+    that touch both hull and free water. Both are worth what looks at their like have shown. A look in vain
+    is not repeated from the same side, by bearing and range; each makes them worth less, until they are
+    given up.
 
     Assumes: depths, labels and poses that are true to half a voxel; a level vehicle at its altitude.
 
@@ -60,9 +62,10 @@ class Hull:
             for length in (heights, bounds.depth + protocol.cell, bounds.width + protocol.cell)
         ]
         self._voxels = np.zeros(shape, np.uint8)
-        self._solid = np.zeros(shape, np.uint8)
+        self._solid = np.zeros(shape, np.uint64)
         self._looks = np.zeros(shape, np.uint8)
         self._near = np.zeros([n // kernels.BLOCK for n in shape], np.uint8)
+        self._vain = np.zeros((2, *self._near.shape), np.uint64)
         self._posts = np.zeros((2, *(-(-n // kernels.POST) for n in shape[1:])))
         self._ground: FloatArray = np.zeros(self._posts.shape[1:])
         margin = 0.5 * protocol.cell
@@ -89,13 +92,6 @@ class Hull:
         return self._middles
 
     @property
-    def blocks(self) -> IntArray:
-        """(n,) a number for the place and kind of each element; the same whenever that is listed."""
-        level, row, col, kind = self._elements.T.astype(np.int64)
-        number: IntArray = ((level * 2**20 + row) * 2**20 + col) * 2 + kind
-        return number
-
-    @property
     def unseen(self) -> float:
         """Expected unseen patches, whether or not any place is left to see them from."""
         return float(self._weights.sum())
@@ -109,7 +105,7 @@ class Hull:
         place, rotation = T_world_camera.translation, np.ascontiguousarray(T_world_camera.rotation)
         if math.isnan(self._corner[2]):
             self._corner[2] = place[2] - 2.0 * protocol.altitude
-        looked_at = self._elements[self._in_view(observation)]
+        looked_at, bits = self._looked_at(observation)
         lens = (camera.fx, camera.fy, camera.cx, camera.cy)
         self._seen += kernels.mark(
             self._voxels,
@@ -126,7 +122,19 @@ class Hull:
             lens,
             (protocol.min_depth, protocol.max_depth),
             protocol.reach,
-            PUSH * self._side,
+            self._corner,
+            self._side,
+        )
+        kernels.fill(
+            self._solid,
+            observation.depth,
+            observation.labels,
+            int(Label.SEABED),
+            rotation,
+            place,
+            lens,
+            (protocol.min_depth, protocol.max_depth),
+            STEEPEST,
             self._corner,
             self._side,
         )
@@ -142,14 +150,16 @@ class Hull:
             self._side,
         )
         kernels.doubt(self._voxels, self._looks, looked_at)
+        level, row, col, kind = looked_at.T
+        self._vain[kind, level, row, col] |= bits
         self._ground = self._smooth_ground()
         self._list_elements()
 
     def visible(self, positions: npt.ArrayLike, among: BoolArray | None = None) -> tuple[IntArray, IntArray]:
         """Which elements a view from each position would show, for all headings of the lattice.
 
-        An element is shown where it is within reach over ground, in the image, and not behind anything known
-        to be solid; the unknown hides nothing.
+        An element is shown where it is within reach over ground, in the image, not behind anything known to
+        be solid (the unknown hides nothing), and was not looked at in vain from that side.
 
         Args:
             positions: (P, 2) metres in the world.
@@ -168,21 +178,36 @@ class Hull:
         heights = self._ground_at(points) + self.protocol.altitude
         return self._shown(np.column_stack([points, heights]), angles, among)
 
+    def give_up(self, position: tuple[float, float], yaw: float) -> None:
+        """Hope no more to see from that side what of the hull should be in view and is still to be seen."""
+        from dream.planning._kernels import hull as kernels
+
+        if not len(self._weights):
+            return
+        place = np.array(position)
+        camera = np.append(place, self._ground_at(place[None]) + self.protocol.altitude)
+        shown = np.unique(self._shown(camera[None], np.array([yaw]))[1])
+        level, row, col, kind = self._elements[shown].T
+        self._vain[kind, level, row, col] |= kernels.sides(self._middles[shown], camera, self.protocol.reach)
+
     # ------------------------------------------------------------------------------------------------------
 
     @property
     def _voxels_of_patch(self) -> float:
         return SLANT * (PATCH / self._side) ** 2
 
-    def _in_view(self, observation: Observation) -> IntArray:
-        """Elements that the observation should show, by its camera or as `visible` foretold it.
+    def _looked_at(self, observation: Observation) -> tuple[IntArray, npt.NDArray[np.uint64]]:
+        """Elements that the observation should show from a new side, and those sides' bits.
 
-        The two differ by how well the seabed is known. Counting only one of them, a planner that goes by the
-        other could wait for ever.
+        By its camera or as `visible` foretold it: the two differ by how well the seabed is known. Counting
+        only one of them, a planner that goes by the other could wait for ever.
         """
+        from dream.planning._kernels import hull as kernels
+
         place, yaw = observation.T_world_camera.translation, np.array([observation.pose.yaw])
         foretold = np.append(place[:2], self._ground_at(place[None, :2]) + self.protocol.altitude)
-        return np.unique(self._shown(np.stack([place, foretold]), yaw)[1])
+        which = np.unique(self._shown(np.stack([place, foretold]), yaw)[1])
+        return self._elements[which], kernels.sides(self._middles[which], place, self.protocol.reach)
 
     def _shown(
         self, cameras: FloatArray, yaws: FloatArray, among: BoolArray | None = None
@@ -194,9 +219,11 @@ class Hull:
         which = np.arange(len(self._weights)) if among is None else np.flatnonzero(among)
         if not len(which):
             return np.zeros(len(cameras) * len(yaws) + 1, np.int64), np.zeros(0, np.int32)
+        level, row, col, kind = self._elements[which].T
         starts, elements = kernels.visible(
             self._solid,
             self._middles[which],
+            self._vain[kind, level, row, col],
             np.ascontiguousarray(cameras),
             np.stack([np.cos(yaws), np.sin(yaws)], axis=1),
             (math.cos(protocol.camera_pitch), math.sin(protocol.camera_pitch)),
@@ -233,7 +260,7 @@ class Hull:
             lowest,
             highest,
         )
-        self._middles = self._corner + (voxel[:, ::-1] + 0.5) * self._side
+        self._middles = self._corner + voxel[:, ::-1] * self._side
         self._weights = weights / self._voxels_of_patch
 
     @property

@@ -21,14 +21,18 @@ SURFACE, EDGE = 0, 1
 """Kinds of elements: hull that was only seen from beyond reach; unknown voxels into which hull may go on."""
 POST = 16
 """Voxels along a post of the seabed."""
+PARTS = 4
+"""Along a voxel: of each part of it, of 64, is known whether something solid is there."""
+BEARINGS, RANGES = 16, 4
+"""Sides from which an element is looked at, 64 in all: 22.5° of bearings by a quarter of the reach."""
 
 
 @njit(cache=True, nogil=True)
 def _part(x, y, z):
-    """The bit, of a voxel's eight, of the octant that a point lies in; in voxels."""
-    up, north = int(2.0 * (z - math.floor(z))), int(2.0 * (y - math.floor(y)))
-    east = int(2.0 * (x - math.floor(x)))
-    return np.uint8(1 << (4 * up + 2 * north + east))
+    """The bit, of a voxel's 64, of the part that a point lies in; in voxels."""
+    up, north = int(PARTS * (z - math.floor(z))), int(PARTS * (y - math.floor(y)))
+    east = int(PARTS * (x - math.floor(x)))
+    return np.uint64(1) << np.uint64((up * PARTS + north) * PARTS + east)
 
 
 @njit(cache=True, nogil=True)
@@ -47,7 +51,6 @@ def mark(
     lens,
     limits,
     reach,
-    push,
     corner,
     side,
 ):
@@ -55,7 +58,7 @@ def mark(
 
     Args:
         voxels: Grid of uint8 bits, changed.
-        solid: Grid of uint8, a bit for each octant that something returned from; changed.
+        solid: Grid of uint64, a bit for each part that something returned from; changed.
         near: Grid of blocks, uint8: does hull lie in or beside the block? Changed.
         posts: (2, n, m) sum of the heights of the seabed's returns and their number; changed.
         box: (6,) int64 first level, row and column of the hull, and past the last; changed.
@@ -68,7 +71,6 @@ def mark(
         lens: fx, fy, cx and cy in pixels.
         limits: Least and greatest valid depth.
         reach: Metres over ground within which a return counts as seen.
-        push: Metres behind a return at which its octant is taken, so that what is solid does not stand out.
         corner: (3,) x, y and z of the grid's low corner.
         side: Metres along a voxel.
 
@@ -88,26 +90,22 @@ def mark(
             dx = (rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2]) * z
             dy = (rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2]) * z
             dz = (rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2]) * z
-            col = math.floor((camera[0] + dx - corner[0]) / side)
-            row = math.floor((camera[1] + dy - corner[1]) / side)
-            level = math.floor((camera[2] + dz - corner[2]) / side)
+            x = (camera[0] + dx - corner[0]) / side
+            y = (camera[1] + dy - corner[1]) / side
+            h = (camera[2] + dz - corner[2]) / side
+            col, row, level = math.floor(x), math.floor(y), math.floor(h)
             # Elements have neighbours on all sides.
             if not (0 < level < levels - 1 and 0 < row < rows - 1 and 0 < col < cols - 1):
                 continue
-            far = 1.0 + push / math.sqrt(dx * dx + dy * dy + dz * dz)
-            x = (camera[0] + dx * far - corner[0]) / side
-            y = (camera[1] + dy * far - corner[1]) / side
-            h = (camera[2] + dz * far - corner[2]) / side
-            if 0.0 <= h < levels and 0.0 <= y < rows and 0.0 <= x < cols:
-                solid[int(h), int(y), int(x)] |= _part(x, y, h)
+            solid[level, row, col] |= _part(x, y, h)
             if labels[i, j] == target:
                 bits = HULL | SEEN if dx * dx + dy * dy <= reach * reach else HULL
                 new += (bits & ~voxels[level, row, col] & SEEN) != 0
                 if not voxels[level, row, col] & HULL:
-                    for h in range((level - 1) // BLOCK, (level + 1) // BLOCK + 1):
+                    for v in range((level - 1) // BLOCK, (level + 1) // BLOCK + 1):
                         for r in range((row - 1) // BLOCK, (row + 1) // BLOCK + 1):
                             for c in range((col - 1) // BLOCK, (col + 1) // BLOCK + 1):
-                                near[h, r, c] = 1
+                                near[v, r, c] = 1
                 voxels[level, row, col] |= bits
                 box[0], box[3] = min(box[0], level), max(box[3], level + 1)
                 box[1], box[4] = min(box[1], row), max(box[4], row + 1)
@@ -118,6 +116,49 @@ def mark(
                     posts[0, row // POST, col // POST] += camera[2] + dz
                     posts[1, row // POST, col // POST] += 1.0
     return new
+
+
+@njit(cache=True, nogil=True)
+def fill(solid, depth, labels, seabed, rotation, camera, lens, limits, steepest, corner, side):
+    """Mark what is solid between the returns of neighbouring pixels, so that no ray slips through a surface.
+
+    Args:
+        steepest: How many pixels' widths the four depths around may differ by and still be of one surface.
+
+    The other arguments are those of `mark`.
+    """
+    levels, rows, cols = solid.shape
+    fx, fy, cx, cy = lens
+    for i in range(depth.shape[0] - 1):
+        for j in range(depth.shape[1] - 1):
+            if labels[i, j] == seabed:
+                continue
+            corners = depth[i, j], depth[i, j + 1], depth[i + 1, j], depth[i + 1, j + 1]
+            nearest, farthest = np.inf, 0.0
+            for z in corners:
+                nearest, farthest = min(nearest, z), max(farthest, z)
+                if not (limits[0] <= z <= limits[1]):
+                    farthest = np.inf
+            width = farthest / fx
+            if not (farthest - nearest <= steepest * width) or width == np.inf:
+                continue
+            count = math.ceil(width / side * PARTS)
+            for m in range(count):
+                s = m / count
+                b = (i + 0.5 + s - cy) / fy
+                for n in range(count):
+                    t = n / count
+                    z = (1 - s) * ((1 - t) * corners[0] + t * corners[1])
+                    z += s * ((1 - t) * corners[2] + t * corners[3])
+                    a = (j + 0.5 + t - cx) / fx
+                    dx = (rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2]) * z
+                    dy = (rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2]) * z
+                    dz = (rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2]) * z
+                    x = (camera[0] + dx - corner[0]) / side
+                    y = (camera[1] + dy - corner[1]) / side
+                    h = (camera[2] + dz - corner[2]) / side
+                    if 0.0 <= h < levels and 0.0 <= y < rows and 0.0 <= x < cols:
+                        solid[int(h), int(y), int(x)] |= _part(x, y, h)
 
 
 @njit(cache=True, nogil=True)
@@ -193,6 +234,15 @@ def _kind(voxels, level, row, col):
 
 
 @njit(cache=True, nogil=True)
+def _towards_free(voxels, level, row, col):
+    """From a voxel's middle to its faces with free water, in voxels: their mean."""
+    up = 1.0 * (voxels[level + 1, row, col] == FREE) - (voxels[level - 1, row, col] == FREE)
+    north = 1.0 * (voxels[level, row + 1, col] == FREE) - (voxels[level, row - 1, col] == FREE)
+    east = 1.0 * (voxels[level, row, col + 1] == FREE) - (voxels[level, row, col - 1] == FREE)
+    return 0.5 * up, 0.5 * north, 0.5 * east
+
+
+@njit(cache=True, nogil=True)
 def list_elements(voxels, near, looks, worth, box, lowest, highest):
     """What is left to see, block by block.
 
@@ -207,12 +257,12 @@ def list_elements(voxels, near, looks, worth, box, lowest, highest):
 
     Returns:
         elements: (n, 4) int32 level, row and column of the block, and kind.
-        middles: (n, 3) int32 level, row and column of the voxel that stands for it: the one nearest to the
-            mean.
+        middles: (n, 3) float64 level, row and column of the point that stands for it, in voxels: where the
+            voxel nearest to the mean meets free water. What must be seen is where the unknown begins.
         weights: (n,) float64.
     """
     elements = np.empty((1024, 4), np.int32)
-    middles = np.empty((1024, 3), np.int32)
+    middles = np.empty((1024, 3))
     weights = np.empty(1024)
     members = np.empty((2, BLOCK**3, 3), np.int64)
     number, total = np.zeros(2, np.int64), np.zeros(2)
@@ -252,9 +302,28 @@ def list_elements(voxels, near, looks, worth, box, lowest, highest):
                         away = ((n * members[kind, m] - sums) ** 2).sum()
                         if away < nearest:
                             nearest = away
-                            middles[count] = members[kind, m]
+                            h, r, c = members[kind, m]
+                            up, north, east = _towards_free(voxels, h, r, c)
+                            middles[count] = h + 0.5 + up, r + 0.5 + north, c + 0.5 + east
                     count += 1
     return elements[:count].copy(), middles[:count].copy(), weights[:count].copy()
+
+
+@njit(cache=True, nogil=True)
+def _side(dx, dy, reach):
+    """The bit of the side that an element is looked at from; dx, dy from the camera to it, metres."""
+    bearing = int((math.atan2(dy, dx) / (2.0 * math.pi) + 1.0) * BEARINGS) % BEARINGS
+    away = min(int(math.sqrt(dx * dx + dy * dy) / reach * RANGES), RANGES - 1)
+    return np.uint64(1) << np.uint64(bearing * RANGES + away)
+
+
+@njit(cache=True, nogil=True)
+def sides(middles, camera, reach):
+    """(n,) uint64, the bit of the side that each element is looked at from by a camera (3,)."""
+    bits = np.empty(len(middles), np.uint64)
+    for e in range(len(middles)):
+        bits[e] = _side(middles[e, 0] - camera[0], middles[e, 1] - camera[1], reach)
+    return bits
 
 
 @njit(cache=True, nogil=True)
@@ -275,7 +344,7 @@ def doubt(voxels, looks, elements):
 def _is_clear(solid, x, y, z, to_x, to_y, to_z, last):
     """Does nothing solid lie on a segment, up to `last` before its end? All in voxels.
 
-    From voxel to voxel; only in one that holds something is the segment followed from octant to octant.
+    From voxel to voxel; only in one that holds something is the segment followed from part to part.
     """
     levels, rows, cols = solid.shape
     dx, dy, dz = to_x - x, to_y - y, to_z - z
@@ -291,7 +360,7 @@ def _is_clear(solid, x, y, z, to_x, to_y, to_z, last):
     next_x = slope_x * ((col + 1 - x) if dx > 0 else (x - col)) if dx != 0.0 else math.inf
     next_y = slope_y * ((row + 1 - y) if dy > 0 else (y - row)) if dy != 0.0 else math.inf
     next_z = slope_z * ((level + 1 - z) if dz > 0 else (z - level)) if dz != 0.0 else math.inf
-    stride = 0.25 / length
+    stride = 0.5 / (PARTS * length)
     entered = 0.0
     while entered < past:
         left = min(next_x, next_y, next_z, past)
@@ -329,12 +398,13 @@ def _in_image(dx, dy, dz, cos, sin, pitch, lens, size, limits):
 
 
 @njit(cache=True, nogil=True)
-def visible(solid, middles, cameras, headings, pitch, lens, size, limits, reach, last, corner, side):
+def visible(solid, middles, vain, cameras, headings, pitch, lens, size, limits, reach, last, corner, side):
     """Which elements each camera sees under each heading; what is not known to be solid hides nothing.
 
     Args:
-        solid: Grid of uint8, a bit for each octant.
+        solid: Grid of uint64, a bit for each part.
         middles: (n, 3) metres in the world.
+        vain: (n,) uint64, the sides from which each was looked at in vain; from there it is not seen.
         cameras: (P, 3) metres in the world.
         headings: (K, 2) cosine and sine.
         pitch: Cosine and sine of the angle that the camera looks down by.
@@ -362,6 +432,8 @@ def visible(solid, middles, cameras, headings, pitch, lens, size, limits, reach,
             dx, dy, dz = middles[e, 0] - x, middles[e, 1] - y, middles[e, 2] - z
             squared = dx * dx + dy * dy
             if squared > reach * reach or squared == 0.0:
+                continue
+            if vain[e] and vain[e] & _side(dx, dy, reach):
                 continue
             # Looked at straight, a point is in the image if it ever is.
             over = 1.0 / math.sqrt(squared)
