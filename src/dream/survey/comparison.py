@@ -11,21 +11,24 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
-from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
-from dream.geometry import SE2, Bounds
-from dream.survey.registration import Registering, Registration, mutual, placed
-from dream.survey.survey import Individuals, Layers, Picture, Survey
+from dream.geometry import Bounds
+from dream.survey.fates import BARE, Fate, Missing, Shown, fates, missing
+from dream.survey.registration import Registering, Registration
+from dream.survey.survey import Individuals, Layers, Survey
 
 Float64Array = npt.NDArray[np.float64]
+FateArray = npt.NDArray[np.uint8]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.intp]
 
-_Tested = tuple[float, tuple["Difference", ...], float | None, float]
-Verdict = Literal["gain", "loss", "unchanged", "not comparable"]
+Verdict = Literal["gain", "loss", "mixed", "no change shown", "not comparable"]
+"""`mixed`: both a loss and a gain."""
 Z95 = 1.959964
 """Standard deviations to each side of a 95 % interval."""
+POINT = 0.05
+"""Metres between the points at which ground is asked whether it is covered."""
 
 
 class Change(enum.IntEnum):
@@ -40,18 +43,6 @@ class Change(enum.IntEnum):
     LOSS = 4
 
 
-class Fate(enum.IntEnum):
-    """What became of an individual."""
-
-    NOT_COMPARABLE = 0
-    THERE = 1
-    """In both."""
-    LOST = 2
-    """Only in the earlier survey."""
-    NEW = 3
-    """Only in the later one."""
-
-
 @dataclass(frozen=True, slots=True)
 class Difference:
     """One figure before and after, on ground that both saw."""
@@ -59,7 +50,7 @@ class Difference:
     name: str
     """`found` (individuals that show in the relief, which are fewer than a survey's `count` says there are),
     `found_density`, `target_area` (cells of the map; the reef of a survey is closed over its gaps, and
-    larger), `cover`, `median_size`."""
+    larger), `cover` (ground of patches that is not bare in the fine pictures), `median_size`."""
     before: float
     after: float
     change: float
@@ -84,8 +75,12 @@ class PatchChange:
     seen: float
     """Share of it that both saw."""
     differences: tuple[Difference, ...]
+    gone: Missing | None
+    """Of the earlier survey's individuals; None where pictures do not tell."""
+    come: Missing | None
+    """Of the later one's."""
     p: float | None
-    """Of the test for it; None where it is not comparable."""
+    """Of the tests for it, of both sides; None where it is not comparable."""
     q: float | None
     """The same, held against how many patches were tested: the share of false changes among all that are
     called so is at most this."""
@@ -147,6 +142,8 @@ class Comparison:
                 "there": int((self.fate_a == Fate.THERE).sum()),
                 "lost": int((self.fate_a == Fate.LOST).sum()),
                 "new": int((self.fate_b == Fate.NEW).sum()),
+                "hidden_before": int((self.fate_a == Fate.HIDDEN).sum()),
+                "hidden_after": int((self.fate_b == Fate.HIDDEN).sum()),
                 "not_comparable": int((self.fate_a == 0).sum() + (self.fate_b == 0).sum()),
             },
             "differences": [asdict(one) for one in self.differences],
@@ -158,6 +155,8 @@ class Comparison:
                     "verdict": one.verdict,
                     "p": one.p,
                     "q": one.q,
+                    "gone": None if one.gone is None else asdict(one.gone),
+                    "come": None if one.come is None else asdict(one.come),
                     "differences": [asdict(difference) for difference in one.differences],
                 }
                 for one in self.patches
@@ -173,48 +172,51 @@ def _named(survey: Survey) -> dict[str, Any]:
 class Comparing:
     """Tells change from what two surveys of the same ground differ by.
 
-    What it does: lays the later survey on the earlier one and keeps to ground that both saw. Of a patch the
-    individuals are counted in both, each weighed by how likely it is one and by how likely one like it is
-    found: a binomial in its looks, whose rate comes from the hits of those that were found (of which those
-    never hit are missing: zero-truncated). How much of them chance finds shows in how many of one survey the
-    other found again. What is covered is held against each other too, in squares that both pictures show.
-    Each difference is held against the chance and against the spread by which repeated surveys differ beyond
-    it; the two tests are weighed by how sharp they are. Patches with few individuals are told by their area.
-    A patch is called changed where its own test says so at `level` and, of all that are called so, a share of
-    `false` at most is false.
+    What it does: lays the later survey on the earlier one and keeps to ground that both saw. Of the earlier
+    one's individuals in a patch those are counted in whose place the later one shows bare ground (`gone`),
+    and the other way round (`come`). Where nothing changed surveys miss a few of them as well; more than that
+    is a loss, or a gain. What is covered is held against each other too, which also tells of growth. A patch
+    is called changed where its sharpest test, held against how many there are (Bonferroni), says so at `level`,
+    and of all that are called so a share of `false` at most is false. It is `mixed` where both a loss and a
+    gain are shown: some died and others settled or grew. Patches of few individuals are told by their area;
+    where there are no pictures, or nothing shows how they lie on each other to a few centimetres, by the number
+    of individuals found, each weighed by how likely it is one and by how likely one like it is found.
 
-    Reference: Horvitz and Thompson, JASA 47 (1952), for the weights; Petersen's mark and recapture for the
-    chance; Benjamini and Hochberg, JRSS B 57 (1995), for many patches. `spread`, `cover_spread` and
-    `together` were measured on repeated simulated surveys of worlds of their own (perf/change.py). `edge`,
-    `edge_length` and `area_spread` were not: they are guesses that err towards "unchanged".
+    Reference: the beta-binomial of `fates.missing` for what is missed; Benjamini and Hochberg, JRSS B 57 (1995), for
+    many patches; Horvitz and Thompson, JASA 47 (1952), for the weights; Petersen's mark and recapture for the
+    chance to be found. `missed`, `alike`, `cover_spread`, `spread` and `area_spread` were measured on repeated
+    simulated surveys of worlds of their own (`perf/change.py --constants`). `edge` and `edge_length` were not:
+    they are guesses that err towards "no change shown".
 
     Assumes: the two surveys were measured alike, with the same camera and labels, and most individuals are
     still there.
-    Fails when: as many die as settle. Count and cover stay, and only the fates of individuals tell of it,
-    which in a dense crust are often mistaken for each other. Fewer but larger individuals: count falls, cover
-    grows, and the two tests cancel each other; `differences` shows both.
+    Fails when: one survey's poses err by more than a few centimetres within itself, so that its individuals seem
+    to stand beside themselves: gone and come. Individuals that die hidden by others are not told, nor are
+    those that settle on others.
     """
 
     level: float = 0.05
     """Share of unchanged patches that are called changed, at most."""
     false: float = 0.1
     """Share of false ones among the patches that are called changed, at most."""
-    spread: float = 0.03
-    """Standard deviation of the ratio of the counts of a patch in repeated surveys, beyond chance."""
+    missed: float = 0.028
+    """Share of individuals in whose place another survey of unchanged ground shows it bare."""
+    alike: float = 0.0025
+    """Correlation between two of a patch, of being missed."""
+    sightings: int = 2
+    """Frames in which an individual must have been found; seen but once, from afar, it may lie elsewhere."""
+    cover_spread: float = 0.04
+    """Standard deviation of the ratio of what is covered of a patch in repeated surveys."""
+    cover_least: float = 0.1
+    """Square metres by which it differs at the least."""
+    spread: float = 0.05
+    """The same of the number of individuals found, beyond chance."""
     area_spread: float = 0.05
-    """The same of areas."""
+    """The same of areas of the map."""
     edge: float = 0.25
     """Metres by which an outline is drawn otherwise each time, over `edge_length` of it."""
     edge_length: float = 1.0
     """Metres along an outline that err alike."""
-    cover_spread: float = 0.08
-    """The same of what is covered, in the fine pictures."""
-    cover_least: float = 0.05
-    """Square metres by which it differs at the least."""
-    together: float = 0.15
-    """Correlation of count and cover in repeated surveys."""
-    block: float = 0.1
-    """Metres: side of the squares whose cover is compared."""
     least: int = 10
     """Individuals in both together below which a patch is told by its area."""
     least_seen: float = 0.3
@@ -234,26 +236,39 @@ class Comparing:
         theirs = _resampled(b.layers, grid, laid)
         seen_a, seen_b = a.layers.state > 0, theirs > 0
         both = seen_a & seen_b
-        target_a, target_b = np.isin(a.layers.state, (2, 4)) & both, np.isin(theirs, (2, 4)) & both
-        change = _change(both, target_a, target_b, grid.cell, self.edge + grid.cell + 2.0 * laid.sigma)
-        at_b = laid.place(b.individuals.position[:, :2])
-        common_a = grid.at(both, a.individuals.position[:, :2])
-        common_b = grid.at(both, at_b)
+        target = (np.isin(a.layers.state, (2, 4)) & both, np.isin(theirs, (2, 4)) & both)
         units = self._units(a, b, grid, laid)
-        fate_a, fate_b = _fates(a.individuals, b.individuals, at_b, common_a, common_b, laid)
-        counts = (
-            _Counts(a.individuals, common_a, grid.at(units.ground, a.individuals.position[:, :2]), fate_b),
-            _Counts(b.individuals, common_b, grid.at(units.ground, at_b), fate_a),
+        places = (a.individuals.position[:, :2], laid.place(b.individuals.position[:, :2]))
+        common = (grid.at(both, places[0]), grid.at(both, places[1]))
+        shown = None
+        # Laid by their maps alone, what stands a hand aside would seem gone.
+        if a.picture is not None and b.picture is not None and laid.by == "individuals":
+            shown = (Shown(a.picture), Shown(b.picture))
+        around = bare = None
+        if shown is not None:
+            around = (shown[1].around(laid.back(places[0])), shown[0].around(places[1]))
+            bare = (around[0] < BARE, around[1] < BARE)
+        individuals = (a.individuals, b.individuals)
+        fate_a, fate_b = fates(individuals, places[1], common, bare, laid)
+        patch = (grid.at(units.ground, places[0]), grid.at(units.ground, places[1]))
+        met = _Met(
+            grid=grid,
+            both=both,
+            target=target,
+            ground=units.ground,
+            counts=(
+                _Counts(a.individuals, common[0], patch[0], fate_b),
+                _Counts(b.individuals, common[1], patch[1], fate_a),
+            ),
+            covered=None if shown is None else _covered(shown, laid, grid, both, units),
+            missed=None
+            if around is None
+            else (
+                _Missed(a.individuals, around[0], patch[0], fate_a, self.sightings),
+                _Missed(b.individuals, around[1], patch[1], fate_b, self.sightings),
+            ),
         )
-        covers = None
-        if a.picture is not None and b.picture is not None:
-            ground = np.where(both, units.ground, -1)
-            covers = _covers(a.picture, b.picture, laid, grid, ground, len(units.rings), self.block)
-        tested = [
-            self._patch(units, number, grid, both, target_a, target_b, counts, covers)
-            for number in range(len(units.rings))
-        ]
-        changes = self._judged(units, tested)
+        tested = [self._tested(met, number) for number in range(len(units.rings))]
         cell2 = grid.cell**2
         return Comparison(
             a=a,
@@ -261,12 +276,12 @@ class Comparing:
             registration=laid,
             bounds=a.layers.bounds,
             cell=grid.cell,
-            change=change,
+            change=_change(both, *target, grid.cell, self.edge + grid.cell + 2.0 * laid.sigma),
             fate_a=fate_a,
             fate_b=fate_b,
-            positions_b=at_b,
-            patches=changes,
-            differences=self._whole(counts, target_a, target_b, grid, a, b, common_a, common_b),
+            positions_b=places[1],
+            patches=self._judged(units, tested),
+            differences=self._whole(met, a, b, common),
             comparable=float(both.sum()) * cell2,
             only_a=float((seen_a & ~seen_b).sum()) * cell2,
             only_b=float((seen_b & ~seen_a).sum()) * cell2 + _beyond(b.layers, grid, laid),
@@ -286,7 +301,7 @@ class Comparing:
         on = [[k for k, other in enumerate(masks_b) if (mask & other).any()] for mask in near]
         after = [tuple(found) for found in on]
         for k, mask in enumerate(masks_b):
-            if mask.any() and not any(k in found for found in on):
+            if not any(k in found for found in on):
                 masks.append(mask)
                 rings.append(rings_b[k])
                 before.append(None)
@@ -304,64 +319,38 @@ class Comparing:
             ground = np.where(edge | (reach <= self.edge), owner[tuple(nearest)], -1)
         return _Units(tuple(rings), tuple(before), tuple(after), ground)
 
-    def _patch(
-        self,
-        units: _Units,
-        number: int,
-        grid: _Grid,
-        both: BoolArray,
-        target_a: BoolArray,
-        target_b: BoolArray,
-        counts: tuple[_Counts, _Counts],
-        covers: tuple[Float64Array, Float64Array] | None,
-    ) -> _Tested:
-        """Share seen by both, the figures, p, and the direction."""
-        own = units.ground == number
-        seen = float((own & both).sum() / max(1, own.sum()))
+    def _tested(self, met: _Met, number: int) -> _Tested:
+        """One patch: its figures, and how often as much of a loss or gain is seen where there is none."""
+        own = met.ground == number
+        seen = float((own & met.both).sum() / max(1, own.sum()))
         if seen < self.least_seen:
-            return seen, (), None, 0.0
-        area = self._area(target_a & own, target_b & own, grid)
-        one, other = (count.of(number) for count in counts)
-        count = self._count(one, other)
-        if one.found + other.found < self.least:
-            return seen, (count, area), area.p, math.copysign(1.0, area.change)
-        if covers is None:
-            return seen, (count, area), count.p, math.copysign(1.0, count.change)
-        cover = self._cover(float(covers[0][number]), float(covers[1][number]))
-        # Both tell of the same; each weighs by how sharply it tells of a share of what was there.
-        told = [
-            (one.change / error, 0.5 * (one.before + one.after) / error)
-            for one, error in (
-                (count, self._count_error(one, other)),
-                (cover, self._cover_error(cover.before, cover.after)),
-            )
-        ]
-        (z, weight), (other_z, other_weight) = told
-        spread = math.sqrt(weight**2 + other_weight**2 + 2.0 * self.together * weight * other_weight)
-        both_tell = (weight * z + other_weight * other_z) / max(spread, 1e-9)
-        return seen, (count, cover, area), _two_sided(both_tell), math.copysign(1.0, both_tell)
+            return _Tested(seen)
+        area = self._area(met.target[0] & own, met.target[1] & own, met.grid)
+        count = self._count(*(counts.of(number) for counts in met.counts))
+        if met.missed is not None and met.covered is not None:
+            gone, come = (self._missing(missed, number) for missed in met.missed)
+            if gone.of + come.of >= self.least:
+                cover = self._cover(*(float(covered[number]) for covered in met.covered))
+                less, more = _sides(cover)
+                figures = (count, cover, area)
+                return _Tested(seen, figures, gone, come, 2.0 * min(gone.p, less), 2.0 * min(come.p, more))
+        elif met.found(number) >= self.least:
+            return _Tested(seen, (count, area), None, None, *_sides(count))
+        return _Tested(seen, (count, area), None, None, *_sides(area))
 
-    def _count_error(self, one: _Count, other: _Count) -> float:
-        """Standard deviation of the difference where nothing changed: both find shares of the same ones."""
-        same = 0.5 * (one.total + other.total)
-        chance = same * (one.odds + other.odds) + one.doubt + other.doubt + 1.0
-        return math.sqrt(chance + (self.spread * same) ** 2)
-
-    def _cover_error(self, was: float, now: float) -> float:
-        return math.hypot(self.cover_spread * 0.5 * (was + now), self.cover_least)
+    def _missing(self, missed: _Missed, number: int) -> Missing:
+        return missing(*missed.of(number), self.missed, self.alike)
 
     def _cover(self, was: float, now: float) -> Difference:
-        error = self._cover_error(was, now)
-        change, half = now - was, Z95 * error
-        p = _two_sided(change / error)
-        return Difference("cover", was, now, change, change - half, change + half, p, "m2")
+        error = math.hypot(self.cover_spread * 0.5 * (was + now), self.cover_least)
+        return _difference("cover", was, now, error, "m2")
 
     def _count(self, one: _Count, other: _Count) -> Difference:
-        change = other.total - one.total
-        chance = one.total * one.odds + other.total * other.odds + one.doubt + other.doubt + 1.0
-        half = Z95 * math.sqrt(chance + (self.spread * 0.5 * (one.total + other.total)) ** 2)
-        p = _two_sided(change / self._count_error(one, other))
-        return Difference("found", one.total, other.total, change, change - half, change + half, p, "")
+        """Both find shares of the same individuals where nothing changed."""
+        same = 0.5 * (one.total + other.total)
+        chance = same * (one.odds + other.odds) + one.doubt + other.doubt + 1.0
+        error = math.sqrt(chance + (self.spread * same) ** 2)
+        return _difference("found", one.total, other.total, error, "")
 
     def _area(self, before: BoolArray, after: BoolArray, grid: _Grid) -> Difference:
         cell2 = grid.cell**2
@@ -369,35 +358,29 @@ class Comparing:
         length = max(_outline(before), _outline(after)) * grid.cell
         edges = 2.0 * self.edge**2 * length * self.edge_length
         variance = edges + (self.area_spread * 0.5 * (was + now)) ** 2 + cell2**2
-        half = Z95 * math.sqrt(variance)
-        change = now - was
-        return Difference(
-            "target_area",
-            was,
-            now,
-            change,
-            change - half,
-            change + half,
-            _two_sided(change / math.sqrt(variance)),
-            "m2",
-        )
+        return _difference("target_area", was, now, math.sqrt(variance), "m2")
 
     def _judged(self, units: _Units, tested: list[_Tested]) -> tuple[PatchChange, ...]:
-        q = adjusted([p for _, _, p, _ in tested])
+        q = adjusted([one.p for one in tested])
         changes = []
-        for number, (seen, differences, p, direction) in enumerate(tested):
-            verdict: Verdict = "not comparable" if p is None else "unchanged"
+        for number, one in enumerate(tested):
+            verdict: Verdict = "not comparable"
             share = q[number]
-            if p is not None and share is not None and p <= self.level and share <= self.false:
-                verdict = "gain" if direction > 0.0 else "loss"
+            if one.loss is not None and one.gain is not None:
+                lost, gained = (side <= 0.5 * self.level for side in (one.loss, one.gain))
+                verdict = "no change shown"
+                if share is not None and share <= self.false and (lost or gained):
+                    verdict = "mixed" if lost and gained else "loss" if lost else "gain"
             changes.append(
                 PatchChange(
                     before=units.before[number],
                     after=units.after[number],
                     rings=units.rings[number],
-                    seen=seen,
-                    differences=differences,
-                    p=p,
+                    seen=one.seen,
+                    differences=one.differences,
+                    gone=one.gone,
+                    come=one.come,
+                    p=one.p,
                     q=share,
                     verdict=verdict,
                 )
@@ -405,29 +388,61 @@ class Comparing:
         return tuple(changes)
 
     def _whole(
-        self,
-        counts: tuple[_Counts, _Counts],
-        target_a: BoolArray,
-        target_b: BoolArray,
-        grid: _Grid,
-        a: Survey,
-        b: Survey,
-        common_a: BoolArray,
-        common_b: BoolArray,
+        self, met: _Met, a: Survey, b: Survey, common: tuple[BoolArray, BoolArray]
     ) -> tuple[Difference, ...]:
-        area = self._area(target_a, target_b, grid)
-        one, other = counts[0].of(None), counts[1].of(None)
+        area = self._area(*met.target, met.grid)
         found = [area]
-        if one.found + other.found >= self.least:
-            count = self._count(one, other)
+        if met.covered is not None:
+            found.append(self._cover(*(float(covered.sum()) for covered in met.covered)))
+        if met.found(None) >= self.least:
+            count = self._count(*(counts.of(None) for counts in met.counts))
             found.append(count)
             if area.before > 0.0 and area.after > 0.0:
                 found.append(_density(count, area))
-            sizes = (_sized(a.individuals, common_a), _sized(b.individuals, common_b))
+            sizes = (_sized(a.individuals, common[0]), _sized(b.individuals, common[1]))
             errors = [error for error in map(_size_error, (a, b)) if error is not None]
             if min(map(len, sizes)) >= self.least and len(errors) == 2:
                 found.append(_median(sizes, errors))
         return tuple(found)
+
+
+@dataclass(frozen=True, slots=True)
+class _Tested:
+    """What the tests of a patch say; nothing of one that is not comparable."""
+
+    seen: float
+    differences: tuple[Difference, ...] = ()
+    gone: Missing | None = None
+    come: Missing | None = None
+    loss: float | None = None
+    """P of a loss, of one side."""
+    gain: float | None = None
+
+    @property
+    def p(self) -> float | None:
+        """Of both sides."""
+        if self.loss is None or self.gain is None:
+            return None
+        return min(1.0, 2.0 * min(self.loss, self.gain))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Met:
+    """What both surveys say of the ground that both saw. Pairs are of the earlier and of the later one."""
+
+    grid: _Grid
+    both: BoolArray
+    target: tuple[BoolArray, BoolArray]
+    ground: IntArray
+    """(rows, cols) the patch of each cell."""
+    counts: tuple[_Counts, _Counts]
+    covered: tuple[Float64Array, Float64Array] | None
+    """Square metres of each patch that are not bare; None without pictures that can be laid on each other."""
+    missed: tuple[_Missed, _Missed] | None
+
+    def found(self, patch: int | None) -> int:
+        """Individuals in both together."""
+        return sum(counts.of(patch).found for counts in self.counts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -486,6 +501,21 @@ class _Count:
     """Variance because some may be none."""
 
 
+class _Missed:
+    """Individuals of one survey whose place is well known, and whether the other shows it bare."""
+
+    def __init__(
+        self, individuals: Individuals, around: Float64Array, patch: IntArray, fate: FateArray, least: int
+    ) -> None:
+        clear = (fate != Fate.NOT_COMPARABLE) & np.isfinite(around) & (individuals.hits >= least)
+        self._patch, self._bare = patch[clear], around[clear] < BARE
+
+    def of(self, patch: int) -> tuple[int, int]:
+        """How many are on bare ground, and of how many."""
+        mine = self._patch == patch
+        return int((mine & self._bare).sum()), int(mine.sum())
+
+
 class _Counts:
     """Individuals of one survey on ground that both saw, by patch."""
 
@@ -494,14 +524,14 @@ class _Counts:
         individuals: Individuals,
         common: BoolArray,
         patch: IntArray,
-        others: npt.NDArray[np.uint8],
+        others: FateArray,
     ) -> None:
         """Of one survey; `others` are the fates of those of the other, which this one found again or not."""
         self._common, self._patch = common, patch
         self._sure = individuals.confidence
         self._found = detection(individuals.hits, individuals.looks)
         again = int((others == Fate.THERE).sum())
-        missed = int(np.isin(others, (Fate.LOST, Fate.NEW)).sum())
+        missed = int(np.isin(others, (Fate.LOST, Fate.NEW, Fate.HIDDEN)).sum())
         # Of two that lie close, now the one and now the other is taken for the peak of both.
         self._odds = missed / max(again, 1) if again >= missed else 1.0
 
@@ -550,10 +580,7 @@ def adjusted(p: list[float | None]) -> list[float | None]:
 def _resampled(layers: Layers, grid: _Grid, laid: Registration) -> npt.NDArray[np.uint8]:
     """(rows, cols) states of the later survey under the middles of the earlier one's cells."""
     x, y = np.meshgrid(grid.x, grid.y)
-    T = laid.T_a_b
-    c, s = math.cos(T.yaw), math.sin(T.yaw)
-    dx, dy = x.ravel() - T.x, y.ravel() - T.y
-    points = np.column_stack([c * dx + s * dy, -s * dx + c * dy])
+    points = laid.back(np.column_stack([x.ravel(), y.ravel()]))
     states = _Grid(layers).at(layers.state.astype(np.int16), points)
     resampled: npt.NDArray[np.uint8] = np.maximum(states, 0).astype(np.uint8).reshape(grid.shape)
     return resampled
@@ -568,43 +595,24 @@ def _beyond(layers: Layers, grid: _Grid, laid: Registration) -> float:
     return float((~inside).sum()) * layers.cell**2
 
 
-def _covers(
-    a: Picture, b: Picture, laid: Registration, grid: _Grid, ground: IntArray, units: int, block: float
+def _covered(
+    shown: tuple[Shown, Shown], laid: Registration, grid: _Grid, both: BoolArray, units: _Units
 ) -> tuple[Float64Array, Float64Array]:
-    """Square metres that are covered of each patch, before and after, in blocks that both pictures show."""
-    ours, theirs = (_blocks(one, T, grid, block) for one, T in ((a, None), (b, laid.T_a_b)))
-    rows, cols = np.nonzero(np.isfinite(ours) & np.isfinite(theirs))
-    middle = np.column_stack(
-        [grid.bounds.x_min + (cols + 0.5) * block, grid.bounds.y_min + (rows + 0.5) * block]
+    """Square metres of each patch that are not bare, before and after, where both pictures show the ground."""
+    rows, cols = np.nonzero(both & (units.ground >= 0))
+    side = max(1, round(grid.cell / POINT))
+    step = grid.cell / side
+    within = (np.arange(side) + 0.5) * step - 0.5 * grid.cell
+    x = grid.x[cols][:, None, None] + within[None, :, None]
+    y = grid.y[rows][:, None, None] + within[None, None, :]
+    points = np.column_stack([np.broadcast_to(one, (len(rows), side, side)).ravel() for one in (x, y)])
+    before, after = shown[0].around(points), shown[1].around(laid.back(points))
+    known = np.isfinite(before) & np.isfinite(after)
+    patch = np.repeat(units.ground[rows, cols], side**2)[known]
+    one, other = (
+        step**2 * np.bincount(patch, share[known] >= BARE, len(units.rings)) for share in (before, after)
     )
-    unit = grid.at(ground, middle)
-    kept = unit >= 0
-    before, after = (
-        block**2 * np.bincount(unit[kept], share[rows, cols][kept], units) for share in (ours, theirs)
-    )
-    return np.asarray(before, np.float64), np.asarray(after, np.float64)
-
-
-def _blocks(picture: Picture, T: SE2 | None, grid: _Grid, block: float) -> Float64Array:
-    """(rows, cols) mean share of what a picture shows of each block of the earlier survey's grid, or NaN."""
-    rows, cols = np.nonzero(picture.share <= 200)
-    places = np.column_stack(
-        [
-            picture.bounds.x_min + (cols + 0.5) * picture.cell,
-            picture.bounds.y_min + (rows + 0.5) * picture.cell,
-        ]
-    )
-    if T is not None:
-        places = placed(T, places)
-    shape = (math.ceil(grid.bounds.depth / block), math.ceil(grid.bounds.width / block))
-    col = np.floor((places[:, 0] - grid.bounds.x_min) / block).astype(np.intp)
-    row = np.floor((places[:, 1] - grid.bounds.y_min) / block).astype(np.intp)
-    inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
-    flat = row[inside] * shape[1] + col[inside]
-    count = np.bincount(flat, minlength=shape[0] * shape[1])
-    total = np.bincount(flat, picture.share[rows, cols][inside] / 200.0, shape[0] * shape[1])
-    with np.errstate(invalid="ignore"):
-        return np.asarray(total / count, np.float64).reshape(shape)
+    return np.asarray(one, np.float64), np.asarray(other, np.float64)
 
 
 def _change(
@@ -621,31 +629,6 @@ def _change(
     return change
 
 
-def _fates(
-    a: Individuals,
-    b: Individuals,
-    at_b: Float64Array,
-    common_a: BoolArray,
-    common_b: BoolArray,
-    laid: Registration,
-) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
-    """Pairs of nearest, one to one, within what their places may err are the same individual."""
-    fate_a = np.where(common_a, np.uint8(Fate.LOST), np.uint8(Fate.NOT_COMPARABLE))
-    fate_b = np.where(common_b, np.uint8(Fate.NEW), np.uint8(Fate.NOT_COMPARABLE))
-    if len(a) and len(b):
-        pairs = mutual(cKDTree(a.position[:, :2]), at_b, 0.5)
-        gap = np.hypot(*(a.position[pairs[:, 0], :2] - at_b[pairs[:, 1]]).T)
-        sigma = np.sqrt(a.sigma[pairs[:, 0]] ** 2 + b.sigma[pairs[:, 1]] ** 2 + laid.sigma**2)
-        kept = pairs[gap <= 3.0 * np.maximum(sigma, 0.02)]
-        same = common_a[kept[:, 0]] & common_b[kept[:, 1]]
-        fate_a[kept[same, 0]] = Fate.THERE
-        fate_b[kept[same, 1]] = Fate.THERE
-        # One whose partner lies beyond what both saw is neither lost nor new.
-        fate_a[kept[~same, 0]] = Fate.NOT_COMPARABLE
-        fate_b[kept[~same, 1]] = Fate.NOT_COMPARABLE
-    return fate_a, fate_b
-
-
 def _outline(mask: BoolArray) -> float:
     """Length of the edges of a set of cells, in cells: of a diagonal too, by π/4 of its steps."""
     padded = np.pad(mask, 1)
@@ -658,10 +641,7 @@ def _density(count: Difference, area: Difference) -> Difference:
     # Both intervals as standard errors, carried through the ratio.
     of_count, of_area = ((one.high - one.low) / (2.0 * Z95) for one in (count, area))
     error = math.hypot(of_count / area.before, before * of_area / area.before)
-    change = after - before
-    half = Z95 * error
-    p = _two_sided(change / max(error, 1e-9))
-    return Difference("found_density", before, after, change, change - half, change + half, p, "1/m2")
+    return _difference("found_density", before, after, max(error, 1e-9), "1/m2")
 
 
 def _sized(individuals: Individuals, common: BoolArray) -> Float64Array:
@@ -693,10 +673,19 @@ def _median(samples: tuple[Float64Array, Float64Array], told: list[float]) -> Di
         medians.append(float(np.median(sizes)))
         errors.append(0.5 * float(sizes[high] - sizes[low]))
     was, now = medians
-    change, error = now - was, math.hypot(*errors)
-    reach = Z95 * error
-    p = _two_sided(change / max(error, 1e-9))
-    return Difference("median_size", was, now, change, change - reach, change + reach, p, "m")
+    return _difference("median_size", was, now, max(math.hypot(*errors), 1e-9), "m")
+
+
+def _difference(name: str, was: float, now: float, error: float, unit: str) -> Difference:
+    """By a standard error of the change."""
+    change, half = now - was, Z95 * error
+    return Difference(name, was, now, change, change - half, change + half, _two_sided(change / error), unit)
+
+
+def _sides(of: Difference) -> tuple[float, float]:
+    """P of a loss and of a gain."""
+    less = 0.5 * of.p if of.change < 0.0 else 1.0 - 0.5 * of.p
+    return less, 1.0 - less
 
 
 def _two_sided(z: float) -> float:

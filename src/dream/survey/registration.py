@@ -53,6 +53,11 @@ class Registration:
         """(n, 2) places of the later survey, in the earlier one's world."""
         return placed(self.T_a_b, points)
 
+    def back(self, points: Float64Array) -> Float64Array:
+        """(n, 2) places of the earlier survey's world, in the later one's."""
+        T = self.T_a_b
+        return placed(SE2(0.0, 0.0, -T.yaw), points - (T.x, T.y))
+
 
 @dataclass(frozen=True, slots=True)
 class Registering:
