@@ -1,7 +1,7 @@
 """What a comparison says of two surveys: false change where nothing changed, and planted change found.
 
     python perf/change.py --seed 81000 --worlds 40   the table of docs/survey.md; some hours on two cores
-    python perf/change.py --constants                those of `Comparing`, and how well they do in other worlds
+    python perf/change.py --constants                those of `Comparing`; how well they do elsewhere
     python perf/change.py --worlds 4 --tables        the first worlds only, and of what is measured already
 
 Of each world three missions of `belief` in dream-v1-noisy from different starts: two of the world as it is,
@@ -20,6 +20,7 @@ import time
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -120,7 +121,7 @@ def _compared(
     return Compared(family, same, lost, comparing.compare(after, first), patch)
 
 
-def _constants(compared: list[Compared]) -> dict[str, float]:
+def _constants(compared: list[Compared]) -> dict[str, Any]:
     """Of `Comparing`: those that make what unchanged patches show likeliest."""
     patches = [patch for one in compared for patch in (*one.unchanged, *one.spared)]
     told = [missing for patch in patches for missing in (patch.gone, patch.come) if missing is not None]

@@ -19,7 +19,8 @@ from dream.geometry import SE2
 from dream.survey import Measure, Survey
 from dream.survey.archive import wkb
 from dream.survey.change_map import write_change
-from dream.survey.comparison import Change, Comparing, Comparison, Fate, _Grid, adjusted, detection
+from dream.survey.comparison import Change, Comparing, Comparison, _Grid, adjusted, detection
+from dream.survey.fates import Fate
 from dream.survey.registration import Registering, frames, mutual, placed
 from dream.types import Target
 from tests.survey import scenes
@@ -139,7 +140,7 @@ def test_without_any_origin_the_frames_are_taken_for_the_same_and_that_is_said()
 def test_a_survey_held_against_itself_has_not_changed() -> None:
     a, _ = pair(4, how=ALL)
     found = COMPARING.compare(a, a)
-    assert {patch.verdict for patch in found.patches} == {"unchanged"}
+    assert {patch.verdict for patch in found.patches} == {"no change shown"}
     assert (found.fate_a == Fate.THERE).all()
     assert (found.fate_b == Fate.THERE).all()
     assert not np.isin(found.change, (Change.GAIN, Change.LOSS)).any()
@@ -152,13 +153,13 @@ def test_a_survey_held_against_itself_has_not_changed() -> None:
 def test_nothing_that_did_not_change_is_told_as_changed(same: list[Comparison]) -> None:
     verdicts = [patch.verdict for one in same for patch in one.patches]
     assert len(verdicts) == 6 * len(AREAS)
-    assert verdicts.count("unchanged") >= len(verdicts) - 1
+    assert verdicts.count("no change shown") >= len(verdicts) - 1
 
 
 def test_a_fifth_of_a_patch_that_died_is_found_there_and_nowhere_else(less: list[Comparison]) -> None:
     found = [[patch.verdict for patch in one.patches] for one in less]
     assert sum(verdicts[1] == "loss" for verdicts in found) >= 5
-    assert sum(verdicts[k] != "unchanged" for verdicts in found for k in (0, 2, 3)) <= 1
+    assert sum(verdicts[k] != "no change shown" for verdicts in found for k in (0, 2, 3)) <= 1
 
 
 def test_the_interval_of_the_count_holds_what_died(less: list[Comparison]) -> None:
@@ -228,7 +229,7 @@ def test_ground_that_only_the_later_survey_saw_counts_beyond_the_box_of_the_earl
 def test_without_pictures_the_individuals_tell() -> None:
     a, b = (replace(one, picture=None) for one in pair(5, 0.3, ALL))
     verdicts = [patch.verdict for patch in COMPARING.compare(a, b).patches]
-    assert verdicts == ["unchanged", "loss", "unchanged", "unchanged"]
+    assert verdicts == ["no change shown", "loss", "no change shown", "no change shown"]
     assert {d.name for d in COMPARING.compare(a, b).patches[0].differences} == {"found", "target_area"}
 
 
@@ -266,7 +267,12 @@ def test_a_patch_that_is_gone_is_lost_ground_and_one_that_came_is_gained() -> No
 
     found = COMPARING.compare(only((0, 1, 2)), only((0, 2, 3)))
     verdicts = {(patch.before, patch.after): patch.verdict for patch in found.patches}
-    assert verdicts == {(0, (0,)): "unchanged", (1, ()): "loss", (2, (1,)): "unchanged", (None, (2,)): "gain"}
+    assert verdicts == {
+        (0, (0,)): "no change shown",
+        (1, ()): "loss",
+        (2, (1,)): "no change shown",
+        (None, (2,)): "gain",
+    }
     ground = found.as_dict()["ground_m2"]
     assert ground["loss"] == pytest.approx(math.pi * 9.0, rel=0.2)
     assert ground["gain"] == pytest.approx(math.pi * 10.0, rel=0.2)
@@ -278,7 +284,7 @@ def test_only_ground_that_both_saw_is_compared() -> None:
     state[:, : state.shape[1] // 2] = 0
     found = COMPARING.compare(a, replace(b, layers=replace(b.layers, state=state)))
     assert [patch.verdict for patch in found.patches] == [
-        *("not comparable", "unchanged", "not comparable", "unchanged")
+        *("not comparable", "no change shown", "not comparable", "no change shown")
     ]
     assert found.patches[0].p is None
     assert (found.change[:, : state.shape[1] // 2 - 1] == Change.NOT_COMPARABLE).all()
@@ -290,7 +296,7 @@ def test_only_ground_that_both_saw_is_compared() -> None:
 
 def test_a_wreck_is_told_by_its_area() -> None:
     found = COMPARING.compare(scenes.wreck(), scenes.wreck())
-    assert [patch.verdict for patch in found.patches] == ["unchanged"] * len(found.patches)
+    assert [patch.verdict for patch in found.patches] == ["no change shown"] * len(found.patches)
     assert [difference.name for difference in found.differences] == ["target_area"]
 
 

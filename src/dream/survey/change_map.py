@@ -17,7 +17,8 @@ from dream.survey import globe
 from dream.survey.archive import wkb
 from dream.survey.archive.geopackage import write_layers
 from dream.survey.archive.schema import Column, Table
-from dream.survey.comparison import Change, Comparison, Fate
+from dream.survey.comparison import Change, Comparison, PatchChange
+from dream.survey.fates import Fate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,7 +33,13 @@ GROUND = {
     Change.LOSS: "#d55e00",
 }
 """Colours of ground: gain and loss are told apart by those who do not tell red from green (Okabe and Ito)."""
-VERDICTS = {"gain": "#0072b2", "loss": "#d55e00", "unchanged": "#333333", "not comparable": "#aaaaaa"}
+VERDICTS = {
+    "gain": "#0072b2",
+    "loss": "#d55e00",
+    "mixed": "#7b3294",
+    "no change shown": "#333333",
+    "not comparable": "#aaaaaa",
+}
 
 _TABLES = (
     Table(
@@ -45,6 +52,8 @@ _TABLES = (
             Column("p", "real", required=False),
             Column("q", "real", required=False),
             Column("seen_share", "real"),
+            Column("gone_share", "real", required=False),
+            Column("come_share", "real", required=False),
             Column("found_before", "real", required=False),
             Column("found_after", "real", required=False),
             Column("target_before_m2", "real", required=False),
@@ -119,7 +128,7 @@ def draw(comparison: Comparison, path: Path) -> None:
     )
     a = comparison.a.individuals.position[:, :2]
     dots = (
-        (a[comparison.fate_a == Fate.THERE], "#000000", 0.8, "."),
+        (a[np.isin(comparison.fate_a, (Fate.THERE, Fate.HIDDEN))], "#000000", 0.8, "."),
         (a[comparison.fate_a == Fate.LOST], "#7a2e00", 5.0, "x"),
         (comparison.positions_b[comparison.fate_b == Fate.NEW], "#00304d", 5.0, "+"),
     )
@@ -128,9 +137,9 @@ def draw(comparison: Comparison, path: Path) -> None:
     for number, patch in enumerate(comparison.patches, start=1):
         color = VERDICTS[patch.verdict]
         for ring in patch.rings:
-            axes.plot(*ring.T, color=color, linewidth=1.6 if patch.verdict in ("gain", "loss") else 0.8)
-        count = next((one for one in patch.differences), None)
-        share = "" if count is None or count.before <= 0.0 else f" {count.change / count.before:+.0%}"
+            changed = patch.verdict in ("gain", "loss", "mixed")
+            axes.plot(*ring.T, color=color, linewidth=1.6 if changed else 0.8)
+        share = _shares(patch)
         top = patch.rings[0][np.argmax(patch.rings[0][:, 1])]
         axes.annotate(
             f"{number} {patch.verdict}{share}",
@@ -149,6 +158,14 @@ def draw(comparison: Comparison, path: Path) -> None:
         keys, words, loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=5, fontsize=7, frameon=False
     )
     figure.savefig(path)
+
+
+def _shares(patch: PatchChange) -> str:
+    """Of individuals that are gone and that have come; of what was found where pictures do not tell."""
+    if patch.gone is not None and patch.come is not None:
+        return f" −{patch.gone.share:.0%} +{patch.come.share:.0%}"
+    count = next(iter(patch.differences), None)
+    return "" if count is None or count.before <= 0.0 else f" {count.change / count.before:+.0%}"
 
 
 def _furnish(axes: Axes, comparison: Comparison) -> None:
@@ -208,6 +225,8 @@ def _patches(comparison: Comparison) -> Iterator[dict[str, Any]]:
             "p": patch.p,
             "q": patch.q,
             "seen_share": patch.seen,
+            "gone_share": None if patch.gone is None else patch.gone.share,
+            "come_share": None if patch.come is None else patch.come.share,
             "found_before": None if count is None else count.before,
             "found_after": None if count is None else count.after,
             "target_before_m2": None if area is None else area.before,

@@ -14,7 +14,7 @@ from scipy import ndimage
 from scipy.special import ndtr
 
 from dream.geometry import Bounds
-from dream.survey.fates import BARE, Fate, Missing, Shown, fates, missing
+from dream.survey.fates import BARE, Fate, Missing, Shown, Standing, fates, missing, standing
 from dream.survey.registration import Registering, Registration
 from dream.survey.survey import Individuals, Layers, Survey
 
@@ -176,40 +176,39 @@ class Comparing:
     one's individuals in a patch those are counted in whose place the later one shows bare ground (`gone`),
     and the other way round (`come`). Where nothing changed surveys miss a few of them as well; more than that
     is a loss, or a gain. What is covered is held against each other too, which also tells of growth. A patch
-    is called changed where its sharpest test, held against how many there are (Bonferroni), says so at `level`,
+    is called changed where its sharpest test, held against how many it has (Bonferroni), says so at `level`,
     and of all that are called so a share of `false` at most is false. It is `mixed` where both a loss and a
-    gain are shown: some died and others settled or grew. Patches of few individuals are told by their area;
-    where there are no pictures, or nothing shows how they lie on each other to a few centimetres, by the number
-    of individuals found, each weighed by how likely it is one and by how likely one like it is found.
+    gain are shown: some died, and others settled or grew. Patches of few individuals are told by their area.
+    Where there are no pictures, or individuals do not show how they lie on each other, the number that was
+    found tells: each weighed by how likely it is one and by how likely one like it is found.
 
-    Reference: the beta-binomial of `fates.missing` for what is missed; Benjamini and Hochberg, JRSS B 57 (1995), for
-    many patches; Horvitz and Thompson, JASA 47 (1952), for the weights; Petersen's mark and recapture for the
-    chance to be found. `missed`, `alike`, `cover_spread`, `spread` and `area_spread` were measured on repeated
-    simulated surveys of worlds of their own (`perf/change.py --constants`). `edge` and `edge_length` were not:
-    they are guesses that err towards "no change shown".
+    Reference: the beta-binomial of `fates.missing` for what is missed; Benjamini and Hochberg, JRSS B 57
+    (1995), for many patches; Horvitz and Thompson, JASA 47 (1952), for the weights; Petersen's mark and
+    recapture for the chance to be found. `missed`, `alike`, `cover_spread`, `cover_least` and `spread` were
+    measured on repeated simulated surveys of 50 worlds (perf/change.py) and rounded up. `area_spread`, `edge`
+    and `edge_length` were not: they are guesses that err towards "no change shown".
 
-    Assumes: the two surveys were measured alike, with the same camera and labels, and most individuals are
-    still there.
-    Fails when: one survey's poses err by more than a few centimetres within itself, so that its individuals seem
-    to stand beside themselves: gone and come. Individuals that die hidden by others are not told, nor are
-    those that settle on others.
+    Assumes: the two surveys were measured alike, with the same camera and labels.
+    Fails when: the poses of one survey err against each other by more than a few centimetres, so that its
+    individuals stand beside themselves: gone and come. Deaths that others hide are not told, nor is who
+    settles on others.
     """
 
     level: float = 0.05
     """Share of unchanged patches that are called changed, at most."""
     false: float = 0.1
     """Share of false ones among the patches that are called changed, at most."""
-    missed: float = 0.028
+    missed: float = 0.031
     """Share of individuals in whose place another survey of unchanged ground shows it bare."""
     alike: float = 0.0025
     """Correlation between two of a patch, of being missed."""
     sightings: int = 2
     """Frames in which an individual must have been found; seen but once, from afar, it may lie elsewhere."""
-    cover_spread: float = 0.04
+    cover_spread: float = 0.03
     """Standard deviation of the ratio of what is covered of a patch in repeated surveys."""
-    cover_least: float = 0.1
+    cover_least: float = 0.3
     """Square metres by which it differs at the least."""
-    spread: float = 0.05
+    spread: float = 0.03
     """The same of the number of individuals found, beyond chance."""
     area_spread: float = 0.05
     """The same of areas of the map."""
@@ -244,12 +243,8 @@ class Comparing:
         # Laid by their maps alone, what stands a hand aside would seem gone.
         if a.picture is not None and b.picture is not None and laid.by == "individuals":
             shown = (Shown(a.picture), Shown(b.picture))
-        around = bare = None
-        if shown is not None:
-            around = (shown[1].around(laid.back(places[0])), shown[0].around(places[1]))
-            bare = (around[0] < BARE, around[1] < BARE)
-        individuals = (a.individuals, b.individuals)
-        fate_a, fate_b = fates(individuals, places[1], common, bare, laid)
+        stand = None if shown is None else standing(shown, (a.individuals, b.individuals), laid)
+        fate_a, fate_b = fates((a.individuals, b.individuals), places[1], common, stand, laid)
         patch = (grid.at(units.ground, places[0]), grid.at(units.ground, places[1]))
         met = _Met(
             grid=grid,
@@ -262,10 +257,10 @@ class Comparing:
             ),
             covered=None if shown is None else _covered(shown, laid, grid, both, units),
             missed=None
-            if around is None
+            if stand is None
             else (
-                _Missed(a.individuals, around[0], patch[0], fate_a, self.sightings),
-                _Missed(b.individuals, around[1], patch[1], fate_b, self.sightings),
+                _Missed(a.individuals, fate_a, patch[0], stand[0], self.sightings),
+                _Missed(b.individuals, fate_b, patch[1], stand[1], self.sightings),
             ),
         )
         tested = [self._tested(met, number) for number in range(len(units.rings))]
@@ -505,10 +500,10 @@ class _Missed:
     """Individuals of one survey whose place is well known, and whether the other shows it bare."""
 
     def __init__(
-        self, individuals: Individuals, around: Float64Array, patch: IntArray, fate: FateArray, least: int
+        self, individuals: Individuals, fate: FateArray, patch: IntArray, stands: Standing, sightings: int
     ) -> None:
-        clear = (fate != Fate.NOT_COMPARABLE) & np.isfinite(around) & (individuals.hits >= least)
-        self._patch, self._bare = patch[clear], around[clear] < BARE
+        clear = (fate != Fate.NOT_COMPARABLE) & stands.known & (individuals.hits >= sightings)
+        self._patch, self._bare = patch[clear], stands.bare[clear]
 
     def of(self, patch: int) -> tuple[int, int]:
         """How many are on bare ground, and of how many."""
@@ -598,7 +593,7 @@ def _beyond(layers: Layers, grid: _Grid, laid: Registration) -> float:
 def _covered(
     shown: tuple[Shown, Shown], laid: Registration, grid: _Grid, both: BoolArray, units: _Units
 ) -> tuple[Float64Array, Float64Array]:
-    """Square metres of each patch that are not bare, before and after, where both pictures show the ground."""
+    """Square metres of each patch that are not bare, before and after, of what both pictures show."""
     rows, cols = np.nonzero(both & (units.ground >= 0))
     side = max(1, round(grid.cell / POINT))
     step = grid.cell / side

@@ -37,7 +37,7 @@ class Fate(enum.IntEnum):
     NEW = 3
     """Only in the later one: the earlier one shows bare ground in its place."""
     HIDDEN = 4
-    """Not found again on ground that is covered still: it lies under or beside another, or is taken for it."""
+    """Not found again, but its place is not shown bare: under or beside another, or taken for another."""
 
 
 class Shown:
@@ -66,11 +66,34 @@ class Shown:
         return share
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Standing:
+    """What the pictures show in the places of the individuals of one survey."""
+
+    known: BoolArray
+    """(N,) the other survey's picture shows the place."""
+    bare: BoolArray
+    """(N,) it shows bare ground there, and that of their own survey does not."""
+
+
+def standing(
+    shown: tuple[Shown, Shown], individuals: tuple[Individuals, Individuals], laid: Registration
+) -> tuple[Standing, Standing]:
+    """Of the earlier survey and of the later one."""
+    a, b = (one.position[:, :2] for one in individuals)
+    ours, theirs = (shown[0].around(a), shown[1].around(b))
+    after, before = (shown[1].around(laid.back(a)), shown[0].around(laid.place(b)))
+    return (
+        Standing(np.isfinite(after), (ours >= BARE) & (after < BARE)),
+        Standing(np.isfinite(before), (theirs >= BARE) & (before < BARE)),
+    )
+
+
 def fates(
     individuals: tuple[Individuals, Individuals],
     at_b: Float64Array,
     common: tuple[BoolArray, BoolArray],
-    bare: tuple[BoolArray, BoolArray] | None,
+    stand: tuple[Standing, Standing] | None,
     laid: Registration,
 ) -> tuple[FateArray, FateArray]:
     """Fates of the individuals of an earlier survey and of a later one.
@@ -83,16 +106,16 @@ def fates(
         individuals: Of the earlier survey and of the later one.
         at_b: (N, 2) places of the later ones in the earlier one's world.
         common: On ground that both saw.
-        bare: The other survey shows bare ground in their place; None without pictures.
+        stand: Where they do; None without pictures.
         laid: Where the later survey lies on the earlier one.
     """
     a, b = individuals
     told = []
-    for only, ground, open_ground in zip(
-        (Fate.LOST, Fate.NEW), common, bare if bare is not None else common, strict=True
-    ):
-        fate = np.where(ground, np.uint8(Fate.HIDDEN), np.uint8(Fate.NOT_COMPARABLE))
-        fate[ground & open_ground] = only
+    for k, only in enumerate((Fate.LOST, Fate.NEW)):
+        fate = np.full(len(individuals[k]), np.uint8(only))
+        if stand is not None:
+            fate[~stand[k].bare] = Fate.HIDDEN
+        fate[~common[k]] = Fate.NOT_COMPARABLE
         told.append(fate)
     fate_a, fate_b = told
     if not (len(a) and len(b)):
@@ -105,8 +128,8 @@ def fates(
     # One whose partner lies beyond what both saw is neither lost nor new.
     fate_a[first[~same]] = Fate.NOT_COMPARABLE
     fate_b[second[~same]] = Fate.NOT_COMPARABLE
-    if bare is not None:
-        same &= ~(bare[0][first] | bare[1][second])
+    if stand is not None:
+        same &= ~(stand[0].bare[first] | stand[1].bare[second])
     fate_a[first[same]] = Fate.THERE
     fate_b[second[same]] = Fate.THERE
     return fate_a, fate_b

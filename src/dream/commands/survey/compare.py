@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from dream.survey import Survey
     from dream.survey.comparison import Comparison, Difference
+    from dream.survey.fates import Missing
 
 
 logger = logging.getLogger(__name__)
@@ -93,18 +94,23 @@ def _print(comparison: Comparison, files: tuple[Path, ...]) -> None:
         console.print(plain(laid["note"]), highlight=False)
     console.print(
         f"individuals found: {fates['there']} there in both, {fates['lost']} only before, "
-        f"{fates['new']} only after, {fates['not_comparable']} on ground that one of them did not see",
+        f"{fates['new']} only after, {fates['hidden_before']} and {fates['hidden_after']} not found again on "
+        f"covered ground, {fates['not_comparable']} on ground that one of them did not see",
         highlight=False,
     )
     table = _table("where both looked")
     for one in comparison.differences:
         table.add_row("all", *_cells(one), "", f"{one.p:.2g}")
     for k, patch in enumerate(comparison.patches, start=1):
-        verdict = {"gain": "[green]gain[/]", "loss": "[red]loss[/]"}.get(patch.verdict, patch.verdict)
+        colour = {"gain": "green", "loss": "red", "mixed": "magenta"}.get(patch.verdict, "default")
+        verdict = f"[{colour}]{patch.verdict}[/]"
         verdict += "" if patch.p is None else f" (p {patch.p:.2g})"
         name = f"patch {k}" if patch.before is not None else f"patch {k}, new"
         if not patch.differences:
             table.add_row(name, "", "", "", "", verdict, "")
+        for what, share in (("gone", patch.gone), ("come", patch.come)):
+            if share is not None:
+                table.add_row(name, *_share(what, share), verdict, f"{share.p:.2g}")
         for one in patch.differences:
             table.add_row(name, *_cells(one), verdict, f"{one.p:.2g}")
     console.print(table)
@@ -118,6 +124,12 @@ def _table(title: str) -> Table:
     for heading in ("", "figure", "before → after", "change", "95 % interval", "verdict", "p"):
         table.add_column(heading, justify="left" if heading in ("", "figure", "verdict") else "right")
     return table
+
+
+def _share(what: str, of: Missing) -> tuple[str, str, str, str]:
+    sign = "-" if what == "gone" else "+"
+    interval = f"{sign}{of.low:.0%} to {sign}{of.high:.0%}"
+    return what, f"{of.bare} of {of.of}", f"{sign}{of.share:.0%}", interval
 
 
 def _cells(one: Difference) -> tuple[str, str, str, str]:
