@@ -226,6 +226,57 @@ def test_ground_that_only_the_later_survey_saw_counts_beyond_the_box_of_the_earl
     assert found.only_b == pytest.approx(beyond, rel=0.05)
 
 
+def other(patch: int, share: float, seed: int) -> tuple[Survey, Survey]:
+    """Two surveys; some of one patch are not there yet in the first, others no more in the second."""
+    rng = np.random.default_rng(seed)
+    whole = reef(rng)
+    return (
+        survey(without(whole, patch, share, rng), rng, ALL, "first"),
+        survey(without(whole, patch, share, rng), rng, ALL, "second"),
+    )
+
+
+def test_as_many_deaths_as_arrivals_are_mixed_though_the_count_stays() -> None:
+    told = [COMPARING.compare(*other(1, 0.2, seed)) for seed in range(6)]
+    assert sum(one.patches[1].verdict == "mixed" for one in told) >= 5
+    assert sum(one.patches[k].verdict != "no change shown" for one in told for k in (0, 2, 3)) <= 1
+    counts = [next(d for d in one.patches[1].differences if d.name == "found") for one in told]
+    assert np.mean([count.p > 0.05 for count in counts]) > 0.6
+
+
+def test_fewer_but_larger_are_mixed_and_larger_alone_a_gain() -> None:
+    rng = np.random.default_rng(3)
+    before = reef(rng)
+    grown = replace(before, size=np.where(before.patch == 2, 1.35, 1.0) * before.size)
+    fewer = without(grown, 2, 0.25, rng)
+    a, larger, both = (survey(one, rng, ALL) for one in (before, grown, fewer))
+    verdicts = [[patch.verdict for patch in COMPARING.compare(a, b).patches] for b in (larger, both)]
+    none = "no change shown"
+    assert verdicts == [[none, none, "gain", none], [none, none, "mixed", none]]
+    # No other has come: it is what is covered that tells.
+    gained = COMPARING.compare(a, larger).patches[2]
+    assert gained.come is not None
+    assert gained.come.p > 0.05
+
+
+def test_surveys_that_their_individuals_do_not_lay_on_each_other_are_told_by_numbers() -> None:
+    """What stands a hand aside would seem gone."""
+    comparing = Comparing(registering=Registering(sure=math.inf))
+    found = comparing.compare(*pair(6, how=ALL))
+    assert found.registration.by == "map"
+    assert all(patch.gone is None and patch.come is None for patch in found.patches)
+    assert {patch.verdict for patch in found.patches} == {"no change shown"}
+
+
+def test_a_patch_beyond_the_box_of_the_earlier_survey_is_told_as_not_comparable() -> None:
+    a, b = pair(9, how=STILL)
+    away = replace(b.patches[0], rings=tuple(ring + 100.0 for ring in b.patches[0].rings))
+    found = COMPARING.compare(a, replace(b, patches=(*b.patches, away)))
+    beyond = found.patches[-1]
+    assert (beyond.before, beyond.after, beyond.seen) == (None, (len(b.patches),), 0.0)
+    assert beyond.verdict == "not comparable"
+
+
 def test_without_pictures_the_individuals_tell() -> None:
     a, b = (replace(one, picture=None) for one in pair(5, 0.3, ALL))
     verdicts = [patch.verdict for patch in COMPARING.compare(a, b).patches]
@@ -238,8 +289,11 @@ def test_the_other_way_round_a_loss_is_a_gain() -> None:
     there, back = COMPARING.compare(a, b), COMPARING.compare(b, a)
     assert there.patches[1].verdict == "loss"
     assert back.patches[1].verdict == "gain"
-    for one, other in zip(there.patches[1].differences, back.patches[1].differences, strict=True):
-        assert one.change == pytest.approx(-other.change, abs=0.05 * max(1.0, one.before))
+    assert there.patches[1].gone is not None
+    assert back.patches[1].come is not None
+    assert there.patches[1].gone.share == pytest.approx(back.patches[1].come.share, abs=0.05)
+    for one, turned in zip(there.patches[1].differences, back.patches[1].differences, strict=True):
+        assert one.change == pytest.approx(-turned.change, abs=0.05 * max(1.0, one.before))
 
 
 def test_a_patch_that_is_gone_is_lost_ground_and_one_that_came_is_gained() -> None:
