@@ -468,7 +468,12 @@ def compared(survey: Survey, truth: dict[str, Any]) -> Iterator[dict[str, Any]]:
     for patch in survey.patches:
         told_of = {told.name: told for told in patch.measures}
         area = told_of["area"].value or 0.0
-        for true_patch in truth.get("patches", ()):
+        known = truth.get("patches", ())
+        if known and not any(_same_patch(patch.rings[0], area, true_patch) for true_patch in known):
+            print(
+                f"{survey.name}: a patch of {area:.0f} m2 is none of the true ones; left out", file=sys.stderr
+            )
+        for true_patch in known:
             near = _same_patch(patch.rings[0], area, true_patch)
             density = true_patch["count"] / true_patch["area"]
             for name, true in (("area", true_patch["area"]), ("density", density)) if near else ():

@@ -185,7 +185,7 @@ class Comparing:
     Reference: the beta-binomial of `fates.missing` for what is missed; Benjamini and Hochberg, JRSS B 57
     (1995), for many patches; Horvitz and Thompson, JASA 47 (1952), for the weights; Petersen's mark and
     recapture for the chance to be found. `missed`, `alike`, `cover_spread`, `cover_least` and `spread` were
-    measured on repeated simulated surveys of 50 worlds (perf/change.py) and rounded up. `area_spread`, `edge`
+    measured on repeated simulated surveys of 59 worlds (perf/change.py) and rounded up. `area_spread`, `edge`
     and `edge_length` were not: they are guesses that err towards "no change shown".
 
     Assumes: the two surveys were measured alike, with the same camera and labels.
@@ -198,7 +198,7 @@ class Comparing:
     """Share of unchanged patches that are called changed, at most."""
     false: float = 0.1
     """Share of false ones among the patches that are called changed, at most."""
-    missed: float = 0.031
+    missed: float = 0.029
     """Share of individuals in whose place another survey of unchanged ground shows it bare."""
     alike: float = 0.0025
     """Correlation between two of a patch, of being missed."""

@@ -71,9 +71,9 @@ class Standing:
     """What the pictures show in the places of the individuals of one survey."""
 
     known: BoolArray
-    """(N,) the other survey's picture shows the place."""
+    """(N,) both pictures show the place."""
     bare: BoolArray
-    """(N,) it shows bare ground there, and that of their own survey does not."""
+    """(N,) the other survey's picture shows bare ground there, and that of their own does not."""
 
 
 def standing(
@@ -81,11 +81,13 @@ def standing(
 ) -> tuple[Standing, Standing]:
     """Of the earlier survey and of the later one."""
     a, b = (one.position[:, :2] for one in individuals)
-    ours, theirs = (shown[0].around(a), shown[1].around(b))
-    after, before = (shown[1].around(laid.back(a)), shown[0].around(laid.place(b)))
+
+    def of(own: Float64Array, other: Float64Array) -> Standing:
+        return Standing(np.isfinite(own) & np.isfinite(other), (own >= BARE) & (other < BARE))
+
     return (
-        Standing(np.isfinite(after), (ours >= BARE) & (after < BARE)),
-        Standing(np.isfinite(before), (theirs >= BARE) & (before < BARE)),
+        of(shown[0].around(a), shown[1].around(laid.back(a))),
+        of(shown[1].around(b), shown[0].around(laid.place(b))),
     )
 
 
