@@ -1,14 +1,15 @@
 """What a comparison says of two surveys: false change where nothing changed, and planted change found.
 
-    python perf/change.py --seed 81000 --worlds 40   the table of docs/survey.md; some hours on two cores
-    python perf/change.py --constants                those of `Comparing`; how well they do elsewhere
+    python perf/change.py --seed 81000 --worlds 40   the table of docs/survey.md; an hour on two cores
+    python perf/change.py --seed 90000 --worlds 36 --kept runs/constants --constants
     python perf/change.py --worlds 4 --tables        the first worlds only, and of what is measured already
 
 Of each world three missions of `belief` in dream-v1-noisy from different starts: two of the world as it is,
 and one after a share of the individuals in one measured patch died, here and there in it. Held the other way
 round that is as much of a gain. Surveys are kept in the folder of `--kept`, so that what is broken off goes
-on. Comparisons are made anew each time. Seeds from 80_000 and from 90_000 on chose the constants of
-`Comparing`; those from 81_000 on are told of in docs/survey.md.
+on. Comparisons are made anew each time. With `--constants` those of `Comparing` are found on these worlds, and
+each quarter of the worlds is told by what the others give. The 24 from seed 80_000 and the 36 from 90_000 on
+chose them; the 40 from 81_000 on are told of in docs/survey.md.
 """
 
 from __future__ import annotations

@@ -275,6 +275,8 @@ def test_a_patch_beyond_the_box_of_the_earlier_survey_is_told_as_not_comparable(
     beyond = found.patches[-1]
     assert (beyond.before, beyond.after, beyond.seen) == (None, (len(b.patches),), 0.0)
     assert beyond.verdict == "not comparable"
+    alone = COMPARING.compare(replace(a, patches=()), replace(b, patches=(away,)))
+    assert [patch.verdict for patch in alone.patches] == ["not comparable"]
 
 
 def test_without_pictures_the_individuals_tell() -> None:

@@ -302,7 +302,7 @@ class Comparing:
                 before.append(None)
                 after.append((k,))
         ground = np.full(grid.shape, -1, np.intp)
-        if masks:
+        if any(mask.any() for mask in masks):
             owner = np.full(grid.shape, -1, np.intp)
             for number, mask in enumerate(masks):
                 owner[mask & (owner < 0)] = number
