@@ -7,8 +7,8 @@
 Of each world three missions of `belief` in dream-v1-noisy from different starts: two of the world as it is,
 and one after a share of the individuals in one measured patch died, here and there in it. Held the other way
 round that is as much of a gain. Surveys are kept in the folder of `--kept`, so that what is broken off goes
-on. Comparisons are made anew each time. With `--constants` those of `Comparing` are found on these worlds, and
-each quarter of the worlds is told by what the others give. The 24 from seed 80_000 and the 36 from 90_000 on
+on. Comparisons are made anew each time. With `--constants` those of `Comparing` are found on these worlds,
+and each quarter of them is told by what the others give. The 24 from seed 80_000 and the 36 from 90_000 on
 chose them; the 40 from 81_000 on are told of in docs/survey.md.
 """
 
