@@ -17,10 +17,10 @@ PATCH = 0.5
 SLANT = 1.125
 """Voxels that a surface cuts for each that its area would fill; on average over its directions."""
 _VAIN = np.arange(12)
-WORTH = np.stack([0.76 * 0.78**_VAIN, 0.11 * 0.8 ** np.maximum(_VAIN - 4, 0)])
+WORTH = np.stack([0.76 * 0.78**_VAIN, 0.12 * 0.86**_VAIN])
 """(2, looks) probability that a look from a new side shows hull, by from how many it was looked at in vain:
 where hull was seen from beyond reach, and where it may go on into the unknown. After the last one a voxel is
-given up. Fitted to 38,000 looks at wrecks of seeds of their own; from the eighth on, continued."""
+given up. Fitted, within 0.07, to 47,000 looks at one wreck of each kind, of no suite."""
 CARVED = 1.5
 """Times the reach: how far the water is taken for free where nothing returned."""
 STEEPEST = 2.0
