@@ -49,6 +49,8 @@ LEAVE, LEAST = 0.015, 0.002
 """Shares of the targets, seen and foretold, that a way round them may leave: at first, and in the end."""
 EMPTY = 0.9
 """How much less a group is looked for where a believed survey saw none."""
+ARRIVING = 0.05
+"""Groups that come in a year where there was none, on as much ground as `searched`: a tenth of `groups`."""
 MOST_VISITS = 3
 """Of a pose without anything new: then what it headed for is given up; after twice as many, leftovers too."""
 GIVEN_UP = np.iinfo(np.uint16).max // 2
@@ -317,13 +319,19 @@ class BeliefPilot:
         square = self.mission.protocol.cell**2
         unseen = ~occupancy.observed & (self.vain.count < self.patience)
         known = square * np.count_nonzero(occupancy.target)
-        # First what is in plain view; what a low rock may hide costs more than it brings on the way.
+        is_open = np.zeros_like(unseen)
+        if thought.completion.regions:
+            is_open[tuple(thought.completion.open_cells.T)] = True
+        # First what is in plain view; what a low rock may hide, and what is open, costs more than it brings.
         either = unseen | self.recall.unheard(occupancy)
-        for left, leave in ((unseen, LEAVE), (either, LEAVE), (either, LEAST)):
+        for left, needed in ((unseen, np.zeros_like(unseen)), (either, unseen & is_open)):
             worth = self.recall.weighed(thought.expected.beside, left)
             worth = np.where(left & (worth >= LIKELY), square * worth, 0.0)
+            leave = LEAVE * (known + float(worth.sum()))
+            # Not one of the cells that are needed can be left.
+            worth[needed] = np.maximum(worth[needed], 1.1 * leave)
             ahead = replace(prospect, ground=self.outlook.on_tiles(worth))
-            plan = self.rounds.plan(ahead, thought.travel, moves, leave * (known + float(worth.sum())))
+            plan = self.rounds.plan(ahead, thought.travel, moves, leave)
             if plan is not None:
                 return plan
         return None
@@ -422,6 +430,8 @@ class BeliefPilot:
         if away_from_hull is not None:
             hidden *= planner.alone
         risk = groups.risk(found, searched, hidden)
+        if self.recall is not None:
+            risk = self._told_risk(risk, groups, completion, hiding, searched, occupancy)
         if planner.certify:
             risk = float(hiding.any())
         left = float(hull.sum())
@@ -434,6 +444,27 @@ class BeliefPilot:
             left / (self.hull.found + left) if left else 0.0,
             away_from_hull,
         )
+
+    def _told_risk(
+        self,
+        risk: float,
+        groups: Groups,
+        completion: Completion,
+        hiding: BoolArray,
+        searched: float,
+        occupancy: OccupancyMap,
+    ) -> float:
+        """The risk with a survey: where it saw no group one must have come since, as far as it is believed."""
+        assert self.recall is not None
+        quiet, square = self.recall.quiet(self.size), self.mission.protocol.cell**2
+        found = len(completion.regions)
+        elsewhere = groups.risk(found, searched, square * np.count_nonzero(hiding & ~quiet))
+        came = sum(bool(quiet[tuple(region.cells.T)].all()) for region in completion.regions)
+        again = square * np.count_nonzero(quiet & occupancy.to_see & ~hiding)
+        coming = Groups(ARRIVING * max(self.recall.prior.years, 1.0), self.planner.searched)
+        arrived = coming.risk(came, again, square * np.count_nonzero(quiet & hiding))
+        told = 1.0 - (1.0 - elsewhere) * (1.0 - arrived)
+        return self.recall.believed * told + (1.0 - self.recall.believed) * risk
 
     def _expected_hull(self, occupancy: OccupancyMap, away_from_hull: FloatArray | None) -> FloatArray:
         """The belief about the hull, as far as it adjoins hull that was within reach.
@@ -470,6 +501,9 @@ class BeliefPilot:
         beside = expected.beside
         if self.recall is not None:
             beside = self.recall.weighed(beside, todo)
+            # What keeps a region open must be seen, whatever was foretold there.
+            row, col = completion.open_cells.T
+            beside[row, col] = np.maximum(beside[row, col], expected.beside[row, col])
         ground = planner.eager * beside * square
         if not completion.regions and not expected.hiding.any():
             # Where no target was seen, all ground must be.
@@ -488,7 +522,7 @@ class BeliefPilot:
         ground = np.where(todo, ground + NEGLIGIBLE, 0.0)
         hiding = np.where(expected.hiding, search * square, 0.0)
         if self.recall is not None:
-            hiding[self.recall.prior.seen] *= 1.0 - self.recall.believed * EMPTY
+            hiding[self.recall.quiet(self.size)] *= 1.0 - self.recall.believed * EMPTY
         return Prospect(
             self.outlook,
             ground=self.outlook.on_tiles(ground),

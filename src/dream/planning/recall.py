@@ -171,6 +171,13 @@ class Recall:
         likely = np.nan_to_num(self.foretold) >= LIKELY
         return likely & _unheard(occupancy) & occupancy.to_see & (self.looks < LOOKS)
 
+    def quiet(self, radius: float) -> BoolArray:
+        """(rows, cols) middles at which the survey would have noticed a group of that radius, and foretells none."""
+        from dream.mapping import within
+
+        likely = np.nan_to_num(self.foretold) >= LIKELY
+        return within(self.prior.seen, radius, self.prior.cell) & ~within(likely, radius, self.prior.cell)
+
     def told(self, occupancy: OccupancyMap) -> tuple[int, int, int]:
         """Cells where a target is foretold and is still to be seen; with a new target; and with one gone."""
         likely, seen = np.nan_to_num(self.foretold) >= LIKELY, self.prior.seen
