@@ -73,7 +73,7 @@ class Rounds:
             return None
         rest, self.path = rest_of(self.path, travel, moves), []
         index = np.flatnonzero(weights > 1e-4 * leave)
-        views, shape = outlook.views(prospect.listed), travel.steps.shape
+        views, shape = _listed(index, outlook.views()), travel.steps.shape
         found = [np.array([np.ravel_multi_index(pose, shape) for pose in rest])] if len(rest) > 1 else []
         count = EACH_STEP if found else len(SEARCHES)
         for k in range(count):
@@ -122,3 +122,14 @@ class Rounds:
             leave, SLIGHT * leave, WIDTH, HORIZON, step,
         )[0]  # fmt: skip
         return path
+
+
+def _listed(tiles: IntArray, views: Views) -> Views:
+    """The same views, of these tiles of ground alone and as a list pose by pose."""
+    from dream.planning._kernels import rounds as kernels
+
+    starts, elements = kernels.shown(tiles, views)
+    nodes = np.arange(len(views.depth))
+    return views._replace(
+        first=np.zeros_like(views.first), listed=nodes, listed_first=starts, listed_element=elements
+    )
