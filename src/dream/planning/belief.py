@@ -45,10 +45,8 @@ BENEATH = 0.02
 NEAR = 5
 """Steps within which the hull's views are worked out for every second node; within twice as many for every
 fourth, for every sixteenth beyond."""
-LEAVE, LEAST = 0.015, 0.002
-"""Shares of the targets, seen and foretold, that a way round them may leave: at first, and in the end."""
-EMPTY = 0.9
-"""How much less a group is looked for where a believed survey saw none."""
+LEAVE = 0.015
+"""Share of the targets, seen and foretold, that a way round them may leave."""
 ARRIVING = 0.05
 """Groups that come in a year where there was none, on as much ground as `searched`: a tenth of `groups`."""
 MOST_VISITS = 3
@@ -162,6 +160,8 @@ class _Expected:
     """Share of the hull that is still unseen."""
     away_from_hull: FloatArray | None
     """(rows, cols) metres to the nearest target that stands up; None where there is no hull."""
+    rarity: float
+    """How many times as many groups are to be expected where an earlier survey saw none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -215,7 +215,7 @@ class BeliefPilot:
         self.walk = None if self.mission.protocol.traversal is None else Walk(self.mission)
         self.passed_in_vain = np.zeros_like(self.vain.observed)
         self.patience = self.planner.patience
-        self.recall = None if self.mission.prior is None else Recall(self.mission.prior)
+        self.recall = None if self.mission.prior is None else Recall(self.mission.prior, self.size)
 
     @property
     def size(self) -> float:
@@ -291,10 +291,12 @@ class BeliefPilot:
             return walk
         # ... and then what shows most soonest, with the tour over what is left.
         prospect = self.prospect(thought, occupancy)
+        # With a survey little risk may be left long before all ground was searched: then only the rest counts.
+        sure = self.recall is not None and bool(completion.regions) and expected.risk <= self.planner.risk
         plan = None
         if self.recall is not None and self.recall.believed > 0.5:
             plan = self._round(thought, prospect, moves, occupancy)
-        if plan is None:
+        if plan is None and not sure:
             plan = self.look_ahead.plan(prospect, travel, moves, self.outlook.known_tiles(occupancy))
         if plan is not None and visits >= MOST_VISITS:
             self._give_up(plan, occupancy)
@@ -305,7 +307,8 @@ class BeliefPilot:
         walk = self._walk(thought, near_solids, near_solids.free, visits, occupancy)
         if walk is not None:
             return walk
-        travel, plan = self._leftover(completion, expected, pose, occupancy)
+        hiding = np.zeros_like(expected.hiding) if sure else expected.hiding
+        travel, plan = self._leftover(completion, hiding, pose, occupancy)
         if plan is not None and visits >= 2 * MOST_VISITS:
             self._give_up(plan, occupancy)
         why = "" if plan else "Nothing is left that any known way leads to a view of: done."
@@ -319,18 +322,28 @@ class BeliefPilot:
         square = self.mission.protocol.cell**2
         unseen = ~occupancy.observed & (self.vain.count < self.patience)
         known = square * np.count_nonzero(occupancy.target)
-        is_open = np.zeros_like(unseen)
+        needed = np.zeros_like(unseen)
         if thought.completion.regions:
-            is_open[tuple(thought.completion.open_cells.T)] = True
-        # First what is in plain view; what a low rock may hide, and what is open, costs more than it brings.
-        either = unseen | self.recall.unheard(occupancy)
-        for left, needed in ((unseen, np.zeros_like(unseen)), (either, unseen & is_open)):
-            worth = self.recall.weighed(thought.expected.beside, left)
+            needed[tuple(thought.completion.open_cells.T)] = True
+        expected, either = thought.expected, unseen | self.recall.unheard(occupancy)
+        unknown = expected.hiding & ~self.recall.empty
+        intensity = expected.groups / max(square * np.count_nonzero(expected.hiding), square)
+        # What is in plain view comes first; then also what a low rock may hide and what keeps a region open, which
+        # cost more than they bring; then also ground where a group could hide of which the survey knows nothing.
+        for part in range(3):
+            left = either if part else unseen
+            worth = self.recall.weighed(expected.beside, left)
             worth = np.where(left & (worth >= LIKELY), square * worth, 0.0)
             leave = LEAVE * (known + float(worth.sum()))
-            # Not one of the cells that are needed can be left.
-            worth[needed] = np.maximum(worth[needed], 1.1 * leave)
-            ahead = replace(prospect, ground=self.outlook.on_tiles(worth))
+            hiding = np.zeros_like(worth)
+            if part > 0:
+                # No cell that is needed may be left, and of groups as many as make half the risk accepted.
+                worth[needed & unseen] = 1.1 * leave
+            if part > 1:
+                hiding[unknown] = leave * square * intensity / (0.5 * self.planner.risk)
+            ahead = replace(
+                prospect, ground=self.outlook.on_tiles(worth), hiding=self.outlook.on_tiles(hiding)
+            )
             plan = self.rounds.plan(ahead, thought.travel, moves, leave)
             if plan is not None:
                 return plan
@@ -430,8 +443,11 @@ class BeliefPilot:
         if away_from_hull is not None:
             hidden *= planner.alone
         risk = groups.risk(found, searched, hidden)
+        rarity = 1.0
         if self.recall is not None:
-            risk = self._told_risk(risk, groups, completion, hiding, searched, occupancy)
+            risk, rarity = self._with_survey(
+                self.recall, risk, groups, completion, hiding, searched, occupancy
+            )
         if planner.certify:
             risk = float(hiding.any())
         left = float(hull.sum())
@@ -443,28 +459,36 @@ class BeliefPilot:
             hull,
             left / (self.hull.found + left) if left else 0.0,
             away_from_hull,
+            rarity,
         )
 
-    def _told_risk(
+    def _with_survey(
         self,
+        recall: Recall,
         risk: float,
         groups: Groups,
         completion: Completion,
         hiding: BoolArray,
         searched: float,
         occupancy: OccupancyMap,
-    ) -> float:
-        """The risk with a survey: where it saw no group one must have come since, as far as it is believed."""
-        assert self.recall is not None
-        quiet, square = self.recall.quiet(self.size), self.mission.protocol.cell**2
-        found = len(completion.regions)
-        elsewhere = groups.risk(found, searched, square * np.count_nonzero(hiding & ~quiet))
-        came = sum(bool(quiet[tuple(region.cells.T)].all()) for region in completion.regions)
-        again = square * np.count_nonzero(quiet & occupancy.to_see & ~hiding)
-        coming = Groups(ARRIVING * max(self.recall.prior.years, 1.0), self.planner.searched)
-        arrived = coming.risk(came, again, square * np.count_nonzero(quiet & hiding))
+    ) -> tuple[float, float]:
+        """The risk with a survey as far as it is believed, and `_Expected.rarity`.
+
+        Where it saw no group one must have come since. How many do is learnt as the number of groups is, from
+        those that came to such ground, and the ground of which it was searched again.
+        """
+        square, found = self.mission.protocol.cell**2, len(completion.regions)
+        empty, came = recall.empty, recall.came(completion.regions)
+        again = square * np.count_nonzero(empty & occupancy.to_see & ~hiding)
+        coming = Groups(ARRIVING * max(recall.prior.years, 1.0), self.planner.searched)
+        arrived = coming.risk(came, again, square * np.count_nonzero(empty & hiding))
+        elsewhere = groups.risk(found, searched, square * np.count_nonzero(hiding & ~empty))
         told = 1.0 - (1.0 - elsewhere) * (1.0 - arrived)
-        return self.recall.believed * told + (1.0 - self.recall.believed) * risk
+        rarity = coming.intensity(came, again) / groups.intensity(found, searched)
+        return (
+            recall.believed * told + (1.0 - recall.believed) * risk,
+            recall.believed * min(rarity, 1.0) + 1.0 - recall.believed,
+        )
 
     def _expected_hull(self, occupancy: OccupancyMap, away_from_hull: FloatArray | None) -> FloatArray:
         """The belief about the hull, as far as it adjoins hull that was within reach.
@@ -522,7 +546,7 @@ class BeliefPilot:
         ground = np.where(todo, ground + NEGLIGIBLE, 0.0)
         hiding = np.where(expected.hiding, search * square, 0.0)
         if self.recall is not None:
-            hiding[self.recall.quiet(self.size)] *= 1.0 - self.recall.believed * EMPTY
+            hiding[self.recall.empty] *= expected.rarity
         return Prospect(
             self.outlook,
             ground=self.outlook.on_tiles(ground),
@@ -573,7 +597,7 @@ class BeliefPilot:
         self.hull.give_up(self.outlook.position(row, col), yaw)
 
     def _leftover(
-        self, completion: Completion, expected: _Expected, pose: SE2, occupancy: OccupancyMap
+        self, completion: Completion, hiding: BoolArray, pose: SE2, occupancy: OccupancyMap
     ) -> tuple[Travel, Plan | None]:
         """The way to what only the map's own view of some pose still shows, near solid ground if need be."""
         from dream.mapping import within
@@ -581,7 +605,7 @@ class BeliefPilot:
         weights = np.zeros(occupancy.shape, np.float32)
         row, col = completion.open_cells.T
         weights[row, col] = 1.0
-        could_hold = within(expected.hiding, self.size, self.mission.protocol.cell)
+        could_hold = within(hiding, self.size, self.mission.protocol.cell)
         weights[could_hold & ~occupancy.observed] = 1.0
         weights[self.vain.count >= self.patience + 2] = 0.0
         for search in (careful_travel, travel_from):

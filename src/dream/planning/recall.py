@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from dream.types import BoolArray, Float32Array
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
+    from dream.mapping.completion import Region
 
 FloatArray = npt.NDArray[np.floating[Any]]
 
@@ -63,6 +65,8 @@ class Recall:
 
     prior: Prior
     """Moved to where it is believed to lie."""
+    radius: float = 3.0
+    """Metres: of the groups that it would have noticed."""
     foretold: Float32Array = field(init=False)
     """(rows, cols) probability of a target now; NaN where the survey saw nothing."""
     looks: npt.NDArray[np.uint8] = field(init=False)
@@ -73,6 +77,9 @@ class Recall:
     """Cells (north, east) by which it was moved."""
     spread: float = 0.0
     """Metres by which that may err, one standard deviation."""
+    empty: BoolArray = field(init=False)
+    """(rows, cols) middles at which it would have noticed a group, and foretells no target of one. Nowhere if it
+    foretells none at all: then it is no reason to look elsewhere first."""
     surprising: BoolArray = field(init=False)
     """(rows, cols) around targets that were found where none was foretold."""
     _given: Prior = field(init=False)
@@ -88,6 +95,7 @@ class Recall:
         now = _foretold(prior, prior.sigma)
         self._usual = float(np.clip(now[seen].mean(), UNTOLD, 0.98)) if seen.any() else UNTOLD
         self.foretold = np.where(seen, now, np.nan).astype(np.float32)
+        self.empty = self._empty()
         self.looks = np.zeros(seen.shape, np.uint8)
         self.surprising = np.zeros(seen.shape, np.bool_)
         yes = np.where(seen, np.log(now / self._usual), 0.0)
@@ -157,6 +165,7 @@ class Recall:
         self.prior = replace(given, target=target, solid=solid)
         now = _foretold(self.prior, math.hypot(given.sigma, spread))
         self.foretold = np.where(self.prior.seen, now, np.nan).astype(np.float32)
+        self.empty = self._empty()
 
     def look(self, shown: BoolArray, occupancy: OccupancyMap) -> None:
         """Remember that a pose should have shown these cells (rows, cols)."""
@@ -171,12 +180,18 @@ class Recall:
         likely = np.nan_to_num(self.foretold) >= LIKELY
         return likely & _unheard(occupancy) & occupancy.to_see & (self.looks < LOOKS)
 
-    def quiet(self, radius: float) -> BoolArray:
-        """(rows, cols) middles at which the survey would have noticed a group of that radius, and foretells none."""
+    def _empty(self) -> BoolArray:
         from dream.mapping import within
 
         likely = np.nan_to_num(self.foretold) >= LIKELY
-        return within(self.prior.seen, radius, self.prior.cell) & ~within(likely, radius, self.prior.cell)
+        if not likely.any():
+            return np.zeros_like(likely)
+        noticed = within(self.prior.seen, self.radius, self.prior.cell)
+        return noticed & ~within(likely, self.radius, self.prior.cell)
+
+    def came(self, regions: Iterable[Region]) -> int:
+        """How many of the regions lie where it foretells none."""
+        return sum(bool(self.empty[tuple(region.cells.T)].all()) for region in regions)
 
     def told(self, occupancy: OccupancyMap) -> tuple[int, int, int]:
         """Cells where a target is foretold and is still to be seen; with a new target; and with one gone."""

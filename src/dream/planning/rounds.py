@@ -24,11 +24,13 @@ WIDTH = 48
 HORIZON = 60
 """Steps at most."""
 SEARCHES = tuple(
-    (part, beside, pace) for pace in (0.003, 0.01, 0.03, 0.1) for part, beside in ((0.4, 0.75), (0.6, 0.9))
+    (part, beside, pace)
+    for pace in (0.001, 0.003, 0.01, 0.03)
+    for part, beside in ((0.3, 0.6), (0.4, 0.75), (0.6, 0.9), (0.9, 0.9))
 )
 """Searches: the side of a part and how near it is seen from, in reaches, and the share of what is left that a
 step counts as much as. None is best everywhere."""
-EACH_STEP = 3
+EACH_STEP = 5
 """Of the searches, while the rest of a way is there to go on with."""
 
 
@@ -58,7 +60,7 @@ class Rounds:
         """The way, and None where hardly anything is left.
 
         Args:
-            prospect: What is worth looking at; its ground alone counts.
+            prospect: What is worth looking at; what is listed does not count.
             travel: Ways over known free ground.
             moves: See `Outlook.moves`.
             leave: Weight that may be left.
@@ -67,7 +69,7 @@ class Rounds:
 
         outlook = prospect.outlook
         weights = np.zeros_like(prospect.weights)
-        weights[: outlook.tiles] = prospect.ground
+        weights[: 2 * outlook.tiles] = np.concatenate([prospect.ground, prospect.hiding])
         total = float(weights.sum())
         if total <= leave:
             return None
@@ -80,10 +82,10 @@ class Rounds:
             search = SEARCHES[(self.turn + k) % len(SEARCHES)]
             found.append(self._search(search, weights, index, leave, outlook, views, travel, moves))
         self.turn += count
-        best, value, shows = found[0][:1], (np.inf, np.inf), np.zeros(0, np.uint64)
+        best, value, shows = found[0][:1], (np.inf, np.inf, np.inf), np.zeros(0, np.uint64)
         for path in found:
             length, seen, left = kernels.follow(weights, views, path, shape, index, leave)
-            judged = (round(max(left - leave, 0.0) / total, 6), length)
+            judged = (round(max(left - leave, 0.0) / total, 6), length, round(left / total, 6))
             if length and judged < value:
                 best, value, shows = path[: length + 1], judged, seen
         if len(best) < 2:
@@ -108,7 +110,7 @@ class Rounds:
         from dream.planning._kernels.walk import ways_to
 
         protocol, (part, beside, pace) = travel.protocol, search
-        cells = np.stack(outlook.tile_places(index), axis=1)
+        cells = np.stack(outlook.tile_places(index % outlook.tiles), axis=1)
         side = round(part * protocol.reach / protocol.lattice)
         _, part_of = np.unique(cells[:, 0] // side * 10_000 + cells[:, 1] // side, return_inverse=True)
         offsets, turns = offsets_of(protocol), np.array(protocol.turns, np.int64)
@@ -124,11 +126,11 @@ class Rounds:
         return path
 
 
-def _listed(tiles: IntArray, views: Views) -> Views:
-    """The same views, of these tiles of ground alone and as a list pose by pose."""
+def _listed(index: IntArray, views: Views) -> Views:
+    """The same views, of these elements alone and as a list pose by pose."""
     from dream.planning._kernels import rounds as kernels
 
-    starts, elements = kernels.shown(tiles, views)
+    starts, elements = kernels.shown(index, views)
     nodes = np.arange(len(views.depth))
     return views._replace(
         first=np.zeros_like(views.first), listed=nodes, listed_first=starts, listed_element=elements

@@ -12,11 +12,11 @@ from dream.planning._kernels.walk import NO_WAY, traced, tree, ways_between
 
 
 @njit(cache=True, nogil=True)
-def shown(tiles, views):
-    """Which of a few tiles of ground each pose shows, pose by pose: a search need not ask for the others.
+def shown(index, views):
+    """Which of a few elements each pose shows, pose by pose: a search need not ask for the others.
 
     Args:
-        tiles: (n,) elements of the ground.
+        index: (n,) the elements, tiles as ground or as hiding places.
         views: Which elements a pose shows.
 
     Returns:
@@ -31,10 +31,10 @@ def shown(tiles, views):
         if counted:
             starts = np.cumsum(starts)
             elements = np.empty(starts[-1], np.int32)
-        for tile in tiles:
+        for element in index:
             for h in range(headings):
                 for k in range(views.first[h], views.first[h + 1]):
-                    row, col = divmod(tile - views.offset[k], views.stride)
+                    row, col = divmod(element - views.offset[k], views.stride)
                     row, col = row - views.pad, col - views.pad
                     node = row * views.cols + col
                     if col < 0 or col >= views.cols or node < 0 or node >= nodes:
@@ -42,7 +42,7 @@ def shown(tiles, views):
                     if views.far[k] <= views.depth[node, views.bearing[k]]:
                         pose = node * headings + h
                         if counted:
-                            elements[starts[pose + 1]] = tile
+                            elements[starts[pose + 1]] = element
                             starts[pose + 1] += 1
                         else:
                             starts[pose + 2] += 1
@@ -181,149 +181,3 @@ def follow(weights, views, path, shape, index, leave):
         if left <= leave:
             return k, seen, left
     return len(path) - 1, seen, left
-
-
-@njit(cache=True, nogil=True)
-def steps_to_pose(goal, moves, offsets, turns, most):
-    """(rows, cols, headings) uint8 fewest steps to a pose; NO_WAY where it takes more than so many.
-
-    Args:
-        goal: Flat (row, col, heading).
-        moves: See `rounds`.
-        offsets: See `rounds`.
-        turns: See `rounds`.
-        most: Steps.
-    """
-    rows, cols, headings, advances = moves.shape
-    steps = np.full(rows * cols * headings, NO_WAY, np.uint8)
-    queue = np.empty(rows * cols * headings, np.int32)
-    steps[goal], queue[0] = 0, goal
-    head, tail = 0, 1
-    while head < tail:
-        at = queue[head]
-        head += 1
-        if steps[at] == most:
-            break
-        h, c, r = at % headings, at // headings % cols, at // (headings * cols)
-        for a in range(-1, advances):
-            r_from, c_from = r, c
-            if a >= 0:
-                r_from, c_from = r - offsets[h, a, 1], c - offsets[h, a, 0]
-                if r_from < 0 or r_from >= rows or c_from < 0 or c_from >= cols:
-                    continue
-                if not moves[r_from, c_from, h, a]:
-                    continue
-            for turn in turns:
-                before = (r_from * cols + c_from) * headings + (h - turn) % headings
-                if steps[before] == NO_WAY:
-                    steps[before] = steps[at] + 1
-                    queue[tail] = before
-                    tail += 1
-    return steps.reshape(rows, cols, headings)
-
-
-@njit(cache=True, nogil=True)
-def window(
-    weights, views, moves, offsets, turns, path, begin, end, index, part_of, ways, leave, slight, width, step
-):
-    """A part of a way, gone otherwise: with fewer steps, or as many that leave less.
-
-    Args:
-        path: (steps + 1,) flat (row, col, heading).
-        begin: Index of the pose where the part begins.
-        end: Of the one where it ends; the last one's where the way may end anywhere.
-
-    Returns:
-        (steps + 1,) the way with that part gone otherwise; as it was where nothing better was found.
-    """
-    rows, cols, headings, advances = moves.shape
-    free_end, limit = end == len(path) - 1, end - begin
-    words = (len(weights) + 63) // 64
-    other, left_by_other = np.zeros(words, np.uint64), 0.0
-    for element in index:
-        left_by_other += weights[element]
-    left_before = left_by_other
-    seen_before = np.zeros(words, np.uint64)
-    for k in range(1, len(path)):
-        h, c, r = path[k] % headings, path[k] // headings % cols, path[k] // (headings * cols)
-        left_before -= gain(weights, seen_before, views, r, c, h)
-        look(weights, seen_before, views, r, c, h)
-        if k <= begin or (k >= end and not free_end):
-            left_by_other -= gain(weights, other, views, r, c, h)
-            look(weights, other, views, r, c, h)
-    if free_end:
-        to_go = np.zeros((rows, cols, headings), np.uint8)
-    else:
-        to_go = steps_to_pose(path[end], moves, offsets, turns, limit)
-    parts = len(ways)
-    between = ways_between(ways)
-    most, branches = 1 + width * limit, len(turns) * (advances + 1)
-    pose, parent = np.zeros(most, np.int32), np.full(most, -1, np.int32)
-    left = np.zeros(most)
-    seen = np.zeros((most, words), np.uint64)
-    pose[0], left[0], seen[0] = path[begin], left_by_other, other
-    next_left, value = np.empty((2, width * branches))
-    next_parent, next_pose = np.empty((2, width * branches), np.int32)
-    taken = np.zeros(rows * cols * headings, np.int32)
-    mass, open_parts = np.zeros(parts), np.zeros(parts, np.int64)
-    first, past, best, best_left = 0, 1, -1, left_before - 1e-6
-    for level in range(1, limit + 1):
-        n = 0
-        for node in range(first, past):
-            h = pose[node] % headings
-            c = pose[node] // headings % cols
-            r = pose[node] // (headings * cols)
-            mass[:] = 0.0
-            for k in range(len(index)):
-                if not is_in(seen[node], index[k]):
-                    mass[part_of[k]] += weights[index[k]]
-            count = 0
-            for part in range(parts):
-                if mass[part] > slight:
-                    open_parts[count] = part
-                    count += 1
-            along = tree(between, open_parts, count)
-            for turn in turns:
-                to = (h + turn) % headings
-                for a in range(-1, advances):
-                    r_to, c_to = r, c
-                    if a >= 0:
-                        kind = moves[r, c, to, a]
-                        if kind == 0 or (kind != FREE and level == 1 and begin == 0):
-                            continue
-                        r_to, c_to = r + offsets[to, a, 1], c + offsets[to, a, 0]
-                    elif turn == 0:
-                        continue
-                    back = to_go[r_to, c_to, to]
-                    if level + back > limit:
-                        continue
-                    away = NO_WAY if count else 0
-                    for i in range(count):
-                        away = min(away, ways[open_parts[i], r_to, c_to])
-                    next_left[n] = left[node] - gain(weights, seen[node], views, r_to, c_to, to)
-                    value[n] = next_left[n] + step * (away + along)
-                    next_parent[n] = node
-                    next_pose[n] = (r_to * cols + c_to) * headings + to
-                    n += 1
-        first = past
-        for k in np.argsort(np.round(value[:n], 6), kind="mergesort"):
-            if taken[next_pose[k]] == level:
-                continue
-            taken[next_pose[k]] = level
-            h = next_pose[k] % headings
-            c = next_pose[k] // headings % cols
-            r = next_pose[k] // (headings * cols)
-            pose[past], parent[past], left[past] = next_pose[k], next_parent[k], next_left[k]
-            seen[past] = seen[next_parent[k]]
-            look(weights, seen[past], views, r, c, h)
-            if to_go[r, c, h] == 0 and left[past] < best_left:
-                best, best_left = past, left[past]
-            past += 1
-            if past - first == width:
-                break
-        if past == first or (best >= 0 and best_left <= leave):
-            break
-    if best < 0:
-        return path
-    inner = traced(pose, parent, best)
-    return np.concatenate((path[:begin], inner, path[end + 1 :]))
