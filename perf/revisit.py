@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from rich.progress import track
 
-from dream.evaluation.metrics import Scorer
+from dream.evaluation.metrics import COMPLETE, Scorer
 from dream.evaluation.runner import simulate
 from dream.evaluation.suites import REEF_FAMILIES
 from dream.geometry import Bounds
@@ -53,7 +53,9 @@ def fly(
         if not whole and scorer.summary()["t98"] is not None:
             break
     step.occupancy.save(keep.with_suffix(".npz"))
-    told = {key: scorer.summary()[key] for key in ("t90", "t98", "t_stop", "collisions", "planner_ms")}
+    summary = scorer.summary()
+    told = {key: summary[key] for key in ("t90", "t98", "t_stop", "collisions", "planner_ms")}
+    told["seen"] = summary["coverage"]["instances"]
     keep.write_text(json.dumps(told))
     return told
 
@@ -120,9 +122,10 @@ def main() -> int:
         keep = options.out / f"{family}-{seed}-{options.kind}{'-whole' if options.whole else ''}.json"
         with_it = fly(later, seed, keep, prior, whole=options.whole)
         pair = [mission[key] or DREAM_V1.cap for key in ("t98", "t_stop") for mission in (with_it, without)]
+        pair += [mission["seen"] < COMPLETE for mission in (with_it, without)]
         rows.setdefault(family, []).append(pair)
     head = ["worlds", "with", "without", "median ratio", "ratio of the means"]
-    head += ["own stop with", "without"] if options.whole else []
+    head += ["own stop with", "without", "missed with", "without"] if options.whole else []
     print(f"| {' | '.join(head)} |\n|---|{'--:|' * (len(head) - 1)}")
     everything = [row for of_family in rows.values() for row in of_family]
     for title, chosen in [("all", everything), *rows.items()]:
@@ -130,7 +133,8 @@ def main() -> int:
         mean = table.mean(axis=0)
         ratios = float(np.median(table[:, 0] / table[:, 1])), mean[0] / mean[1]
         cells = [f"{title} ({len(table)})", *(f"{k:.1f}" for k in mean[:2]), *(f"{k:.2f}" for k in ratios)]
-        cells += [f"{k:.1f}" for k in mean[2:]] if options.whole else []
+        if options.whole:
+            cells += [*(f"{k:.1f}" for k in mean[2:4]), *(f"{k:.0f}" for k in table[:, 4:].sum(axis=0))]
         print(f"| {' | '.join(cells)} |")
     if options.picture is not None:
         draw(rows, options.picture)

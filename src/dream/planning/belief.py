@@ -328,8 +328,8 @@ class BeliefPilot:
         expected, either = thought.expected, unseen | self.recall.unheard(occupancy)
         unknown = expected.hiding & ~self.recall.empty
         intensity = expected.groups / max(square * np.count_nonzero(expected.hiding), square)
-        # What is in plain view comes first; then also what a low rock may hide and what keeps a region open, which
-        # cost more than they bring; then also ground where a group could hide of which the survey knows nothing.
+        # What is in plain view comes first; then also what a low rock may hide and what keeps a region open,
+        # which cost more than they bring; then also ground of which the survey knows nothing.
         for part in range(3):
             left = either if part else unseen
             worth = self.recall.weighed(expected.beside, left)

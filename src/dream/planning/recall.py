@@ -78,8 +78,8 @@ class Recall:
     spread: float = 0.0
     """Metres by which that may err, one standard deviation."""
     empty: BoolArray = field(init=False)
-    """(rows, cols) middles at which it would have noticed a group, and foretells no target of one. Nowhere if it
-    foretells none at all: then it is no reason to look elsewhere first."""
+    """(rows, cols) middles at which it would have noticed a group, and foretells no target of one. Nowhere
+    if it foretells none at all: then it is no reason to look elsewhere first."""
     surprising: BoolArray = field(init=False)
     """(rows, cols) around targets that were found where none was foretold."""
     _given: Prior = field(init=False)

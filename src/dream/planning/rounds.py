@@ -12,7 +12,7 @@ from dream.planning.lookahead import Plan, Prospect
 from dream.planning.outlook import Outlook
 from dream.planning.travel import IntArray, Pose, Travel, offsets_of
 from dream.planning.walk import rest_of
-from dream.types import Float32Array
+from dream.types import BoolArray, Float32Array
 
 if TYPE_CHECKING:
     from dream.planning._kernels.lookahead import Views
@@ -66,6 +66,7 @@ class Rounds:
             leave: Weight that may be left.
         """
         from dream.planning._kernels import rounds as kernels
+        from dream.planning._kernels.search import search as steps_to
 
         outlook = prospect.outlook
         weights = np.zeros_like(prospect.weights)
@@ -77,10 +78,12 @@ class Rounds:
         index = np.flatnonzero(weights > 1e-4 * leave)
         views, shape = _listed(index, outlook.views()), travel.steps.shape
         found = [np.array([np.ravel_multi_index(pose, shape) for pose in rest])] if len(rest) > 1 else []
+        offsets, turns = offsets_of(travel.protocol), np.array(travel.protocol.turns, np.int64)
+        reached = steps_to(moves, offsets, turns, *travel.start)[0].max(axis=2) >= 0
         count = EACH_STEP if found else len(SEARCHES)
         for k in range(count):
             search = SEARCHES[(self.turn + k) % len(SEARCHES)]
-            found.append(self._search(search, weights, index, leave, outlook, views, travel, moves))
+            found.append(self._search(search, weights, index, leave, outlook, views, travel, moves, reached))
         self.turn += count
         best, value, shows = found[0][:1], (np.inf, np.inf, np.inf), np.zeros(0, np.uint64)
         for path in found:
@@ -103,10 +106,10 @@ class Rounds:
         views: Views,
         travel: Travel,
         moves: npt.NDArray[np.uint8],
+        reached: BoolArray,
     ) -> npt.NDArray[np.int32]:
         """(steps + 1,) flat poses of the way that one of the searches finds."""
         from dream.planning._kernels import rounds as kernels
-        from dream.planning._kernels.search import search as steps_to
         from dream.planning._kernels.walk import ways_to
 
         protocol, (part, beside, pace) = travel.protocol, search
@@ -114,8 +117,6 @@ class Rounds:
         side = round(part * protocol.reach / protocol.lattice)
         _, part_of = np.unique(cells[:, 0] // side * 10_000 + cells[:, 1] // side, return_inverse=True)
         offsets, turns = offsets_of(protocol), np.array(protocol.turns, np.int64)
-        steps, _ = steps_to(moves, offsets, turns, *travel.start)
-        reached = steps.max(axis=2) >= 0
         near, parts = beside * protocol.reach / protocol.lattice, int(part_of.max()) + 1
         ways = ways_to(part_of, parts, cells, moves, offsets, reached, near, (0, 0, 1))
         step = pace * float(weights[index].sum())
