@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from dream.evaluation.runner import simulate
-from dream.geometry import Bounds
-from dream.mapping import OccupancyMap
+from dream.geometry import SE2, Bounds
+from dream.mapping import OccupancyMap, check_completion
+from dream.mapping.completion import Region
 from dream.mapping.prior import Prior
 from dream.planning import Belief, sentences
-from dream.planning.belief import BeliefPilot
+from dream.planning.belief import BeliefPilot, _Expected
 from dream.planning.recall import BELIEVED, LIKELY, LOOKS, Recall
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
@@ -141,6 +142,70 @@ def test_around_a_target_that_was_not_foretold_it_is_expected_as_without_a_surve
     assert weighed[60, 80] < 0.1
 
 
+def test_it_foretells_no_group_where_it_would_have_seen_one() -> None:
+    seen = NOWHERE.copy()
+    seen[:, :60] = True
+    recall = Recall(survey(patch(40, 40), seen), radius=3.0)
+    assert recall.empty[75, 40]
+    assert not recall.empty[40, 54]  # 2 m from where targets were,
+    assert not recall.empty[75, 80]  # and 5 m from what it saw.
+
+
+def test_a_survey_that_foretells_nothing_is_no_reason_to_look_elsewhere_first() -> None:
+    assert not Recall(survey(NOWHERE)).empty.any()
+
+
+def test_where_it_foretells_no_group_moves_with_the_survey() -> None:
+    recall = Recall(survey(blocks()))
+    before = recall.empty.copy()
+    recall.compare(heard(patch(50, 36, 36), blocks(8, -10)))
+    np.testing.assert_array_equal(recall.empty[30:80, 20:60], before[22:72, 30:70])
+
+
+def test_a_group_has_come_where_none_of_it_was_foretold() -> None:
+    recall = Recall(survey(patch(30, 30)))
+    for target, came in ((patch(30, 30), 0), (patch(75, 75, 2), 1), (patch(30, 30) | patch(75, 75, 2), 1)):
+        assert recall.came(regions_of(target)) == came
+
+
+def regions_of(target: BoolArray) -> tuple[Region, ...]:
+    return check_completion(map_with(explored=~NOWHERE, target=target), SE2(0.0, 0.0, 0.0)).regions
+
+
+def told_of(prior: Prior | None, target: BoolArray, believed: float = 1.0) -> _Expected:
+    """What a pilot expects that has searched a part of the ground, and seen these targets."""
+    pilot = Belief().begin(Mission(DREAM_V1, AREA, 200, prior=prior))
+    assert isinstance(pilot, BeliefPilot)
+    occupancy = map_with(explored=patch(40, 40, 34), target=target)
+    if pilot.recall is not None:
+        pilot.recall.believed = believed
+    pose = SE2(0.0, 0.0, 0.0)
+    return pilot._expected(occupancy, check_completion(occupancy, pose), pose, None)
+
+
+def test_where_a_believed_survey_saw_no_group_few_are_to_be_expected() -> None:
+    was = patch(40, 40)
+    without, believed = told_of(None, was), told_of(survey(was), was)
+    assert 0.0 < believed.risk < 0.3 * without.risk
+    assert believed.rarity < 0.2 < without.rarity == 1.0
+    np.testing.assert_array_equal(believed.hiding, without.hiding)
+
+
+def test_the_less_a_survey_is_believed_the_more_the_risk_is_as_without() -> None:
+    was = patch(40, 40)
+    without = told_of(None, was).risk
+    risks = [told_of(survey(was), was, believed).risk for believed in (1.0, 0.5, 0.0)]
+    assert risks[0] < risks[1] < risks[2] == pytest.approx(without)
+    assert risks[1] == pytest.approx(0.5 * (risks[0] + risks[2]))
+
+
+def test_one_group_that_came_makes_more_of_them_likely() -> None:
+    was, came = patch(40, 40), patch(40, 40) | patch(15, 15, 3)
+    before, after = told_of(survey(was), was), told_of(survey(was), came)
+    assert after.risk > 3.0 * before.risk
+    assert after.rarity > 3.0 * before.rarity
+
+
 def test_a_map_of_nothing_leaves_the_belief_as_it_was() -> None:
     recall = Recall(survey(patch(40, 40)))
     recall.compare(OccupancyMap(AREA, DREAM_V1))
@@ -217,15 +282,14 @@ def test_its_words_say_what_the_survey_foretells_and_what_is_new(known: list[Ste
     assert "are gone" in words
 
 
-def test_what_a_survey_says_was_empty_is_not_seen_ground() -> None:
-    """The risk of stopping is the same with a survey of bare ground as without any."""
+def test_a_survey_of_bare_ground_alone_lowers_no_risk() -> None:
     occupancy = map_with(explored=patch(40, 40, 20), target=patch(40, 40))
     thoughts = []
     for prior in (None, survey(NOWHERE)):
         pilot = Belief().begin(Mission(DREAM_V1, AREA, 200, prior=prior))
         assert isinstance(pilot, BeliefPilot)
         thoughts.append(pilot.consider(observed_at(0.0, 0.0, 0.0), occupancy))
-    assert thoughts[0].expected.risk == thoughts[1].expected.risk
+    assert thoughts[0].expected.risk == pytest.approx(thoughts[1].expected.risk)
     assert thoughts[0].completion.complete == thoughts[1].completion.complete
 
 

@@ -291,8 +291,9 @@ class BeliefPilot:
             return walk
         # ... and then what shows most soonest, with the tour over what is left.
         prospect = self.prospect(thought, occupancy)
-        # With a survey little risk may be left long before all ground was searched: then only the rest counts.
-        sure = self.recall is not None and bool(completion.regions) and expected.risk <= self.planner.risk
+        # With a survey the risk may be little long before all ground was searched: then that is done with.
+        sure = self.recall is not None and bool(completion.regions) and looked_over
+        sure = sure and expected.risk <= self.planner.risk
         plan = None
         if self.recall is not None and self.recall.believed > 0.5:
             plan = self._round(thought, prospect, moves, occupancy)
@@ -446,7 +447,7 @@ class BeliefPilot:
         rarity = 1.0
         if self.recall is not None:
             risk, rarity = self._with_survey(
-                self.recall, risk, groups, completion, hiding, searched, occupancy
+                self.recall, risk, groups, completion, hiding, hidden, searched, occupancy
             )
         if planner.certify:
             risk = float(hiding.any())
@@ -469,6 +470,7 @@ class BeliefPilot:
         groups: Groups,
         completion: Completion,
         hiding: BoolArray,
+        hidden: float,
         searched: float,
         occupancy: OccupancyMap,
     ) -> tuple[float, float]:
@@ -477,12 +479,12 @@ class BeliefPilot:
         Where it saw no group one must have come since. How many do is learnt as the number of groups is, from
         those that came to such ground, and the ground of which it was searched again.
         """
-        square, found = self.mission.protocol.cell**2, len(completion.regions)
-        empty, came = recall.empty, recall.came(completion.regions)
-        again = square * np.count_nonzero(empty & occupancy.to_see & ~hiding)
+        empty, found, came = recall.empty, len(completion.regions), recall.came(completion.regions)
+        share = np.count_nonzero(hiding & empty) / max(np.count_nonzero(hiding), 1)
+        again = self.mission.protocol.cell**2 * np.count_nonzero(empty & occupancy.to_see & ~hiding)
         coming = Groups(ARRIVING * max(recall.prior.years, 1.0), self.planner.searched)
-        arrived = coming.risk(came, again, square * np.count_nonzero(empty & hiding))
-        elsewhere = groups.risk(found, searched, square * np.count_nonzero(hiding & ~empty))
+        arrived = coming.risk(came, again, share * hidden)
+        elsewhere = groups.risk(found, searched, (1.0 - share) * hidden)
         told = 1.0 - (1.0 - elsewhere) * (1.0 - arrived)
         rarity = coming.intensity(came, again) / groups.intensity(found, searched)
         return (
