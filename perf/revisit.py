@@ -2,7 +2,7 @@
 
     python perf/revisit.py                    dev-like worlds of four families; hours on a busy machine
     python perf/revisit.py --seeds 101 102    only some
-    python perf/revisit.py --kind other       with the survey of another reef; also shift, empty
+    python perf/revisit.py --kind other       with the survey of another reef; also shift, empty, came
     python perf/revisit.py --whole            fly with a survey to the own stop too, not only to 98.26 %
 
 Every mission is kept in `--out` as it ends, so that the same call goes on where it was, and one that ends at
@@ -20,21 +20,25 @@ from typing import Any
 
 import numpy as np
 from rich.progress import track
+from scipy.ndimage import label
 
 from dream.evaluation.metrics import COMPLETE, Scorer
 from dream.evaluation.runner import simulate
 from dream.evaluation.suites import REEF_FAMILIES
 from dream.geometry import Bounds
-from dream.mapping import OccupancyMap
+from dream.mapping import OccupancyMap, within
 from dream.mapping.prior import Prior
 from dream.planning import Belief
 from dream.protocol import DREAM_V1
 from dream.sim.worlds import make_world
+from dream.types import BoolArray
 
-KINDS = ("right", "other", "shift", "empty")
+KINDS = ("right", "other", "shift", "empty", "came")
 SHIFT = 4.0
 """Metres east and north by which a survey is told in the wrong place."""
 SIGMA = 0.1
+APART = 3.0
+"""Metres between groups: a survey of the kind `came` says of the one farthest off that it was bare ground."""
 
 
 def fly(
@@ -71,10 +75,25 @@ def surveyed(path: Path, bounds: Bounds, kind: str) -> Prior:
     inside = then.contains(x, y)
     i, j = then.cell_of(x[inside], y[inside])
     target, solid = np.full(shape, np.nan, np.float32), np.zeros(shape, np.bool_)
-    told = then.target_probability if kind != "empty" else np.zeros_like(then.target_probability)
+    told = then.target_probability.copy()
+    if kind == "empty":
+        told[:] = 0.0
+    if kind == "came":
+        told[farthest_group(then)] = 0.0
     target[inside] = np.where(then.seen[i, j], told[i, j], np.nan)
     solid[inside] = then.solid[i, j]
     return Prior(bounds, cell, target, solid, SIGMA, 1.0, "of a year ago")
+
+
+def farthest_group(occupancy: OccupancyMap) -> BoolArray:
+    """(rows, cols) on and around the group of targets whose nearest cell is farthest from the origin."""
+    cell = occupancy.protocol.cell
+    near = within(occupancy.target, 0.5 * APART, cell)
+    parts, count = label(near, np.ones((3, 3)))
+    x, y = occupancy.center_of(*np.nonzero(occupancy.target))
+    away, part_of = np.hypot(x, y), parts[occupancy.target]
+    farthest = max(range(1, count + 1), key=lambda part: away[part_of == part].min())
+    return np.asarray(parts == farthest)
 
 
 def draw(rows: dict[str, list[list[float]]], path: Path) -> None:

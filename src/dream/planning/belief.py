@@ -480,7 +480,7 @@ class BeliefPilot:
         those that came to such ground, and the ground of which it was searched again.
         """
         empty, found, came = recall.empty, len(completion.regions), recall.came(completion.regions)
-        share = np.count_nonzero(hiding & empty) / max(np.count_nonzero(hiding), 1)
+        share = float(np.count_nonzero(hiding & empty)) / max(int(np.count_nonzero(hiding)), 1)
         again = self.mission.protocol.cell**2 * np.count_nonzero(empty & occupancy.to_see & ~hiding)
         coming = Groups(ARRIVING * max(recall.prior.years, 1.0), self.planner.searched)
         arrived = coming.risk(came, again, share * hidden)
