@@ -47,8 +47,6 @@ NEAR = 5
 fourth, for every sixteenth beyond."""
 LEAVE = 0.015
 """Share of the targets, seen and foretold, that a way round them may leave."""
-ARRIVING = 0.05
-"""Groups that come in a year where there was none, on as much ground as `searched`: a tenth of `groups`."""
 MOST_VISITS = 3
 """Of a pose without anything new: then what it headed for is given up; after twice as many, leftovers too."""
 GIVEN_UP = np.iinfo(np.uint16).max // 2
@@ -83,6 +81,9 @@ class Belief:
     """Prior of the number of groups: as if so many had been found ..."""
     searched: float = 500.0
     """... on so many square metres."""
+    arriving: float = 0.5
+    """Groups that are thought to come in a year, to as much ground where an earlier survey saw none. The more,
+    the more of such ground is searched again before the mission ends."""
     kernel: float = 4.0 / 3.0
     """Blur around targets: standard deviation in radii of the smallest group (1.5 m under dream-v1)."""
     prior: float = 0.02
@@ -121,6 +122,7 @@ class Belief:
         check_range("size", self.size, 0.1, 100.0)
         check_range("groups", self.groups, 1e-3, 1e3)
         check_range("searched", self.searched, 1e-3, 1e6)
+        check_range("arriving", self.arriving, 1e-3, 1e3)
         check_range("kernel", self.kernel, 0.1, 10.0)
         check_range("prior", self.prior, 1e-6, 1.0)
         check_range("prior_weight", self.prior_weight, 1e-6, 100.0)
@@ -482,7 +484,7 @@ class BeliefPilot:
         empty, found, came = recall.empty, len(completion.regions), recall.came(completion.regions)
         share = float(np.count_nonzero(hiding & empty)) / max(int(np.count_nonzero(hiding)), 1)
         again = self.mission.protocol.cell**2 * np.count_nonzero(empty & occupancy.to_see & ~hiding)
-        coming = Groups(ARRIVING * max(recall.prior.years, 1.0), self.planner.searched)
+        coming = Groups(self.planner.arriving * max(recall.prior.years, 1.0), self.planner.searched)
         arrived = coming.risk(came, again, share * hidden)
         elsewhere = groups.risk(found, searched, (1.0 - share) * hidden)
         told = 1.0 - (1.0 - elsewhere) * (1.0 - arrived)
