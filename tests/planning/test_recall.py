@@ -172,9 +172,11 @@ def regions_of(target: BoolArray) -> tuple[Region, ...]:
     return check_completion(map_with(explored=~NOWHERE, target=target), SE2(0.0, 0.0, 0.0)).regions
 
 
-def told_of(prior: Prior | None, target: BoolArray, believed: float = 1.0) -> _Expected:
+def told_of(
+    prior: Prior | None, target: BoolArray, believed: float = 1.0, arriving: float = 0.5
+) -> _Expected:
     """What a pilot expects that has searched a part of the ground, and seen these targets."""
-    pilot = Belief().begin(Mission(DREAM_V1, AREA, 200, prior=prior))
+    pilot = Belief(arriving=arriving).begin(Mission(DREAM_V1, AREA, 200, prior=prior))
     assert isinstance(pilot, BeliefPilot)
     occupancy = map_with(explored=patch(40, 40, 34), target=target)
     if pilot.recall is not None:
@@ -186,8 +188,9 @@ def told_of(prior: Prior | None, target: BoolArray, believed: float = 1.0) -> _E
 def test_where_a_believed_survey_saw_no_group_few_are_to_be_expected() -> None:
     was = patch(40, 40)
     without, believed = told_of(None, was), told_of(survey(was), was)
-    assert 0.0 < believed.risk < 0.3 * without.risk
-    assert believed.rarity < 0.2 < without.rarity == 1.0
+    fewer = told_of(survey(was), was, arriving=0.05)
+    assert 0.0 < fewer.risk < 0.2 * believed.risk < 0.1 * without.risk
+    assert fewer.rarity < 0.2 * believed.rarity < 0.1 < without.rarity == 1.0
     np.testing.assert_array_equal(believed.hiding, without.hiding)
 
 
@@ -201,7 +204,7 @@ def test_the_less_a_survey_is_believed_the_more_the_risk_is_as_without() -> None
 
 def test_one_group_that_came_makes_more_of_them_likely() -> None:
     was, came = patch(40, 40), patch(40, 40) | patch(15, 15, 3)
-    before, after = told_of(survey(was), was), told_of(survey(was), came)
+    before, after = (told_of(survey(was), now, arriving=0.05) for now in (was, came))
     assert after.risk > 3.0 * before.risk
     assert after.rarity > 3.0 * before.rarity
 
