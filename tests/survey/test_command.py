@@ -161,6 +161,7 @@ def test_what_is_wrong_is_said_in_one_line_and_nothing_is_written(
     [
         ("survey add first.survey.npz --save saved.survey.npz --archive second.survey.npz", "foreign file"),
         ("survey add first.survey.npz --save none/saved.survey.npz", "could not write none/saved.survey.npz"),
+        ("survey add first.survey.npz --save folder --archive new.gpkg", "could not write folder"),
         ("survey add nowhere.survey.npz --save saved.survey.npz", "run without origin"),
     ],
 )
@@ -168,9 +169,10 @@ def test_a_survey_is_kept_and_saved_or_neither(
     words: str, expected: str, two: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     files.write(replace(files.read(two / "first.survey.npz"), site=None), two / "nowhere.survey.npz")
-    before = {path: path.read_bytes() for path in two.iterdir()}
+    (two / "folder").mkdir()
+    before = {path: path.read_bytes() for path in two.rglob("*") if path.is_file()}
     assert expected in complaint(words, capsys)
-    assert {path: path.read_bytes() for path in two.iterdir()} == before
+    assert {path: path.read_bytes() for path in two.rglob("*") if path.is_file()} == before
 
 
 def test_a_run_with_a_site_is_measured_and_kept(two: Path, capsys: pytest.CaptureFixture[str]) -> None:

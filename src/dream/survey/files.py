@@ -176,6 +176,8 @@ def appearing(survey: Survey, path: Path) -> Iterator[None]:
         OSError: The file could not be written. All that takes room is written before the block.
     """
     data = dumped(survey)
+    if path.is_dir():
+        raise OSError(f"could not write {path} (it is a folder)")
     draft = path.with_name(f".draft.{path.name}")
     try:
         try:
