@@ -108,6 +108,14 @@ def test_what_may_be_left_needs_no_way(scene: Scene) -> None:
     assert scene.plan(Rounds(), float(scene.weights.sum())) is None
 
 
+def test_what_is_nowhere_of_any_weight_needs_no_way_however_much_there_is_of_it(scene: Scene) -> None:
+    tiles = scene.prospect.outlook.tiles
+    many = np.full(tiles, 0.9e-4, np.float32)
+    of = Prospect(scene.prospect.outlook, many, many, scene.prospect.targets, scene.prospect.hidden)
+    assert 2.0 * many.sum() > 1.0
+    assert Scene(scene.travel, of, scene.moves).plan(Rounds(), 1.0) is None
+
+
 def test_hiding_places_count_as_ground_does(scene: Scene) -> None:
     tiles = scene.prospect.outlook.tiles
     leave = 0.02 * float(scene.prospect.hiding.sum())

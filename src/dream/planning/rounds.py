@@ -72,10 +72,10 @@ class Rounds:
         weights = np.zeros_like(prospect.weights)
         weights[: 2 * outlook.tiles] = np.concatenate([prospect.ground, prospect.hiding])
         total = float(weights.sum())
-        if total <= leave:
+        index = np.flatnonzero(weights > 1e-4 * leave)
+        if total <= leave or not len(index):
             return None
         rest, self.path = rest_of(self.path, travel, moves), []
-        index = np.flatnonzero(weights > 1e-4 * leave)
         views, shape = _listed(index, outlook.views()), travel.steps.shape
         found = [np.array([np.ravel_multi_index(pose, shape) for pose in rest])] if len(rest) > 1 else []
         offsets, turns = offsets_of(travel.protocol), np.array(travel.protocol.turns, np.int64)
