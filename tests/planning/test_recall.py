@@ -209,6 +209,15 @@ def test_one_group_that_came_makes_more_of_them_likely() -> None:
     assert after.rarity > 3.0 * before.rarity
 
 
+def test_where_no_risk_is_accepted_a_round_leaves_no_ground_that_the_survey_does_not_know() -> None:
+    was, seen = patch(40, 40), patch(40, 40, 36)
+    pilot = Belief(risk=0.0).begin(Mission(DREAM_V1, AREA, 200, prior=survey(was, seen)))
+    assert isinstance(pilot, BeliefPilot)
+    thought = pilot.consider(observed_at(0.0, 0.0, 0.0), map_with(explored=patch(40, 40, 34), target=was))
+    assert thought.plan is not None
+    assert pilot.rounds.path == thought.plan.path
+
+
 def test_a_map_of_nothing_leaves_the_belief_as_it_was() -> None:
     recall = Recall(survey(patch(40, 40)))
     recall.compare(OccupancyMap(AREA, DREAM_V1))

@@ -343,7 +343,9 @@ class BeliefPilot:
                 # No cell that is needed may be left, and of groups as many as make half the risk accepted.
                 worth[needed & unseen] = 1.1 * leave
             if part > 1:
-                hiding[unknown] = leave * square * intensity / (0.5 * self.planner.risk)
+                # Nor any that could hold one, where hardly any risk is accepted.
+                each = leave * square * intensity / max(0.5 * self.planner.risk, 1e-9)
+                hiding[unknown] = min(each, 1.1 * leave)
             ahead = replace(
                 prospect, ground=self.outlook.on_tiles(worth), hiding=self.outlook.on_tiles(hiding)
             )
