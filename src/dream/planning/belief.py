@@ -82,8 +82,8 @@ class Belief:
     searched: float = 500.0
     """... on so many square metres."""
     arriving: float = 0.5
-    """Groups that are thought to come in a year, to as much ground where an earlier survey saw none. The more,
-    the more of such ground is searched again before the mission ends."""
+    """Groups that are thought to come in a year (in one at least), to as much ground where an earlier survey
+    saw none. The more, the more of such ground is searched again before the mission ends."""
     kernel: float = 4.0 / 3.0
     """Blur around targets: standard deviation in radii of the smallest group (1.5 m under dream-v1)."""
     prior: float = 0.02
