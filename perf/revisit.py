@@ -42,7 +42,13 @@ APART = 3.0
 
 
 def fly(
-    name: str, seed: int, keep: Path, prior: Prior | None = None, *, whole: bool = True
+    name: str,
+    seed: int,
+    keep: Path,
+    prior: Prior | None = None,
+    *,
+    planner: Belief | None = None,
+    whole: bool = True,
 ) -> dict[str, Any]:
     """One mission, or its record where it was flown before; its map lies beside it.
 
@@ -52,7 +58,7 @@ def fly(
         return dict(json.loads(keep.read_text()))
     world = make_world(name, seed)
     scorer = Scorer(world, DREAM_V1)
-    for step in simulate(world, Belief(), DREAM_V1, prior=prior):
+    for step in simulate(world, planner or Belief(), DREAM_V1, prior=prior):
         scorer.add(step)
         if not whole and scorer.summary()["t98"] is not None:
             break
@@ -123,7 +129,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, nargs="+", default=range(101, 111))
     parser.add_argument("--kind", choices=KINDS, default="right")
-    parser.add_argument("--whole", action="store_true")
+    parser.add_argument("--whole", action="store_true", help="to the own stop; else to 98.26 %%")
+    parser.add_argument("--arriving", type=float, default=Belief().arriving, help="of the planner")
     parser.add_argument("--out", type=Path, default=Path("bench/revisit"))
     parser.add_argument("--picture", type=Path, help="file to draw the pairs to")
     options = parser.parse_args()
@@ -138,8 +145,10 @@ def main() -> int:
         prior = surveyed(
             options.out / f"{family}-{of}-before.npz", make_world(later, seed).bounds, options.kind
         )
-        keep = options.out / f"{family}-{seed}-{options.kind}{'-whole' if options.whole else ''}.json"
-        with_it = fly(later, seed, keep, prior, whole=options.whole)
+        planner = Belief(arriving=options.arriving)
+        flown = f"{options.kind}-{options.arriving:g}{'-whole' if options.whole else ''}"
+        keep = options.out / f"{family}-{seed}-{flown}.json"
+        with_it = fly(later, seed, keep, prior, planner=planner, whole=options.whole)
         pair = [mission[key] or DREAM_V1.cap for key in ("t98", "t_stop") for mission in (with_it, without)]
         pair += [mission["seen"] < COMPLETE for mission in (with_it, without)]
         rows.setdefault(family, []).append(pair)

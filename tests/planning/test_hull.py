@@ -298,7 +298,9 @@ def test_elements_agree_with_a_slow_twin() -> None:
             for step in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
             if voxels[h + step[0], r + step[1], c + step[2]] == kernels.FREE
         ]
-        np.testing.assert_allclose(middle, np.array([h, r, c]) + 0.5 + 0.5 * np.sum(free or [[0, 0, 0]], 0))
+        np.testing.assert_allclose(
+            middle, np.array([h, r, c]) + 0.5 + 0.5 * np.sum([np.zeros(3), *free], axis=0)
+        )
     assert sum(len(voxels_of_it) == 1 for voxels_of_it in alone) > 20
 
 

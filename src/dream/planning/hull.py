@@ -34,8 +34,8 @@ class Hull:
 
     What it does: keeps voxels of half a map cell that are free, hull, or anything else that returned. What
     counts as unseen is hull that was only seen from beyond reach, and unknown voxels at its edges: those
-    that touch both hull and free water. Both are worth what looks at their like have shown. A look in vain
-    is not repeated from the same side, by bearing and range; each makes them worth less, until they are
+    that touch both hull and free water. Both are worth what looks at their like have shown. No look is
+    repeated from the same side, by bearing and range; each in vain makes them worth less, until they are
     given up.
 
     Assumes: depths, labels and poses that are true to half a voxel; a level vehicle at its altitude.
@@ -159,7 +159,7 @@ class Hull:
         """Which elements a view from each position would show, for all headings of the lattice.
 
         An element is shown where it is within reach over ground, in the image, not behind anything known to
-        be solid (the unknown hides nothing), and was not looked at in vain from that side.
+        be solid (the unknown hides nothing), and its block was not looked at from that side.
 
         Args:
             positions: (P, 2) metres in the world.
