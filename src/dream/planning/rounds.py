@@ -123,7 +123,7 @@ class Rounds:
         path: npt.NDArray[np.int32] = kernels.rounds(
             weights, views, moves, offsets, turns, travel.start, index, part_of, ways,
             leave, SLIGHT * leave, WIDTH, HORIZON, step,
-        )[0]  # fmt: skip
+        )  # fmt: skip
         return path
 
 

@@ -36,6 +36,16 @@ def _part(x, y, z):
 
 
 @njit(cache=True, nogil=True)
+def _turned(rotation, a, b, z):
+    """From the camera to the point of a ray (a, b, 1) at depth z, metres along the axes of the world."""
+    return (
+        (rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2]) * z,
+        (rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2]) * z,
+        (rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2]) * z,
+    )
+
+
+@njit(cache=True, nogil=True)
 def mark(
     voxels,
     solid,
@@ -87,9 +97,7 @@ def mark(
             if not (limits[0] <= z <= limits[1]):
                 continue
             a = (j + 0.5 - cx) / fx
-            dx = (rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2]) * z
-            dy = (rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2]) * z
-            dz = (rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2]) * z
+            dx, dy, dz = _turned(rotation, a, b, z)
             x = (camera[0] + dx - corner[0]) / side
             y = (camera[1] + dy - corner[1]) / side
             h = (camera[2] + dz - corner[2]) / side
@@ -151,9 +159,7 @@ def fill(solid, depth, labels, seabed, rotation, camera, lens, limits, steepest,
                     z = (1 - s) * ((1 - t) * corners[0] + t * corners[1])
                     z += s * ((1 - t) * corners[2] + t * corners[3])
                     a = (j + 0.5 + t - cx) / fx
-                    dx = (rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2]) * z
-                    dy = (rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2]) * z
-                    dz = (rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2]) * z
+                    dx, dy, dz = _turned(rotation, a, b, z)
                     x = (camera[0] + dx - corner[0]) / side
                     y = (camera[1] + dy - corner[1]) / side
                     h = (camera[2] + dz - corner[2]) / side

@@ -75,9 +75,7 @@ def rounds(
         step: Weight that a step counts as much as.
 
     Returns:
-        pose: (steps + 1,) flat (row, col, heading) of the poses, the start first.
-        seen: (words,) bits of what they show.
-        left: Weight that they leave.
+        (steps + 1,) flat (row, col, heading) of the poses, the start first.
     """
     rows, cols, headings, advances = moves.shape
     parts = len(ways)
@@ -149,7 +147,7 @@ def rounds(
                 break
         if left[best] <= leave or past == begin:
             break
-    return traced(pose, parent, best), seen[best], left[best]
+    return traced(pose, parent, best)
 
 
 @njit(cache=True, nogil=True)
