@@ -12,6 +12,7 @@ import pytest
 from dream.geometry import SE2, SE3, Bounds
 from dream.robots.bluerov2.bridge import LEASE, SAG, Bridge, Craft, LastResort, Limits, Stance, Standing
 from dream.robots.bluerov2.navigation import Fix
+from tests.robots.bluerov2.waiting import until
 
 AREA = Bounds(-2.0, -2.0, 2.0, 2.0)
 GOAL = SE2(0.5, 0.0, 0.0)
@@ -308,9 +309,7 @@ def test_a_beat_that_fails_ends_the_dive_in_neutral() -> None:
     scene.steer = broken  # type: ignore[assignment, method-assign]
     scene.bridge.start()
     try:
-        deadline = time.monotonic() + 5.0
-        while scene.bridge.standing.stance is not Stance.OVER and time.monotonic() < deadline:
-            time.sleep(0.01)
+        assert until(lambda: scene.bridge.standing.stance is Stance.OVER)
     finally:
         scene.bridge.close()
     assert "no such thing" in scene.bridge.standing.reason
@@ -330,9 +329,7 @@ def test_beats_that_all_fail_are_told_once_come_no_faster_and_end_in_the_last_re
     scene.update = broken  # type: ignore[method-assign]
     scene.bridge.start()
     try:
-        deadline = time.monotonic() + 5.0
-        while not scene.resorts and time.monotonic() < deadline:
-            time.sleep(0.01)
+        assert until(lambda: scene.resorts)
         time.sleep(0.2)
         took, beats = time.monotonic() - began, len(scene.sent)
     finally:
@@ -357,9 +354,7 @@ def test_the_loop_outlives_also_what_fails_while_it_stops_the_vehicle() -> None:
     scene.fix = fix_at(imu_age=0.3)
     scene.bridge.start()
     try:
-        deadline = time.monotonic() + 5.0
-        while not scene.resorts and time.monotonic() < deadline:
-            time.sleep(0.01)
+        assert until(lambda: scene.resorts)
     finally:
         scene.bridge.close()
     assert scene.resorts == [LastResort.SURFACE]
@@ -384,9 +379,7 @@ def test_the_last_resort_needs_no_neutral_and_is_tried_until_it_begins() -> None
     scene.fix = fix_at(imu_age=0.3)
     scene.bridge.start()
     try:
-        deadline = time.monotonic() + 5.0
-        while not scene.resorts and time.monotonic() < deadline:
-            time.sleep(0.01)
+        assert until(lambda: scene.resorts)
         time.sleep(0.2)
     finally:
         with contextlib.suppress(OSError):

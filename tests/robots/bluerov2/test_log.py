@@ -11,7 +11,6 @@ import subprocess
 import sys
 import textwrap
 import threading
-import time
 from contextlib import suppress
 from dataclasses import dataclass
 from io import FileIO
@@ -38,6 +37,7 @@ from dream.robots.bluerov2.log import (
 )
 from dream.robots.bluerov2.mcap import McapFile
 from dream.robots.bluerov2.messages import measurement_text, quaternion, read_measurement
+from tests.robots.bluerov2.waiting import until
 
 EPOCH = 1_795_000_000_123_456_789
 
@@ -443,17 +443,17 @@ class TestTrouble:
         monkeypatch.setattr(log_module, "LOOK", 0.01)
         with DiveLog(tmp_path, epoch_ns=EPOCH) as log:
             log.tap(0.0, "a50", False, "before")
-            _until(lambda: log.written >= 1)
+            assert until(lambda: log.written >= 1)
             size = log.path.stat().st_size
             full.set()
             log.tap(1.0, "a50", False, "lost")
             log.tap(1.0, "state", False, "lost")
-            _until(lambda: sum(log.lost.values()) == 2)
+            assert until(lambda: sum(log.lost.values()) == 2)
             assert "No space left on device" in log.problem
             assert log.path.stat().st_size == size
             full.clear()
             log.tap(2.0, "state", False, "after")
-            _until(lambda: log.written >= 2)
+            assert until(lambda: log.written >= 2)
         assert log.lost == {"a50": 1, "state": 1}
         assert McapFile(log.path).whole
         assert [
@@ -491,11 +491,3 @@ class TestTrouble:
                 thread.join()
         for name in "abc":
             assert [data for _, _, data in read_wire(log.path, name)] == [b"%d" % k for k in range(300)]
-
-
-def _until(there: Any) -> None:
-    for _ in range(500):
-        if there():
-            return
-        time.sleep(0.01)
-    raise AssertionError("it did not happen within 5 s")

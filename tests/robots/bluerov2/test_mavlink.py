@@ -29,6 +29,7 @@ from dream.robots.bluerov2.wire import Udp
 from dream.sim.worlds import make_world
 from dream.types import BodyVelocity
 from dream.vehicle import VECTORED_6DOF
+from tests.robots.bluerov2.waiting import until
 
 AHEAD = Sticks(x=400, r=-100)
 FASTER = BodyVelocity(0.3, 0.1, -0.05, 0.4)
@@ -1249,13 +1250,6 @@ def wired() -> Iterator[tuple[Link, Vehicle, Callable[[], float]]]:
     wire.close()
 
 
-def until(true: Callable[[], bool]) -> None:
-    end = time.monotonic() + 5.0
-    while not true():
-        assert time.monotonic() < end
-        time.sleep(0.005)
-
-
 def test_a_dive_over_a_socket(wired: tuple[Link, Vehicle, Callable[[], float]]) -> None:
     link, vehicle, now = wired
     assert link.connect(5.0).mode == "MANUAL"
@@ -1263,7 +1257,7 @@ def test_a_dive_over_a_socket(wired: tuple[Link, Vehicle, Callable[[], float]]) 
     link.arm()
     vehicle.sent.clear()
     expires = link.command(AHEAD, now() + 0.3)
-    until(lambda: sum(map(is_neutral, vehicle.heard("MANUAL_CONTROL"))) > 4)
+    assert until(lambda: sum(map(is_neutral, vehicle.heard("MANUAL_CONTROL"))) > 4)
     moving = [t for t, m in list(vehicle.sent) if not is_neutral(m)]
     assert moving
     assert max(moving) < expires + PERIOD
@@ -1343,12 +1337,12 @@ def test_two_vehicles_of_one_id_are_never_mixed() -> None:
             for vehicle, wire in zip((ours, theirs), wires, strict=True):
                 vehicle.hear = partial(_sent, wire, link.port)
             ours.heartbeat()
-            until(lambda: link.connected)
+            assert until(lambda: link.connected)
             theirs.armed, theirs.mode = True, 2
             theirs.heartbeat()
-            until(lambda: link.refused["from another address"] == 1)
+            assert until(lambda: link.refused["from another address"] == 1)
             ours.named("PilotGain", 0.5)
-            until(lambda: link.telemetry.pilot_gain == 0.5)
+            assert until(lambda: link.telemetry.pilot_gain == 0.5)
             assert (link.telemetry.mode, link.telemetry.armed) == ("MANUAL", False)
             assert not link.yielding
     finally:
@@ -1373,7 +1367,7 @@ def test_a_tcp_peer_that_is_not_there_is_a_problem_and_no_error() -> None:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     with Link(f"tcp:127.0.0.1:{port}", now=time.monotonic) as link:
-        until(lambda: "refused" in link.problem)
+        assert until(lambda: "refused" in link.problem)
         with socket.create_server(("127.0.0.1", port)) as server:
             server.settimeout(5.0)
             peer, _ = server.accept()
@@ -1381,7 +1375,7 @@ def test_a_tcp_peer_that_is_not_there_is_a_problem_and_no_error() -> None:
                 vehicle = Vehicle(time.monotonic)
                 vehicle.hear = peer.sendall
                 vehicle.heartbeat()
-                until(lambda: link.connected)
+                assert until(lambda: link.connected)
                 assert link.problem == ""
 
 

@@ -32,6 +32,7 @@ from dream.sim.worlds import make_world
 from dream.vehicle import VECTORED_6DOF
 from tests.robots.bluerov2.test_bridge import fix_at
 from tests.robots.bluerov2.test_mavlink import Dive, is_neutral
+from tests.robots.bluerov2.waiting import until
 
 HERE, THERE = ("127.0.0.1", 40001), ("127.0.0.1", 40002)
 GOAL = SE2(0.5, 0.0, 0.0)
@@ -775,13 +776,6 @@ def threaded() -> Iterator[tuple[Station, socket.socket, Dive]]:
         ground.settimeout(5.0)
         ground.connect(("127.0.0.1", station.port))
         yield station, ground, dive
-
-
-def until(true: Callable[[], bool]) -> bool:
-    end = time.monotonic() + 5.0
-    while not true() and time.monotonic() < end:
-        time.sleep(0.005)
-    return true()
 
 
 def test_over_udp_a_station_steers_vanishes_and_sees_telemetry(
