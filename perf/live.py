@@ -1,18 +1,20 @@
 """What it costs a mission to be watched: missions with a page open in a browser beside the same without.
 
-    python perf/live.py                  some five minutes; needs the extra `live`, playwright and chromium
-    python perf/live.py --pairs 12 --steps 80
+    python perf/live.py                  some four minutes; needs the extra `live` and chromium
+    python perf/live.py --rounds 16 --world wreck/1
 
-The two of a pair fly one after the other, in alternating order, so that a machine that is busy for a while is
-so for both. Wall time is that of the mission alone (`wall_s` of its summary): world, steps and recording; it
-holds on a machine that is idle otherwise. Processor time is what the mission's own process worked, which
-holds on a busy one, too. The browser is the costlier part and runs on the same machine here, which it need
-not do.
+In every round the same mission flies alone, served without anybody looking, and with its page open in a
+browser, in an order drawn anew, so that a machine that is busy for a while is so for all three. Wall time is
+that of the mission alone (`wall_s` of its summary): world, steps and recording; it holds on a machine that is
+idle otherwise. Processor time is what the mission's own process worked, which holds on a busy one, too. The
+browser is the costlier part and runs on the same machine here, which it need not do; it is open all the time,
+its tab from the moment at which the mission tells its address.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import re
 import shutil
@@ -20,12 +22,15 @@ import subprocess
 import sys
 import tempfile
 import time
+import urllib.parse
+import urllib.request
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from playwright.sync_api import Browser, sync_playwright
 
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome") or "chromium"
 DRAWS = 10_000
 PATIENCE_S = 600.0
 
@@ -48,51 +53,91 @@ class Cost:
     wall: float
     worked: float
     server: float
-    shown: int = 0
-    """How often the page showed another step."""
 
 
-def flying(out: str, steps: int, *more: str) -> subprocess.Popen[str]:
-    """A mission of `steps` steps, always the same."""
-    fixed = ["run", "belief", "--world", "reef/string", "--max-steps", str(steps), "--json", "--out", out]
-    words = [sys.executable, "-c", FLY, *fixed, *more]
+class Browser:
+    """A browser that is open all the time, as a user's is.
+
+    It is asked for tabs and for nothing else: a driver such as Playwright's hears of every request of a page
+    and would cost more than the page.
+    """
+
+    def __init__(self, profile: str) -> None:
+        flags = [
+            "--headless=new",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--no-first-run",
+            "--remote-debugging-port=0",
+        ]
+        self._process = subprocess.Popen(
+            [CHROMIUM, *flags, f"--user-data-dir={profile}", "about:blank"],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        told = Path(profile) / "DevToolsActivePort"
+        until = time.monotonic() + PATIENCE_S
+        while not told.is_file() and time.monotonic() < until:
+            time.sleep(0.1)
+        self._address = f"http://127.0.0.1:{told.read_text().splitlines()[0]}/json"
+
+    @contextlib.contextmanager
+    def tab(self, address: str) -> Iterator[None]:
+        """A tab with a page, open while the block runs."""
+        asked = urllib.request.Request(f"{self._address}/new?{urllib.parse.quote(address)}", method="PUT")
+        with urllib.request.urlopen(asked) as answer:
+            key = json.load(answer)["id"]
+        yield
+        urllib.request.urlopen(f"{self._address}/close/{key}").close()
+
+    def close(self) -> None:
+        """End it."""
+        self._process.terminate()
+        self._process.wait()
+
+
+def flying(mission: list[str], out: str, *more: str) -> subprocess.Popen[str]:
+    """A mission, always the same."""
+    words = [sys.executable, "-c", FLY, "run", "belief", *mission, "--json", "--out", out, *more]
     return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def cost(mission: subprocess.Popen[str], shown: int = 0) -> Cost:
+def cost(mission: subprocess.Popen[str]) -> Cost:
     """Of a mission, once it is over."""
     told, said = mission.communicate(timeout=PATIENCE_S)
     worked = re.search(r"worked (\S+) (\S+)", said)
     if mission.returncode or worked is None:
         raise RuntimeError(f"the mission failed: {said}")
-    return Cost(float(json.loads(told)["wall_s"]), float(worked[1]), float(worked[2]), shown)
+    return Cost(float(json.loads(told)["wall_s"]), float(worked[1]), float(worked[2]))
 
 
-def alone(steps: int) -> Cost:
+def alone(mission: list[str]) -> Cost:
     """A mission that nobody watches."""
     with tempfile.TemporaryDirectory() as out:
-        return cost(flying(out, steps))
+        return cost(flying(mission, out))
 
 
-def watched(steps: int, browser: Browser) -> Cost:
-    """A mission that a browser watches."""
+def served(mission: list[str]) -> Cost:
+    """A mission with a server that nobody asks for anything."""
     with tempfile.TemporaryDirectory() as out:
-        mission = flying(out, steps, "--live")
-        assert mission.stderr is not None
+        return cost(flying(mission, out, "--live"))
+
+
+def watched(mission: list[str], browser: Browser) -> Cost:
+    """A mission whose page is open, from the moment at which its address is known."""
+    with tempfile.TemporaryDirectory() as out:
+        flown = flying(mission, out, "--live")
+        assert flown.stderr is not None
         found: re.Match[str] | None = None
-        while found is None and (line := mission.stderr.readline()):
+        while found is None and (line := flown.stderr.readline()):
             found = re.search(r"http://\S+", line)
         if found is None:
             raise RuntimeError("the mission told no address")
-        page = browser.new_page(viewport={"width": 1400, "height": 900})
-        page.goto(found[0])
-        seen: set[str] = set()
-        until = time.monotonic() + PATIENCE_S
-        while not list(Path(out).glob("*/summary.json")) and time.monotonic() < until:
-            seen.add(page.inner_text("#counter"))
-            time.sleep(0.2)
-        page.close()
-        return cost(mission, len(seen))
+        with browser.tab(found[0]):
+            # The server stays until the last page is gone: it says so once it knows of one.
+            if not any("until it is closed" in line for line in flown.stderr):
+                raise RuntimeError("no page was open when the mission was over")
+        return cost(flown)
 
 
 def interval(ratios: list[float], rng: np.random.Generator) -> str:
@@ -104,36 +149,38 @@ def interval(ratios: list[float], rng: np.random.Generator) -> str:
 
 
 def main() -> int:
-    """Fly the pairs and print what came of them."""
+    """Fly the rounds and print what came of them."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--pairs", type=int, default=8)
+    parser.add_argument("--rounds", type=int, default=12)
     parser.add_argument("--steps", type=int, default=60)
+    parser.add_argument("--world", default="reef/string")
     options = parser.parse_args()
-    chromium = shutil.which("chromium") or shutil.which("google-chrome")
-    alone(8)  # Compiles what is not compiled yet.
-    walls: list[float] = []
-    works: list[float] = []
-    with sync_playwright() as playwright:
-        quiet = ["--no-sandbox", "--disable-gpu"]
-        print("| pair | wall alone, s | watched | worked alone, s | watched | server, s | steps shown |")
-        print("|--:|--:|--:|--:|--:|--:|--:|")
-        for pair in range(options.pairs):
-            browser = playwright.chromium.launch(executable_path=chromium, args=quiet)
-            if pair % 2:
-                plain, seen = alone(options.steps), watched(options.steps, browser)
-            else:
-                seen, plain = watched(options.steps, browser), alone(options.steps)
-            browser.close()
-            walls.append(seen.wall / plain.wall)
-            works.append(seen.worked / plain.worked)
-            print(
-                f"| {pair + 1} | {plain.wall:.2f} | {seen.wall:.2f} | {plain.worked:.2f} | "
-                f"{seen.worked:.2f} | {seen.server:.2f} | {seen.shown} |",
-                flush=True,
-            )
+    mission = ["--world", options.world, "--max-steps", str(options.steps)]
     rng = np.random.default_rng(0)
-    print(f"\nwall time, watched to alone: median {interval(walls, rng)}")
-    print(f"processor time of the mission: median {interval(works, rng)}")
+    rounds: list[dict[str, Cost]] = []
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        browser = Browser(profile)
+        arms: dict[str, Callable[[list[str]], Cost]] = {
+            "alone": alone,
+            "served": served,
+            "watched": lambda mission: watched(mission, browser),
+        }
+        for fly in arms.values():
+            fly([*mission[:-1], "8"])  # Compiles what is not compiled yet, and reads the browser's files.
+        print("| round | wall alone, s | served | watched | worked alone, s | served | watched | server, s |")
+        print("|--:|--:|--:|--:|--:|--:|--:|--:|")
+        for number in range(1, options.rounds + 1):
+            flown = {arm: arms[arm](mission) for arm in rng.permutation(list(arms))}
+            rounds.append(flown)
+            walls, works = ([f"{getattr(flown[arm], of):.2f}" for arm in arms] for of in ("wall", "worked"))
+            row = [str(number), *walls, *works, f"{flown['watched'].server:.2f}"]
+            print(f"| {' | '.join(row)} |", flush=True)
+        browser.close()
+    print()
+    for of, name in (("wall", "wall time"), ("worked", "processor time of the mission")):
+        for arm in ("served", "watched"):
+            ratios = [getattr(flown[arm], of) / getattr(flown["alone"], of) for flown in rounds]
+            print(f"{name}, {arm} to alone: median {interval(ratios, rng)}")
     return 0
 
 

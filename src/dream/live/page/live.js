@@ -13,6 +13,8 @@ const SILENCE_MS = 7000;
 const QUIET_S = 60;
 const GRACE_MS = 2000;
 const REDRAW_MS = 250;
+// Of the time, spent on drawing at most: the mission may need this machine's processors more.
+const DRAWING_SHARE = 1 / 20;
 
 function blank(key) {
   return { ...fixed, key, name: "", config: null, summary: null, problem: "", cap: null, real: false, depth_max: 5, steps: [], age: null, aged: 0 };
@@ -239,11 +241,15 @@ function showCard(run) {
 // ---- drawing, at most so often
 
 let drawing = 0;
+let pace = REDRAW_MS;
 function dirty() {
-  drawing ||= setTimeout(draw, REDRAW_MS);
+  drawing ||= setTimeout(draw, pace);
 }
 function draw() {
   drawing = 0;
+  const began = performance.now();
+  // By the second task after it the frame is on the screen.
+  requestAnimationFrame(() => setTimeout(() => (pace = Math.max(REDRAW_MS, (performance.now() - began) / DRAWING_SHARE))));
   at("missions").hidden = runs.size < 2;
   if (runs.size > 1) {
     const items = [...runs.values()].map((run) => (showCard(run), card(run).item));
