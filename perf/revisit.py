@@ -4,6 +4,8 @@
     python perf/revisit.py --seeds 101 102    only some
     python perf/revisit.py --kind other       with the survey of another reef; also shift, empty, came
     python perf/revisit.py --whole            fly with a survey to the own stop too, not only to 98.26 %
+    python perf/revisit.py --years 3          after three years; --protocol dream-v1-noisy: both under noise
+    python perf/revisit.py --clairvoyant 60   and search a minute a world for the tour of one who knows it
 
 Every mission is kept in `--out` as it ends, so that the same call goes on where it was, and one that ends at
 98.26 % apart from one that ends at its own stop. Ratios are of steps to 98.26 %, in pairs, 200 where it was
@@ -19,17 +21,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from rich.progress import track
 from scipy.ndimage import label
 
 from dream.evaluation.metrics import COMPLETE, Scorer
+from dream.evaluation.oracle.bounds import bound
 from dream.evaluation.runner import simulate
 from dream.evaluation.suites import REEF_FAMILIES
 from dream.geometry import Bounds
 from dream.mapping import OccupancyMap, within
 from dream.mapping.prior import Prior
 from dream.planning import Belief
-from dream.protocol import DREAM_V1
+from dream.protocol import DREAM_V1, SurveyProtocol, protocol_named
 from dream.sim.worlds import make_world
 from dream.types import BoolArray
 
@@ -48,6 +52,7 @@ def fly(
     prior: Prior | None = None,
     *,
     planner: Belief | None = None,
+    protocol: SurveyProtocol = DREAM_V1,
     whole: bool = True,
 ) -> dict[str, Any]:
     """One mission, or its record where it was flown before; its map lies beside it.
@@ -57,8 +62,8 @@ def fly(
     if keep.exists():
         return dict(json.loads(keep.read_text()))
     world = make_world(name, seed)
-    scorer = Scorer(world, DREAM_V1)
-    for step in simulate(world, planner or Belief(), DREAM_V1, prior=prior):
+    scorer = Scorer(world, protocol)
+    for step in simulate(world, planner or Belief(), protocol, prior=prior):
         scorer.add(step)
         if not whole and scorer.summary()["t98"] is not None:
             break
@@ -70,7 +75,7 @@ def fly(
     return told
 
 
-def surveyed(path: Path, bounds: Bounds, kind: str) -> Prior:
+def surveyed(path: Path, bounds: Bounds, kind: str, years: int = 1) -> Prior:
     """The survey that a kept map makes, right or wrong in one of the ways, on the cells of those bounds."""
     then, cell = OccupancyMap.load(path), DREAM_V1.cell
     shape = round(bounds.depth / cell), round(bounds.width / cell)
@@ -88,7 +93,17 @@ def surveyed(path: Path, bounds: Bounds, kind: str) -> Prior:
         told[farthest_group(then)] = 0.0
     target[inside] = np.where(then.seen[i, j], told[i, j], np.nan)
     solid[inside] = then.solid[i, j]
-    return Prior(bounds, cell, target, solid, SIGMA, 1.0, "of a year ago")
+    said = "of a year ago" if years == 1 else f"of {years} years ago"
+    return Prior(bounds, cell, target, solid, SIGMA, float(years), said)
+
+
+def clairvoyant(name: str, seed: int, keep: Path, budget_s: float) -> tuple[int, int]:
+    """Steps to 98.26 % of one who knows the reef: no fewer than the first; the second are known to do."""
+    if not keep.exists():
+        found = bound(make_world(name, seed), DREAM_V1, budget_s=budget_s).t98
+        keep.write_text(json.dumps([found.lower_bound, found.best_tour or DREAM_V1.cap]))
+    fewest, tour = json.loads(keep.read_text())
+    return fewest, tour
 
 
 def farthest_group(occupancy: OccupancyMap) -> BoolArray:
@@ -124,6 +139,20 @@ def draw(rows: dict[str, list[list[float]]], path: Path) -> None:
     figure.savefig(path, metadata={"Date": None})
 
 
+def say_clairvoyant(rows: npt.NDArray[np.float64]) -> None:
+    """Print how near a mission with a survey comes to one who knows the reef as it is."""
+    told, without, fewest, tour = rows[:, [0, 1, -2, -1]].T
+    print("\n| to 98.26 % | steps | median ratio to without | ratio of the means |\n|---|--:|--:|--:|")
+    for title, steps in (
+        ("with a survey", told),
+        ("best known tour of one who knows the reef", tour),
+        ("no tour is shorter than", fewest),
+    ):
+        ratio = np.median(steps / without), steps.sum() / without.sum()
+        print(f"| {title} | {steps.mean():.1f} | {ratio[0]:.2f} | {ratio[1]:.2f} |")
+    print(f"\nwith a survey, to the best known tour: median {np.median(told / tour):.2f}")
+
+
 def main() -> int:
     """Fly what is missing and print a line a family."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -131,26 +160,35 @@ def main() -> int:
     parser.add_argument("--kind", choices=KINDS, default="right")
     parser.add_argument("--whole", action="store_true", help="to the own stop; else to 98.26 %%")
     parser.add_argument("--arriving", type=float, default=Belief().arriving, help="of the planner")
+    parser.add_argument("--years", type=int, default=1, help="between the survey and the mission")
+    parser.add_argument("--protocol", type=protocol_named, default=DREAM_V1, help="of both")
+    parser.add_argument("--clairvoyant", type=float, metavar="SECONDS", help="of processor time a world")
     parser.add_argument("--out", type=Path, default=Path("bench/revisit"))
     parser.add_argument("--picture", type=Path, help="file to draw the pairs to")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
+    protocol: SurveyProtocol = options.protocol
     cases = [(family, seed) for seed in options.seeds for family in REEF_FAMILIES]
     rows: dict[str, list[list[float]]] = {}
     for family, seed in track(cases, description=options.kind, transient=True):
-        first, later = f"reef/{family}", f"reef/{family}+1y1"
+        first, later = f"reef/{family}", f"reef/{family}+{options.years}y1"
         of = seed if options.kind != "other" else options.seeds[0] + (seed - options.seeds[0] + 1) % 5
-        fly(first, of, options.out / f"{family}-{of}-before.json")
-        without = fly(later, seed, options.out / f"{family}-{seed}-without.json")
-        prior = surveyed(
-            options.out / f"{family}-{of}-before.npz", make_world(later, seed).bounds, options.kind
-        )
+        under = "" if protocol == DREAM_V1 else f"{protocol.name}-"
+        on = f"{under}{family}-{seed}" + ("" if options.years == 1 else f"-{options.years}y")
+        before = options.out / f"{under}{family}-{of}-before.json"
+        fly(first, of, before, protocol=protocol)
+        without = fly(later, seed, options.out / f"{on}-without.json", protocol=protocol)
+        bounds = make_world(later, seed).bounds
+        prior = surveyed(before.with_suffix(".npz"), bounds, options.kind, options.years)
         planner = Belief(arriving=options.arriving)
         flown = f"{options.kind}-{options.arriving:g}{'-whole' if options.whole else ''}"
-        keep = options.out / f"{family}-{seed}-{flown}.json"
-        with_it = fly(later, seed, keep, prior, planner=planner, whole=options.whole)
+        keep = options.out / f"{on}-{flown}.json"
+        with_it = fly(later, seed, keep, prior, planner=planner, protocol=protocol, whole=options.whole)
         pair = [mission[key] or DREAM_V1.cap for key in ("t98", "t_stop") for mission in (with_it, without)]
         pair += [mission["seen"] < COMPLETE for mission in (with_it, without)]
+        if options.clairvoyant is not None:
+            keep = options.out / f"{on}-clairvoyant-{options.clairvoyant:g}.json"
+            pair += clairvoyant(later, seed, keep, options.clairvoyant)
         rows.setdefault(family, []).append(pair)
     head = ["worlds", "with", "without", "median ratio", "ratio of the means"]
     head += ["own stop with", "without", "missed with", "without"] if options.whole else []
@@ -166,6 +204,8 @@ def main() -> int:
         print(f"| {' | '.join(cells)} |")
     if options.picture is not None:
         draw(rows, options.picture)
+    if options.clairvoyant is not None:
+        say_clairvoyant(np.array(everything, float))
     return 0
 
 

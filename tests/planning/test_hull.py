@@ -229,6 +229,46 @@ def _is_clear(hull: Hull, place: npt.NDArray[np.float64], middle: npt.NDArray[np
     return not ((hull._solid[level, row, col] >> bit.astype(np.uint64)) & np.uint64(1)).any()
 
 
+def test_filling_agrees_with_a_slow_twin() -> None:
+    observation = _view(0.4, -5.1, 1.3, CRATE)
+    depth, labels, camera = observation.depth.copy(), observation.labels, observation.camera
+    depth[::37, ::41] = np.nan
+    depth[5::37, 7::41] = 9.0  # Beyond the limits.
+    T_world_camera, side, steepest = observation.T_world_camera, 0.2, 3.0
+    corner, limits = np.array([-6.0, -6.0, SEABED - 1.0]), (0.2, 8.0)
+    solid = np.zeros((20, 60, 60), np.uint64)
+    lens = (camera.fx, camera.fy, camera.cx, camera.cy)
+    place, rotation = T_world_camera.translation, np.ascontiguousarray(T_world_camera.rotation)
+    seabed = int(Label.SEABED)
+    kernels.fill(solid, depth, labels, seabed, rotation, place, lens, limits, steepest, corner, side)
+
+    corners = np.stack([depth[:-1, :-1], depth[:-1, 1:], depth[1:, :-1], depth[1:, 1:]]).astype(float)
+    width = corners.max(axis=0) / camera.fx
+    with np.errstate(invalid="ignore"):
+        surface = ((corners >= limits[0]) & (corners <= limits[1])).all(axis=0)
+        surface &= np.ptp(corners, axis=0) <= steepest * width
+        surface &= labels[:-1, :-1] != Label.SEABED
+    points = []
+    for i, j in np.argwhere(surface):
+        count = math.ceil(width[i, j] / side * kernels.PARTS)
+        s, t = (k.ravel() / count for k in np.mgrid[:count, :count])
+        upper, lower = ((1 - t) * corners[k, i, j] + t * corners[k + 1, i, j] for k in (0, 2))
+        z = (1 - s) * upper + s * lower
+        x, y = (j + 0.5 + t - camera.cx) / camera.fx * z, (i + 0.5 + s - camera.cy) / camera.fy * z
+        points.append(T_world_camera @ np.stack([x, y, z], axis=1))
+    parts = (np.concatenate(points) - corner) / side * kernels.PARTS
+    col, row, level = np.unique(np.floor(parts).astype(int), axis=0).T
+    inside = (level >= 0) & (level < 20 * kernels.PARTS)
+    slow = np.zeros([kernels.PARTS * n for n in solid.shape], np.bool_)
+    slow[level[inside], row[inside], col[inside]] = True
+    bits = np.arange(kernels.PARTS**3, dtype=np.uint64)
+    fast = ((solid[..., None] >> bits) & np.uint64(1)).astype(np.bool_)
+    fast = fast.reshape(*solid.shape, *3 * [kernels.PARTS]).transpose(0, 3, 1, 4, 2, 5).reshape(slow.shape)
+    assert slow.sum() > 1000
+    # A point may lie on the border of two parts.
+    assert (slow != fast).sum() <= 0.002 * slow.sum()
+
+
 def test_carving_agrees_with_a_slow_twin() -> None:
     observation = _view(0.3, -4.2, 1.2, CRATE)
     voxels = np.zeros((40, 60, 60), np.uint8)

@@ -16,7 +16,7 @@ from scipy.special import ndtr
 from dream.geometry import Bounds
 from dream.survey.fates import BARE, Fate, Missing, Shown, Standing, fates, missing, standing
 from dream.survey.registration import Registering, Registration
-from dream.survey.survey import Individuals, Layers, Survey
+from dream.survey.survey import Individuals, Layers, Survey, under
 
 Float64Array = npt.NDArray[np.float64]
 FateArray = npt.NDArray[np.uint8]
@@ -462,13 +462,7 @@ class _Grid:
 
     def at(self, values: Any, points: Float64Array) -> Any:
         """Values of the cells under points: False or −1 outside."""
-        col = np.floor((points[:, 0] - self.bounds.x_min) / self.cell).astype(np.intp)
-        row = np.floor((points[:, 1] - self.bounds.y_min) / self.cell).astype(np.intp)
-        inside = (row >= 0) & (row < self.shape[0]) & (col >= 0) & (col < self.shape[1])
-        outside = False if values.dtype == np.bool_ else -1
-        found = np.full(len(points), outside, values.dtype)
-        found[inside] = values[row[inside], col[inside]]
-        return found
+        return under(points, values, self.bounds, self.cell, False if values.dtype == np.bool_ else -1)
 
     def within(self, rings: tuple[Float64Array, ...]) -> BoolArray:
         """Cells whose middle is inside the outline and in no hole: by the parity of crossings."""

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from dream.survey.individuals import BLUR
 from dream.survey.registration import Registration, mutual
-from dream.survey.survey import Individuals, Picture
+from dream.survey.survey import Individuals, Picture, under
 
 Float64Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -57,12 +57,7 @@ class Shown:
 
         All target is in the picture, so that what lies beyond it is bare.
         """
-        col = np.floor((points[:, 0] - self._bounds.x_min) / self._cell).astype(np.intp)
-        row = np.floor((points[:, 1] - self._bounds.y_min) / self._cell).astype(np.intp)
-        rows, cols = self._share.shape
-        inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
-        share = np.zeros(len(points))
-        share[inside] = self._share[row[inside], col[inside]]
+        share: Float64Array = under(points, self._share, self._bounds, self._cell, 0.0).astype(np.float64)
         return share
 
 

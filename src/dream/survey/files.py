@@ -11,6 +11,7 @@ import contextlib
 import io
 import json
 import math
+import os
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -22,7 +23,6 @@ import numpy.typing as npt
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
 
 from dream.geometry import Bounds
-from dream.recording import whole_or_nothing
 from dream.survey.patches import signed_area
 from dream.survey.site import Site
 from dream.survey.survey import DecisionPoint, Individuals, Layers, Measure, Patch, Picture, Survey, Track
@@ -178,15 +178,22 @@ def appearing(survey: Survey, path: Path) -> Iterator[None]:
     data = dumped(survey)
     if path.is_dir():
         raise OSError(f"could not write {path} (it is a folder)")
-    draft = path.with_name(f".draft.{path.name}")
-    try:
+    # Of this process alone: another may be writing to the same path.
+    draft = path.with_name(f".draft.{os.getpid()}.{path.name}")
+
+    @contextlib.contextmanager
+    def told() -> Iterator[None]:
         try:
-            draft.write_bytes(data)
+            yield
         except OSError as error:
             raise OSError(f"could not write {path} ({error.strerror or error})") from error
+
+    try:
+        with told():
+            draft.write_bytes(data)
         yield
-        with whole_or_nothing(path) as whole:
-            draft.replace(whole)
+        with told():
+            draft.replace(path)
     finally:
         with contextlib.suppress(OSError):
             draft.unlink(missing_ok=True)

@@ -108,6 +108,25 @@ class Picture:
     """(rows, cols) share of the views that took it for target, in steps of 1/200; 255 where not seen."""
 
 
+def under(points: Float64Array, cells: npt.NDArray[Any], bounds: Bounds, cell: float, beyond: Any) -> Any:
+    """(N,) values of the cells under points.
+
+    Args:
+        points: (N, 2) x and y in the grid's world.
+        cells: (rows, cols) on a grid as that of `Layers`.
+        bounds: Of the grid.
+        cell: Metres.
+        beyond: Value outside the grid.
+    """
+    col = np.floor((points[:, 0] - bounds.x_min) / cell).astype(np.intp)
+    row = np.floor((points[:, 1] - bounds.y_min) / cell).astype(np.intp)
+    rows, cols = cells.shape
+    inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+    found = np.full(len(points), beyond, cells.dtype)
+    found[inside] = cells[row[inside], col[inside]]
+    return found
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
     """Where the vehicle was, one row a step."""
