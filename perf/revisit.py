@@ -146,7 +146,7 @@ def say_clairvoyant(rows: npt.NDArray[np.float64]) -> None:
     for title, steps in (
         ("with a survey", told),
         ("best known tour of one who knows the reef", tour),
-        ("no tour is shorter than", fewest),
+        ("fewer than no tour takes", fewest),
     ):
         ratio = np.median(steps / without), steps.sum() / without.sum()
         print(f"| {title} | {steps.mean():.1f} | {ratio[0]:.2f} | {ratio[1]:.2f} |")
@@ -200,7 +200,7 @@ def main() -> int:
         ratios = float(np.median(table[:, 0] / table[:, 1])), mean[0] / mean[1]
         cells = [f"{title} ({len(table)})", *(f"{k:.1f}" for k in mean[:2]), *(f"{k:.2f}" for k in ratios)]
         if options.whole:
-            cells += [*(f"{k:.1f}" for k in mean[2:4]), *(f"{k:.0f}" for k in table[:, 4:].sum(axis=0))]
+            cells += [*(f"{k:.1f}" for k in mean[2:4]), *(f"{k:.0f}" for k in table[:, 4:6].sum(axis=0))]
         print(f"| {' | '.join(cells)} |")
     if options.picture is not None:
         draw(rows, options.picture)
