@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Iterator
 from functools import lru_cache
 
@@ -20,6 +21,9 @@ from dream.types import Step
 
 # No test may ask a model that is not on this machine.
 os.environ["DREAM_OFFLINE"] = "1"
+
+# A shell has what runs in its background ignore Ctrl-C, which some tests press.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The first call of a kernel compiles it or reads it from disk, which no deadline should judge.
 settings.register_profile("dream", deadline=None, max_examples=50)

@@ -84,7 +84,9 @@ def test_ground_that_shows_nothing_in_common_is_told_of_and_the_poses_are_taken(
     blank = replace(b.layers, state=np.minimum(b.layers.state, 1))
     found = Registering().register(a, replace(b, layers=blank))
     assert found.by == "poses"
-    assert found.T_a_b == SE2(0.0, 0.0, 0.0)
+    # The way over the globe and back may round.
+    laid = found.T_a_b
+    np.testing.assert_allclose([laid.x, laid.y, laid.yaw], 0.0, atol=1e-12)
     assert found.sigma >= 0.3
     assert "Nothing in both showed" in found.note
 
