@@ -33,6 +33,7 @@ import numpy as np
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome") or "chromium"
 DRAWS = 10_000
 PATIENCE_S = 600.0
+START_S = 30.0
 
 
 # Flies, and says on standard error how long its process worked, and how long that of its server did.
@@ -76,19 +77,28 @@ class Browser:
             stderr=subprocess.DEVNULL,
         )
         told = Path(profile) / "DevToolsActivePort"
-        until = time.monotonic() + PATIENCE_S
-        while not told.is_file() and time.monotonic() < until:
+        until = time.monotonic() + START_S
+        while not (told.is_file() and told.read_text().strip()):
+            if time.monotonic() > until:
+                self.close()
+                raise RuntimeError(f"{CHROMIUM} did not start within {START_S:g} s")
             time.sleep(0.1)
-        self._address = f"http://127.0.0.1:{told.read_text().splitlines()[0]}/json"
+        self._address = f"http://127.0.0.1:{told.read_text().split()[0]}/json"
 
     @contextlib.contextmanager
     def tab(self, address: str) -> Iterator[None]:
         """A tab with a page, open while the block runs."""
-        asked = urllib.request.Request(f"{self._address}/new?{urllib.parse.quote(address)}", method="PUT")
-        with urllib.request.urlopen(asked) as answer:
-            key = json.load(answer)["id"]
-        yield
-        urllib.request.urlopen(f"{self._address}/close/{key}").close()
+        key = json.loads(self._ask(f"new?{urllib.parse.quote(address)}", "PUT"))["id"]
+        try:
+            yield
+        finally:
+            self._ask(f"close/{key}", "GET")
+
+    def _ask(self, what: str, method: str) -> bytes:
+        asked = urllib.request.Request(f"{self._address}/{what}", method=method)
+        with urllib.request.urlopen(asked, timeout=START_S) as answer:
+            told: bytes = answer.read()
+        return told
 
     def close(self) -> None:
         """End it."""
@@ -158,8 +168,9 @@ def main() -> int:
     mission = ["--world", options.world, "--max-steps", str(options.steps)]
     rng = np.random.default_rng(0)
     rounds: list[dict[str, Cost]] = []
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        browser = Browser(profile)
+    with contextlib.ExitStack() as stack:
+        profile = stack.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True))
+        browser = stack.enter_context(contextlib.closing(Browser(profile)))
         arms: dict[str, Callable[[list[str]], Cost]] = {
             "alone": alone,
             "served": served,
@@ -175,7 +186,6 @@ def main() -> int:
             walls, works = ([f"{getattr(flown[arm], of):.2f}" for arm in arms] for of in ("wall", "worked"))
             row = [str(number), *walls, *works, f"{flown['watched'].server:.2f}"]
             print(f"| {' | '.join(row)} |", flush=True)
-        browser.close()
     print()
     for of, name in (("wall", "wall time"), ("worked", "processor time of the mission")):
         for arm in ("served", "watched"):

@@ -144,6 +144,26 @@ def test_a_mission_is_followed_and_can_be_gone_back_in(
     assert page.title() != "owned"
 
 
+def test_a_page_that_was_out_of_sight_for_an_hour_keeps_up(
+    page: Page, complaints: list[str], show: Callable[..., Shown], growing: Make
+) -> None:
+    # No frame is drawn of a page that nobody sees: all that was asked for comes when it is looked at again.
+    page.add_init_script("""
+      let slept = 0;
+      const clock = performance.now.bind(performance), frame = requestAnimationFrame.bind(window);
+      performance.now = () => clock() + slept;
+      window.requestAnimationFrame = (drawn) => frame((time) => { slept += 3.6e6; drawn(time); });
+    """)
+    run = growing().write(3)
+    page.goto(show(run.folder).address)
+    counter(page, 2, 2)
+    run.write()
+    counter(page, 3, 3)
+    run.write()
+    counter(page, 4, 4)
+    assert not complaints
+
+
 def test_a_lost_connection_is_told_and_made_up_for(
     page: Page, show: Callable[..., Shown], growing: Make
 ) -> None:

@@ -15,6 +15,8 @@ const GRACE_MS = 2000;
 const REDRAW_MS = 250;
 // Of the time, spent on drawing at most: the mission may need this machine's processors more.
 const DRAWING_SHARE = 1 / 20;
+// A page that was out of sight for a while must not take that for the time of its drawing.
+const SLOWEST_MS = 2000;
 
 function blank(key) {
   return { ...fixed, key, name: "", config: null, summary: null, problem: "", cap: null, real: false, depth_max: 5, steps: [], age: null, aged: 0 };
@@ -249,7 +251,7 @@ function draw() {
   drawing = 0;
   const began = performance.now();
   // By the second task after it the frame is on the screen.
-  requestAnimationFrame(() => setTimeout(() => (pace = Math.max(REDRAW_MS, (performance.now() - began) / DRAWING_SHARE))));
+  requestAnimationFrame(() => setTimeout(() => (pace = Math.min(SLOWEST_MS, Math.max(REDRAW_MS, (performance.now() - began) / DRAWING_SHARE)))));
   at("missions").hidden = runs.size < 2;
   if (runs.size > 1) {
     const items = [...runs.values()].map((run) => (showCard(run), card(run).item));
