@@ -21,6 +21,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import urllib.parse
 import urllib.request
@@ -106,15 +107,25 @@ class Browser:
         self._process.wait()
 
 
-def flying(mission: list[str], out: str, *more: str) -> subprocess.Popen[str]:
-    """A mission, always the same."""
-    words = [sys.executable, "-c", FLY, "run", "belief", *mission, "--json", "--out", out, *more]
-    return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+@contextlib.contextmanager
+def flying(mission: list[str], *more: str) -> Iterator[subprocess.Popen[str]]:
+    """A mission, always the same; it is ended with the block, or after too long."""
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as out:
+        words = [sys.executable, "-c", FLY, "run", "belief", *mission, "--json", "--out", out, *more]
+        flown = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        end = threading.Timer(PATIENCE_S, flown.kill)
+        end.start()
+        try:
+            yield flown
+        finally:
+            end.cancel()
+            flown.kill()
+            flown.communicate()
 
 
 def cost(mission: subprocess.Popen[str]) -> Cost:
     """Of a mission, once it is over."""
-    told, said = mission.communicate(timeout=PATIENCE_S)
+    told, said = mission.communicate()
     worked = re.search(r"worked (\S+) (\S+)", said)
     if mission.returncode or worked is None:
         raise RuntimeError(f"the mission failed: {said}")
@@ -123,31 +134,35 @@ def cost(mission: subprocess.Popen[str]) -> Cost:
 
 def alone(mission: list[str]) -> Cost:
     """A mission that nobody watches."""
-    with tempfile.TemporaryDirectory() as out:
-        return cost(flying(mission, out))
+    with flying(mission) as flown:
+        return cost(flown)
 
 
 def served(mission: list[str]) -> Cost:
     """A mission with a server that nobody asks for anything."""
-    with tempfile.TemporaryDirectory() as out:
-        return cost(flying(mission, out, "--live"))
+    with flying(mission, "--live") as flown:
+        return cost(flown)
 
 
 def watched(mission: list[str], browser: Browser) -> Cost:
     """A mission whose page is open, from the moment at which its address is known."""
-    with tempfile.TemporaryDirectory() as out:
-        flown = flying(mission, out, "--live")
-        assert flown.stderr is not None
-        found: re.Match[str] | None = None
-        while found is None and (line := flown.stderr.readline()):
-            found = re.search(r"http://\S+", line)
-        if found is None:
-            raise RuntimeError("the mission told no address")
-        with browser.tab(found[0]):
+    with flying(mission, "--live") as flown:
+        said = said_until(flown, r"http://\S+")
+        with browser.tab(said):
             # The server stays until the last page is gone: it says so once it knows of one.
-            if not any("until it is closed" in line for line in flown.stderr):
-                raise RuntimeError("no page was open when the mission was over")
+            said_until(flown, "until it is closed")
         return cost(flown)
+
+
+def said_until(mission: subprocess.Popen[str], what: str) -> str:
+    """What a mission says that looks like this."""
+    assert mission.stderr is not None
+    said = ""
+    while line := mission.stderr.readline():
+        said += line
+        if found := re.search(what, line):
+            return found[0]
+    raise RuntimeError(f"expected the mission to say {what}, got: {said}")
 
 
 def interval(ratios: list[float], rng: np.random.Generator) -> str:
@@ -177,7 +192,7 @@ def main() -> int:
             "watched": lambda mission: watched(mission, browser),
         }
         for fly in arms.values():
-            fly([*mission[:-1], "8"])  # Compiles what is not compiled yet, and reads the browser's files.
+            fly(mission)  # Compiles what is not compiled yet, and reads the browser's files.
         print("| round | wall alone, s | served | watched | worked alone, s | served | watched | server, s |")
         print("|--:|--:|--:|--:|--:|--:|--:|--:|")
         for number in range(1, options.rounds + 1):

@@ -11,7 +11,7 @@ import contextlib
 import io
 import json
 import math
-import os
+import secrets
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -171,6 +171,8 @@ def write(survey: Survey, path: Path) -> None:
 def appearing(survey: Survey, path: Path) -> Iterator[None]:
     """Write a survey to a file that appears once the block is done; if that fails, nothing changes.
 
+    A process that is killed in between leaves its draft, a hidden file beside it.
+
     Raises:
         ValueError: The survey is inconsistent; the message names the field.
         OSError: The file could not be written. All that takes room is written before the block.
@@ -178,8 +180,8 @@ def appearing(survey: Survey, path: Path) -> Iterator[None]:
     data = dumped(survey)
     if path.is_dir():
         raise OSError(f"could not write {path} (it is a folder)")
-    # Of this process alone: another may be writing to the same path.
-    draft = path.with_name(f".draft.{os.getpid()}.{path.name}")
+    # Nobody else's: another may be writing to the same path.
+    draft = path.with_name(f".draft.{secrets.token_hex(4)}.{path.name}")
 
     @contextlib.contextmanager
     def told() -> Iterator[None]:

@@ -485,8 +485,8 @@ class _Search:
         )
         self.offer(found)
         heavier = weights * np.where(lacking > 0, 1.5, 1.0)
-        # They count by their shares; unbounded they would overflow in a long search.
-        return np.asarray(heavier / max(float(heavier.max()), 1e-12))
+        # They count by their shares; in a long search they would grow or vanish without bounds.
+        return np.maximum(heavier / float(heavier.max(initial=1e-12)), 1e-6).astype(np.float64)
 
     def reorder(self, walk: list[int], *, hot: float = 1.5, rounds: int = 6000, most: int = 10) -> list[int]:
         """A walk past what this one is needed for, in another order and from other poses."""

@@ -13,7 +13,7 @@ const SILENCE_MS = 7000;
 const QUIET_S = 60;
 const GRACE_MS = 2000;
 const REDRAW_MS = 250;
-// Of the time, spent on drawing at most: the mission may need this machine's processors more.
+// Of the time, spent on drawing at most, while one takes 0.1 s or less: the mission may need the processors more.
 const DRAWING_SHARE = 1 / 20;
 // A page that was out of sight for a while must not take that for the time of its drawing.
 const SLOWEST_MS = 2000;
@@ -73,6 +73,9 @@ function open(key) {
   at("asked").replaceChildren();
   player.open(run.steps);
   connect();
+  // What is asked for does not wait until the last run's drawing has paid for itself.
+  clearTimeout(drawing);
+  [drawing, pace] = [0, REDRAW_MS];
   dirty();
 }
 
