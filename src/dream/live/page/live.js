@@ -13,10 +13,10 @@ const SILENCE_MS = 7000;
 const QUIET_S = 60;
 const GRACE_MS = 2000;
 const REDRAW_MS = 250;
-// Of the time, spent on drawing at most, while one takes 0.1 s or less: the mission may need the processors more.
+// Of the time, spent on drawing at most, while one takes 50 ms or less: the mission may need the processors more.
 const DRAWING_SHARE = 1 / 20;
 // A page that was out of sight for a while must not take that for the time of its drawing.
-const SLOWEST_MS = 2000;
+const SLOWEST_MS = 1000;
 
 function blank(key) {
   return { ...fixed, key, name: "", config: null, summary: null, problem: "", cap: null, real: false, depth_max: 5, steps: [], age: null, aged: 0 };
@@ -73,10 +73,7 @@ function open(key) {
   at("asked").replaceChildren();
   player.open(run.steps);
   connect();
-  // What is asked for does not wait until the last run's drawing has paid for itself.
-  clearTimeout(drawing);
-  [drawing, pace] = [0, REDRAW_MS];
-  dirty();
+  soon();
 }
 
 // ---- masthead and panels
@@ -250,6 +247,12 @@ let pace = REDRAW_MS;
 function dirty() {
   drawing ||= setTimeout(draw, pace);
 }
+// What is waited for does not wait until the last drawing has paid for itself.
+function soon() {
+  clearTimeout(drawing);
+  [drawing, pace] = [0, REDRAW_MS];
+  dirty();
+}
 function draw() {
   drawing = 0;
   const began = performance.now();
@@ -357,6 +360,7 @@ function hearStep({ run: key, index, step }) {
 function hearBeat({ ages }) {
   heard = now();
   for (const [key, age] of Object.entries(ages)) if (runs.has(key)) Object.assign(runs.get(key), { age, aged: now() });
+  if (!caughtUp) soon();
   caughtUp = true;
   broken = null;
   at("lost").hidden = true;
