@@ -343,9 +343,10 @@ def test_who_has_the_sticks_brings_it_home(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_a_terminal_that_closes_does_not_end_the_program() -> None:
+    before = signal.getsignal(signal.SIGHUP)
     with _outlives_its_terminal():
         signal.raise_signal(signal.SIGHUP)
-    assert signal.getsignal(signal.SIGHUP) == signal.SIG_DFL
+    assert signal.getsignal(signal.SIGHUP) == before
 
 
 def test_a_warning_that_nobody_can_read_stops_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
