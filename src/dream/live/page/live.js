@@ -244,18 +244,19 @@ function showCard(run) {
 
 let drawing = 0;
 let pace = REDRAW_MS;
+let drawn = -Infinity;
 function dirty() {
-  drawing ||= setTimeout(draw, pace);
+  drawing ||= setTimeout(draw, Math.max(0, drawn + pace - performance.now()));
 }
 // What is waited for does not wait until the last drawing has paid for itself.
 function soon() {
   clearTimeout(drawing);
-  [drawing, pace] = [0, REDRAW_MS];
+  [drawing, pace, drawn] = [0, REDRAW_MS, -Infinity];
   dirty();
 }
 function draw() {
   drawing = 0;
-  const began = performance.now();
+  const began = (drawn = performance.now());
   // By the second task after it the frame is on the screen.
   requestAnimationFrame(() => setTimeout(() => (pace = Math.min(SLOWEST_MS, Math.max(REDRAW_MS, (performance.now() - began) / DRAWING_SHARE)))));
   at("missions").hidden = runs.size < 2;
