@@ -106,6 +106,7 @@ def test_surveys_the_wrong_way_round_or_made_in_two_ways_are_doubted(
     files.write(replace(later, protocol="dream-v1-noisy", name="other"), two / "other.survey.npz")
     for names, doubts in (
         ("first.survey.npz later.survey.npz", 0),
+        ("first.survey.npz first.survey.npz", 1),
         ("later.survey.npz first.survey.npz", 1),
         ("first.survey.npz other.survey.npz", 1),
         ("other.survey.npz first.survey.npz", 2),

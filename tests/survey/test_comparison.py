@@ -19,7 +19,16 @@ from dream.geometry import SE2
 from dream.survey import Measure, Survey
 from dream.survey.archive import wkb
 from dream.survey.change_map import write_change
-from dream.survey.comparison import Change, Comparing, Comparison, _Grid, adjusted, detection
+from dream.survey.comparison import (
+    Change,
+    Comparing,
+    Comparison,
+    _density,
+    _difference,
+    _Grid,
+    adjusted,
+    detection,
+)
 from dream.survey.fates import Fate
 from dream.survey.registration import Registering, frames, mutual, placed
 from dream.types import Target
@@ -436,3 +445,22 @@ def test_on_a_full_disk_no_part_of_the_change_is_written(
     with pytest.raises(OSError, match=r"could not write the change to .*No space left"):
         write_change(same[0], tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_density_that_fell_is_as_sure_as_the_same_one_that_rose() -> None:
+    counts, areas = (592.0, 520.0), (34.4, 40.1)
+
+    def told(first: int, second: int) -> tuple[float, float, float]:
+        count = _difference("found", counts[first], counts[second], 26.0, "")
+        area = _difference("target_area", areas[first], areas[second], 5.5, "m2")
+        density = _density(count, area)
+        return density.low, density.high, density.p
+
+    low, high, p = told(0, 1)
+    assert told(1, 0) == pytest.approx((-high, -low, p))
+    # The delta method of a ratio, by a draw of a million.
+    rng = np.random.default_rng(5)
+    area = np.array(areas) + rng.normal(0.0, 5.5 / math.sqrt(2.0), (1_000_000, 2))
+    count = np.array(counts) + rng.normal(0.0, 26.0 / math.sqrt(2.0), (1_000_000, 2))
+    spread = float((count / area @ (-1.0, 1.0)).std())
+    assert (high - low) / (2.0 * 1.96) == pytest.approx(spread, rel=0.1)

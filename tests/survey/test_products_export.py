@@ -150,7 +150,7 @@ def test_where_the_disk_is_full_nothing_is_left(tmp_path: Path) -> None:
     assert (ended.returncode, ended.stderr) == (0, "")
     told = ended.stdout.splitlines()
     assert len(told) == 4
-    assert all(line.startswith("export: ") and "could not be made" in line for line in told)
+    assert all(line.startswith("export: ") and "Choose another" in line for line in told)
     assert not list(tmp_path.iterdir())
 
 

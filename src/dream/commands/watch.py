@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
 
 from dream.commands.console import print_json
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +52,9 @@ class Watch:
             print_json({"address": opened})
         else:
             print(f"watch at {opened}\nCtrl-C ends it", flush=True)
+        for run in self.runs:
+            if not run.exists():
+                logger.warning("watch: %s is not there yet; it is shown once it is", run)
         with contextlib.suppress(KeyboardInterrupt), contextlib.closing(listening):
             serve(list(self.runs), doors, listening, lambda pages: False)
         return 0

@@ -627,9 +627,11 @@ def _outline(mask: BoolArray) -> float:
 
 def _density(count: Difference, area: Difference) -> Difference:
     before, after = count.before / area.before, count.after / area.after
-    # Both intervals as standard errors, carried through the ratio.
+    # Both intervals as standard errors, carried through the ratio halfway between the surveys: what is told
+    # of B after A and of A after B differs in its sign alone.
     of_count, of_area = ((one.high - one.low) / (2.0 * Z95) for one in (count, area))
-    error = math.hypot(of_count / area.before, before * of_area / area.before)
+    ground, density = 0.5 * (area.before + area.after), 0.5 * (before + after)
+    error = math.hypot(of_count / ground, density * of_area / ground)
     return _difference("found_density", before, after, max(error, 1e-9), "1/m2")
 
 

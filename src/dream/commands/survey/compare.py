@@ -66,6 +66,10 @@ class Compare:
 def _doubts(a: Survey, b: Survey) -> list[str]:
     """What two surveys have that makes their comparison less than it says."""
     doubts = []
+    if (a.name, a.began) == (b.name, b.began):
+        doubts.append(
+            f"both are {a.name}: expected two surveys of a site. What differs is how one was laid on the other"
+        )
     if a.began > b.began:
         doubts.append(
             f"{a.name} began after {b.name}; what is told as gained was lost, if their clocks are right"
@@ -108,11 +112,15 @@ def _print(comparison: Comparison, files: tuple[Path, ...]) -> None:
         name = f"patch {k}" if patch.before is not None else f"patch {k}, new"
         if not patch.differences:
             table.add_row(name, "", "", "", "", verdict, "")
-        for what, share in (("gone", patch.gone), ("come", patch.come)):
-            if share is not None:
-                table.add_row(name, *_share(what, share), verdict, f"{share.p:.2g}")
-        for one in patch.differences:
-            table.add_row(name, *_cells(one), verdict, f"{one.p:.2g}")
+        rows = [
+            (*_share(what, share), share.p)
+            for what, share in (("gone", patch.gone), ("come", patch.come))
+            if share is not None
+        ]
+        rows += [(*_cells(one), one.p) for one in patch.differences]
+        for number_of_row, (*cells, p) in enumerate(rows):
+            # The verdict is the patch's, not each figure's.
+            table.add_row(*((name, *cells, verdict) if not number_of_row else ("", *cells, "")), f"{p:.2g}")
     console.print(table)
     console.print(", ".join(map(str, files)), markup=False, highlight=False, soft_wrap=True)
 
@@ -127,14 +135,14 @@ def _table(title: str) -> Table:
 
 
 def _share(what: str, of: Missing) -> tuple[str, str, str, str]:
-    sign = "-" if what == "gone" else "+"
-    interval = f"{sign}{of.low:.0%} to {sign}{of.high:.0%}"
-    return what, f"{of.bare} of {of.of}", f"{sign}{of.share:.0%}", interval
+    sign = -1.0 if what == "gone" else 1.0
+    low, share, high = (f"{sign * one:+z.0%}" for one in (of.low, of.share, of.high))
+    return what, f"{of.bare} of {of.of}", share, f"{low} to {high}"
 
 
 def _cells(one: Difference) -> tuple[str, str, str, str]:
     unit = UNITS.get(one.unit, one.unit)
-    share = f" ({one.change / one.before:+.0%})" if one.before > 0.0 else ""
+    share = f" ({one.change / one.before:+z.0%})" if one.before > 0.0 else ""
     return (
         named(one.name),
         f"{number(one.before)} → {number(one.after)} {unit}".strip(),

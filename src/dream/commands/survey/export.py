@@ -49,7 +49,7 @@ class Export:
 
     def __call__(self) -> int:
         """Exit status 0."""
-        from dream.survey.products import Author, Species, export
+        from dream.survey.products import Author, Species, export, page
 
         for one, other, both in (
             (self.species, self.species_id, "--species and --species-id"),
@@ -81,4 +81,6 @@ class Export:
         print(f"{made.folder}: {', '.join(made.files)}")
         for name, reason in made.left_out.items():
             print(f"  without {name}: {reason}")
+        if page.NAME in made.files:
+            print(f"  to read: {made.folder / page.NAME}")
         return 0

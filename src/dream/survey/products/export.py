@@ -127,7 +127,10 @@ def export(
         names = tuple(sorted(path.name for path in folder.iterdir()))
         folder.rename(to)
     except OSError as error:
-        raise OSError(f"export: {to} could not be made ({error.strerror or error})") from error
+        why = error.strerror or error
+        raise OSError(
+            f"export: expected a place that can be written, got {to} ({why}). Choose another"
+        ) from error
     finally:
         with suppress(OSError):
             shutil.rmtree(folder)
