@@ -68,7 +68,7 @@ def _doubts(a: Survey, b: Survey) -> list[str]:
     doubts = []
     if (a.name, a.began) == (b.name, b.began):
         doubts.append(
-            f"both are {a.name}: expected two surveys of a site. What differs is how one was laid on the other"
+            f"both are {a.name}: expected two of a site. What differs is how one was laid on the other"
         )
     if a.began > b.began:
         doubts.append(
