@@ -118,9 +118,10 @@ def _print(comparison: Comparison, files: tuple[Path, ...]) -> None:
             if share is not None
         ]
         rows += [(*_cells(one), one.p) for one in patch.differences]
-        for number_of_row, (*cells, p) in enumerate(rows):
-            # The verdict is the patch's, not each figure's.
-            table.add_row(*((name, *cells, verdict) if not number_of_row else ("", *cells, "")), f"{p:.2g}")
+        # The verdict is the patch's, not each figure's.
+        heads = [(name, verdict)] + [("", "")] * len(rows)
+        for (head, last), (*cells, p) in zip(heads, rows, strict=False):
+            table.add_row(head, *cells, last, f"{p:.2g}")
     console.print(table)
     console.print(", ".join(map(str, files)), markup=False, highlight=False, soft_wrap=True)
 
