@@ -47,7 +47,7 @@ def check_writable(folder: Path) -> None:
         tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
         raise OSError(
-            f"--out: expected a place that can be written, got {folder} ({error.strerror})"
+            f"--out: expected a place that can be written, got {folder} ({error.strerror}). Choose another"
         ) from error
 
 

@@ -42,7 +42,7 @@ from dream.robots.replay import Replayed
 from dream.sim.worlds import make_world
 
 STEPS = 50
-"""At most. Programs that run by the clock never make quite the same dive; it ends by itself after some 30."""
+"""At most. Programs that run by the clock never make quite the same dive; it ends by itself after some 35."""
 
 
 SHOWN: list[tuple[Path, list[str]]] = []
