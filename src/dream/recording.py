@@ -26,6 +26,7 @@ from PIL import Image
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import from_json
 
+from dream.files import whole_or_nothing
 from dream.geometry import SE2
 from dream.types import Exchange, Float32Array, Label, Step, UInt8Array
 
@@ -330,24 +331,6 @@ def _recording(
             except OSError:
                 if not full:  # Else the step is told of.
                     raise
-
-
-@contextlib.contextmanager
-def whole_or_nothing(path: Path) -> Iterator[Path]:
-    """A path to write to, whose file takes the place of `path` once the block is done; else nothing stays.
-
-    Raises:
-        OSError: It could not be written; the message names it.
-    """
-    partial = path.with_name(f".partial.{path.name}")
-    try:
-        yield partial
-        partial.replace(path)
-    except OSError as error:
-        raise OSError(f"could not write {path} ({error.strerror or error})") from error
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
 
 
 def _append(lines: FileIO, line: bytes) -> None:

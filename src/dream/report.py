@@ -25,6 +25,7 @@ from typing import Any, TypeVar
 import numpy as np
 from PIL import Image
 
+from dream.files import whole_or_nothing
 from dream.planning import PLANNERS
 from dream.recording import (
     LABEL_COLORS,
@@ -34,7 +35,6 @@ from dream.recording import (
     read_exchanges,
     read_steps,
     read_summary,
-    whole_or_nothing,
 )
 from dream.types import Label, UInt8Array
 

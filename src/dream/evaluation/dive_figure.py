@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.evaluation.figures import Picture, Theme
-from dream.evaluation.results import write_whole
+from dream.files import write_whole
 from dream.mapping import OccupancyMap
 from dream.mapping.drawing import SOLID_TARGET, TARGET, TRAVERSED
 from dream.recording import read_steps

@@ -23,8 +23,9 @@ from PIL import Image
 
 from dream.evaluation import figures, tables
 from dream.evaluation.figures import DARK, LIGHT, Picture, Scene
-from dream.evaluation.results import Results, read_results, write_whole
+from dream.evaluation.results import Results, read_results
 from dream.evaluation.tables import NONE, Comparison, Table, compare, label, number
+from dream.files import write_whole
 from dream.planning import Asking
 from dream.planning.vlm import WIRE_TEST
 from dream.report import digest, fill

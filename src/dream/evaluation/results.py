@@ -6,12 +6,10 @@ A mission is written to `missions/` as soon as it ends, whole or not at all; `re
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import gzip
 import io
 import json
-import os
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
@@ -23,6 +21,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import from_json
+
+from dream.files import write_whole
 
 Float64Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -448,20 +448,3 @@ def _file_of(folder: Path, name: str) -> Path:
             f"{folder}: expected a benchmark folder, got no {name} in it. They are made by dream bench"
         )
     return path
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all; it survives a loss of power once this returns."""
-    partial = path.with_name(f".{path.name}.partial")
-    with partial.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(path)
-    # Not every system lets a folder be opened or synchronised; there the rename alone must do.
-    with contextlib.suppress(OSError):
-        descriptor = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)

@@ -18,7 +18,7 @@ from dream import __version__
 from dream.evaluation.engines import Engine
 from dream.evaluation.locks import alone_at
 from dream.evaluation.machine import libraries, source
-from dream.evaluation.results import write_whole
+from dream.files import write_whole
 from dream.learning.expert import TURNS, Expert
 from dream.learning.export import INPUT, OUTPUT, answers_in, as_onnx, check_installed
 from dream.learning.network import PLANES, Network, import_torch

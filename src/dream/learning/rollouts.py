@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dream.evaluation.engines import Engine, Failure
-from dream.evaluation.results import write_whole
 from dream.evaluation.runner import simulate
 from dream.evaluation.suites import LETTERS, REEF_FAMILIES, Case
+from dream.files import write_whole
 from dream.geometry import SE3, Camera
 from dream.learning.expert import TURNS, Expert
 from dream.perception.representation import HEIGHT, WIDTH, represent

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dream.files import whole_or_nothing
 from dream.learning.network import import_torch
 from dream.types import Float32Array, UInt8Array
 
@@ -163,15 +164,14 @@ def answers_of(student: torch.nn.Sequential, images: UInt8Array) -> Float32Array
 
 def _keep(path: Path, student: Any, optimizer: Any, schedule: Any, epoch: int) -> None:
     torch = import_torch()
-    partial = path.with_suffix(".partial")
     state = {
         "student": student.state_dict(),
         "optimizer": optimizer.state_dict(),
         "schedule": schedule.state_dict(),
         "epoch": epoch,
     }
-    torch.save(state, partial)
-    partial.replace(path)
+    with whole_or_nothing(path) as partial:
+        torch.save(state, partial)
 
 
 def _resume(path: Path | None, student: Any, optimizer: Any, schedule: Any, device: str) -> int:

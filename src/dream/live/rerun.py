@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from PIL import Image
 
-from dream.recording import LABEL_COLORS, RecordedStep, read_config, read_steps, whole_or_nothing
+from dream.files import whole_or_nothing
+from dream.recording import LABEL_COLORS, RecordedStep, read_config, read_steps
 from dream.report import asked_at, label_levels, open_picture
 from dream.types import Label
 

@@ -11,7 +11,6 @@ import io
 import math
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +20,7 @@ import numpy.typing as npt
 from PIL import Image, UnidentifiedImageError
 
 from dream.control import setpoint
+from dream.files import whole_or_nothing
 from dream.geometry import SE2, SE3, Camera, wrap_angle
 from dream.protocol import SurveyProtocol
 from dream.types import Arrival, Observation, Setpoint, Step, UInt8Array
@@ -228,16 +228,8 @@ def write(path: Path, kept: Kept) -> None:
         }
         if arrival.truth is not None:
             arrays["truth"] = _matrix(arrival.truth)
-    partial = path.with_name(f".partial.{path.name}")
-    try:
-        with partial.open("wb") as file:
-            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
-        partial.replace(path)
-    except OSError as error:
-        raise OSError(f"could not write {path} ({error.strerror or error})") from error
-    finally:
-        with suppress(OSError):
-            partial.unlink(missing_ok=True)
+    with whole_or_nothing(path) as partial, partial.open("wb") as file:
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
 
 def read(path: Path) -> Kept:

@@ -11,7 +11,6 @@ import contextlib
 import io
 import json
 import math
-import secrets
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -22,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
 
+from dream.files import whole_or_nothing
 from dream.geometry import Bounds
 from dream.survey.patches import signed_area
 from dream.survey.site import Site
@@ -171,8 +171,6 @@ def write(survey: Survey, path: Path) -> None:
 def appearing(survey: Survey, path: Path) -> Iterator[None]:
     """Write a survey to a file that appears once the block is done; if that fails, nothing changes.
 
-    A process that is killed in between leaves its draft, a hidden file beside it.
-
     Raises:
         ValueError: The survey is inconsistent; the message names the field.
         OSError: The file could not be written. All that takes room is written before the block.
@@ -180,25 +178,9 @@ def appearing(survey: Survey, path: Path) -> Iterator[None]:
     data = dumped(survey)
     if path.is_dir():
         raise OSError(f"could not write {path} (it is a folder)")
-    # Nobody else's: another may be writing to the same path.
-    draft = path.with_name(f".draft.{secrets.token_hex(4)}.{path.name}")
-
-    @contextlib.contextmanager
-    def told() -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            raise OSError(f"could not write {path} ({error.strerror or error})") from error
-
-    try:
-        with told():
-            draft.write_bytes(data)
+    with whole_or_nothing(path) as partial:
+        partial.write_bytes(data)
         yield
-        with told():
-            draft.replace(path)
-    finally:
-        with contextlib.suppress(OSError):
-            draft.unlink(missing_ok=True)
 
 
 def read(path: Path) -> Survey:

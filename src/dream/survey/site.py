@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 from dataclasses import asdict, dataclass
@@ -12,6 +11,8 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from dream.files import whole_or_nothing
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -71,15 +72,8 @@ def write_site(site: Site, path: Path) -> None:
     Raises:
         OSError: It could not be written.
     """
-    partial = path.with_name(f".partial.{path.name}")
-    try:
+    with whole_or_nothing(path) as partial:
         partial.write_text(json.dumps(asdict(site), indent=2) + "\n", encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        raise OSError(f"could not write {path} ({error.strerror or error})") from error
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
 
 
 def read_site(path: Path) -> Site:

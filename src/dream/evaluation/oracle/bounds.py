@@ -25,7 +25,7 @@ from dream.evaluation.metrics import COMPLETE
 from dream.evaluation.oracle.graph import PoseGraph, actions_of, pose_graph
 from dream.evaluation.oracle.limits import MOST, certify, verify
 from dream.evaluation.oracle.tours import best_tour, follow, trimmed
-from dream.evaluation.results import write_whole
+from dream.files import write_whole
 from dream.geometry import SE2, wrap_angle
 from dream.protocol import SurveyProtocol, noisy_variants, protocol_named
 from dream.robots import Teleport

@@ -13,7 +13,7 @@ from typing import Any
 
 from dream.evaluation.probe.questions import KINDS
 from dream.evaluation.probe.score import BLIND, READ, READS, READS_KIND, SILENT, Reply, Score, Tally, duration
-from dream.evaluation.results import write_whole
+from dream.files import write_whole
 from dream.report import digest, fill
 
 MOODS = {READ: "good", BLIND: "bad", SILENT: "bad"}

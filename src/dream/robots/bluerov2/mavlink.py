@@ -18,6 +18,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
+from dream.files import write_whole
 from dream.robots.bluerov2.motion import Motion, Order
 from dream.robots.bluerov2.parameters import JOYSTICK_PARAMETERS, STATION_ID, Check, rules
 from dream.robots.bluerov2.reports import FRESH, MOUNT_MESSAGES, NUMBERS, SURFACE_PRESSURES, Strange, text_of
@@ -519,7 +520,8 @@ class Link:
         with self._news:
             if self._keep is not None and spelling not in self._kept:
                 # It stays there after `restore`: it says what the vehicle had.
-                _write(self._keep, {**self._kept, spelling: old})
+                values = {**self._kept, spelling: old}
+                write_whole(self._keep, (json.dumps(values, indent=2) + "\n").encode())
             self._kept.setdefault(spelling, old)
             self._before.setdefault(spelling, old)
         self._change(spelling, value)
@@ -987,13 +989,6 @@ class Link:
         if problem != self.problem:
             logger.warning("%s", problem)
         self.problem = problem
-
-
-def _write(path: Path, values: Mapping[str, float]) -> None:
-    """Whole, or not at all."""
-    half = path.with_name(f".partial.{path.name}")
-    half.write_text(json.dumps(values, indent=2) + "\n")
-    half.replace(path)
 
 
 def dialect() -> ModuleType:

@@ -1,0 +1,53 @@
+"""Files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+from collections.abc import Iterator
+from pathlib import Path
+
+
+@contextlib.contextmanager
+def whole_or_nothing(path: Path) -> Iterator[Path]:
+    """A path to write to, whose file takes the place of `path` once the block is done; else nothing stays.
+
+    A process that is killed in between leaves its part, a hidden file beside `path`.
+
+    Raises:
+        OSError: It could not be written; the message names it. One that the block tells of in its own words
+            is passed on.
+    """
+    # Nobody else's: another may be writing to the same path.
+    partial = path.with_name(f".partial.{secrets.token_hex(4)}.{path.name}")
+    try:
+        yield partial
+        partial.replace(path)
+    except OSError as error:
+        # The system's have a number; one without tells already what could not be done.
+        if error.errno is None:
+            raise
+        raise OSError(f"could not write {path} ({error.strerror or error})") from error
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all; it survives a loss of power once this returns.
+
+    Raises:
+        OSError: It could not be written; the message names it.
+    """
+    with whole_or_nothing(path) as partial, partial.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    # Not every system lets a folder be opened or synchronised; there the rename alone must do.
+    with contextlib.suppress(OSError):
+        descriptor = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
