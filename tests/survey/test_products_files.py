@@ -10,7 +10,6 @@ import xml.etree.ElementTree as ET
 import zipfile
 from dataclasses import replace
 from datetime import timedelta
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from dream.survey.products import Author, Species, darwin_core, figures, netcdf,
 from dream.survey.products.ground import Ground
 from dream.survey.site import Site
 from tests.survey import scenes
+from tests.survey.browsing import Seen
 from tests.survey.scenes import SITE, reef, wreck
 
 pytest.importorskip("pyproj")
@@ -288,27 +288,6 @@ def test_no_cell_is_taken_for_a_formula(begins: str, tmp_path: Path) -> None:
     assert (measured["note"], measured["value"]) == (f"'{sly}", "-1.5")
     occurred = rows_of((tmp_path / "occurrence.csv").read_bytes().decode())[0]
     assert (occurred["locality"], occurred["scientificName"]) == (f"'{sly}", f"'{sly}")
-
-
-class Seen(HTMLParser):
-    """What a browser would show, load and run."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.text, self.tags, self.loads = "", [], []
-        self.feed(text)
-        self.close()
-
-    text: str
-    tags: list[str]
-    loads: list[str]
-
-    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        self.loads += [value or "" for name, value in attributes if name in ("src", "href", "onload")]
-
-    def handle_data(self, data: str) -> None:
-        self.text += data
 
 
 @pytest.mark.parametrize("survey", [reef(), wreck(), reef(site=None)], ids=["reef", "wreck", "no origin"])

@@ -33,7 +33,7 @@ def write(survey: Survey, path: Path) -> None:
     """
     from matplotlib.backends.backend_pdf import PdfPages
 
-    place = survey.site.name if survey.site is not None else survey.name
+    place = words.place(survey)
     with figures.settings():
         pages = list(_pages(survey))
         # A fixed date, so that the same survey gives the same bytes.
@@ -127,12 +127,11 @@ def _masthead(page: Figure, survey: Survey) -> float:
 
     bottom = 0.845
     page.add_artist(Rectangle((0.0, bottom), 1.0, 1.0 - bottom, transform=page.transFigure, facecolor=BAND))
-    place = survey.site.name if survey.site is not None else survey.name
+    place = words.place(survey)
     size = 21 if len(place) < 34 else 13
     page.text(LEFT, 0.975, "DREAM  survey report", fontsize=8.5, color="#b9d9e0", va="top")
     page.text(LEFT, 0.957, _shortened(place, 60), fontsize=size, weight="bold", color="white", va="top")
-    date = f"{survey.began:%d %B %Y}".lstrip("0")
-    told = f"{date}  ·  {words.simulated(survey)}" if words.simulated(survey) else date
+    told = "  ·  ".join(filter(None, (words.day(survey), words.simulated(survey))))
     page.text(LEFT, 0.926, told, fontsize=9.5, color="#cbe3e8", va="top")
     of = {m.name: m for m in survey.measures}
     for n, m in enumerate([of[name] for name in words.HEADLINES if name in of][:4]):

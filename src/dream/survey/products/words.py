@@ -47,6 +47,17 @@ MEANINGS = {
     "debris_extent": Meaning("Debris field", "extent of hull and pieces together"),
     "debris_area": Meaning("Debris", "ground that pieces of the wreck cover"),
     "highest_point": Meaning("Highest point", "of the wreck"),
+    # Of comparisons.
+    "found": Meaning("Found", "individuals found on ground that both saw; not the estimate of all there are"),
+    "found_density": Meaning("Found density", "those that were found over the target area"),
+    "target_area": Meaning("Target area", "that ground's map cells which are target, gaps left out"),
+    "cover": Meaning("Cover", "ground of the outlines that is not bare in the fine pictures"),
+    "gone": Meaning(
+        "Gone",
+        "of the earlier survey's individuals that were found in two frames or more, those in whose place the "
+        "later one shows bare ground; the share is that beyond what surveys of unchanged ground miss",
+    ),
+    "come": Meaning("Come", "of the later one's, those in whose place the earlier one shows bare ground"),
 }
 
 
@@ -123,6 +134,16 @@ def simulated(survey: Survey) -> str:
         return ""
     seed = survey.made_by.get("seed")
     return f"Simulated: world {world}" + (f", seed {seed}" if seed is not None else "")
+
+
+def place(survey: Survey) -> str:
+    """Where it was: its own name where nobody said."""
+    return survey.site.name if survey.site is not None else survey.name
+
+
+def day(survey: Survey) -> str:
+    """When it began, such as "1 June 2026"."""
+    return f"{survey.began:%d %B %Y}".lstrip("0")
 
 
 def found(survey: Survey) -> str:
