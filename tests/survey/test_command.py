@@ -17,6 +17,7 @@ from dream.cli import run_command
 from dream.survey import files
 from dream.survey.archive import VARIABLE
 from dream.survey.site import Site, read_site, write_site
+from tests.survey.browsing import Seen
 from tests.survey.repeated import reef, survey, without
 from tests.survey.scenes import reef as made_reef
 
@@ -71,11 +72,13 @@ def test_surveys_are_kept_listed_shown_and_compared(two: Path, capsys: pytest.Ca
     assert [patch["verdict"] for patch in compared["patches"]].count("loss") == 1
     assert compared["patches"][1]["verdict"] == "loss"
     assert sorted(path.name for path in (two / "told").iterdir()) == [
-        *("change.gpkg", "change.json", "change.png")
+        *("change.gpkg", "change.html", "change.json", "change.png")
     ]
     for words in ("survey list", "survey show 1", "survey compare 1 second.survey.npz"):
         assert run_command(words.split()) == 0
-        assert "first" in capsys.readouterr().out
+        printed = capsys.readouterr().out
+        assert "first" in printed
+    assert printed.splitlines()[-1] == "  to read: change/change.html"
 
 
 @pytest.mark.parametrize("name", ["[/]", r"\[/]", r"\\[/]", "[bold]"])
@@ -113,7 +116,10 @@ def test_surveys_the_wrong_way_round_or_made_in_two_ways_are_doubted(
     ):
         caplog.clear()
         said(f"survey compare {names}", capsys)
-        assert len([one for one in caplog.records if one.getMessage().startswith("compare:")]) == doubts
+        told = [one.getMessage() for one in caplog.records if one.getMessage().startswith("compare: ")]
+        assert len(told) == doubts
+        page = Seen((two / "change/change.html").read_text()).text.casefold()
+        assert all(doubt.removeprefix("compare: ").casefold() in page for doubt in told)
 
 
 def test_the_archive_is_the_one_that_is_named_else_that_of_the_environment(
@@ -222,5 +228,5 @@ def test_what_the_page_says_to_type_works(
         short = ["--max-steps", "5"] if command[0] == "run" else []
         assert run_command([*command, *short]) == 0, command
     capsys.readouterr()
-    assert (tmp_path / "runs/change/change.json").is_file()
+    assert (tmp_path / "runs/change/change.html").is_file()
     assert (tmp_path / "runs/products/survey.gpkg").is_file()

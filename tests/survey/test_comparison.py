@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import math
+import re
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,13 +19,15 @@ from scipy.spatial import cKDTree
 from scipy.stats import false_discovery_control
 
 from dream.geometry import SE2
-from dream.survey import Measure, Survey
+from dream.survey import Measure, Survey, change_words
 from dream.survey.archive import wkb
-from dream.survey.change_map import write_change
+from dream.survey.change_map import VERDICTS, write_change
+from dream.survey.change_page import change_page
 from dream.survey.comparison import (
     Change,
     Comparing,
     Comparison,
+    Difference,
     _density,
     _difference,
     _Grid,
@@ -30,9 +35,12 @@ from dream.survey.comparison import (
     detection,
 )
 from dream.survey.fates import Fate
+from dream.survey.numbers import number, p_value, typeset
 from dream.survey.registration import Registering, frames, mutual, placed
+from dream.survey.site import Site
 from dream.types import Target
 from tests.survey import scenes
+from tests.survey.browsing import Seen
 from tests.survey.repeated import AREAS, BOX, SITE, Reef, Surveying, reef, survey, without
 
 COMPARING = Comparing()
@@ -419,8 +427,9 @@ def test_parts_that_touch_at_a_corner_are_polygons_of_their_own_with_their_holes
 def test_the_change_is_written_as_a_picture_layers_and_figures(
     less: list[Comparison], tmp_path: Path
 ) -> None:
-    png, gpkg, text = write_change(less[0], tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["change.gpkg", "change.json", "change.png"]
+    png, gpkg, text, html = written = write_change(less[0], tmp_path)
+    assert sorted(tmp_path.iterdir()) == sorted(written)
+    assert html.name == "change.html"
     with Image.open(png) as picture:
         assert len(picture.convert("RGB").getcolors(1 << 24) or ()) > 5
     assert json.loads(text.read_text()) == less[0].as_dict()
@@ -445,6 +454,135 @@ def test_on_a_full_disk_no_part_of_the_change_is_written(
     with pytest.raises(OSError, match=r"could not write the change to .*No space left"):
         write_change(same[0], tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_page_that_cannot_be_written_leaves_what_was_there(
+    same: list[Comparison], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the last of the files, when the others are already done."""
+    for name in ("change.html", "change.json", "change.png"):
+        (tmp_path / name).write_text("of before")
+    write = Path.write_text
+
+    def full(path: Path, *rest: Any, **more: Any) -> int:
+        if path.name == "change.html":
+            write(path, "<!doctype html><p>half of")
+            raise OSError(28, "No space left on device")
+        return write(path, *rest, **more)
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(OSError, match=r"could not write the change to .*No space left"):
+        write_change(same[0], tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["change.html", "change.json", "change.png"]
+    assert {path.read_text() for path in tmp_path.iterdir()} == {"of before"}
+
+
+def test_a_folder_in_the_place_of_a_file_leaves_all_as_it_was(same: list[Comparison], tmp_path: Path) -> None:
+    (tmp_path / "change.html").mkdir()
+    with pytest.raises(OSError, match=r"could not write the change to .*change\.html is a folder"):
+        write_change(same[0], tmp_path)
+    assert [path.name for path in tmp_path.rglob("*")] == ["change.html"]
+
+
+def test_the_page_tells_what_the_figures_hold_and_loads_nothing(
+    less: list[Comparison], tmp_path: Path
+) -> None:
+    png, _, figures, html = write_change(less[0], tmp_path)
+    told, text = json.loads(figures.read_text()), html.read_text()
+    seen = Seen(text)
+    patches = seen.text.partition("Patch by patch")[2].partition("All that both saw")[0]
+    whole = seen.text.partition("All that both saw")[2].partition("How one was laid on the other")[0]
+    for where, differences in (
+        (whole, told["differences"]),
+        *((patches, patch["differences"]) for patch in told["patches"]),
+    ):
+        assert differences
+        for one in (Difference(**difference) for difference in differences):
+            assert f"{number(one.before)} → {number(one.after)}" in where
+            assert all(typeset(cell) in where for cell in change_words.difference_cells(one))
+            assert p_value(one.p) in where
+    for verdict in VERDICTS:
+        rows = [patch for patch in told["patches"] if patch["verdict"] == verdict]
+        assert text.count(f">{verdict}<") == len(rows)
+    for share in (patch[what] for patch in told["patches"] for what in ("gone", "come")):
+        assert f"{share['bare']} of {share['of']}" in patches
+    for line in (change_words.summary(less[0]), *change_words.limits(less[0])):
+        assert line in seen.text
+    assert f"{100.0 * told['registration']['sigma_m']:.1f} cm (one sigma)" in seen.text
+    assert f"{told['registration']['pairs']} individuals that both found" in seen.text
+    assert f"Seen by both{number(told['ground_m2']['comparable'])} m²" in seen.text
+    assert "script" not in seen.tags
+    assert all(load.startswith("data:") for load in seen.loads)
+    assert "default-src 'none'" in text
+    assert base64.b64decode(seen.loads[-1].partition("data:image/png;base64,")[2]) == png.read_bytes()
+
+
+def test_words_of_a_stranger_stay_words_on_the_page(less: list[Comparison]) -> None:
+    evil = "<script>alert(1)</script>\"'&amp;{{map}}"
+    a = replace(
+        less[0].a,
+        site=Site(evil, 1.0, 2.0, datum=evil),
+        name=evil,
+        protocol=evil,
+        made_by={"world": evil, "planner": evil},
+    )
+    laid = replace(less[0].registration, note=evil)
+    seen = Seen(change_page(replace(less[0], a=a, b=a, registration=laid), b"", VERDICTS, [(evil, evil)]))
+    assert "script" not in seen.tags
+    # Title, heading, how, doubt, note, and most of what is told of two surveys.
+    assert seen.text.count(evil) > 15
+
+
+def bare(survey: Survey) -> Survey:
+    """It saw the same ground, on which nothing is."""
+    people = survey.individuals
+    none = {name: getattr(people, name)[:0] for name in people.__dataclass_fields__}
+    state = np.minimum(survey.layers.state, 1)
+    return replace(
+        survey,
+        patches=(),
+        picture=None,
+        individuals=replace(people, **none),
+        layers=replace(survey.layers, state=state),
+    )
+
+
+def half(survey: Survey, *, east: bool) -> Survey:
+    """It saw but half of the ground, and nothing near the middle."""
+    state = survey.layers.state.copy()
+    middle = state.shape[1] // 2
+    state[:, slice(0, middle + 12) if east else slice(middle, None)] = 0
+    return replace(survey, layers=replace(survey.layers, state=state))
+
+
+@pytest.mark.parametrize(
+    ("kind", "says"),
+    [
+        ("itself", ("All 4 patches show no change.", "Both are first: expected two of a site.")),
+        ("nothing", ("Neither survey shows a patch, and there is no verdict.", "the poses are taken.")),
+        ("gone", ("All 4 patches are called a loss.", "The table tells of the others.")),
+        ("apart", ("The two surveys looked at no ground in common", "0 m²")),
+        ("no origin", ("Neither run had an origin", "What changed from first to second")),
+        ("wreck", ("Both outlines show no change.", "Hull and pieces", "was not measured but guessed wide")),
+    ],
+)
+def test_a_page_of_what_is_rare_says_what_is_so(kind: str, says: tuple[str, ...]) -> None:
+    a, b = pair(4, how=ALL)
+    pairs = {
+        "itself": (a, a),
+        "nothing": (bare(a), bare(b)),
+        "gone": (a, bare(b)),
+        "apart": (half(a, east=False), half(b, east=True)),
+        "no origin": (replace(a, site=None), replace(b, site=None)),
+        "wreck": (scenes.wreck(), scenes.wreck()),
+    }
+    comparison = COMPARING.compare(*pairs[kind])
+    seen = Seen(change_page(comparison, b"", VERDICTS))
+    for words in says:
+        assert words in seen.text
+    assert not re.search(r"\bnan\b|\binf\b|None", seen.text)
+    assert ("Patch by patch" in seen.text) == (bool(comparison.patches) and kind != "wreck")
+    assert ("those that were found, which are not all" in seen.text) == (kind != "wreck")
 
 
 def test_a_density_that_fell_is_as_sure_as_the_same_one_that_rose() -> None:

@@ -1,12 +1,14 @@
-"""A comparison as files: a picture of the change, its layers as a GeoPackage, its figures as JSON."""
+"""A comparison as files: a page to read, a picture of the change, its layers as a GeoPackage, its figures as
+JSON."""
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +19,8 @@ from dream.survey import globe
 from dream.survey.archive import wkb
 from dream.survey.archive.geopackage import write_layers
 from dream.survey.archive.schema import Column, Table
-from dream.survey.comparison import Change, Comparison, PatchChange
+from dream.survey.change_page import change_page
+from dream.survey.comparison import Change, Comparison, PatchChange, Verdict
 from dream.survey.fates import Fate
 
 if TYPE_CHECKING:
@@ -33,13 +36,21 @@ GROUND = {
     Change.LOSS: "#d55e00",
 }
 """Colours of ground: gain and loss are told apart by those who do not tell red from green (Okabe and Ito)."""
-VERDICTS = {
+VERDICTS: Mapping[Verdict, str] = {
     "gain": "#0072b2",
     "loss": "#d55e00",
     "mixed": "#7b3294",
     "no change shown": "#333333",
     "not comparable": "#aaaaaa",
 }
+FILES: Mapping[str, str] = {
+    "change.png": "map of the change",
+    "change.gpkg": "patches with verdicts, individuals with what became of them, ground; QGIS opens it",
+    "change.json": "all figures of this page, and more, for programs",
+    "change.html": "the page to read",
+}
+"""What is written. The page comes last, as it shows and names the others."""
+PAGE = "change.html"
 
 _TABLES = (
     Table(
@@ -82,27 +93,33 @@ _TABLES = (
 
 
 def write_change(comparison: Comparison, folder: Path) -> tuple[Path, ...]:
-    """Write `change.png`, `change.gpkg` and `change.json` into a folder: each whole or not at all.
+    """Write a comparison into a folder, as `FILES` has it: each file whole or not at all.
 
     Raises:
         OSError: They could not be written; then none of them is new.
     """
-    names = ("change.png", "change.gpkg", "change.json")
     partial = Path(tempfile.mkdtemp(prefix=".partial.", dir=folder))
     try:
-        draw(comparison, partial / names[0])
+        picture = partial / "change.png"
+        draw(comparison, picture)
         rows = {"patches": _patches(comparison), "individuals": _individuals(comparison)}
         rows["ground"] = _ground(comparison)
-        write_layers(partial / names[1], _TABLES, rows, on_globe=comparison.a.site is not None)
+        write_layers(partial / "change.gpkg", _TABLES, rows, on_globe=comparison.a.site is not None)
         text = json.dumps(comparison.as_dict(), allow_nan=False, indent=2) + "\n"
-        (partial / names[2]).write_text(text, encoding="utf-8")
-        for name in names:
+        (partial / "change.json").write_text(text, encoding="utf-8")
+        others = [(name, what) for name, what in FILES.items() if name != PAGE]
+        page = change_page(comparison, picture.read_bytes(), VERDICTS, others)
+        (partial / PAGE).write_text(page, encoding="utf-8")
+        for name in FILES:
+            if (folder / name).is_dir():  # Before any other takes its place.
+                raise IsADirectoryError(errno.EISDIR, f"{name} is a folder")
+        for name in FILES:
             (partial / name).replace(folder / name)
     except OSError as error:
         raise OSError(f"could not write the change to {folder} ({error.strerror or error})") from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    return tuple(folder / name for name in names)
+    return tuple(folder / name for name in FILES)
 
 
 def draw(comparison: Comparison, path: Path) -> None:
@@ -174,7 +191,7 @@ def _furnish(axes: Axes, comparison: Comparison) -> None:
     a, b = comparison.a, comparison.b
     axes.set_title(
         f"{a.began:%Y-%m-%d} to {b.began:%Y-%m-%d}: {a.name} → {b.name}\n"
-        f"{comparison.comparable:.0f} m² seen by both, laid on each other to {100.0 * laid.sigma:.0f} cm "
+        f"{comparison.comparable:.0f} m² seen by both, laid on each other to {100.0 * laid.sigma:.1f} cm "
         "(× only before, + only after)",
         fontsize=8,
         loc="left",

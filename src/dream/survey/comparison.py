@@ -112,6 +112,8 @@ class Comparison:
     only_a: float
     only_b: float
     """Square metres that only one of them saw."""
+    comparing: Comparing
+    """How they were told apart."""
 
     def as_dict(self) -> dict[str, Any]:
         """As `--json` prints it."""
@@ -280,6 +282,7 @@ class Comparing:
             comparable=float(both.sum()) * cell2,
             only_a=float((seen_a & ~seen_b).sum()) * cell2,
             only_b=float((seen_b & ~seen_a).sum()) * cell2 + _beyond(b.layers, grid, laid),
+            comparing=self,
         )
 
     def _units(self, a: Survey, b: Survey, grid: _Grid, laid: Registration) -> _Units:

@@ -11,14 +11,12 @@ import tyro
 
 from dream.commands.console import check_writable, compiling_told, print_json
 from dream.commands.survey.sources import found
-from dream.commands.survey.words import UNITS, named, number, plain
+from dream.commands.survey.words import plain
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from dream.survey import Survey
-    from dream.survey.comparison import Comparison, Difference
-    from dream.survey.fates import Missing
+    from dream.survey.comparison import Comparison
 
 
 logger = logging.getLogger(__name__)
@@ -28,7 +26,7 @@ logger = logging.getLogger(__name__)
 class Compare:
     """Tell what changed from one survey of a site to a later one, where both looked, and how sure that is.
 
-    Writes a map of the change as a picture, and its layers as a GeoPackage.
+    Writes a page to read, change.html, a map of the change as a picture, and its layers as a GeoPackage.
     """
 
     before: tyro.conf.Positional[str]
@@ -36,7 +34,7 @@ class Compare:
     after: tyro.conf.Positional[str]
     """The later one."""
     out: Path = Path("change")
-    """Folder for change.png, change.gpkg and change.json; made if it is not there."""
+    """Folder for change.html, change.png, change.gpkg and change.json; made if it is not there."""
     site: Path | None = None
     """Of runs that do not know their origin: the file that does."""
     archive: str | None = None
@@ -47,12 +45,13 @@ class Compare:
     def __call__(self) -> int:
         """Exit status 0."""
         from dream.survey.change_map import write_change
+        from dream.survey.change_words import doubts
         from dream.survey.comparison import Comparing
 
         check_writable(self.out)
         with compiling_told():
             a, b = (found(what, self.archive, self.site) for what in (self.before, self.after))
-            for doubt in _doubts(a, b):
+            for doubt in doubts(a, b):
                 logger.warning("compare: %s", doubt)
             comparison = Comparing().compare(a, b)
         files = write_change(comparison, self.out)
@@ -63,27 +62,12 @@ class Compare:
         return 0
 
 
-def _doubts(a: Survey, b: Survey) -> list[str]:
-    """What two surveys have that makes their comparison less than it says."""
-    doubts = []
-    if (a.name, a.began) == (b.name, b.began):
-        doubts.append(
-            f"both are {a.name}: expected two of a site. What differs is how one was laid on the other"
-        )
-    if a.began > b.began:
-        doubts.append(
-            f"{a.name} began after {b.name}; what is told as gained was lost, if their clocks are right"
-        )
-    if a.protocol != b.protocol:
-        doubts.append(
-            f"{a.name} was made by {a.protocol} and {b.name} by {b.protocol}: what two ways of looking "
-            "differ by is not in the intervals, and may be told as a change"
-        )
-    return doubts
-
-
 def _print(comparison: Comparison, files: tuple[Path, ...]) -> None:
     from rich.console import Console
+
+    from dream.survey.change_map import PAGE
+    from dream.survey.change_words import difference_cells, patch_rows
+    from dream.survey.numbers import named, p_value
 
     console, told = Console(), comparison.as_dict()
     console.print(f"[bold]{plain(comparison.a.name)}[/bold] → [bold]{plain(comparison.b.name)}[/bold]")
@@ -104,26 +88,23 @@ def _print(comparison: Comparison, files: tuple[Path, ...]) -> None:
     )
     table = _table("where both looked")
     for one in comparison.differences:
-        table.add_row("all", *_cells(one), "", f"{one.p:.2g}")
+        table.add_row("all", named(one.name), *difference_cells(one), "", p_value(one.p))
     for k, patch in enumerate(comparison.patches, start=1):
         colour = {"gain": "green", "loss": "red", "mixed": "magenta"}.get(patch.verdict, "default")
         verdict = f"[{colour}]{patch.verdict}[/]"
-        verdict += "" if patch.p is None else f" (p {patch.p:.2g})"
+        verdict += "" if patch.p is None else f" (p {p_value(patch.p)})"
         name = f"patch {k}" if patch.before is not None else f"patch {k}, new"
-        if not patch.differences:
+        rows = list(patch_rows(patch))
+        if not rows:
             table.add_row(name, "", "", "", "", verdict, "")
-        rows = [
-            (*_share(what, share), share.p)
-            for what, share in (("gone", patch.gone), ("come", patch.come))
-            if share is not None
-        ]
-        rows += [(*_cells(one), one.p) for one in patch.differences]
         # The verdict is the patch's, not each figure's.
         heads = [(name, verdict)] + [("", "")] * len(rows)
-        for (head, last), (*cells, p) in zip(heads, rows, strict=False):
-            table.add_row(head, *cells, last, f"{p:.2g}")
+        for (head, last), (figure, cells, p) in zip(heads, rows, strict=False):
+            table.add_row(head, named(figure), *cells, last, p_value(p))
     console.print(table)
     console.print(", ".join(map(str, files)), markup=False, highlight=False, soft_wrap=True)
+    page = next(path for path in files if path.name == PAGE)
+    console.print(f"  to read: {page}", markup=False, highlight=False, soft_wrap=True)
 
 
 def _table(title: str) -> Table:
@@ -133,20 +114,3 @@ def _table(title: str) -> Table:
     for heading in ("", "figure", "before → after", "change", "95 % interval", "verdict", "p"):
         table.add_column(heading, justify="left" if heading in ("", "figure", "verdict") else "right")
     return table
-
-
-def _share(what: str, of: Missing) -> tuple[str, str, str, str]:
-    sign = -1.0 if what == "gone" else 1.0
-    low, share, high = (f"{sign * one:+z.0%}" for one in (of.low, of.share, of.high))
-    return what, f"{of.bare} of {of.of}", share, f"{low} to {high}"
-
-
-def _cells(one: Difference) -> tuple[str, str, str, str]:
-    unit = UNITS.get(one.unit, one.unit)
-    share = f" ({one.change / one.before:+z.0%})" if one.before > 0.0 else ""
-    return (
-        named(one.name),
-        f"{number(one.before)} → {number(one.after)} {unit}".strip(),
-        f"{one.change:+.3g}{share}",
-        f"{number(one.low)} to {number(one.high)}",
-    )

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dream.survey import Measure
-
-UNITS = {"m2": "m²", "1/m2": "/m²", "m": "m", "": ""}
+from dream.survey.numbers import UNITS, named, number
 
 
 def plain(text: str) -> str:
@@ -12,16 +11,6 @@ def plain(text: str) -> str:
     from rich.markup import escape
 
     return escape("".join(letter if letter.isprintable() else " " for letter in text))
-
-
-def number(value: float) -> str:
-    """Three digits that count, and no more before the point than there are."""
-    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
-
-
-def named(name: str) -> str:
-    """`reef_area` as people write it."""
-    return name.replace("_", " ")
 
 
 def measure_row(measure: Measure) -> tuple[str, str, str, str]:

@@ -48,7 +48,11 @@ MEANINGS = {
     "debris_area": Meaning("Debris", "ground that pieces of the wreck cover"),
     "highest_point": Meaning("Highest point", "of the wreck"),
     # Of comparisons.
-    "found": Meaning("Found", "individuals found on ground that both saw; not the estimate of all there are"),
+    "found": Meaning(
+        "Found",
+        "individuals that were found, each weighed by how likely it is one and is found; not the estimate of "
+        "all there are",
+    ),
     "found_density": Meaning("Found density", "those that were found over the target area"),
     "target_area": Meaning("Target area", "that ground's map cells which are target, gaps left out"),
     "cover": Meaning("Cover", "ground of the outlines that is not bare in the fine pictures"),

@@ -1,0 +1,212 @@
+"""A comparison of two surveys as one HTML page that a manager can read."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Mapping, Sequence
+
+from dream import __version__
+from dream.survey import change_words
+from dream.survey.comparison import Comparison, Difference, PatchChange, Verdict
+from dream.survey.numbers import number, p_value, typeset
+from dream.survey.products import web, words
+from dream.types import Target
+
+
+def change_page(
+    comparison: Comparison,
+    picture: bytes,
+    colours: Mapping[Verdict, str],
+    files: Sequence[tuple[str, str]] = (),
+) -> str:
+    """The page.
+
+    Args:
+        comparison: That is told of.
+        picture: PNG of its map.
+        colours: Of verdicts on that map.
+        files: (name, what it is) of what lies beside the page.
+    """
+    a, b = comparison.a, comparison.b
+    notes = [*change_words.doubts(a, b), *filter(None, (comparison.registration.note,))]
+    main = web.filled(
+        "change.html",
+        {
+            "notices": "".join(f'<p class="notice">{html.escape(_sentence(note))}</p>' for note in notes),
+            "summary": html.escape(change_words.summary(comparison)),
+            "map": web.picture(picture, "png", "Map of what changed"),
+            "surveys": _surveys(comparison),
+            "laid": web.terms(_laid(comparison)),
+            "ground": web.terms(_ground(comparison)),
+            "individuals": _individuals(comparison),
+            "patches": _patches(comparison),
+            "figures": _figures(comparison.differences),
+            "limits": web.lines(change_words.limits(comparison)),
+            "files": web.files(files),
+        },
+    )
+    days = dict.fromkeys(map(words.day, (a, b)))
+    worlds = dict.fromkeys(one.removeprefix("Simulated: ") for one in map(words.simulated, (a, b)) if one)
+    masthead = web.Masthead(
+        kind="change report",
+        place=words.place(a),
+        date=" to ".join(days),
+        how=f"What changed from {a.name} to {b.name}",
+        simulated=f"Simulated: {'; '.join(worlds)}" if worlds else "",
+        headlines=_headlines(comparison),
+    )
+    rules = "".join(
+        f".{_rule(verdict)}::before {{ background: {colour}; }}\n" for verdict, colour in colours.items()
+    )
+    return web.page(masthead, main, __version__, rules)
+
+
+def _headlines(comparison: Comparison) -> list[tuple[str, str, str]]:
+    told = []
+    if comparison.patches:
+        verdicts = [patch.verdict for patch in comparison.patches]
+        counts = {one: verdicts.count(one) for one in change_words.CHANGED if one in verdicts}
+        which = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+        told.append(("Called changed", f"{sum(counts.values())} of {len(verdicts)}", which))
+    of = {one.name: one for one in comparison.differences}
+    shown = [name for name in ("cover", "found", "target_area") if name in of][:2]
+    # Of no ground all figures are 0, which is not what was found.
+    for name in shown if comparison.comparable > 0.0 else ():
+        cells = change_words.difference_cells(of[name])
+        told.append((words.meaning(name).title, typeset(cells[0]), typeset(f"{cells[1]}, {cells[2]}")))
+    share = f"{change_words.seen_by_both(comparison):.0%} of what either saw"
+    told.append(("Seen by both", f"{number(comparison.comparable)} m²", typeset(share)))
+    return told
+
+
+def _surveys(comparison: Comparison) -> str:
+    before, after = (dict(words.facts(one)) for one in (comparison.a, comparison.b))
+    rows = "".join(
+        f"<tr><th scope='row'>{html.escape(what)}</th><td>{html.escape(before.get(what, '–'))}</td>"
+        f"<td>{html.escape(after.get(what, '–'))}</td></tr>"
+        for what in dict.fromkeys((*before, *after))
+    )
+    return f"<table>{web.head(('', 'Before', 'After'))}<tbody>{rows}</tbody></table>"
+
+
+def _laid(comparison: Comparison) -> list[tuple[str, str]]:
+    laid = comparison.registration
+    by = {
+        "individuals": f"{laid.pairs} individuals that both found",
+        "map": "their maps of target and relief",
+        "poses": "the positions of the vehicle alone",
+    }
+    told = [
+        ("Laid by", by.get(laid.by, laid.by)),
+        ("To within", f"{100.0 * laid.sigma:.1f} cm (one sigma)"),
+    ]
+    if laid.pairs:
+        told.append(
+            ("Pairs lie", f"{100.0 * laid.residual:.1f} cm from each other (root mean square along an axis)")
+        )
+    moved, turned = math.hypot(laid.moved.x, laid.moved.y), abs(math.degrees(laid.moved.yaw))
+    told.append(("Moved by", f"{moved:.2f} m and {turned:.1f}° from where positions put it"))
+    return told
+
+
+def _ground(comparison: Comparison) -> list[tuple[str, str]]:
+    of = comparison.as_dict()["ground_m2"]
+    edge = ", in both or at an edge that no survey draws the same twice"
+    names = (
+        ("comparable", "Seen by both", ""),
+        ("only_before", "Only before", ""),
+        ("only_after", "Only after", ""),
+        ("kept", "Target kept", edge),
+        ("gain", "Target gained", ""),
+        ("loss", "Target lost", ""),
+    )
+    return [(title, f"{number(of[name])} m²{more}") for name, title, more in names]
+
+
+def _individuals(comparison: Comparison) -> str:
+    if comparison.a.target is Target.WRECK:
+        return ""
+    of = comparison.as_dict()["individuals"]
+    told = [
+        ("There in both", str(of["there"])),
+        ("Only before", str(of["lost"])),
+        ("Only after", str(of["new"])),
+        (
+            "Not found again",
+            f"{of['hidden_before']} before and {of['hidden_after']} after, on ground that is covered still",
+        ),
+        ("Not comparable", f"{of['not_comparable']}, on ground that one of the surveys did not see"),
+    ]
+    return (
+        "<section class='panel'><h2>Individuals <small>those that were found, which are not all</small></h2>"
+        f"<dl class='about'>{web.terms(told)}</dl></section>"
+    )
+
+
+def _patches(comparison: Comparison) -> str:
+    if not comparison.patches:
+        return ""
+    told = [
+        {name: (cells, p) for name, cells, p in change_words.patch_rows(one)} for one in comparison.patches
+    ]
+    names = list(dict.fromkeys(name for figures in told for name in figures))
+    rows = []
+    for k, (patch, figures) in enumerate(zip(comparison.patches, told, strict=True), start=1):
+        cells = "".join(_cell(*figures[name]) if name in figures else "<td>–</td>" for name in names)
+        new = "<small>new</small>" if patch.before is None else ""
+        rows.append(
+            f"<tr><th scope='row'>{k}{new}</th>{_verdict(patch)}"
+            f"<td>{typeset(f'{patch.seen:.0%}')}</td>{cells}</tr>"
+        )
+    head = web.head(("No.", "Verdict", "Seen by both", *(words.meaning(name).title for name in names)))
+    title = "Hull and pieces" if comparison.a.target is Target.WRECK else "Patch by patch"
+    meanings = [words.meaning(name) for name in ("gone", "come") if name in names]
+    legend = [(one.title, one.says) for one in meanings]
+    if any(patch.q is not None for patch in comparison.patches):
+        share = "where it is called changed, with all that are surer, at most this share of them is false"
+        legend += [
+            ("p", "how often two surveys of ground that has not changed differ by as much"),
+            ("q", share),
+        ]
+    return (
+        f"<section class='panel'><h2>{title} <small>numbers as on the map; below each value its change, the "
+        "95 % interval of that, and p</small></h2>"
+        f"<div class='wide'><table class='patches'>{head}<tbody>{''.join(rows)}</tbody></table></div>"
+        + (f"<dl class='about legend'>{web.terms(legend)}</dl>" if legend else "")
+        + "</section>"
+    )
+
+
+def _verdict(patch: PatchChange) -> str:
+    tests = [(name, p) for name, p in (("p", patch.p), ("q", patch.q)) if p is not None]
+    told = "".join(f"<small>{name} {html.escape(p_value(p))}</small>" for name, p in tests)
+    return f"<td class='called {_rule(patch.verdict)}'>{patch.verdict}{told}</td>"
+
+
+def _cell(cells: tuple[str, str, str], p: float) -> str:
+    value, *below = (html.escape(typeset(text)) for text in (*cells, f"p {p_value(p)}"))
+    return f"<td>{value}{''.join(f'<small>{text}</small>' for text in below)}</td>"
+
+
+def _figures(differences: Sequence[Difference]) -> str:
+    rows = []
+    for one in differences:
+        value, change, interval = map(typeset, change_words.difference_cells(one))
+        rows.append(
+            f"<tr><th scope='row'>{html.escape(words.meaning(one.name).title)}</th>"
+            f"<td class='value'>{html.escape(value)}</td><td class='interval'>{html.escape(change)}</td>"
+            f"<td class='interval'>{html.escape(interval)}</td><td>{html.escape(p_value(one.p))}</td>"
+            f"<td class='meaning'>{html.escape(words.meaning(one.name).says)}</td></tr>"
+        )
+    head = web.head(("Figure", "Before → after", "Change", "95 % interval", "p", "What it is"))
+    return f"<div class='wide'><table>{head}<tbody>{''.join(rows)}</tbody></table></div>"
+
+
+def _rule(verdict: Verdict) -> str:
+    """Name of what gives a verdict its colour."""
+    return f"called-{verdict.replace(' ', '-')}"
+
+
+def _sentence(text: str) -> str:
+    return text if text.endswith(".") else f"{text[:1].upper()}{text[1:]}."

@@ -1,0 +1,215 @@
+"""How a comparison of two surveys is put into words, the same on a terminal and on its page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from dream.survey.comparison import Comparison, Difference, PatchChange, Verdict
+from dream.survey.fates import Missing
+from dream.survey.numbers import UNITS, number, p_value, places, typeset
+from dream.survey.survey import Survey
+from dream.types import Target
+
+CHANGED: tuple[Verdict, ...] = ("loss", "gain", "mixed")
+"""Verdicts of patches that are called changed."""
+TOLD = 3
+"""Changed patches of which the summary tells what was found in them; a table tells it of all."""
+NAMED = 8
+"""Patches of one verdict that the summary lists by their numbers, at most."""
+
+_CALLED: dict[Verdict, tuple[str, str]] = {
+    "loss": ("is called a loss", "are called a loss"),
+    "gain": ("is called a gain", "are called a gain"),
+    "mixed": ("is called mixed, with both losses and gains", "are called mixed, with both losses and gains"),
+    "no change shown": ("shows no change", "show no change"),
+    "not comparable": ("could not be compared", "could not be compared"),
+}
+"""Of one, and of several."""
+_WENT = {"found": "the number found", "cover": "cover", "target_area": "target area"}
+
+
+def doubts(a: Survey, b: Survey) -> list[str]:
+    """What two surveys have that makes their comparison less than it says."""
+    told = []
+    if (a.name, a.began) == (b.name, b.began):
+        told.append(
+            f"both are {a.name}: expected two of a site. What differs is how one was laid on the other"
+        )
+    if a.began > b.began:
+        told.append(
+            f"{a.name} began after {b.name}; what is told as gained was lost, if their clocks are right"
+        )
+    if a.protocol != b.protocol:
+        told.append(
+            f"{a.name} was made by {a.protocol} and {b.name} by {b.protocol}: what two ways of looking "
+            "differ by is not in the intervals, and may be told as a change"
+        )
+    return told
+
+
+def difference_cells(one: Difference) -> tuple[str, str, str]:
+    """What it was and is, by how much it changed, and the interval of that."""
+    unit, digits = UNITS.get(one.unit, one.unit), places(max(abs(one.low), abs(one.high)))
+    share = f" ({one.change / one.before:+z.0%})" if one.before > 0.0 else ""
+    return (
+        f"{number(one.before)} → {number(one.after)} {unit}".strip(),
+        f"{one.change:+z.{digits}f}{share}",
+        f"{one.low:z.{digits}f} to {one.high:z.{digits}f}",
+    )
+
+
+def patch_rows(patch: PatchChange) -> Iterator[tuple[str, tuple[str, str, str], float]]:
+    """Name, cells as those of a difference, and p, of each figure of a patch."""
+    for name, sign, of in (("gone", -1.0, patch.gone), ("come", 1.0, patch.come)):
+        if of is not None:
+            low, share, high = (f"{sign * one:+z.0%}" for one in (of.low, of.share, of.high))
+            yield name, (f"{of.bare} of {of.of}", share, f"{low} to {high}"), of.p
+    for one in patch.differences:
+        yield one.name, difference_cells(one), one.p
+
+
+def seen_by_both(comparison: Comparison) -> float:
+    """Share of the ground that either saw."""
+    either = comparison.comparable + comparison.only_a + comparison.only_b
+    return comparison.comparable / either if either > 0.0 else 0.0
+
+
+def summary(comparison: Comparison) -> str:
+    """What changed and how sure that is, in a few sentences for whoever reads nothing else."""
+    if comparison.comparable <= 0.0:
+        return "The two surveys looked at no ground in common: what changed cannot be told from them."
+    numbered = list(enumerate(comparison.patches, start=1))
+    lines = [_verdicts(comparison, numbered)]
+    changed = [(k, patch) for k, patch in numbered if patch.verdict in CHANGED]
+    surest = sorted(changed, key=lambda one: one[1].p or 0.0)[:TOLD]
+    for k, patch in sorted(surest, key=lambda one: one[0]):
+        where = "it" if len(numbered) == 1 else f"{_pieces(comparison)[0]} {k}"
+        lines.append(f"In {where}, {_found_in(patch)}")
+    if len(changed) > TOLD:
+        lines.append("The table tells of the others.")
+    lines += [
+        _whole(comparison),
+        f"Both surveys looked at {number(comparison.comparable)} m², "
+        f"{_percent(seen_by_both(comparison))} of the ground that either saw; of the rest nothing is told.",
+    ]
+    if any(patch.p is not None for patch in comparison.patches):
+        how, those = comparison.comparing, _pieces(comparison)[1]
+        lines.append(
+            f"The tests are set so that at most {_percent(how.level)} of the {those} that did not change are "
+            f"called changed, and at most {_percent(how.false)} of those that are called changed did not."
+        )
+    if any(patch.verdict == "no change shown" for patch in comparison.patches):
+        lines.append("Where no change is shown there may be one still: its intervals say how large.")
+    return " ".join(lines)
+
+
+def limits(comparison: Comparison) -> list[str]:
+    """What the figures and verdicts do not say."""
+    lines = [
+        "Only ground that both surveys saw is compared. The figures are not those of either survey's own "
+        "report, and say nothing of ground that one of them did not see.",
+        f"A verdict is that of one {_pieces(comparison)[0]}, from its sharpest test, held against how many "
+        "tests there are. Of the whole there is no verdict: each figure has its own p, which says how often "
+        "two surveys of ground that has not changed differ by as much.",
+        "Intervals are 95 % intervals of the change: in one case of twenty the true change lies outside.",
+        "No change shown does not say that there was none. The interval says how much there may have been.",
+    ]
+    if comparison.a.target is Target.WRECK:
+        lines.append(
+            "A wreck is compared by the area of its outlines on the map alone. By how much two surveys of an "
+            "unchanged one differ was not measured but guessed wide, so that small changes do not show."
+        )
+    else:
+        lines += [
+            "What is gone and come is less than what died and settled, as a neighbour often covers the "
+            "place: of a fifth that died in simulated reefs 14 % showed. Deaths that others hide, and "
+            "settling on others, are not told.",
+            "Where fewer than some 70 individuals of a patch were found in two frames, the loss of a fifth "
+            "may not show.",
+            "Where the positions within one survey err against each other by more than a few centimetres, "
+            "individuals stand beside themselves, which looks like deaths and arrivals.",
+            "What surveys of unchanged ground miss was measured on simulated reefs, with one camera and "
+            "altitude, and with labels that are better than a detector's. How much outlines and areas of the "
+            "map err, which tell of patches of few individuals, was guessed wide.",
+        ]
+    lines.append(
+        "The later survey is laid on the cells of the earlier one. The other way round figures change their "
+        "signs, and their size by up to some percent."
+    )
+    return lines
+
+
+def _pieces(comparison: Comparison) -> tuple[str, str]:
+    """What verdicts are of: one, and several."""
+    return ("outline", "outlines") if comparison.a.target is Target.WRECK else ("patch", "patches")
+
+
+def _verdicts(comparison: Comparison, numbered: Sequence[tuple[int, PatchChange]]) -> str:
+    one, several = _pieces(comparison)
+    if not numbered:
+        return f"Neither survey shows a {one}, and there is no verdict."
+    parts = []
+    for verdict, (singular, plural) in _CALLED.items():
+        those = [k for k, patch in numbered if patch.verdict == verdict]
+        if not those:
+            continue
+        if len(those) == len(numbered):
+            every = {1: f"The only {one}", 2: f"Both {several}"}.get(
+                len(those), f"All {len(those)} {several}"
+            )
+            return f"{every} {plural if len(those) > 1 else singular}."
+        which = ""
+        if verdict in CHANGED and len(those) <= NAMED:
+            which = f" (number{'s' if len(those) > 1 else ''} {_listed([str(k) for k in those])})"
+        parts.append(f"{len(those)} {plural if len(those) > 1 else singular}{which}")
+    return f"Of {len(numbered)} {several}, {_listed(parts)}."
+
+
+def _found_in(patch: PatchChange) -> str:
+    gone, come = patch.gone, patch.come
+    if gone is None or come is None:
+        return f"{_listed([_went(one) for one in patch.differences])}."
+    lines = []
+    if patch.verdict != "gain":
+        lines.append(
+            f"{gone.bare} of {gone.of} individuals that were found before have bare ground in their place "
+            f"now: {_beyond(gone)} beyond what surveys miss of unchanged ground."
+        )
+    if patch.verdict != "loss":
+        lines.append(
+            f"{come.bare} of {come.of} individuals that were found after stand where the ground was bare: "
+            f"{_beyond(come)} beyond what surveys miss of unchanged ground."
+        )
+    lines += [f"Its {_went(one)}." for one in patch.differences if one.name == "cover"]
+    return " ".join(lines)
+
+
+def _beyond(of: Missing) -> str:
+    return f"{_percent(of.share)} ({100.0 * of.low:.0f} to {_percent(of.high)})"
+
+
+def _whole(comparison: Comparison) -> str:
+    of = {one.name: one for one in comparison.differences}
+    if all(one.before <= 0.0 and one.after <= 0.0 for one in of.values()):
+        return "On ground that both saw, neither shows any target."
+    shown = [of[name] for name in ("cover", "found") if name in of] or [of["target_area"]]
+    return f"On all ground that both saw, {_listed([_went(one, p=True) for one in shown])}."
+
+
+def _went(one: Difference, *, p: bool = False) -> str:
+    unit, name = UNITS.get(one.unit, one.unit), _WENT.get(one.name, one.name)
+    before, after = (f"{number(value)} {unit}".strip() for value in (one.before, one.after))
+    share = f"{100.0 * one.change / one.before:+z.0f} %" if one.before > 0.0 else ""
+    notes = ", ".join(filter(None, (typeset(share), f"p\N{NO-BREAK SPACE}{p_value(one.p)}" if p else "")))
+    if before == after:
+        return f"{name} is {before} in both"
+    return f"{name} went from {before.removesuffix(f' {unit}')} to {after}" + (f" ({notes})" if notes else "")
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f}\N{NO-BREAK SPACE}%"
+
+
+def _listed(parts: Sequence[str]) -> str:
+    """Such as "a, b and c"."""
+    return " and ".join(filter(None, (", ".join(parts[:-1]), parts[-1])))
