@@ -37,6 +37,7 @@ survey: setup ## Survey a reef, come back a year on, say what changed, and write
 	@at=runs/survey-$$(date +%Y-%m-%dT%H-%M-%S); export DREAM_ARCHIVE=$$at/surveys.gpkg; set -e; \
 	$(BIN)/dream run --world reef/string --site examples/site.json --out $$at/before; \
 	$(BIN)/dream survey add $$at/before/latest; \
+	echo; echo "The same reef one simulated year on; its survey bears the date of today."; \
 	$(BIN)/dream run --world reef/string+1y1 --start 1 --site examples/site.json --from-survey 1 --out $$at/after; \
 	$(BIN)/dream survey add $$at/after/latest; \
 	$(BIN)/dream survey compare 1 2 --out $$at/change; \

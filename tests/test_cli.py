@@ -36,7 +36,7 @@ from dream.protocol import DREAM_V1_NAV
 from dream.recording import read_config, read_exchanges, read_steps, read_summary
 from dream.robots import Teleport
 from dream.robots.swimming import read_swimming
-from dream.sim.worlds import make_world
+from dream.sim.worlds import WORLDS, make_world
 from dream.types import Arrival, Observation, Setpoint
 from tests.model_server import NAME, Answer, Request, Response, error, fitting, says, serving
 from tests.recorded_runs import Disk
@@ -134,6 +134,8 @@ def test_a_planner_that_asks_a_model_is_chosen_and_explained_without_its_client(
         (["run", "--max-steps", "0"], "--max-steps: expected at least 1, got 0"),
         (["run", "--start", "99"], "start: expected 0 to"),
         (["draw", "--world", "wreck/9"], 'no world "wreck/9". Did you mean "wreck/'),
+        (["bench", "--world", "wreck/9"], "There are: wreck/1, wreck/2, wreck/3, wreck/4, wreck/5. See"),
+        (["draw", "--world", "sand/9"], 'no world "sand/9". See dream worlds'),
         (["bench", "paepr"], 'no suite "paepr". Did you mean "paper"?'),
         (["bench", "paper", "--planners", "sixstep"], 'no planner "sixstep". Did you mean "sixsteps"?'),
         (["oracle", "--world", "reef/strng"], 'no world "reef/strng". Did you mean "reef/string"?'),
@@ -724,8 +726,18 @@ def test_nothing_breaks_into_the_progress_of_a_run(tmp_path: Path) -> None:
     assert "pydantic" not in printed
     said = [line.rstrip() for line in re.split(r"\r|\n|\x1b\[2K", printed) if "dream: " in line]
     first, last = (line for line in said if "kept" in line)
-    assert first.startswith(f"dream: {tmp_path / 'kept'}: this exchange is not kept (No such file")
+    assert first.startswith(f"dream: {tmp_path / 'kept'}: this exchange is not kept (could not write ")
     assert last == f"dream: {tmp_path / 'kept'}: 2 exchanges in all were not kept"
+
+
+def test_worlds_that_can_be_named_are_listed_with_a_reef_some_years_on(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run_command(["worlds"]) == 0
+    *names, _, _, later = capsys.readouterr().out.splitlines()
+    assert names == list(WORLDS)
+    # The name that is given there is one.
+    assert make_world(later.split()[0], 1).name == later.split()[0]
 
 
 def test_a_key_is_sent_but_never_written(

@@ -81,6 +81,25 @@ def test_surveys_are_kept_listed_shown_and_compared(two: Path, capsys: pytest.Ca
     assert printed.splitlines()[-1] == "  to read: change/change.html"
 
 
+def test_in_a_small_terminal_each_figure_stands_on_one_line(
+    two: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    compared = said("survey compare first.survey.npz second.survey.npz", capsys)
+    rows = len(compared["differences"]) + sum(
+        len(patch["differences"]) + sum(patch[share] is not None for share in ("gone", "come"))
+        for patch in compared["patches"]
+    )
+    assert run_command(["survey", "compare", "first.survey.npz", "second.survey.npz"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    figure = r"[a-z ]+ [-\d.,]+ (→|of) [-\d.,]+( /?m²?)? +[-+\d.%() ]+ [-+\d.%]+ to [-+\d.%]+ +<?[\d.e-]+ *"
+    assert sum(re.fullmatch(figure, line) is not None for line in lines) == rows
+    said("survey add first.survey.npz", capsys)
+    assert run_command(["survey", "list"]) == 0
+    assert "patches  count" in (printed := capsys.readouterr().out)
+    assert "…" not in printed
+
+
 @pytest.mark.parametrize("name", ["[/]", r"\[/]", r"\\[/]", "[bold]"])
 def test_names_that_look_like_markup_are_printed_as_they_are(
     name: str, two: Path, capsys: pytest.CaptureFixture[str]

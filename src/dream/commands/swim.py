@@ -25,7 +25,7 @@ class Swim:
     dvl_losses: float = 0.0
     """Share of the time in which the DVL loses the bottom, in bursts of 3 s."""
     anchoring: bool = True
-    """Whether the position is corrected by ground that is seen again."""
+    """Correct the position by ground that is seen again; `--no-anchoring` leaves that out."""
 
     def chosen(self, protocol: SurveyProtocol) -> Swimming | None:
         """None under a protocol by which nothing swims; a ValueError where something was chosen for it."""

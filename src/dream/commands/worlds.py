@@ -50,6 +50,8 @@ class Worlds:
             print_json({"worlds": list(WORLDS)})
         else:
             print("\n".join(WORLDS))
+            print("\nAny seed makes another of each.")
+            print("reef/string+1y1 is reef/string 1 year on, in the first of its fates; so with all reefs.")
         return 0
 
 

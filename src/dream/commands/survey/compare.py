@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +12,7 @@ import tyro
 
 from dream.commands.console import check_writable, compiling_told, print_json
 from dream.commands.survey.sources import found
-from dream.commands.survey.words import plain
+from dream.commands.survey.words import plain, slim_table
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -67,7 +68,7 @@ def _print(comparison: Comparison, files: tuple[Path, ...]) -> None:
 
     from dream.survey.change_map import PAGE
     from dream.survey.change_words import difference_cells, patch_rows
-    from dream.survey.numbers import named, p_value
+    from dream.survey.numbers import p_value
 
     console, told = Console(), comparison.as_dict()
     console.print(f"[bold]{plain(comparison.a.name)}[/bold] → [bold]{plain(comparison.b.name)}[/bold]")
@@ -86,31 +87,32 @@ def _print(comparison: Comparison, files: tuple[Path, ...]) -> None:
         f"covered ground, {fates['not_comparable']} on ground that one of them did not see",
         highlight=False,
     )
-    table = _table("where both looked")
-    for one in comparison.differences:
-        table.add_row("all", named(one.name), *difference_cells(one), "", p_value(one.p))
+    rows = [(one.name, difference_cells(one), one.p) for one in comparison.differences]
+    console.print()
+    console.print(_table("all that both saw", rows))
     for k, patch in enumerate(comparison.patches, start=1):
         colour = {"gain": "green", "loss": "red", "mixed": "magenta"}.get(patch.verdict, "default")
+        # The verdict is the patch's, not each figure's.
         verdict = f"[{colour}]{patch.verdict}[/]"
         verdict += "" if patch.p is None else f" (p {p_value(patch.p)})"
-        name = f"patch {k}" if patch.before is not None else f"patch {k}, new"
+        title = f"patch {k}{'' if patch.before is not None else ', new'}: {verdict}"
         rows = list(patch_rows(patch))
-        if not rows:
-            table.add_row(name, "", "", "", "", verdict, "")
-        # The verdict is the patch's, not each figure's.
-        heads = [(name, verdict)] + [("", "")] * len(rows)
-        for (head, last), (figure, cells, p) in zip(heads, rows, strict=False):
-            table.add_row(head, named(figure), *cells, last, p_value(p))
-    console.print(table)
+        console.print()
+        console.print(_table(title, rows) if rows else title)
+    console.print()
     console.print(", ".join(map(str, files)), markup=False, highlight=False, soft_wrap=True)
     page = next(path for path in files if path.name == PAGE)
     console.print(f"  to read: {page}", markup=False, highlight=False, soft_wrap=True)
 
 
-def _table(title: str) -> Table:
-    from rich.table import Table
+def _table(title: str, rows: Iterable[tuple[str, tuple[str, str, str], float]]) -> Table:
+    """Of figures, each with its name, cells and p; all tables have the same columns."""
+    from dream.survey.numbers import named, p_value
 
-    table = Table(title=title, title_justify="left")
-    for heading in ("", "figure", "before → after", "change", "95 % interval", "verdict", "p"):
-        table.add_column(heading, justify="left" if heading in ("", "figure", "verdict") else "right")
+    table = slim_table(title)
+    widths = {"": 13, "before → after": 16, "change": 15, "95 % interval": 17, "p": 7}
+    for heading, width in widths.items():
+        table.add_column(heading, justify="right" if heading else "left", min_width=width)
+    for name, cells, p in rows:
+        table.add_row(named(name), *cells, p_value(p))
     return table

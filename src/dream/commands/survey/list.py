@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 
 from dream.commands.console import print_json
 from dream.commands.survey.sources import archive_at
-from dream.commands.survey.words import plain
+from dream.commands.survey.words import plain, slim_table
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,21 +48,18 @@ class List:
             print_json({"archive": where, "surveys": surveys})
             return 0
         from rich.console import Console
-        from rich.table import Table
 
-        table = Table(title=f"Surveys in {plain(where)}", title_justify="left")
-        for heading, side in (("no", "right"), ("site", "left"), ("began", "left"), ("survey", "left")):
-            table.add_column(heading, justify="right" if side == "right" else "left", overflow="fold")
-        for heading in ("patches", "individuals", "reef or outline", "density"):
-            table.add_column(heading, justify="right")
+        table = slim_table(f"Surveys in {plain(where)}")
+        table.add_column("no", justify="right", no_wrap=True)
+        table.add_column("site, when it began, and survey", overflow="fold")
+        for heading in ("patches", "count", "area", "density"):
+            table.add_column(heading, justify="right", no_wrap=True)
         for entry in entries:
             figures = {measure.name: measure for measure in entry.measures}
             area = figures.get("reef_area") or figures.get("outline_area")
             table.add_row(
                 str(entry.number),
-                plain(entry.site),
-                f"{entry.began:%Y-%m-%d %H:%M}",
-                plain(entry.name),
+                f"{plain(entry.site)}, {entry.began:%Y-%m-%d %H:%M}\n{plain(entry.name)}",
                 str(entry.patches),
                 ""
                 if (all_of := figures.get("count")) is None or all_of.value is None

@@ -10,7 +10,7 @@ import tyro
 
 from dream.commands.console import compiling_told, print_json
 from dream.commands.survey.sources import found
-from dream.commands.survey.words import measure_row, plain
+from dream.commands.survey.words import measure_row, plain, slim_table
 
 if TYPE_CHECKING:
     from dream.survey import Survey
@@ -66,7 +66,6 @@ def _told(survey: Survey) -> dict[str, Any]:
 
 def _print(survey: Survey) -> None:
     from rich.console import Console
-    from rich.table import Table
 
     console = Console()
     where = "no origin" if survey.site is None else plain(survey.site.name)
@@ -76,16 +75,23 @@ def _print(survey: Survey) -> None:
         f"{len(survey.individuals)} individuals found (count tells how many there are), "
         f"patches: {len(survey.patches)}"
     )
-    table = Table("measure", "value", "95 % interval", "note")
+    table = slim_table()
+    for heading in ("measure", "value", "95 % interval"):
+        table.add_column(heading, no_wrap=True)
+    table.add_column("note")
     for measure in survey.measures:
         table.add_row(*measure_row(measure))
+    console.print()
     console.print(table)
     if not survey.patches:
         return
     names = list(dict.fromkeys(measure.name for patch in survey.patches for measure in patch.measures))
-    table = Table("patch", *(name.replace("_", " ") for name in names))
+    table = slim_table()
+    for heading in ("patch", *(name.replace("_", " ") for name in names)):
+        table.add_column(heading)
     for k, patch in enumerate(survey.patches, start=1):
         values = {measure.name: measure_row(measure) for measure in patch.measures}
         cells = (values.get(name, ("", "", "", "")) for name in names)
         table.add_row(str(k), *(f"{value}\n{interval}".strip() for _, value, interval, _ in cells))
+    console.print()
     console.print(table)
