@@ -95,13 +95,13 @@ def test_help_imports_nothing_heavy() -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_a_planner_that_asks_a_model_is_chosen_and_explained_without_its_client() -> None:
+def test_a_planner_that_asks_a_model_is_chosen_and_explained_without_its_client_or_compiler() -> None:
     code = (
         "import sys; from dream import commands; from dream.cli import run_command; "
         "commands.Run.__call__ = lambda run: print(run.planner.model) or 0; "
         "assert run_command(['run', 'dream', '--model', 'wire']) == 0; "
         "assert run_command(['run', 'vanilla', '--help']) == 0; "
-        "sys.exit(' '.join({'pydantic_ai', 'openai', 'httpx2'} & set(sys.modules)) or 0)"
+        "sys.exit(' '.join({'pydantic_ai', 'openai', 'httpx2', 'numba', 'scipy'} & set(sys.modules)) or 0)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dream.survey import Measure
-from dream.survey.numbers import UNITS, named, number
-
 if TYPE_CHECKING:
     from rich.table import Table
+
+    from dream.survey import Measure
 
 
 def plain(text: str) -> str:
@@ -28,6 +27,7 @@ def slim_table(title: str | None = None) -> Table:
 
 def measure_row(measure: Measure) -> tuple[str, str, str, str]:
     """Name, value, interval and note of a measure, in words."""
+    from dream.survey.numbers import UNITS, named, number
     from dream.survey.products.words import size_bin
 
     ends = size_bin(measure.name)
