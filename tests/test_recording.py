@@ -45,7 +45,7 @@ from tests.recorded_runs import (
     painted_mission,
 )
 
-NOW = datetime(2026, 11, 21, 6, 1, tzinfo=UTC)
+NOW = datetime(2026, 11, 21, 6, 1, 9, tzinfo=UTC)
 
 
 @pytest.fixture(scope="module")
@@ -348,7 +348,7 @@ def test_a_folder_that_is_no_run_says_so(tmp_path: Path) -> None:
 def test_run_folders_are_named_by_time_world_and_planner_and_never_shared(tmp_path: Path) -> None:
     root = tmp_path / "runs"
     names = [new_run_folder(root, "reef/string", 3, "sixsteps", NOW).name for _ in range(3)]
-    stem = "2026-11-21T06-01_reef-string-3_sixsteps"
+    stem = "2026-11-21T06-01-09_reef-string-3_sixsteps"
     assert names == [stem, f"{stem}-2", f"{stem}-3"]
     assert (root / "latest").resolve().name == names[-1]
 

@@ -242,7 +242,7 @@ def new_run_folder(root: Path, world: str, seed: int, planner: str, now: datetim
     Raises:
         OSError: `root` cannot be written.
     """
-    stem = f"{now:%Y-%m-%dT%H-%M}_{_file_word(world)}-{seed}_{_file_word(planner)}"
+    stem = f"{now:%Y-%m-%dT%H-%M-%S}_{_file_word(world)}-{seed}_{_file_word(planner)}"
     number = 1
     while True:
         folder = root / (stem if number == 1 else f"{stem}-{number}")

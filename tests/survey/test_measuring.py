@@ -241,7 +241,7 @@ def test_no_observations_are_an_error() -> None:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory, world: World) -> Path:
     """A run of six steps whose observations were kept."""
-    folder = tmp_path_factory.mktemp("runs") / "2026-06-01T09-30_reef-patch-4_belief"
+    folder = tmp_path_factory.mktemp("runs") / "2026-06-01T09-30-12_reef-patch-4_belief"
     folder.mkdir()
     write_config(
         folder,
@@ -263,7 +263,7 @@ def test_a_run_folder_is_measured_as_it_was_seen(run: Path) -> None:
     heard: list[tuple[int, int]] = []
     survey = measure(run, told=lambda done, of: heard.append((done, of)))
     assert survey.name == run.name
-    assert survey.began == datetime(2026, 6, 1, 9, 30, tzinfo=UTC)
+    assert survey.began == datetime(2026, 6, 1, 9, 30, 12, tzinfo=UTC)
     assert survey.site is None
     assert len(survey.track.time) == 7
     assert [point.step for point in survey.decisions] == [1, 2, 3, 4, 5, 6]
@@ -273,20 +273,27 @@ def test_a_run_folder_is_measured_as_it_was_seen(run: Path) -> None:
     assert survey.made_by["measuring"]["cell"] == pytest.approx(0.025)
 
 
+def test_a_folder_of_an_older_version_tells_the_minute(run: Path, tmp_path: Path) -> None:
+    older = Path(shutil.copytree(run, tmp_path / "2026-06-01T09-30_reef-patch-4_belief"))
+    survey = measure(older)
+    assert survey.began == datetime(2026, 6, 1, 9, 30, tzinfo=UTC)
+    assert survey.made_by["began_by"] == "the name of its folder"
+
+
 def test_a_time_that_the_name_of_the_folder_does_not_tell_is_doubted(
     run: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert measure(run).made_by["began_by"] == "the name of its folder"
     assert caplog.messages == []
     renamed = Path(shutil.copytree(run, tmp_path / "reef"))
-    when = datetime(2026, 5, 4, 3, 2, tzinfo=UTC)
+    when = datetime(2026, 5, 4, 3, 2, 7, tzinfo=UTC)
     os.utime(renamed / "config.json", (when.timestamp(), when.timestamp()))
     survey = measure(renamed)
     assert survey.began == when
     assert survey.made_by["began_by"] == "when its config.json was written"
     (told,) = caplog.messages
-    assert told.startswith("reef: began at 2026-05-04 03:02 UTC, going by when its config.json was written")
-    assert "call the folder as 2026-05-04T03-02_..." in told
+    assert told.startswith("reef: began at 2026-05-04 03:02:07 UTC, going by when its config.json was")
+    assert "call the folder as 2026-05-04T03-02-07_..." in told
 
 
 def test_the_place_is_that_of_the_folder(run: Path) -> None:

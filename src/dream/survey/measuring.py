@@ -245,13 +245,15 @@ def _about(
 def _began(run: Path) -> tuple[datetime, str]:
     """When it began, and by what that is known.
 
-    By the folder's name, which is in UTC; by when its config was written where it is called otherwise, which
-    is said, since a copy of the folder may have been written at any time.
+    By the folder's name, which is in UTC, and without seconds where an older version gave it; by when its
+    config was written where it is called otherwise, which is said, since a copy of the folder may have been
+    written at any time.
     """
-    found = re.match(r"(\d{4}-\d\d-\d\dT\d\d-\d\d)_", run.resolve().name)
+    found = re.match(r"(\d{4}-\d\d-\d\dT\d\d-\d\d)(-\d\d)?_", run.resolve().name)
     if found:
+        minute, second = found.groups(default="-00")
         try:
-            began = datetime.strptime(found.group(1), "%Y-%m-%dT%H-%M").replace(tzinfo=UTC)
+            began = datetime.strptime(minute + second, "%Y-%m-%dT%H-%M-%S").replace(tzinfo=UTC)
             return began, "the name of its folder"
         except ValueError:
             pass  # Such as month 13: not ours.
@@ -260,8 +262,8 @@ def _began(run: Path) -> tuple[datetime, str]:
         "%s: began at %s, going by when its config.json was written, as the name of the folder does not say. "
         "If that is not so, call the folder as %s_..., with the true time",
         run.resolve().name,
-        began.strftime("%Y-%m-%d %H:%M UTC"),
-        began.strftime("%Y-%m-%dT%H-%M"),
+        began.strftime("%Y-%m-%d %H:%M:%S UTC"),
+        began.strftime("%Y-%m-%dT%H-%M-%S"),
     )
     return began, "when its config.json was written"
 

@@ -69,7 +69,7 @@ def _print(survey: Survey) -> None:
 
     console = Console()
     where = "no origin" if survey.site is None else plain(survey.site.name)
-    console.print(f"[bold]{plain(survey.name)}[/bold]  {where}, {survey.began:%Y-%m-%d %H:%M %Z}")
+    console.print(f"[bold]{plain(survey.name)}[/bold]  {where}, {survey.began:%Y-%m-%d %H:%M:%S %Z}")
     console.print(
         f"{survey.target} by {plain(survey.protocol)}, {len(survey.decisions)} decisions, "
         f"{len(survey.individuals)} individuals found (count tells how many there are), "
