@@ -415,6 +415,14 @@ def test_without_a_terminal_and_without_yes_nothing_is_asked(
     assert model.asked == []
 
 
+def test_a_model_that_is_missing_is_told_before_a_terminal_that_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    assert run_command(["mission", WESTERN, "--out", str(tmp_path / "mission.json")]) == 2
+    assert said(capsys).startswith("dream: model: expected which model to ask, got none. Say --model ")
+
+
 def test_plain_words_need_a_planner_that_asks_a_model(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -99,6 +99,7 @@ def confirmed(
     from dream.planning.vlm.orders import ask_orders
 
     if wanted is not None and not sys.stdin.isatty():
+        asking.line()  # What is wrong with the model would stay wrong with --yes, so it is told first.
         raise ValueError(
             "--yes: expected it where no terminal is there to confirm the mission at, got none. "
             "With it, what the model understood is taken as it is"
