@@ -133,9 +133,11 @@ def test_a_planner_that_asks_a_model_is_chosen_and_explained_without_its_client_
         (["run", "--patience", "3", "sixsteps"], "Say: dream run sixsteps --patience ..."),
         (["run", "--max-steps", "0"], "--max-steps: expected at least 1, got 0"),
         (["run", "--start", "99"], "start: expected 0 to"),
-        (["draw", "--world", "wreck/9"], 'no world "wreck/9". Did you mean "wreck/'),
-        (["bench", "--world", "wreck/9"], "There are: wreck/1, wreck/2, wreck/3, wreck/4, wreck/5. See"),
-        (["draw", "--world", "sand/9"], 'no world "sand/9". See dream worlds'),
+        (["draw", "--world", "wreck/9"], 'no world "wreck/9". Of wreck/ there are: 1, 2, 3, 4, 5.'),
+        (["draw", "--world", "wreck/12"], 'no world "wreck/12". Of wreck/ there are: 1, 2, 3, 4, 5.'),
+        (["draw", "--world", "reef/99x"], 'no world "reef/99x". Of reef/ there are: fringing, string,'),
+        (["draw", "--world", "reef/strin"], 'no world "reef/strin". Did you mean "reef/string"?'),
+        (["draw", "--world", "wrek/2"], 'no world "wrek/2". Did you mean "wreck/2"?'),
         (["bench", "paepr"], 'no suite "paepr". Did you mean "paper"?'),
         (["bench", "paper", "--planners", "sixstep"], 'no planner "sixstep". Did you mean "sixsteps"?'),
         (["oracle", "--world", "reef/strng"], 'no world "reef/strng". Did you mean "reef/string"?'),
@@ -308,6 +310,12 @@ def test_an_unwritable_folder_is_named(tmp_path: Path, capsys: pytest.CaptureFix
     assert str(blocked) in capsys.readouterr().err
 
 
+def test_the_help_of_an_option_that_turns_something_off_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["run", "--help"]) == 0
+    shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "seen again. (default: it is; this turns it off)" in shown
+
+
 def test_a_world_can_be_saved_changed_and_flown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "mine"
     assert run_command(["worlds", "--save", "flat/empty", "--out", str(folder)]) == 0
@@ -390,7 +398,7 @@ def test_a_run_says_once_that_it_compiles(
     observe = Teleport.observe
 
     def compiles_and_observes(self: Teleport) -> Observation:
-        compiles()
+        compiles(0.3)
         return observe(self)
 
     fly = ["run", "--json", "--world", "flat/empty", "--max-steps", "2", "--out", str(tmp_path)]
@@ -399,10 +407,17 @@ def test_a_run_says_once_that_it_compiles(
     assert run_command(fly) == 0
     assert capsys.readouterr().err == ""
     monkeypatch.setattr(Teleport, "observe", compiles_and_observes)
+    began = time.perf_counter()
     assert run_command(fly) == 0
+    took = time.perf_counter() - began
     printed = capsys.readouterr()
-    assert printed.err == "dream: compiling what this needs for the first time, which may take a minute\n"
-    assert json.loads(printed.out)["steps"] == 2
+    assert (
+        printed.err
+        == "dream: compiling what no command needed here before, and keeping it; this may take a minute\n"
+    )
+    said = json.loads(printed.out)
+    assert said["steps"] == 2
+    assert said["wall_s"] < took - 0.85  # Three pictures, each after compiling.
 
 
 @pytest.mark.parametrize("planner", ["belief", "lawnmower"])

@@ -229,6 +229,7 @@ class RunSummary(_Recorded):
     min_clearance_m: float | None
     planner_ms: PlannerTimes
     wall_s: float
+    """`dream run` leaves out what compiling took."""
     mission_s: float | None = None
     """On the mission's clock, waiting for answers included; None in older files."""
     vlm: dict[str, Any] | None

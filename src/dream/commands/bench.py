@@ -132,7 +132,7 @@ class Bench(Flying):
 
     def _cases(self) -> tuple[str, tuple[Case, ...]]:
         from dream.evaluation.suites import Case, suite_named
-        from dream.sim.worlds import WORLDS, like
+        from dream.sim.worlds import WORLDS
 
         if self.world is None:
             if self.seeds is not None:
@@ -140,7 +140,7 @@ class Bench(Flying):
             return self.suite or "paper", suite_named(self.suite or "paper")
         if self.suite is not None:
             raise ValueError(f"expected a suite or --world, got both: {self.suite} and --world {self.world}")
-        world = look_up(dict.fromkeys(WORLDS, self.world), self.world, "world", see=like(self.world))
+        world = look_up(dict.fromkeys(WORLDS, self.world), self.world, "world", see="See dream worlds")
         seeds = _seeds(self.seeds or "1")
         named = f"{seeds[0]}..{seeds[-1]}" if len(seeds) > 1 else str(seeds[0])
         return f"{world} {named}", tuple(Case(world, seed) for seed in seeds)

@@ -212,7 +212,7 @@ def compiling_told() -> Iterator[None]:
     """Say on standard error, once, where code is compiled within the block: that takes a while."""
     from dream.compiling import when_compiling
 
-    told = "dream: compiling what this needs for the first time, which may take a minute"
+    told = "dream: compiling what no command needed here before, and keeping it; this may take a minute"
     with when_compiling(lambda: print(told, file=sys.stderr)):
         yield
 

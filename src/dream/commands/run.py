@@ -6,7 +6,6 @@ import contextlib
 import datetime
 import logging
 import sys
-import time
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -99,6 +98,7 @@ class Run:
     def _fly_and_tell(self, shown: contextlib.ExitStack) -> int:
         """The same; what has to stay until the outcome is told is left to `shown`."""
         from dream import recording
+        from dream.compiling import working_time
         from dream.evaluation.metrics import Scorer
         from dream.evaluation.runner import run_config, simulate, summarize
         from dream.planning.vlm.orders import write_mission
@@ -111,7 +111,7 @@ class Run:
         if self.max_steps is not None and self.max_steps < 1:
             raise ValueError(f"--max-steps: expected at least 1, got {self.max_steps}")
         site = None if self.site is None else read_site(self.site)
-        began = time.perf_counter()
+        began = working_time()
         with compiling_told():
             with kept_interrupts() as check:
                 world = open_world(self.world, self.seed)
@@ -179,7 +179,7 @@ class Run:
                 total = min(total, orders.max_steps)
             stopped = _fly(recorded, f"{name} · {world.name} {world.seed}", total)
         tell_lost(getattr(self.planner, "record", None))
-        summary = summarize(world, name, protocol, scorer, time.perf_counter() - began)
+        summary = summarize(world, name, protocol, scorer, working_time() - began)
         page = None
         try:
             recording.write_summary(folder, summary)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
 
 if TYPE_CHECKING:
     from dream.protocol import SurveyProtocol
@@ -24,8 +26,8 @@ class Swim:
     """Version of the DVL A50: 1 % or 0.1 % of scale."""
     dvl_losses: float = 0.0
     """Share of the time in which the DVL loses the bottom, in bursts of 3 s."""
-    anchoring: bool = True
-    """Correct the position by ground that is seen again; `--no-anchoring` leaves that out."""
+    anchoring: Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: it is; this turns it off)")] = True
+    """Whether the position is corrected by ground that is seen again."""
 
     def chosen(self, protocol: SurveyProtocol) -> Swimming | None:
         """None under a protocol by which nothing swims; a ValueError where something was chosen for it."""

@@ -190,19 +190,12 @@ def make_world(name: str, seed: int) -> World:
     on = LATER.fullmatch(name)
     if on is not None:
         return later(make_world(on["name"], seed), float(on["years"]), int(on["seed"]))
-    build = look_up(BUILDERS, name, "world", see=like(name))
+    build = look_up(BUILDERS, name, "world", see="See dream worlds")
     check_seed(seed)
     words = np.frombuffer(hashlib.sha256(name.encode()).digest()[:16], "<u4")
     sequence = np.random.SeedSequence([int(seed), *(int(word) for word in words)])
     made = build(np.random.Generator(np.random.PCG64(sequence)))
     return dataclasses.replace(made, name=name, seed=int(seed))
-
-
-def like(name: str) -> str:
-    """The worlds of the kind of that name, for who gave one that does not exist."""
-    kind = name.partition("/")[0]
-    kin = [world for world in WORLDS if world.startswith(f"{kind}/")]
-    return f"There are: {', '.join(kin)}. See dream worlds" if kin else "See dream worlds"
 
 
 def _sea(rng: np.random.Generator) -> Water:
