@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from dream.robots.bluerov2.bridge import Bridge, Limits, Standing
     from dream.robots.bluerov2.check import Finding
     from dream.robots.bluerov2.devices import Devices, LiveEye
+    from dream.robots.bluerov2.lens import Lens
     from dream.robots.bluerov2.mavlink import Link
     from dream.robots.bluerov2.navigation import Fix
     from dream.robots.bluerov2.rov import BlueRov2, Manners
@@ -182,10 +183,12 @@ class Dive:
             check_installed()
         _check_extra()
         _check_places(self)
+        # A file that cannot be read is told at a desk too, where no vehicle answers.
+        sight = _sight_told(self)
         with contextlib.ExitStack() as shown:
-            return self._dive(shown)
+            return self._dive(sight, shown)
 
-    def _dive(self, shown: contextlib.ExitStack) -> int:
+    def _dive(self, sight: _Sight, shown: contextlib.ExitStack) -> int:
         """The same; a page that stays until it is closed is left to `shown`: the vehicle waits for none."""
         from dream import recording
 
@@ -210,7 +213,7 @@ class Dive:
                 stack.enter_context(tank)
             # The log is whole once the devices are closed.
             stack.callback(draw_flown, folder, quiet=self.json)
-            dive = stack.enter_context(_opened(self, protocol, folder, begun, tank))
+            dive = stack.enter_context(_opened(self, protocol, folder, begun, tank, sight))
             _tell(f"listening to the sensors for {STILL:g} s: the vehicle has to lie still", quiet=self.json)
             found = dive.listen()
             interrupted()
@@ -247,6 +250,28 @@ def draw_flown(folder: Path, *, quiet: bool) -> None:
         return
     if not quiet:
         print(f"  drawn: {paths[0]}")
+
+
+@dataclass(frozen=True, slots=True)
+class _Sight:
+    """What pictures are made labels and depth with."""
+
+    lens: Lens | None
+    """None where they come without distortion."""
+    perception: Perception
+
+
+def _sight_told(told: Dive) -> _Sight:
+    from dream.perception import FlatFloor, LearnedDepth, LearnedLabels, Perception, Shells
+    from dream.robots.bluerov2.lens import Lens
+
+    return _Sight(
+        None if told.calibration is None else Lens.read(told.calibration),
+        Perception(
+            Shells() if told.labels is None else LearnedLabels(told.labels),
+            FlatFloor() if told.depth is None else LearnedDepth(told.depth),
+        ),
+    )
 
 
 def _check_places(told: Dive) -> None:
@@ -339,7 +364,12 @@ def _free_port() -> int:
 
 @contextlib.contextmanager
 def _opened(
-    told: Dive, protocol: SurveyProtocol, folder: Path, begun: datetime.datetime, tank: _Tank | None
+    told: Dive,
+    protocol: SurveyProtocol,
+    folder: Path,
+    begun: datetime.datetime,
+    tank: _Tank | None,
+    sight: _Sight,
 ) -> Iterator[_Ready]:
     """All devices, connected; closed again in the end, and the vehicle's parameters put back."""
     from dream.robots.bluerov2.bridge import LastResort, Limits
@@ -380,7 +410,7 @@ def _opened(
             devices.connect(HEARTBEAT)
             if told.set_parameters or tank is not None:
                 devices.link.correct(devices.link.check_parameters())
-            yield _Ready(told, protocol, devices, limits, start, folder, tank)
+            yield _Ready(told, protocol, devices, limits, start, folder, tank, sight)
         except (TimeoutError, Refused) as error:
             raise MissionAborted(f"vehicle: {error}") from error
         finally:
@@ -400,6 +430,7 @@ class _Ready:
     start: SE2
     folder: Path
     tank: _Tank | None
+    sight: _Sight
     last: Step | None = None
     """The last one that was made."""
 
@@ -420,7 +451,7 @@ class _Ready:
 
         wanted = "a picture that --calibration, --labels and --depth fit"
         try:
-            eye, perception = self.eye, self.perception
+            eye, perception = self.eye, self.sight.perception
             picture = self.devices.camera.newest(FIRST_FRAME)
             began, camera = time.perf_counter(), self.protocol.camera
             rgb, seen = eye.view(picture, camera)
@@ -442,21 +473,8 @@ class _Ready:
     def eye(self) -> LiveEye:
         """The camera, behind its lens. Made once: a lens takes a second to prepare."""
         from dream.robots.bluerov2.devices import LiveEye
-        from dream.robots.bluerov2.lens import Lens
 
-        calibration = self.told.calibration
-        return LiveEye(self.devices.camera, None if calibration is None else Lens.read(calibration))
-
-    @cached_property
-    def perception(self) -> Perception:
-        """What makes labels and depth. Made once: models are large."""
-        from dream.perception import FlatFloor, LearnedDepth, LearnedLabels, Perception, Shells
-
-        told = self.told
-        return Perception(
-            Shells() if told.labels is None else LearnedLabels(told.labels),
-            FlatFloor() if told.depth is None else LearnedDepth(told.depth),
-        )
+        return LiveEye(self.devices.camera, self.sight.lens)
 
     def _sounded(self) -> list[Finding]:
         """Tell the DVL how fast sound goes, where that was given."""
@@ -575,7 +593,7 @@ class _Ready:
             bridge,
             self.devices.navigator,
             self.eye,
-            self.perception,
+            self.sight.perception,
             self.protocol,
             self.devices.now,
             T_base_camera=self.mount,

@@ -165,7 +165,10 @@ def checked_bytes(path: str | Path, *, most: int | None = None, sha256: str | No
         raise ValueError(
             f"model: expected {path} with SHA-256 {sha256}, got {found_sha256}. Was it replaced or damaged?"
         )
-    found = contents(model)
+    try:
+        found = contents(model)
+    except ValueError as error:
+        raise ValueError(f"model: {path}: {str(error).removeprefix('model: ')}") from error
     if found.external:
         raise ValueError(
             f"model: expected all weights in {path}, got {found.external} tensors in other files. "

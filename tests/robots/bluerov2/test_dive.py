@@ -214,6 +214,51 @@ def test_a_vehicle_that_does_not_answer_is_told_in_a_line(
     assert "expected a heartbeat of system 1" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("option", "content", "wanted"),
+    [
+        ("--calibration", None, "there is no such file. Calibrate the camera first"),
+        ("--calibration", "", "expected YAML as OpenCV writes it, got an empty file"),
+        ("--calibration", "%YAML:1.0\n---\na: [", "expected YAML as OpenCV writes it: OpenCV"),
+        ("--labels", None, "model: expected a readable file, got"),
+        ("--depth", "no model", "is not of ONNX. Is it an ONNX file?"),
+    ],
+)
+def test_a_file_that_pictures_need_is_read_before_any_vehicle_is_asked(
+    option: str,
+    content: str | None,
+    wanted: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(
+        "dream.robots.bluerov2.devices.Devices.__enter__", lambda devices: pytest.fail("devices were opened")
+    )
+    path = tmp_path / "file"
+    if content is not None:
+        path.write_text(content)
+    ask = [
+        "dive",
+        "--area",
+        "-1",
+        "-1",
+        "1",
+        "1",
+        "--check",
+        option,
+        str(path),
+        "--out",
+        str(tmp_path / "runs"),
+    ]
+    assert run_command(ask) == 2
+    said = capsys.readouterr().err
+    assert wanted in said
+    assert str(path) in said
+    assert len(said.splitlines()) == 1
+    assert not (tmp_path / "runs").exists()
+
+
 def test_without_an_operator_there_is_no_dive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     dive = ["dive", "--area", "-1", "-1", "1", "1", "--calibration", str(tmp_path / "camera.yaml")]
     assert run_command(dive) == 2
@@ -260,7 +305,7 @@ class Vehicle:
         limits = Limits(Bounds(-1.0, -1.0, 1.0, 1.0))
         start = SE2(0.0, 0.0, 0.0)
         told = Dive(last_resort=how, json=True)
-        _Ready(told, POOL_V1, devices, limits, start, Path(), None)._leave(self)  # type: ignore[arg-type]
+        _Ready(told, POOL_V1, devices, limits, start, Path(), None, None)._leave(self)  # type: ignore[arg-type]
 
 
 def test_in_the_end_the_vehicle_is_brought_up_and_disarmed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -393,7 +438,7 @@ def test_what_cannot_be_of_a_vehicle_in_water_is_refused(
 def test_where_things_sit_is_kept_with_the_dive(tmp_path: Path) -> None:
     told = Dive(dvl_at=(0.1, 0.0, -0.2), camera_at=(0.25, 0.0, 0.02), tilt=30.0, speed_of_sound=1482.0)
     limits, start = Limits(Bounds(-1.0, -1.0, 1.0, 1.0)), SE2(0.0, 0.0, 0.0)
-    ready = _Ready(told, POOL_V1, SimpleNamespace(), limits, start, tmp_path, None)  # type: ignore[arg-type]
+    ready = _Ready(told, POOL_V1, SimpleNamespace(), limits, start, tmp_path, None, None)  # type: ignore[arg-type]
     config = ready._config("belief")
     assert config["mounting"] == {
         "dvl": [0.1, 0.0, -0.2],

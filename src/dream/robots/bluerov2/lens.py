@@ -258,15 +258,17 @@ def _parse(path: Path) -> Lens:
     cv2 = opencv()
     if path.stat().st_size > _MOST_BYTES:
         raise ValueError(f"expected at most {_MOST_BYTES} bytes, got {path.stat().st_size}")
+    if not path.stat().st_size:
+        raise ValueError("expected YAML as OpenCV writes it, got an empty file")
     try:
         storage = cv2.FileStorage(os.fspath(path), cv2.FILE_STORAGE_READ)
         nodes = {name: storage.getNode(name) for name in _FIELDS}
         known = {name: _value(node) for name, node in nodes.items()}
         storage.release()
     except (cv2.error, UnicodeDecodeError, SystemError) as error:
-        raise ValueError(
-            f"expected YAML as OpenCV writes it: {str(error).strip().splitlines()[-1]}"
-        ) from error
+        # Python's own words for what OpenCV raised tell nothing of the file.
+        why = str(error.__cause__ or error).strip().splitlines()[-1]
+        raise ValueError(f"expected YAML as OpenCV writes it: {why}") from error
     missing = [name for name in _FIELDS if known[name] is None and name != "fisheye_model"]
     if missing:
         raise ValueError(f"expected {', '.join(_FIELDS)}; {', '.join(missing)} is missing or of another kind")
