@@ -196,6 +196,10 @@ class Moves:
         def only_sticks(now: float) -> None:
             link._send(dialect.MAVLink_manual_control_message(link.vehicle, 0, 0, 500, 0, 0))
 
+        # Ordered once more, and good for longer than it takes to say nothing more of it: as the last order
+        # ran out, the link may have told the vehicle to stop.
+        link.command(BodyVelocity(0.0, 0.0, 0.0, TURN), link._now() + 0.5)
+        time.sleep(0.2)
         with monkeypatch.context() as patched:
             patched.setattr(link, "_drive", only_sticks)
             # Longer than the 3 s after which a velocity is forgotten: a rate of turn never is.

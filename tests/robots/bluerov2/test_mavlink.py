@@ -1153,7 +1153,7 @@ def test_old_values_are_on_disk_before_the_first_is_changed(tmp_path: Path) -> N
 
 def test_what_cannot_be_kept_is_not_changed(tmp_path: Path) -> None:
     dive = Dive(keep=tmp_path / "no such folder" / "before.json")
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(OSError, match=r"could not write .*before\.json \(No such file or directory\)"):
         dive.link.set_param("FS_PILOT_TIMEOUT", 1.0)
     assert dive.vehicle.heard("PARAM_SET") == []
 
