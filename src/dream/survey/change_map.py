@@ -43,14 +43,14 @@ VERDICTS: Mapping[Verdict, str] = {
     "no change shown": "#333333",
     "not comparable": "#aaaaaa",
 }
+PAGE = "change.html"
 FILES: Mapping[str, str] = {
     "change.png": "map of the change",
     "change.gpkg": "patches with verdicts, individuals with what became of them, ground; QGIS opens it",
     "change.json": "all figures of this page, and more, for programs",
-    "change.html": "the page to read",
+    PAGE: "the page to read",
 }
 """What is written. The page comes last, as it shows and names the others."""
-PAGE = "change.html"
 
 _TABLES = (
     Table(

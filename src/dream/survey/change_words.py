@@ -207,7 +207,7 @@ def _went(one: Difference, *, p: bool = False) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{100.0 * share:.0f}\N{NO-BREAK SPACE}%"
+    return typeset(f"{share:.0%}")
 
 
 def _listed(parts: Sequence[str]) -> str:

@@ -67,6 +67,8 @@ def _told(survey: Survey) -> dict[str, Any]:
 def _print(survey: Survey) -> None:
     from rich.console import Console
 
+    from dream.survey.numbers import named
+
     console = Console()
     where = "no origin" if survey.site is None else plain(survey.site.name)
     console.print(f"[bold]{plain(survey.name)}[/bold]  {where}, {survey.began:%Y-%m-%d %H:%M:%S %Z}")
@@ -87,7 +89,7 @@ def _print(survey: Survey) -> None:
         return
     names = list(dict.fromkeys(measure.name for patch in survey.patches for measure in patch.measures))
     table = slim_table()
-    for heading in ("patch", *(name.replace("_", " ") for name in names)):
+    for heading in ("patch", *map(named, names)):
         table.add_column(heading)
     for k, patch in enumerate(survey.patches, start=1):
         values = {measure.name: measure_row(measure) for measure in patch.measures}

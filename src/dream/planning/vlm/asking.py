@@ -346,7 +346,7 @@ class Line:
                 cassette.lost[folder] += 1
                 if cassette.lost[folder] == 1:
                     told = "%s: this exchange is not kept (%s). Is the disk full? Others are only counted"
-                    logger.warning(told, folder, error.strerror or error)
+                    logger.warning(told, folder, error)
         return outcome
 
     async def _exchange(self, question: Question[R]) -> Outcome:

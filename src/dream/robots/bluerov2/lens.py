@@ -256,9 +256,10 @@ def _fisheye(x: Float64Array, y: Float64Array, k: Float64Array) -> tuple[Float64
 
 def _parse(path: Path) -> Lens:
     cv2 = opencv()
-    if path.stat().st_size > _MOST_BYTES:
-        raise ValueError(f"expected at most {_MOST_BYTES} bytes, got {path.stat().st_size}")
-    if not path.stat().st_size:
+    size = path.stat().st_size
+    if size > _MOST_BYTES:
+        raise ValueError(f"expected at most {_MOST_BYTES} bytes, got {size}")
+    if not size:
         raise ValueError("expected YAML as OpenCV writes it, got an empty file")
     try:
         storage = cv2.FileStorage(os.fspath(path), cv2.FILE_STORAGE_READ)

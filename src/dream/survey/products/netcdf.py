@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dream.survey.numbers import named
 from dream.survey.products.geotiff import Laid, corners_of, laid_on, sheet_around
 from dream.survey.products.ground import Ground, site_of
 from dream.survey.products.styles import EXPLORED, SOLID, SOLID_TARGET, TARGET, UNKNOWN
@@ -233,7 +234,7 @@ def _measures(file: Any, surveys: Sequence[Survey]) -> None:
         ]
         values = np.array([_filled(m.value if m else None) for m in of])
         words = re.sub(r"\W", "_", name)
-        plain = name.replace("_", " ")
+        plain = named(name)
         variable = words if re.match(r"[A-Za-z]", words) else f"measure_{words}"
         _variable(
             file,

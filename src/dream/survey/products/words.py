@@ -7,6 +7,7 @@ import re
 from dataclasses import dataclass
 from itertools import pairwise
 
+from dream.survey.numbers import named
 from dream.survey.survey import Measure, Survey
 from dream.types import Target
 
@@ -76,7 +77,7 @@ def meaning(name: str) -> Meaning:
     """What a measure means; one that is not known here keeps its name."""
     if (ends := size_bin(name)) is not None:
         return Meaning(f"{ends[0]} to {ends[1]} cm wide", "share of the individuals", share=True)
-    plain = name.replace("_", " ")
+    plain = named(name)
     return MEANINGS.get(
         name, Meaning(plain[:1].upper() + plain[1:], "", share=name.endswith(("_share", "_seen")))
     )
