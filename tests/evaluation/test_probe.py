@@ -8,7 +8,7 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -484,15 +484,23 @@ def test_the_first_answer_is_seen_through_and_the_table_says_so(
     assert all(kind.title in printed for kind in KINDS.values())
 
 
-def test_a_server_that_refuses_ends_the_probe_with_one_line(
+def test_a_server_that_refuses_ends_the_probe_with_one_line_before_the_last_map_is_drawn(
     questions: list[MapQuestion], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dream.evaluation.probe.make_questions", lambda count: iter(questions[:count]))
+    drawn: list[int] = []
+
+    def draw(count: int) -> Iterator[MapQuestion]:
+        for question in questions[:count]:
+            drawn.append(question.number)
+            yield question
+
+    monkeypatch.setattr("dream.evaluation.probe.make_questions", draw)
     with serving(error(403)) as server:
-        assert run_command(probe(server.address, "--questions", "8")) == 2
+        assert run_command(probe(server.address, "--questions", "8", "--at-once", "2")) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
     assert "HTTP 403" in printed.err
+    assert len(drawn) <= 2
 
 
 def test_nobody_at_the_address_ends_the_probe_with_one_line(

@@ -137,6 +137,8 @@ def test_surveys_the_wrong_way_round_or_made_in_two_ways_are_doubted(
         said(f"survey compare {names}", capsys)
         told = [one.getMessage() for one in caplog.records if one.getMessage().startswith("compare: ")]
         assert len(told) == doubts
+        kept = json.loads((two / "change/change.json").read_text())["doubts"]
+        assert [doubt.removeprefix("compare: ") for doubt in told] == kept
         page = Seen((two / "change/change.html").read_text()).text.casefold()
         assert all(doubt.removeprefix("compare: ").casefold() in page for doubt in told)
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, wait
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -81,19 +82,24 @@ class Probe:
         line = self.asking.line()
         if self.out is not None:
             check_writable(self.out)
-        made = list(with_progress(make_questions(self.questions), "making maps", self.questions))
+        questions = make_questions(self.questions)
+        first = next(questions)
         began = time.perf_counter()
         replies: list[Reply] = []
         interrupted = False
         try:
-            replies.extend(with_progress(self._ask(line, made), f"asking {self.asking.label}", len(made)))
+            replies.extend(
+                with_progress(
+                    self._ask(line, chain([first], questions)), f"asking {self.asking.label}", self.questions
+                )
+            )
         except KeyboardInterrupt:
             interrupted = True  # What was answered until then is told all the same.
         tell_lost(self.asking.record)
-        score = Score(tuple(sorted(replies, key=lambda reply: reply.question.number)), len(made))
+        score = Score(tuple(sorted(replies, key=lambda reply: reply.question.number)), self.questions)
         summary = {
             "model": self.asking.label,
-            "prompt": made[0].prompt,
+            "prompt": first.prompt,
             **score.as_dict(),
             "wall_s": round(time.perf_counter() - began, 3),
         }
@@ -106,33 +112,36 @@ class Probe:
             answered = sum(reply.given is not None for reply in replies)
             kept = self.asking.record
             raise MissionAborted(
-                f"interrupted: {answered} of {len(made)} questions are answered; "
+                f"interrupted: {answered} of {self.questions} questions are answered; "
                 + (f"they are kept in {kept}, and the same command goes on" if kept else "none are kept")
                 + ("" if kept else ". With --record DIR they would be, and the same command would go on")
             )
         return 0 if score.complete else 1
 
-    def _ask(self, line: Line, questions: Sequence[MapQuestion]) -> Iterator[Reply]:
-        """Replies as they come, some questions at a time."""
+    def _ask(self, line: Line, questions: Iterator[MapQuestion]) -> Iterator[Reply]:
+        """Replies as they come, some questions at a time.
 
+        A map is drawn when its question is due: what refuses the first tells so before the last is drawn.
+        """
         kept = _kept(self.asking)
         ends = time.monotonic() + self.limit
         waiting: dict[int, tuple[MapQuestion, Pending[Choice]]] = {}
-        left = list(reversed(questions))
-        while left or waiting:
-            if time.monotonic() >= ends:
-                left.clear()
-            while left and len(waiting) < self.at_once:
-                question = left.pop()
+        while True:
+            room = len(waiting) < self.at_once and time.monotonic() < ends
+            question = next(questions, None) if room else None
+            if question is not None:
                 answer = None if kept is None else _answer_of(kept, question)
                 if answer is None:
                     waiting[question.number] = (question, line.ask(question.asked))
                 else:
                     yield _reply(question, answer)
-            wait([pending.outcome for _, pending in waiting.values()], return_when=FIRST_COMPLETED)
+            elif waiting:
+                wait([pending.outcome for _, pending in waiting.values()], return_when=FIRST_COMPLETED)
+            else:
+                return
             for number in [number for number, (_, pending) in waiting.items() if pending.done()]:
-                question, pending = waiting.pop(number)
-                yield _reply(question, line.insist(pending.answer()))
+                asked, pending = waiting.pop(number)
+                yield _reply(asked, line.insist(pending.answer()))
 
 
 def _kept(asking: Asking) -> Line | None:

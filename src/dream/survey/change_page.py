@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 from dream import __version__
 from dream.survey import change_words
-from dream.survey.comparison import Comparison, Difference, PatchChange, Verdict
+from dream.survey.comparison import Comparison, Difference, PatchChange, Verdict, doubts
 from dream.survey.numbers import number, p_value, typeset
 from dream.survey.products import web, words
 from dream.types import Target
@@ -29,7 +29,7 @@ def change_page(
         files: (name, what it is) of what lies beside the page.
     """
     a, b = comparison.a, comparison.b
-    notes = [*change_words.doubts(a, b), *filter(None, (comparison.registration.note,))]
+    notes = [*doubts(a, b), *filter(None, (comparison.registration.note,))]
     main = web.filled(
         "change.html",
         {

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from dream.survey.comparison import Comparison, Difference, PatchChange, Verdict
 from dream.survey.fates import Missing
 from dream.survey.numbers import UNITS, number, p_value, places, typeset
-from dream.survey.survey import Survey
 from dream.types import Target
 
 CHANGED: tuple[Verdict, ...] = ("loss", "gain", "mixed")
@@ -26,25 +25,6 @@ _CALLED: dict[Verdict, tuple[str, str]] = {
 }
 """Of one, and of several."""
 _WENT = {"found": "the number found", "cover": "cover", "target_area": "target area"}
-
-
-def doubts(a: Survey, b: Survey) -> list[str]:
-    """What two surveys have that makes their comparison less than it says."""
-    told = []
-    if (a.name, a.began) == (b.name, b.began):
-        told.append(
-            f"both are {a.name}: expected two of a site. What differs is how one was laid on the other"
-        )
-    if a.began > b.began:
-        told.append(
-            f"{a.name} began after {b.name}; what is told as gained was lost, if their clocks are right"
-        )
-    if a.protocol != b.protocol:
-        told.append(
-            f"{a.name} was made by {a.protocol} and {b.name} by {b.protocol}: what two ways of looking "
-            "differ by is not in the intervals, and may be told as a change"
-        )
-    return told
 
 
 def difference_cells(one: Difference) -> tuple[str, str, str]:

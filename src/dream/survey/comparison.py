@@ -122,6 +122,7 @@ class Comparison:
         return {
             "before": _named(self.a),
             "after": _named(self.b),
+            "doubts": list(doubts(self.a, self.b)),
             "registration": {
                 "x": laid.T_a_b.x,
                 "y": laid.T_a_b.y,
@@ -164,6 +165,25 @@ class Comparison:
                 for one in self.patches
             ],
         }
+
+
+def doubts(a: Survey, b: Survey) -> tuple[str, ...]:
+    """What two surveys have that makes their comparison less than it says."""
+    told = []
+    if (a.name, a.began) == (b.name, b.began):
+        told.append(
+            f"both are {a.name}: expected two of a site. What differs is how one was laid on the other"
+        )
+    if a.began > b.began:
+        told.append(
+            f"{a.name} began after {b.name}; what is told as gained was lost, if their clocks are right"
+        )
+    if a.protocol != b.protocol:
+        told.append(
+            f"{a.name} was made by {a.protocol} and {b.name} by {b.protocol}: what two ways of looking "
+            "differ by is not in the intervals, and may be told as a change"
+        )
+    return tuple(told)
 
 
 def _named(survey: Survey) -> dict[str, Any]:

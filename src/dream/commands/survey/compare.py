@@ -46,8 +46,7 @@ class Compare:
     def __call__(self) -> int:
         """Exit status 0."""
         from dream.survey.change_map import write_change
-        from dream.survey.change_words import doubts
-        from dream.survey.comparison import Comparing
+        from dream.survey.comparison import Comparing, doubts
 
         check_writable(self.out)
         with compiling_told():
