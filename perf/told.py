@@ -241,9 +241,8 @@ def say_parts(jobs: int) -> None:
         for name in (NEAR_TOLD, FAR_TOLD):
             fewer = usual - [found[name] for found in flown]
             saved = interval(fewer, [kind] * len(fewer), mean)
-            print(
-                f"{kind}, {name}: {saved.value:+.1f} fewer [{saved.low:+.1f}, {saved.high:+.1f}]", flush=True
-            )
+            steps = f"{saved.value:.1f} steps [{saved.low:.1f}, {saved.high:.1f}]"
+            print(f"{kind}, {name}: saves {steps}", flush=True)
 
 
 def main() -> int:
