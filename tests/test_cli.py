@@ -930,6 +930,36 @@ def test_a_benchmark_says_of_each_mission_that_its_key_was_refused(
     assert "HTTP 401. Is its name right, and its key in the environment, as DREAM_API_KEY?" in complaint
 
 
+def test_a_mission_without_its_model_is_not_kept_and_goes_on_without_paying_twice(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    quota = {"error": {"message": "nothing left", "code": "insufficient_quota"}}
+    empty = Response(json.dumps(quota).encode(), 429, {"retry-after": "0"})
+    left = [1]
+
+    def answer(request: Request) -> Response:
+        left[0] -= 1
+        return fitting(request) if left[0] >= 0 else empty
+
+    kept = str(tmp_path / "kept")
+    with serving(answer) as server:
+        options = ["--model", server.address, "--model-name", NAME, "--max-steps", "5", "--jobs", "1"]
+        fly = ["bench", "--world", "flat/empty", "--planners", "dream", *options]
+        fly += ["--out", str(tmp_path / "bench"), "--json"]
+        going_on = ["--record", kept, "--replay-replies", kept]
+        assert run_command([*fly, *going_on]) == 1
+        assert "got quota: nothing is left to spend there" in capsys.readouterr().err
+        assert not list((tmp_path / "bench/missions").glob("*.json"))
+        left[0], asked = 9, len(server.asked)
+        assert run_command([*fly, *going_on]) == 0
+        assert len(server.asked) == asked + 1
+        (row,) = read_results(tmp_path / "bench").rows
+        assert (row.vlm_questions, row.vlm_fallbacks) == (2, 0)
+        # Where they are kept decides nothing: the mission is the same without.
+        assert run_command(fly) == 0
+        assert len(server.asked) == asked + 1
+
+
 def test_a_model_that_cannot_be_asked_is_found_out_before_anything_is_flown(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -514,9 +514,11 @@ def test_what_asked_the_stand_in_is_a_wire_test_and_measures_no_model(model: str
     assert "never what a model can do" in " ".join(tables.headline(found, (L1, L2)).notes)
 
 
-@pytest.mark.parametrize(("fallbacks", "marked"), [(5, False), (6, True), (50, True)])
-def test_rows_that_belief_flew_much_of_are_marked_wherever_they_stand(fallbacks: int, marked: bool) -> None:
-    made = asking({})
+@pytest.mark.parametrize(("fallbacks", "missions"), [(5, None), (6, 0), (50, 2)])
+def test_rows_that_belief_flew_much_of_are_marked_wherever_they_stand(
+    fallbacks: int, missions: int | None
+) -> None:
+    made, marked = asking({}), missions is not None
     rows = tuple(
         replace(each, vlm_fallbacks=fallbacks) if each.planner == "dream" else each for each in made.rows
     )
@@ -525,7 +527,8 @@ def test_rows_that_belief_flew_much_of_are_marked_wherever_they_stand(fallbacks:
     assert set(found.planners) == {name, "sixsteps"}
     line = row(tables.headline(found, (L1, L2)), name)
     assert line["by belief, %"] == str(2 * fallbacks)
-    said = f"counted: {name} {2 * fallbacks} % of the questions."
+    most = f", most of those in {missions} missions" if missions else ""
+    said = f"counted: {name} {2 * fallbacks} % of the questions{most}."
     console = Console(file=io.StringIO(), width=300)
     tables.print_summary(replace(made, rows=rows), console)
     printed = " ".join(console.file.getvalue().split())  # type: ignore[attr-defined]
@@ -534,11 +537,29 @@ def test_rows_that_belief_flew_much_of_are_marked_wherever_they_stand(fallbacks:
     assert (said in printed) == marked
 
 
+@pytest.mark.parametrize(("fallbacks", "marked"), [(2, False), (25, False), (26, True)])
+def test_one_mission_that_belief_flew_marks_the_row(fallbacks: int, marked: bool) -> None:
+    made = asking({})
+    first = next(k for k, each in enumerate(made.rows) if each.planner == "dream")
+    few = {2: 3}.get(fallbacks, 50)
+    rows = list(made.rows)
+    rows[first] = replace(rows[first], vlm_questions=few, vlm_fallbacks=fallbacks)
+    # Of all questions of the planner these are few.
+    rows = [
+        replace(each, vlm_questions=500, vlm_fallbacks=0) if k != first and each.planner == "dream" else each
+        for k, each in enumerate(rows)
+    ]
+    found = compare(replace(made, rows=tuple(rows)))
+    assert all(share <= tables.BY_BELIEF for share in found.unanswered.values())
+    assert list(found.by_belief.values()) == ([1] if marked else [])
+    assert ("most of those in 1 mission." in " ".join(warnings(found))) == marked
+
+
 def test_who_decided_is_not_known_of_what_was_flown_before_it_was_written_down() -> None:
     made = asking({})
     rows = tuple(replace(each, vlm_questions=None) for each in made.rows)
     found = compare(replace(made, rows=rows))
-    assert found.by_belief == ()
+    assert found.by_belief == {}
     assert row(tables.headline(found, (L1, L2)), "dream (openai:gpt)")["by belief, %"] == NONE
 
 

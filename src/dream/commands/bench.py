@@ -70,7 +70,7 @@ class Flying:
                 )
             return chosen
         kept = self.asking.replay_replies
-        if kept is not None and not Path(kept).is_dir():
+        if kept is not None and kept != self.asking.record and not Path(kept).is_dir():
             raise ValueError(f"--replay-replies: expected a folder of kept replies, got {kept}")
         if not self.asking.model:
             raise ValueError(

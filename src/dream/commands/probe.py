@@ -127,7 +127,9 @@ class Probe:
         ends = time.monotonic() + self.limit
         waiting: dict[int, tuple[MapQuestion, Pending[Choice]]] = {}
         while True:
-            room = len(waiting) < self.at_once and time.monotonic() < ends
+            # What a question costs shows with the first.
+            unpriced = self.asking.max_usd is not None and line.spent.calls == 0
+            room = len(waiting) < (1 if unpriced else self.at_once) and time.monotonic() < ends
             question = next(questions, None) if room else None
             if question is not None:
                 answer = None if kept is None else _answer_of(kept, question)

@@ -43,7 +43,7 @@ from dream.mission import Planner, Robot, explore
 from dream.orders import Orders, sentences, written
 from dream.planning import PLANNERS, AnyPlanner
 from dream.planning.baselines.uivnav import weights_sha256
-from dream.planning.vlm.asking import Asking
+from dream.planning.vlm.asking import GONE, WHERE_KEPT, Asking
 from dream.protocol import SHOWN, SurveyProtocol, protocol_named
 from dream.robots import Swimming, Teleport
 from dream.sim.files import world_hash
@@ -221,7 +221,8 @@ def fly(flight: Flight) -> Flown:
     A mission that was aborted since the vehicle lost its way is scored by what it had done until then.
 
     Raises:
-        ValueError: The flight is for other code than this.
+        ValueError: The flight is for other code than this, or its model could not be asked any more: what
+            `belief` flew from then on would stand in its name.
     """
     if flight.source and flight.source != machine.source():
         raise ValueError(
@@ -245,6 +246,9 @@ def fly(flight: Flight) -> Flown:
     poses: list[tuple[float, float, float, float, bool]] = []
 
     def score(step: Step) -> dict[str, Any]:
+        for exchange in step.decision.exchanges:
+            if isinstance(flight.planner, Asking) and exchange.fallback.startswith(GONE):
+                raise flight.planner.gone(exchange.fallback)
         coverage = scorer.add(step)
         pose = step.observation.pose
         # Adding 0.0 turns -0.0, which would be written differently, into 0.0.
@@ -481,7 +485,8 @@ def _manifest(plan: Plan, folder: Path, engine: Engine) -> dict[str, Any]:
             _check_same(folder, name, before[name], now[name])
         _check_same(folder, "swimming", before.get("swimming"), now.get("swimming"))
         for name in before["planners"].keys() & now["planners"].keys():
-            _check_same(folder, name, before["planners"][name], now["planners"][name])
+            then, new = (_deciding(planners[name]) for planners in (before["planners"], now["planners"]))
+            _check_same(folder, name, then, new)
         suites = dict.fromkeys([*before["suite"].split(", "), plan.suite])
         now["suite"] = ", ".join(suites)
         now["cases"] += [case for case in before["cases"] if case not in now["cases"]]
@@ -500,6 +505,11 @@ def _manifest(plan: Plan, folder: Path, engine: Engine) -> dict[str, Any]:
     now["cases"].sort(key=lambda case: _rank_of_case(Case(**case)))
     now["planners"] = {name: now["planners"][name] for name in sorted(now["planners"], key=_rank_of_planner)}
     return now
+
+
+def _deciding(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters on which a mission depends: not where the exchanges with a model are kept."""
+    return {name: value for name, value in parameters.items() if name not in WHERE_KEPT}
 
 
 def _check_same(folder: Path, name: str, before: Any, now: Any) -> None:

@@ -57,6 +57,8 @@ REEFS = (*REEF_FAMILIES, "letter")
 
 BY_BELIEF = 0.1
 """Share of a planner's questions without a reply that counts from which on its rows are marked."""
+MOST_OF_A_MISSION, FEW = 0.5, 3
+"""Likewise in a single mission, and how many questions that must be."""
 
 REIMPLEMENTED = {"uivnav": "our re-implementation"}
 """What is said of a planner after a paper whose code and parameters are not public."""
@@ -123,11 +125,9 @@ class Comparison:
     """Planners that asked the stand-in."""
     unanswered: Mapping[str, float]
     """Planners that asked a model: share of their questions to which no reply counted."""
-
-    @property
-    def by_belief(self) -> tuple[str, ...]:
-        """Planners whose decisions were `belief`'s by more than `BY_BELIEF`."""
-        return tuple(name for name, share in self.unanswered.items() if share > BY_BELIEF)
+    by_belief: Mapping[str, int]
+    """Planners whose decisions were `belief`'s by more than `BY_BELIEF`, or that flew missions of which it
+    decided most; and how many such missions there are."""
 
     @property
     def missing(self) -> int:
@@ -236,10 +236,9 @@ def compare(results: Results) -> Comparison:
         for case in results.manifest["cases"]
     )
     given = results.manifest["planners"]
-    unanswered = _unanswered(results.rows)
+    unanswered, by_belief = _unanswered(results.rows), _by_belief(results.rows)
     titles = {
-        name: title(name, parameters, by_belief=unanswered.get(name, 0.0) > BY_BELIEF)
-        for name, parameters in given.items()
+        name: title(name, parameters, by_belief=name in by_belief) for name, parameters in given.items()
     }
     rows: dict[tuple[Case, str], Row] = {}
     bounds: dict[Case, Bounds] = {}
@@ -281,6 +280,7 @@ def compare(results: Results) -> Comparison:
         },
         wire_tests=tuple(titles[name] for name, parameters in given.items() if is_wire_test(parameters)),
         unanswered={titles.get(name, name): share for name, share in unanswered.items()},
+        by_belief={titles.get(name, name): missions for name, missions in by_belief.items()},
     )
 
 
@@ -293,6 +293,22 @@ def _unanswered(rows: Iterable[Row]) -> dict[str, float]:
             questions[row.planner] += row.vlm_questions
             fallbacks[row.planner] += row.vlm_fallbacks or 0
     return {planner: fallbacks[planner] / count for planner, count in questions.items() if count}
+
+
+def _by_belief(rows: Sequence[Row]) -> dict[str, int]:
+    """See `Comparison.by_belief`."""
+    missions = Counter(
+        row.planner
+        for row in rows
+        if row.vlm_questions is not None
+        and (row.vlm_fallbacks or 0) >= FEW
+        and (row.vlm_fallbacks or 0) > MOST_OF_A_MISSION * row.vlm_questions
+    )
+    return {
+        planner: missions[planner]
+        for planner, share in _unanswered(rows).items()
+        if share > BY_BELIEF or missions[planner]
+    }
 
 
 def title(planner: str, parameters: Mapping[str, Any], *, by_belief: bool) -> str:
@@ -333,12 +349,16 @@ def about_wire_tests(comparison: Comparison) -> str:
 
 def about_by_belief(comparison: Comparison) -> str:
     """What must stand beside rows of which `belief` decided much; empty where there are none."""
-    shares = ", ".join(f"{name} {100 * comparison.unanswered[name]:.0f} %" for name in comparison.by_belief)
-    if not shares:
+    told = "; ".join(
+        f"{name} {100 * comparison.unanswered[name]:.0f} % of the questions"
+        + (f", most of those in {missions} mission{'s' if missions != 1 else ''}" if missions else "")
+        for name, missions in comparison.by_belief.items()
+    )
+    if not told:
         return ""
     return (
-        f"Decided by belief, since no reply of the model counted: {shares} of the questions. These rows do "
-        "not show what the model can do; a mission without any reply is no success."
+        f"Decided by belief, since no reply of the model counted: {told}. These rows do not show what the "
+        "model can do; a mission without any reply is no success."
     )
 
 

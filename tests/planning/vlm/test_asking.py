@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from dream.planning.vlm import asking, cassette
 from dream.planning.vlm.asking import Answer, Asking, Line, Question
 from dream.types import Asked
-from tests.model_server import SECRET, Response, Server, error, says, serving
+from tests.model_server import SECRET, Request, Response, Server, error, says, serving
 
 
 class Number(BaseModel):
@@ -173,9 +173,21 @@ def test_what_a_server_counts_beside_tokens_is_its_own_affair() -> None:
     assert (answer.exchange.tokens_in, answer.exchange.tokens_out) == (100, 10)
 
 
-def test_a_fence_around_the_reply_is_taken_off() -> None:
-    with serving(says('```json\n{"why": "so", "number": 3}\n```')) as server:
+@pytest.mark.parametrize(
+    "reply",
+    [
+        f"```json\n{SO}\n```",
+        f"```\n{SO}\n```",
+        f"Here you are:\n```json\n{SO}\n```\nDone.",
+        f"```json\n{SO}\n```\nThat is {{all}}.",
+        f"```json\n{SO}",
+        f"\n {SO} ",
+    ],
+)
+def test_a_fence_around_the_reply_is_taken_off_with_all_around_it(reply: str) -> None:
+    with serving(says(reply)) as server:
         assert ask(line(server)).reply == Number(why="so", number=3)
+        assert len(server.asked) == 1
 
 
 def test_a_key_that_a_server_repeats_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -185,6 +197,27 @@ def test_a_key_that_a_server_repeats_is_not_kept(tmp_path: Path, monkeypatch: py
     assert answer.reply == Number(why="[key]", number=3)
     assert SECRET not in repr(answer.exchange)
     assert all(SECRET.encode() not in path.read_bytes() for path in tmp_path.glob("*.json"))
+
+
+@pytest.mark.parametrize(
+    "spell",
+    [
+        lambda key: "".join(f"\\u{ord(c):04x}" for c in key),
+        lambda key: "".join(f"\\u{ord(c):04X}" if k % 2 else c for k, c in enumerate(key)),
+        lambda key: key.replace("/", "\\/"),
+    ],
+    ids=["all of it", "half of it", "slashes"],
+)
+def test_a_key_that_is_spelt_otherwise_is_not_kept_either(
+    spell: Callable[[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    key = "sk/0a.b"
+    monkeypatch.setenv(asking.KEY, key + "-1")
+    with serving(says(f'{{"why": "{spell(key + "-1")}", "number": 3}}')) as server:
+        answer = ask(line(server, record=str(tmp_path)))
+    assert answer.reply == Number(why="[key]", number=3)
+    assert answer.exchange.replies == ('{"why": "[key]", "number": 3}',)
+    assert all(key not in path.read_text() for path in tmp_path.glob("*.json"))
 
 
 def test_an_address_gets_nothing_that_is_meant_for_openai(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -243,6 +276,55 @@ def test_a_server_without_schemas_is_told_in_words() -> None:
     formats = [request.body["response_format"]["type"] for request in server.asked]
     assert formats == ["json_schema", "json_object", "json_object"]
     assert '"number"' in json.dumps(server.asked[1].body["messages"]).replace("\\", "")
+
+
+def takes(*formats: str | None) -> Callable[[Request], Response]:
+    """A server that takes requests with these formats only."""
+
+    def answer(request: Request) -> Response:
+        asked = request.body.get("response_format", {}).get("type")
+        return GOOD if asked in formats else error(400)
+
+    return answer
+
+
+@pytest.mark.parametrize("format_taken", ["json_object", None])
+def test_a_server_that_takes_another_form_answers_all_that_it_is_asked_at_once(
+    format_taken: str | None,
+) -> None:
+    with serving(takes(format_taken)) as server:
+        on = line(server)
+        pending = [on.ask(question(str(k))) for k in range(8)]
+        assert [one.answer().exchange.fallback for one in pending] == 8 * [""]
+        begun = len(server.asked)
+        assert ask(on, "later").reply is not None
+        assert len(server.asked) == begun + 1  # It is known by now what it takes.
+
+
+def test_what_a_server_finds_wrong_with_a_request_is_told_in_one_short_line(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv(asking.KEY, "secret words")
+    said = f"At most 1 image(s)\x1b[31m may be\nprovided, secret words or {SECRET}. " + 400 * "x "
+    for body in ({"error": {"message": said}}, {"message": said}, {"detail": said}, {"error": said}):
+        with serving(Response(json.dumps(body).encode(), 422)) as server:
+            on = line(server)
+            answer = ask(on)
+            fallback = answer.exchange.fallback
+            with pytest.raises(ValueError, match=r"got rejected.* Does the model take pictures"):
+                on.insist(answer)
+        told = "rejected: HTTP 422: At most 1 image(s) [31m may be provided, [key] or ... x x "
+        assert fallback.startswith(told)
+        assert len(fallback) < 250
+        assert SECRET not in fallback
+
+
+def test_who_has_nothing_left_to_spend_is_told_so_before_the_first_answer() -> None:
+    empty = Response(json.dumps({"error": {"message": "empty", "code": "insufficient_quota"}}).encode(), 429)
+    with serving(empty) as server:
+        on = line(server)
+        with pytest.raises(ValueError, match=r"got quota: nothing is left to spend there\. Is there a plan"):
+            on.insist(ask(on))
 
 
 def test_a_model_that_cannot_be_asked_at_all_is_an_error_of_the_operator() -> None:
@@ -337,6 +419,29 @@ def test_questions_on_their_way_count_towards_the_budget() -> None:
     assert [answer.reply is not None for answer in answers] == [True, True, True, False, False]
     assert len(server.asked) == on.spent.calls == 3
     assert on.under_way == 0
+
+
+def test_asking_again_exceeds_no_budget_either(monkeypatch: pytest.MonkeyPatch) -> None:
+    with serving(replace(WRONG, late=0.05)) as server:
+        on = line(server, max_calls=9)
+        pending = [on.ask(question(str(k))) for k in range(8)]
+        reasons = {one.answer().exchange.fallback.partition(":")[0] for one in pending}
+        assert ask(on).reply is None
+    assert len(server.asked) == on.spent.calls == 9
+    assert reasons == {"invalid", "budget"}
+
+
+def test_questions_on_their_way_count_towards_the_dollars_by_the_dearest_so_far(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(asking, "_cost", lambda response: 0.1)
+    with serving(GOOD) as server:
+        on = line(server, max_usd=0.35)
+        ask(on)
+        pending = [on.ask(question(str(k))) for k in range(8)]
+        answered = [one.answer().reply is not None for one in pending]
+    assert sum(answered) == 3
+    assert on.spent.cost_usd == pytest.approx(0.4)
 
 
 def test_the_budget_of_dollars_ends_the_asking(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -59,6 +59,22 @@ DENIED = "denied"
 """How the reason begins where a model cannot be asked at all."""
 UNREACHED = "connection: nothing answers"
 """How it begins where nobody listens at the model's address."""
+QUOTA = "quota"
+"""How it begins where nothing is left to spend."""
+REJECTED = "rejected"
+"""How it begins where the server takes no such request."""
+BUDGET = "budget"
+"""How it begins where the limits of this project allow no further call."""
+GONE = (DENIED, UNREACHED, QUOTA)
+"""How it begins where the next question will have no answer either."""
+WHERE_KEPT = ("record", "replay_replies")
+"""Options that say where exchanges are kept, on which no answer depends."""
+NO_SUCH_REQUEST = (400, 413, 422)
+"""HTTP statuses of a request that the server does not take, whoever sends it and whenever."""
+LONG_WORD = 16
+"""Characters of a word with digits in it that may be part of a key."""
+MOST_SAID = 200
+"""Characters of what a server says is wrong with a request."""
 PASSED_ON = frozenset(
     ("accept", "accept-encoding", "authorization", "connection", "content-length", "content-type", "host")
 )
@@ -80,7 +96,7 @@ class Asking:
     timeout: float = 60.0
     """Seconds for an answer, all tries included; then the offline planner decides that step."""
     max_calls: int | None = None
-    # Tries again of a request that a busy server turned away do not count.
+    # Tries again of a request that a busy server turned away, or that broke off, do not count.
     """Requests at most in a mission; then the offline planner decides."""
     max_usd: float | None = None
     """US dollars at most in a mission, likewise; for models whose price is known."""
@@ -97,7 +113,7 @@ class Asking:
         for name in ("model", "model_name"):
             if not isinstance(getattr(self, name), str):
                 raise ValueError(f"{name}: expected a name, got {getattr(self, name)}")
-        for name in ("record", "replay_replies"):
+        for name in WHERE_KEPT:
             if not isinstance(getattr(self, name), str | None):
                 raise ValueError(f"{name}: expected a folder, got {getattr(self, name)}")
         if "://" in self.model and set("@?#") & set(self.model):
@@ -145,6 +161,27 @@ class Asking:
     def label(self) -> str:
         """What the model is called in results."""
         return f"{self.model_name} at {self.model}" if self.model_name else self.model
+
+    def gone(self, fallback: str) -> ValueError:
+        """What is to be said where the model cannot be asked, for that reason."""
+        return ValueError(f"model: expected {self.label} to answer, got {fallback}. {self._advice(fallback)}")
+
+    def _advice(self, fallback: str) -> str:
+        """What to look at."""
+        if fallback.startswith(QUOTA):
+            return "Is there a plan with something left, or another key?"
+        if fallback.startswith(REJECTED):
+            return "Does the model take pictures, as many and as large as these?"
+        if "://" not in self.model:
+            network = fallback.startswith(UNREACHED)
+            return "Is there a network?" if network else "Is its name right, and its key in the environment?"
+        if fallback.startswith(UNREACHED):
+            return "Is the server running, and its address right?"
+        if not fallback.endswith("404"):
+            return f"Is its name right, and its key in the environment, as {KEY}?"
+        if urlsplit(self.model).path.rstrip("/").endswith("/v1"):
+            return "Does the server have a model of that name?"
+        return f"Is the address whole? Most end in /v1: {self.model.rstrip('/')}/v1"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,20 +253,34 @@ class Line:
     spent: Asked = UNASKED
     under_way: int = 0
     """Questions whose answer was not received yet; each is at least a call."""
-    _model: Model | None = None
-    _native: bool = True
+    _forms: tuple[_Form, ...] = ()
+    """How a reply can be asked for, the strictest first."""
+    _form: int = 0
+    """The strictest that the server took."""
+    _sent: int = 0
+    """Requests, counted before they are sent."""
+    _played: int = 0
+    """Requests of kept exchanges that answered."""
+    _dearest: float = 0.0
+    """US dollars that a question cost at most."""
     _answered: bool = False
     """It answered once, or an earlier leg of the orders went on after its first question."""
     _asked: Counter[str] = field(default_factory=Counter)
 
     def __post_init__(self) -> None:
-        self._answered = self.spent.calls > 0
+        self._answered, self._sent = self.spent.calls > 0, self.spent.calls
         if self.asking.replay_replies is None or self.asking.record is not None:
-            self._model = _connect(self.asking.model, self.asking.model_name)
-            self._native = bool(self._model.profile.get("supports_json_schema_output"))
-            # Which price list a known model stands in shows only with its first reply.
+            model = _connect(self.asking.model, self.asking.model_name)
             given = "://" in self.asking.model or stands_in(self.asking.model)
-            if self.asking.max_usd is not None and given and not _has_price(self._model):
+            self._forms = (_Form(model, schema=False),)
+            if model.profile.get("supports_json_schema_output"):
+                self._forms = (_Form(model, schema=True), *self._forms)
+            if given:
+                # Some servers take no format at all.
+                plain = _connect(self.asking.model, self.asking.model_name, formats=False)
+                self._forms += (_Form(plain, schema=False),)
+            # Which price list a known model stands in shows only with its first reply.
+            if self.asking.max_usd is not None and given and not _has_price(model):
                 raise ValueError(
                     f"max_usd: expected a model whose price is known, got {self.asking.label}. "
                     "Limit it with --max-calls"
@@ -246,11 +297,16 @@ class Line:
         key = self._key(question) if kept is not None or record is not None else ""
         if kept is not None and (record is None or cassette.holds(Path(kept), key)):
             try:
-                known.set_result(cassette.play(Path(kept), key, question.prompt))
+                outcome = cassette.play(Path(kept), key, question.prompt)
             except (OSError, ValueError) as error:
                 # Told when the answer is taken: a question that was never answered was not kept.
                 known.set_exception(error)
-            return Pending(self, question, known, sent=True)
+                return Pending(self, question, known, sent=True)
+            # Where a model can be asked, that it could not be is no answer.
+            if record is None or not outcome.fallback.startswith(GONE):
+                known.set_result(outcome)
+                self._played += outcome.requests
+                return Pending(self, question, known, sent=True)
         coming = asyncio.run_coroutine_threadsafe(self._converse(question, key), _loop())
         return Pending(self, question, coming, sent=True)
 
@@ -264,29 +320,13 @@ class Line:
         """The answer, where the model can be asked at all.
 
         Raises:
-            ValueError: It never answered, and denies to or is not there: its address, its name or its key is
-                wrong.
+            ValueError: It never answered, and denies to, is not there or takes no such question: its address,
+                its name, its key or its plan is wrong, or it is no model for this.
         """
         fallback = answer.exchange.fallback
-        if not self._answered and fallback.startswith((DENIED, UNREACHED)):
-            raise ValueError(
-                f"model: expected {self.asking.label} to answer, got {fallback}. {self._advice(fallback)}"
-            )
+        if not self._answered and fallback.startswith((*GONE, REJECTED)):
+            raise self.asking.gone(fallback)
         return answer
-
-    def _advice(self, fallback: str) -> str:
-        """What to look at where the model cannot be asked at all."""
-        address = self.asking.model
-        if "://" not in address:
-            network = fallback.startswith(UNREACHED)
-            return "Is there a network?" if network else "Is its name right, and its key in the environment?"
-        if fallback.startswith(UNREACHED):
-            return "Is the server running, and its address right?"
-        if not fallback.endswith("404"):
-            return f"Is its name right, and its key in the environment, as {KEY}?"
-        if urlsplit(address).path.rstrip("/").endswith("/v1"):
-            return "Does the server have a model of that name?"
-        return f"Is the address whole? Most end in /v1: {address.rstrip('/')}/v1"
 
     def receive(self, question: Question[R], outcome: Outcome) -> Answer[R]:
         """Check what came, and count it."""
@@ -311,6 +351,7 @@ class Line:
             seconds=outcome.seconds,
         )
         self.spent += exchange
+        self._dearest = max(self._dearest, exchange.cost_usd or 0.0)
         return Answer(reply, exchange)
 
     def took(self, exchange: Exchange) -> float:
@@ -322,11 +363,14 @@ class Line:
         """Why nothing more may be spent; empty where it may."""
         asking, spent = self.asking, self.spent
         if asking.max_calls is not None and spent.calls + self.under_way >= asking.max_calls:
-            return f"budget: all {asking.max_calls} calls are made"
+            return f"{BUDGET}: all {asking.max_calls} calls are made"
         if asking.max_usd is not None and spent.cost_usd is None:
             return f"unpriced: the price of {asking.label} is not known; limit it with --max-calls"
-        if asking.max_usd is not None and spent.cost_usd is not None and spent.cost_usd >= asking.max_usd:
-            return f"budget: all {asking.max_usd:g} USD are spent"
+        if asking.max_usd is not None and spent.cost_usd is not None:
+            # Those on their way may cost as much as any did.
+            due = spent.cost_usd + self.under_way * self._dearest
+            if due >= asking.max_usd:
+                return f"{BUDGET}: all {asking.max_usd:g} USD are spent"
         return ""
 
     # ------------------------------------------------------------------------------------- conversation
@@ -354,55 +398,63 @@ class Line:
         fallback = ""
         try:
             async with asyncio.timeout(self.asking.timeout):
-                await self._with_or_without_schema(question, messages)
+                await self._in_some_form(question, messages)
         except Exception as error:  # noqa: BLE001 - whatever a server sends, the mission goes on.
             fallback = _reason(error, self.asking.timeout, len(messages))
         return _outcome(messages, fallback)
 
-    async def _with_or_without_schema(self, question: Question[R], messages: list[Any]) -> None:
-        """Ask; where the server turns the schema away, in words. What was said is added to the messages."""
+    async def _in_some_form(self, question: Question[R], messages: list[Any]) -> None:
+        """Ask; where the server turns the form away, in a looser one. What was said joins the messages."""
         from pydantic_ai.exceptions import ModelHTTPError
 
-        try:
-            await self._run(question, messages)
-        except ModelHTTPError as error:
-            if not self._native or error.status_code not in (400, 422):
-                raise
-            self._native = False
+        for form in range(self._form, len(self._forms)):
             try:
-                await self._run(question, messages)
-            except ModelHTTPError:
-                self._native = True
-                raise
+                await self._run(question, messages, self._forms[form])
+            except ModelHTTPError as error:
+                if error.status_code not in NO_SUCH_REQUEST or form + 1 == len(self._forms):
+                    raise
+            else:
+                self._form = max(self._form, form)
+                return
 
-    async def _run(self, question: Question[R], messages: list[Any]) -> None:
+    async def _run(self, question: Question[R], messages: list[Any], form: _Form) -> None:
         from pydantic_ai import BinaryContent, capture_run_messages
         from pydantic_ai.settings import ModelSettings
-        from pydantic_ai.usage import UsageLimits
 
         parts: list[Any] = []
         for name, png in question.pictures.items():
             parts += [f"[{name}]", BinaryContent(png, media_type="image/png")]
         settings = ModelSettings(max_retries=MOST_TRIES - 1, timeout=self.asking.timeout)
-        most = self.asking.max_calls
-        # This question is among those under way.
-        left = None if most is None else most - self.spent.calls - self.under_way + 1
-        limits = UsageLimits(request_limit=left)
         with capture_run_messages() as said:
             try:
-                await self._agent(question).run(
-                    [*parts, question.text], model_settings=settings, usage_limits=limits
-                )
+                await self._agent(question, form).run([*parts, question.text], model_settings=settings)
             finally:
                 messages += said
 
-    def _agent(self, question: Question[R]) -> Agent[None, R]:
+    def _agent(self, question: Question[R], form: _Form) -> Agent[None, R]:
         from pydantic_ai import Agent, NativeOutput, PromptedOutput
 
-        assert self._model is not None
         reply = question.reply
-        wanted = NativeOutput(reply, strict=True) if self._native else PromptedOutput(reply)
-        return Agent(self._model, output_type=wanted, instructions=question.instructions, retries=1)
+        wanted = NativeOutput(reply, strict=True) if form.schema else PromptedOutput(reply)
+        model = _metered(form.model, self._count)
+        return Agent(model, output_type=wanted, instructions=question.instructions, retries=1)
+
+    def _count(self) -> None:
+        """Count a request that is about to be sent, where one more may be."""
+        from pydantic_ai.exceptions import UsageLimitExceeded
+
+        if self.asking.max_calls is not None and self._sent + self._played >= self.asking.max_calls:
+            raise UsageLimitExceeded("no call is left")
+        self._sent += 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Form:
+    """How a reply is asked for."""
+
+    model: Model
+    schema: bool
+    """By the schema itself, which the server holds the model to; in words where not."""
 
 
 def stands_in(model: str) -> bool:
@@ -411,8 +463,10 @@ def stands_in(model: str) -> bool:
 
 
 def _unfenced(text: str) -> str:
-    """A reply without the fence that some models put around JSON."""
-    fenced = re.fullmatch(r"\s*```(?:json)?\s*(\{.*\})\s*```\s*", text, re.DOTALL)
+    """A reply without the fence that some models put around JSON, and the words that they put around that."""
+    if text.lstrip().startswith("{"):
+        return text
+    fenced = re.search(r"```\w*\s*(\{.*?\})\s*(?:```|\Z)", text, re.DOTALL)
     return fenced[1] if fenced else text
 
 
@@ -422,7 +476,7 @@ def _first(error: ValidationError) -> str:
 
 
 def _reason(error: Exception, timeout: float, messages: int) -> str:
-    """Why there is no answer. Nothing that a server wrote is in it: that might hold a key."""
+    """Why there is no answer. Of what a server wrote only what it finds wrong with a request is in it."""
     import httpx2
     from pydantic_ai import exceptions
 
@@ -436,12 +490,14 @@ def _reason(error: Exception, timeout: float, messages: int) -> str:
     if isinstance(error, TimeoutError | exceptions.ModelTimeoutError):
         return f"timeout: no answer within {timeout:g} s"
     if isinstance(error, exceptions.UsageLimitExceeded):
-        return "budget: no call is left to ask again"
+        return f"{BUDGET}: no call is left to ask again"
     if isinstance(error, exceptions.ModelQuotaExceededError):
-        return "quota: nothing is left to spend there"
+        return f"{QUOTA}: nothing is left to spend there"
     if isinstance(error, exceptions.ModelRateLimitError):
         return "rate limit: the server asks to wait"
     if isinstance(error, exceptions.ModelHTTPError):
+        if error.status_code in NO_SUCH_REQUEST:
+            return f"{REJECTED}: HTTP {error.status_code}{_said(error.body)}"
         kind = DENIED if error.status_code in (401, 403, 404) else "server"
         return f"{kind}: HTTP {error.status_code}"
     if isinstance(error, exceptions.ModelConnectionError | OSError):
@@ -456,11 +512,26 @@ def _reason(error: Exception, timeout: float, messages: int) -> str:
     return "server: what it sent is no reply"
 
 
+def _said(body: object) -> str:
+    """What a server says is wrong with a request: one short line, without what may be part of a key."""
+    told = body
+    for name in ("error", "message", "detail"):
+        if isinstance(told, Mapping) and told.get(name):
+            told = told[name]
+    if not isinstance(told, str):
+        return ""
+    words = "".join(c if c.isprintable() else " " for c in _plain(told)).split()
+    line = " ".join("..." if len(word) >= LONG_WORD and re.search(r"\d", word) else word for word in words)
+    return f": {line[:MOST_SAID]}" if line else ""
+
+
 def _outcome(messages: list[Any], fallback: str) -> Outcome:
     from pydantic_ai.messages import ModelRequest, ModelResponse
 
     responses = [message for message in messages if isinstance(message, ModelResponse)]
     requests = sum(isinstance(message, ModelRequest) for message in messages)
+    # The last one was never sent where no call was left for it.
+    requests -= fallback.startswith(BUDGET) and requests > len(responses)
     costs = [_cost(response) for response in responses]
     # What was sent and not answered may cost all the same.
     costs += [None] * (requests - len(responses))
@@ -501,8 +572,15 @@ def _plain(text: str) -> str:
     """What a model wrote, without keys, and without halves of surrogate pairs, which no file could hold."""
     for name, value in os.environ.items():
         if name.endswith("_KEY") and len(value.strip()) >= LEAST_KEY:
-            text = text.replace(value.strip(), "[key]")
+            text = _spelt(value.strip()).sub("[key]", text)
     return text.encode(errors="replace").decode()
+
+
+@cache
+def _spelt(key: str) -> re.Pattern[str]:
+    """A key in all the ways in which JSON may spell it."""
+    ways = (rf"(?:\\?{re.escape(c)}|\\u(?i:{ord(c):04x}))" for c in key)
+    return re.compile("".join(ways))
 
 
 # ------------------------------------------------------------------------------------------- the way there
@@ -575,8 +653,26 @@ def _http(*, address: bool, near: bool) -> httpx2.AsyncClient:
     )
 
 
-def _connect(model: str, name: str) -> Model:
-    """The model, ready to be asked."""
+def _metered(model: Model, count: Callable[[], None]) -> Model:
+    """The model, with every request counted before it is sent."""
+    from pydantic_ai.models.wrapper import WrapperModel
+
+    class Metered(WrapperModel):
+        async def request(self, *arguments: Any, **options: Any) -> Any:
+            count()
+            return await super().request(*arguments, **options)
+
+    return Metered(model)
+
+
+def _connect(model: str, name: str, *, formats: bool = True) -> Model:
+    """The model, ready to be asked.
+
+    Args:
+        model: See `Asking.model`.
+        name: See `Asking.model_name`.
+        formats: Whether a server that is given by its address may be asked for a format.
+    """
     try:
         import pydantic_ai
         import pydantic_ai.exceptions
@@ -619,7 +715,8 @@ def _connect(model: str, name: str) -> Model:
         server = OpenAICompatibleProvider(
             "server", base_url=model, api_key=_key(), http_client=_http(address=True, near=near)
         )
-        return Lenient(name, provider=server, profile={"supports_json_schema_output": True})
+        profile: Any = {"supports_json_schema_output": formats, "supports_json_object_output": formats}
+        return Lenient(name, provider=server, profile=profile)
     if name:
         raise ValueError(f"model_name: expected only beside an address, got {name} with {model}")
     _check_allowed(model, near=False)
