@@ -95,6 +95,19 @@ def test_every_mark_is_read_with_its_number(data: st.DataObject) -> None:
     assert off(chart.yaw, pose.yaw) < 20.0
 
 
+@pytest.mark.parametrize("heading", range(12))
+def test_a_mark_where_the_vehicle_is_stands_behind_it_and_hides_nothing_of_it(heading: int) -> None:
+    pose = SE2(0.5, 0.5, math.radians(30.0 * heading))
+    cells = map_of(full(AREA, DREAM_V1, 1), AREA)
+    chart = read_map(drawn(cells, pose, {7: (0.5, 0.5)}))
+    assert math.hypot(chart.x - pose.x, chart.y - pose.y) < 0.06
+    assert off(chart.yaw, pose.yaw) < 4.0
+    ((number, x, y),) = chart.marks
+    back = -math.cos(pose.yaw), -math.sin(pose.yaw)
+    assert number == 7
+    assert 1.0 < (x - pose.x) * back[0] + (y - pose.y) * back[1] < 1.6
+
+
 def test_marks_in_the_picture_of_the_camera_are_read() -> None:
     noise = np.random.default_rng(1).integers(0, 256, (480, 640, 3)).astype(np.uint8)
     picture = Image.fromarray(noise)

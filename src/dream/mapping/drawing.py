@@ -45,6 +45,8 @@ GRID = 5.0
 """Metres between the lines of the grid, where the area is large enough for some."""
 DISC = 9
 """Radius of a mark's disc, pixels."""
+TAIL = 0.75
+"""How far the arrow of the vehicle reaches back, as a share of how far it reaches ahead."""
 DIGIT = 14
 """Height of its number, pixels."""
 FINER = 3
@@ -123,7 +125,7 @@ def draw_map(
     if pose is not None:
         _draw_vehicle(picture, sheet, pose)
     for mark in reversed(marks):
-        draw_disc(picture, _on_picture(sheet, mark), mark.number)
+        draw_disc(picture, _on_picture(sheet, mark, pose), mark.number)
     return picture
 
 
@@ -328,14 +330,22 @@ def _draw_way(picture: Image.Image, sheet: _Sheet, mark: Mark) -> None:
         _paste(picture, sheet, way, MARK, draw)
 
 
-def _on_picture(sheet: _Sheet, mark: Mark) -> Point:
-    """Where its disc stands, pixels of the picture: wholly on the map."""
+def _on_picture(sheet: _Sheet, mark: Mark, pose: SE2 | None) -> Point:
+    """Where its disc stands, pixels of the picture: on the map, and behind a vehicle that it would hide."""
     column, row = sheet.at(*mark.path[-1])
     edge = DISC + 1
+    if pose is not None and math.dist(sheet.at(pose.x, pose.y), (column, row)) < DISC:
+        away = TAIL * _half_arrow(sheet) + edge / sheet.per_metre
+        column, row = sheet.at(pose.x - away * math.cos(pose.yaw), pose.y - away * math.sin(pose.yaw))
     return (
         sheet.left + min(max(column, edge), sheet.width - edge),
         sheet.top + min(max(row, edge), sheet.height - edge),
     )
+
+
+def _half_arrow(sheet: _Sheet) -> float:
+    """Metres from the vehicle to the tip of its arrow."""
+    return 0.125 * sheet.protocol.reach
 
 
 def _draw_vehicle(picture: Image.Image, sheet: _Sheet, pose: SE2) -> None:
@@ -343,8 +353,8 @@ def _draw_vehicle(picture: Image.Image, sheet: _Sheet, pose: SE2) -> None:
     arc = [pose.yaw + half * along for along in np.linspace(-1.0, 1.0, 33)]
     cone = [sheet.at(pose.x, pose.y)]
     cone += [sheet.at(pose.x + reach * math.cos(a), pose.y + reach * math.sin(a)) for a in arc]
-    shape = ((1.0, 0.0), (-0.75, 0.7), (-0.4, 0.0), (-0.75, -0.7))
-    c, s = 0.125 * reach * math.cos(pose.yaw), 0.125 * reach * math.sin(pose.yaw)
+    shape = ((1.0, 0.0), (-TAIL, 0.7), (-0.4, 0.0), (-TAIL, -0.7))
+    c, s = _half_arrow(sheet) * math.cos(pose.yaw), _half_arrow(sheet) * math.sin(pose.yaw)
     arrow = [sheet.at(pose.x + c * a - s * b, pose.y + s * a + c * b) for a, b in shape]
 
     def outlined(corners: Sequence[Point], width: int) -> Drawer:
