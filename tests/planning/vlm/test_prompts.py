@@ -66,6 +66,15 @@ def test_what_is_said_of_the_robot_is_what_the_protocol_says() -> None:
         assert "5 m apart" in text
 
 
+@pytest.mark.parametrize(
+    ("text", "told"), [("The $reach and $mystery", r"got \$mystery$"), ("5 $ each", r"got a lone \$, which")]
+)
+def test_a_prompt_with_a_place_that_nothing_fills_is_refused_by_name(text: str, told: str) -> None:
+    prompt = prompts.Prompt("mine", {"version": "1"}, text)
+    with pytest.raises(ValueError, match=rf"prompts/mine\.md: expected none but \$reach, {told}"):
+        prompts.filled(prompt, {"reach": "8"})
+
+
 def test_a_prompt_without_a_version_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(resources, "files", lambda _: _Files("title: none\n\nText."))
     with pytest.raises(ValueError, match="prompt other: expected a first line such as version: 1"):

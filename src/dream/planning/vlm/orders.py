@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from string import Template
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, Field, ValidationError, create_model, model_validator
@@ -13,7 +12,7 @@ from pydantic import BaseModel, Field, ValidationError, create_model, model_vali
 from dream.geometry import Bounds
 from dream.orders import MOST_LEGS, Area, Leg, Orders, Side, SideOf, Task, written
 from dream.planning.vlm.asking import Asking, Question
-from dream.planning.vlm.prompts import load
+from dream.planning.vlm.prompts import filled, load
 from dream.planning.vlm.reply import Reply
 from dream.protocol import SurveyProtocol
 from dream.types import Exchange, Target
@@ -151,13 +150,14 @@ def ask_orders(
     if len(text) > MOST_WORDS:
         raise ValueError(f"mission: expected at most {MOST_WORDS} characters, got {len(text)}")
     prompt = load("orders")
-    instructions = Template(prompt.text).substitute(
+    values = {
         **{side: f"{value:g}" for side, value in asdict(bounds).items()},
-        labelled=labelled.value,
-        cap=protocol.cap,
-        advance=f"{max(protocol.advances):g}",
-        most=MOST_LEGS,
-    )
+        "labelled": labelled.value,
+        "cap": f"{protocol.cap}",
+        "advance": f"{max(protocol.advances):g}",
+        "most": f"{MOST_LEGS}",
+    }
+    instructions = filled(prompt, values)
     said = f"The operator says, in JSON:\n{json.dumps(text, ensure_ascii=False)}"
     line = asking.line()
     question = Question(prompt.label, instructions, said, {}, orders_reply(bounds))

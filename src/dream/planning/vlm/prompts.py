@@ -62,10 +62,10 @@ def instructions(name: str, mission: Mission, occupancy: OccupancyMap, **further
         "far": f"{FAR:g}",
     }
     parts = [prompt, legend, *([knowledge] if "$knowledge" in prompt.text else [])]
-    told = Template(legend.text).substitute(drawn)
+    told = filled(legend, drawn)
     if protocol.traversal is not None:
         parts.append(load("traversal"))
-        told += "\n\n" + Template(parts[-1].text).substitute(traversal=f"{protocol.traversal:g}")
+        told += "\n\n" + filled(parts[-1], {"traversal": f"{protocol.traversal:g}"})
     values = {
         "mission": knowledge.heads["mission"],
         "knowledge": knowledge.text,
@@ -77,7 +77,22 @@ def instructions(name: str, mission: Mission, occupancy: OccupancyMap, **further
         "standoff": f"{careful_standoff(protocol):.1f}",
         **further,
     }
-    return Template(prompt.text).substitute(values), ", ".join(part.label for part in parts)
+    return filled(prompt, values), ", ".join(part.label for part in parts)
+
+
+def filled(prompt: Prompt, values: Mapping[str, str]) -> str:
+    """Its text with the values in their places.
+
+    Raises:
+        ValueError: There are other places in it.
+    """
+    template = Template(prompt.text)
+    unknown = sorted(set(template.get_identifiers()) - set(values))
+    if unknown or not template.is_valid():
+        got = ", ".join(f"${name}" for name in unknown) or "a lone $, which is written $$"
+        known = ", ".join(f"${name}" for name in values)
+        raise ValueError(f"planning/prompts/{prompt.name}.md: expected none but {known}, got {got}")
+    return template.substitute(values)
 
 
 def area(occupancy: OccupancyMap) -> list[str]:

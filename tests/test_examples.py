@@ -1,0 +1,77 @@
+"""What stands in `examples` works as it is."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from dream.evaluation import runner
+from dream.evaluation.report import write_report
+from dream.evaluation.results import read_results
+from dream.evaluation.runner import simulate
+from dream.protocol import DREAM_V1
+from dream.sim.world import World
+
+
+@pytest.fixture(scope="module")
+def example() -> Generator[ModuleType, None, None]:
+    path = Path(__file__).parent.parent / "examples/planner.py"
+    spec = importlib.util.spec_from_file_location("example_planner", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules[spec.name]
+
+
+def test_the_planner_to_copy_finds_targets_and_says_why(example: ModuleType, string_reef: World) -> None:
+    found = []
+    for step in simulate(string_reef, example.Nearby(), DREAM_V1, max_steps=14):
+        found.append(int(step.occupancy.target.sum()))
+        assert not step.arrival.collided
+        assert step.index < 4 or step.decision.reasoning.action
+    assert found[-1] > found[3]
+    with pytest.raises(ValueError, match="elsewhere: expected"):
+        example.Nearby(elsewhere=2.0)
+
+
+def test_it_is_benched_beside_those_of_the_package(
+    example: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Here:
+        """Flies one mission after the other, in this process."""
+
+        def run(
+            self, task: Callable[[Any], Any], groups: Sequence[Sequence[Any]]
+        ) -> Generator[tuple[Any, Any], None, None]:
+            for group in groups:
+                for item in group:
+                    yield item, task(item)
+
+    flown = []
+
+    class Shown:
+        def print(self) -> None:
+            flown.append(read_results(tmp_path))
+
+    def fly(plan: runner.Plan, folder: Path, engine: object) -> Shown:
+        short = replace(plan, cases=plan.cases[:1], max_steps=6)
+        assert len(list(runner.fly_plan(short, tmp_path, Here()))) == 3
+        write_report(tmp_path)
+        return Shown()
+
+    monkeypatch.setattr(example, "fly", fly)
+    example.main()
+    (results,) = flown
+    assert {row.planner for row in results.rows} == {"nearby", "belief", "frontier"}
+    assert results.manifest["planners"]["nearby"]["beside"] == 2.0
+    assert "nearby" in (tmp_path / "report.html").read_text()
