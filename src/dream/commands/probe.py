@@ -108,6 +108,8 @@ class Probe:
             print_json(summary)
         else:
             _print(score, summary, page)
+            if score.failures and self.asking.record is not None:
+                print("  the same command asks those without an answer again")
         if interrupted:
             answered = sum(reply.given is not None for reply in replies)
             kept = self.asking.record

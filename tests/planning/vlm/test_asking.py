@@ -75,6 +75,16 @@ def test_the_server_gets_instructions_pictures_text_and_the_schema() -> None:
     assert user["content"][-1]["text"] == "How many?"
 
 
+def test_the_temperature_is_sent_where_one_is_given_and_another_one_is_another_question(
+    tmp_path: Path,
+) -> None:
+    with serving(GOOD) as server:
+        for temperature in (None, 0.0, 0.7):
+            ask(line(server, temperature=temperature, record=str(tmp_path)))
+        assert [request.body.get("temperature") for request in server.asked] == [None, 0.0, 0.7]
+    assert len(list(tmp_path.glob("*.json"))) == 3
+
+
 def test_a_reply_that_does_not_fit_is_asked_again_once_with_what_is_wrong() -> None:
     with serving(WRONG, GOOD) as server:
         answer = ask(line(server))

@@ -103,6 +103,9 @@ class Asking:
     latency: float | None = 12.0
     """Seconds that a request takes on the clock of a simulated mission; the paper's model took about 12. None
     is as long as it really takes, as on a vehicle in the water."""
+    temperature: float | None = None
+    """Of the model's choice of words: 0 is the likeliest each time. None leaves it to the model; some take no
+    other."""
     record: str | None = None
     """Folder in which to keep every exchange; one kept there of the same question is replaced."""
     replay_replies: str | None = None
@@ -124,6 +127,8 @@ class Asking:
         check_range("timeout", self.timeout, 0.1, 3600.0)
         if self.latency is not None:
             check_range("latency", self.latency, 0.0, 3600.0)
+        if self.temperature is not None:
+            check_range("temperature", self.temperature, 0.0, 2.0)
         if self.max_calls is not None:
             check_count("max_calls", self.max_calls, 0, 1_000_000)
         if self.max_usd is not None:
@@ -312,7 +317,9 @@ class Line:
 
     def _key(self, question: Question[R]) -> str:
         """Under which a question is kept: the same one that is asked again has another."""
-        same = question.key(self.asking.label)
+        temperature = self.asking.temperature
+        warm = "" if temperature is None else f", temperature {temperature:g}"
+        same = question.key(self.asking.label + warm)
         self._asked[same] += 1
         return f"{same}-{self._asked[same] - 1}"
 
@@ -425,6 +432,8 @@ class Line:
         for name, png in question.pictures.items():
             parts += [f"[{name}]", BinaryContent(png, media_type="image/png")]
         settings = ModelSettings(max_retries=MOST_TRIES - 1, timeout=self.asking.timeout)
+        if self.asking.temperature is not None:
+            settings["temperature"] = self.asking.temperature
         with capture_run_messages() as said:
             try:
                 await self._agent(question, form).run([*parts, question.text], model_settings=settings)
