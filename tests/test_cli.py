@@ -161,6 +161,7 @@ def test_a_planner_that_asks_a_model_is_chosen_and_explained_without_its_client_
         (["oracle", "--traces", "nowhere"], "nowhere"),
         (["report", "nowhere"], "nowhere"),
         (["run", "lawnmowr"], 'no planner "lawnmowr". Did you mean "lawnmower"?'),
+        (["run", "draem", "--model", "wire"], 'no planner "draem". Did you mean "dream"?'),
         (["run", "lawnmower", "--swath", "nan"], "--swath: expected 0.1 to 4, got nan"),
         (["run", "random", "--walk-seed", "-1"], "--walk-seed: expected 0 to"),
         (["run", "--protocol", "pool-v1"], "reef/string is made for dream-v1"),

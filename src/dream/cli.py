@@ -112,7 +112,7 @@ def _dispatch(name: str, arguments: list[str]) -> int:
         if end.code:
             complaint = _one_line(complaints.getvalue())
             if name in ("run", "dive"):
-                _check_planner(complaint)
+                _check_planner(complaint, arguments)
             return _fail(complaint, BAD_INPUT)
         return 0
     status: int = command()
@@ -155,10 +155,12 @@ def _read(kind: Callable[[str], N], word: str, what: str) -> N:
         raise ValueError(f"expected {what}, got {word}") from None
 
 
-def _check_planner(complaint: str) -> None:
+def _check_planner(complaint: str, arguments: Sequence[str]) -> None:
     """Raise a ValueError where `dream run` was given no planner's name, or an option of another planner."""
     from dream.planning import PLANNERS
 
+    if arguments and not arguments[0].startswith("-"):
+        look_up(PLANNERS, arguments[0], "planner")
     stray = re.match(r"Unrecognized options: (\w[\w-]*)", complaint)
     if stray:
         look_up(PLANNERS, stray[1], "planner")
