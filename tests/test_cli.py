@@ -919,6 +919,36 @@ def test_a_benchmark_hands_its_model_to_those_that_ask_and_writes_it_down(
     assert not [path for path in tmp_path.rglob("*.*") if b"sk-hush" in path.read_bytes()]
 
 
+def test_a_folder_holds_one_planner_with_several_models(tmp_path: Path) -> None:
+    with serving() as server:
+        for label in ("one", "two"):
+            options = ["--model", server.address, "--model-name", label, "--max-steps", "4", "--jobs", "1"]
+            fly = ["bench", "--world", "reef/string", "--planners", f"dream+{label}", *options, "--keep-runs"]
+            assert run_command([*fly, "--out", str(tmp_path)]) == 0
+        assert {request.body["model"] for request in server.asked} == {"one", "two"}
+    results = read_results(tmp_path)
+    assert [row.planner for row in results.rows] == ["dream+one", "dream+two"]
+    assert [results.manifest["planners"][f"dream+{label}"]["model_name"] for label in ("one", "two")] == [
+        "one",
+        "two",
+    ]
+    page = (tmp_path / "report.html").read_text()
+    assert "Between models" in page
+    assert "dream+one (one)" in page
+    # Each is repeated by a line of its own, and a recorded run is of a planner that there is.
+    assert all(f"--planners dream+{label} --protocol" in page for label in ("one", "two"))
+    kept = [json.loads(path.read_text())["planner"] for path in (tmp_path / "runs").glob("*/config.json")]
+    assert kept == ["dream", "dream"]
+
+
+@pytest.mark.parametrize("name", ["belief+x", "dream+", "dream+a/b", "dream+" + 41 * "x"])
+def test_a_label_is_for_those_that_ask_a_model_and_plain(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command(["bench", "--planners", name, "--model", "wire"]) == 2
+    assert "--planners: expected NAME+LABEL of one that asks a model" in capsys.readouterr().err
+
+
 def test_a_benchmark_says_of_each_mission_that_its_key_was_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

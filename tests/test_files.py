@@ -18,11 +18,19 @@ def test_nothing_is_seen_of_it_before_it_is_whole(tmp_path: Path) -> None:
     with whole_or_nothing(path) as partial:
         partial.write_text("af")
         assert path.read_text() == "before"
-        assert partial.suffix == path.suffix  # By which some writers choose a format.
         with partial.open("a") as file:
             file.write("ter")
     assert path.read_text() == "after"
     assert os.listdir(tmp_path) == ["map.npz"]
+
+
+def test_what_a_killed_process_leaves_is_no_file_of_its_kind(tmp_path: Path) -> None:
+    with whole_or_nothing(tmp_path / "0007.npz") as partial:
+        partial.write_bytes(b"half of it")
+        (left,) = tmp_path.iterdir()
+        assert left == partial
+        assert left.name.startswith(".")
+        assert not list(tmp_path.glob("*.npz"))
 
 
 def test_two_that_write_the_same_file_do_not_mix(tmp_path: Path) -> None:

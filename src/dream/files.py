@@ -13,14 +13,15 @@ from pathlib import Path
 def whole_or_nothing(path: Path) -> Iterator[Path]:
     """A path to write to, whose file takes the place of `path` once the block is done; else nothing stays.
 
-    A process that is killed in between leaves its part, a hidden file beside `path`.
+    A process that is killed in between leaves its part, a hidden file beside `path` that ends in `.partial`,
+    so that nobody who looks for files of its kind finds it.
 
     Raises:
         OSError: It could not be written; the message names it. One that the block tells of in its own words
             is passed on.
     """
     # Nobody else's: another may be writing to the same path.
-    partial = path.with_name(f".partial.{secrets.token_hex(4)}.{path.name}")
+    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     try:
         yield partial
         partial.replace(path)

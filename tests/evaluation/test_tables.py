@@ -458,6 +458,22 @@ def asking(parameters: dict[str, Any], **changes: Any) -> Results:
     return results(missions, (L1, L2), {"dream": {**GPT, **parameters}, "sixsteps": {}})
 
 
+def test_every_two_that_asked_a_model_are_held_against_each_other_world_by_world() -> None:
+    assert tables.between_models(compare(asking({}))).rows == ()
+    made = asking({})
+    rows = (*made.rows, *(replace(row, planner="dream+b") for row in made.rows if row.planner == "sixsteps"))
+    asked = tuple(replace(row, vlm_questions=50, vlm_fallbacks=0, vlm_calls=50) for row in rows)
+    rows = tuple(new if row.planner == "dream+b" else row for row, new in zip(rows, asked, strict=True))
+    planners = {**made.manifest["planners"], "dream+b": {**GPT, "model_name": "small"}}
+    found = compare(replace(made, rows=rows, manifest={**made.manifest, "planners": planners}))
+    (line,) = tables.between_models(found).rows
+    # FAST is the faster one in both of two worlds, which proves little.
+    assert line[1:4] == ("dream (openai:gpt)", "dream+b (small)", "2")
+    assert line[4].startswith("-") or line[4].startswith("−")
+    assert line[5].startswith("1.00")
+    assert float(line[6]) == 0.5
+
+
 def test_the_papers_tables_say_what_asking_took() -> None:
     (table,) = tables.paper_tables(compare(asking({})))
     assert table.headings[-5:] == ("calls", "tokens", "US$", "minutes", "by belief, %")

@@ -15,7 +15,7 @@ from dream.commands.console import print_json, with_scores
 from dream.commands.swim import Swim
 from dream.errors import MissionAborted
 from dream.names import look_up
-from dream.planning import OFFLINE, PLANNERS, AnyPlanner, Asking
+from dream.planning import LABELLED, OFFLINE, PLANNERS, AnyPlanner, Asking
 from dream.protocol import protocol_named
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class Flying:
 
     planners: tuple[str, ...] = OFFLINE
     """Which planners, with their default parameters; all that need neither a model nor a network unless
-    given."""
+    given. NAME+LABEL is one that asks a model, by another name: so a folder holds several models."""
     asking: Asking = field(default_factory=Asking)
     """For those of the planners that ask a model."""
     max_steps: int | None = None
@@ -53,7 +53,7 @@ class Flying:
         """By name; a ValueError where there is none of that name, or none at all."""
         if not self.planners:
             raise ValueError(f"--planners: expected one or more of {', '.join(PLANNERS)}, got none")
-        chosen = {name: look_up(PLANNERS, name, "planner") for name in self.planners}
+        chosen = {name: _planner(name) for name in self.planners}
         if len(chosen) < len(self.planners):
             raise ValueError(f"--planners: expected each once, got {' '.join(self.planners)}")
         return self._with_their_model(chosen)
@@ -90,6 +90,18 @@ class Flying:
         if self.address is not None:
             raise ValueError(f"--address: expected --engine ray with it, got --engine {self.engine}")
         return Processes(processors() if self.jobs is None else self.jobs)
+
+
+def _planner(name: str) -> AnyPlanner:
+    """The planner of a name, which may have a label where it asks a model."""
+    kind, plus, label = name.partition(LABELLED)
+    planner = look_up(PLANNERS, kind, "planner")
+    if plus and not (isinstance(planner, Asking) and re.fullmatch(r"[A-Za-z0-9._-]{1,40}", label)):
+        raise ValueError(
+            f"--planners: expected NAME{LABELLED}LABEL of one that asks a model, the label of at most 40 "
+            f"letters, digits, dots and dashes, got {name}"
+        )
+    return planner
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,6 +37,7 @@ SHORT = {
     "results": "Results",
     "families": "Families",
     "baselines": "Baselines",
+    "models": "Models",
     "bounds": "Bounds",
     "paper": "The paper",
     "ways": "Trajectories",
@@ -119,6 +120,11 @@ def sections(results: Results, comparison: Comparison) -> list[Section]:
                 ),
                 (against,),
             )
+        )
+    between = tables.between_models(comparison)
+    if between.rows:
+        every.append(
+            Section("models", "Between models", "Every two that asked one, world by world.", (between,))
         )
     every.append(
         Section(

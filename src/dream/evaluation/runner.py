@@ -41,7 +41,7 @@ from dream.mapping import OccupancyMap
 from dream.mapping.prior import Prior
 from dream.mission import Planner, Robot, explore
 from dream.orders import Orders, sentences, written
-from dream.planning import PLANNERS, AnyPlanner
+from dream.planning import LABELLED, PLANNERS, AnyPlanner
 from dream.planning.baselines.uivnav import weights_sha256
 from dream.planning.vlm.asking import GONE, WHERE_KEPT, Asking
 from dream.protocol import SHOWN, SurveyProtocol, protocol_named
@@ -286,7 +286,7 @@ def _record(
     folder.mkdir(parents=True)
     config = run_config(
         world,
-        flight.planner_name,
+        flight.planner_name.partition(LABELLED)[0],
         flight.planner,
         protocol,
         world_from=world.name,
@@ -534,8 +534,8 @@ def _rank_of_case(case: Case) -> tuple[int, str, int, int]:
 
 
 def _rank_of_planner(name: str) -> tuple[int, str]:
-    order = list(PLANNERS)
-    return (order.index(name) if name in order else len(order), name)
+    order, kind = list(PLANNERS), name.partition(LABELLED)[0]
+    return (order.index(kind) if kind in order else len(order), name)
 
 
 def _now() -> str:

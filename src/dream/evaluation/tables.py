@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections import Counter
@@ -624,33 +625,39 @@ def difference(
     return interval(ours - theirs, strata, mean)
 
 
-def against_the_best_baseline(comparison: Comparison) -> Table:
-    """Paired by world: difference, probability of improvement, p-values with Holm's correction by block."""
+def _world_by_world(
+    comparison: Comparison, pairs: Callable[[Sequence[Case]], Iterable[tuple[str, str]]]
+) -> tuple[tuple[str, ...], ...]:
+    """Lines on pairs of planners, block by block.
+
+    Args:
+        comparison: That is told of.
+        pairs: Who is held against whom on some cases.
+    """
     rows: list[tuple[str, ...]] = []
     for title, cases in groups(comparison).items():
         if title not in ("All worlds", "Reefs together", FAMILIES["wreck"]):
             continue
         lines: list[tuple[str, ...]] = []
         p_values: list[float] = []
-        reference = best_baseline(comparison, cases)
-        for planner in comparison.ranked:
-            if reference is None or planner == reference:
-                continue
-            ours, theirs, _ = _pairs(comparison, planner, reference, cases)
+        for planner, other in pairs(cases):
+            ours, theirs, _ = _pairs(comparison, planner, other, cases)
             if not len(ours):
                 continue
-            lines.append(
-                (
-                    title,
-                    planner,
-                    reference,
-                    str(len(ours)),
-                    with_interval(difference(comparison, planner, reference, cases)),
-                    _improvement(ours, theirs),
-                )
-            )
+            told = with_interval(difference(comparison, planner, other, cases)), _improvement(ours, theirs)
+            lines.append((title, planner, other, str(len(ours)), *told))
             p_values.append(paired_p_value(ours, theirs))
         rows += [(*line, _p(p), _p(q)) for line, p, q in zip(lines, p_values, holm(p_values), strict=True)]
+    return tuple(rows)
+
+
+def against_the_best_baseline(comparison: Comparison) -> Table:
+    """Paired by world: difference, probability of improvement, p-values with Holm's correction by block."""
+
+    def pairs(cases: Sequence[Case]) -> list[tuple[str, str]]:
+        best = best_baseline(comparison, cases)
+        return [(planner, best) for planner in comparison.ranked if best is not None and planner != best]
+
     return Table(
         "comparison",
         "Against the best baseline, world by world",
@@ -664,7 +671,7 @@ def against_the_best_baseline(comparison: Comparison) -> Table:
             "p",
             "p, Holm",
         ),
-        tuple(rows),
+        _world_by_world(comparison, pairs),
         (
             "The best baseline of a block is the one with the shortest mean t98 on the worlds that all "
             "baselines have flown, the one that has seen more at the end where these are equal. It is chosen "
@@ -672,6 +679,22 @@ def against_the_best_baseline(comparison: Comparison) -> Table:
             "Wilson's interval. p: two-sided exchange test of the paired mean difference, with Holm's "
             "correction over the planners of a block. The blocks are separate families of tests, though they "
             "share worlds: nothing corrects for their number.",
+        ),
+        labels=3,
+    )
+
+
+def between_models(comparison: Comparison) -> Table:
+    """The same of every two planners that asked a model: of two models, or of two prompts."""
+    asked = [planner for planner in comparison.ranked if planner in comparison.unanswered]
+    return Table(
+        "models",
+        "Between planners that ask a model, world by world",
+        ("worlds", "planner", "other", "pairs", "t98 minus the other's", "P(better)", "p", "p, Holm"),
+        _world_by_world(comparison, lambda _: itertools.combinations(asked, 2)),
+        (
+            "P(better), p and Holm's correction, over the pairs of a block, as against the best baseline.",
+            *about_rows(comparison),
         ),
         labels=3,
     )

@@ -44,6 +44,9 @@ PLANNERS: dict[str, AnyPlanner] = {
 }
 """Every planner by its name on the command line, with its default parameters. The first is the default."""
 
+LABELLED = "+"
+"""Between a planner's name and a label, where a benchmark holds one that asks several models."""
+
 OFFLINE: tuple[str, ...] = tuple(
     name for name, planner in PLANNERS.items() if not isinstance(planner, Asking | UivNav)
 )
@@ -51,6 +54,7 @@ OFFLINE: tuple[str, ...] = tuple(
 Runtime."""
 
 __all__ = [
+    "LABELLED",
     "OFFLINE",
     "PLANNERS",
     "AnyPlanner",
