@@ -651,6 +651,15 @@ def _world_by_world(
     return tuple(rows)
 
 
+def _about_tests(of: str) -> str:
+    """What the columns of `_world_by_world` mean."""
+    return (
+        "P(better): share of worlds with the smaller t98, ties count half; Wilson's interval. p: two-sided "
+        f"exchange test of the paired mean difference, with Holm's correction over the {of} of a block. The "
+        "blocks are separate families of tests, though they share worlds: nothing corrects for their number."
+    )
+
+
 def against_the_best_baseline(comparison: Comparison) -> Table:
     """Paired by world: difference, probability of improvement, p-values with Holm's correction by block."""
 
@@ -675,10 +684,7 @@ def against_the_best_baseline(comparison: Comparison) -> Table:
         (
             "The best baseline of a block is the one with the shortest mean t98 on the worlds that all "
             "baselines have flown, the one that has seen more at the end where these are equal. It is chosen "
-            "afterwards, which favours it. P(better): share of worlds with the smaller t98, ties count half; "
-            "Wilson's interval. p: two-sided exchange test of the paired mean difference, with Holm's "
-            "correction over the planners of a block. The blocks are separate families of tests, though they "
-            "share worlds: nothing corrects for their number.",
+            f"afterwards, which favours it. {_about_tests('planners')}",
         ),
         labels=3,
     )
@@ -693,7 +699,7 @@ def between_models(comparison: Comparison) -> Table:
         ("worlds", "planner", "other", "pairs", "t98 minus the other's", "P(better)", "p", "p, Holm"),
         _world_by_world(comparison, lambda _: itertools.combinations(asked, 2)),
         (
-            "P(better), p and Holm's correction, over the pairs of a block, as against the best baseline.",
+            _about_tests("pairs"),
             *about_rows(comparison),
         ),
         labels=3,
