@@ -16,7 +16,9 @@ import pytest
 from dream.cli import run_command
 from dream.survey import files
 from dream.survey.archive import VARIABLE
+from dream.survey.products.words import limits, summary
 from dream.survey.site import Site, read_site, write_site
+from dream.types import Target
 from tests.survey.browsing import Seen
 from tests.survey.repeated import reef, survey, without
 from tests.survey.scenes import reef as made_reef
@@ -141,6 +143,25 @@ def test_surveys_the_wrong_way_round_or_made_in_two_ways_are_doubted(
         assert [doubt.removeprefix("compare: ") for doubt in told] == kept
         page = Seen((two / "change/change.html").read_text()).text.casefold()
         assert all(doubt.removeprefix("compare: ").casefold() in page for doubt in told)
+
+
+def test_what_was_counted_by_an_uncalibrated_protocol_is_doubted_wherever_it_is_told(
+    two: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    first = files.read(two / "first.survey.npz")
+    tank = replace(first, protocol="pool-v1", name="tank")
+    files.write(tank, two / "tank.survey.npz")
+    for one, name, doubted in ((first, "first", False), (tank, "tank", True)):
+        caplog.clear()
+        capsys.readouterr()
+        assert run_command(["survey", "add", f"{name}.survey.npz", "--json"]) == 0
+        assert run_command(["survey", "show", f"{name}.survey.npz"]) == 0
+        printed = " ".join(capsys.readouterr().out.split())
+        told = ("This survey was made by pool-v1" in text for text in (printed, caplog.text))
+        assert list(told) == [doubted, doubted]
+        assert summary(one)[0].startswith("Counts, densities and sizes are calibrated") == doubted
+        assert any("Not so here. Counts" in line for line in limits(one)) == doubted
+    assert not any("pool-v1" in line for line in summary(replace(tank, target=Target.WRECK)))
 
 
 def test_the_archive_is_the_one_that_is_named_else_that_of_the_environment(

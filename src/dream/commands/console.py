@@ -14,6 +14,8 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from dream.errors import MissionAborted
+
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
@@ -200,6 +202,8 @@ def kept_interrupts() -> Iterator[Callable[[], None]]:
     before = signal.signal(signal.SIGINT, note)
     try:
         yield check
+    except MissionAborted:
+        raise  # It says already what came of it.
     except Exception:
         check()
         raise

@@ -8,6 +8,7 @@ import importlib.util
 import logging
 import math
 import shlex
+import shutil
 import signal
 import socket
 import sys
@@ -23,7 +24,13 @@ import numpy as np
 import tyro
 
 from dream import __version__
-from dream.commands.console import compiling_told, kept_interrupts, print_json, with_progress
+from dream.commands.console import (
+    check_writable,
+    compiling_told,
+    kept_interrupts,
+    print_json,
+    with_progress,
+)
 from dream.commands.dive_console import Operator, Reading, Will, console
 from dream.commands.run import planner_name
 from dream.errors import MissionAborted
@@ -183,6 +190,8 @@ class Dive:
             check_installed()
         _check_extra()
         _check_places(self)
+        if self.area is not None:
+            _limits_told(self, Bounds(*self.area))
         # A file that cannot be read is told at a desk too, where no vehicle answers.
         sight = _sight_told(self)
         with contextlib.ExitStack() as shown:
@@ -204,7 +213,14 @@ class Dive:
             begun = datetime.datetime.now(datetime.UTC)
             tank = _Tank(self.world, self.seed, self.drive) if self.stand_in else None
             where = "dive" if tank is None else tank.world.name
-            folder = recording.new_run_folder(self.out, where, self.seed, name, begun)
+            if self.check:
+                # What was heard is kept, but nothing is flown: it is no run, and the last check is enough.
+                check_writable(self.out)
+                folder = self.out / "check"
+                shutil.rmtree(folder, ignore_errors=True)
+                folder.mkdir()
+            else:
+                folder = recording.new_run_folder(self.out, where, self.seed, name, begun)
             if self.live and not self.check:
                 from dream.live.beside import shown_live
 
@@ -281,6 +297,32 @@ def _check_places(told: Dive) -> None:
     for name, place in places.items():
         if place is not None:
             check_aboard(name, place)
+    if told.area is None:
+        return
+    if told.stand_in:
+        raise ValueError("--area: expected none with --stand-in, which has a tank of its own: --world")
+    x, y, _ = told.at
+    if not Bounds(*told.area).contains(x, y):
+        area = " ".join(f"{side:g}" for side in told.area)
+        raise ValueError(f"--at: expected a place inside --area {area}, got {x:g} {y:g}")
+
+
+def _limits_told(told: Dive, bounds: Bounds) -> Limits:
+    """Where and how long the vehicle may be, by the options."""
+    from dream.robots.bluerov2.bridge import LastResort, Limits
+
+    options = {"depth": "--max-depth", "minutes": "--minutes", "voltage": "--min-voltage"}
+    try:
+        return Limits(
+            area=bounds,
+            depth=told.max_depth,
+            minutes=told.minutes,
+            voltage=told.min_voltage,
+            last_resort=LastResort(told.last_resort),
+        )
+    except ValueError as error:
+        name, _, wrong = str(error).partition(": ")
+        raise ValueError(f"{options.get(name, name)}: {wrong}") from error
 
 
 def _mounting_told(told: Dive) -> Mounting:
@@ -372,7 +414,6 @@ def _opened(
     sight: _Sight,
 ) -> Iterator[_Ready]:
     """All devices, connected; closed again in the end, and the vehicle's parameters put back."""
-    from dream.robots.bluerov2.bridge import LastResort, Limits
     from dream.robots.bluerov2.devices import DENSITY, Addresses, Devices
     from dream.robots.bluerov2.mavlink import Refused
     from dream.robots.bluerov2.navigation import Instruments
@@ -390,13 +431,7 @@ def _opened(
         addresses = Addresses(
             f"udpin:127.0.0.1:{tank.ground}", f"{host}:{port}", f"rtp:127.0.0.1:{tank.video}", told.pilot
         )
-    limits = Limits(
-        area=bounds,
-        depth=told.max_depth,
-        minutes=told.minutes,
-        voltage=told.min_voltage,
-        last_resort=LastResort(told.last_resort),
-    )
+    limits = _limits_told(told, bounds)
     with Devices(
         addresses,
         Instruments(told.estimator, _mounting_told(told)),
@@ -412,7 +447,7 @@ def _opened(
                 devices.link.correct(devices.link.check_parameters())
             yield _Ready(told, protocol, devices, limits, start, folder, tank, sight)
         except (TimeoutError, Refused) as error:
-            raise MissionAborted(f"vehicle: {error}") from error
+            raise MissionAborted(f"vehicle: {str(error).removeprefix('vehicle: ')}") from error
         finally:
             # None of a vehicle that is still armed: its failsafes stop it once nobody speaks to it.
             with contextlib.suppress(OSError):
@@ -443,13 +478,35 @@ class _Ready:
             link.operator_alive()
             time.sleep(0.1)
         found = self.devices.findings(STILL, self.start, self.limits, self.folder)
-        return [pointed, *sounded, *found, self._looked()]
+        return [pointed, *sounded, *found, self._floor(), self._looked()]
+
+    def _floor(self) -> Finding:
+        """Whether the dive may go as deep as it has to."""
+        from dream.robots.bluerov2.check import Finding
+        from dream.robots.bluerov2.navigation import NotReady
+
+        altitude, deepest = self.protocol.altitude, self.limits.depth
+        wanted = f"a floor over which {altitude:g} m are at most {deepest:g} m deep: see --max-depth"
+        seabed, began = math.nan, time.monotonic()
+        try:
+            while math.isnan(seabed) and time.monotonic() - began < FIRST_REPORT:
+                seabed = self.devices.navigator.update().seabed
+                time.sleep(0.05)
+        except NotReady:
+            return Finding("floor", ok=False, said="not known before navigation begins", wanted=wanted)
+        if math.isnan(seabed):
+            return Finding("floor", ok=False, said="the DVL does not see it", wanted=wanted)
+        deep = -(seabed + altitude)
+        said = f"{altitude:g} m above it is {deep:.1f} m deep, {deepest:g} m are allowed"
+        return Finding("floor", ok=deep <= deepest, said=said, wanted=wanted)
 
     def _looked(self) -> Finding:
         """Make of one picture what the map is made from: lens and models fit it, or the dive is none."""
         from dream.robots.bluerov2.check import Finding
 
         wanted = "a picture that --calibration, --labels and --depth fit"
+        if self.sight.lens is None and self.tank is None:
+            return Finding("pictures", ok=False, said="no --calibration was given", wanted=wanted)
         try:
             eye, perception = self.eye, self.sight.perception
             picture = self.devices.camera.newest(FIRST_FRAME)
@@ -514,7 +571,6 @@ class _Ready:
         from dream.evaluation.metrics import Logbook, Scorer
         from dream.mapping import OccupancyMap
         from dream.mission import explore
-        from dream.report import write_report
         from dream.robots.bluerov2.bridge import LEASE, Bridge
         from dream.robots.bluerov2.drives import AltHold, Guided
         from dream.robots.bluerov2.rov import Sight
@@ -573,13 +629,24 @@ class _Ready:
                 self._leave(link)
         summary = self._summary(name, logbook, bridge, vehicle, time.perf_counter() - began)
         recording.write_summary(self.folder, summary)
+        return self._end(summary, stopped)
+
+    def _end(self, summary: Mapping[str, Any], stopped: BaseException | None) -> int:
+        """Tell what came of it and leave the page: exit status 0, or a MissionAborted by what stopped it."""
+        from dream.report import write_report
+
+        if lost := {name: count for name, count in self.devices.log.lost.items() if count}:
+            which = ", ".join(f"{count} of {name}" for name, count in lost.items())
+            logger.warning("the log is not whole, messages are lost: %s. Was the disk full?", which)
+        what = "interrupted" if isinstance(stopped, KeyboardInterrupt) else str(stopped)
+        if stopped is not None and not (self.folder / "steps.jsonl").is_file():
+            raise MissionAborted(f"aborted: {what}; no step was made. The log is kept in {self.folder}")
         page = write_report(self.folder)
-        if told.json:
+        if self.told.json:
             print_json(summary)
         else:
             _print_outcome(summary, page)
         if stopped is not None:
-            what = "interrupted" if isinstance(stopped, KeyboardInterrupt) else str(stopped)
             raise MissionAborted(f"aborted: {what}; {summary['steps']} steps are kept in {self.folder}")
         return 0
 

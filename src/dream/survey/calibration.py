@@ -9,6 +9,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from dream.types import Target
+
+PROTOCOLS = ("dream-v1", "dream-v1-noisy", "dream-v1-nav")
+"""By whose camera, altitude and reach individuals were counted and sized here."""
+
+
+def doubt(protocol: str, target: Target) -> str:
+    """Why figures of individuals that were found by another protocol are doubtful; empty where none are."""
+    if target is Target.WRECK or protocol in PROTOCOLS:
+        return ""
+    return (
+        "Counts, densities and sizes are calibrated for the camera, altitude and reach of "
+        f"{PROTOCOLS[0]}. This survey was made by {protocol}: they may be off by far more than their "
+        "intervals say."
+    )
+
 
 @dataclass(frozen=True, slots=True)
 class Calibration:

@@ -11,7 +11,7 @@ import pytest
 
 from dream.geometry import Bounds
 from dream.robots.bluerov2.bridge import Limits
-from dream.robots.bluerov2.check import ROOM, Finding, Seen, findings
+from dream.robots.bluerov2.check import LOGGED, Finding, Seen, findings
 from dream.robots.bluerov2.devices import DENSITY, Devices, dvl_at
 from dream.robots.bluerov2.dvl_a50 import SOUND_FRESH, Config, sound_in
 from dream.robots.bluerov2.parameters import Check, rules
@@ -60,6 +60,7 @@ class Found:
     aligned: str = ""
     sound: tuple[float, float] = SOUND_FRESH
     free: int = 10 << 30
+    zeroed_here: bool = False
 
     def list(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Finding]:
         monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=self.free))
@@ -74,6 +75,7 @@ class Found:
             LIMITS,
             folder,
             self.sound,
+            zeroed_here=self.zeroed_here,
         )
         assert len({finding.name for finding in found}) == len(found)
         return {finding.name: finding for finding in found}
@@ -97,13 +99,19 @@ def test_where_all_is_well_every_item_says_what_was_found(
         "speed of sound": "1480 m/s, all velocities are -0.1% off",
         "camera": "20 frames a second, the newest 0.05 s old",
         "navigation": "begins: all sensors agree that the vehicle lies still",
-        "disk": "10 GiB free",
+        "disk": "10.0 GiB free",
     }
     assert all(finding.ok for finding in found.values())
 
 
 def told(**changes: object) -> Callable[[Found], Found]:
     return lambda found: replace(found, telemetry=replace(found.telemetry, **changes))  # type: ignore[arg-type]
+
+
+def lying(depth: float, own_altitude: float) -> Callable[[Found], Found]:
+    return lambda found: replace(
+        found, telemetry=replace(found.telemetry, depth=depth, own_altitude=own_altitude), zeroed_here=True
+    )
 
 
 def heard(**changes: object) -> Callable[[Found], Found]:
@@ -153,7 +161,14 @@ RIVAL = "another station uses our system id 255: HEARTBEAT from its component 19
         ("camera", but(seen=Seen(60, 3.0, 0.7)), "the newest 0.70 s old", "Is the stream sent"),
         ("camera", but(seen=Seen(60, 3.0, 0.1, "no picture")), "no picture", "Is the stream sent"),
         ("navigation", but(aligned="it moves"), "it moves", "a vehicle that lies still"),
-        ("disk", but(free=ROOM - 1), "2 GiB free", "2 GiB or more"),
+        ("disk", but(free=int(3600 * LOGGED) - 1), "4.7 GiB free", "4.7 GiB or more for the log of 60 min"),
+        (
+            "depth",
+            lying(0.0, own_altitude=-0.9),
+            "0.00 m, 0.1 s old, but 0.90 m by the autopilot",
+            "lay the v",
+        ),
+        ("depth", lying(0.0, own_altitude=0.4), "but -0.40 m by the autopilot", "--surface-pressure in hPa"),
     ],
 )
 def test_what_is_not_well_says_what_was_found_and_what_is_wanted(
@@ -171,6 +186,17 @@ def test_what_is_not_well_says_what_was_found_and_what_is_wanted(
     others = {other for other, finding in found.items() if not finding.ok} - {name}
     # A DVL that does not tell its settings does not tell its speed of sound either.
     assert others <= ({"DVL", "speed of sound"} if change(Found()).sonar.config is None else set())
+
+
+@pytest.mark.parametrize(
+    ("depth", "own_altitude", "zeroed_here"),
+    [(0.0, -0.2, True), (0.0, math.nan, True), (0.9, 0.0, False), (0.0, 0.9, False)],
+)
+def test_the_depth_is_well_where_it_is_about_the_autopilots_or_its_zero_was_told(
+    depth: float, own_altitude: float, zeroed_here: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = replace(lying(depth, own_altitude)(Found()), zeroed_here=zeroed_here)
+    assert found.list(tmp_path, monkeypatch)["depth"].ok
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ from dream.commands.dive import (
     _tell,
     repeating_command,
 )
+from dream.errors import MissionAborted
 from dream.estimation import InEkf, InEkfState, Timeline
 from dream.evaluation.dive_figure import read_dive
 from dream.geometry import SE2, Bounds
@@ -418,6 +419,43 @@ def test_the_line_that_dives_again_says_what_was_told() -> None:
 
 
 @pytest.mark.parametrize(
+    ("options", "wanted"),
+    [
+        ("--area -1 -1 1 1 --at 50 50 0", "--at: expected a place inside --area -1 -1 1 1, got 50 50"),
+        ("--area -1 -1 1 1 --max-depth -3", "--max-depth: expected a limit above 0, got -3"),
+        ("--area -1 -1 1 1 --minutes 0", "--minutes: expected a limit above 0, got 0"),
+        ("--area -1 -1 1 1 --min-voltage -1", "--min-voltage: expected 0 or more, got -1"),
+        ("--stand-in --area -1 -1 1 1", "--area: expected none with --stand-in"),
+    ],
+)
+def test_a_dive_that_cannot_be_is_refused_at_the_desk(
+    options: str, wanted: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "runs"
+    assert run_command(["dive", "--check", *options.split(), "--out", str(out)]) == 2
+    assert wanted in capsys.readouterr().err
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("taken", ["vehicle", "pilot"])
+def test_a_port_that_another_program_has_is_told_with_who_that_may_be(
+    taken: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        port = other.getsockname()[1]
+        at = {"vehicle": "udpin:127.0.0.1:0", "dvl": "127.0.0.1:9", "camera": "rtp:0"}
+        at[taken] = f"udpin:127.0.0.1:{port}"
+        ask = ["dive", "--area", "-1", "-1", "1", "1", "--check", "--out", str(tmp_path)]
+        assert (
+            run_command([*ask, *(word for name, where in at.items() for word in (f"--{name}", where))]) == 2
+        )
+    said = capsys.readouterr().err
+    assert f"expected port {port} of this computer to be free" in said
+    assert "Close QGroundControl" in said
+
+
+@pytest.mark.parametrize(
     "option, values, wanted",
     [
         ("--dvl-at", ["-150", "0", "-100"], "--dvl-at: expected metres from the autopilot"),
@@ -433,6 +471,19 @@ def test_what_cannot_be_of_a_vehicle_in_water_is_refused(
     assert run_command(["dive", "--stand-in", "--out", str(tmp_path), option, *values]) != 0
     assert wanted in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_dive_that_ends_before_its_first_step_says_why_and_what_the_log_lost(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    limits, start = Limits(Bounds(-1.0, -1.0, 1.0, 1.0)), SE2(0.0, 0.0, 0.0)
+    devices = SimpleNamespace(log=SimpleNamespace(lost={"mavlink": 3, "a50": 0, "camera": 2}))
+    ready = _Ready(Dive(), POOL_V1, devices, limits, start, tmp_path, None, None)  # type: ignore[arg-type]
+    with pytest.raises(
+        MissionAborted, match=r"aborted: 48\.2 m outside the area; no step was made\. The log"
+    ):
+        ready._end({"steps": 0}, MissionAborted("48.2 m outside the area"))
+    assert "messages are lost: 3 of mavlink, 2 of camera. Was the disk full?" in caplog.text
 
 
 def test_where_things_sit_is_kept_with_the_dive(tmp_path: Path) -> None:
@@ -461,7 +512,8 @@ def test_the_dvl_is_told_how_fast_sound_goes(tmp_path: Path, capsys: pytest.Capt
     said = {item["name"]: item for item in json.loads(capsys.readouterr().out)["findings"]}
     assert said["sound"]["said"] == "told 1482 m/s, it had 1500"
     assert said["speed of sound"]["said"] == "1482 m/s"
-    log = tmp_path / (tmp_path / "latest").readlink() / "log.mcap"
+    assert [path.name for path in tmp_path.iterdir()] == ["check"]  # No run, and `latest` is what it was.
+    log = tmp_path / "check" / "log.mcap"
     (mounting,) = read_log(log, ["/mounting"])
     assert json.loads(mounting.message.data)["said"] == {"dvl": [-0.15, 0.0, -0.1], "gauge": [-0.2, 0.0, 0.0]}
     lines = b"".join(line for _, out, line in read_wire(log, "a50") if out)

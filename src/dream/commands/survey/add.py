@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +11,8 @@ import tyro
 
 from dream.commands.console import compiling_told, print_json
 from dream.commands.survey.sources import archive_at, found
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +37,7 @@ class Add:
         """Exit status 0."""
         from dream.survey import files
         from dream.survey.archive.schema import FROM_NOWHERE
+        from dream.survey.calibration import doubt
 
         with compiling_told():
             survey = found(self.survey, self.archive, self.site)
@@ -45,6 +49,8 @@ class Add:
             archive = stack.enter_context(archive_at(self.archive, begin=True))
             number, new = archive.add(survey)
             where = archive.name
+        if doubtful := doubt(survey.protocol, survey.target):
+            logger.warning("%s: %s", survey.name, doubtful)
         if self.json:
             print_json({"archive": where, "survey": number, "name": survey.name, "new": new})
         elif new:

@@ -67,6 +67,7 @@ def _told(survey: Survey) -> dict[str, Any]:
 def _print(survey: Survey) -> None:
     from rich.console import Console
 
+    from dream.survey.calibration import doubt
     from dream.survey.numbers import named
 
     console = Console()
@@ -77,6 +78,8 @@ def _print(survey: Survey) -> None:
         f"{len(survey.individuals)} individuals found (count tells how many there are), "
         f"patches: {len(survey.patches)}"
     )
+    if doubtful := doubt(survey.protocol, survey.target):
+        console.print(f"\n{plain(doubtful)}", highlight=False)
     table = slim_table()
     for heading in ("measure", "value", "95 % interval"):
         table.add_column(heading, no_wrap=True)

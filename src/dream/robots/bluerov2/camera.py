@@ -31,6 +31,7 @@ import numpy.typing as npt
 
 from dream.geometry import SE3, camera_mount
 from dream.robots.bluerov2.rtp import CLOCK, PAYLOAD_TYPE, AccessUnit, Depacketizer
+from dream.robots.bluerov2.wire import taken
 
 UInt8Array = npt.NDArray[np.uint8]
 Tap = Callable[[float, str, bool, object], None]
@@ -563,9 +564,9 @@ def _listening(source: RtpVideo, port: int) -> socket.socket:
     try:
         receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
         receiver.bind((source.host, source.port or port))
-    except OSError:
+    except OSError as error:
         receiver.close()
-        raise
+        raise taken(error, source.port or port) from error
     receiver.settimeout(_LOOK)
     return receiver
 
@@ -577,7 +578,7 @@ def _described(source: Source, port: int) -> str:
         case RtspVideo():
             # Without the password that an address may hold.
             parts = urlsplit(source.url)
-            return f"{parts.scheme}://{parts.hostname}{parts.path}"
+            return f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}"
         case VideoFile():
             return str(source.path)
         case VideoDevice():

@@ -14,8 +14,10 @@ from dream.robots.bluerov2.dvl_a50 import Config
 from dream.robots.bluerov2.parameters import Check
 from dream.robots.bluerov2.telemetry import Telemetry
 
-ROOM = 2 << 30
-"""Bytes free on the disk: an hour of log takes about half of it."""
+LOGGED = 1.4e6
+"""Bytes of log a second: a stream of 10 Mbit/s, and a tenth of that for all the rest."""
+DEPTHS_APART = 0.3
+"""Metres by which the depth may differ from what the autopilot holds it to be: they sit apart."""
 SOUND_OFF = 0.02
 """Share by which the DVL's speed of sound, and with it every velocity, may be off."""
 WORST_LOSS = 0.05
@@ -70,6 +72,8 @@ def findings(
     limits: Limits,
     folder: Path,
     sound: tuple[float, float],
+    *,
+    zeroed_here: bool,
 ) -> list[Finding]:
     """The whole list, in the order in which one would mend it.
 
@@ -83,7 +87,10 @@ def findings(
         limits: Of the dive.
         folder: Where the dive is kept.
         sound: From and to what m/s sound goes in this water.
+        zeroed_here: Whether the depth has its zero where the vehicle lies, since nobody told the pressure at
+            the surface.
     """
+    room = 60.0 * limits.minutes * LOGGED
     free = shutil.disk_usage(folder).free
     rate = seen.frames / seen.seconds if seen.seconds > 0.0 else 0.0
     battery = telemetry.voltage
@@ -128,12 +135,7 @@ def findings(
             f"sample {telemetry.imu_age:.2f} s old, attitude {telemetry.attitude_age:.2f} s",
             "RAW_IMU and ATTITUDE at 50 Hz",
         ),
-        Finding(
-            "depth",
-            telemetry.pressure_age < 1.0 and math.isfinite(telemetry.depth),
-            f"{telemetry.depth:.2f} m, {telemetry.pressure_age:.1f} s old",
-            "a Bar30 that was zeroed at the surface: --surface-pressure, or begin there",
-        ),
+        _depth(telemetry, zeroed_here=zeroed_here),
         Finding(
             "battery",
             battery >= limits.voltage,
@@ -165,8 +167,26 @@ def findings(
             aligned or "begins: all sensors agree that the vehicle lies still",
             "a vehicle that lies still, with bottom lock",
         ),
-        Finding("disk", free >= ROOM, f"{free / (1 << 30):.0f} GiB free", f"{ROOM >> 30} GiB or more"),
+        Finding(
+            "disk",
+            free >= room,
+            f"{free / (1 << 30):.1f} GiB free",
+            f"{room / (1 << 30):.1f} GiB or more for the log of {limits.minutes:g} minutes",
+        ),
     ]
+
+
+def _depth(telemetry: Telemetry, *, zeroed_here: bool) -> Finding:
+    own = -telemetry.own_altitude
+    under = zeroed_here and abs(own - telemetry.depth) > DEPTHS_APART
+    return Finding(
+        "depth",
+        telemetry.pressure_age < 1.0 and math.isfinite(telemetry.depth) and not under,
+        f"{telemetry.depth:.2f} m, {telemetry.pressure_age:.1f} s old"
+        + (f", but {own:.2f} m by the autopilot" if under else ""),
+        "a Bar30 that was zeroed at the surface: lay the vehicle there, or say --surface-pressure in hPa. "
+        "All depths, and the limit, count from where it lies now",
+    )
 
 
 def _speed_of_sound(config: Config | None, sound: tuple[float, float]) -> Finding:

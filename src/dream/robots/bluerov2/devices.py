@@ -267,7 +267,7 @@ class Devices:
 
     def findings(self, seconds: float, start: SE2, limits: Limits, folder: Path) -> list[Finding]:
         """Go through the pre-dive list; the estimate has begun where it says so."""
-        unzeroed = ""
+        unzeroed, zeroed_here = "", math.isnan(self.link.telemetry.depth)
         try:
             self.zero_depth()
         except NotReady as not_ready:
@@ -276,7 +276,18 @@ class Devices:
         aligned, link = unzeroed or aligned, self.link
         sound = sound_in(self._density) if self._sound is None else (self._sound, self._sound)
         checks = link.check_parameters()
-        return findings(link.telemetry, link.busy, checks, self.dvl, seen, aligned, limits, folder, sound)
+        return findings(
+            link.telemetry,
+            link.busy,
+            checks,
+            self.dvl,
+            seen,
+            aligned,
+            limits,
+            folder,
+            sound,
+            zeroed_here=zeroed_here,
+        )
 
     def _heard_of(self, time: float, channel: str, sent: bool, message: Any) -> None:
         self.log.tap(time, channel, sent, message)

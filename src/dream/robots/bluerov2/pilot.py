@@ -15,6 +15,7 @@ from typing import Any, Protocol, Self
 
 from dream.robots.bluerov2.mavlink import Link, Refused, Tap, dialect
 from dream.robots.bluerov2.sticks import NEUTRAL, Sticks
+from dream.robots.bluerov2.wire import taken
 
 logger = logging.getLogger(__name__)
 
@@ -97,9 +98,9 @@ class UdpDoor:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
             self._socket.settimeout(WAIT)
             self._socket.bind((host, int(port)))
-        except OSError:
+        except OSError as error:
             self._socket.close()
-            raise
+            raise taken(error, int(port)) from error
 
     @property
     def port(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import socket
 import time
@@ -28,6 +29,16 @@ class Pipe(Protocol):
         """Give the port back; a `receive` under way ends soon."""
 
 
+def taken(error: OSError, port: int) -> OSError:
+    """What is to be said where a port of this computer cannot be had."""
+    if error.errno != errno.EADDRINUSE:
+        return error
+    return OSError(
+        f"expected port {port} of this computer to be free, got one that another program has. "
+        "Close QGroundControl, Cockpit or another dive"
+    )
+
+
 class Udp:
     """Datagrams: to whom it was told, or to whom it was first spoken to by.
 
@@ -45,9 +56,9 @@ class Udp:
                 self._socket.bind((host, port))
             else:
                 self._peer = socket.gethostbyname(host), port
-        except OSError:
+        except OSError as error:
             self._socket.close()
-            raise
+            raise taken(error, port) from error
         self._fixed = not listen
         self._from: tuple[str, int] | None = None
         self._heard = self._there_until = -math.inf

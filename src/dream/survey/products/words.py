@@ -7,6 +7,7 @@ import re
 from dataclasses import dataclass
 from itertools import pairwise
 
+from dream.survey.calibration import doubt
 from dream.survey.numbers import named
 from dream.survey.survey import Measure, Survey
 from dream.types import Target
@@ -159,7 +160,7 @@ def found(survey: Survey) -> str:
 def summary(survey: Survey) -> list[str]:
     """What was found, in a few sentences for whoever reads nothing else."""
     of = {measure.name: measure for measure in survey.measures if measure.value is not None}
-    lines = []
+    lines = [line] if (line := doubt(survey.protocol, survey.target)) else []
     if survey.target is Target.WRECK:
         if area := of.get("outline_area"):
             lines.append(f"The wreck covers {_between(area)} of the seabed.")
@@ -245,6 +246,8 @@ def _calibrated(survey: Survey) -> str:
     """What the intervals rest on."""
     if survey.target is Target.WRECK:
         return "So it is meant: they were set on a few simulated wrecks, and not calibrated."
+    if doubtful := doubt(survey.protocol, survey.target):
+        return f"Not so here. {doubtful}"
     return (
         "So it is on simulated reefs, on which the method was calibrated. Where shells grow in another way, "
         "or the water is worse, counts, densities and sizes err by more until they are checked there against "
