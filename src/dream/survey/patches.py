@@ -101,15 +101,9 @@ def rings(mask: BoolArray, corner: tuple[float, float], cell: float) -> tuple[Fl
             dr, dc = step[direction]
             line.append((c + 0.5 * dc, r + 0.5 * dr))
             r, c = r + dr, c + dc
-            # Left first: parts that touch at a corner stay apart.
-            at = next(
-                (
-                    (r, c, (direction + turn) % 4)
-                    for turn in (1, 0, 3)
-                    if (r, c, (direction + turn) % 4) in sides
-                ),
-                first,
-            )
+            # Left first: parts that touch at a corner stay apart, also where the ring began at one.
+            onward = ((r, c, (direction + turn) % 4) for turn in (1, 0, 3))
+            at = next(side for side in onward if side in sides or side == first)
         line.append(line[0])
         outlines.append(_straightened(np.array(line)) * cell + corner)
     outlines.sort(key=lambda ring: -signed_area(ring))

@@ -304,7 +304,7 @@ def test_a_port_that_is_taken_is_a_problem_until_it_is_free() -> None:
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]
         camera = LiveCamera(RtpVideo(port=port), time.monotonic)
-        with pytest.raises(TimeoutError, match="in use"):
+        with pytest.raises(TimeoutError, match="got one that another program has"):
             camera.newest(1.0)
     with camera, VideoSource(counting(), ("127.0.0.1", port), fps=50.0):
         camera.after(0.0, WAIT)
@@ -332,7 +332,10 @@ def test_a_film_is_shown_once(tmp_path: Path) -> None:
     ("source", "message"),
     [
         (VideoFile(Path("no/such/film.mp4")), "film.mp4: there is no such file"),
-        (RtspVideo("rtsp://someone:secret@127.0.0.1:1/video"), "rtsp://127.0.0.1/video: it cannot be opened"),
+        (
+            RtspVideo("rtsp://someone:secret@127.0.0.1:1/video"),
+            "rtsp://127.0.0.1:1/video: it cannot be opened",
+        ),
         (VideoDevice(201), "video device 201: it cannot be opened"),
     ],
 )

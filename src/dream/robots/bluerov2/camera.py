@@ -315,8 +315,8 @@ class LiveCamera:
     def _picture(self, max_age: float) -> Picture:
         if self._newest is None or self.age > max_age:
             came = "no picture yet" if self._newest is None else f"no picture for {self.age:.1f} s"
-            reason = self.problem or "It comes late."
-            raise TimeoutError(f"{came} (limit {max_age:g} s). {reason} Is the camera powered?")
+            reason = self.problem or "It comes late"
+            raise TimeoutError(f"{came} (limit {max_age:g} s). {reason}. Is the camera powered?")
         time, rgb = self._newest
         return Picture(time, rgb, self._now() - time)
 
