@@ -38,6 +38,7 @@ from dream.robots import Teleport
 from dream.robots.swimming import read_swimming
 from dream.sim.worlds import WORLDS, make_world
 from dream.types import Arrival, Observation, Setpoint
+from tests.engines import InProcess
 from tests.model_server import NAME, Answer, Request, Response, error, fitting, says, serving
 from tests.recorded_runs import Disk
 
@@ -899,6 +900,7 @@ def test_a_benchmark_hands_its_model_to_those_that_ask_and_writes_it_down(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("DREAM_API_KEY", "sk-hush")
+    monkeypatch.setattr("dream.evaluation.engines.Processes", InProcess)
     with serving() as server:
         options = ["--model", server.address, "--model-name", NAME, "--latency", "9", "--timeout", "20"]
         command = ["bench", "--world", "flat/empty", "--planners", "vanilla", "random", *options]
@@ -919,7 +921,10 @@ def test_a_benchmark_hands_its_model_to_those_that_ask_and_writes_it_down(
     assert not [path for path in tmp_path.rglob("*.*") if b"sk-hush" in path.read_bytes()]
 
 
-def test_a_folder_holds_one_planner_with_several_models(tmp_path: Path) -> None:
+def test_a_folder_holds_one_planner_with_several_models(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dream.evaluation.engines.Processes", InProcess)
     with serving() as server:
         for label in ("one", "two"):
             options = ["--model", server.address, "--model-name", label, "--max-steps", "4", "--jobs", "1"]
@@ -962,8 +967,9 @@ def test_a_benchmark_says_of_each_mission_that_its_key_was_refused(
 
 
 def test_a_mission_without_its_model_is_not_kept_and_goes_on_without_paying_twice(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("dream.evaluation.engines.Processes", InProcess)
     quota = {"error": {"message": "nothing left", "code": "insufficient_quota"}}
     empty = Response(json.dumps(quota).encode(), 429, {"retry-after": "0"})
     left = [1]

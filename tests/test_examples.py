@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import pytest
 
@@ -18,6 +17,7 @@ from dream.evaluation.results import read_results
 from dream.evaluation.runner import simulate
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
+from tests.engines import InProcess
 
 
 @pytest.fixture(scope="module")
@@ -47,16 +47,6 @@ def test_the_planner_to_copy_finds_targets_and_says_why(example: ModuleType, str
 def test_it_is_benched_beside_those_of_the_package(
     example: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Here:
-        """Flies one mission after the other, in this process."""
-
-        def run(
-            self, task: Callable[[Any], Any], groups: Sequence[Sequence[Any]]
-        ) -> Generator[tuple[Any, Any], None, None]:
-            for group in groups:
-                for item in group:
-                    yield item, task(item)
-
     flown = []
 
     class Shown:
@@ -65,7 +55,7 @@ def test_it_is_benched_beside_those_of_the_package(
 
     def fly(plan: runner.Plan, folder: Path, engine: object) -> Shown:
         short = replace(plan, cases=plan.cases[:1], max_steps=6)
-        assert len(list(runner.fly_plan(short, tmp_path, Here()))) == 3
+        assert len(list(runner.fly_plan(short, tmp_path, InProcess()))) == 3
         write_report(tmp_path)
         return Shown()
 
