@@ -230,10 +230,10 @@ def _steps(
     return summary["t98"], summary["coverage"]["instances"]
 
 
-def say_parts(jobs: int) -> None:
+def say_parts(count: int | None, jobs: int) -> None:
     """Fly what is told of parts, and print what knowing them saves."""
     for kind in ("reef/string", "reef/fringing"):
-        cases = [Case(kind, seed) for seed in PARTS]
+        cases = [Case(kind, seed) for seed in PARTS[:count]]
         with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
             flown = list(pool.map(fly_told_of_parts, cases))
         usual = np.array([found["belief"] for found in flown], float)
@@ -253,7 +253,7 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=processors(), help="worlds at a time")
     options = parser.parse_args()
     if options.worlds == "parts":
-        say_parts(options.jobs)
+        say_parts(options.seeds, options.jobs)
         return 0
     wrecks = options.worlds == "wrecks"
     cases = [case for case in suite_named("dev") if (family_of(case.world) == "wreck") == wrecks]

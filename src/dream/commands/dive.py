@@ -74,6 +74,8 @@ REHEARSED = 12
 """Steps of a simulated mission before the dive."""
 SLOWEST_SOUND, FASTEST_SOUND = 1400.0, 1600.0
 """m/s. Fresh water of 0 °C has 1402 (Del Grosso and Mader 1972), sea water of 30 °C 1545 (Mackenzie 1981)."""
+LAST_CHECK = ".dream-check"
+"""Name of the folder of the last check: made anew each time, so that it is one that nobody else has."""
 FIRST_REPORT = 5.0
 """Seconds that the connection to the DVL may take."""
 FIRST_FRAME = 15.0
@@ -216,9 +218,9 @@ class Dive:
             if self.check:
                 # What was heard is kept, but nothing is flown: it is no run, and the last check is enough.
                 check_writable(self.out)
-                folder = self.out / "check"
+                folder = self.out / LAST_CHECK
                 shutil.rmtree(folder, ignore_errors=True)
-                folder.mkdir()
+                folder.mkdir(exist_ok=True)
             else:
                 folder = recording.new_run_folder(self.out, where, self.seed, name, begun)
             if self.live and not self.check:

@@ -237,7 +237,8 @@ def compare(results: Results) -> Comparison:
         for case in results.manifest["cases"]
     )
     given = results.manifest["planners"]
-    unanswered, by_belief = _unanswered(results.rows), _by_belief(results.rows)
+    unanswered = _unanswered(results.rows)
+    by_belief = _by_belief(results.rows, unanswered)
     titles = {
         name: title(name, parameters, by_belief=name in by_belief) for name, parameters in given.items()
     }
@@ -296,8 +297,8 @@ def _unanswered(rows: Iterable[Row]) -> dict[str, float]:
     return {planner: fallbacks[planner] / count for planner, count in questions.items() if count}
 
 
-def _by_belief(rows: Sequence[Row]) -> dict[str, int]:
-    """See `Comparison.by_belief`."""
+def _by_belief(rows: Iterable[Row], unanswered: Mapping[str, float]) -> dict[str, int]:
+    """See `Comparison.by_belief`; with what `_unanswered` has of the same rows."""
     missions = Counter(
         row.planner
         for row in rows
@@ -307,7 +308,7 @@ def _by_belief(rows: Sequence[Row]) -> dict[str, int]:
     )
     return {
         planner: missions[planner]
-        for planner, share in _unanswered(rows).items()
+        for planner, share in unanswered.items()
         if share > BY_BELIEF or missions[planner]
     }
 

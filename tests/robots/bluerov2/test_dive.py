@@ -507,13 +507,17 @@ def test_where_things_sit_is_kept_with_the_dive(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_dvl_is_told_how_fast_sound_goes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "check").mkdir()
+    (tmp_path / "check/mine").write_text("kept")
     fly = ["dive", "--stand-in", "--check", "--json", "--speed-of-sound", "1482", "--out", str(tmp_path)]
     assert run_command(fly) == 0
     said = {item["name"]: item for item in json.loads(capsys.readouterr().out)["findings"]}
     assert said["sound"]["said"] == "told 1482 m/s, it had 1500"
     assert said["speed of sound"]["said"] == "1482 m/s"
-    assert [path.name for path in tmp_path.iterdir()] == ["check"]  # No run, and `latest` is what it was.
-    log = tmp_path / "check" / "log.mcap"
+    # No run, `latest` is what it was, and what lies there is left alone.
+    assert {path.name for path in tmp_path.iterdir()} == {".dream-check", "check"}
+    assert (tmp_path / "check/mine").read_text() == "kept"
+    log = tmp_path / ".dream-check" / "log.mcap"
     (mounting,) = read_log(log, ["/mounting"])
     assert json.loads(mounting.message.data)["said"] == {"dvl": [-0.15, 0.0, -0.1], "gauge": [-0.2, 0.0, 0.0]}
     lines = b"".join(line for _, out, line in read_wire(log, "a50") if out)
