@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import itertools
 import json
 import math
@@ -944,6 +945,32 @@ def test_a_folder_holds_one_planner_with_several_models(
     assert all(f"--planners dream+{label} --protocol" in page for label in ("one", "two"))
     kept = [json.loads(path.read_text())["planner"] for path in (tmp_path / "runs").glob("*/config.json")]
     assert kept == ["dream", "dream"]
+
+
+def test_a_folder_holds_one_planner_with_several_prompts_and_none_of_them_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("dream.evaluation.engines.Processes", InProcess)
+    own, out = tmp_path / "own", tmp_path / "bench"
+    own.mkdir()
+    (own / "dream.md").write_text("version: 2\n\n$mission Prefer the left. $legend")
+    fly = ["bench", "--world", "reef/string", "--model", "wire", "--max-steps", "4", "--jobs", "1"]
+    fly += ["--keep-runs", "--out", str(out), "--planners"]
+    assert run_command([*fly, "dream"]) == 0
+    assert run_command([*fly, "dream+left", "--prompts", str(own)]) == 0
+    asked = {}
+    for run in (out / "runs").iterdir():
+        parameters = json.loads((run / "config.json").read_text())["planner_parameters"]
+        (asked[parameters["prompts"]],) = json.loads((run / "summary.json").read_text())["vlm"]["prompts"]
+    assert asked[None].startswith("dream 1, ")
+    assert asked[str(own)].startswith("dream 2 (own, ")
+    assert "dream+left (wire test; own prompts)" in (out / "report.html").read_text()
+    sha256 = hashlib.sha256((own / "dream.md").read_bytes()).hexdigest()
+    assert read_results(out).manifest["files"] == {"dream+left": {"dream": sha256}}
+    (own / "legend.md").write_text("version: 2\n\nGreen is good.")
+    capsys.readouterr()
+    assert run_command([*fly, "dream+left", "--prompts", str(own)]) == 2
+    assert "files of dream+left.legend: expected None as for the missions in it" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["belief+x", "dream+", "dream+a/b", "dream+" + 41 * "x"])

@@ -247,6 +247,20 @@ def test_another_network_under_the_same_name_is_refused(
     assert replay(capsys, run, "--planner", "lawnmower")[1]["planner"] == "lawnmower"
 
 
+def test_another_prompt_under_the_same_name_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (own := tmp_path / "own").mkdir()
+    (own / "dream.md").write_text("version: 2\n\n$mission $legend")
+    run = fly(tmp_path / "runs", "dream", "--model", "wire", "--prompts", str(own), "--keep-observations")
+    kept = read_config(run).prompts_sha256
+    assert replay(capsys, run)[1]["agree"] == STEPS
+    (own / "dream.md").write_text("version: 2\n\n$mission Be quick. $legend")
+    assert f"the dream.md of then, whose SHA-256 is {kept['dream'][:12]}..., got" in refused(
+        capsys, "replay", run
+    )
+
+
 @pytest.mark.parametrize(
     ("harm", "complaint"),
     [

@@ -130,6 +130,7 @@ class RecordedExchange(_Recorded):
     tokens_out: int = Field(ge=0)
     cost_usd: float | None
     seconds: float = Field(ge=0.0)
+    answered_by: str = ""
     outcome: str = ""
 
 
@@ -179,6 +180,8 @@ class RunConfig(_Recorded):
     """By name."""
     weights_sha256: str | None = None
     """Of the file of a network that was not the one that comes with DREAM."""
+    prompts_sha256: dict[str, str] = Field(default_factory=dict)
+    """Of every prompt that was given in the place of the package's, by name."""
     world_from: str | None = None
     """What was given for the world where it is not a name: a folder."""
     start: int = 0
@@ -457,6 +460,7 @@ def _write_exchanges(step: Step, folder: Path) -> None:
             tokens_out=exchange.tokens_out,
             cost_usd=exchange.cost_usd,
             seconds=exchange.seconds,
+            answered_by=exchange.answered_by,
             outcome=exchange.outcome,
         )
         path = _exchange_path(folder, step.index, number)
@@ -562,6 +566,7 @@ def read_exchanges(folder: Path, step: int) -> list[Exchange]:
                 tokens_out=recorded.tokens_out,
                 cost_usd=recorded.cost_usd,
                 seconds=recorded.seconds,
+                answered_by=recorded.answered_by,
                 outcome=recorded.outcome,
             )
         )

@@ -165,6 +165,7 @@ def asked_at(folder: Path, step: int) -> list[dict[str, Any]]:
         {
             "prompt": exchange.prompt,
             "model": exchange.model,
+            "answered_by": exchange.answered_by,
             "question": exchange.question,
             "pictures": {
                 name: _exact_url(png, f"the picture {name} of step {step}")

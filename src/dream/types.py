@@ -160,6 +160,8 @@ class Exchange:
     """None where the price of the model is not known."""
     seconds: float
     """Wall time."""
+    answered_by: str = ""
+    """The model that answered last, as the server calls it: often with its date. Empty where none did."""
     outcome: str = ""
     """What came of a reply that fits: `followed`, `as the offline planner would`, `overruled` or `not heard`;
     then a colon and why, where there is more to say. Empty where none fits, and where no mission is flown."""

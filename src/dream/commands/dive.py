@@ -36,7 +36,7 @@ from dream.commands.run import planner_name
 from dream.errors import MissionAborted
 from dream.geometry import SE2, SE3, Bounds
 from dream.planning import PLANNERS, AnyPlanner
-from dream.planning.baselines.uivnav import weights_sha256
+from dream.planning.identity import identity
 from dream.protocol import SurveyProtocol, protocol_named
 from dream.types import Setpoint
 from dream.versions import commit
@@ -810,9 +810,7 @@ class _Ready:
             "protocol": self.protocol.name,
             "world": "dive" if self.tank is None else self.tank.world.name,
             "seed": self.told.seed,
-            "planner": name,
-            "planner_parameters": asdict(self.told.planner),
-            "weights_sha256": weights_sha256(self.told.planner),
+            **identity(name, self.told.planner),
             "max_steps": self.told.max_steps,
             "command": repeating_command(self.told, name),
             "mounting": {

@@ -32,6 +32,8 @@ class Mission:
     OpenAI's interface, such as http://localhost:8000/v1, or `wire`, the stand-in that answers by rule."""
     model_name: str = ""
     """What the server at that address calls the model."""
+    prompts: str | None = None
+    """Folder with an `orders.md` of your own, to be asked with in the place of the package's."""
     world: str = "reef/string"
     """A name from `dream worlds`, or a folder that holds a saved world."""
     seed: int = 1
@@ -56,7 +58,7 @@ class Mission:
         check_writable(self.out.parent)
         world = open_world(self.world, self.seed)
         protocol = protocol_named(self.protocol or world.protocol)
-        asking = Asking(self.model, self.model_name)
+        asking = Asking(self.model, self.model_name, prompts=self.prompts)
         picture = self.out.with_suffix(".png")
         told = sys.stderr if self.json else sys.stdout
         wanted = None if self.yes else ("Keep these orders?", picture.with_suffix(".draft.png"))

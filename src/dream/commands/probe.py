@@ -82,7 +82,7 @@ class Probe:
         line = self.asking.line()
         if self.out is not None:
             check_writable(self.out)
-        questions = make_questions(self.questions)
+        questions = make_questions(self.questions, line.prompts)
         first = next(questions)
         began = time.perf_counter()
         replies: list[Reply] = []

@@ -27,7 +27,7 @@ from dream.commands.console import (
 from dream.commands.run import planner_name
 from dream.names import look_up
 from dream.planning import PLANNERS, AnyPlanner, Asking
-from dream.planning.baselines.uivnav import weights_sha256
+from dream.planning.identity import identity
 from dream.versions import commit
 
 if TYPE_CHECKING:
@@ -219,9 +219,7 @@ def _config(record: Record, planner: AnyPlanner) -> dict[str, Any]:
         **record.config.model_dump(),
         "version": __version__,
         "commit": commit(),
-        "planner": planner_name(planner),
-        "planner_parameters": asdict(planner),
-        "weights_sha256": weights_sha256(planner),
+        **identity(planner_name(planner), planner),
         "command": shlex.join(["dream", "replay", str(record.folder), "--planner", planner_name(planner)]),
         "replay_of": str(record.folder),
     }

@@ -19,6 +19,7 @@ from dream.names import look_up
 from dream.orders import Orders
 from dream.planning import PLANNERS, AnyPlanner, Asking
 from dream.planning.baselines.uivnav import weights_sha256
+from dream.planning.identity import prompts_sha256
 from dream.planning.vlm import stands_in
 from dream.planning.vlm.orders import read_orders
 from dream.protocol import SurveyProtocol, protocol_named
@@ -94,6 +95,13 @@ class Record:
                 f"{(now or 'none')[:12]}... in {self.config.planner_parameters.get('weights')}. "
                 "Put that of then back"
             )
+        for prompt, sha256 in sorted(self.config.prompts_sha256.items()):
+            found = prompts_sha256(planner).get(prompt, "none")
+            if found != sha256:
+                raise ValueError(
+                    f"prompts: expected the {prompt}.md of then, whose SHA-256 is {sha256[:12]}..., got "
+                    f"{found[:12]} in {self.config.planner_parameters.get('prompts')}. Put that of then back"
+                )
         return planner
 
     def was_flown_by(self, planner: AnyPlanner) -> bool:

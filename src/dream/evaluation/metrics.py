@@ -51,6 +51,7 @@ class _Asked:
     """What of a question to a model a summary needs: neither its words nor its pictures."""
 
     model: str
+    answered_by: str
     prompt: str
     requests: int
     tokens_in: int
@@ -164,6 +165,7 @@ class Logbook:
         reasons = Counter(question.reason for question in asked if question.reason)
         return {
             "model": ", ".join(dict.fromkeys(question.model for question in asked)),
+            "answered_by": list(dict.fromkeys(filter(None, (question.answered_by for question in asked)))),
             "prompts": list(dict.fromkeys(question.prompt for question in asked)),
             "calls": sum(question.requests for question in asked),
             "questions": len(asked),
@@ -341,6 +343,7 @@ class Scorer(Logbook):
 def _digest(exchange: Exchange) -> _Asked:
     return _Asked(
         model=exchange.model,
+        answered_by=exchange.answered_by,
         prompt=exchange.prompt,
         requests=exchange.requests,
         tokens_in=exchange.tokens_in,

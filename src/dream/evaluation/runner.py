@@ -42,7 +42,7 @@ from dream.mapping.prior import Prior
 from dream.mission import Planner, Robot, explore
 from dream.orders import Orders, sentences, written
 from dream.planning import LABELLED, PLANNERS, AnyPlanner
-from dream.planning.baselines.uivnav import weights_sha256
+from dream.planning.identity import files_given, identity
 from dream.planning.vlm.asking import GONE, WHERE_KEPT, Asking
 from dream.protocol import SHOWN, SurveyProtocol, protocol_named
 from dream.robots import Swimming, Teleport
@@ -166,9 +166,7 @@ def run_config(
         "world_from": world_from,
         "world_hash": world_hash(world),
         "start": start,
-        "planner": planner_name,
-        "planner_parameters": asdict(planner),
-        "weights_sha256": weights_sha256(planner),
+        **identity(planner_name, planner),
         "max_steps": max_steps,
         "swimming": None if swims is None else asdict(swims),
         "orders": None if orders is None else written(orders),
@@ -468,6 +466,7 @@ def _manifest(plan: Plan, folder: Path, engine: Engine) -> dict[str, Any]:
         "protocol": _as_json(plan.protocol),
         "max_steps": plan.max_steps,
         **({} if swims is None else {"swimming": _as_json(swims)}),
+        "files": {name: given for name, planner in plan.planners.items() if (given := files_given(planner))},
         **machine.code(),
         **machine.libraries(),
         "engine": repr(engine),
@@ -484,13 +483,16 @@ def _manifest(plan: Plan, folder: Path, engine: Engine) -> dict[str, Any]:
         for name in ("version", "source", *machine.libraries(), "protocol", "max_steps"):
             _check_same(folder, name, before[name], now[name])
         _check_same(folder, "swimming", before.get("swimming"), now.get("swimming"))
+        given_before = before.get("files", {})
         for name in before["planners"].keys() & now["planners"].keys():
             then, new = (_deciding(planners[name]) for planners in (before["planners"], now["planners"]))
             _check_same(folder, name, then, new)
+            _check_same(folder, f"files of {name}", given_before.get(name, {}), now["files"].get(name, {}))
         suites = dict.fromkeys([*before["suite"].split(", "), plan.suite])
         now["suite"] = ", ".join(suites)
         now["cases"] += [case for case in before["cases"] if case not in now["cases"]]
         now["planners"] |= before["planners"]
+        now["files"] |= given_before
         now["started"], now["wall_s"] = before["started"], before["wall_s"]
         # Results are the same elsewhere, times are not: every other engine and machine is told.
         here = {name: now[name] for name in ("engine", "machine")}

@@ -326,6 +326,7 @@ def title(planner: str, parameters: Mapping[str, Any], *, by_belief: bool) -> st
         REIMPLEMENTED.get(planner, ""),
         "another network" if parameters.get("weights") else "",
         "wire test" if is_wire_test(parameters) else model,
+        "own prompts" if parameters.get("prompts") else "",
         "partly belief" if by_belief else "",
     ]
     said = "; ".join(filter(None, told))

@@ -97,7 +97,7 @@ class Asked {
     const [tone, badge, why] = verdictOf(exchange);
     const verdict = element("strong", { className: `badge ${tone}`, textContent: badge });
     const facts = [
-      ["Model", exchange.model],
+      ["Model", exchange.answered_by ? `${exchange.model}, answered by ${exchange.answered_by}` : exchange.model],
       ["Prompt", exchange.prompt],
       ["Requests", exchange.requests === 1 ? "1" : `${exchange.requests}, asked again where the reply did not fit`],
       ["Tokens", `${count(exchange.tokens_in)} in, ${count(exchange.tokens_out)} out`],

@@ -59,6 +59,47 @@ def test_a_reply_that_fits_is_the_answer_and_all_of_the_exchange_is_kept() -> No
     assert exchange.model == f"scripted at {server.address}"
 
 
+def test_who_the_server_says_answered_is_kept_in_one_line_and_without_a_key(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv(asking.KEY, SECRET)
+    with serving(says(SO, model=f"scripted-2026\n{SECRET}" + 300 * "x")) as server:
+        exchange = ask(line(server, record=str(tmp_path))).exchange
+        assert exchange.answered_by.startswith("scripted-2026 [key]xxx")
+        assert len(exchange.answered_by) == asking.MOST_SAID
+        # A kept one says so too, and one kept before this was asked for still answers.
+        again = line(server, replay_replies=str(tmp_path))
+        assert ask(again).exchange.answered_by == exchange.answered_by
+        (path,) = tmp_path.glob("*.json")
+        kept = json.loads(path.read_text())
+        del kept["answered_by"]
+        path.write_text(json.dumps(kept))
+        assert ask(line(server, replay_replies=str(tmp_path))).exchange.answered_by == ""
+    assert len(server.asked) == 1
+
+
+@pytest.mark.parametrize(
+    ("model", "variable"),
+    [
+        ("openai:gpt-5", "OPENAI_BASE_URL"),
+        ("anthropic:claude-sonnet-4-6", "ANTHROPIC_BASE_URL"),
+        ("google:gemini-3.5-flash-lite", "GOOGLE_GEMINI_BASE_URL"),
+    ],
+)
+def test_a_maker_whose_address_is_another_is_not_asked_under_its_name(
+    model: str, variable: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(asking.OFFLINE)
+    for key in ("OPENAI_API_KEY", "ANTHROPIC_API_KEY", "GOOGLE_API_KEY"):
+        monkeypatch.setenv(key, SECRET)
+    Asking(model=model).line()
+    monkeypatch.setenv(variable, "http://127.0.0.1:1/v1")
+    with pytest.raises(
+        ValueError, match=f"model: expected {model} to be asked at its maker's, got {variable}"
+    ):
+        Asking(model=model).line()
+
+
 def test_the_server_gets_instructions_pictures_text_and_the_schema() -> None:
     with serving(GOOD) as server:
         ask(line(server))

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import hashlib
 import re
 from importlib import resources
 from pathlib import Path
@@ -8,6 +9,7 @@ import pytest
 
 from dream.geometry import Bounds
 from dream.mapping import OccupancyMap
+from dream.planning import Dream
 from dream.planning.vlm import prompts
 from dream.planning.vlm.reply import STEPS
 from dream.protocol import DREAM_V1, POOL_V1
@@ -21,8 +23,9 @@ FILES = sorted(
 ARENA = Bounds(-20.0, -20.0, 20.0, 20.0)
 
 
-def filled(name: str, mission: Mission) -> tuple[str, str]:
-    return prompts.instructions(name, mission, OccupancyMap(ARENA, mission.protocol), count="7")
+def filled(name: str, mission: Mission, own: str | None = None) -> tuple[str, str]:
+    occupancy = OccupancyMap(ARENA, mission.protocol)
+    return prompts.instructions(name, mission, occupancy, prompts.own_prompts(own), count="7")
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -66,30 +69,65 @@ def test_what_is_said_of_the_robot_is_what_the_protocol_says() -> None:
         assert "5 m apart" in text
 
 
+def test_every_prompt_names_the_places_that_are_filled_in() -> None:
+    assert set(FILES) == set(prompts.PLACES)
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if prompts.PLACES[name]])
+def test_every_place_that_may_be_named_is_filled_in(name: str, tmp_path: Path) -> None:
+    (tmp_path / f"{name}.md").write_text(
+        "version: 1\n\n" + " ".join(f"${place}" for place in prompts.PLACES[name])
+    )
+    if name == "orders":
+        return  # `tests/test_mission_words.py` asks with all of its places.
+    asked = name if "mission" in prompts.PLACES[name] else "dream"
+    text, label = filled(asked, Mission(POOL_V1, ARENA, 200, Target.OYSTERS), str(tmp_path))
+    assert "$" not in text
+    assert re.search(rf"{name} 1 \(own, [0-9a-f]{{8}}\)", label)
+
+
+def test_ones_own_prompt_takes_the_place_of_one_and_leaves_the_others(tmp_path: Path) -> None:
+    mission = Mission(DREAM_V1, ARENA, 200, Target.OYSTERS)
+    own = "version: 7\n\n$mission Mind the seals, for $$1 each. $legend"
+    (tmp_path / "dream.md").write_text(own)
+    (tmp_path / "notes.txt").write_text("not a prompt")
+    text, label = filled("dream", mission, str(tmp_path))
+    assert "Mind the seals, for $1 each." in text
+    assert prompts.load("oysters").heads["mission"] in text
+    sha256 = hashlib.sha256(own.encode()).hexdigest()
+    assert label.startswith(f"dream 7 (own, {sha256[:8]}), legend ")
+    assert {name: own.own for name, own in prompts.own_prompts(str(tmp_path)).items()} == {"dream": sha256}
+    assert filled("vanilla", mission, str(tmp_path)) == filled("vanilla", mission)
+
+
 @pytest.mark.parametrize(
-    ("text", "told"), [("The $reach and $mystery", r"got \$mystery$"), ("5 $ each", r"got a lone \$, which")]
+    ("name", "text", "told"),
+    [
+        ("dream", "version: 1\n\nThe $reach and $mystery", r"but \$mission, .*, got \$mystery$"),
+        ("dream", "version: 1\n\n5 $ each", r"got a lone \$, which is written \$\$"),
+        ("dream", "title: none\n\nText.", "expected a first line such as version: 1"),
+        ("dream", "Text only.", "expected a first line such as version: 1"),
+        ("dream", "version: 1\n\n  \n", "expected a text after its heads"),
+        ("dream", b"version: 1\n\n\xff\xfe", "expected text in UTF-8"),
+        ("dream", "version: 1\n\n" + "a" * prompts.MOST_BYTES, "expected at most 65536 bytes"),
+        ("oysters", "version: 1\n\nThey grow.", "expected a head such as mission: "),
+        ("dreams", "version: 1\n\nText.", r"expected some of vanilla\.md, .*, got dreams\.md"),
+        (None, "", r"expected some of vanilla\.md, .*, got none"),
+    ],
 )
-def test_a_prompt_with_a_place_that_nothing_fills_is_refused_by_name(text: str, told: str) -> None:
-    prompt = prompts.Prompt("mine", {"version": "1"}, text)
-    with pytest.raises(ValueError, match=rf"prompts/mine\.md: expected none but \$reach, {told}"):
-        prompts.filled(prompt, {"reach": "8"})
+def test_a_prompt_that_cannot_be_used_is_refused_before_anything_is_asked(
+    tmp_path: Path, name: str | None, text: str | bytes, told: str
+) -> None:
+    if name is not None:
+        (tmp_path / f"{name}.md").write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(ValueError, match=told) as refused:
+        Dream(model="wire", prompts=str(tmp_path)).line()
+    assert str(tmp_path) in str(refused.value)
 
 
-def test_a_prompt_without_a_version_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(resources, "files", lambda _: _Files("title: none\n\nText."))
-    with pytest.raises(ValueError, match="prompt other: expected a first line such as version: 1"):
-        prompts.load("other")
-
-
-class _Files:
-    def __init__(self, text: str) -> None:
-        self.text = text
-
-    def joinpath(self, *_: str) -> _Files:
-        return self
-
-    def read_text(self, encoding: str) -> str:
-        return self.text
+def test_a_folder_of_prompts_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"expected a folder with some of vanilla\.md"):
+        Dream(model="wire", prompts=str(tmp_path / "none")).line()
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -99,8 +99,12 @@ class Kind:
     """A question about a scene with that answer and that many marks; None where it has none."""
 
 
-def make_questions(count: int = QUESTIONS) -> Iterator[MapQuestion]:
+def make_questions(count: int = QUESTIONS, own: prompts.Own = prompts.PACKAGED) -> Iterator[MapQuestion]:
     """The first `count` questions; the same ones each time, and as many of every kind as may be.
+
+    Args:
+        count: How many.
+        own: Prompts to take in the place of the package's, by name.
 
     Raises:
         ValueError: There are not so many.
@@ -111,10 +115,16 @@ def make_questions(count: int = QUESTIONS) -> Iterator[MapQuestion]:
     kinds = list(KINDS)
     for number in range(1, count + 1):
         turn, which = divmod(number - 1, len(kinds))
-        yield _make(number, kinds[which], turn, known)
+        yield _make(number, kinds[which], turn, known, own)
 
 
-def _make(number: int, kind: str, turn: int, known: Callable[[str, int], list[Scene]]) -> MapQuestion:
+def _make(
+    number: int,
+    kind: str,
+    turn: int,
+    known: Callable[[str, int], list[Scene]],
+    own: prompts.Own,
+) -> MapQuestion:
     """Question `turn` of a kind, from the world whose turn it is, or from another that has one."""
     asked, which = KINDS[kind], list(KINDS).index(kind)
     marks = FEWEST_MARKS + turn % (MOST_MARKS - FEWEST_MARKS + 1)
@@ -131,12 +141,18 @@ def _make(number: int, kind: str, turn: int, known: Callable[[str, int], list[Sc
             rng = np.random.default_rng([number, seed, stage])
             draft = asked.draft(maps[stage], wanted, marks, rng)
             if draft is not None:
-                return _drawn(number, kind, maps[stage], draft, choices, wanted)
+                return _drawn(number, kind, maps[stage], draft, choices, wanted, own)
     raise RuntimeError(f"no map has a question of the kind {kind} with the answer {wanted}")
 
 
 def _drawn(
-    number: int, kind: str, scene: Scene, draft: _Draft, choices: tuple[str, ...], answer: str
+    number: int,
+    kind: str,
+    scene: Scene,
+    draft: _Draft,
+    choices: tuple[str, ...],
+    answer: str,
+    own: prompts.Own,
 ) -> MapQuestion:
     from dream.mapping.drawing import Mark
 
@@ -147,6 +163,7 @@ def _drawn(
         "probe",
         Mission(occupancy.protocol, occupancy.bounds, occupancy.protocol.cap),
         occupancy,
+        own,
     )
     return MapQuestion(
         number,

@@ -24,6 +24,7 @@ from pydantic import BaseModel, ValidationError
 from dream.planning.parameters import check_count, check_range
 from dream.planning.vlm import cassette
 from dream.planning.vlm.cassette import Outcome
+from dream.planning.vlm.prompts import Own, own_prompts
 from dream.types import UNASKED, Asked, Exchange
 
 if TYPE_CHECKING:
@@ -81,6 +82,12 @@ PASSED_ON = frozenset(
 """Headers that a server given by its address gets, beside the client's own name and version."""
 MAKERS = {"gpt": "openai", "o3": "openai", "o4": "openai", "claude": "anthropic", "gemini": "google"}
 """Who makes the models whose names begin so."""
+ELSEWHERE = {
+    "openai": "OPENAI_BASE_URL",
+    "anthropic": "ANTHROPIC_BASE_URL",
+    "google": "GOOGLE_GEMINI_BASE_URL",
+}
+"""Environment variables that their clients take another address from."""
 EXTRA = 'needs pydantic-ai: pip install "dream-auv[vlm]"'
 
 
@@ -106,6 +113,9 @@ class Asking:
     temperature: float | None = None
     """Of the model's choice of words: 0 is the likeliest each time. None leaves it to the model; some take no
     other."""
+    prompts: str | None = None
+    """Folder of your own prompts: a `ranked.md` in it, say, takes the place of the package's; what is not in
+    it stays as it is. docs/prompts.md shows them all."""
     record: str | None = None
     """Folder in which to keep every exchange; one kept there of the same question is replaced."""
     replay_replies: str | None = None
@@ -116,7 +126,7 @@ class Asking:
         for name in ("model", "model_name"):
             if not isinstance(getattr(self, name), str):
                 raise ValueError(f"{name}: expected a name, got {getattr(self, name)}")
-        for name in WHERE_KEPT:
+        for name in (*WHERE_KEPT, "prompts"):
             if not isinstance(getattr(self, name), str | None):
                 raise ValueError(f"{name}: expected a folder, got {getattr(self, name)}")
         if "://" in self.model and set("@?#") & set(self.model):
@@ -142,7 +152,8 @@ class Asking:
 
         Raises:
             ValueError: There is no such model, its key is not in the environment, asking it is forbidden, its
-                price is not known while dollars are limited, or there are no kept replies.
+                price is not known while dollars are limited, there are no kept replies, or one's own prompts
+                are none.
             OSError: The folder to keep exchanges in cannot be made.
         """
         if self.record is not None:
@@ -154,7 +165,7 @@ class Asking:
                 "model: expected the one whose replies were kept, as they are found by its name, got none. "
                 "Say the --model that they were recorded with"
             )
-        return Line(self, asked)
+        return Line(self, asked, own_prompts(self.prompts))
 
     def given_to(self, planner: P) -> P:
         """The planner with these options where it is one that asks; as it is where it is none."""
@@ -256,6 +267,8 @@ class Line:
 
     asking: Asking
     spent: Asked = UNASKED
+    prompts: Own = field(default_factory=dict)
+    """One's own, by name: as they were when the line was opened."""
     under_way: int = 0
     """Questions whose answer was not received yet; each is at least a call."""
     _forms: tuple[_Form, ...] = ()
@@ -356,6 +369,7 @@ class Line:
             tokens_out=outcome.tokens_out,
             cost_usd=outcome.cost_usd,
             seconds=outcome.seconds,
+            answered_by=outcome.answered_by,
         )
         self.spent += exchange
         self._dearest = max(self._dearest, exchange.cost_usd or 0.0)
@@ -529,7 +543,7 @@ def _said(body: object) -> str:
             told = told[name]
     if not isinstance(told, str):
         return ""
-    words = "".join(c if c.isprintable() else " " for c in _plain(told)).split()
+    words = _one_line(told).split()
     line = " ".join("..." if len(word) >= LONG_WORD and re.search(r"\d", word) else word for word in words)
     return f": {line[:MOST_SAID]}" if line else ""
 
@@ -551,6 +565,7 @@ def _outcome(messages: list[Any], fallback: str) -> Outcome:
         tokens_in=sum(response.usage.input_tokens for response in responses),
         tokens_out=sum(response.usage.output_tokens for response in responses),
         cost_usd=None if None in costs else float(sum(cost for cost in costs if cost is not None)),
+        answered_by=_one_line(responses[-1].model_name or "")[:MOST_SAID] if responses else "",
     )
 
 
@@ -583,6 +598,11 @@ def _plain(text: str) -> str:
         if name.endswith("_KEY") and len(value.strip()) >= LEAST_KEY:
             text = _spelt(value.strip()).sub("[key]", text)
     return text.encode(errors="replace").decode()
+
+
+def _one_line(text: str) -> str:
+    """The same without what cannot be printed."""
+    return "".join(c if c.isprintable() else " " for c in _plain(text))
 
 
 @cache
@@ -734,6 +754,13 @@ def _connect(model: str, name: str, *, formats: bool = True) -> Model:
         maker: Any = infer_provider_class(called)
         return maker(http_client=_http(address=False, near=False))
 
+    # Results would bear the maker's name, and the key would go to whom the address belongs.
+    if os.environ.get(elsewhere := ELSEWHERE.get(model.partition(":")[0], "")):
+        raise ValueError(
+            f"model: expected {model} to be asked at its maker's, got {elsewhere} in the environment, "
+            f"which leads elsewhere. Say --model ADDRESS --model-name NAME with the key as {KEY}, or "
+            f"unset {elsewhere}"
+        )
     try:
         return infer_model(model, provider)
     except ImportError as error:

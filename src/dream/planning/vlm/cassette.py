@@ -38,6 +38,7 @@ class Outcome:
     tokens_out: int = 0
     cost_usd: float | None = 0.0
     seconds: float = 0.0
+    answered_by: str = ""
 
     def lasting(self, seconds: float) -> Outcome:
         """The same, with the time that it took."""
@@ -59,6 +60,7 @@ class _Kept(BaseModel):
     tokens_out: int = Field(ge=0)
     cost_usd: float | None
     seconds: float = Field(ge=0.0)
+    answered_by: str = ""
 
 
 def key_of(texts: list[Any], pictures: Mapping[str, bytes]) -> str:
@@ -109,6 +111,7 @@ def keep(
         tokens_out=outcome.tokens_out,
         cost_usd=outcome.cost_usd,
         seconds=outcome.seconds,
+        answered_by=outcome.answered_by,
     )
     _replace(folder / f"{key}.json", (kept.model_dump_json(indent=1) + "\n").encode())
 
@@ -146,6 +149,7 @@ def play(folder: Path, key: str, prompt: str) -> Outcome:
         kept.tokens_out,
         kept.cost_usd,
         kept.seconds,
+        kept.answered_by,
     )
 
 

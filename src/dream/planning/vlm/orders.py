@@ -149,7 +149,8 @@ def ask_orders(
         raise ValueError("mission: expected the mission in words, got none")
     if len(text) > MOST_WORDS:
         raise ValueError(f"mission: expected at most {MOST_WORDS} characters, got {len(text)}")
-    prompt = load("orders")
+    line = asking.line()
+    prompt = line.prompts.get("orders") or load("orders")
     values = {
         **{side: f"{value:g}" for side, value in asdict(bounds).items()},
         "labelled": labelled.value,
@@ -159,7 +160,6 @@ def ask_orders(
     }
     instructions = filled(prompt, values)
     said = f"The operator says, in JSON:\n{json.dumps(text, ensure_ascii=False)}"
-    line = asking.line()
     question = Question(prompt.label, instructions, said, {}, orders_reply(bounds))
     answer = line.insist(line.ask(question).answer())
     if answer.reply is None:

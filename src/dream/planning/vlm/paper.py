@@ -88,7 +88,7 @@ class _EveryStep:
     def _question(self, observation: Observation, occupancy: OccupancyMap) -> Question[Acting]:
         protocol, pose = self.mission.protocol, observation.pose
         trail = [(past.x, past.y) for past in (*self.trail, pose)]
-        instructions, version = prompts.instructions(self.prompt, self.mission, occupancy)
+        instructions, version = prompts.instructions(self.prompt, self.mission, occupancy, self.line.prompts)
         shown = pictures.png(pictures.map_picture(occupancy, pose, trail))
         return Question(
             version,

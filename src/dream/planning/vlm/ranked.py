@@ -262,7 +262,7 @@ class RankedPilot:
 
         pose, protocol = observation.pose, self.mission.protocol
         instructions, version = prompts.instructions(
-            "ranked", self.mission, occupancy, count=str(len(numbered))
+            "ranked", self.mission, occupancy, self.line.prompts, count=str(len(numbered))
         )
         marks = [Mark(number, place.path) for number, place in sorted(numbered.items())]
         trail = [(past.x, past.y) for past in (*self.trail, pose)]
