@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import sys
 from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -15,14 +16,16 @@ from dream.evaluation import runner
 from dream.evaluation.report import write_report
 from dream.evaluation.results import read_results
 from dream.evaluation.runner import simulate
+from dream.evaluation.suites import Case
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
 from tests.engines import InProcess
 
+EXAMPLE = Path(__file__).parent.parent / "examples/planner.py"
 
-@pytest.fixture(scope="module")
-def example() -> Generator[ModuleType, None, None]:
-    path = Path(__file__).parent.parent / "examples/planner.py"
+
+@contextmanager
+def loaded(path: Path) -> Generator[ModuleType, None, None]:
     spec = importlib.util.spec_from_file_location("example_planner", path)
     assert spec is not None
     assert spec.loader is not None
@@ -31,6 +34,12 @@ def example() -> Generator[ModuleType, None, None]:
     spec.loader.exec_module(module)
     yield module
     del sys.modules[spec.name]
+
+
+@pytest.fixture(scope="module")
+def example() -> Generator[ModuleType, None, None]:
+    with loaded(EXAMPLE) as module:
+        yield module
 
 
 def test_the_planner_to_copy_finds_targets_and_says_why(example: ModuleType, string_reef: World) -> None:
@@ -65,3 +74,20 @@ def test_it_is_benched_beside_those_of_the_package(
     assert {row.planner for row in results.rows} == {"nearby", "belief", "frontier"}
     assert results.manifest["planners"]["nearby"]["beside"] == 2.0
     assert "nearby" in (tmp_path / "report.html").read_text()
+
+
+def test_missions_of_a_planner_whose_file_has_changed_are_not_taken_for_its_own(tmp_path: Path) -> None:
+    mine, folder = tmp_path / "mine.py", tmp_path / "bench"
+    mine.write_bytes(EXAMPLE.read_bytes())
+
+    def fly() -> None:
+        with loaded(mine) as module:
+            planners = {"nearby": module.Nearby()}
+            plan = runner.Plan("mine", (Case("flat/empty", 1),), planners, DREAM_V1, max_steps=4)
+            assert len(list(runner.fly_plan(plan, folder, InProcess()))) == 1
+
+    fly()
+    fly()
+    mine.write_text(EXAMPLE.read_text().replace("np.where(near, 1.0,", "np.where(near, 0.01,"))
+    with pytest.raises(ValueError, match=r"files of nearby\.code: expected \w{64} as for the missions in it"):
+        fly()

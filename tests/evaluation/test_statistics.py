@@ -218,6 +218,14 @@ def test_the_p_value_of_a_few_pairs_is_exact() -> None:
     assert paired_p_value(np.array([1.0]), np.array([2.0])) == 1.0
 
 
+def test_the_p_value_is_exact_however_many_pairs_are_equal() -> None:
+    # Ten that all differ the same way among forty that do not: two of 1,024 exchanges are as extreme.
+    ours = np.concatenate([np.arange(1.0, 11.0), np.full(40, 7.0)])
+    theirs = np.concatenate([np.full(10, 20.0), np.full(40, 7.0)])
+    assert paired_p_value(ours, theirs) == pytest.approx(2 / 1024, rel=1e-12)
+    assert paired_p_value(np.arange(15.0) - 20.0, np.zeros(15)) == pytest.approx(2 / 2**15, rel=1e-12)
+
+
 # ---- what the intervals and tests claim, measured in simulated benchmarks ----
 
 

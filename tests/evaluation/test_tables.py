@@ -231,12 +231,49 @@ def test_p_values_are_corrected_for_their_number() -> None:
     assert len(table.rows) == 9
     ours = row(table, "All worlds", "sixsteps", "lawnmower")
     assert ours["p"] == "< 0.001"
-    # The smallest of the three of its block is multiplied by three: 2 of 10 001 exchanges.
+    # The smallest of the three of its block is multiplied by three: 2 of 32,768 exchanges.
     assert ours["p, Holm"] == "< 0.001"
     wrecks = row(table, "Wrecks", "sixsteps", "lawnmower")
     assert wrecks["p"] == "0.062"
     # 3/16: of nine it would be more.
     assert wrecks["p, Holm"] == "0.188"
+
+
+def test_what_stopped_by_itself_with_too_little_seen_is_counted_apart_from_what_ran_into_the_cap() -> None:
+    three = comparison(
+        flown(L1, "sixsteps", FAST),  # Saw it all and stopped.
+        flown(L2, "sixsteps", Made(200, 150)),  # Stopped at three quarters.
+        flown(W1, "sixsteps", Made(400, None)),  # Never stopped.
+        planners=["sixsteps"],
+    )
+    line = row(tables.headline(three, three.cases), "sixsteps")
+    assert line["success"].startswith("1/3")
+    assert line["stopped too early"] == "1/3"
+
+
+def test_everybody_is_held_against_the_papers_steps_too_where_these_were_flown() -> None:
+    both = comparison(*three_each())
+    line = row(tables.against_the_papers_planner(both), "All worlds", "lawnmower", "sixsteps")
+    assert line["t98 minus the other's"].startswith("49.0")
+    assert line["P(better)"].startswith("0.00 (")
+    alone = comparison(
+        *(each for each in three_each() if each.row.planner == "lawnmower"), planners=["lawnmower"]
+    )
+    assert not tables.against_the_papers_planner(alone).rows
+
+
+def test_wrecks_stand_design_by_design_where_there_are_several_of_each() -> None:
+    cases = [Case(f"wreck/{number}", seed) for number in (1, 5) for seed in (1, 2)]
+    makes = (Made(400, None), Made(400, None), FAST, Made(400, None))
+    wrecks = comparison(*(flown(c, "sixsteps", m) for c, m in zip(cases, makes, strict=True)), cases=cases)
+    table = next(table for table in tables.by_family(wrecks) if table.name == "wrecks-by-design")
+    line = row(table, "sixsteps")
+    assert line["wreck/1 (2)"] == "50.0 % · 0/2"
+    assert line["wreck/5 (2)"] == "75.0 % · 1/2"
+    assert "The wrecks are of 2 designs" in tables.against_the_best_baseline(wrecks).notes[0]
+    one_each = comparison(*three_each())
+    assert "wrecks-by-design" not in {table.name for table in tables.by_family(one_each)}
+    assert "designs" not in tables.against_the_best_baseline(one_each).notes[0]
 
 
 def test_ratios_stand_side_by_side_and_leave_collisions_out(known: dict[Case, Bounds]) -> None:
@@ -299,7 +336,6 @@ def test_the_table_of_bounds_never_calls_a_tour_the_optimum_without_proof(known:
     assert table.rows == (
         ("reef/L 1", "400", "25", "40", "38 %", "gap", "30", NONE, NONE, "no tour known"),
         ("reef/L 2", "400", "20", "20", "0 %", "optimal", "21", "21", "0 %", "optimal"),
-        ("wreck/1 1", NONE, NONE, NONE, NONE, "unknown", NONE, NONE, NONE, "unknown"),
     )
 
 

@@ -113,7 +113,7 @@ class Bench(Flying):
     """
 
     suite: tyro.conf.Positional[str | None] = None
-    """`paper` (15 worlds; the default), `dev` (60, to tune on) or `test` (200 that nothing is tuned on)."""
+    """`paper` (15 worlds; the default), `dev` (60, to tune on) or `test` (200, to report)."""
     world: str | None = None
     """One world instead of a suite: a name from `dream worlds`."""
     seeds: str | None = None

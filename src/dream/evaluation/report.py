@@ -37,6 +37,7 @@ SHORT = {
     "results": "Results",
     "families": "Families",
     "baselines": "Baselines",
+    "papers-planner": "The paper's steps",
     "models": "Models",
     "bounds": "Bounds",
     "paper": "The paper",
@@ -121,6 +122,9 @@ def sections(results: Results, comparison: Comparison) -> list[Section]:
                 (against,),
             )
         )
+    papers = tables.against_the_papers_planner(comparison)
+    if papers.rows:
+        every.append(Section("papers-planner", "Against the paper's steps", "Likewise.", (papers,)))
     between = tables.between_models(comparison)
     if between.rows:
         every.append(
@@ -328,7 +332,24 @@ def _verdict(comparison: Comparison) -> str:
             f" The best baseline, {reference}, takes {_time(comparison, reference)}; paired by world the "
             f"difference is {tables.with_interval(difference)} over {difference.count} worlds."
         )
-    return text
+    return text + _of_each_kind(comparison, [best, *([] if reference in (None, best) else [reference])])
+
+
+def _of_each_kind(comparison: Comparison, planners: Sequence[str]) -> str:
+    """Reefs and wrecks apart, where there are both: how many there are of each decides a mean over all."""
+    found = tables.groups(comparison)
+    kinds = [title for title in ("Reefs together", tables.FAMILIES["wreck"]) if title in found]
+    if len(kinds) < 2:
+        return ""
+    told = []
+    for title in kinds:
+        cases = found[title]
+        takes = [
+            f"{name} {number(comparison.estimate(name, cases, comparison.time('t98')).value)}"
+            for name in planners
+        ]
+        told.append(f"on the {len(cases)} {title.split()[0].lower()} {' and '.join(takes)}")
+    return f" Steps to 98.26 % {', '.join(told)}: means over all depend on how many there are of each."
 
 
 def _tie(standing: Mapping[str, tuple[float, float]], equal: Sequence[str], unseen: float) -> str:
@@ -687,7 +708,8 @@ _INTRODUCTION = """\
 
 This page is written by `dream results` from the files of benchmarks and says nothing that is not in them;
 the same files give the same page, byte for byte. Numbers are only comparable within one protocol. What other
-papers published, in other simulators, stands apart at the end.
+papers published, in other simulators, stands apart at the end. Each folder was flown with the code of the
+commit that stands under *What was run*: with that checked out, `dream bench` goes on with it.
 """
 
 
@@ -731,7 +753,6 @@ def _chapter(results: Results, left_out: Sequence[str], name: str) -> tuple[str,
         f"## {escape(str(results.manifest['suite']))}\n",
         *(f"> {escape(each)}\n" for each in (*left_out, *warnings(comparison))),
     ]
-    parts.append(run_table(results, comparison).markdown())
     for section in every:
         parts.append(f"### {section.title}\n\n{escape(section.lead)}\n")
         first, *others = [table.markdown() for table in section.tables] or [""]
@@ -748,6 +769,7 @@ def _chapter(results: Results, left_out: Sequence[str], name: str) -> tuple[str,
         parts.append(
             f"### {ways.title}\n\n{ways.title} over the worlds, seen from above.{some}\n\n{_place(ways)}"
         )
+    parts.append(f"### What was run\n\n{run_table(results, comparison).markdown()}")
     return "\n".join(parts), drawn
 
 

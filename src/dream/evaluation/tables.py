@@ -61,6 +61,9 @@ BY_BELIEF = 0.1
 MOST_OF_A_MISSION, FEW = 0.5, 3
 """Likewise in a single mission, and how many questions that must be."""
 
+PAPERS = "sixsteps"
+"""The planner that does the paper's six steps literally."""
+
 REIMPLEMENTED = {"uivnav": "our re-implementation"}
 """What is said of a planner after a paper whose code and parameters are not public."""
 
@@ -510,6 +513,7 @@ def headline(comparison: Comparison, cases: Sequence[Case], title: str = "At a g
                 planner,
                 *([f"{len(comparison.flown(planner, cases))}/{len(cases)}"] if incomplete else []),
                 _success(comparison, planner, cases),
+                _too_early(comparison, planner, cases),
                 with_interval(comparison.estimate(planner, cases, t98, limits=cap)),
                 with_interval(
                     comparison.estimate(planner, cases, t98, statistic=interquartile_mean, limits=cap)
@@ -530,6 +534,7 @@ def headline(comparison: Comparison, cases: Sequence[Case], title: str = "At a g
             "planner",
             *(["flown"] if incomplete else []),
             "success",
+            "stopped too early",
             "t98, mean",
             "t98, IQM",
             "own stop, mean",
@@ -544,11 +549,19 @@ def headline(comparison: Comparison, cases: Sequence[Case], title: str = "At a g
         (
             f"A time that was never reached counts as {comparison.horizon} steps. In parentheses: 95 % "
             "intervals over worlds (stratified by family, paired; Wilson's for shares). Success: stopped "
-            "by itself with at least 98.26 % of the instances and no collision.",
+            "by itself with at least 98.26 % of the instances and no collision. Stopped too early: by itself "
+            "with less.",
             _ratio_note(comparison),
             *about_rows(comparison),
         ),
     )
+
+
+def _too_early(comparison: Comparison, planner: str, cases: Sequence[Case]) -> str:
+    """How many missions said that they were done and were not."""
+    flown = comparison.flown(planner, cases)
+    early = sum(row.ended == "done" and row.t98 is None for _, row in flown)
+    return f"{early}/{len(flown)}" if flown else NONE
 
 
 def _worlds(cases: Sequence[Case]) -> str:
@@ -653,12 +666,18 @@ def _world_by_world(
     return tuple(rows)
 
 
-def _about_tests(of: str) -> str:
+def _about_tests(comparison: Comparison, of: str) -> str:
     """What the columns of `_world_by_world` mean."""
+    designs = len({case.world for case in comparison.cases if family(case) == "wreck"})
+    wrecks = sum(family(case) == "wreck" for case in comparison.cases)
+    only = f" The wrecks are of {designs} designs, and no more than these is told of." * (
+        0 < designs < wrecks
+    )
     return (
         "P(better): share of worlds with the smaller t98, ties count half; Wilson's interval. p: two-sided "
         f"exchange test of the paired mean difference, with Holm's correction over the {of} of a block. The "
         "blocks are separate families of tests, though they share worlds: nothing corrects for their number."
+        + only
     )
 
 
@@ -686,8 +705,24 @@ def against_the_best_baseline(comparison: Comparison) -> Table:
         (
             "The best baseline of a block is the one with the shortest mean t98 on the worlds that all "
             "baselines have flown, the one that has seen more at the end where these are equal. It is chosen "
-            f"afterwards, which favours it. {_about_tests('planners')}",
+            f"afterwards, which favours it. {_about_tests(comparison, 'planners')}",
         ),
+        labels=3,
+    )
+
+
+def against_the_papers_planner(comparison: Comparison) -> Table:
+    """The same against `sixsteps`, our literal version of the paper's planner, which is no baseline."""
+    others = [planner for planner in comparison.ranked if planner != PAPERS]
+    return Table(
+        "against-sixsteps",
+        f"Against {PAPERS}, the paper's steps done literally, world by world",
+        ("worlds", "planner", "other", "pairs", "t98 minus the other's", "P(better)", "p", "p, Holm"),
+        _world_by_world(
+            comparison,
+            lambda _: [(planner, PAPERS) for planner in others if PAPERS in comparison.planners],
+        ),
+        (_about_tests(comparison, "planners"),),
         labels=3,
     )
 
@@ -701,7 +736,7 @@ def between_models(comparison: Comparison) -> Table:
         ("worlds", "planner", "other", "pairs", "t98 minus the other's", "P(better)", "p", "p, Holm"),
         _world_by_world(comparison, lambda _: itertools.combinations(asked, 2)),
         (
-            _about_tests("pairs"),
+            _about_tests(comparison, "pairs"),
             *about_rows(comparison),
         ),
         labels=3,
@@ -974,7 +1009,37 @@ def by_family(comparison: Comparison) -> list[Table]:
             "Where not all reached the mark, only the lower end is known. " + _ratio_note(comparison),
             far,
         ),
+        *([_by_design(comparison)] if _designs(comparison) else []),
     ]
+
+
+def _designs(comparison: Comparison) -> dict[str, list[Case]]:
+    """Wrecks of several designs by design, where any has several worlds; nothing otherwise."""
+    found: dict[str, list[Case]] = {}
+    for case in comparison.cases:
+        if family(case) == "wreck":
+            found.setdefault(case.world, []).append(case)
+    return found if 1 < len(found) < sum(map(len, found.values())) else {}
+
+
+def _by_design(comparison: Comparison) -> Table:
+    """Wrecks design by design: what holds of one need not hold of another."""
+    designs = _designs(comparison)
+
+    def cell(planner: str, cases: Sequence[Case]) -> str:
+        seen = number(_share(comparison, planner, cases, "instances").value, scale=100)
+        reached, flown = comparison.reached(planner, cases, "t98")
+        return f"{seen} % · {reached}/{flown}" if flown else NONE
+
+    return Table(
+        "wrecks-by-design",
+        "Wrecks, design by design: seen at the end, and missions that reached 98.26 %",
+        ("planner", *(f"{name} ({len(cases)})" for name, cases in designs.items())),
+        tuple(
+            (planner, *(cell(planner, cases) for cases in designs.values())) for planner in comparison.ranked
+        ),
+        ("Each world has sizes, decay, place and heading of its own.",),
+    )
 
 
 def paper_tables(comparison: Comparison) -> list[Table]:
@@ -1073,12 +1138,11 @@ def bounds_table(comparison: Comparison) -> Table:
         return str(limit.lower_bound), str(limit.best_tour), f"{100 * gap:.0f} %", limit.status
 
     rows = []
-    for case in comparison.cases:
-        known = comparison.bounds.get(case)
+    for case, known in comparison.bounds.items():
         rows.append(
             (
                 label(case),
-                str(known.countable) if known else NONE,
+                str(known.countable),
                 *cells(comparison.limit(case, "t98")),
                 *cells(comparison.limit(case, "t100")),
             )
@@ -1102,7 +1166,7 @@ def bounds_table(comparison: Comparison) -> Table:
         (
             "Bound: no mission without a collision is faster, certified. Tour: the best that was found by "
             "one who knows the world; it is the optimum only where the status says so. Both count the "
-            "look-around.",
+            "look-around. Worlds of which no bound is known are left out.",
         ),
     )
 

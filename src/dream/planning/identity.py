@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
+import inspect
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from dream.planning import AnyPlanner, Asking
@@ -36,10 +39,24 @@ def prompts_sha256(planner: AnyPlanner) -> dict[str, str]:
 
 
 def files_given(planner: AnyPlanner) -> dict[str, str]:
-    """SHA-256 of all files that a planner is given, by what they are: another file makes other missions.
+    """SHA-256 of all files besides this package that decide, by what they are; other ones, other missions.
+
+    A planner of one's own is told by the file that its class stands in; what that imports is not followed,
+    and one that was typed at a prompt has none.
 
     Raises:
         ValueError: One cannot be read.
     """
-    weights = weights_sha256(planner)
-    return prompts_sha256(planner) | ({} if weights is None else {"weights": weights})
+    given = {"weights": weights_sha256(planner), "code": _code_sha256(type(planner))}
+    return prompts_sha256(planner) | {name: sha256 for name, sha256 in given.items() if sha256 is not None}
+
+
+def _code_sha256(kind: type) -> str | None:
+    """SHA-256 of the file of a class; None of the package's own, which `machine.source` tells."""
+    if kind.__module__.partition(".")[0] == "dream":
+        return None
+    try:
+        file = inspect.getsourcefile(kind)
+        return None if file is None else hashlib.sha256(Path(file).read_bytes()).hexdigest()
+    except (OSError, TypeError):
+        return None
