@@ -127,7 +127,9 @@ def main() -> int:
     for title, worlds in found.items():
         keys = [key for key in shared if key[0] in worlds]
         rows = [[missions[key] for key in keys] for missions in chosen]
-        name = f"{len(keys)} {', '.join(sorted(worlds)) if title == OTHERS else title}"
+        name = (
+            f"{len(keys)} {', '.join(sorted(worlds)).replace(', wreck/', ', ') if title == OTHERS else title}"
+        )
         name = f"**{name}**" if title == "reefs" else name
         soon.append(f"| {name} | {' | '.join(how_soon(rows))} |")
         ends.append(f"| {name} | {' | '.join(map(how_it_ends, rows))} |")

@@ -6,6 +6,7 @@ import json
 import shutil
 import statistics
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pytest
 from PIL import Image
 
 from dream.cli import run_command
+from dream.evaluation.results import read_results
 from dream.sim.world import World
 
 ROOT = Path(__file__).parents[2]
@@ -43,6 +45,35 @@ def test_the_page_of_results_is_made_from_the_files_that_are_tracked(
     assert page.read_text(encoding="utf-8") == (ROOT / "docs/results.md").read_text(encoding="utf-8")
     made = {path.name for path in (tmp_path / "docs/results").iterdir()}
     assert made == {path.name for path in (ROOT / "docs/results").iterdir()}
+
+
+def test_the_readme_shows_the_tables_of_the_released_missions() -> None:
+    printed = subprocess.run(
+        [sys.executable, ROOT / "perf/families.py", ROOT / "results/test"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    lines = [line for line in printed.stdout.splitlines() if line.startswith("|")]
+    assert len(lines) == 20
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for line in lines:
+        assert line in readme
+
+
+def test_who_stands_beside_uivnav_in_the_papers_form_is_told_as_released() -> None:
+    rows = read_results(ROOT / "results/paper").rows
+    page = (ROOT / "docs/uivnav.md").read_text(encoding="utf-8")
+    for planner in {row.planner for row in rows}:
+        cells = []
+        for wrecks in (False, True):
+            of = [row for row in rows if row.planner == planner and row.world.startswith("wreck") == wrecks]
+            stop = statistics.fmean(row.t_stop if row.t_stop is not None else 200 for row in of)
+            cells += [
+                f"{stop:.1f}",
+                f"{100 * statistics.fmean(r.area if wrecks else r.instances for r in of):.2f}",
+            ]
+        assert f"| `{planner}` | {' | '.join(cells)} |" in page
 
 
 def test_the_table_of_wrong_answers_is_that_of_the_released_missions() -> None:
