@@ -29,8 +29,8 @@ LEVEL = 0.95
 DRAWS = 10_000
 """Resamples of an interval."""
 
-EXCHANGES = 1 << 16
-"""Of pairs, for a p-value."""
+EXACT = 16
+"""Pairs that differ up to which a p-value is exact."""
 
 LEAST_FREEDOM = 2
 """Degrees of freedom that an interval needs."""
@@ -251,12 +251,13 @@ def improvement(ours: FloatArray, theirs: FloatArray) -> FloatArray:
     return np.where(np.isnan(ours) | np.isnan(theirs), math.nan, share)
 
 
-def paired_p_value(ours: FloatArray, theirs: FloatArray, *, seed: int = 0, draws: int = EXCHANGES) -> float:
+def paired_p_value(
+    ours: FloatArray, theirs: FloatArray, *, seed: int = 0, draws: int = DRAWS, exact: int = EXACT
+) -> float:
     """Two-sided p-value of the mean difference of (n,) pairs, by exchanging the two of each pair.
 
-    Exact where the pairs that differ can be exchanged in at most `draws` ways, 16 of them by default; else by
-    as many random exchanges. Equal ones say nothing. 1 where fewer than two differ. With few pairs it cannot
-    be small, whatever the planners: 1/16 at least for five.
+    Exact up to `exact` pairs that differ, by `draws` random exchanges above. Equal ones say nothing. 1 where
+    fewer than two differ. With few pairs it cannot be small, whatever the planners: 1/16 at least for five.
     """
     difference = ours - theirs
     difference = difference[difference != 0.0]
@@ -267,7 +268,7 @@ def paired_p_value(ours: FloatArray, theirs: FloatArray, *, seed: int = 0, draws
         lambda signed, axis: signed.mean(axis=axis),
         permutation_type="samples",
         vectorized=True,
-        n_resamples=draws,
+        n_resamples=1 << len(difference) if len(difference) <= exact else draws,
         batch=1 << 12,
         rng=np.random.default_rng(seed),
     )
