@@ -97,6 +97,24 @@ def test_help_imports_nothing_heavy() -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_the_package_is_the_command() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "dream", "bench", "paepr"], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith('dream: no suite "paepr". Did you mean "paper"?')
+
+
+def test_an_engine_that_is_not_installed_is_told_before_there_is_a_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    out = tmp_path / "bench"
+    assert run_command(["bench", "--world", "flat/empty", "--engine", "ray", "--out", str(out)]) == 2
+    assert capsys.readouterr().err == 'dream: --engine ray needs ray: pip install "dream-auv[ray]"\n'
+    assert not out.exists()
+
+
 def test_a_planner_that_asks_a_model_is_chosen_and_explained_without_its_client_or_compiler() -> None:
     code = (
         "import sys; from dream import commands; from dream.cli import run_command; "
@@ -133,7 +151,13 @@ def test_a_planner_that_asks_a_model_is_chosen_and_explained_without_its_client_
         ),
         (["run", "--swath", "1", "spiral"], "--swath: expected the planner's name before it, got none."),
         (["run", "--patience", "3", "sixsteps"], "Say: dream run sixsteps --patience ..."),
-        (["run", "--max-steps", "0"], "--max-steps: expected at least 1, got 0"),
+        (["run", "--max-steps", "0"], "--max-steps: expected 1 to 200, the cap of dream-v1, got 0"),
+        (["run", "--max-steps", "500"], "--max-steps: expected 1 to 200, the cap of dream-v1, got 500"),
+        (["dive", "--stand-in", "--max-steps", "201"], "--max-steps: expected 1 to 200, the cap of pool-v1"),
+        (
+            ["sweep", "paper", "--max-steps", "201"],
+            "--max-steps: expected 1 to 200, the cap of dream-v1-reach4",
+        ),
         (["run", "--start", "99"], "start: expected 0 to"),
         (["draw", "--world", "wreck/9"], 'no world "wreck/9". Of wreck/ there are: 1, 2, 3, 4, 5.'),
         (["draw", "--world", "wreck/12"], 'no world "wreck/12". Of wreck/ there are: 1, 2, 3, 4, 5.'),
@@ -526,14 +550,15 @@ def test_oracle_names_the_worlds_of_a_suite_that_fail_and_searches_the_others(
     assert [json.loads(line)["seed"] for line in out.read_text().splitlines()] == [1, 3]
 
 
-def test_a_check_of_the_bounds_of_a_suite_fails_where_one_is_missing_or_does_not_hold(
+def test_a_check_of_the_bounds_of_a_suite_fails_where_none_is_known_or_one_does_not_hold(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(SUITES, "empty", (Case("flat/empty", 1), Case("flat/empty", 2)))
     monkeypatch.setattr("dream.evaluation.oracle.bounds.every_known", dict)
-    assert run_command(["oracle", "empty", "--check"]) == 1
-    printed = capsys.readouterr().out
-    assert printed == "flat/empty 1: no bounds are known\nflat/empty 2: no bounds are known\n"
+    assert run_command(["oracle", "empty", "--check"]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert "--check: expected bounds of a world of empty, got none with the package." in printed.err
 
     assert run_command(["oracle", "--world", "flat/empty", "--budget", "0", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -548,6 +573,14 @@ def test_a_check_of_the_bounds_of_a_suite_fails_where_one_is_missing_or_does_not
         first, second = capsys.readouterr().out.splitlines()
         assert first == f"flat/empty 1: {verdict}"
         assert second.startswith("flat/empty 2: world_hash: expected ")
+
+    monkeypatch.setattr("dream.evaluation.oracle.bounds.every_known", lambda: {good.key: good})
+    assert run_command(["oracle", "empty", "--check"]) == 0
+    told = "flat/empty 1: holds\nnot checked: 1 of 2 worlds, of which no bounds are known\n"
+    assert capsys.readouterr().out == told
+    assert run_command(["oracle", "empty", "--check", "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert (record["failed"], record["unknown"], len(record["worlds"])) == (0, 1, 1)
 
 
 def test_oracle_flies_its_tours_before_it_tells_them(

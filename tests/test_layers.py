@@ -20,6 +20,7 @@ LAYERS = [
     {"learning"},
     {"commands"},
     {"cli"},
+    {"__main__"},
 ]
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 APART = LAYERS[5]

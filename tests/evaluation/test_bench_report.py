@@ -466,6 +466,26 @@ def test_the_documentation_leaves_wire_tests_out_and_says_so(tmp_path: Path) -> 
     assert "--model" not in text
 
 
+@pytest.mark.usefixtures("undrawn")
+def test_a_page_of_results_lies_in_its_first_folder_unless_it_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    released = tmp_path / "docs" / "results.md"
+    released.parent.mkdir()
+    released.write_text("released")
+    for name in ("mine", "other"):
+        write_bench(tmp_path / name, [flown(FEW[0], "sixsteps", Made(60, 70))], FEW[:1], ["sixsteps"])
+    assert run_command(["results", "mine", "other"]) == 0
+    assert capsys.readouterr().out == "mine/results.md\n"
+    assert (tmp_path / "mine/results.md").read_text().count("\n## ") == 3
+    assert {path.suffix for path in (tmp_path / "mine/results").iterdir()} <= {".svg", ".png"}
+    assert released.read_text() == "released"
+    assert [path.name for path in released.parent.iterdir()] == ["results.md"]
+    assert run_command(["results", "mine", "--out", "docs/results.md"]) == 0
+    assert released.read_text() != "released"
+
+
 def test_a_benchmark_of_wire_tests_alone_is_not_published(tmp_path: Path) -> None:
     folder = asked_by(tmp_path / "wire", "wire")
     with pytest.raises(ValueError, match="got only what dream flew with the stand-in"):

@@ -149,5 +149,5 @@ def test_less_than_one_job_is_refused(kind: type[Processes] | type[Ray]) -> None
 
 def test_ray_that_is_not_installed_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(ValueError, match=r'Dream needs ray: pip install "dream-auv\[ray\]"'):
+    with pytest.raises(ValueError, match=r'--engine ray needs ray: pip install "dream-auv\[ray\]"'):
         list(Ray().run(str, [[1]]))

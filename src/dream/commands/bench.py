@@ -37,7 +37,7 @@ class Flying:
     asking: Asking = field(default_factory=Asking)
     """For those of the planners that ask a model."""
     max_steps: int | None = None
-    """Decisions at most; the protocol's cap unless given."""
+    """Decisions at most; the protocol's cap, which none may exceed, unless given."""
     jobs: int | None = None
     """Missions at a time; as many as there are processors unless given."""
     engine: Literal["process", "ray"] = "process"
@@ -82,10 +82,12 @@ class Flying:
         return {name: self.asking.given_to(planner) for name, planner in chosen.items()}
 
     def chosen_engine(self) -> Engine:
-        """A ValueError where its options contradict each other."""
-        from dream.evaluation.engines import Processes, Ray, processors
+        """A ValueError where its options contradict each other, or it is not installed."""
+        from dream.evaluation.engines import Processes, Ray, check_ray, processors
 
         if self.engine == "ray":
+            # Before there is a folder, whose manifest would tell of an engine that flew nothing.
+            check_ray()
             return Ray(self.jobs, self.address)
         if self.address is not None:
             raise ValueError(f"--address: expected --engine ray with it, got --engine {self.engine}")

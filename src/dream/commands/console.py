@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
     from dream.evaluation.runner import Ended, Plan
+    from dream.protocol import SurveyProtocol
     from dream.sim.world import World
 
 T = TypeVar("T")
@@ -51,6 +52,14 @@ def check_writable(folder: Path) -> None:
         raise OSError(
             f"--out: expected a place that can be written, got {folder} ({error.strerror}). Choose another"
         ) from error
+
+
+def check_max_steps(max_steps: int | None, protocol: SurveyProtocol) -> None:
+    """Raise a ValueError unless `--max-steps` is left out, or asks for no more than the protocol's cap."""
+    if max_steps is not None and not 1 <= max_steps <= protocol.cap:
+        raise ValueError(
+            f"--max-steps: expected 1 to {protocol.cap}, the cap of {protocol.name}, got {max_steps}"
+        )
 
 
 def with_progress(items: Iterator[T], title: str, total: int) -> Iterator[T]:

@@ -25,6 +25,7 @@ import tyro
 
 from dream import __version__
 from dream.commands.console import (
+    check_max_steps,
     check_writable,
     compiling_told,
     kept_interrupts,
@@ -131,7 +132,7 @@ class Dive:
     estimator: Literal["inekf", "ekf", "cipg", "dead-reckoning"] = "inekf"
     """What reckons the pose."""
     max_steps: int | None = None
-    """Decisions at most; the protocol's cap unless given."""
+    """Decisions at most; the protocol's cap, which none may exceed, unless given."""
     max_depth: float = 10.0
     """Metres."""
     minutes: float = 60.0
@@ -165,8 +166,7 @@ class Dive:
 
     def __call__(self) -> int:
         """Exit status 0; 1 for a no-go; a MissionAborted where the mission did not end by itself."""
-        if self.max_steps is not None and self.max_steps < 1:
-            raise ValueError(f"--max-steps: expected at least 1, got {self.max_steps}")
+        check_max_steps(self.max_steps, protocol_named(self.protocol))
         if self.area is None and not self.stand_in:
             raise ValueError("--area: expected x_min y_min x_max y_max in metres, got none")
         if self.calibration is None and not (self.stand_in or self.check):

@@ -64,7 +64,8 @@ class Oracle:
     again: bool = False
     """Search on also where a suite's world has bounds with a gap already."""
     check: bool = False
-    """Do not search: fly all kept tours and certify all kept bounds of the suite again. All must be there."""
+    """Do not search: fly all kept tours and certify all kept bounds of the suite again. Worlds of which no
+    bounds are known are counted."""
     json: bool = False
     """Print one JSON object and nothing else."""
 
@@ -208,25 +209,30 @@ class Oracle:
         cases = suite_named(self.suite or "")
         # Whether the world is today's is for the check to say, so the hash does not choose here.
         kept = every_known() if self.out is None else {b.key: b for b in read_bounds(self.out)}
-        outcomes: list[dict[str, Any]] = []
-        for case in with_progress(iter(cases), f"checking {self.suite}", len(cases)):
-            bounds = kept.get(self._key(case))
-            wrong = "" if bounds is not None else "no bounds are known"
-            if bounds is not None:
-                try:
-                    check(bounds, make_world(case.world, case.seed))
-                except ValueError as error:
-                    wrong = str(error)
-            outcomes.append(
-                {"world": case.world, "seed": case.seed, "start": case.start}
-                | {"known": bounds is not None, "wrong": wrong}
+        known = [case for case in cases if self._key(case) in kept]
+        unknown = len(cases) - len(known)
+        if not known:
+            raise ValueError(
+                f"--check: expected bounds of a world of {self.suite}, got none "
+                f"{'with the package' if self.out is None else f'in {self.out}'}. "
+                "The same command without --check, and with --out FILE, searches for them"
             )
-        failed = [outcome for outcome in outcomes if outcome["wrong"]]
+        outcomes: list[dict[str, Any]] = []
+        for case in with_progress(iter(known), f"checking {self.suite}", len(known)):
+            wrong = ""
+            try:
+                check(kept[self._key(case)], make_world(case.world, case.seed))
+            except ValueError as error:
+                wrong = str(error)
+            outcomes.append({"world": case.world, "seed": case.seed, "start": case.start, "wrong": wrong})
+        failed = sum(bool(outcome["wrong"]) for outcome in outcomes)
         if self.json:
-            print_json({"suite": self.suite, "failed": len(failed), "worlds": outcomes})
+            print_json({"suite": self.suite, "failed": failed, "unknown": unknown, "worlds": outcomes})
         else:
             for outcome in outcomes:
                 print(f"{outcome['world']} {outcome['seed']}: {outcome['wrong'] or 'holds'}")
+            if unknown:
+                print(f"not checked: {unknown} of {len(cases)} worlds, of which no bounds are known")
         return 1 if failed else 0
 
 

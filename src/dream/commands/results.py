@@ -16,8 +16,8 @@ class Results:
 
     folders: tyro.conf.Positional[tuple[Path, ...]]
     """Folders of `dream bench`, or of `dream sweep`, which hold one benchmark a reach."""
-    out: Path = Path("docs/results.md")
-    """The page to write."""
+    out: Path | None = None
+    """The page to write; `results.md` in the first of the folders unless given."""
     figures: Path | None = None
     """Folder for its pictures; one beside the page, of the same name, unless given."""
     json: bool = False
@@ -29,11 +29,13 @@ class Results:
 
         if not self.folders:
             raise ValueError("expected one or more benchmark folders, got none")
-        if self.out.suffix != ".md":
-            raise ValueError(f"--out: expected a name that ends in .md, got {self.out}")
-        pictures = write_results(self.folders, self.out, self.figures or self.out.with_suffix(""))
+        # Where no other page can be: one that was released is written over only where it is named.
+        page = self.folders[0] / "results.md" if self.out is None else self.out
+        if page.suffix != ".md":
+            raise ValueError(f"--out: expected a name that ends in .md, got {page}")
+        pictures = write_results(self.folders, page, self.figures or page.with_suffix(""))
         if self.json:
-            print_json({"page": str(self.out), "figures": [str(path) for path in pictures]})
+            print_json({"page": str(page), "figures": [str(path) for path in pictures]})
         else:
-            print(self.out)
+            print(page)
         return 0

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import tyro
 
 from dream.commands.console import (
+    check_max_steps,
     check_writable,
     compiling_told,
     kept_interrupts,
@@ -61,7 +62,7 @@ class Run:
     out: Path = Path("runs")
     """Folder that the run's own folder is made in."""
     max_steps: int | None = None
-    """Decisions at most; the protocol's cap unless given."""
+    """Decisions at most; the protocol's cap, which none may exceed, unless given."""
     protocol: str | None = None
     """Survey protocol; the one that the world is made for unless given."""
     mission: str | None = None
@@ -108,14 +109,13 @@ class Run:
         from dream.sim.visibility import Visibility
         from dream.survey.site import read_site, write_site
 
-        if self.max_steps is not None and self.max_steps < 1:
-            raise ValueError(f"--max-steps: expected at least 1, got {self.max_steps}")
         site = None if self.site is None else read_site(self.site)
         began = working_time()
         with compiling_told():
             with kept_interrupts() as check:
                 world = open_world(self.world, self.seed)
                 protocol = protocol_named(self.protocol or world.protocol)
+                check_max_steps(self.max_steps, protocol)
                 swimming = self.swim.chosen(protocol)
                 name = planner_name(self.planner)
                 words, orders = "", None

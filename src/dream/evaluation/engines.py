@@ -6,6 +6,7 @@ An engine knows nothing of missions. It runs one function on many items and surv
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import multiprocessing
 import os
 import signal
@@ -20,6 +21,8 @@ from typing import Any, Generic, Protocol, TypeVar
 T = TypeVar("T")
 R = TypeVar("R")
 W = TypeVar("W", bound=Hashable)
+
+EXTRA = '--engine ray needs ray: pip install "dream-auv[ray]"'
 
 RETRIES = 2
 """How often an item is tried again after its worker died."""
@@ -98,7 +101,9 @@ class Ray:
             ValueError: Ray is not installed.
             ConnectionError: There is no cluster at the address.
         """
-        ray = _import_ray()
+        check_ray()
+        import ray
+
         joined = ray.is_initialized()
         if not joined:
             ray.init(
@@ -123,12 +128,10 @@ def _check_jobs(jobs: int | None) -> None:
         raise ValueError(f"--jobs: expected at least 1, got {jobs}")
 
 
-def _import_ray() -> Any:
-    try:
-        import ray
-    except ImportError as error:
-        raise ValueError('Dream needs ray: pip install "dream-auv[ray]"') from error
-    return ray
+def check_ray() -> None:
+    """Raise a ValueError where Ray is not installed."""
+    if importlib.util.find_spec("ray") is None:
+        raise ValueError(EXTRA)
 
 
 class _Crew(Protocol[W]):
