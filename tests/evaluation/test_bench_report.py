@@ -397,6 +397,28 @@ def test_the_command_that_repeats_it(suite: str, commands: list[str]) -> None:
     assert repeating_command(made) == " && ".join(command + rest for command in commands)
 
 
+def test_planners_that_no_command_knows_are_left_out_of_the_command_and_named(tmp_path: Path) -> None:
+    planners = ["random", "nearby", "sixsteps"]
+    missions = [flown(case, name, Made(60, 70)) for case in FEW[:2] for name in planners]
+    folder = write_bench(tmp_path, missions, FEW[:2], planners, suite="reef/L 1..2")
+    command = "dream bench --world reef/L --seeds 1..2 --planners random sixsteps --protocol dream-v1"
+    page = Page(write_report(folder))
+    assert f"Repeat it with {command}; nearby is flown by a script of its own" in page.text
+    write_results([folder], tmp_path / "page.md", tmp_path / "pictures")
+    lines = (tmp_path / "page.md").read_text().splitlines()
+    assert f"| repeat with | {command} |" in lines
+    assert "| other planners | nearby is flown by a script of its own |" in lines
+
+
+def test_a_benchmark_of_such_planners_alone_has_no_command(tmp_path: Path) -> None:
+    planners = {"nearby": {"model": "mine"}, "far-off": {}}
+    assert repeating_command(manifest(FEW, planners)) == ""
+    missions = [flown(FEW[0], name, Made(60, 70)) for name in planners]
+    page = Page(write_report(write_bench(tmp_path, missions, FEW[:1], planners)))
+    assert "nearby and far-off are flown by scripts of their own" in page.text
+    assert "dream bench" not in page.text
+
+
 def test_the_command_that_repeats_it_asks_the_model_alike() -> None:
     gpt = asdict(Asking(model="openai:gpt", max_calls=90, record="kept replies"))
     small = asdict(Asking(model="http://localhost:8000/v1", model_name="small", latency=3.0))

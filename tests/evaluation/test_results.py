@@ -352,9 +352,15 @@ def test_a_damaged_manifest_is_named(change: dict[str, Any], complaint: str, fol
 def test_another_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"expected a benchmark folder, got no manifest\.json"):
         read_results(tmp_path)
-    write_manifest(tmp_path, MANIFEST)
-    with pytest.raises(FileNotFoundError, match=r"got no results\.csv"):
-        read_results(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["results.csv", "traces.csv.gz"])
+def test_a_folder_that_was_broken_off_before_its_tables_is_called_unfinished(name: str, folder: Path) -> None:
+    (folder / name).unlink()
+    with pytest.raises(FileNotFoundError, match="got an unfinished one without") as it:
+        read_results(folder)
+    assert f"{folder}: expected a benchmark with its {name}" in str(it.value)
+    assert "The same dream bench or dream sweep goes on with it" in str(it.value)
 
 
 def test_a_row_and_a_trace_of_different_length_are_no_mission() -> None:

@@ -314,7 +314,18 @@ def test_ratios_that_hold_unreached_marks_say_so(known: dict[Case, Bounds]) -> N
     console = Console(file=io.StringIO(), width=140)
     missions = [flown(L1, "sixsteps", FAST), flown(L2, "sixsteps", Made(400))]
     tables.print_summary(results(missions, (L1, L2), ["sixsteps"]), console)
-    assert "≥ 5.00" in console.file.getvalue()  # type: ignore[attr-defined]
+    assert "≥ 5.00 │" in console.file.getvalue()  # type: ignore[attr-defined]
+
+
+def test_the_summary_says_of_how_many_missions_a_ratio_is(known: dict[Case, Bounds]) -> None:
+    known[L1] = bounds(L1, (25, 40), (30, 50))
+    console = Console(file=io.StringIO(), width=120)
+    missions = [flown(case, "sixsteps", FAST) for case in (L1, L2, W1)]
+    tables.print_summary(results(missions, (L1, L2, W1), ["sixsteps"]), console)
+    every, reefs, wrecks = (line for line in console.file.getvalue().splitlines() if "sixsteps" in line)  # type: ignore[attr-defined]
+    assert "│ 2.00 (1 of 3) │" in every
+    assert "│ 2.00 (1 of 2) │" in reefs
+    assert f" {NONE} │" in wrecks
 
 
 def test_missions_too_short_for_any_tour_have_no_ratio(known: dict[Case, Bounds]) -> None:

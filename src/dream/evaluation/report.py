@@ -26,7 +26,7 @@ from dream.evaluation.figures import DARK, LIGHT, Picture, Scene
 from dream.evaluation.results import Results, read_results
 from dream.evaluation.tables import NONE, Comparison, Table, compare, label, number
 from dream.files import write_whole
-from dream.planning import Asking
+from dream.planning import LABELLED, PLANNERS, Asking
 from dream.planning.vlm import WIRE_TEST
 from dream.report import digest, fill
 
@@ -209,7 +209,8 @@ def run_table(results: Results, comparison: Comparison) -> Table:
         ("started", str(manifest["started"])),
         ("finished", str(manifest["finished"] or "not yet")),
         ("flying took", f"{float(manifest['wall_s']):.0f} s"),
-        ("repeat with", repeating_command(manifest)),
+        *([("repeat with", command)] if (command := repeating_command(manifest)) else []),
+        *([("other planners", scripts)] if (scripts := flown_by_scripts(manifest)) else []),
     ]
     return Table("run", "What was run", ("", ""), tuple(rows), labels=2)
 
@@ -220,13 +221,14 @@ def _machine(machine: Any) -> str:
 
 
 def repeating_command(manifest: Mapping[str, Any]) -> str:
-    """The command line, or lines, that fly the benchmark again.
+    """The command line, or lines, that fly the benchmark again; empty where no planner of it is a command's.
 
     Planners that ask a model are flown by a line of their own where they were asked differently.
     """
+    known = {name: given for name, given in manifest["planners"].items() if _is_known(name)}
     found = []
-    for suite in str(manifest["suite"]).split(", "):
-        for asking, planners in _asked_alike(manifest["planners"]).items():
+    for suite in str(manifest["suite"]).split(", ") if known else ():
+        for asking, planners in _asked_alike(known).items():
             world, _, seeds = suite.partition(" ")
             words = ["dream", "bench"]
             words += ["--world", world, "--seeds", seeds] if seeds else [world]
@@ -235,6 +237,19 @@ def repeating_command(manifest: Mapping[str, Any]) -> str:
                 words += ["--max-steps", str(manifest["max_steps"])]
             found.append(shlex.join([*words, *asking]))
     return " && ".join(found)
+
+
+def flown_by_scripts(manifest: Mapping[str, Any]) -> str:
+    """Which planners no command knows, in words; empty where there are none."""
+    others = [name for name in manifest["planners"] if not _is_known(name)]
+    if not others:
+        return ""
+    how = "is flown by a script of its own" if len(others) == 1 else "are flown by scripts of their own"
+    return f"{_listed(others)} {how}"
+
+
+def _is_known(planner: str) -> bool:
+    return planner.partition(LABELLED)[0] in PLANNERS
 
 
 def _asked_alike(planners: Mapping[str, Mapping[str, Any]]) -> dict[tuple[str, ...], list[str]]:
@@ -470,9 +485,15 @@ def _page(results: Results, comparison: Comparison) -> str:
                 f'<section class="panel" id="{name}"><h2>{html.escape(title)}</h2>{body}</section>'
                 for name, (title, body) in ordered.items()
             ),
-            "command": html.escape(repeating_command(results.manifest)),
+            "repeating": _repeating(results.manifest),
         },
     )
+
+
+def _repeating(manifest: Mapping[str, Any]) -> str:
+    command, scripts = repeating_command(manifest), flown_by_scripts(manifest)
+    told = [f"Repeat it with <code>{html.escape(command)}</code>"] if command else []
+    return "; ".join([*told, html.escape(scripts)] if scripts else told)
 
 
 def _colours(comparison: Comparison) -> str:

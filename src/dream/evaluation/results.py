@@ -293,7 +293,7 @@ def read_results(folder: Path) -> Results:
     """A benchmark folder.
 
     Raises:
-        FileNotFoundError: `folder` is no benchmark folder, or no run of it has ended yet.
+        FileNotFoundError: `folder` is no benchmark folder, or one that was broken off before its tables.
         ValueError: A file is damaged; the message names it and the line.
     """
     manifest = read_manifest(folder)
@@ -443,6 +443,11 @@ def _json(path: Path) -> Any:
 
 def _file_of(folder: Path, name: str) -> Path:
     path = folder / name
+    if not path.is_file() and (folder / "manifest.json").is_file():
+        raise FileNotFoundError(
+            f"{folder}: expected a benchmark with its {name}, got an unfinished one without. The same "
+            "dream bench or dream sweep goes on with it, and writes that"
+        )
     if not path.is_file():
         raise FileNotFoundError(
             f"{folder}: expected a benchmark folder, got no {name} in it. They are made by dream bench"

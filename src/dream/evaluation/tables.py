@@ -1317,6 +1317,9 @@ def _print_asking(comparison: Comparison, console: Console) -> None:
 
 
 def _ratio_of_bound(comparison: Comparison, planner: str, cases: Sequence[Case]) -> str:
+    """The mean ratio, and behind it of how many missions it is where that is not all of them."""
     value = comparison.estimate(planner, cases, comparison.against("t98", "lower_bound")).value
     reached, counted = _counted(comparison, planner, cases, "t98")
-    return ("≥ " if reached < counted else "") + number(value, 2)
+    every = len(comparison.flown(planner, cases))
+    some = f" ({counted} of {every})" if 0 < counted < every else ""
+    return ("≥ " if reached < counted else "") + number(value, 2) + some
