@@ -45,7 +45,7 @@ ROW = Row(
     t95=1,
     t98=None,
     t100=None,
-    instances=0.1,
+    instances=0.97,
     clusters=0.0,
     area=1.0,
     visible=1 / 3,
@@ -57,11 +57,11 @@ ROW = Row(
     min_clearance_m=-0.01,
     planner_ms_p50=1e-05,
     planner_ms_p99=2.0,
-    c50=0.1,
-    c100=0.1,
-    c137=0.1,
-    c200=0.1,
-    auc=0.1,
+    c50=0.97,
+    c100=0.97,
+    c137=0.97,
+    c200=0.97,
+    auc=0.96995,
     vlm_calls=4,
     vlm_tokens=100,
     vlm_cost_usd=0.5,
@@ -75,12 +75,19 @@ ROW = Row(
 BARE = replace(
     ROW,
     planner="random",
-    ended="cap",
-    t_stop=None,
-    t90=None,
-    t95=None,
     steps=0,
+    t_stop=0,
+    t95=0,
+    t98=0,
+    t100=0,
+    instances=1.0,
+    collisions=0,
     min_clearance_m=None,
+    c50=1.0,
+    c100=1.0,
+    c137=1.0,
+    c200=1.0,
+    auc=1.0,
     vlm_calls=None,
     vlm_tokens=None,
     vlm_cost_usd=None,
@@ -109,12 +116,12 @@ MANIFEST: dict[str, Any] = {
 }
 
 
-def trace(steps: int) -> Trace:
-    ramp = np.arange(steps + 1, dtype=np.float64)
-    return Trace(0.1 + ramp, -ramp + 0.0, 30.0 * ramp - 180.0, 0.1 * ramp / 3, ramp == 1)
+def trace(*instances: float) -> Trace:
+    ramp = np.arange(len(instances), dtype=np.float64)
+    return Trace(0.1 + ramp, -ramp + 0.0, 30.0 * ramp - 180.0, np.array(instances), ramp == 1)
 
 
-MISSIONS = (Flown(ROW, trace(2)), Flown(BARE, trace(0)))
+MISSIONS = (Flown(ROW, trace(0.91, 0.96, 0.97)), Flown(BARE, trace(1.0)))
 
 
 def same(one: Flown, other: Flown) -> bool:
@@ -147,12 +154,12 @@ def test_the_table_has_the_published_columns_and_words(folder: Path) -> None:
         "mission_s,vlm_questions,success,wall_s"
     )
     assert lines[1].startswith(
-        "dream-v1,reef/L,3,1,ab12,sweep-and-graze,done,2,2,,0,1,,,0.1,0.0,1.0,0.333333"
+        "dream-v1,reef/L,3,1,ab12,sweep-and-graze,done,2,2,,0,1,,,0.97,0.0,1.0,0.333333"
     )
     assert lines[2].endswith(",,,,,,,,true,9.5")
     steps = gzip.decompress((folder / "traces.csv.gz").read_bytes()).decode().splitlines()
     assert steps[0] == "protocol,world,seed,start,planner,step,x,y,yaw_deg,instances,collided"
-    assert steps[2] == "dream-v1,reef/L,3,1,sweep-and-graze,1,1.1,-1.0,-150.0,0.03333333333333333,true"
+    assert steps[2] == "dream-v1,reef/L,3,1,sweep-and-graze,1,1.1,-1.0,-150.0,0.96,true"
 
 
 def without(text: str, names: Sequence[str]) -> str:
@@ -224,7 +231,7 @@ def test_a_write_that_breaks_off_leaves_the_old_file(tmp_path: Path, monkeypatch
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", no_space)
-    changed = Flown(replace(ROW, turns=99), trace(2))
+    changed = Flown(replace(ROW, turns=99), MISSIONS[0].trace)
     with pytest.raises(OSError, match="No space"):
         write_mission(tmp_path, changed)
     assert same(read_mission(path), MISSIONS[0])
@@ -244,7 +251,7 @@ def edited(change: Callable[[dict[str, Any]], object]) -> Callable[[bytes], byte
     [
         (lambda content: content[: len(content) // 2], "damaged text"),
         (lambda content: b"", "damaged text"),
-        (lambda content: content.replace(b"0.1", b"NaN", 1), "damaged text"),
+        (lambda content: content.replace(b"0.97", b"NaN", 1), "damaged text"),
         (edited(lambda m: m["row"].pop("t98")), "t98: Field required"),
         (edited(lambda m: m["row"].update(extra=1)), "extra: Unexpected"),
         (edited(lambda m: m["row"].update(instances=1.5)), "instances: .*less than or equal to 1"),
@@ -268,6 +275,48 @@ def test_a_damaged_mission_is_named(damage: Callable[[bytes], bytes], complaint:
     with pytest.raises(ValueError, match=complaint) as caught:
         read_mission(path)
     assert str(caught.value).startswith(str(path))
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"instances": 0.999}, r"instances: expected 0\.97, as its trace says, got 0\.999"),
+        ({"c100": 0.98}, r"c100: expected 0\.97"),
+        ({"auc": 0.98}, r"auc: expected 0\.96995"),
+        ({"collisions": 0}, "collisions: expected 1"),
+        ({"t_stop": None}, "t_stop: expected 2"),
+        ({"ended": "cap"}, "t_stop: expected None"),
+        ({"t90": 1}, "t90: expected 0"),
+        ({"t95": None}, "t95: expected 1"),
+        ({"t98": 2}, "t98: expected None"),
+        ({"success": True}, "success: expected False"),
+    ],
+)
+def test_a_row_that_contradicts_its_trace_is_damage(
+    changes: dict[str, Any], complaint: str, tmp_path: Path
+) -> None:
+    path = write_mission(tmp_path, MISSIONS[0])
+    path.write_bytes(edited(lambda m: m["row"].update(changes))(path.read_bytes()))
+    with pytest.raises(ValueError, match=complaint) as caught:
+        read_mission(path)
+    assert str(caught.value).startswith(str(path))
+
+
+def test_a_mission_that_saw_all_is_no_failure_but_of_a_model_that_never_answered(tmp_path: Path) -> None:
+    failed = replace(BARE, success=False)
+    with pytest.raises(ValueError, match="success: expected True"):
+        read_mission(write_mission(tmp_path, Flown(failed, MISSIONS[1].trace)))
+    silent = replace(failed, vlm_calls=2)
+    assert read_mission(write_mission(tmp_path, Flown(silent, MISSIONS[1].trace))).row == silent
+
+
+@pytest.mark.parametrize("t98", [1, 2])
+def test_a_share_that_was_rounded_to_a_mark_may_have_been_either_side_of_it(t98: int, tmp_path: Path) -> None:
+    known: dict[str, Any] = {"t95": 0, "t98": t98, "auc": 0.989963}
+    known |= dict.fromkeys(("instances", "c50", "c100", "c137", "c200"), 0.99)
+    row = replace(ROW, **known)
+    mission = Flown(row, trace(0.96, 0.9826, 0.99))
+    assert same(read_mission(write_mission(tmp_path, mission)), mission)
 
 
 @pytest.mark.parametrize(
@@ -365,7 +414,7 @@ def test_a_folder_that_was_broken_off_before_its_tables_is_called_unfinished(nam
 
 def test_a_row_and_a_trace_of_different_length_are_no_mission() -> None:
     with pytest.raises(ValueError, match="expected 3 poses of 2 steps"):
-        Flown(ROW, trace(3))
+        Flown(ROW, trace(0.91, 0.96, 0.97, 0.97))
 
 
 def test_columns_are_the_fields_of_a_row() -> None:

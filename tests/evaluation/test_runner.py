@@ -237,11 +237,21 @@ def test_planners_and_worlds_may_join_later(tmp_path: Path) -> None:
     assert read_manifest(twice)["cases"] == read_manifest(once)["cases"]
 
 
-def test_a_damaged_mission_is_named_and_flown_again(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def better(content: bytes) -> bytes:
+    """A mission whose row was made to look better than its trace."""
+    mission = json.loads(content)
+    mission["row"]["instances"] = 0.999
+    return json.dumps(mission).encode()
+
+
+@pytest.mark.parametrize("damage", [lambda content: content[:-40], better], ids=["torn", "better"])
+def test_a_damaged_mission_is_named_and_flown_again(
+    damage: Callable[[bytes], bytes], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     keys = [ended.key for ended in bench(plan(FLAT[:1]), tmp_path)]
     good = without_times(tmp_path)
     path = mission_path(tmp_path, keys[1])
-    path.write_bytes(path.read_bytes()[:-40])
+    path.write_bytes(damage(path.read_bytes()))
     again: list[MissionKey] = []
     bench(plan(FLAT[:1]), tmp_path, Here(flown=again))
     assert again == [keys[1]]

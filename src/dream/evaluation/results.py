@@ -22,7 +22,9 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import from_json
 
+from dream.evaluation.metrics import MILESTONES, curve
 from dream.files import write_whole
+from dream.protocol import protocol_named
 
 Float64Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -37,6 +39,8 @@ MAX_FILE_BYTES = 64 << 20
 MAX_TABLE_BYTES = 1 << 30
 """A larger `results.csv` is refused."""
 MAX_LINE_BYTES = 1 << 16
+ROUNDING = 1e-6
+"""Shares are written with six digits."""
 
 _Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]{0,99}$")]
 _WorldName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._/+-]{0,99}$")]
@@ -238,7 +242,8 @@ def read_mission(path: Path) -> Flown:
 
     Raises:
         FileNotFoundError: There is none.
-        ValueError: The file is damaged, or it is another mission's; the message names it.
+        ValueError: The file is damaged, its row says something else than its trace, or it is another
+            mission's; the message names it.
     """
     content = _json(path)
     if not isinstance(content, dict) or set(content) != {"row", "trace"}:
@@ -246,6 +251,7 @@ def read_mission(path: Path) -> Flown:
     row = _row(content["row"], str(path))
     try:
         flown = Flown(row, _trace(content["trace"], row.steps + 1))
+        _check_agrees(flown)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error
     if mission_path(path.parents[1], row.key) != path:
@@ -347,6 +353,32 @@ def _trace(values: Any, length: int) -> Trace:
     if not ((trace.instances >= 0.0) & (trace.instances <= 1.0)).all():
         raise ValueError("trace: instances: expected shares from 0 to 1")
     return trace
+
+
+def _check_agrees(flown: Flown) -> None:
+    """Raise a ValueError where a row says something else than its trace, as far as that tells."""
+    row, trace = flown.row, flown.trace
+    told: dict[str, Any] = {
+        "instances": float(trace.instances[-1]),
+        **curve(trace.instances.tolist(), protocol_named(row.protocol).cap),
+        "collisions": int(trace.collided[1:].sum()),
+        "t_stop": row.steps if row.ended == "done" else None,
+    }
+    for name, share in MILESTONES.items():
+        # Which of the two it was, the digits that were left out say.
+        either = [_first_step(trace, least) for least in (share - ROUNDING, min(share + ROUNDING, 1.0))]
+        told[name] = getattr(row, name) if getattr(row, name) in either else either[0]
+    succeeds = row.ended == "done" and told["t98"] is not None and not told["collisions"]
+    # One that asked a model and never had an answer is no success whatever it saw.
+    told["success"] = succeeds and (row.success or row.vlm_calls is None)
+    for name, value in told.items():
+        if getattr(row, name) != value:
+            raise ValueError(f"{name}: expected {value}, as its trace says, got {getattr(row, name)}")
+
+
+def _first_step(trace: Trace, share: float) -> int | None:
+    reached = np.flatnonzero(trace.instances >= share)
+    return int(reached[0]) if len(reached) else None
 
 
 def _headers() -> Iterator[tuple[str, ...]]:
