@@ -44,6 +44,7 @@ from dream.evaluation.suites import SUITES
 from dream.geometry import SE2
 from dream.mapping import drawing
 from dream.planning.vlm.asking import Line
+from dream.planning.vlm.prompts import Own
 from dream.planning.vlm.reply import choice_reply
 from dream.types import Exchange
 from tests.model_server import NAME, Request, Response, error, says, serving
@@ -431,7 +432,7 @@ def test_a_server_that_knows_all_has_200_of_200(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("dream.evaluation.probe.make_questions", lambda count: iter(questions[:count]))
+    monkeypatch.setattr("dream.evaluation.probe.make_questions", lambda count, own: iter(questions[:count]))
     key = {(question.picture, question.asked.text): question.answer for question in questions}
     record = ["--record", str(tmp_path / "kept")]
     with serving(lambda request: choice(key[request.pictures[0], request.question])) as server:
@@ -457,7 +458,7 @@ def test_garbage_is_no_answer_and_is_told(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("dream.evaluation.probe.make_questions", lambda count: iter(questions[:count]))
+    monkeypatch.setattr("dream.evaluation.probe.make_questions", lambda count, own: iter(questions[:count]))
     with serving(says("<b>hm</b>")) as server:
         assert run_command(probe(server.address, "--questions", "24", "--out", str(tmp_path / "out"))) == 0
     summary = json.loads(capsys.readouterr().out)
@@ -475,7 +476,7 @@ def test_garbage_is_no_answer_and_is_told(
 def test_the_first_answer_is_seen_through_and_the_table_says_so(
     questions: list[MapQuestion], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dream.evaluation.probe.make_questions", lambda count: iter(questions[:count]))
+    monkeypatch.setattr("dream.evaluation.probe.make_questions", lambda count, own: iter(questions[:count]))
     with serving(first_choice) as server:
         arguments = [word for word in probe(server.address, "--questions", "80") if word != "--json"]
         assert run_command(arguments) == 0
@@ -489,7 +490,7 @@ def test_a_server_that_refuses_ends_the_probe_with_one_line_before_the_last_map_
 ) -> None:
     drawn: list[int] = []
 
-    def draw(count: int) -> Iterator[MapQuestion]:
+    def draw(count: int, own: Own) -> Iterator[MapQuestion]:
         for question in questions[:count]:
             drawn.append(question.number)
             yield question
@@ -506,7 +507,7 @@ def test_a_server_that_refuses_ends_the_probe_with_one_line_before_the_last_map_
 def test_nobody_at_the_address_ends_the_probe_with_one_line(
     questions: list[MapQuestion], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dream.evaluation.probe.make_questions", lambda count: iter(questions[:count]))
+    monkeypatch.setattr("dream.evaluation.probe.make_questions", lambda count, own: iter(questions[:count]))
     with serving() as server:
         address = server.address
     assert run_command(probe(address, "--questions", "8")) == 2
@@ -518,7 +519,7 @@ def test_nobody_at_the_address_ends_the_probe_with_one_line(
 def test_questions_that_the_budget_does_not_pay_for_are_not_asked(
     questions: list[MapQuestion], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dream.evaluation.probe.make_questions", lambda count: iter(questions[:count]))
+    monkeypatch.setattr("dream.evaluation.probe.make_questions", lambda count, own: iter(questions[:count]))
     with serving(first_choice) as server:
         options = ["--questions", "16", "--max-calls", "5", "--at-once", "1"]
         assert run_command(probe(server.address, *options)) == 1
@@ -538,7 +539,7 @@ def test_an_interrupted_probe_tells_what_was_answered_and_how_to_go_on(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("dream.evaluation.probe.make_questions", lambda count: iter(questions[:count]))
+    monkeypatch.setattr("dream.evaluation.probe.make_questions", lambda count, own: iter(questions[:count]))
     receive, received = Line.receive, itertools.count(1)
 
     def interrupted(*arguments: Any) -> Any:

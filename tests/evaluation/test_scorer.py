@@ -378,6 +378,7 @@ def test_a_mission_that_asked_nothing_has_nothing_to_say_of_a_model(tour: Tour) 
 def test_what_was_asked_of_a_model_is_summed_up() -> None:
     said = asked(
         prompt="dream 2",
+        answered_by="painted-2026-11",
         requests=2,
         tokens_in=100,
         tokens_out=11,
@@ -386,6 +387,7 @@ def test_what_was_asked_of_a_model_is_summed_up() -> None:
     )
     assert said["vlm"] == {
         "model": "openai:painted",
+        "answered_by": ["painted-2026-11"],
         "prompts": ["dream 1, legend 1, oysters 1", "dream 2"],
         "calls": 3,
         "questions": 2,

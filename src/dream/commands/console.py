@@ -55,10 +55,18 @@ def check_writable(folder: Path) -> None:
 
 
 def check_max_steps(max_steps: int | None, protocol: SurveyProtocol) -> None:
-    """Raise a ValueError unless `--max-steps` is left out, or asks for no more than the protocol's cap."""
-    if max_steps is not None and not 1 <= max_steps <= protocol.cap:
-        raise ValueError(
-            f"--max-steps: expected 1 to {protocol.cap}, the cap of {protocol.name}, got {max_steps}"
+    """Raise a ValueError where `--max-steps` leaves none; tell where it asks for more than the cap.
+
+    A larger arena may need them.
+    """
+    if max_steps is None:
+        return
+    if max_steps < 1:
+        raise ValueError(f"--max-steps: expected at least 1, got {max_steps}")
+    if max_steps > protocol.cap:
+        sys.stderr.write(
+            f"dream: {max_steps} steps are more than the cap of {protocol.name}, {protocol.cap}: "
+            "not to be compared with missions of a benchmark\n"
         )
 
 

@@ -132,7 +132,7 @@ class Dive:
     estimator: Literal["inekf", "ekf", "cipg", "dead-reckoning"] = "inekf"
     """What reckons the pose."""
     max_steps: int | None = None
-    """Decisions at most; the protocol's cap, which none may exceed, unless given."""
+    """Decisions at most; the protocol's cap unless given."""
     max_depth: float = 10.0
     """Metres."""
     minutes: float = 60.0

@@ -62,7 +62,7 @@ class Run:
     out: Path = Path("runs")
     """Folder that the run's own folder is made in."""
     max_steps: int | None = None
-    """Decisions at most; the protocol's cap, which none may exceed, unless given."""
+    """Decisions at most; the protocol's cap unless given."""
     protocol: str | None = None
     """Survey protocol; the one that the world is made for unless given."""
     mission: str | None = None
