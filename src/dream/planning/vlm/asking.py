@@ -13,6 +13,7 @@ import time
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Mapping
 from concurrent.futures import Future
+from contextvars import ContextVar
 from dataclasses import dataclass, field, fields, replace
 from functools import cache, wraps
 from pathlib import Path
@@ -72,6 +73,8 @@ WHERE_KEPT = ("record", "replay_replies")
 """Options that say where exchanges are kept, on which no answer depends."""
 NO_SUCH_REQUEST = (400, 413, 422)
 """HTTP statuses of a request that the server does not take, whoever sends it and whenever."""
+TOO_MANY = 429
+"""HTTP status of a request that comes too soon; the client waits as long as it is told, and asks again."""
 LONG_WORD = 16
 """Characters of a word with digits in it that may be part of a key."""
 MOST_SAID = 200
@@ -88,6 +91,8 @@ ELSEWHERE = {
     "google": "GOOGLE_GEMINI_BASE_URL",
 }
 """Environment variables that their clients take another address from."""
+_statuses: ContextVar[list[int]] = ContextVar("statuses")
+"""HTTP statuses of the replies to a question; the requests may be sent by tasks below its own."""
 EXTRA = 'needs pydantic-ai: pip install "dream-auv[vlm]"'
 
 
@@ -417,6 +422,7 @@ class Line:
     async def _exchange(self, question: Question[R]) -> Outcome:
         messages: list[Any] = []
         fallback = ""
+        _statuses.set([])
         try:
             async with asyncio.timeout(self.asking.timeout):
                 await self._in_some_form(question, messages)
@@ -511,6 +517,8 @@ def _reason(error: Exception, timeout: float, messages: int) -> str:
             return f"{UNREACHED} at {cause.request.url.netloc.decode()}"
         cause = cause.__cause__ or cause.__context__
     if isinstance(error, TimeoutError | exceptions.ModelTimeoutError):
+        if _statuses.get([])[-1:] == [TOO_MANY]:
+            return f"rate limit: the server asks to wait, and {timeout:g} s were over first"
         return f"timeout: no answer within {timeout:g} s"
     if isinstance(error, exceptions.UsageLimitExceeded):
         return f"{BUDGET}: no call is left to ask again"
@@ -664,6 +672,8 @@ def _http(*, address: bool, near: bool) -> httpx2.AsyncClient:
             await self.stream.aclose()
 
     async def bound(response: httpx2.Response) -> None:
+        if (statuses := _statuses.get(None)) is not None:
+            statuses.append(response.status_code)
         if response.headers.get("content-encoding", "identity") != "identity":
             raise _TooLongError("a reply that is packed, of unknown length")
         assert isinstance(response.stream, httpx2.AsyncByteStream)
