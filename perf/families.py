@@ -121,9 +121,10 @@ def main() -> int:
     reached = {key[0] for key in shared for missions in chosen if missions[key].t98 is not None}
     found = groups({world for world, _, _ in shared}, reached)
     first, *others = options.planners
-    soon = [f"| worlds | {first} | {' | '.join(f'{name} | ratio' for name in others)} | ÷ bound, median |"]
+    heads = [first, *(head for name in others for head in (name, "ratio")), "÷ bound, median"]
+    soon = [f"| worlds | {' | '.join(heads)} |"]
     ends = [f"| worlds | {' | '.join(options.planners)} |", f"|---|{'--:|' * len(options.planners)}"]
-    soon.append(f"|---|{'--:|' * (2 + 2 * len(others))}")
+    soon.append(f"|---|{'--:|' * len(heads)}")
     for title, worlds in found.items():
         keys = [key for key in shared if key[0] in worlds]
         rows = [[missions[key] for key in keys] for missions in chosen]
