@@ -299,10 +299,18 @@ def _check_places(told: Dive) -> None:
     for name, place in places.items():
         if place is not None:
             check_aboard(name, place)
+    if not -90.0 <= told.tilt <= 90.0:
+        raise ValueError(f"--tilt: expected -90 to 90 degrees down, got {told.tilt:g}")
+    if told.lights is not None and not 0.0 <= told.lights <= 1.0:
+        raise ValueError(f"--lights: expected a share from 0 to 1, got {told.lights:g}")
+    if told.stand_in:
+        own = ("area", "at", "vehicle", "dvl", "camera", "surface_pressure")
+        for given in fields(Dive):
+            if given.name in own and getattr(told, given.name) != given.default:
+                option = "--" + given.name.replace("_", "-")
+                raise ValueError(f"{option}: expected none with --stand-in, which has its own: see --world")
     if told.area is None:
         return
-    if told.stand_in:
-        raise ValueError("--area: expected none with --stand-in, which has a tank of its own: --world")
     x, y, _ = told.at
     if not Bounds(*told.area).contains(x, y):
         area = " ".join(f"{side:g}" for side in told.area)
@@ -453,7 +461,19 @@ def _opened(
         finally:
             # None of a vehicle that is still armed: its failsafes stop it once nobody speaks to it.
             with contextlib.suppress(OSError):
-                devices.link.restore()
+                if left := devices.link.restore().left:
+                    _tell(_how_to_restore(len(left), folder), quiet=told.json)
+
+
+def _how_to_restore(left: int, folder: Path) -> str:
+    """What an operator has to do where parameters could not be put back."""
+    from dream.robots.bluerov2.devices import PARAMETERS_BEFORE
+
+    of = "1 parameter is" if left == 1 else f"{left} parameters are"
+    return (
+        f"{of} not as before the dive: their values stand in {folder / PARAMETERS_BEFORE}. Put them back "
+        "with a ground station, such as QGroundControl"
+    )
 
 
 @dataclass

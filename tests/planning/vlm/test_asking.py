@@ -320,11 +320,10 @@ def test_a_slow_server_is_not_waited_for() -> None:
 
 
 def test_a_server_that_asks_to_wait_longer_than_there_is_time_is_no_slow_one() -> None:
-    with serving(error(429, retry_after="30"), GOOD, replace(GOOD, late=3.0)) as server:
-        on = line(server, timeout=0.5)
-        assert ask(on).exchange.fallback == "rate limit: the server asks to wait, and 0.5 s were over first"
+    with serving(error(429, retry_after="30"), GOOD) as server:
+        on = line(server, timeout=3.0)
+        assert ask(on).exchange.fallback == "rate limit: the server asks to wait, and 3 s were over first"
         assert ask(on).reply is not None
-        assert ask(on).exchange.fallback == "timeout: no answer within 0.5 s"
 
 
 def test_a_server_without_schemas_is_told_in_words() -> None:

@@ -19,6 +19,7 @@ from dream.cli import _Telling, run_command
 from dream.commands.dive import (
     LEAVING,
     Dive,
+    _how_to_restore,
     _mounting_told,
     _outlives_its_terminal,
     _Ready,
@@ -36,7 +37,7 @@ from dream.protocol import POOL_V1
 from dream.recording import read_steps
 from dream.robots.bluerov2.bridge import SAG, Limits
 from dream.robots.bluerov2.camera import RtpVideo
-from dream.robots.bluerov2.devices import source_of
+from dream.robots.bluerov2.devices import PARAMETERS_BEFORE, source_of
 from dream.robots.bluerov2.log import read_log, read_measurements, read_wire
 from dream.robots.bluerov2.navigation import Instruments
 from dream.robots.replay import Replayed
@@ -463,6 +464,12 @@ def test_a_port_that_another_program_has_is_told_with_who_that_may_be(
         ("--camera-at", ["0", "0", "2"], "--camera-at: expected metres from the autopilot"),
         ("--speed-of-sound", ["343"], "--speed-of-sound: expected 1400 to 1600 m/s, got 343"),
         ("--speed-of-sound", ["nan"], "--speed-of-sound: expected 1400 to 1600 m/s, got nan"),
+        ("--tilt", ["120"], "--tilt: expected -90 to 90 degrees down, got 120"),
+        ("--tilt", ["nan"], "--tilt: expected -90 to 90 degrees down, got nan"),
+        ("--lights", ["1.5"], "--lights: expected a share from 0 to 1, got 1.5"),
+        ("--at", ["1", "1", "0"], "--at: expected none with --stand-in, which has its own"),
+        ("--vehicle", ["udpin:0.0.0.0:14551"], "--vehicle: expected none with --stand-in"),
+        ("--surface-pressure", ["1013"], "--surface-pressure: expected none with --stand-in"),
     ],
 )
 def test_what_cannot_be_of_a_vehicle_in_water_is_refused(
@@ -484,6 +491,13 @@ def test_a_dive_that_ends_before_its_first_step_says_why_and_what_the_log_lost(
     ):
         ready._end({"steps": 0}, MissionAborted("48.2 m outside the area"))
     assert "messages are lost: 3 of mavlink, 2 of camera. Was the disk full?" in caplog.text
+
+
+def test_who_could_not_be_left_as_it_was_is_told_with_the_file_to_restore_it_from(tmp_path: Path) -> None:
+    assert (
+        f"2 parameters are not as before the dive: their values stand in {tmp_path / PARAMETERS_BEFORE}."
+        in (_how_to_restore(2, tmp_path))
+    )
 
 
 def test_where_things_sit_is_kept_with_the_dive(tmp_path: Path) -> None:
