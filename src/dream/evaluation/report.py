@@ -124,7 +124,14 @@ def sections(results: Results, comparison: Comparison) -> list[Section]:
         )
     papers = tables.against_the_papers_planner(comparison)
     if papers.rows:
-        every.append(Section("papers-planner", "Against the paper's steps", "Likewise.", (papers,)))
+        every.append(
+            Section(
+                "papers-planner",
+                "Against the paper's steps",
+                f"The same against {tables.PAPERS}, which is no baseline.",
+                (papers,),
+            )
+        )
     between = tables.between_models(comparison)
     if between.rows:
         every.append(
