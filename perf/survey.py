@@ -3,6 +3,7 @@
     python perf/survey.py                      # the table of docs/survey-measures.md
     python perf/survey.py --calibrate --worlds 6   # the numbers of src/dream/survey/calibration.py
     python perf/survey.py --worlds 2 --wrecks 0 --swims 0
+    python perf/survey.py --worlds 2 --wrecks 0 --swims 0 --years 3   # reefs of three years later
 
 Reefs of all four families, seeds 70000 and up, are flown by `belief` in dream-v1 and dream-v1-noisy, some
 in dream-v1-nav; calibration uses seeds 60000 and up, which the table does not. Poses of missions and the
@@ -515,6 +516,7 @@ def main() -> int:
     parser.add_argument("--worlds", type=int, default=15, help="reefs of each family")
     parser.add_argument("--swims", type=int, default=2, help="of each family in dream-v1-nav")
     parser.add_argument("--wrecks", type=int, default=1, help="wrecks of each kind")
+    parser.add_argument("--years", type=int, default=0, help="that have passed on the reefs")
     parser.add_argument("--calibrate", action="store_true")
     parser.add_argument("--cache", type=Path, default=Path("/tmp/dream-survey"))
     options = parser.parse_args()
@@ -525,14 +527,17 @@ def main() -> int:
             print(protocol, json.dumps(dataclasses.asdict(calibrate(missions, options.cache)), indent=1))
         return 0
     seeds = range(FIRST, FIRST + options.worlds)
+    passed = f"+{options.years}y1" if options.years else ""
     missions = [
-        Mission(protocol, family, seed)
+        Mission(protocol, family + passed, seed)
         for seed in seeds
         for family in FAMILIES
         for protocol in ("dream-v1", "dream-v1-noisy")
     ]
     missions += [
-        Mission("dream-v1-nav", family, FIRST + k) for k in range(options.swims) for family in FAMILIES
+        Mission("dream-v1-nav", family + passed, FIRST + k)
+        for k in range(options.swims)
+        for family in FAMILIES
     ]
     missions += [
         Mission(protocol, f"wreck/{kind}", FIRST + k)

@@ -110,11 +110,13 @@ class Registering:
                 self.lost, *(float(np.mean(s.track.sigma)) if len(s.track.sigma) else 0.0 for s in (a, b))
             )
             covariance = np.diag([lost**2, lost**2, (lost / 10.0) ** 2])
-            note = " ".join(
-                filter(
-                    None, (note, "Nothing in both showed how they lie on each other; the poses are taken.")
-                )
+            nothing = (
+                f"Nothing in both showed how they lie on each other, within {self.window:g} m and "
+                f"{math.degrees(self.turn):g}°; the poses are taken. Where an origin is farther off than "
+                "that, ground that did not change is told as gained and lost: trust no verdict before the "
+                "origins are checked."
             )
+            note = " ".join(filter(None, (note, nothing)))
         return Registration(_onto(start, pivot, offset), pivot, covariance, offset, by, pairs, residual, note)
 
     def _maps(

@@ -74,9 +74,11 @@ def _print(survey: Survey) -> None:
     where = "no origin" if survey.site is None else plain(survey.site.name)
     console.print(f"[bold]{plain(survey.name)}[/bold]  {where}, {survey.began:%Y-%m-%d %H:%M:%S %Z}")
     console.print(
-        f"{survey.target} by {plain(survey.protocol)}, {len(survey.decisions)} decisions, "
-        f"{len(survey.individuals)} individuals found (count tells how many there are), "
-        f"patches: {len(survey.patches)}"
+        f"{survey.target} by {plain(survey.protocol)}, {len(survey.decisions)} decisions"
+        # A wreck has neither.
+        + f", {len(survey.individuals)} individuals found (count tells how many there are)"
+        * any(measure.name == "count" for measure in survey.measures)
+        + f", patches: {len(survey.patches)}" * bool(survey.patches)
     )
     if doubtful := doubt(survey.protocol, survey.target):
         console.print(f"\n{plain(doubtful)}", highlight=False)
