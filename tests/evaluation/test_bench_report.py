@@ -388,7 +388,8 @@ def test_no_benchmark_folder_is_refused(tmp_path: Path) -> None:
         ("paper", ["dream bench paper"]),
         ("reef/L 1..2", ["dream bench --world reef/L --seeds 1..2"]),
         ("paper, reef/L 3", ["dream bench paper", "dream bench --world reef/L --seeds 3"]),
-        ("a; rm -rf /", ["dream bench --world 'a;' --seeds 'rm -rf /'"]),
+        ("a; rm -rf *", ["dream bench --world 'a;' --seeds 'rm -rf *'"]),
+        ("bay/my list.txt, the reef/", ["dream bench 'bay/my list.txt'", "dream bench --world 'the reef/'"]),
     ],
 )
 def test_the_command_that_repeats_it(suite: str, commands: list[str]) -> None:

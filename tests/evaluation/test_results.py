@@ -100,6 +100,7 @@ BARE = replace(
 MANIFEST: dict[str, Any] = {
     "suite": "reef/L 3",
     "cases": [{"world": "reef/L", "seed": 3, "start": 1}],
+    "worlds": {},
     "planners": {"sweep-and-graze": {"spacing": 2.5}, "random": {}},
     "protocol": {"name": "dream-v1"},
     "max_steps": None,

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -380,7 +380,7 @@ def test_a_folder_is_finished_when_nothing_of_it_is_missing(tmp_path: Path) -> N
     told = read_manifest(tmp_path)
     assert told["finished"] is None
     (failed,) = told["failed"]
-    assert failed == {**asdict(FLAT[0]), "planner": "broken", "error": "RuntimeError: the planner burnt"}
+    assert failed == {**FLAT[0].as_dict(), "planner": "broken", "error": "RuntimeError: the planner burnt"}
     bench(plan(FLAT[:1], planners={"random": PLANNERS["random"]}), tmp_path, Processes(1))
     assert read_manifest(tmp_path)["finished"] is None, "the other planner's mission is still missing"
 

@@ -47,7 +47,9 @@ def test_letters_and_wrecks_are_spread_evenly() -> None:
 def test_every_world_has_a_family() -> None:
     families = {*REEF_FAMILIES, "letter", "wreck", "pool", "flat"}
     assert {family_of(world) for world in WORLDS} == families
-    for stranger in ("reef/X", "reef", "", "lake/1"):
+    assert family_of("reef/string+1y1") == "string"
+    own = ("wreck/harbour", "wreck/1 (changed)", "reef/string+1y1 (changed)", "pool/of mine")
+    for stranger in ("reef/X", "reef", "", "lake/1", *own):
         with pytest.raises(ValueError, match="no family"):
             family_of(stranger)
 

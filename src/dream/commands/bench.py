@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from dream.evaluation.runner import Plan
     from dream.evaluation.suites import Case
 
-MAX_SEEDS = 10_000
-
 
 @dataclass(frozen=True, slots=True)
 class Flying:
@@ -115,15 +113,16 @@ class Bench(Flying):
     """
 
     suite: tyro.conf.Positional[str | None] = None
-    """`paper` (15 worlds; the default), `dev` (60, to tune on) or `test` (200, to report)."""
+    """`paper` (15 worlds; the default), `dev` (60, to tune on) or `test` (200, to report); or a file .txt
+    that lists worlds of your own."""
     world: str | None = None
-    """One world instead of a suite: a name from `dream worlds`."""
+    """One world instead of a suite: a name from `dream worlds`, or a folder that holds a saved world."""
     seeds: str | None = None
     """Which worlds of that name: a seed, or the first and the last as A..B; 1 unless given."""
     protocol: str | None = None
     """Survey protocol; the one that the worlds are made for unless given."""
     out: Path | None = None
-    """Folder of the benchmark; `bench/SUITE`, or `bench/WORLD_SEEDS`, unless given."""
+    """Folder of the benchmark; `bench/SUITE`, `bench/WORLD_SEEDS` or `bench/FOLDER` unless given."""
     swim: Swim = field(default_factory=Swim)
 
     def __call__(self) -> int:
@@ -132,10 +131,10 @@ class Bench(Flying):
 
         planners, engine = self.chosen_planners(), self.chosen_engine()
         name, cases = self._cases()
-        protocol = protocol_named(self.protocol or _home(cases[0]))
+        protocol = protocol_named(self.protocol or cases[0].open().protocol)
         swimming = self.swim.chosen(protocol)
         plan = Plan(name, cases, planners, protocol, self.max_steps, self.keep_runs, swimming)
-        folder = self.out or Path("bench") / re.sub(r"[^A-Za-z0-9.]+", "-", name)
+        folder = self.out or Path("bench") / self._folder(name)
         outcome = fly(plan, folder, engine)
         if self.json:
             print_json(outcome.as_dict())
@@ -145,8 +144,8 @@ class Bench(Flying):
         return 0
 
     def _cases(self) -> tuple[str, tuple[Case, ...]]:
-        from dream.evaluation.suites import Case, suite_named
-        from dream.sim.worlds import WORLDS
+        from dream.evaluation.suites import named_case, saved_case, seeds_of, suite_named
+        from dream.sim.worlds import is_saved
 
         if self.world is None:
             if self.seeds is not None:
@@ -154,30 +153,25 @@ class Bench(Flying):
             return self.suite or "paper", suite_named(self.suite or "paper")
         if self.suite is not None:
             raise ValueError(f"expected a suite or --world, got both: {self.suite} and --world {self.world}")
-        world = look_up(dict.fromkeys(WORLDS, self.world), self.world, "world", see="See dream worlds")
-        seeds = _seeds(self.seeds or "1")
+        if is_saved(Path(self.world)):
+            case = saved_case(Path(self.world))
+            if self.seeds is not None:
+                raise ValueError(
+                    f"--seeds: expected none beside a folder, whose world has its own, {case.seed}, "
+                    f"got {self.seeds}"
+                )
+            return f"{case.folder}/", (case,)
+        seeds = seeds_of(self.seeds or "1", "--seeds")
         named = f"{seeds[0]}..{seeds[-1]}" if len(seeds) > 1 else str(seeds[0])
-        return f"{world} {named}", tuple(Case(world, seed) for seed in seeds)
+        return f"{self.world} {named}", tuple(named_case(self.world, seed) for seed in seeds)
 
-
-def _seeds(text: str) -> range:
-    """The seeds that `A..B` names, both ends included."""
-    found = re.fullmatch(r"(\d{1,18})(?:\.\.(\d{1,18}))?", text)
-    if not found:
-        raise ValueError(f"--seeds: expected a number or A..B such as 1..5, got {text}")
-    first, last = int(found[1]), int(found[2] or found[1])
-    if last < first:
-        raise ValueError(f"--seeds: expected the lower seed first, got {text}. Did you mean {last}..{first}?")
-    if last - first >= MAX_SEEDS:
-        raise ValueError(f"--seeds: expected at most {MAX_SEEDS} seeds, got {last - first + 1}")
-    return range(first, last + 1)
-
-
-def _home(case: Case) -> str:
-    """The protocol that a world is made for."""
-    from dream.sim.worlds import make_world
-
-    return make_world(case.world, case.seed).protocol
+    def _folder(self, name: str) -> str:
+        """Where a benchmark of that name is kept, below `bench`."""
+        if self.world is None:
+            name = Path(name).stem
+        elif name.endswith("/"):
+            name = Path(name).resolve().name
+        return re.sub(r"[^A-Za-z0-9.]+", "-", name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,7 +194,8 @@ class Outcome:
             "protocol": self.plan.protocol.name,
             "missions": [asdict(row) for row in self.rows],
             "failed": [
-                {**asdict(case), "planner": planner, "error": error} for case, planner, error in self.failures
+                {**case.as_dict(), "planner": planner, "error": error}
+                for case, planner, error in self.failures
             ],
             "report": str(self.report) if self.report else None,
         }

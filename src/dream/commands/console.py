@@ -30,11 +30,10 @@ LINE_EVERY = 20.0
 
 
 def open_world(name: str, seed: int) -> World:
-    """A world by its name and seed, or the one saved in the folder of that name."""
-    from dream.sim.files import load_world
-    from dream.sim.worlds import make_world
+    """See `dream.sim.worlds.open_world`, which is imported only when it is needed."""
+    from dream.sim import worlds
 
-    return load_world(Path(name)) if (Path(name) / "world.json").is_file() else make_world(name, seed)
+    return worlds.open_world(name, seed)
 
 
 def check_writable(folder: Path) -> None:

@@ -42,7 +42,8 @@ class Oracle:
     """
 
     suite: tyro.conf.Positional[str | None] = None
-    """Search all worlds of this suite instead of one: `paper`, `dev` or `test`."""
+    """Search all worlds of this suite instead of one: `paper`, `dev` or `test`; or a file .txt that lists
+    worlds of your own."""
     world: str | None = None
     """A name from `dream worlds`, or a folder that holds a saved world; reef/string unless given."""
     seed: int = 1
@@ -129,7 +130,7 @@ class Oracle:
         from dream.evaluation.suites import suite_named
 
         cases = suite_named(self.suite or "")
-        out = self.out or Path(f"{self.suite}.jsonl")
+        out = self.out or Path(f"{Path(self.suite or '').stem}.jsonl")
         if out.is_dir():
             raise ValueError(f"--out: expected a file, got the folder {out}")
         failed: dict[Key, str] = {}
@@ -204,7 +205,6 @@ class Oracle:
     def _check_all(self) -> int:
         from dream.evaluation.oracle.bounds import check, every_known, read_bounds
         from dream.evaluation.suites import suite_named
-        from dream.sim.worlds import make_world
 
         cases = suite_named(self.suite or "")
         # Whether the world is today's is for the check to say, so the hash does not choose here.
@@ -221,7 +221,7 @@ class Oracle:
         for case in with_progress(iter(known), f"checking {self.suite}", len(known)):
             wrong = ""
             try:
-                check(kept[self._key(case)], make_world(case.world, case.seed))
+                check(kept[self._key(case)], case.open())
             except ValueError as error:
                 wrong = str(error)
             outcomes.append({"world": case.world, "seed": case.seed, "start": case.start, "wrong": wrong})
@@ -249,9 +249,8 @@ def _search_case(
     from dream.evaluation.oracle.bounds import bound, drive, known_bounds, walks_of
     from dream.sim.files import world_hash
     from dream.sim.visibility import Visibility
-    from dream.sim.worlds import make_world
 
-    world = make_world(case.world, case.seed)
+    world = case.open()
     rules = protocol_named(protocol)
     visibility = Visibility(world, rules)
     key = (protocol, case.world, case.seed, case.start)

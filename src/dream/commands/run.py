@@ -218,11 +218,12 @@ def _prior(
 
     from dream.commands.survey.sources import found
     from dream.evaluation.runner import labelled_in
+    from dream.sim.files import CHANGED
     from dream.sim.years import LATER
     from dream.survey.prior import frames_told, prior_of
 
     survey = found(what, archive)
-    on = LATER.fullmatch(world.name)
+    on = LATER.fullmatch(world.name.removesuffix(CHANGED))
     # A mission in the simulator is flown today, in whatever year its world is.
     now = None if on is None else survey.began + timedelta(days=365.25 * float(on["years"]))
     prior = prior_of(survey, world.bounds, protocol.cell, target=labelled_in(world), site=site, now=now)

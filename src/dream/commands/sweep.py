@@ -21,7 +21,7 @@ class Sweep(Flying):
     """
 
     suite: tyro.conf.Positional[str] = "paper"
-    """A suite: `paper`, `dev` or `test`."""
+    """A suite: `paper`, `dev` or `test`; or a file .txt that lists worlds of your own."""
     reach: tuple[float, ...] = REACHES
     """Metres over ground, one or more of 4, 6, 8 and 10."""
     out: Path | None = None
@@ -38,7 +38,7 @@ class Sweep(Flying):
                 f"--reach: expected one or more of {', '.join(f'{r:g}' for r in REACHES)}, got none"
             )
         protocols = {reach: protocol_named(reach_variant(reach)) for reach in self.reach}
-        root = self.out or Path("sweep") / self.suite
+        root = self.out or Path("sweep") / Path(self.suite).stem
         outcomes: list[Outcome] = []
         for reach, protocol in protocols.items():
             plan = Plan(self.suite, cases, planners, protocol, self.max_steps, self.keep_runs)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -74,7 +75,8 @@ class Draw:
         from dream.sim.files import world_hash
 
         world = open_world(self.world, self.seed)
-        out = self.out or Path(f"{world.name.replace('/', '-')}-{world.seed}.png")
+        word = re.sub(r"[^\w.+]+", "-", world.name).strip("-")
+        out = self.out or Path(f"{word}-{world.seed}.png")
         if out.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
             raise ValueError(f"--out: expected a name that ends in .png, .jpg or .webp, got {out}")
         _portrait(world, chart(world)).save(out)

@@ -81,7 +81,10 @@ class Processes:
 
 @dataclass(frozen=True, slots=True)
 class Ray:
-    """Workers on a Ray cluster, whose nodes have this version of Dream and, for recordings, this folder."""
+    """Workers on a Ray cluster, whose nodes have this version of Dream.
+
+    Where missions are recorded, they have the folder of the benchmark; where worlds are saved ones, theirs.
+    """
 
     jobs: int | None = None
     """Workers at most; as many as the cluster has processors where None."""

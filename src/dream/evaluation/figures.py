@@ -374,7 +374,6 @@ def scene(results: Results, comparison: Comparison, case: Case, *, pixels: int =
     """One world and all that was flown in it."""
     from dream.sim.chart import chart
     from dream.sim.files import world_hash
-    from dream.sim.worlds import make_world
 
     flown = {
         name: comparison.rows[case, name] for name in comparison.planners if (case, name) in comparison.rows
@@ -382,7 +381,7 @@ def scene(results: Results, comparison: Comparison, case: Case, *, pixels: int =
     traces = {name: results.traces[row.key] for name, row in flown.items()}
     picture, tour = None, None
     try:
-        world = make_world(case.world, case.seed)
+        world = case.open()
     except ValueError:
         world = None
     if world is not None and {row.world_hash for row in flown.values()} == {world_hash(world)}:

@@ -24,6 +24,7 @@ from PIL import Image
 from dream.evaluation import figures, tables
 from dream.evaluation.figures import DARK, LIGHT, Picture, Scene
 from dream.evaluation.results import Results, read_results
+from dream.evaluation.suites import LISTED
 from dream.evaluation.tables import NONE, Comparison, Table, compare, label, number
 from dream.files import write_whole
 from dream.planning import LABELLED, PLANNERS, Asking
@@ -236,14 +237,22 @@ def repeating_command(manifest: Mapping[str, Any]) -> str:
     found = []
     for suite in str(manifest["suite"]).split(", ") if known else ():
         for asking, planners in _asked_alike(known).items():
-            world, _, seeds = suite.partition(" ")
-            words = ["dream", "bench"]
-            words += ["--world", world, "--seeds", seeds] if seeds else [world]
+            words = ["dream", "bench", *_naming(suite)]
             words += ["--planners", *planners, "--protocol", str(manifest["protocol"]["name"])]
             if manifest["max_steps"] is not None:
                 words += ["--max-steps", str(manifest["max_steps"])]
             found.append(shlex.join([*words, *asking]))
     return " && ".join(found)
+
+
+def _naming(suite: str) -> list[str]:
+    """The words that name the worlds: a suite or a list, the folder of one, or a name and its seeds."""
+    if suite.endswith(LISTED):
+        return [suite]
+    if suite.endswith("/"):
+        return ["--world", suite]
+    world, _, seeds = suite.partition(" ")
+    return ["--world", world, "--seeds", seeds] if seeds else [world]
 
 
 def flown_by_scripts(manifest: Mapping[str, Any]) -> str:

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import csv
 import gzip
+import hashlib
 import io
 import json
+import re
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
@@ -19,12 +21,14 @@ from typing import Annotated, Any, BinaryIO, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import from_json
 
 from dream.evaluation.metrics import MILESTONES, curve
+from dream.evaluation.suites import WORLD_NAME
 from dream.files import write_whole
 from dream.protocol import protocol_named
+from dream.sim.worlds import origin
 
 Float64Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -42,8 +46,15 @@ MAX_LINE_BYTES = 1 << 16
 ROUNDING = 1e-6
 """Shares are written with six digits."""
 
+
+def _world_name(text: str) -> str:
+    if not WORLD_NAME.fullmatch(text):
+        raise ValueError("expected the name of a world")
+    return text
+
+
 _Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]{0,99}$")]
-_WorldName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._/+-]{0,99}$")]
+_WorldName = Annotated[str, AfterValidator(_world_name)]
 _Count = Annotated[int, Field(ge=0)]
 _Step = Annotated[int, Field(ge=0, le=MAX_STEPS)]
 _Share = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -170,6 +181,14 @@ class CaseEntry(BaseModel):
     start: _Count
 
 
+class SavedEntry(BaseModel):
+    """A world that was read from a folder, in a manifest."""
+
+    folder: str
+    """As it was given: seen from where the benchmark was flown."""
+    world_hash: _Name
+
+
 class FailedEntry(CaseEntry):
     """A mission that has no result, in a manifest."""
 
@@ -187,6 +206,8 @@ class Manifest(BaseModel):
 
     suite: str
     cases: list[CaseEntry]
+    worlds: dict[str, SavedEntry] = {}
+    """Those of the user's own, by name and seed."""
     planners: dict[_Name, dict[str, Any]]
     """Parameters of each, by its name on the command line."""
     protocol: dict[str, Any]
@@ -223,7 +244,15 @@ _ROW = TypeAdapter(Row)
 def mission_path(folder: Path, key: MissionKey) -> Path:
     """Where a mission of a benchmark folder is kept."""
     protocol, world, seed, start, planner = key
-    return folder / "missions" / f"{protocol}_{world.replace('/', '-')}_{seed}_{start}_{planner}.json"
+    return folder / "missions" / f"{protocol}_{_file_word(world)}_{seed}_{start}_{planner}.json"
+
+
+def _file_word(world: str) -> str:
+    """A world's name as a part of a file's. A digest tells apart what would else be the same to a system."""
+    if origin(world) is not None:
+        return world.replace("/", "-")
+    word = re.sub(r"[^A-Za-z0-9.+]+", "-", world).strip("-")
+    return f"{word}-{hashlib.sha256(world.encode()).hexdigest()[:8]}"
 
 
 def write_mission(folder: Path, flown: Flown) -> Path:

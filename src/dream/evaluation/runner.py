@@ -51,7 +51,7 @@ from dream.sim.render import Renderer
 from dream.sim.solids import Solids
 from dream.sim.visibility import Visibility
 from dream.sim.world import World
-from dream.sim.worlds import WORLDS, make_world
+from dream.sim.worlds import WORLDS
 from dream.types import Step, Target
 from dream.versions import commit
 
@@ -206,10 +206,11 @@ class _Stage:
     renderer: Renderer
 
 
-# One at a time: missions come world by world, and a wreck takes some hundred megabytes.
+# One at a time: missions come world by world, and a wreck takes some hundred megabytes. Cases of one name
+# may be of different folders.
 @lru_cache(maxsize=1)
-def _stage(world: str, seed: int, protocol: str) -> _Stage:
-    made = make_world(world, seed)
+def _stage(world: str, seed: int, folder: str, world_hash: str, protocol: str) -> _Stage:
+    made = Case(world, seed, folder=folder, world_hash=world_hash).open()
     return _Stage(made, Visibility(made, protocol_named(protocol)), Renderer(made))
 
 
@@ -228,7 +229,8 @@ def fly(flight: Flight) -> Flown:
             f"got {machine.source()[:12]}. Was it edited, or is another version installed here?"
         )
     began = time.perf_counter()
-    stage = _stage(flight.case.world, flight.case.seed, flight.protocol)
+    case = flight.case
+    stage = _stage(case.world, case.seed, case.folder, case.world_hash, flight.protocol)
     protocol = protocol_named(flight.protocol)
     scorer = Scorer(stage.world, protocol, visibility=stage.visibility, renderer=stage.renderer)
     steps = simulate(
@@ -287,7 +289,7 @@ def _record(
         flight.planner_name.partition(LABELLED)[0],
         flight.planner,
         protocol,
-        world_from=world.name,
+        world_from=flight.case.folder or world.name,
         start=flight.case.start,
         max_steps=flight.max_steps,
         swimming=flight.swimming,
@@ -343,8 +345,11 @@ class Plan:
         swimming_under(self.protocol, self.swimming)
         if not self.cases:
             raise ValueError(f"cases: expected at least one world, got none in {self.suite}")
+        _check_apart(self.cases)
         if len(set(self.cases)) < len(self.cases):
             raise ValueError(f"cases: expected each once, got one twice in {self.suite}")
+        if ", " in self.suite:  # Which stands between the suites of a folder.
+            raise ValueError(f"suite: expected a name without a comma, got {self.suite}. Rename it")
         if not self.planners:
             raise ValueError(f"planners: expected one or more of {', '.join(PLANNERS)}, got none")
         if self.max_steps is not None and not 1 <= self.max_steps <= self.protocol.cap:
@@ -355,6 +360,18 @@ class Plan:
 
     def __len__(self) -> int:
         return len(self.cases) * len(self.planners)
+
+
+def _check_apart(cases: Sequence[Case]) -> None:
+    """Raise a ValueError where two worlds have one name and seed."""
+    known: dict[tuple[str, int], Case] = {}
+    for case in cases:
+        other = known.setdefault((case.world, case.seed), case)
+        if case.world_hash and other.world_hash not in ("", case.world_hash):
+            raise ValueError(
+                f"cases: expected worlds that differ in name or seed, got {case.world} {case.seed} both in "
+                f'{other.folder} and in {case.folder}. Change "name" or "seed" in a world.json'
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -386,7 +403,7 @@ def fly_plan(plan: Plan, folder: Path, engine: Engine) -> Generator[Ended, None,
         OSError: The folder cannot be written.
     """
     began = time.perf_counter()
-    check_fits(make_world(plan.cases[0].world, plan.cases[0].seed), plan.protocol)
+    check_fits(plan.cases[0].open(), plan.protocol)
     with alone_at(folder, folder / ".lock"):
         manifest = _manifest(plan, folder, engine)
         write_manifest(folder, manifest)
@@ -405,7 +422,7 @@ def fly_plan(plan: Plan, folder: Path, engine: Engine) -> Generator[Ended, None,
                     if isinstance(outcome, Flown):
                         write_mission(folder, outcome)
                     else:
-                        named = {**asdict(flight.case), "planner": flight.planner_name}
+                        named = {**flight.case.as_dict(), "planner": flight.planner_name}
                         failed.append({**named, "error": outcome.message})
                     yield Ended(flight.key, outcome, kept=False)
         finally:
@@ -420,7 +437,9 @@ def fly_plan(plan: Plan, folder: Path, engine: Engine) -> Generator[Ended, None,
 
 def _flights(plan: Plan, folder: Path, manifest: Mapping[str, Any]) -> Iterator[Flight]:
     """Case after case, so that those of one world stand together."""
-    for case in plan.cases:
+    for given in plan.cases:
+        # A worker may stand elsewhere.
+        case = replace(given, folder=given.folder and str(Path(given.folder).resolve()))
         for name, planner in plan.planners.items():
             flight = Flight(
                 case,
@@ -461,7 +480,12 @@ def _manifest(plan: Plan, folder: Path, engine: Engine) -> dict[str, Any]:
     swims = swimming_under(plan.protocol, plan.swimming)
     now: dict[str, Any] = {
         "suite": plan.suite,
-        "cases": [asdict(case) for case in plan.cases],
+        "cases": [case.as_dict() for case in plan.cases],
+        "worlds": {
+            f"{case.world} {case.seed}": {"folder": case.folder, "world_hash": case.world_hash}
+            for case in plan.cases
+            if case.folder
+        },
         "planners": {name: _as_json(planner) for name, planner in plan.planners.items()},
         "protocol": _as_json(plan.protocol),
         "max_steps": plan.max_steps,
@@ -488,6 +512,8 @@ def _manifest(plan: Plan, folder: Path, engine: Engine) -> dict[str, Any]:
             then, new = (_deciding(planners[name]) for planners in (before["planners"], now["planners"]))
             _check_same(folder, name, then, new)
             _check_same(folder, f"files of {name}", given_before.get(name, {}), now["files"].get(name, {}))
+        _check_same_worlds(folder, before["worlds"], now["worlds"])
+        now["worlds"] = before["worlds"] | now["worlds"]
         suites = dict.fromkeys([*before["suite"].split(", "), plan.suite])
         now["suite"] = ", ".join(suites)
         now["cases"] += [case for case in before["cases"] if case not in now["cases"]]
@@ -522,6 +548,15 @@ def _check_same(folder: Path, name: str, before: Any, now: Any) -> None:
         raise ValueError(
             f"{folder}: {name}: expected {before} as for the missions in it, got {now}. Choose another --out"
         )
+
+
+def _check_same_worlds(folder: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    """Raise a ValueError where a world of the user's own has changed, be it that its name has too."""
+    for name, world in now.items():
+        for other, then in before.items():
+            if name == other or world["folder"] == then["folder"]:
+                what = f"{name} in {world['folder']}"
+                _check_same(folder, what, then["world_hash"], world["world_hash"])
 
 
 def _as_json(parameters: AnyPlanner | SurveyProtocol | Swimming) -> Any:

@@ -235,8 +235,14 @@ class Comparison:
 
 def compare(results: Results) -> Comparison:
     """Arrange the missions of a benchmark folder, and look up what is certified about its worlds."""
+    saved = results.manifest.get("worlds", {})
     cases = dict.fromkeys(
-        Case(str(case["world"]), int(case["seed"]), int(case.get("start", 0)))
+        Case(
+            str(case["world"]),
+            int(case["seed"]),
+            int(case.get("start", 0)),
+            **saved.get(f"{case['world']} {case['seed']}", {}),
+        )
         for case in results.manifest["cases"]
     )
     given = results.manifest["planners"]

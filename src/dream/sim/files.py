@@ -49,6 +49,9 @@ def _named(text: str) -> str:
     return text
 
 
+CHANGED = " (changed)"
+"""Stands behind the name of a world that is not, or no longer, what its name and seed give."""
+
 Name = Annotated[str, Field(max_length=LONGEST_NAME), AfterValidator(_named)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -115,7 +118,10 @@ class _World(_Part):
 
 
 def world_hash(world: World) -> str:
-    """64 hexadecimal digits of all that the world holds, rounded as it is written to disk."""
+    """64 hexadecimal digits of all that the world holds, rounded as it is written to disk.
+
+    `CHANGED` behind its name does not count: the files do not say it.
+    """
     digest = hashlib.sha256()
 
     def words(*texts: str) -> None:
@@ -126,7 +132,8 @@ def world_hash(world: World) -> str:
         words(str(array.shape))
         digest.update(array.tobytes())
 
-    words("dream-world 1", world.name, str(world.seed), world.protocol, world.water.name)
+    name = world.name.removesuffix(CHANGED)
+    words("dream-world 1", name, str(world.seed), world.protocol, world.water.name)
     box = world.bounds
     numbers([box.x_min, box.y_min, box.x_max, box.y_max], MILLIMETRE)
     numbers([(start.x, start.y) for start in world.starts], MILLIMETRE)

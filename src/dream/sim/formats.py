@@ -109,7 +109,8 @@ def read_meshes(path: Path, counts: tuple[int, int, int], two_sided: list[int]) 
     ):
         if count != wanted:
             raise ValueError(
-                f"{path.name}: {what}: expected {wanted} as world.json says, got {count}. Is the file whole?"
+                f"{path.name}: {what}: expected {wanted} as world.json says, got {count}. If the file "
+                "is whole, correct world.json"
             )
     meshes = []
     first = 1
@@ -170,7 +171,8 @@ def read_table(path: Path, rows: int) -> Instances:
         raise ValueError(f'{path.name}: expected the header "{COLUMNS}", got "{header[:80]}"')
     if len(lines) != rows:
         raise ValueError(
-            f"{path.name}: rows: expected {rows} as world.json says, got {len(lines)}. Is the file whole?"
+            f"{path.name}: rows: expected {rows} as world.json says, got {len(lines)}. If the file is whole, "
+            "correct world.json"
         )
     values = np.empty((rows, 13))
     mesh, group = np.empty(rows, np.int32), np.empty(rows, np.int32)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -49,6 +49,10 @@ class Instances:
 
     def __len__(self) -> int:
         return len(self.mesh)
+
+    def chosen(self, which: npt.NDArray[np.bool_]) -> Instances:
+        """Those for which `which`, (N,), is true."""
+        return Instances(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

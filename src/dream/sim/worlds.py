@@ -10,6 +10,7 @@ import dataclasses
 import hashlib
 from collections.abc import Callable, Mapping
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from dream.geometry import SE2, Bounds
 from dream.names import look_up
 from dream.protocol import DREAM_V1
 from dream.sim import boulders, reef_shapes
+from dream.sim.files import CHANGED, load_world, world_hash
 from dream.sim.pool import pool
 from dream.sim.reef_shapes import Stroke
 from dream.sim.reefs import Bed, individuals, renumbered
@@ -196,6 +198,38 @@ def make_world(name: str, seed: int) -> World:
     sequence = np.random.SeedSequence([int(seed), *(int(word) for word in words)])
     made = build(np.random.Generator(np.random.PCG64(sequence)))
     return dataclasses.replace(made, name=name, seed=int(seed))
+
+
+def origin(name: str) -> str | None:
+    """Which of `WORLDS` a name is of, be it some years on; None where it is the user's own."""
+    on = LATER.fullmatch(name)
+    return origin(on["name"]) if on is not None else name if name in BUILDERS else None
+
+
+def is_saved(folder: Path) -> bool:
+    """Does the folder hold a world?"""
+    return (folder / "world.json").is_file()
+
+
+def open_world(name: str, seed: int) -> World:
+    """A world by its name and seed, or the one saved in the folder of that name; see `saved_world`."""
+    return saved_world(Path(name)) if is_saved(Path(name)) else make_world(name, seed)
+
+
+def saved_world(folder: Path) -> World:
+    """The world in the folder, called `reef/O (changed)` where `reef/O` of that seed is another.
+
+    Raises:
+        ValueError: See `load_world`.
+    """
+    world = load_world(folder)
+    if origin(world.name) is None:
+        return world
+    try:
+        same = world_hash(make_world(world.name, world.seed)) == world_hash(world)
+    except ValueError:  # Such as a wreck some years on, which there is not.
+        same = False
+    return world if same else dataclasses.replace(world, name=world.name + CHANGED)
 
 
 def _sea(rng: np.random.Generator) -> Water:

@@ -108,10 +108,10 @@ def later(world: World, years: float, seed: int, change: Change = A_YEAR) -> Wor
     words = [int(world_hash(world)[k : k + 8], 16) for k in range(0, 32, 8)]
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, round(1e6 * years), *words])))
     living = _survivors(world.targets, years, change, rng)
-    targets = _grown(_chosen(world.targets, living), years, change)
+    targets = _grown(world.targets.chosen(living), years, change)
     targets = _joined(targets, _settled(world, targets, years, change, rng))
     ground = _silted(world.terrain, targets, min(change.burial * years, 1.0), rng)
-    targets = _chosen(targets, ~_covered(ground, targets))
+    targets = targets.chosen(~_covered(ground, targets))
     if not len(targets):
         raise ValueError(f"years: expected something alive after {years:g}, got nothing left of {world.name}")
     made = dataclasses.replace(
@@ -176,7 +176,7 @@ def _settled(
         tint=quantised(np.repeat(tint[:, None], 3, axis=1), FACTOR).astype(np.float32),
         group=living.group[beside],
     )
-    return _chosen(made, np.asarray(inside))
+    return made.chosen(np.asarray(inside))
 
 
 def _feet(world: World) -> Float64Array:
@@ -212,12 +212,6 @@ def _covered(terrain: Terrain, targets: Instances) -> npt.NDArray[np.bool_]:
     x, y, foot = targets.position.astype(np.float64).T
     top = foot + 0.48 * targets.scale[:, 2].astype(np.float64)
     return np.asarray(terrain.height(x, y) >= top)
-
-
-def _chosen(table: Instances, which: npt.NDArray[np.bool_]) -> Instances:
-    return Instances(
-        **{field.name: getattr(table, field.name)[which] for field in dataclasses.fields(Instances)}
-    )
 
 
 def _joined(first: Instances, second: Instances) -> Instances:
