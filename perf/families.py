@@ -97,7 +97,7 @@ def how_soon(flown: Sequence[Sequence[Row]]) -> list[str]:
 
 def how_it_ends(rows: Sequence[Row]) -> str:
     """Successes, missions that stopped too early, steps to the own stop, and what was seen in the end."""
-    early = sum(row.ended == "done" and row.t98 is None for row in rows)
+    early = sum(row.too_early for row in rows)
     seen = 100.0 * np.mean([row.instances for row in rows])
     success = f"{sum(row.success for row in rows)}/{len(rows)}"
     return f"{success} · {early} · {times(rows, 't_stop').mean():.1f} · {seen:.{2 if seen > 99.0 else 1}f} %"

@@ -80,6 +80,13 @@ def row(table: Table, *names: str) -> dict[str, str]:
     return found
 
 
+def summary_of(made: Results, *, width: int) -> str:
+    """What the terminal shows of a benchmark."""
+    shown = io.StringIO()
+    tables.print_summary(made, Console(file=shown, width=width))
+    return shown.getvalue()
+
+
 def three_each() -> tuple[Flown, ...]:
     return tuple(
         flown(case, planner, made)
@@ -311,18 +318,16 @@ def test_ratios_that_hold_unreached_marks_say_so(known: dict[Case, Bounds]) -> N
     *_, far = tables.by_family(some)
     assert row(far, "sixsteps")["All worlds (3)"] == "≥ 3.12 · 1/2"
     assert row(far, "lawnmower")["All worlds (3)"] == f"{99 / 40:.2f} … {99 / 25:.2f} · 2/2"
-    console = Console(file=io.StringIO(), width=140)
     missions = [flown(L1, "sixsteps", FAST), flown(L2, "sixsteps", Made(400))]
-    tables.print_summary(results(missions, (L1, L2), ["sixsteps"]), console)
-    assert "≥ 5.00 │" in console.file.getvalue()  # type: ignore[attr-defined]
+    summary = summary_of(results(missions, (L1, L2), ["sixsteps"]), width=140)
+    assert "≥ 5.00 │" in summary
 
 
 def test_the_summary_says_of_how_many_missions_a_ratio_is(known: dict[Case, Bounds]) -> None:
     known[L1] = bounds(L1, (25, 40), (30, 50))
-    console = Console(file=io.StringIO(), width=120)
     missions = [flown(case, "sixsteps", FAST) for case in (L1, L2, W1)]
-    tables.print_summary(results(missions, (L1, L2, W1), ["sixsteps"]), console)
-    every, reefs, wrecks = (line for line in console.file.getvalue().splitlines() if "sixsteps" in line)  # type: ignore[attr-defined]
+    summary = summary_of(results(missions, (L1, L2, W1), ["sixsteps"]), width=120)
+    every, reefs, wrecks = (line for line in summary.splitlines() if "sixsteps" in line)
     assert "│ 2.00 (1 of 3) │" in every
     assert "│ 2.00 (1 of 2) │" in reefs
     assert f" {NONE} │" in wrecks
@@ -486,9 +491,7 @@ def test_markdown_shows_any_text_as_it_is() -> None:
 
 
 def test_the_summary_names_planners_and_what_is_missing() -> None:
-    console = Console(file=io.StringIO(), width=120)
-    tables.print_summary(results(three_each()[:5], (L1, L2, W1), ["sixsteps", "lawnmower"]), console)
-    printed = console.file.getvalue()  # type: ignore[attr-defined]
+    printed = summary_of(results(three_each()[:5], (L1, L2, W1), ["sixsteps", "lawnmower"]), width=120)
     assert "sixsteps" in printed
     assert "Wrecks (1)" in printed
     assert "1 of 6 missions is missing (1 not yet flown)" in printed
@@ -592,9 +595,7 @@ def test_rows_that_belief_flew_much_of_are_marked_wherever_they_stand(
     assert line["by belief, %"] == str(2 * fallbacks)
     most = f", most of those in {missions} missions" if missions else ""
     said = f"counted: {name} {2 * fallbacks} % of the questions{most}."
-    console = Console(file=io.StringIO(), width=300)
-    tables.print_summary(replace(made, rows=rows), console)
-    printed = " ".join(console.file.getvalue().split())  # type: ignore[attr-defined]
+    printed = " ".join(summary_of(replace(made, rows=rows), width=300).split())
     assert (said in " ".join(tables.headline(found, (L1, L2)).notes)) == marked
     assert (said in " ".join(warnings(found))) == marked
     assert (said in printed) == marked
@@ -640,9 +641,7 @@ def test_a_mission_that_failed_stands_under_the_title_of_its_planner() -> None:
 
 
 def test_the_summary_says_what_asking_took_and_that_a_wire_test_is_one() -> None:
-    console = Console(file=io.StringIO(), width=160)
-    tables.print_summary(asking({"model": "wire"}), console)
-    printed = " ".join(console.file.getvalue().split())  # type: ignore[attr-defined]
+    printed = " ".join(summary_of(asking({"model": "wire"}), width=160).split())
     for said in (
         "dream (wire test)",
         "minutes",
@@ -652,6 +651,5 @@ def test_the_summary_says_what_asking_took_and_that_a_wire_test_is_one() -> None
         "never what a model can do",
     ):
         assert said in printed
-    console = Console(file=io.StringIO(), width=160)
-    tables.print_summary(results(three_each(), (L1, L2, W1), ["sixsteps", "lawnmower"]), console)
-    assert "minutes" not in console.file.getvalue()  # type: ignore[attr-defined]
+    summary = summary_of(results(three_each(), (L1, L2, W1), ["sixsteps", "lawnmower"]), width=160)
+    assert "minutes" not in summary

@@ -191,7 +191,7 @@ class Dive:
 
             check_installed()
         _check_extra()
-        _check_places(self)
+        _check_options(self)
         if self.area is not None:
             _limits_told(self, Bounds(*self.area))
         # A file that cannot be read is told at a desk too, where no vehicle answers.
@@ -292,7 +292,7 @@ def _sight_told(told: Dive) -> _Sight:
     )
 
 
-def _check_places(told: Dive) -> None:
+def _check_options(told: Dive) -> None:
     from dream.robots.bluerov2.navigation import check_aboard
 
     places = {"--dvl-at": told.dvl_at, "--gauge-at": told.gauge_at, "--camera-at": told.camera_at}

@@ -95,8 +95,9 @@ class Record:
                 f"{(now or 'none')[:12]}... in {self.config.planner_parameters.get('weights')}. "
                 "Put that of then back"
             )
+        prompts = prompts_sha256(planner)
         for prompt, sha256 in sorted(self.config.prompts_sha256.items()):
-            found = prompts_sha256(planner).get(prompt, "none")
+            found = prompts.get(prompt, "none")
             if found != sha256:
                 raise ValueError(
                     f"prompts: expected the {prompt}.md of then, whose SHA-256 is {sha256[:12]}..., got "

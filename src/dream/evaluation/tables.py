@@ -61,6 +61,8 @@ BY_BELIEF = 0.1
 MOST_OF_A_MISSION, FEW = 0.5, 3
 """Likewise in a single mission, and how many questions that must be."""
 
+PAIRED = ("worlds", "planner", "other", "pairs", "t98 minus the other's", "P(better)", "p", "p, Holm")
+"""Columns of a table of any two planners, world by world."""
 PAPERS = "sixsteps"
 """The planner that does the paper's six steps literally."""
 
@@ -566,7 +568,7 @@ def headline(comparison: Comparison, cases: Sequence[Case], title: str = "At a g
 def _too_early(comparison: Comparison, planner: str, cases: Sequence[Case]) -> str:
     """How many missions said that they were done and were not."""
     flown = comparison.flown(planner, cases)
-    early = sum(row.ended == "done" and row.t98 is None for _, row in flown)
+    early = sum(row.too_early for _, row in flown)
     return f"{early}/{len(flown)}" if flown else NONE
 
 
@@ -674,11 +676,8 @@ def _world_by_world(
 
 def _about_tests(comparison: Comparison, of: str) -> str:
     """What the columns of `_world_by_world` mean."""
-    designs = len({case.world for case in comparison.cases if family(case) == "wreck"})
-    wrecks = sum(family(case) == "wreck" for case in comparison.cases)
-    only = f" The wrecks are of {designs} designs, and no more than these is told of." * (
-        0 < designs < wrecks
-    )
+    designs = len(_designs(comparison))
+    only = f" The wrecks are of {designs} designs, and no more than these is told of." * (designs > 0)
     return (
         "P(better): share of worlds with the smaller t98, ties count half; Wilson's interval. p: two-sided "
         f"exchange test of the paired mean difference, with Holm's correction over the {of} of a block. The "
@@ -723,7 +722,7 @@ def against_the_papers_planner(comparison: Comparison) -> Table:
     return Table(
         "against-sixsteps",
         f"Against {PAPERS}, the paper's steps done literally, world by world",
-        ("worlds", "planner", "other", "pairs", "t98 minus the other's", "P(better)", "p", "p, Holm"),
+        PAIRED,
         _world_by_world(
             comparison,
             lambda _: [(planner, PAPERS) for planner in others if PAPERS in comparison.planners],
@@ -739,7 +738,7 @@ def between_models(comparison: Comparison) -> Table:
     return Table(
         "models",
         "Between planners that ask a model, world by world",
-        ("worlds", "planner", "other", "pairs", "t98 minus the other's", "P(better)", "p", "p, Holm"),
+        PAIRED,
         _world_by_world(comparison, lambda _: itertools.combinations(asked, 2)),
         (
             _about_tests(comparison, "pairs"),
@@ -987,6 +986,7 @@ def by_family(comparison: Comparison) -> list[Table]:
         ends = [number(end.value, 2) for end in (low, high)]
         return f"{' … '.join(ends) if reached == counted else f'≥ {ends[0]}'} · {reached}/{counted}"
 
+    designs = _designs(comparison)
     return [
         table(
             "t98-by-family",
@@ -1015,22 +1015,21 @@ def by_family(comparison: Comparison) -> list[Table]:
             "Where not all reached the mark, only the lower end is known. " + _ratio_note(comparison),
             far,
         ),
-        *([_by_design(comparison)] if _designs(comparison) else []),
+        *([_by_design(comparison, designs)] if len(designs) > 1 else []),
     ]
 
 
 def _designs(comparison: Comparison) -> dict[str, list[Case]]:
-    """Wrecks of several designs by design, where any has several worlds; nothing otherwise."""
+    """Wrecks by design, where any has several worlds; nothing otherwise."""
     found: dict[str, list[Case]] = {}
     for case in comparison.cases:
         if family(case) == "wreck":
             found.setdefault(case.world, []).append(case)
-    return found if 1 < len(found) < sum(map(len, found.values())) else {}
+    return found if len(found) < sum(map(len, found.values())) else {}
 
 
-def _by_design(comparison: Comparison) -> Table:
+def _by_design(comparison: Comparison, designs: Mapping[str, Sequence[Case]]) -> Table:
     """Wrecks design by design: what holds of one need not hold of another."""
-    designs = _designs(comparison)
 
     def cell(planner: str, cases: Sequence[Case]) -> str:
         seen = number(_share(comparison, planner, cases, "instances").value, scale=100)

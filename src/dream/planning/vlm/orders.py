@@ -12,7 +12,7 @@ from pydantic import BaseModel, Field, ValidationError, create_model, model_vali
 from dream.geometry import Bounds
 from dream.orders import MOST_LEGS, Area, Leg, Orders, Side, SideOf, Task, written
 from dream.planning.vlm.asking import Asking, Question
-from dream.planning.vlm.prompts import filled, load
+from dream.planning.vlm.prompts import chosen, filled
 from dream.planning.vlm.reply import Reply
 from dream.protocol import SurveyProtocol
 from dream.types import Exchange, Target
@@ -150,7 +150,7 @@ def ask_orders(
     if len(text) > MOST_WORDS:
         raise ValueError(f"mission: expected at most {MOST_WORDS} characters, got {len(text)}")
     line = asking.line()
-    prompt = line.prompts.get("orders") or load("orders")
+    prompt = chosen("orders", line.prompts)
     values = {
         **{side: f"{value:g}" for side, value in asdict(bounds).items()},
         "labelled": labelled.value,

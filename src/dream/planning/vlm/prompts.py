@@ -71,6 +71,11 @@ def load(name: str) -> Prompt:
     return _read(name, f"prompt {name}", file.read_text(encoding="utf-8"))
 
 
+def chosen(name: str, own: Own) -> Prompt:
+    """The prompt of that name: one's own where there is one, else the package's."""
+    return own.get(name) or load(name)
+
+
 def own_prompts(folder: str | None) -> dict[str, Prompt]:
     """All prompts in a folder of one's own, by name; none where there is no folder.
 
@@ -139,9 +144,7 @@ def instructions(
     """
     from dream.mapping.drawing import grid_spacing
 
-    prompt, knowledge, legend = (
-        own.get(part) or load(part) for part in (name, mission.target.value, "legend")
-    )
+    prompt, knowledge, legend = (chosen(part, own) for part in (name, mission.target.value, "legend"))
     protocol = mission.protocol
     drawn = {
         "grid": f"{grid_spacing(occupancy.bounds):g}",
@@ -151,7 +154,7 @@ def instructions(
     parts = [prompt, legend, *([knowledge] if "$knowledge" in prompt.text else [])]
     told = filled(legend, drawn)
     if protocol.traversal is not None:
-        parts.append(own.get("traversal") or load("traversal"))
+        parts.append(chosen("traversal", own))
         told += "\n\n" + filled(parts[-1], {"traversal": f"{protocol.traversal:g}"})
     values = {
         "mission": knowledge.heads["mission"],
