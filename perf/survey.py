@@ -1,13 +1,14 @@
 """How good the measures of a survey are: against the truth of simulated reefs and wrecks.
 
-    python perf/survey.py                      # the table of docs/survey-measures.md
-    python perf/survey.py --calibrate --worlds 6   # the numbers of src/dream/survey/calibration.py
+    python perf/survey.py                      # the tables of docs/survey-measures.md
+    python perf/survey.py --calibrate --worlds 3   # the numbers of src/dream/survey/calibration.py
     python perf/survey.py --worlds 2 --wrecks 0 --swims 0
-    python perf/survey.py --worlds 2 --wrecks 0 --swims 0 --years 3   # reefs of three years later
+    python perf/survey.py --wrecks 0 --swims 0 --years 5   # older than any that the calibration knows
 
-Reefs of all four families, seeds 70000 and up, are flown by `belief` in dream-v1 and dream-v1-noisy, some
-in dream-v1-nav; calibration uses seeds 60000 and up, which the table does not. Poses of missions and the
-truth of worlds are kept in `--cache`, so that an interrupted call goes on where it was.
+Reefs of all four families, seeds 72000 and up, new and some years on, are flown by `belief` in dream-v1 and
+dream-v1-noisy, some new ones in dream-v1-nav, and wrecks of seed 70000. Calibration uses reefs of seeds 60000
+and up, new and some years on, which no table does. Poses of missions and the truth of worlds are kept in
+`--cache`, so that an interrupted call goes on where it was.
 """
 
 from __future__ import annotations
@@ -43,23 +44,30 @@ from dream.sim.visibility import Visibility
 from dream.sim.world import World
 from dream.sim.worlds import make_world
 from dream.survey import About, Survey, individuals, measure_observations, patches, reef, relief
-from dream.survey.calibration import Calibration
+from dream.survey.calibration import SHARP, Calibration
 from dream.survey.ground import Frame as Seen
 from dream.survey.ground import fuse, scatter_of
+from dream.survey.individuals import Peaks
+from dream.survey.products.words import size_bin
+from dream.survey.sizes import BIN, CLEAR, LEAST_ROOM, RARE, sizes_of
 from dream.types import Label, Observation, Target
 
 Float64Array = npt.NDArray[np.float64]
 
 FAMILIES = ("reef/fringing", "reef/string", "reef/patch", "reef/mixed")
-FIRST, FIRST_OF_CALIBRATION = 70_000, 60_000
+FIRST, FIRST_OF_CALIBRATION, FIRST_WRECK = 72_000, 60_000, 70_000
+YEARS_OF_CALIBRATION = (0, 1, 2, 4)
+"""That have passed on the reefs: on a new one all clumps are of an age."""
 TILE, ABOVE, PIXELS = 4.0, 15.0, 400
 """Metres along a tile of the view from straight above, metres of its camera above the ground, and pixels."""
+BINS = 18
+"""Of sizes, in the truth."""
 TRUE_CELL = 0.02
 """Metres of the true picture of the ground."""
 POST = 0.25
 """Metres: the cells that heights are means over, as those of the map of `dream-v1`."""
-MATCH = 0.1
-"""Metres between a peak and an individual that are the same."""
+AT_PEAK = 0.15
+"""Metres from a peak of the individuals that may show in its extent."""
 HEADLINES = ("reef_area", "density", "median_size", "reef_height")
 LIMITS = {"reef_area": "5 %", "density": "10 %", "median_size": "10 %", "reef_height": "5 cm"}
 
@@ -207,7 +215,7 @@ def plan(world: World) -> Plan:
     return Plan(top, cover)
 
 
-def sizes_of(world: World) -> Float64Array:
+def true_sizes(world: World) -> Float64Array:
     """(N,) the longest distance across each individual seen from above, what is in the ground left out."""
     targets = world.targets
     turns = rotation_matrices(targets.wxyz)
@@ -227,7 +235,7 @@ def truth_of(world: World) -> dict[str, Any]:
     drawn = plan(world)
     corner = (world.bounds.x_min, world.bounds.y_min)
     marks, count = patches.parts(patches.closed(drawn.cover, TRUE_CELL), TRUE_CELL)
-    position, sizes = np.asarray(world.targets.position, np.float64), sizes_of(world)
+    position, sizes = np.asarray(world.targets.position, np.float64), true_sizes(world)
     col, row = ((position[:, :2] - corner) / TRUE_CELL).astype(np.intp).T
     member = marks[np.clip(row, 0, marks.shape[0] - 1), np.clip(col, 0, marks.shape[1] - 1)]
     on_reef = marks >= 0
@@ -243,6 +251,7 @@ def truth_of(world: World) -> dict[str, Any]:
         "count": float(counts.sum()),
         "density": float(counts.sum()) / area,
         "median_size": float(np.median(sizes[member >= 0])),
+        **_size_shares(sizes[member >= 0]),
         "reef_height": float(np.nanmean(above)),
         "reef_height_max": float(np.nanquantile(above, 0.99)),
         "rugosity": relief.chain_ratio(level, inside > 0.5),
@@ -257,6 +266,15 @@ def truth_of(world: World) -> dict[str, Any]:
             }
             for number in range(count)
         ],
+    }
+
+
+def _size_shares(sizes: Float64Array) -> dict[str, float]:
+    """The size-frequency, under the names of a survey's measures."""
+    number = np.bincount(np.floor(sizes / BIN).astype(np.intp), minlength=BINS) / len(sizes)
+    return {
+        f"size_share_{round(100 * k * BIN):03d}_{round(100 * (k + 1) * BIN):03d}_cm": float(share)
+        for k, share in enumerate(number)
     }
 
 
@@ -319,9 +337,9 @@ def known_truth(world: World, mission: Mission, cache: Path) -> dict[str, Any]:
 
 def calibrate(missions: list[Mission], cache: Path) -> Calibration:
     """The calibration of one protocol from missions of its own."""
-    tiles: list[tuple[npt.NDArray[np.intp], Float64Array, Float64Array, Float64Array]] = []
+    tiles: list[tuple[npt.NDArray[np.intp], Peaks, npt.NDArray[np.bool_], Float64Array, Float64Array]] = []
     own: list[tuple[float, float]] = []
-    edges, sizes, medians, reliefs, rugosities = [], [], [], [], []
+    edges, clear, reliefs, rugosities = [], [], [], []
     for mission in with_progress(iter(missions), "missions", len(missions)):
         world = make_world(mission.world, mission.seed)
         protocol, truth = protocol_named(mission.protocol), known_truth(world, mission, cache)
@@ -337,53 +355,104 @@ def calibrate(missions: list[Mission], cache: Path) -> Calibration:
         measured = float(np.count_nonzero(read.reef)) * read.cell**2
         edges.append((truth["reef_area"] - measured) / outline)
         own.extend(_patches_apart(read, truth))
-        position, true_sizes = np.asarray(world.targets.position, np.float64)[:, :2], sizes_of(world)
-        # A patch may be missed as a whole; the model is of what is looked at.
-        tile = [_tiles(at, world) for at in (peaks.position[on_reef, :2], position)]
+        position = np.asarray(world.targets.position, np.float64)[:, :2]
+        # A patch may be missed as a whole, and some settle apart; the model is of what a patch holds.
+        held = position[_on(read, position)]
+        tile = [_tiles(at, world) for at in (peaks.position[on_reef, :2], held)]
         names = np.unique(np.concatenate(tile))
         there = np.bincount(np.searchsorted(names, tile[1]), minlength=len(names)).astype(np.float64)
-        features = individuals.features(peaks)[on_reef]
-        tiles.append((np.searchsorted(names, tile[0]), features, read.sure[on_reef], there))
-        lone = peaks.lone & (peaks.nearest <= reef.CLEAR) & (read.sure > 0.5)
-        away, which = cKDTree(position).query(peaks.position[:, :2])
-        match = lone & (away <= MATCH)
-        pair = np.column_stack([peaks.across[match], true_sizes[np.asarray(which)[match]]])
-        sizes.append(pair)
-        medians.append((peaks.across[lone & on_reef], truth["median_size"]))
+        tiles.append((np.searchsorted(names, tile[0]), peaks, on_reef, read.sure, there))
+        clear.append((peaks, read.sure, on_reef, _largest(peaks, position, true_sizes(world)), truth))
         reliefs.append((float(read.above.mean()), truth["reef_height"]))
         assert read.rugosity is not None
         rugosities.append((read.rugosity - 1.0, truth["rugosity"] - 1.0))
-    capture = _capture(tiles)
-    ratios = [
-        math.log(float((sure * np.exp(features @ capture)).sum()) / there.sum())
-        for _, features, sure, there in tiles
+    extent, ranks, shares = _extents(clear)
+    model = dataclasses.replace(SHARP, extent=extent)
+    typical = [sizes_of(*one[:3], model).typical for one in clear]
+    fitted = [
+        (tile, individuals.features(peaks, size)[on_reef], sure[on_reef], there)
+        for (tile, peaks, on_reef, sure, there), size in zip(tiles, typical, strict=True)
     ]
-    pairs = np.concatenate(sizes)
-    # A ratio: a regression would draw every reef's sizes towards those that it was fitted to.
-    slope = math.exp(float(np.mean([math.log(true / np.median(mine)) for mine, true in medians])))
-    residual = 1.4826 * float(np.median(np.abs(pairs[:, 1] - slope * pairs[:, 0])))
-    off = [math.log(slope * np.median(mine) / true) for mine, true in medians]
+    capture = _capture(fitted)
+    ratios = np.log(
+        [
+            float((sure * np.exp(features @ capture)).sum()) / truth["count"]
+            for (_, features, sure, _), (*_, truth) in zip(fitted, clear, strict=True)
+        ]
+    )
+    # Of a patch that is drawn too small, some that it holds are found outside.
+    capture[0] -= ratios.mean()
+    ratios -= ratios.mean()
     rise = np.array(reliefs)
     times = float((rise[:, 0] * rise[:, 1]).sum() / np.square(rise[:, 0]).sum())
     rough = np.log([true / mine for mine, true in rugosities])
     freedom = math.sqrt(len(missions) / max(len(missions) - 3, 1))
     found = Calibration(
-        capture=(round(capture[0], 3), round(capture[1], 3), round(capture[2], 3)),
+        capture=tuple(round(weight, 3) for weight in capture.tolist()),
         capture_spread=freedom * _spread(ratios),
         edge=float(np.mean(edges)),
         edge_spread=freedom * _spread(edges - np.mean(edges)),
         edge_wander=float(np.sqrt(np.mean([(off - np.mean(edges) * long) ** 2 / long for off, long in own]))),
-        size=slope,
-        size_residual=residual,
-        size_spread=freedom * _spread(off),
+        extent=extent,
+        rank_spread=freedom * _spread(ranks),
+        share_spread=_spread(shares),
         relief=times,
         relief_spread=freedom * _spread(rise[:, 1] - times * rise[:, 0]),
         rugosity=float(np.exp(rough.mean())),
         rugosity_spread=freedom * _spread(rough - rough.mean()),
     )
     print("  of each: log count", np.round(ratios, 3), " edge", np.round(edges, 4))
-    print("  size", np.round(off, 3), " relief", np.round(rise[:, 1] - times * rise[:, 0], 3))
+    print("  size", np.round(ranks, 3), " relief", np.round(rise[:, 1] - times * rise[:, 0], 3))
     return found
+
+
+def _largest(peaks: Peaks, position: Float64Array, sizes: Float64Array) -> Float64Array:
+    """(N,) the size of the largest of the individuals that are nearest to each peak; 0 where none is near."""
+    away, which = cKDTree(peaks.position[:, :2]).query(position)
+    largest = np.zeros(len(peaks))
+    near = away < AT_PEAK
+    np.maximum.at(largest, np.asarray(which)[near], sizes[near])
+    return largest
+
+
+def _extents(
+    clear: list[tuple[Peaks, Float64Array, npt.NDArray[np.bool_], Float64Array, dict[str, Any]]],
+) -> tuple[tuple[tuple[float, float, float], ...], list[float], list[float]]:
+    """How extents scatter about sizes, and what medians and shares still err by, as in `Calibration`."""
+    logs = []
+    for peaks, sure, on_reef, largest, _ in clear:
+        shows = peaks.lone & (peaks.nearest <= CLEAR) & (sure > 0.5) & on_reef & (largest > 0.0)
+        logs.append(np.log(peaks.across[shows] / largest[shows]))
+    share, mean, sigma = np.array([0.8, 0.2]), np.array([0.0, 0.3]), np.array([0.1, 0.3])
+    log = np.concatenate(logs)[:, None]
+    for _ in range(500):
+        likely = share / sigma * np.exp(-0.5 * np.square((log - mean) / sigma))
+        likely /= likely.sum(axis=1, keepdims=True)
+        share, total = likely.mean(axis=0), likely.sum(axis=0)
+        mean = (likely * log).sum(axis=0) / total
+        sigma = np.sqrt((likely * np.square(log - mean)).sum(axis=0) / total)
+    for _ in range(5):
+        extent = tuple(
+            (round(s, 3), round(m, 3), round(d, 3))
+            for s, m, d in zip(share.tolist(), mean.tolist(), sigma.tolist(), strict=True)
+        )
+        model = dataclasses.replace(SHARP, extent=extent)
+        sizes = [sizes_of(*one[:3], model) for one in clear]
+        off = [
+            math.log(told.quantile(0.5) / truth["median_size"])
+            for told, (*_, truth) in zip(sizes, clear, strict=True)
+        ]
+        # What one mission's sample shifts the median by on average belongs to the extents.
+        mean = mean + float(np.mean(off))
+    ranks, shares = [], []
+    for told, (*_, truth) in zip(sizes, clear, strict=True):
+        ranks.append(told.below(truth["median_size"]) - 0.5)
+        for name, true in truth.items():
+            if (bounds := size_bin(name)) is not None:
+                shown = told.below(0.01 * bounds[1]) - told.below(0.01 * bounds[0])
+                if max(shown, true) >= RARE:
+                    shares.append((shown - true) / math.sqrt(shown * (1.0 - shown) + LEAST_ROOM))
+    return extent, ranks, shares
 
 
 def _spread(errors: npt.ArrayLike) -> float:
@@ -407,6 +476,17 @@ def _same_patch(ring: Float64Array, area: float, true: dict[str, Any]) -> bool:
     return math.dist(middle, true["middle"]) < 1.0 and abs(area / true["area"] - 1.0) < 0.4
 
 
+def _on(read: reef.Reading, at: Float64Array) -> npt.NDArray[np.bool_]:
+    """(N,) does a patch that was found hold each position?"""
+    col, row = np.floor((at - read.corner) / read.cell).astype(np.intp).T
+    rows, cols = read.marks.shape
+    inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+    on: npt.NDArray[np.bool_] = inside & (
+        read.marks[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)] >= 0
+    )
+    return on
+
+
 def _tiles(at: Float64Array, world: World) -> npt.NDArray[np.int64]:
     """(N,) the square metre that each position lies in."""
     col, row = np.floor(at - (world.bounds.x_min, world.bounds.y_min)).astype(np.int64).T
@@ -419,7 +499,7 @@ def _capture(
     """Weights of the capture model: what makes the individuals of every square metre likeliest (Poisson)."""
 
     def loss(weights: Float64Array) -> tuple[float, Float64Array]:
-        total, slope = 0.0, np.zeros(3)
+        total, slope = 0.0, np.zeros(4)
         for tile, features, sure, there in tiles:
             worth = sure * np.exp(np.clip(features @ weights, -3.0, 3.0))
             expected = np.bincount(tile, weights=worth, minlength=len(there)) + 0.05
@@ -427,7 +507,7 @@ def _capture(
             slope += (((1.0 - there / expected)[tile] * worth)[:, None] * features).sum(axis=0)
         return total / 1e3, slope / 1e3
 
-    best = optimize.minimize(loss, np.array([0.6, 0.0, 0.0]), jac=True, method="BFGS")
+    best = optimize.minimize(loss, np.array([0.6, 0.0, 0.0, 0.0]), jac=True, method="BFGS")
     return np.asarray(best.x)
 
 
@@ -459,7 +539,7 @@ def compared(survey: Survey, truth: dict[str, Any]) -> Iterator[dict[str, Any]]:
             assert told.low is not None
             assert told.high is not None
             yield {
-                "name": told.name,
+                "name": "size_share" if size_bin(told.name) else told.name,
                 "value": told.value,
                 "low": told.low,
                 "high": told.high,
@@ -491,6 +571,24 @@ def compared(survey: Survey, truth: dict[str, Any]) -> Iterator[dict[str, Any]]:
                 }
 
 
+def by_age(rows: list[dict[str, Any]]) -> None:
+    """Print mean errors and, in brackets, how often intervals held, by the years that have passed."""
+    ages = sorted({(row["protocol"], row["years"]) for row in rows if row["protocol"] != "dream-v1-nav"})
+    print("| measure | " + " | ".join(f"{protocol}, {years} a" for protocol, years in ages) + " |")
+    print("|---|" + "--:|" * len(ages))
+    for name in (*HEADLINES, "count", "size_share"):
+        cells = []
+        for age in ages:
+            chosen = [row for row in rows if row["name"] == name and (row["protocol"], row["years"]) == age]
+            value, true = (np.array([row[key] for row in chosen]) for key in ("value", "truth"))
+            metres, share = name == "reef_height", name == "size_share"
+            error = 100.0 * float(np.mean(value - true if metres or share else value / true - 1.0))
+            held = sum(row["holds"] for row in chosen) / max(len(chosen), 1)
+            unit = "cm" if metres else "points" if share else "%"
+            cells.append(f"{error:+.1f} {unit} ({held:.0%})")
+        print(f"| {name} | {' | '.join(cells)} |")
+
+
 def table(rows: list[dict[str, Any]]) -> None:
     """Print what came of all missions."""
     print("| protocol | measure | missions | median error | 90 % below | mean error | in the interval |")
@@ -500,7 +598,7 @@ def table(rows: list[dict[str, Any]]) -> None:
         chosen = [row for row in rows if (row["protocol"], row["name"]) == (protocol, name)]
         value, true = (np.array([row[key] for row in chosen]) for key in ("value", "truth"))
         metres = name in ("reef_height", "reef_height_max", "highest_point", "debris_extent")
-        share = name in ("hull_seen", "patch_count", "rugosity", "debris_area")
+        share = name in ("hull_seen", "patch_count", "rugosity", "debris_area", "size_share")
         error = value - true if metres or share else value / true - 1.0
         unit, times = ("cm", 100.0) if metres else ("", 1.0) if share else ("%", 100.0)
         shown = [np.median(np.abs(error)), np.quantile(np.abs(error), 0.9), error.mean()]
@@ -510,37 +608,47 @@ def table(rows: list[dict[str, Any]]) -> None:
         print(f"| {protocol} | {name} | {len(chosen)} | {' | '.join(cells)} | {held / len(chosen):.0%} |")
 
 
+def aged(years: int) -> str:
+    """What the name of a world that is as many years on ends in."""
+    return f"+{years}y1" if years else ""
+
+
 def main() -> int:
     """Validate, or calibrate."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--worlds", type=int, default=15, help="reefs of each family")
+    parser.add_argument("--worlds", type=int, default=5, help="reefs of each family and age")
     parser.add_argument("--swims", type=int, default=2, help="of each family in dream-v1-nav")
     parser.add_argument("--wrecks", type=int, default=1, help="wrecks of each kind")
-    parser.add_argument("--years", type=int, default=0, help="that have passed on the reefs")
+    parser.add_argument(
+        "--years", type=int, nargs="+", default=[0, 1, 3], help="that have passed on the reefs"
+    )
     parser.add_argument("--calibrate", action="store_true")
     parser.add_argument("--cache", type=Path, default=Path("/tmp/dream-survey"))
     options = parser.parse_args()
     if options.calibrate:
         for protocol in ("dream-v1", "dream-v1-noisy"):
             seeds = range(FIRST_OF_CALIBRATION, FIRST_OF_CALIBRATION + options.worlds)
-            missions = [Mission(protocol, family, seed) for seed in seeds for family in FAMILIES]
+            missions = [
+                Mission(protocol, family + aged(years), seed)
+                for seed in seeds
+                for years in YEARS_OF_CALIBRATION
+                for family in FAMILIES
+            ]
             print(protocol, json.dumps(dataclasses.asdict(calibrate(missions, options.cache)), indent=1))
         return 0
     seeds = range(FIRST, FIRST + options.worlds)
-    passed = f"+{options.years}y1" if options.years else ""
     missions = [
-        Mission(protocol, family + passed, seed)
+        Mission(protocol, family + aged(years), seed)
+        for years in options.years
         for seed in seeds
         for family in FAMILIES
         for protocol in ("dream-v1", "dream-v1-noisy")
     ]
     missions += [
-        Mission("dream-v1-nav", family + passed, FIRST + k)
-        for k in range(options.swims)
-        for family in FAMILIES
+        Mission("dream-v1-nav", family, FIRST + k) for k in range(options.swims) for family in FAMILIES
     ]
     missions += [
-        Mission(protocol, f"wreck/{kind}", FIRST + k)
+        Mission(protocol, f"wreck/{kind}", FIRST_WRECK + k)
         for k in range(options.wrecks)
         for kind in range(1, 6)
         for protocol in ("dream-v1", "dream-v1-noisy")
@@ -551,10 +659,13 @@ def main() -> int:
         for mission in with_progress(iter(missions), "missions", len(missions)):
             survey, truth = measured(mission, options.cache)
             for row in compared(survey, truth):
-                rows.append({"protocol": mission.protocol, "mission": mission.stem, **row})
+                years = int(mission.world.partition("+")[2].partition("y")[0] or 0)
+                rows.append({"protocol": mission.protocol, "mission": mission.stem, "years": years, **row})
                 lines.write(json.dumps(rows[-1]) + "\n")
                 lines.flush()
     table(rows)
+    print()
+    by_age([row for row in rows if not row["mission"].startswith("wreck")])
     return 0
 
 

@@ -1,5 +1,7 @@
 """Individuals in a picture of the ground made by hand, where each is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -7,7 +9,7 @@ import pytest
 from dream.geometry import Bounds
 from dream.protocol import DREAM_V1
 from dream.survey import individuals
-from dream.survey.calibration import SHARP, Calibration
+from dream.survey.calibration import SHARP
 from dream.survey.ground import Frame, Ground
 from dream.types import Label
 
@@ -94,7 +96,7 @@ def test_each_look_is_counted_as_a_slow_twin_counts_it() -> None:
     frame = Frame(depth, labels, lens, np.ascontiguousarray(turn), origin)
     position = origin + (rng.uniform(-1.0, 1.0, (300, 3)) * (3.0, 2.0, 0.0) + (0.0, 0.0, 4.0)) @ turn.T
     none = np.zeros(300)
-    peaks = individuals.Peaks(position, none, none, none, np.zeros(300, np.bool_))
+    peaks = individuals.Peaks(position, none, none, none, np.zeros(300, np.bool_), none)
     hits, looks = individuals.recognised(peaks, [frame, frame], DREAM_V1)
     for n, point in enumerate(position):
         right, down, z = (point - origin) @ turn
@@ -118,7 +120,21 @@ def test_confidence_grows_with_hits_and_falls_with_looks_in_vain() -> None:
 
 def test_the_capture_model_is_log_linear_and_bounded() -> None:
     cover, near = np.array([0.2, 0.5, 0.9]), np.array([3.0, 3.0, 5.0])
-    peaks = individuals.Peaks(np.zeros((3, 3)), cover, near, near, near > 9.0)
-    model = Calibration(**{**{n: getattr(SHARP, n) for n in SHARP.__slots__}, "capture": (1.0, 2.0, -0.1)})
-    assert np.log(individuals.stands_for(peaks, model)) == pytest.approx([0.4, 1.0, 1.6])
-    assert individuals.stands_for(peaks, SHARP)[2] <= np.exp(2.5)
+    peaks = individuals.Peaks(np.zeros((3, 3)), cover, near, near, near > 9.0, near)
+    model = replace(SHARP, capture=(1.0, 2.0, -0.1, -0.5))
+
+    def log(size: float | None) -> np.ndarray:
+        return np.asarray(np.log(individuals.stands_for(peaks, size, model)))
+
+    assert log(None) == pytest.approx([0.4, 1.0, 1.6])
+    assert log(individuals.TYPICAL * np.exp(0.2)) == pytest.approx([0.3, 0.9, 1.5])
+    # Beyond what it was found on it stays as it is.
+    assert log(9.0) == pytest.approx(log(None) - 0.5 * individuals.LARGER)
+    assert individuals.stands_for(peaks, None, SHARP)[2] <= np.exp(2.5)
+
+
+def test_the_stature_of_shell_is_its_height_above_the_ground_between() -> None:
+    """A hemisphere is two thirds of its radius high on average, wherever the ground slopes to."""
+    middles = spread_out(3, 0.8)
+    found = individuals.peaks(mounds(middles, np.full(len(middles), 0.3), 0.1))
+    assert np.median(found.stature) == pytest.approx(2.0 / 3.0 * 0.15, rel=0.1)

@@ -43,6 +43,10 @@ WIDEST = 0.25
 """Metres from its peak where the shell of an individual ends at the latest."""
 DIRECTIONS = 12
 """Along which an extent is taken."""
+TYPICAL = 0.24
+"""Metres: the size of what makes up the cover of a reef of a year, about."""
+LARGER = 0.25
+"""Logarithm of the ratio to it up to which the capture model goes."""
 HIDDEN = 0.12
 """Metres before a peak at which a return hides it."""
 RECOGNISED = 0.75
@@ -65,6 +69,8 @@ class Peaks:
     """(N,) metres: the greatest extent of its shell, as it shows."""
     lone: BoolArray
     """(N,) its shell touches that of no other peak."""
+    stature: Float64Array
+    """(N,) metres: mean height of the shell within about `CROWD`, above the ground between the shells."""
 
     def __len__(self) -> int:
         return len(self.position)
@@ -90,10 +96,11 @@ def peaks(ground: Ground) -> Peaks:
     row, col = np.nonzero(top)
     x, y = ground.centres(row, col)
     place = np.column_stack([x, y])
-    cover = crowding(ground)[np.minimum(row // BLOCK, -(-share.shape[0] // BLOCK) - 1), col // BLOCK]
+    block = np.minimum(row // BLOCK, -(-share.shape[0] // BLOCK) - 1), col // BLOCK
     near = ndimage.minimum_filter(ground.nearest, 5)[row, col].astype(np.float64)
     across, lone, height = _shells(ground, place, share)
-    return Peaks(np.column_stack([place, height]), cover, near, across, lone)
+    cover, stature = crowding(ground)[block], _statures(ground.cell, share, above)[block]
+    return Peaks(np.column_stack([place, height]), cover, near, across, lone, stature)
 
 
 def bare_ground(ground: Ground) -> Float32Array:
@@ -125,15 +132,35 @@ def crowding(ground: Ground) -> Float64Array:
     return share
 
 
-def features(found: Peaks) -> Float64Array:
-    """(N, 3) what the capture model goes by: one, crowding, and range."""
+def _statures(cell: float, share: Float32Array, above: Float32Array) -> Float64Array:
+    """Mean heights of shell, in blocks of `BLOCK` cells."""
+    from scipy import ndimage
+
+    width = CROWD / (BLOCK * cell)
+    total = ndimage.gaussian_filter(_blocks(share * np.clip(above, -0.02, TALLEST)), width)
+    stature: Float64Array = total / np.maximum(ndimage.gaussian_filter(_blocks(share), width), 1e-3)
+    return stature
+
+
+def features(found: Peaks, typical_size: float | None) -> Float64Array:
+    """(N, 4) what the capture model goes by: one, crowding, range, and how large individuals are there.
+
+    Args:
+        found: Peaks.
+        typical_size: Metres, of what makes up the reef's cover; None where it is not known.
+    """
     range_ = np.clip(found.nearest - 3.0, -2.0, 6.0)
-    return np.column_stack([np.ones(len(found)), found.cover - 0.5, range_])
+    larger = 0.0 if typical_size is None else math.log(typical_size / TYPICAL)
+    # Beyond what the model was found on it does not go.
+    larger = min(max(larger, -LARGER), LARGER)
+    one = np.ones(len(found))
+    return np.column_stack([one, found.cover - 0.5, range_, larger * one])
 
 
-def stands_for(found: Peaks, calibration: Calibration) -> Float64Array:
-    """(N,) individuals that each peak stands for, by crowding and range: the capture model."""
-    weight: Float64Array = np.exp(np.clip(features(found) @ calibration.capture, -2.0, 2.5))
+def stands_for(found: Peaks, typical_size: float | None, calibration: Calibration) -> Float64Array:
+    """(N,) individuals that each peak stands for: the capture model. See `features`."""
+    worth = np.clip(features(found, typical_size) @ calibration.capture, -2.0, 2.5)
+    weight: Float64Array = np.exp(worth)
     return weight
 
 

@@ -20,6 +20,7 @@ from dream.survey.calibration import Calibration, calibration_for
 from dream.survey.ground import Frame, Ground
 from dream.survey.individuals import Peaks
 from dream.survey.intervals import around, in_ratio, together, unknown
+from dream.survey.sizes import sizes_of
 from dream.survey.survey import Individuals, Measure, Patch
 from dream.types import BoolArray
 
@@ -30,10 +31,6 @@ FINE = 0.05
 """Metres: the cells that patches are drawn in, about."""
 SURE = 0.5
 """Share of the views that take a cell for target, from which it is."""
-CLEAR = 4.5
-"""Metres: deeper in the image no outline is sharp enough to be sized."""
-FEWEST_SIZED = 12
-"""Lone individuals from which a median is told by them alone."""
 REACHES_ON = 0.75
 """Metres over which a reef is half as likely to go on into ground that was not seen, about."""
 WANDER = 3.0
@@ -44,8 +41,6 @@ HIGHEST_SPREAD = 0.06
 """Share by which the highest percent of a reef may be off: few cells make it."""
 NONE_FOUND = 3.0 / 1.96
 """Standard error of a count of none: three may be there and be missed, as the rule of three has it."""
-BIN = 0.05
-"""Metres: the width of the bins of the size-frequency."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,13 +142,13 @@ def measure_reef(
     calibration = calibration or calibration_for(ground.scatter)
     seen = read(ground, frames, occupancy.protocol)
     peaks, patch = seen.peaks, seen.patch
-    worth = np.where(patch >= 0, seen.sure * individuals.stands_for(peaks, calibration), 0.0)
-    sizes = _Sizes.of(peaks, seen.sure, calibration)
+    sizes = sizes_of(peaks, seen.sure, patch >= 0, calibration)
+    worth = np.where(patch >= 0, seen.sure * individuals.stands_for(peaks, sizes.typical, calibration), 0.0)
     shapes = [
         _shape(number, seen, worth[patch == number], sigma, calibration) for number in range(seen.count)
     ]
     measures = _totals(shapes, worth, _unseen(seen, occupancy), sigma, calibration)
-    measures += sizes.measures(patch >= 0)
+    measures += sizes.measures()
     outline = math.fsum(shape.perimeter for shape in shapes)
     measures += _relief_measures(seen, _height_error(seen, outline, sigma, calibration), calibration)
     error = together(sigma, ground.cell) + ground.scatter * peaks.nearest**2
@@ -271,60 +266,6 @@ def _count_error(worth: Float64Array, calibration: Calibration) -> float:
     return together(calibration.capture_spread, math.sqrt(chance) / max(total, 1.0))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Sizes:
-    """Sizes of all individuals: those that stand alone are measured, the others are likely to be alike."""
-
-    size: Float64Array
-    error: Float64Array
-    lone: BoolArray
-    calibration: Calibration
-
-    @staticmethod
-    def of(peaks: Peaks, sure: Float64Array, calibration: Calibration) -> _Sizes:
-        size = calibration.size * peaks.across
-        lone = peaks.lone & (peaks.nearest <= CLEAR) & (sure > 0.5)
-        if np.count_nonzero(lone) < FEWEST_SIZED:
-            lone = (sure > 0.5) & (peaks.nearest <= max(CLEAR, _median(peaks.nearest)))
-        error = np.full(len(peaks), calibration.size_residual)
-        if lone.any():
-            middle = float(np.median(size[lone]))
-            spread = float(size[lone].std())
-            # What is measured scatters by the error of measuring, too: drawn in, it does not.
-            kept = math.sqrt(max(spread**2 - calibration.size_residual**2, 0.0)) / max(spread, 1e-9)
-            kept = max(kept, 0.3)
-            size = np.where(lone, middle + kept * (size - middle), middle + 0.5 * kept * (size - middle))
-            error = np.where(lone, error, max(spread, calibration.size_residual))
-        return _Sizes(np.maximum(size, 0.02), error, lone, calibration)
-
-    def measures(self, on_reef: BoolArray) -> tuple[Measure, ...]:
-        """The median, and the shares in bins of size."""
-        chosen = self.size[self.lone & on_reef]
-        if len(chosen) < 3:
-            chosen = self.size[self.lone]
-        if len(chosen) < 3:
-            return (unknown("median_size", "m", "fewer than three individuals stand clear of others"),)
-        middle = _median(chosen)
-        chance = 1.25 * float(chosen.std()) / math.sqrt(len(chosen)) / middle
-        note = f"from {len(chosen)} that stand clear of others"
-        measures = [
-            in_ratio("median_size", middle, together(self.calibration.size_spread, chance), "m", note)
-        ]
-        number = np.floor(chosen / BIN + 1e-9).astype(np.intp)
-        for k in range(int(number.min()), int(number.max()) + 1):
-            share = float(np.mean(number == k))
-            # Wilson's interval has no width of zero where a bin is empty or full.
-            n = len(chosen)
-            middle_share = (share + 1.92 / n) / (1.0 + 3.84 / n)
-            half = 1.96 / (1.0 + 3.84 / n) * math.sqrt(share * (1.0 - share) / n + 0.96 / n**2)
-            # A bin's edge moves with the calibration of sizes.
-            half = together(half, self.calibration.size_spread * float(k * BIN) / BIN * 0.25)
-            name = f"size_share_{round(100 * k * BIN):03d}_{round(100 * (k + 1) * BIN):03d}_cm"
-            low, high = max(middle_share - half, 0.0), min(middle_share + half, 1.0)
-            measures.append(Measure(name, share, min(low, share), max(high, share), "", note))
-        return tuple(measures)
-
-
 def _heights(ground: Ground, reef: BoolArray, cell: float, post: float) -> relief.Relief:
     """Heights on the map's grid above the membrane through the bare seabed."""
     times = round(post / ground.cell)
@@ -427,7 +368,3 @@ def _reduced(fine: BoolArray, shape: tuple[int, ...]) -> Float64Array:
     rows, cols = min(shape[0], share.shape[0]), min(shape[1], share.shape[1])
     full[:rows, :cols] = share[:rows, :cols]
     return full
-
-
-def _median(values: Float64Array) -> float:
-    return float(np.median(values)) if len(values) else math.nan
