@@ -136,13 +136,28 @@ def test_surveys_the_wrong_way_round_or_made_in_two_ways_are_doubted(
         ("other.survey.npz first.survey.npz", 2),
     ):
         caplog.clear()
-        said(f"survey compare {names}", capsys)
+        out = two / names.replace(" ", "-")
+        said(f"survey compare {names} --out {out}", capsys)
         told = [one.getMessage() for one in caplog.records if one.getMessage().startswith("compare: ")]
         assert len(told) == doubts
-        kept = json.loads((two / "change/change.json").read_text())["doubts"]
+        kept = json.loads((out / "change.json").read_text())["doubts"]
         assert [doubt.removeprefix("compare: ") for doubt in told] == kept
-        page = Seen((two / "change/change.html").read_text()).text.casefold()
+        page = Seen((out / "change.html").read_text()).text.casefold()
         assert all(doubt.removeprefix("compare: ").casefold() in page for doubt in told)
+
+
+def test_a_change_is_not_written_over_that_of_other_surveys(
+    two: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = files.read(two / "first.survey.npz")
+    files.write(replace(first, began=first.began + timedelta(days=1), name="later"), two / "later.survey.npz")
+    for again in range(2):
+        said("survey compare first.survey.npz second.survey.npz", capsys)
+        held = (two / "change/change.json").read_bytes()
+        assert json.loads(held)["after"]["name"] == "second", again
+    assert run_command(["survey", "compare", "first.survey.npz", "later.survey.npz"]) == 2
+    assert "name another folder with --out" in capsys.readouterr().err
+    assert (two / "change/change.json").read_bytes() == held
 
 
 def test_what_was_counted_by_an_uncalibrated_protocol_is_doubted_wherever_it_is_told(

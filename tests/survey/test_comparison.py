@@ -7,7 +7,8 @@ import json
 import math
 import re
 import sqlite3
-from dataclasses import replace
+from dataclasses import fields, replace
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,15 @@ import pytest
 from matplotlib.path import Path as Outline
 from PIL import Image
 from scipy.spatial import cKDTree
+from scipy.special import ndtr
 from scipy.stats import false_discovery_control
 
 from dream.geometry import SE2
-from dream.survey import Measure, Survey, change_words
+from dream.survey import Individuals, Measure, Survey, change_words
 from dream.survey.archive import wkb
 from dream.survey.change_map import VERDICTS, write_change
 from dream.survey.change_page import change_page
+from dream.survey.change_words import a_year, summary
 from dream.survey.comparison import (
     Change,
     Comparing,
@@ -93,6 +96,45 @@ def test_a_drift_is_found_to_a_fraction_of_a_cell_and_the_covariance_says_so() -
         assert np.hypot(*at) < 0.03
         squares.append(float(error @ np.linalg.solve(found.covariance, error)))
     assert 0.5 < np.mean(squares) < 9.0
+
+
+@pytest.mark.parametrize("off", [2.2, 6.4, 11.0])
+def test_an_origin_that_is_off_by_metres_is_found_out_and_told_of(off: float) -> None:
+    a, b = pair(3, how=STILL)
+    wrong = replace(SITE, latitude=SITE.latitude + off / 111_000.0, heading_deg=9.0)
+    found = Registering().register(a, replace(b, site=wrong))
+    assert found.by == "individuals"
+    there = b.individuals.position[:, :2]
+    assert np.hypot(*(found.place(there) - there).T).max() < 0.1
+    assert "disagree by" in found.note
+    right = Registering().register(a, b)
+    assert right.note == ""
+
+
+def test_another_reef_is_not_laid_on_this_one() -> None:
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        a, b = survey(reef(rng), rng, STILL), survey(reef(rng), rng, STILL)
+        assert Registering().register(a, b).by != "individuals"
+
+
+def test_where_nothing_shows_how_they_lie_no_ground_is_compared() -> None:
+    """An origin that is off by more than is searched would paint gain beside loss."""
+    a, b = pair(3, how=STILL)
+    found = COMPARING.compare(a, replace(b, site=replace(SITE, latitude=SITE.latitude + 30.0 / 111_000.0)))
+    assert found.registration.by == "poses"
+    assert found.withheld
+    assert found.comparable == 0.0
+    assert {patch.verdict for patch in found.patches} == {"not comparable"}
+    assert not np.isin(found.change, (Change.GAIN, Change.LOSS)).any()
+    assert "no ground is compared" in summary(found)
+    # A reef of which nothing is left is a loss all the same: there is nothing that could lie elsewhere.
+    bare = replace(b.layers, state=np.minimum(b.layers.state, 1))
+    none = Individuals(*(getattr(b.individuals, one.name)[:0] for one in fields(Individuals)))
+    gone = COMPARING.compare(a, replace(b, layers=bare, patches=(), individuals=none, picture=None))
+    assert gone.registration.by == "poses"
+    assert not gone.withheld
+    assert {patch.verdict for patch in gone.patches} == {"loss"}
 
 
 def test_ground_that_shows_nothing_in_common_is_told_of_and_the_poses_are_taken() -> None:
@@ -190,34 +232,37 @@ def test_the_interval_of_the_count_holds_what_died(less: list[Comparison]) -> No
     assert held >= 5
 
 
-def test_sizes_that_err_together_are_no_change_of_the_median() -> None:
-    """A survey whose sizes are all 5 % too great is within what its own median says it may err by."""
+def told(name: str, value: float, low: float, high: float) -> Measure:
+    return Measure(name, value, low, high, "m")
+
+
+def test_what_each_survey_tells_is_set_side_by_side_with_an_interval_of_the_change() -> None:
+    """Of symmetric intervals those of Zou and Donner are those of independent normal errors."""
     a, b = pair(5, how=ALL)
-    a, b = (
-        replace(one, measures=(Measure("median_size", middle, 0.9 * middle, 1.1 * middle, "m"),))
-        for one in (a, b)
-        for middle in (float(np.median(one.individuals.size)),)
+    a = replace(a, measures=(told("median_size", 0.20, 0.17, 0.23), told("seen_share", 0.9, 0.9, 0.9)))
+    b = replace(
+        b,
+        began=b.began + timedelta(days=731),
+        measures=(
+            told("median_size", 0.25, 0.21, 0.29),
+            told("seen_share", 0.8, 0.8, 0.8),
+            Measure("reef_height", None, None, None, "m"),
+        ),
     )
-    b = replace(b, individuals=replace(b.individuals, size=1.05 * b.individuals.size))
-    told = {one.name: one for one in COMPARING.compare(a, b).differences}["median_size"]
-    assert told.change == pytest.approx(0.05 * told.before, rel=0.5)
-    assert told.low < 0.0 < told.high
-    assert told.p > 0.2
-
-
-def test_only_sizes_that_were_measured_make_a_median() -> None:
-    """Most stand in a crust, and have been given the size of those that stand clear."""
-    a, _ = pair(5, how=ALL)
-    people, one_in_four = a.individuals, np.arange(len(a.individuals)) % 4 == 0
-    given = replace(
-        people,
-        size=np.where(one_in_four, people.size, 9.0),
-        size_sigma=np.where(one_in_four, 0.01, 0.05),
-    )
-    told = Measure("median_size", 0.2, 0.19, 0.21, "m")
-    a = replace(a, individuals=given, measures=(told,))
-    found = {one.name: one for one in COMPARING.compare(a, a).differences}["median_size"]
-    assert found.before == pytest.approx(np.median(people.size[one_in_four]))
+    found = COMPARING.compare(a, b)
+    (size,) = found.measures
+    assert (size.name, size.before, size.after) == ("median_size", 0.20, 0.25)
+    assert (size.change, size.low, size.high) == pytest.approx((0.05, 0.0, 0.1))
+    assert size.p == pytest.approx(0.05, abs=1e-4)
+    assert found.years == pytest.approx(2.0, abs=0.01)
+    assert a_year(size, found.years) == "+0.0250 m"
+    assert a_year(size, 0.1) == ""
+    # The side that zero is on tells how sure a change is.
+    lop = replace(a, measures=(told("median_size", 0.20, 0.05, 0.21),))
+    (again,) = COMPARING.compare(lop, b).measures
+    assert again.low == pytest.approx(0.05 - math.hypot(0.04, 0.01))
+    assert again.high == pytest.approx(0.05 + math.hypot(0.04, 0.15))
+    assert again.p == pytest.approx(2.0 * ndtr(-1.959964 * 0.05 / math.hypot(0.04, 0.01)))
 
 
 def test_figures_of_other_things_than_a_survey_measures_have_other_names(less: list[Comparison]) -> None:
@@ -280,7 +325,7 @@ def test_fewer_but_larger_are_mixed_and_larger_alone_a_gain() -> None:
 
 def test_surveys_that_their_individuals_do_not_lay_on_each_other_are_told_by_numbers() -> None:
     """What stands a hand aside would seem gone."""
-    comparing = Comparing(registering=Registering(sure=math.inf))
+    comparing = Comparing(registering=Registering(sure=math.inf, sure_wide=math.inf))
     found = comparing.compare(*pair(6, how=ALL))
     assert found.registration.by == "map"
     assert all(patch.gone is None and patch.come is None for patch in found.patches)

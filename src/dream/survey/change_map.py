@@ -21,7 +21,7 @@ from dream.survey.archive.geopackage import write_layers
 from dream.survey.archive.schema import Column, Table
 from dream.survey.change_page import change_page
 from dream.survey.comparison import Change, Comparison, PatchChange, Verdict
-from dream.survey.fates import Fate
+from dream.survey.fates import Fate, Missing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,6 +43,8 @@ VERDICTS: Mapping[Verdict, str] = {
     "no change shown": "#333333",
     "not comparable": "#aaaaaa",
 }
+MOST_BYTES = 1 << 26
+"""Of a change.json that is looked into."""
 PAGE = "change.html"
 FILES: Mapping[str, str] = {
     "change.png": "map of the change",
@@ -63,12 +65,20 @@ _TABLES = (
             Column("p", "real", required=False),
             Column("q", "real", required=False),
             Column("seen_share", "real"),
+            Column("before_patch", "integer", required=False),
+            Column("after_patches", "text"),
             Column("gone_share", "real", required=False),
+            Column("gone_low", "real", required=False),
+            Column("gone_high", "real", required=False),
             Column("come_share", "real", required=False),
+            Column("come_low", "real", required=False),
+            Column("come_high", "real", required=False),
             Column("found_before", "real", required=False),
             Column("found_after", "real", required=False),
             Column("target_before_m2", "real", required=False),
             Column("target_after_m2", "real", required=False),
+            Column("target_change_low_m2", "real", required=False),
+            Column("target_change_high_m2", "real", required=False),
             Column("geom", "MULTIPOLYGON"),
         ),
     ),
@@ -96,8 +106,10 @@ def write_change(comparison: Comparison, folder: Path) -> tuple[Path, ...]:
     """Write a comparison into a folder, as `FILES` has it: each file whole or not at all.
 
     Raises:
+        FileExistsError: The folder holds that of other surveys.
         OSError: They could not be written; then none of them is new.
     """
+    _check_other(comparison, folder / "change.json")
     partial = Path(tempfile.mkdtemp(prefix=".partial.", dir=folder))
     try:
         picture = partial / "change.png"
@@ -120,6 +132,20 @@ def write_change(comparison: Comparison, folder: Path) -> tuple[Path, ...]:
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return tuple(folder / name for name in FILES)
+
+
+def _check_other(comparison: Comparison, path: Path) -> None:
+    """What is there may be written anew, but not lost for another."""
+    try:
+        held = json.loads(path.read_bytes()) if path.stat().st_size < MOST_BYTES else None
+    except (OSError, ValueError):
+        return
+    told = comparison.as_dict()
+    if isinstance(held, dict) and any(held.get(which) != told[which] for which in ("before", "after")):
+        raise FileExistsError(
+            f"{path.parent} holds the change between other surveys, in {path.name}: name another folder with "
+            "--out, or remove it"
+        )
 
 
 def draw(comparison: Comparison, path: Path) -> None:
@@ -242,14 +268,22 @@ def _patches(comparison: Comparison) -> Iterator[dict[str, Any]]:
             "p": patch.p,
             "q": patch.q,
             "seen_share": patch.seen,
-            "gone_share": None if patch.gone is None else patch.gone.share,
-            "come_share": None if patch.come is None else patch.come.share,
+            "before_patch": None if patch.before is None else patch.before + 1,
+            "after_patches": ", ".join(str(k + 1) for k in patch.after),
+            **_interval("gone", patch.gone),
+            **_interval("come", patch.come),
             "found_before": None if count is None else count.before,
             "found_after": None if count is None else count.after,
             "target_before_m2": None if area is None else area.before,
             "target_after_m2": None if area is None else area.after,
+            "target_change_low_m2": None if area is None else area.low,
+            "target_change_high_m2": None if area is None else area.high,
             "geom": wkb.multipolygon([_on_globe(comparison, ring) for ring in patch.rings]),
         }
+
+
+def _interval(name: str, of: Missing | None) -> dict[str, float | None]:
+    return {f"{name}_{part}": None if of is None else getattr(of, part) for part in ("share", "low", "high")}
 
 
 def _individuals(comparison: Comparison) -> Iterator[dict[str, Any]]:

@@ -41,7 +41,8 @@ def change_page(
             "ground": web.terms(_ground(comparison)),
             "individuals": _individuals(comparison),
             "patches": _patches(comparison),
-            "figures": _figures(comparison.differences),
+            "figures": _figures(() if comparison.withheld else comparison.differences, comparison.years),
+            "measures": _figures(comparison.measures, comparison.years),
             "limits": web.lines(change_words.limits(comparison)),
             "files": web.files(files),
         },
@@ -63,21 +64,23 @@ def change_page(
 
 
 def _headlines(comparison: Comparison) -> list[tuple[str, str, str]]:
+    if comparison.withheld:
+        return [_headline(one) for one in change_words.headlines(comparison)]
     told = []
     if comparison.patches:
         verdicts = [patch.verdict for patch in comparison.patches]
         counts = {one: verdicts.count(one) for one in change_words.CHANGED if one in verdicts}
         which = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
         told.append(("Called changed", f"{sum(counts.values())} of {len(verdicts)}", which))
-    of = {one.name: one for one in comparison.differences}
-    shown = [name for name in ("cover", "found", "target_area") if name in of][:2]
-    # Of no ground all figures are 0, which is not what was found.
-    for name in shown if comparison.comparable > 0.0 else ():
-        cells = change_words.difference_cells(of[name])
-        told.append((words.meaning(name).title, typeset(cells[0]), typeset(f"{cells[1]}, {cells[2]}")))
+    told += map(_headline, change_words.headlines(comparison)[:2])
     share = f"{change_words.seen_by_both(comparison):.0%} of what either saw"
     told.append(("Seen by both", f"{number(comparison.comparable)} m²", typeset(share)))
     return told
+
+
+def _headline(one: Difference) -> tuple[str, str, str]:
+    cells = change_words.difference_cells(one)
+    return words.meaning(one.name).title, typeset(cells[0]), typeset(f"{cells[1]}, {cells[2]}")
 
 
 def _surveys(comparison: Comparison) -> str:
@@ -111,8 +114,13 @@ def _laid(comparison: Comparison) -> list[tuple[str, str]]:
 
 
 def _ground(comparison: Comparison) -> list[tuple[str, str]]:
+    if comparison.withheld:
+        return [("Compared", "none: nothing shows how the two surveys lie on each other")]
     of = comparison.as_dict()["ground_m2"]
-    edge = ", in both or at an edge that no survey draws the same twice"
+    edge = (
+        ", in both or at an edge that no survey draws the same twice, so that kept and gained are more than "
+        "the area after"
+    )
     names = (
         ("comparable", "Seen by both", ""),
         ("only_before", "Only before", ""),
@@ -125,7 +133,7 @@ def _ground(comparison: Comparison) -> list[tuple[str, str]]:
 
 
 def _individuals(comparison: Comparison) -> str:
-    if comparison.a.target is Target.WRECK:
+    if comparison.a.target is Target.WRECK or comparison.withheld:
         return ""
     of = comparison.as_dict()["individuals"]
     told = [
@@ -145,7 +153,7 @@ def _individuals(comparison: Comparison) -> str:
 
 
 def _patches(comparison: Comparison) -> str:
-    if not comparison.patches:
+    if not comparison.patches or comparison.withheld:
         return ""
     told = [
         {name: (cells, p) for name, cells, p in change_words.patch_rows(one)} for one in comparison.patches
@@ -189,17 +197,24 @@ def _cell(cells: tuple[str, str, str], p: float) -> str:
     return f"<td>{value}{''.join(f'<small>{text}</small>' for text in below)}</td>"
 
 
-def _figures(differences: Sequence[Difference]) -> str:
+def _figures(differences: Sequence[Difference], years: float) -> str:
+    if not differences:
+        return "<p>There is nothing to hold against each other.</p>"
     rows = []
+    rates = any(change_words.a_year(one, years) for one in differences)
     for one in differences:
         value, change, interval = map(typeset, change_words.difference_cells(one))
+        rate = typeset(change_words.a_year(one, years))
         rows.append(
             f"<tr><th scope='row'>{html.escape(words.meaning(one.name).title)}</th>"
             f"<td class='value'>{html.escape(value)}</td><td class='interval'>{html.escape(change)}</td>"
-            f"<td class='interval'>{html.escape(interval)}</td><td>{html.escape(p_value(one.p))}</td>"
+            f"<td class='interval'>{html.escape(interval)}</td>"
+            + (f"<td class='interval'>{html.escape(rate)}</td>" if rates else "")
+            + f"<td>{html.escape(p_value(one.p))}</td>"
             f"<td class='meaning'>{html.escape(words.meaning(one.name).says)}</td></tr>"
         )
-    head = web.head(("Figure", "Before → after", "Change", "95 % interval", "p", "What it is"))
+    year = ("A year",) if rates else ()
+    head = web.head(("Figure", "Before → after", "Change", "95 % interval", *year, "p", "What it is"))
     return f"<div class='wide'><table>{head}<tbody>{''.join(rows)}</tbody></table></div>"
 
 

@@ -6,13 +6,16 @@ from collections.abc import Iterator, Sequence
 
 from dream.survey.comparison import Comparison, Difference, PatchChange, Verdict
 from dream.survey.fates import Missing
-from dream.survey.numbers import UNITS, number, p_value, places, typeset
+from dream.survey.numbers import UNITS, named, number, p_value, places, typeset
+from dream.survey.products.words import HEADLINES, meaning
 from dream.types import Target
 
 CHANGED: tuple[Verdict, ...] = ("loss", "gain", "mixed")
 """Verdicts of patches that are called changed."""
 TOLD = 3
 """Changed patches of which the summary tells what was found in them; a table tells it of all."""
+SHORTEST = 0.25
+"""Years between two surveys below which no rate is told: of a season it is none of a year."""
 NAMED = 8
 """Patches of one verdict that the summary lists by their numbers, at most."""
 
@@ -24,11 +27,17 @@ _CALLED: dict[Verdict, tuple[str, str]] = {
     "not comparable": ("could not be compared", "could not be compared"),
 }
 """Of one, and of several."""
-_WENT = {"found": "the number found", "cover": "cover", "target_area": "target area"}
+_WENT = {"found": "the number found", "covered": "covered ground", "target_area": "target area"}
 
 
 def difference_cells(one: Difference) -> tuple[str, str, str]:
     """What it was and is, by how much it changed, and the interval of that."""
+    if meaning(one.name).share:
+        return (
+            f"{one.before:.0%} → {one.after:.0%}",
+            f"{one.change:+z.0%}",
+            f"{one.low:z.0%} to {one.high:z.0%}",
+        )
     unit, digits = UNITS.get(one.unit, one.unit), places(max(abs(one.low), abs(one.high)))
     share = f" ({one.change / one.before:+z.0%})" if one.before > 0.0 else ""
     return (
@@ -48,6 +57,17 @@ def patch_rows(patch: PatchChange) -> Iterator[tuple[str, tuple[str, str, str], 
         yield one.name, difference_cells(one), one.p
 
 
+def a_year(one: Difference, years: float) -> str:
+    """By how much it changed in a year on average; empty where less than `SHORTEST` passed."""
+    if years < SHORTEST:
+        return ""
+    if meaning(one.name).share:
+        return f"{one.change / years:+z.0%}"
+    unit, rate = UNITS.get(one.unit, one.unit), one.change / years
+    digits = places(max(abs(one.low), abs(one.high)) / years)
+    return f"{rate:+z.{digits}f} {unit}".strip()
+
+
 def seen_by_both(comparison: Comparison) -> float:
     """Share of the ground that either saw."""
     either = comparison.comparable + comparison.only_a + comparison.only_b
@@ -56,6 +76,12 @@ def seen_by_both(comparison: Comparison) -> float:
 
 def summary(comparison: Comparison) -> str:
     """What changed and how sure that is, in a few sentences for whoever reads nothing else."""
+    if comparison.withheld:
+        return (
+            "Nothing shows how the two surveys lie on each other: either little of what there was is still "
+            "there, or an origin is off. So no ground is compared, and there is no verdict. What each survey "
+            f"tells of all that it saw itself does not hang on that. {' '.join(_each(comparison))}"
+        ).rstrip()
     if comparison.comparable <= 0.0:
         return "The two surveys looked at no ground in common: what changed cannot be told from them."
     numbered = list(enumerate(comparison.patches, start=1))
@@ -68,6 +94,7 @@ def summary(comparison: Comparison) -> str:
     if len(changed) > TOLD:
         lines.append("The table tells of the others.")
     lines += [
+        *_each(comparison),
         _whole(comparison),
         f"Both surveys looked at {number(comparison.comparable)} m², "
         f"{_percent(seen_by_both(comparison))} of the ground that either saw; of the rest nothing is told.",
@@ -86,8 +113,10 @@ def summary(comparison: Comparison) -> str:
 def limits(comparison: Comparison) -> list[str]:
     """What the figures and verdicts do not say."""
     lines = [
-        "Only ground that both surveys saw is compared. The figures are not those of either survey's own "
-        "report, and say nothing of ground that one of them did not see.",
+        "Only ground that both surveys saw is compared, patch by patch and on the whole. Those figures are "
+        "not those of either survey's own report, and say nothing of ground that one of them did not see.",
+        "What each survey tells of all that it saw is set side by side as well. It differs too where one of "
+        "them saw more; its intervals take the errors of the two for independent.",
         f"A verdict is that of one {_pieces(comparison)[0]}, from its sharpest test, held against how many "
         "tests there are. Of the whole there is no verdict: each figure has its own p, which says how often "
         "two surveys of ground that has not changed differ by as much.",
@@ -160,7 +189,7 @@ def _found_in(patch: PatchChange) -> str:
             f"{come.bare} of {come.of} individuals that were found after stand where the ground was bare: "
             f"{_beyond(come)} beyond what surveys miss of unchanged ground."
         )
-    lines += [f"Its {_went(one)}." for one in patch.differences if one.name == "cover"]
+    lines += [f"Its {_went(one)}." for one in patch.differences if one.name == "covered"]
     return " ".join(lines)
 
 
@@ -168,16 +197,26 @@ def _beyond(of: Missing) -> str:
     return f"{_percent(of.share)} ({100.0 * of.low:.0f} to {_percent(of.high)})"
 
 
+def headlines(comparison: Comparison) -> list[Difference]:
+    """Those of the measures of both surveys that stand first in a report."""
+    return [one for one in comparison.measures if one.name in HEADLINES]
+
+
+def _each(comparison: Comparison) -> list[str]:
+    shown = [_went(one, p=True) for one in headlines(comparison)]
+    return [f"Of all that each saw itself, {_listed(shown)}."] if shown else []
+
+
 def _whole(comparison: Comparison) -> str:
     of = {one.name: one for one in comparison.differences}
     if all(one.before <= 0.0 and one.after <= 0.0 for one in of.values()):
         return "On ground that both saw, neither shows any target."
-    shown = [of[name] for name in ("cover", "found") if name in of] or [of["target_area"]]
+    shown = [of[name] for name in ("covered", "found") if name in of] or [of["target_area"]]
     return f"On all ground that both saw, {_listed([_went(one, p=True) for one in shown])}."
 
 
 def _went(one: Difference, *, p: bool = False) -> str:
-    unit, name = UNITS.get(one.unit, one.unit), _WENT.get(one.name, one.name)
+    unit, name = UNITS.get(one.unit, one.unit), _WENT.get(one.name, named(one.name))
     before, after = (f"{number(value)} {unit}".strip() for value in (one.before, one.after))
     share = f"{100.0 * one.change / one.before:+z.0f} %" if one.before > 0.0 else ""
     notes = ", ".join(filter(None, (typeset(share), f"p\N{NO-BREAK SPACE}{p_value(one.p)}" if p else "")))

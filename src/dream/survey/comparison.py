@@ -5,6 +5,7 @@ from __future__ import annotations
 import enum
 import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
@@ -27,6 +28,8 @@ Verdict = Literal["gain", "loss", "mixed", "no change shown", "not comparable"]
 """`mixed`: both a loss and a gain."""
 Z95 = 1.959964
 """Standard deviations to each side of a 95 % interval."""
+YEAR = 365.25 * 86_400.0
+"""Seconds."""
 POINT = 0.05
 """Metres between the points at which ground is asked whether it is covered."""
 
@@ -50,7 +53,7 @@ class Difference:
     name: str
     """`found` (individuals that show in the relief, which are fewer than a survey's `count` says there are),
     `found_density`, `target_area` (cells of the map; the reef of a survey is closed over its gaps, and
-    larger), `cover` (ground of patches that is not bare in the fine pictures), `median_size`."""
+    larger), `covered` (ground of patches that is not bare in the fine pictures); or a measure of a survey."""
     before: float
     after: float
     change: float
@@ -107,6 +110,10 @@ class Comparison:
     patches: tuple[PatchChange, ...]
     differences: tuple[Difference, ...]
     """On all ground that both saw."""
+    measures: tuple[Difference, ...]
+    """What each survey says of all that it saw itself, as the universal metrics."""
+    withheld: bool
+    """Nothing shows how they lie on each other, so that no ground is compared."""
     comparable: float
     """Square metres that both saw."""
     only_a: float
@@ -115,6 +122,11 @@ class Comparison:
     comparing: Comparing
     """How they were told apart."""
 
+    @property
+    def years(self) -> float:
+        """From the earlier survey to the later one."""
+        return (self.b.began - self.a.began).total_seconds() / YEAR
+
     def as_dict(self) -> dict[str, Any]:
         """As `--json` prints it."""
         ground = self.cell**2 * np.bincount(self.change.ravel(), minlength=5)
@@ -122,6 +134,7 @@ class Comparison:
         return {
             "before": _named(self.a),
             "after": _named(self.b),
+            "years": self.years,
             "doubts": list(doubts(self.a, self.b)),
             "registration": {
                 "x": laid.T_a_b.x,
@@ -149,6 +162,8 @@ class Comparison:
                 "hidden_after": int((self.fate_b == Fate.HIDDEN).sum()),
                 "not_comparable": int((self.fate_a == 0).sum() + (self.fate_b == 0).sum()),
             },
+            "withheld": self.withheld,
+            "measures": [asdict(one) for one in self.measures],
             "differences": [asdict(one) for one in self.differences],
             "patches": [
                 {
@@ -202,7 +217,8 @@ class Comparing:
     and of all that are called so a share of `false` at most is false. It is `mixed` where both a loss and a
     gain are shown: some died, and others settled or grew. Patches of few individuals are told by their area.
     Where there are no pictures, or individuals do not show how they lie on each other, the number that was
-    found tells: each weighed by how likely it is one and by how likely one like it is found.
+    found tells: each weighed by how likely it is one and by how likely one like it is found. Where both show
+    target but nothing shows how they lie on each other, no ground is compared.
 
     Reference: the beta-binomial of `fates.missing` for what is missed; Benjamini and Hochberg, JRSS B 57
     (1995), for many patches; Horvitz and Thompson, JASA 47 (1952), for the weights; Petersen's mark and
@@ -257,6 +273,10 @@ class Comparing:
         theirs = _resampled(b.layers, grid, laid)
         seen_a, seen_b = a.layers.state > 0, theirs > 0
         both = seen_a & seen_b
+        # Ground that did not change would be told as gained and lost.
+        withheld = laid.by == "poses" and all(np.isin(one.layers.state, (2, 4)).any() for one in (a, b))
+        if withheld:
+            both[:] = False
         target = (np.isin(a.layers.state, (2, 4)) & both, np.isin(theirs, (2, 4)) & both)
         units = self._units(a, b, grid, laid)
         places = (a.individuals.position[:, :2], laid.place(b.individuals.position[:, :2]))
@@ -298,7 +318,9 @@ class Comparing:
             fate_b=fate_b,
             positions_b=places[1],
             patches=self._judged(units, tested),
-            differences=self._whole(met, a, b, common),
+            differences=self._whole(met),
+            measures=tuple(_told_by_both(a, b)),
+            withheld=withheld,
             comparable=float(both.sum()) * cell2,
             only_a=float((seen_a & ~seen_b).sum()) * cell2,
             only_b=float((seen_b & ~seen_a).sum()) * cell2 + _beyond(b.layers, grid, laid),
@@ -361,7 +383,7 @@ class Comparing:
 
     def _cover(self, was: float, now: float) -> Difference:
         error = math.hypot(self.cover_spread * 0.5 * (was + now), self.cover_least)
-        return _difference("cover", was, now, error, "m2")
+        return _difference("covered", was, now, error, "m2")
 
     def _count(self, one: _Count, other: _Count) -> Difference:
         """Both find shares of the same individuals where nothing changed."""
@@ -405,9 +427,7 @@ class Comparing:
             )
         return tuple(changes)
 
-    def _whole(
-        self, met: _Met, a: Survey, b: Survey, common: tuple[BoolArray, BoolArray]
-    ) -> tuple[Difference, ...]:
+    def _whole(self, met: _Met) -> tuple[Difference, ...]:
         area = self._area(*met.target, met.grid)
         found = [area]
         if met.covered is not None:
@@ -417,10 +437,6 @@ class Comparing:
             found.append(count)
             if area.before > 0.0 and area.after > 0.0:
                 found.append(_density(count, area))
-            sizes = (_sized(a.individuals, common[0]), _sized(b.individuals, common[1]))
-            errors = [error for error in map(_size_error, (a, b)) if error is not None]
-            if min(map(len, sizes)) >= self.least and len(errors) == 2:
-                found.append(_median(sizes, errors))
         return tuple(found)
 
 
@@ -658,42 +674,35 @@ def _density(count: Difference, area: Difference) -> Difference:
     return _difference("found_density", before, after, max(error, 1e-9), "1/m2")
 
 
-def _sized(individuals: Individuals, common: BoolArray) -> Float64Array:
-    """Sizes of those on common ground that were measured; the others are only said to be like them."""
-    if not common.any():
-        return individuals.size[common]
-    least = float(individuals.size_sigma[common].min())
-    return individuals.size[common & (individuals.size_sigma <= least * (1.0 + 1e-9))]
-
-
-def _size_error(survey: Survey) -> float | None:
-    """Standard error of a survey's median size, as its own interval has it; None where it tells none."""
-    told = next((one for one in survey.measures if one.name == "median_size"), None)
-    if told is None or told.low is None or told.high is None:
-        return None
-    return (told.high - told.low) / (2.0 * Z95)
-
-
-def _median(samples: tuple[Float64Array, Float64Array], told: list[float]) -> Difference:
-    """Medians and their difference; standard errors by order statistics (binomial ranks).
-
-    All sizes of a survey err together too (`told`), which their scatter does not show.
-    """
-    medians, errors = [], [*told]
-    for sizes in map(np.sort, samples):
-        n = len(sizes)
-        half = 0.5 * math.sqrt(n)
-        low, high = (min(n - 1, max(0, round(0.5 * n + sign * half))) for sign in (-1.0, 1.0))
-        medians.append(float(np.median(sizes)))
-        errors.append(0.5 * float(sizes[high] - sizes[low]))
-    was, now = medians
-    return _difference("median_size", was, now, max(math.hypot(*errors), 1e-9), "m")
-
-
 def _difference(name: str, was: float, now: float, error: float, unit: str) -> Difference:
     """By a standard error of the change."""
     change, half = now - was, Z95 * error
     return Difference(name, was, now, change, change - half, change + half, _two_sided(change / error), unit)
+
+
+def _told_by_both(a: Survey, b: Survey) -> Iterator[Difference]:
+    """Measures of both surveys that are of the ground, not of how much of it was seen. Their errors are taken
+    for independent, though part of them is not.
+
+    Reference: the interval of a difference from those of its parts, Zou and Donner, Stat. Med. 27 (2008).
+    """
+    before = {one.name: one for one in a.measures if one.name not in ("seen_share", "hull_seen")}
+    for after in b.measures:
+        was = before.get(after.name)
+        if was is None or None in (was.value, was.low, was.high, after.value, after.low, after.high):
+            continue
+        value, low, high = (
+            [float(getattr(one, name)) for one in (was, after)] for name in ("value", "low", "high")
+        )
+        change = value[1] - value[0]
+        less, more = (
+            math.hypot(value[1] - low[1], high[0] - value[0]),
+            math.hypot(high[1] - value[1], value[0] - low[0]),
+        )
+        # Of no change the side that a change would be told by is the lesser.
+        side = min(less, more) if change == 0.0 else less if change > 0.0 else more
+        p = _two_sided(Z95 * change / side) if side > 0.0 else float(change == 0.0)
+        yield Difference(after.name, value[0], value[1], change, change - less, change + more, p, after.unit)
 
 
 def _sides(of: Difference) -> tuple[float, float]:

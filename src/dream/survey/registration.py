@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from dream.geometry import SE2
@@ -20,6 +22,12 @@ IntArray = npt.NDArray[np.intp]
 
 SAME_PLACE = 5000.0
 """Metres that the origins of two runs at one site may be apart."""
+FEWEST = 10
+"""Individuals that must lie on each other at least."""
+DENSITY = 0.2
+"""Metres: cells of the densities that are held against each other over the wide window."""
+BEST = 8
+"""Turns of which the individuals are tried."""
 _EIGHTHS = np.arange(8) * (math.pi / 4.0)
 
 
@@ -65,13 +73,15 @@ class Registering:
 
     What it does: the maps of target and relief are matched over a window, then the individuals: each pair
     of near ones pulls, less the farther it is, while the reach is drawn in. The fit holds where many more
-    lie on each other than with one of them shifted aside. Its covariance comes from the residuals in
-    squares of ground, because neighbours err alike.
+    lie on each other than with one of them shifted aside. An origin may be off by more than the window: the
+    individuals are looked for over a wider one, too, by the correlation of their densities. Its covariance
+    comes from the residuals in squares of ground, because neighbours err alike.
 
     Reference: iterative closest points with an annealed Gaussian reach, after Granger and Pennec, EM-ICP,
     ECCV 2002; the sandwich covariance by clusters of Liang and Zeger, Biometrika 73 (1986).
 
-    Assumes: both surveys are rigid up to some centimetres; their frames are off by less than the window.
+    Assumes: both surveys are rigid up to some centimetres; their frames are off by less than the wide window,
+    or the window where there are few individuals.
     Fails when: little of what there was is still there, or there was nothing but an even crust; it then
     says so and takes the poses.
     """
@@ -80,12 +90,18 @@ class Registering:
     """Metres by which the frames may be off."""
     turn: float = math.radians(4.0)
     """Radians."""
+    wide: float = 12.0
+    """Metres by which origins may be off, as read off a map or a receiver held over the side."""
+    wide_turn: float = math.radians(15.0)
+    """Radians, as of a compass beside steel."""
     reaches: tuple[float, ...] = (0.3, 0.2, 0.14, 0.1, 0.07, 0.07, 0.05, 0.05)
     """Metres: standard deviations of the pull, one a round."""
     block: float = 2.0
     """Metres: side of the squares whose individuals err alike."""
     sure: float = 5.0
     """Standard deviations by which more pairs must lie on each other than by chance."""
+    sure_wide: float = 8.0
+    """The same over the wide window, in which there is more chance."""
     lost: float = 0.3
     """Metres, standard error of poses that nothing has shown to be right, at the least."""
 
@@ -101,20 +117,35 @@ class Registering:
         first, covariance, by = self._maps(a, b, start, pivot)
         offset = first
         pairs, residual = 0, 0.0
-        fitted = self._individuals(a.individuals.position[:, :2], there, pivot, first, by == "map")
+        ours = a.individuals.position[:, :2]
+        fits = (
+            self._individuals(ours, there, pivot, self._starts(first, by == "map"), self.sure),
+            self._individuals(ours, there, pivot, self._far(ours, there, pivot), self.sure_wide),
+        )
+        # Within the window some may lie on each other where all do beyond it.
+        fitted = max(filter(None, fits), key=lambda fit: fit[2], default=None)
         if fitted is not None:
             offset, covariance, pairs, residual = fitted
             by = "individuals"
+            apart, turned = math.hypot(offset.x, offset.y), abs(offset.yaw)
+            if apart > self.window or turned > self.turn:
+                off = (
+                    f"Origins and headings of the two runs disagree by {apart:.1f} m and "
+                    f"{math.degrees(turned):.0f}°: so their individuals lie on each other. Which of the two "
+                    "is off they do not show."
+                )
+                note = " ".join(filter(None, (note, off)))
         if by == "poses":
             lost = max(
                 self.lost, *(float(np.mean(s.track.sigma)) if len(s.track.sigma) else 0.0 for s in (a, b))
             )
             covariance = np.diag([lost**2, lost**2, (lost / 10.0) ** 2])
+            few = min(len(ours), len(there)) < FEWEST
+            window, turn = (self.window, self.turn) if few else (self.wide, self.wide_turn)
             nothing = (
-                f"Nothing in both showed how they lie on each other, within {self.window:g} m and "
-                f"{math.degrees(self.turn):g}°; the poses are taken. Where an origin is farther off than "
-                "that, ground that did not change is told as gained and lost: trust no verdict before the "
-                "origins are checked."
+                f"Nothing in both showed how they lie on each other, within {window:g} m and "
+                f"{math.degrees(turn):g}°; the poses are taken. Either little of what there was is "
+                "still there, or an origin is farther off: check the origins."
             )
             note = " ".join(filter(None, (note, nothing)))
         return Registration(_onto(start, pivot, offset), pivot, covariance, offset, by, pairs, residual, note)
@@ -144,18 +175,16 @@ class Registering:
         return found.offset, covariance, "map"
 
     def _individuals(
-        self, ours: Float64Array, theirs: Float64Array, pivot: tuple[float, float], first: SE2, known: bool
+        self,
+        ours: Float64Array,
+        theirs: Float64Array,
+        pivot: tuple[float, float],
+        starts: Iterable[SE2],
+        sure: float,
     ) -> tuple[SE2, Float64Array, int, float] | None:
-        if min(len(ours), len(theirs)) < 10:
+        if min(len(ours), len(theirs)) < FEWEST:
             return None
         tree = cKDTree(ours)
-        shifts = (0.0,) if known else np.arange(-self.window, self.window + 0.1, 0.3)
-        near = (0.0, *((-0.25, 0.25) if known else ()))
-        starts = [
-            SE2(first.x + dx + ex, first.y + dy + ey, first.yaw)
-            for dx, dy in itertools.product(shifts, repeat=2)
-            for ex, ey in itertools.product(near, repeat=2)
-        ]
         best = max((self._drawn_in(tree, theirs, pivot, start) for start in starts), key=lambda one: one[1])
         offset = best[0]
         at_best = _moved(theirs, pivot, offset)
@@ -164,11 +193,44 @@ class Registering:
         around = 0.8 * np.column_stack([np.cos(_EIGHTHS), np.sin(_EIGHTHS)])
         aside = [len(mutual(tree, at_best + shift, 3.0 * self.reaches[-1])) for shift in around]
         chance = float(np.mean(aside))
-        if len(pairs) < 10 or len(pairs) - chance < self.sure * math.sqrt(chance + 1.0):
+        if len(pairs) < FEWEST or len(pairs) - chance < sure * math.sqrt(chance + 1.0):
             return None
         residual = ours[pairs[:, 0]] - at_best[pairs[:, 1]]
         covariance = self._covariance(at_best[pairs[:, 1]] - pivot, residual)
         return offset, covariance, len(pairs), float(np.sqrt((residual**2).mean()))
+
+    def _starts(self, first: SE2, known: bool) -> list[SE2]:
+        """Around where the maps lie on each other, or all over the window where they do not show it."""
+        shifts = (-0.25, 0.0, 0.25) if known else np.arange(-self.window, self.window + 0.1, 0.3).tolist()
+        return [SE2(first.x + dx, first.y + dy, first.yaw) for dx, dy in itertools.product(shifts, repeat=2)]
+
+    def _far(self, ours: Float64Array, theirs: Float64Array, pivot: tuple[float, float]) -> list[SE2]:
+        """Where the densities of individuals correlate best over the wide window: one place for each turn."""
+        if min(len(ours), len(theirs)) < FEWEST:
+            return []
+        half = max(float(np.abs(points - pivot).max()) for points in (ours, theirs)) + self.wide
+        count = 2 * math.ceil(half / DENSITY)
+        edges = (np.arange(count + 1) - 0.5 * count) * DENSITY
+
+        def density(points: Float64Array) -> Float64Array:
+            x, y = (points - pivot).T
+            number, _, _ = np.histogram2d(x, y, bins=(edges, edges))
+            smooth: Float64Array = ndimage.gaussian_filter(number, 1.0)
+            return smooth
+
+        fixed = np.fft.rfft2(density(ours))
+        reach = math.ceil(self.wide / DENSITY)
+        turns = np.arange(-self.wide_turn, self.wide_turn + 1e-9, math.radians(1.0))
+        starts = []
+        for turn in turns.tolist():
+            there = density(_moved(theirs, pivot, SE2(0.0, 0.0, turn)))
+            alike = np.fft.irfft2(fixed * np.conj(np.fft.rfft2(there)), s=there.shape)
+            alike = np.roll(alike, (reach, reach), axis=(0, 1))[: 2 * reach + 1, : 2 * reach + 1]
+            east, north = np.unravel_index(int(alike.argmax()), alike.shape)
+            starts.append(
+                (float(alike.max()), SE2((east - reach) * DENSITY, (north - reach) * DENSITY, turn))
+            )
+        return [start for _, start in sorted(starts, key=lambda one: -one[0])[:BEST]]
 
     def _drawn_in(
         self, tree: cKDTree, theirs: Float64Array, pivot: tuple[float, float], start: SE2
@@ -185,7 +247,8 @@ class Registering:
             pull /= np.bincount(who, pull, len(at))[who] + math.exp(-2.0)
             step = _rigid(at[who] - pivot, tree.data[near[who, which]] - pivot, pull)
             offset = SE2(offset.x + step.x, offset.y + step.y, offset.yaw + step.yaw)
-            if abs(offset.yaw) > 2.0 * self.turn or math.hypot(offset.x, offset.y) > 3.0 * self.window:
+            strayed = math.hypot(offset.x - start.x, offset.y - start.y)
+            if abs(offset.yaw - start.yaw) > 2.0 * self.turn or strayed > 3.0 * self.window:
                 return offset, 0
         return offset, len(mutual(tree, _moved(theirs, pivot, offset), 2.0 * self.reaches[-1]))
 

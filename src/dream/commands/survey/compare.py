@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import tyro
 
@@ -15,6 +16,7 @@ from dream.commands.survey.sources import found
 from dream.commands.survey.words import plain, slim_table
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.table import Table
 
     from dream.survey.comparison import Comparison
@@ -66,11 +68,43 @@ def _print(comparison: Comparison, files: tuple[Path, ...]) -> None:
     from rich.console import Console
 
     from dream.survey.change_map import PAGE
-    from dream.survey.change_words import difference_cells, patch_rows
+    from dream.survey.change_words import a_year, difference_cells, patch_rows, summary
     from dream.survey.numbers import p_value
+    from dream.survey.products.words import size_bin
 
     console, told = Console(), comparison.as_dict()
     console.print(f"[bold]{plain(comparison.a.name)}[/bold] → [bold]{plain(comparison.b.name)}[/bold]")
+    if comparison.withheld:
+        console.print(summary(comparison), highlight=False)
+    else:
+        _print_laid(console, told)
+    for title, differences in (
+        ("what each tells of all that it saw itself", comparison.measures),
+        ("all that both saw", () if comparison.withheld else comparison.differences),
+    ):
+        # A page has room for the size-frequency.
+        shown = [one for one in differences if size_bin(one.name) is None]
+        if shown:
+            rows = [(one.name, difference_cells(one), one.p) for one in shown]
+            console.print()
+            console.print(_table(title, rows, [a_year(one, comparison.years) for one in shown]))
+    for k, patch in enumerate(() if comparison.withheld else comparison.patches, start=1):
+        colour = {"gain": "green", "loss": "red", "mixed": "magenta"}.get(patch.verdict, "default")
+        # The verdict is the patch's, not each figure's.
+        verdict = f"[{colour}]{patch.verdict}[/]"
+        verdict += "" if patch.p is None else f" (p {p_value(patch.p)})"
+        title = f"patch {k}{'' if patch.before is not None else ', new'}: {verdict}"
+        rows = list(patch_rows(patch))
+        console.print()
+        console.print(_table(title, rows) if rows else title)
+    console.print()
+    console.print(", ".join(map(str, files)), markup=False, highlight=False, soft_wrap=True)
+    page = next(path for path in files if path.name == PAGE)
+    console.print(f"  to read: {page}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _print_laid(console: Console, told: dict[str, Any]) -> None:
+    """How one lies on the other, and what became of the individuals of both."""
     laid, ground, fates = told["registration"], told["ground_m2"], told["individuals"]
     console.print(
         f"laid on each other by {laid['by']} to {100.0 * laid['sigma_m']:.1f} cm; "
@@ -86,32 +120,20 @@ def _print(comparison: Comparison, files: tuple[Path, ...]) -> None:
         f"covered ground, {fates['not_comparable']} on ground that one of them did not see",
         highlight=False,
     )
-    rows = [(one.name, difference_cells(one), one.p) for one in comparison.differences]
-    console.print()
-    console.print(_table("all that both saw", rows))
-    for k, patch in enumerate(comparison.patches, start=1):
-        colour = {"gain": "green", "loss": "red", "mixed": "magenta"}.get(patch.verdict, "default")
-        # The verdict is the patch's, not each figure's.
-        verdict = f"[{colour}]{patch.verdict}[/]"
-        verdict += "" if patch.p is None else f" (p {p_value(patch.p)})"
-        title = f"patch {k}{'' if patch.before is not None else ', new'}: {verdict}"
-        rows = list(patch_rows(patch))
-        console.print()
-        console.print(_table(title, rows) if rows else title)
-    console.print()
-    console.print(", ".join(map(str, files)), markup=False, highlight=False, soft_wrap=True)
-    page = next(path for path in files if path.name == PAGE)
-    console.print(f"  to read: {page}", markup=False, highlight=False, soft_wrap=True)
 
 
-def _table(title: str, rows: Iterable[tuple[str, tuple[str, str, str], float]]) -> Table:
-    """Of figures, each with its name, cells and p; all tables have the same columns."""
+def _table(
+    title: str, rows: Iterable[tuple[str, tuple[str, str, str], float]], rates: Sequence[str] = ()
+) -> Table:
+    """Of figures, each with its name, cells and p; all tables have the same columns, some a rate as well."""
     from dream.survey.numbers import named, p_value
 
     table = slim_table(title)
     widths = {"": 13, "before → after": 16, "change": 15, "95 % interval": 17, "p": 7}
     for heading, width in widths.items():
         table.add_column(heading, justify="right" if heading else "left", min_width=width)
-    for name, cells, p in rows:
-        table.add_row(named(name), *cells, p_value(p))
+    if any(rates):
+        table.add_column("a year", justify="right", min_width=8)
+    for (name, cells, p), rate in zip_longest(rows, rates if any(rates) else ()):
+        table.add_row(named(name), *cells, p_value(p), *([] if rate is None else [rate]))
     return table

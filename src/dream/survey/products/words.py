@@ -57,7 +57,9 @@ MEANINGS = {
     ),
     "found_density": Meaning("Found density", "those that were found over the target area"),
     "target_area": Meaning("Target area", "that ground's map cells which are target, gaps left out"),
-    "cover": Meaning("Cover", "ground of the outlines that is not bare in the fine pictures"),
+    "covered": Meaning(
+        "Covered ground", "of the outlines, what is not bare in blurred pictures: more than the shell itself"
+    ),
     "gone": Meaning(
         "Gone",
         "of the earlier survey's individuals that were found in two frames or more, those in whose place the "
