@@ -287,3 +287,4 @@ def test_what_the_page_says_to_type_works(
     capsys.readouterr()
     assert (tmp_path / "runs/change/change.html").is_file()
     assert (tmp_path / "runs/products/survey.gpkg").is_file()
+    assert (tmp_path / "runs/products/series.png").is_file()

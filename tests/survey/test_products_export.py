@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import re
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable
@@ -16,6 +19,7 @@ import pytest
 
 from dream.commands.survey.export import Export
 from dream.survey import Survey
+from dream.survey.archive import open_archive
 from dream.survey.products import PRODUCTS, Species, export
 from dream.survey.products.export import FILES
 from tests.survey.scenes import reef, wreck
@@ -31,9 +35,10 @@ def test_every_product_of_a_reef(tmp_path: Path) -> None:
     made = export(reef(), tmp_path / "out", species=OYSTER)
     assert made.folder == tmp_path / "out"
     assert set(made.files) == {path.name for path in made.folder.iterdir()}
-    assert set(FILES) - {"mosaic.tif"} <= set(made.files)
-    assert list(made.left_out) == ["mosaic"]
+    assert set(FILES) - {"mosaic.tif", "series.csv", "series.png"} <= set(made.files)
+    assert list(made.left_out) == ["mosaic", "series"]
     assert "--run" in made.left_out["mosaic"]
+    assert "two surveys of the site" in made.left_out["series"]
     readme = (made.folder / "README.md").read_text()
     for name in made.files:
         assert name.endswith(".qml") or name in readme or name == "README.md"
@@ -48,14 +53,29 @@ def test_earlier_surveys_stand_before_it_in_the_series(tmp_path: Path) -> None:
     pytest.importorskip("pyproj")
     now = reef()
     before = replace(now, name="the year before", began=now.began - timedelta(days=365))
-    made = export(now, tmp_path / "export", earlier=[before], only=["netcdf"])
+    made = export(now, tmp_path / "export", others=[before], only=["netcdf"])
     with netcdf_file(made.folder / "survey.nc", mmap=False) as file:
         names = [b"".join(row).decode().strip("\0 ") for row in file.variables["survey"][:]]
     assert names == ["the year before", now.name]
-    elsewhere = replace(before, site=replace(now.site, latitude=10.0)) if now.site else before
-    with pytest.raises(ValueError, match="site"):
-        export(now, tmp_path / "other", earlier=[elsewhere], only=["netcdf"])
-    assert not (tmp_path / "other").exists()
+
+
+def test_a_survey_of_elsewhere_is_left_out_of_the_series_and_all_else_is_written(tmp_path: Path) -> None:
+    now = reef()
+    assert now.site is not None
+    far, near = (
+        replace(now, name=name, began=now.began - timedelta(days=365), site=replace(now.site, latitude=north))
+        for name, north in (("far", 54.95), ("near", 54.900027))
+    )
+    made = export(now, tmp_path / "one", others=[far], only=["netcdf", "tables"])
+    assert {"survey.nc", "measures.csv"} <= set(made.files)
+    assert made.warnings == (
+        "far is not in the series: expected origins at most 5 km apart, got 5.6 km. Is one of the two site "
+        "files wrong?",
+    )
+    assert made.warnings[0] in (made.folder / "README.md").read_text()
+    both = export(now, tmp_path / "both", others=[far, near, now], only=["series"])
+    rows = list(csv.DictReader((both.folder / "series.csv").read_text().splitlines()))
+    assert list(dict.fromkeys(row["survey"] for row in rows)) == ["near", now.name]
 
 
 def test_without_an_origin_reports_and_tables_still_come(tmp_path: Path) -> None:
@@ -65,7 +85,7 @@ def test_without_an_origin_reports_and_tables_still_come(tmp_path: Path) -> None
     assert all("run without origin" in reason for reason in made.left_out.values())
 
 
-@pytest.mark.parametrize("name", ["geotiff", "geopackage", "netcdf", "darwin-core", "mosaic"])
+@pytest.mark.parametrize("name", ["geotiff", "geopackage", "netcdf", "darwin-core", "mosaic", "series"])
 def test_what_is_asked_for_and_cannot_be_made_is_an_error(name: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=f"{name}: .*run without origin"):
         export(reef(site=None), tmp_path / "out", only=("tables", name))
@@ -205,6 +225,48 @@ def test_the_command_says_what_is_left_out(
     out = capsys.readouterr().out
     assert "measures.csv" in out
     assert "without geotiff: " in out
+
+
+def test_the_command_tells_how_all_surveys_of_the_site_in_the_archive_went(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Also where one of them is damaged, or where somebody else's lie beside them."""
+    now = reef()
+    assert now.site is not None
+    names = ("first", "damaged", "elsewhere", "of a wreck")
+    first, damaged, elsewhere, other = (
+        replace(now, name=name, began=now.began - timedelta(days=400 - n)) for n, name in enumerate(names)
+    )
+    where = str(tmp_path / "surveys.gpkg")
+    with open_archive(where, begin=True) as archive:
+        archive.add(first)
+        number, _ = archive.add(damaged)
+        archive.add(replace(elsewhere, site=replace(now.site, name="Outer reef")))
+        archive.add(replace(wreck(site=now.site), name=other.name))
+        archive.add(now)
+    with sqlite3.connect(where) as file:
+        file.execute("UPDATE documents SET body = x'00' WHERE survey_id = ?", (number,))
+    command = Export("7", tmp_path / "out", archive=where, only=("series", "tables"), json=True)
+    assert opened(command, now, monkeypatch)() == 0
+    assert {"series.csv", "series.png"} <= set(json.loads(capsys.readouterr().out)["files"])
+    rows = list(csv.DictReader((tmp_path / "out/series.csv").read_text().splitlines()))
+    assert list(dict.fromkeys(row["survey"] for row in rows)) == ["first", now.name]
+    assert "damaged is not in the series" in caplog.text
+    assert not re.search("elsewhere|of a wreck", caplog.text), "of those nobody asked"
+
+
+def test_an_archive_that_is_not_there_or_damaged_hinders_no_export(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "damaged.gpkg").write_text("no database")
+    for name, warned in (("none.gpkg", False), ("damaged.gpkg", True)):
+        caplog.clear()
+        command = Export("7", tmp_path / f"of {name}", archive=str(tmp_path / name), only=("tables",))
+        assert opened(command, reef(), monkeypatch)() == 0
+        assert ("the series is without what the archive keeps" in caplog.text) == warned
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import base64
 import csv
 import io
 import re
+import sqlite3
 import xml.etree.ElementTree as ET
 import zipfile
 from dataclasses import replace
@@ -17,8 +18,21 @@ import numpy as np
 import pytest
 from scipy.io import netcdf_file
 
-from dream.survey import Measure
-from dream.survey.products import Author, Species, darwin_core, figures, netcdf, page, pdf, tables, words
+from dream.geometry import Bounds
+from dream.survey import Measure, Picture
+from dream.survey.products import (
+    Author,
+    Species,
+    areas,
+    darwin_core,
+    export,
+    figures,
+    netcdf,
+    page,
+    pdf,
+    tables,
+    words,
+)
 from dream.survey.products.ground import Ground
 from dream.survey.site import Site
 from tests.survey import scenes
@@ -42,9 +56,9 @@ def opened(path: Path) -> Any:
 
 @pytest.fixture(scope="module")
 def series(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two surveys, given in the wrong order."""
+    """Two surveys."""
     path = tmp_path_factory.mktemp("series") / "survey.nc"
-    netcdf.write([LATER, reef()], path)
+    netcdf.write(reef(), path, [LATER])
     return path
 
 
@@ -63,6 +77,7 @@ def test_measures_over_time(series: Path) -> None:
         assert of["rugosity"][:].tolist() == [netcdf.FILL, netcdf.FILL]
         assert of["cover_low"][:].tolist() == [netcdf.FILL, netcdf.FILL]
         assert b"too seldom" in of["rugosity"].comment
+        assert of["density"].long_name == b"clump density: clumps of shells on each square metre of reef"
 
 
 def test_maps_stand_at_their_place(series: Path) -> None:
@@ -125,12 +140,122 @@ def test_a_cf_checker_finds_no_fault(series: Path) -> None:
 
 
 def test_surveys_of_two_sites_make_no_series(tmp_path: Path) -> None:
-    elsewhere = reef(site=Site("Outer reef", 54.8, 8.3))
-    with pytest.raises(ValueError, match="surveys of one site, got Inner reef and Outer reef"):
-        netcdf.write([reef(), elsewhere], tmp_path / "survey.nc")
-    with pytest.raises(ValueError, match="at least one"):
-        netcdf.write([], tmp_path / "survey.nc")
+    elsewhere = replace(LATER, site=Site("Outer reef", 54.8, 8.3))
+    with pytest.raises(ValueError, match="expected the site Inner reef, got Outer reef"):
+        netcdf.write(reef(), tmp_path / "survey.nc", [elsewhere])
     assert not list(tmp_path.iterdir())
+
+
+def test_an_origin_that_was_corrected_by_metres_is_laid_where_its_own_file_says(tmp_path: Path) -> None:
+    """A cell that both saw stands at one place on earth, whatever either calls it."""
+    moved = Site("inner reef", 54.900027, 8.3, heading_deg=50.0, datum="LAT", datum_offset=1.0)
+    netcdf.write(reef(), tmp_path / "survey.nc", [replace(LATER, site=moved)])
+    x, y = scenes.centres()
+    easting, northing = Ground(moved).sheet(x.ravel(), y.ravel())
+    with opened(tmp_path / "survey.nc") as file:
+        of = file.variables
+        # A minute of latitude is 1852 m, about.
+        assert of["origin_north"][:].tolist() == pytest.approx([0.0, 0.000027 * 60.0 * 1855.0], abs=0.02)
+        assert of["origin_east"][:].tolist() == pytest.approx([0.0, 0.0], abs=0.001)
+        assert b"Its origin is the reference position: 54.9000000" in file.comment
+        within = (abs(easting - of["x"][:].mean()) < 4.0) & (abs(northing - of["y"][:].mean()) < 4.0)
+        col = np.abs(of["x"][:][:, None] - easting[within]).argmin(axis=0)
+        row = np.abs(of["y"][:][:, None] - northing[within]).argmin(axis=0)
+        # In a cell of the map, not on its edge.
+        assert (of["habitat"][1][row, col] == LATER.layers.state.ravel()[within]).mean() > 0.98
+
+
+def test_an_origin_beyond_the_edge_of_a_zone_is_laid_on_the_same_sheet(tmp_path: Path) -> None:
+    west, east = (Site("Inner reef", 54.9, 6.0 + side) for side in (-0.00001, 0.00001))
+    assert Ground(west).epsg != Ground(east).epsg
+    netcdf.write(reef(site=west), tmp_path / "survey.nc", [replace(LATER, site=east)])
+    with opened(tmp_path / "survey.nc") as file:
+        assert (file.variables["habitat"][:] == scenes.TARGET).any(axis=(1, 2)).tolist() == [True, True]
+
+
+def sized(first: int, last: int, note: str = "from 50 that stand clear of others") -> tuple[Measure, ...]:
+    """Shares in bins of 5 cm between two sizes, in centimetres."""
+    ends = range(first, last, 5)
+    share = 1.0 / len(ends)
+    return tuple(
+        Measure(f"size_share_{end:03d}_{end + 5:03d}_cm", share, 0.5 * share, 1.0, "", note) for end in ends
+    )
+
+
+def test_sizes_that_a_survey_found_none_of_are_a_share_of_0(tmp_path: Path) -> None:
+    surveys = [
+        replace(reef(), name=str(n), began=scenes.BEGAN + timedelta(days=n), measures=measures)
+        for n, measures in enumerate((sized(10, 20), sized(15, 30, "by eye"), (), sized(10, 30)))
+    ]
+    netcdf.write(surveys[0], tmp_path / "survey.nc", surveys)
+    with opened(tmp_path / "survey.nc") as file:
+        of = file.variables
+        fill = netcdf.FILL
+        assert of["size_share_010_015_cm"][:].tolist() == [0.5, 0.0, fill, 0.25]
+        assert of["size_share_025_030_cm"][:].tolist() == pytest.approx([0.0, 1.0 / 3.0, fill, 0.25])
+        assert of["size_share_025_030_cm_low"][0] == 0.0
+        # Wilson 1927, for 0 of 50.
+        assert of["size_share_025_030_cm_high"][0] == pytest.approx(1.96**2 / (50 + 1.96**2))
+        # Of how many, nobody says: the share is 0, and how far it may be from that is not known.
+        assert of["size_share_010_015_cm_high"][1] == fill
+        assert b"Wilson's for 0" in of["size_share_025_030_cm"].comment
+        assert b"Wilson" not in getattr(of["time"], "comment", b"")
+
+
+@pytest.mark.parametrize(("longitude", "heading"), [(179.9999, 20.0), (-179.9999, 200.0)])
+def test_the_box_of_a_survey_on_the_date_line_is_narrow(
+    longitude: float, heading: float, tmp_path: Path
+) -> None:
+    """West is the larger number: the box goes on through the line, and not around the globe."""
+    survey = reef(site=Site("Reef", -17.0, longitude, heading_deg=heading))
+    netcdf.write(survey, tmp_path / "survey.nc")
+    darwin_core.write(survey, OYSTER, tmp_path, Author("Ada", "CC0-1.0"))
+    with opened(tmp_path / "survey.nc") as file:
+        west, east = float(file.geospatial_lon_min), float(file.geospatial_lon_max)
+    with zipfile.ZipFile(tmp_path / "darwin-core.zip") as archive:
+        eml = ET.fromstring(archive.read("eml.xml"))
+    edges = [float(next(eml.iter(f"{side}BoundingCoordinate")).text or "") for side in ("west", "east")]
+    for one, other in ((west, east), edges):
+        assert one > 179.99
+        assert other < -179.99
+        assert (other - one) % 360.0 < 0.001
+
+
+def test_every_file_of_a_simulated_survey_says_so(tmp_path: Path) -> None:
+    """And none of a real one."""
+    for name, survey in (("made-up", reef()), ("real", replace(reef(), made_by={"version": "0.1.0"}))):
+        folder = export(survey, tmp_path / name, species=OYSTER, author=Author("Ada", "CC0-1.0")).folder
+        with opened(folder / "survey.nc") as file:
+            told = {
+                "nc title": file.title,
+                "nc comment": file.comment,
+            }
+        with sqlite3.connect(folder / "survey.gpkg") as file:
+            rows = file.execute("SELECT description FROM gpkg_contents WHERE description <> ''").fetchall()
+            told |= {f"gpkg {n}": text.encode() for n, (text,) in enumerate(rows)}
+            about = file.execute("SELECT value FROM about WHERE key = 'simulated'").fetchone()
+        assert len(rows) == 8
+        assert about == (words.warning(survey) or "no",)
+        for path in folder.glob("*.tif"):
+            # An ASCII tag of the header.
+            told[path.name] = path.read_bytes()
+        told |= {text: (folder / text).read_bytes() for text in ("README.md", "report.html")}
+        with zipfile.ZipFile(folder / "darwin-core.zip") as archive:
+            told["eml"] = archive.read("eml.xml")
+            told |= {
+                f"row {row}": row.encode()
+                for row in archive.read("occurrence.csv").decode().split("\n")[1:-1]
+            }
+            measured = archive.read("extendedmeasurementorfact.csv").decode()
+            told |= {f"row {row}": row.encode() for row in measured.split("\n")[1:-1]}
+        assert len(told) > 190
+        for what, content in told.items():
+            assert (b"simulated" in content.lower().replace(b"simulated reefs", b"")) == (
+                name == "made-up"
+            ), what
+        for table in ("measures.csv", "individuals.csv"):
+            column = {row["simulated"] for row in rows_of((folder / table).read_text())}
+            assert column == ({"world made/by-hand, seed 1"} if name == "made-up" else {""})
 
 
 def rows_of(text: str) -> list[dict[str, str]]:
@@ -154,6 +279,9 @@ def test_occurrences_as_obis_asks(tmp_path: Path) -> None:
         # √(−2 ln 0.05) standard errors hold 95 % of a circular scatter.
         uncertainty = float(row["coordinateUncertaintyInMeters"])
         assert uncertainty == pytest.approx(0.05 * np.sqrt(-2.0 * np.log(0.05)), abs=0.005)
+        assert (row["organismQuantity"], row["organismQuantityType"]) == ("1", "clumps")
+        assert "individualCount" not in row
+        assert "clump of shells" in row["occurrenceRemarks"]
         assert row["minimumDepthInMeters"] == row["maximumDepthInMeters"] == "5.20"
         assert row["verticalDatum"] == "MLLW"
     assert len({row["occurrenceID"] for row in rows}) == 60
@@ -163,10 +291,13 @@ def test_what_is_likely_no_individual_is_not_told_to_be_present(tmp_path: Path) 
     found = reef().individuals
     confidence = found.confidence.copy()
     confidence[[3, 40]] = 0.4
-    doubtful = replace(reef(), individuals=replace(found, confidence=confidence))
+    # One that stands on the reef may be likely though no frame labelled it.
+    hits = found.hits.copy()
+    hits[17] = 0
+    doubtful = replace(reef(), individuals=replace(found, confidence=confidence, hits=hits))
     darwin_core.write(doubtful, OYSTER, tmp_path)
     rows = rows_of((tmp_path / "occurrence.csv").read_text())
-    sure = np.delete(np.arange(60), [3, 40])
+    sure = np.delete(np.arange(60), [3, 17, 40])
     every = [row["occurrenceID"] for row in darwin_core.occurrences(reef(), OYSTER)]
     assert [row["occurrenceID"] for row in rows] == [every[n] for n in sure]
     with zipfile.ZipFile(tmp_path / "darwin-core.zip") as archive:
@@ -184,7 +315,7 @@ def test_rows_are_nowhere_taken_for_all_individuals(tmp_path: Path) -> None:
         assert "the number of records is no count" in archive.read("eml.xml").decode()
     page.write(survey, tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text()
-    assert "the 60 individuals that were found one by one. They are not all" in text
+    assert "the 60 clumps that were found one by one. They are not all" in text
     assert "1,234" in text
     assert "counted once" not in text
 
@@ -195,6 +326,25 @@ def test_a_reef_in_ground_that_nobody_saw_is_not_said_to_be_in_the_figures() -> 
     assert told in words.summary(some)[0]
     every = replace(some, layers=replace(some.layers, state=np.maximum(some.layers.state, 1)))
     assert told not in words.summary(every)[0]
+
+
+def test_each_of_the_three_areas_is_told_with_what_it_is(tmp_path: Path) -> None:
+    """Two square metres of picture, a quarter of it shell, an eighth doubtful and an eighth unseen."""
+    share = np.zeros((4, 8), np.uint8)
+    share[:2, :4], share[2, :4], share[3, :4] = 200, 99, 255
+    survey = replace(reef(), picture=Picture(Bounds(0.0, 0.0, 2.0, 1.0), 0.25, share))
+    told = {area.title: area.value for area in areas.areas(survey)}
+    cells = int((survey.layers.state == scenes.TARGET).sum())
+    assert told["Target cells"] == f"{cells * 0.0625:.1f} m²"
+    assert told["Reef area"] == words.value_text(survey.measures[0])
+    assert told["Shell cover"] == "0.500 m²"
+    folder = export(survey, tmp_path / "out", only=("html", "netcdf")).folder
+    texts = [(folder / "README.md").read_text(), Seen((folder / "report.html").read_text()).text]
+    for area in areas.areas(survey):
+        assert all(area.value in text and area.says in text for text in texts)
+    with opened(folder / "survey.nc") as file:
+        assert file.variables["habitat"].comment.decode() == areas.WHY
+    assert areas.areas(wreck()) == ()
 
 
 def test_limits_say_where_intervals_come_from_and_what_they_do_not_hold() -> None:
@@ -241,12 +391,29 @@ def test_an_archive_whose_columns_are_what_it_says(tmp_path: Path) -> None:
     ids = {row["occurrenceID"] for row in rows_of(texts["occurrence.csv"])}
     measured = rows_of(texts["extendedmeasurementorfact.csv"])
     assert {row["occurrenceID"] for row in measured} == ids
+    for row in measured:
+        size = row["measurementType"].startswith("longest")
+        assert row["measurementTypeID"].endswith("/P01/current/OBSINDLX/" if size else "")
+        assert bool(row["measurementTypeID"]) == size, "no id is made up"
+        assert row["measurementUnitID"].endswith("/P06/current/ULAA/" if size else "/P06/current/UUUU/")
     sizes = [float(r["measurementValue"]) for r in measured if r["measurementType"].startswith("longest")]
     assert sizes == pytest.approx(reef().individuals.size.tolist(), abs=5e-4)
     eml = ET.fromstring(texts["eml.xml"])
     names = [name.text for name in eml.iter("surName")]
     assert names == ["Ada & Lovelace <A.>"] * 2
-    assert [rights.text for rights in eml.findall("dataset/intellectualRights/para")] == ["CC0-1.0"]
+    address = "http://creativecommons.org/publicdomain/zero/1.0/legalcode"
+    assert [link.get("url") for link in eml.findall("dataset/intellectualRights/para/ulink")] == [address]
+    assert [url.text for url in eml.findall("dataset/licensed/url")] == [address]
+    assert {row["license"] for row in rows_of(texts["occurrence.csv"])} == {address}
+    assert 'term="http://purl.org/dc/terms/license"' in texts["meta.xml"]
+    assert 'term="http://rs.iobis.org/obis/terms/measurementTypeID"' in texts["meta.xml"]
+
+
+def test_a_licence_is_one_that_can_be_read_somewhere() -> None:
+    own = Author("Ada", "https://example.org/terms")
+    assert own.licence_address == own.licence
+    with pytest.raises(ValueError, match=r"expected CC0-1\.0, CC-BY-4\.0, CC-BY-NC-4\.0, or the address"):
+        Author("Ada", "ask me")
 
 
 def test_no_species_and_no_author_are_made_up(tmp_path: Path) -> None:

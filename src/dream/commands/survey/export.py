@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from dream.commands.console import compiling_told, print_json, with_progress
-from dream.commands.survey.sources import found
+from dream.commands.survey.sources import archive_at, found
+
+if TYPE_CHECKING:
+    from dream.survey import Survey
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,9 +37,9 @@ class Export:
     run: Path | None = None
     """Folder of the run with its observations, for the mosaic, where the survey comes from elsewhere."""
     earlier: Annotated[tuple[str, ...], tyro.conf.arg(metavar="SURVEY ...")] = ()
-    """Other surveys of the site, named likewise: the netCDF file is then a series over time."""
+    """Other surveys of the site, named likewise, for the series over time. Default: all in the archive."""
     only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PRODUCT ...")] = ()
-    """Of geotiff, geopackage, netcdf, darwin-core, mosaic, tables, html, pdf; all where none is named."""
+    """Of geotiff, geopackage, netcdf, darwin-core, mosaic, tables, series, html, pdf. Default: all."""
     species: str = ""
     """What the individuals are, for Darwin Core: a scientific name."""
     species_id: str = ""
@@ -43,7 +49,7 @@ class Export:
     email: str = ""
     """Where to reach them."""
     licence: str = ""
-    """On what terms the data may be used, such as CC-BY-4.0."""
+    """On what terms the data may be used: CC0-1.0, CC-BY-4.0, CC-BY-NC-4.0, or the address of others."""
     json: bool = False
     """Print one JSON object and nothing else."""
 
@@ -61,7 +67,8 @@ class Export:
             raise ValueError(f"export: expected a folder that does not exist, got {self.to}. Choose another")
         with compiling_told():
             survey = found(self.survey, self.archive, self.site)
-            earlier = [found(one, self.archive, self.site) for one in self.earlier]
+            others = [found(one, self.archive, self.site) for one in self.earlier]
+        others = others or _kept_of_its_site(survey, self.archive)
         run = self.run or (Path(self.survey) if Path(self.survey).is_dir() else None)
         title = f"mosaic of {survey.name}"
         made = export(
@@ -70,13 +77,15 @@ class Export:
             run=run,
             species=Species(self.species, self.species_id) if self.species else None,
             author=Author(self.author, self.licence, self.email) if self.author else None,
-            earlier=earlier,
+            others=others,
             only=self.only,
             watched=lambda files: with_progress(iter(files), title, len(files)),
         )
+        for warning in made.warnings:
+            logger.warning("%s", warning)
         told = {"survey": survey.name, "to": str(made.folder), "files": list(made.files)}
         if self.json:
-            print_json({**told, "left_out": dict(made.left_out)})
+            print_json({**told, "left_out": dict(made.left_out), "warnings": list(made.warnings)})
             return 0
         print(f"{made.folder}: {', '.join(made.files)}")
         for name, reason in made.left_out.items():
@@ -84,3 +93,24 @@ class Export:
         if page.NAME in made.files:
             print(f"  to read: {made.folder / page.NAME}")
         return 0
+
+
+def _kept_of_its_site(survey: Survey, archive: str | None) -> list[Survey]:
+    """All that the archive keeps of the site of a survey; what cannot be read there is warned of."""
+    if survey.site is None:
+        return []
+    site, kept = survey.site.name.strip().casefold(), []
+    try:
+        with archive_at(archive) as there:
+            for entry in there.entries():
+                if entry.site.strip().casefold() != site or entry.target != survey.target:
+                    continue
+                try:
+                    kept.append(there.get(entry.number))
+                except ValueError as error:
+                    logger.warning("%s is not in the series: %s", entry.name, error)
+    except FileNotFoundError:
+        pass  # Nobody keeps surveys here.
+    except (OSError, ValueError) as error:
+        logger.warning("the series is without what the archive keeps: %s", error)
+    return kept

@@ -8,9 +8,13 @@ scientificNameID, occurrenceStatus, basisOfRecord; for imagery MachineObservatio
 the status of an identification that nobody has checked (manual.obis.org). What the species is, a person says:
 nothing is looked up and nothing is guessed.
 
+What is found are clumps of shells. `individualCount` counts single animals, which nobody did; so it is left
+out, and `organismQuantity` tells of one clump (OBIS manual, "Abundance vs Count data").
+
 `darwin-core.zip` is a Darwin Core Archive: occurrences as the core, sizes and confidences as OBIS's
 measurements, `meta.xml` which says what the columns are, and `eml.xml` where it is known who made it and
-under which licence.
+under which licence. Measurements have the ids of the NERC vocabulary server where it has a term that says
+what they are, and none where it has not; `measurementValueID` is of facts, and not of numbers.
 """
 
 from __future__ import annotations
@@ -30,13 +34,31 @@ import numpy as np
 
 from dream.survey.products.ground import Ground, site_of
 from dream.survey.products.tables import harmless
-from dream.survey.products.words import simulated
+from dream.survey.products.words import warning
 from dream.survey.survey import Survey
 from dream.types import Target
 
 CSV, ARCHIVE = "occurrence.csv", "darwin-core.zip"
 DWC = "http://rs.tdwg.org/dwc/terms/"
 OBIS = "http://rs.iobis.org/obis/terms/"
+TERMS = {
+    "license": "http://purl.org/dc/terms/license",
+    "measurementTypeID": f"{OBIS}measurementTypeID",
+    "measurementUnitID": f"{OBIS}measurementUnitID",
+}
+"""Columns whose terms are not Darwin Core's own."""
+LENGTH = "http://vocab.nerc.ac.uk/collection/P01/current/OBSINDLX/"
+""""Length of biological entity specified elsewhere", with which the OBIS manual tells lengths (examples)."""
+METRES = "http://vocab.nerc.ac.uk/collection/P06/current/ULAA/"
+""""Metres" (OBIS manual, measurementUnitID)."""
+DIMENSIONLESS = "http://vocab.nerc.ac.uk/collection/P06/current/UUUU/"
+""""Dimensionless"."""
+LICENCES = {
+    "CC0-1.0": "http://creativecommons.org/publicdomain/zero/1.0/legalcode",
+    "CC-BY-4.0": "http://creativecommons.org/licenses/by/4.0/legalcode",
+    "CC-BY-NC-4.0": "http://creativecommons.org/licenses/by-nc/4.0/legalcode",
+}
+"""Those that OBIS and GBIF take, by their SPDX names, and their addresses as GBIF writes them."""
 WITHIN = 2.4477
 """Standard errors of a circle that holds 95 % of a normal scatter over the ground: √(−2 ln 0.05)."""
 LIKELY = 0.5
@@ -70,8 +92,19 @@ class Author:
 
     name: str
     licence: str
-    """As the owner chose it, such as CC-BY-4.0 or CC0-1.0."""
+    """As the owner chose it: one of `LICENCES`, or the address of another."""
     email: str = ""
+
+    def __post_init__(self) -> None:
+        if self.licence not in LICENCES and not re.fullmatch(r"https?://\S+", self.licence):
+            raise ValueError(
+                f"licence: expected {', '.join(LICENCES)}, or the address of another, got {self.licence!r}"
+            )
+
+    @property
+    def licence_address(self) -> str:
+        """Where the licence can be read."""
+        return LICENCES.get(self.licence, self.licence)
 
 
 def write(survey: Survey, species: Species, folder: Path, author: Author | None = None) -> list[Path]:
@@ -89,7 +122,7 @@ def write(survey: Survey, species: Species, folder: Path, author: Author | None 
     """
     if survey.target is Target.WRECK:
         raise ValueError(f"{survey.name}: expected a survey of organisms, got one of a wreck")
-    rows = occurrences(survey, species)
+    rows = occurrences(survey, species, author)
     measured = _measurements(survey, [row["occurrenceID"] for row in rows])
     occurrence = _csv(COLUMNS, rows)
     path, archive = folder / CSV, folder / ARCHIVE
@@ -110,7 +143,7 @@ def write(survey: Survey, species: Species, folder: Path, author: Author | None 
     return [path, archive]
 
 
-def occurrences(survey: Survey, species: Species) -> list[dict[str, str]]:
+def occurrences(survey: Survey, species: Species, author: Author | None = None) -> list[dict[str, str]]:
     """One occurrence for each of `likely`, by the names of Darwin Core terms."""
     ground = Ground(site_of(survey))
     found = survey.individuals
@@ -138,11 +171,13 @@ def occurrences(survey: Survey, species: Species) -> list[dict[str, str]]:
         "sampleSizeValue": f"{float((survey.layers.state != 0).sum()) * survey.layers.cell**2:.1f}",
         "sampleSizeUnit": "square metre",
         "geodeticDatum": "EPSG:4326",
-        "individualCount": "1",
+        "organismQuantity": "1",
+        "organismQuantityType": "clumps",
+        "license": "" if author is None else author.licence_address,
         **{name: harmless(text) for name, text in free.items()},
     }
     # Whoever takes a row out of the file has to see it there.
-    made_up = f"SIMULATED, nothing real was seen ({text}); " if (text := simulated(survey)) else ""
+    made_up = f"{text}; " if (text := warning(survey)) else ""
     return [
         {
             "occurrenceID": _identifier(survey, f"individual {n + 1}"),
@@ -153,15 +188,17 @@ def occurrences(survey: Survey, species: Species) -> list[dict[str, str]]:
             "coordinateUncertaintyInMeters": f"{max(0.01, WITHIN * float(found.sigma[n])):.2f}",
             "minimumDepthInMeters": f"{depth[n]:.2f}",
             "maximumDepthInMeters": f"{depth[n]:.2f}",
-            "occurrenceRemarks": f"{made_up}found in {found.hits[n]} of {found.looks[n]} frames",
+            "occurrenceRemarks": f"{made_up}a clump of shells, how many individuals are in it is not known; "
+            f"found in {found.hits[n]} of {found.looks[n]} frames",
         }
         for n in likely(survey)
     ]
 
 
 def likely(survey: Survey) -> list[int]:
-    """Which individuals are told to be present."""
-    rows: list[int] = np.flatnonzero(survey.individuals.confidence >= LIKELY).tolist()
+    """Which individuals are told to be present: likely ones that some frame labelled."""
+    found = survey.individuals
+    rows: list[int] = np.flatnonzero((found.confidence >= LIKELY) & (found.hits > 0)).tolist()
     return rows
 
 
@@ -170,40 +207,50 @@ COLUMNS = (
     *("identificationVerificationStatus", "identifiedBy", "eventID", "eventDate", "samplingProtocol"),
     *("sampleSizeValue", "sampleSizeUnit", "decimalLongitude", "decimalLatitude", "geodeticDatum"),
     *("coordinateUncertaintyInMeters", "minimumDepthInMeters", "maximumDepthInMeters", "verticalDatum"),
-    *("locality", "individualCount", "occurrenceRemarks"),
+    *("locality", "organismQuantity", "organismQuantityType", "license", "occurrenceRemarks"),
 )
 _MEASURED = (
     "occurrenceID",
     "measurementType",
+    "measurementTypeID",
     "measurementValue",
     "measurementAccuracy",
     "measurementUnit",
+    "measurementUnitID",
     "measurementMethod",
+    "measurementRemarks",
 )
 
 
 def _measurements(survey: Survey, ids: Sequence[str]) -> list[dict[str, str]]:
     found = survey.individuals
+    made_up = warning(survey)
     rows = []
     for n, occurrence in zip(likely(survey), ids, strict=True):
         rows.append(
             {
                 "occurrenceID": occurrence,
-                "measurementType": "longest diameter seen from above",
+                "measurementType": "longest diameter of the clump seen from above",
+                "measurementTypeID": LENGTH,
                 "measurementValue": f"{found.size[n]:.3f}",
                 "measurementAccuracy": f"{found.size_sigma[n]:.3f}",
                 "measurementUnit": "m",
+                "measurementUnitID": METRES,
                 "measurementMethod": "from labelled images and depth; the accuracy is one standard error",
+                "measurementRemarks": made_up,
             }
         )
         rows.append(
             {
                 "occurrenceID": occurrence,
-                "measurementType": "probability that it is an individual",
+                "measurementType": "probability that it is a clump",
+                "measurementTypeID": "",
                 "measurementValue": f"{np.clip(found.confidence[n], 0.0, 1.0):.3f}",
                 "measurementAccuracy": "",
-                "measurementUnit": "",
+                "measurementUnit": "1",
+                "measurementUnitID": DIMENSIONLESS,
                 "measurementMethod": "from how often it was found and could have been",
+                "measurementRemarks": made_up,
             }
         )
     return rows
@@ -239,11 +286,13 @@ def _meta(columns: Sequence[str], *, described: bool) -> str:
         'encoding="UTF-8" fieldsTerminatedBy="," linesTerminatedBy="\\n" '
         'fieldsEnclosedBy="&quot;" ignoreHeaderLines="1"'
     )
-    core = "".join(f'<field index="{n}" term="{DWC}{name}"/>' for n, name in enumerate(columns))
-    more = "".join(
-        f'<field index="{n}" term="{DWC}{name}"/>'
-        for n, name in enumerate(_MEASURED)
-        if name != "occurrenceID"
+    core, more = (
+        "".join(
+            f'<field index="{n}" term="{TERMS.get(name, DWC + name)}"/>'
+            for n, name in enumerate(names)
+            if name != joined
+        )
+        for names, joined in ((columns, ""), (_MEASURED, "occurrenceID"))
     )
     metadata = ' metadata="eml.xml"' if described else ""
     return (
@@ -261,28 +310,34 @@ def _eml(survey: Survey, species: Species, author: Author) -> str:
     """What the data set is (Ecological Metadata Language 2.2)."""
     ground = Ground(site_of(survey))
     box = survey.area
-    x, y = [box.x_min, box.x_max, box.x_max, box.x_min], [box.y_min, box.y_min, box.y_max, box.y_max]
-    longitude, latitude = ground.globe(x, y)
+    west, south, east, north = ground.box(
+        [box.x_min, box.x_max, box.x_max, box.x_min], [box.y_min, box.y_min, box.y_max, box.y_max]
+    )
     day = survey.began.astimezone(UTC).strftime("%Y-%m-%d")
     email = f"<electronicMailAddress>{escape(author.email)}</electronicMailAddress>" if author.email else ""
     party = f"<individualName><surName>{escape(author.name)}</surName></individualName>{email}"
     edges = (
-        f"<westBoundingCoordinate>{longitude.min():.7f}</westBoundingCoordinate>"
-        f"<eastBoundingCoordinate>{longitude.max():.7f}</eastBoundingCoordinate>"
-        f"<northBoundingCoordinate>{latitude.max():.7f}</northBoundingCoordinate>"
-        f"<southBoundingCoordinate>{latitude.min():.7f}</southBoundingCoordinate>"
+        f"<westBoundingCoordinate>{west:.7f}</westBoundingCoordinate>"
+        f"<eastBoundingCoordinate>{east:.7f}</eastBoundingCoordinate>"
+        f"<northBoundingCoordinate>{north:.7f}</northBoundingCoordinate>"
+        f"<southBoundingCoordinate>{south:.7f}</southBoundingCoordinate>"
     )
-    made_up = "SIMULATED: " if simulated(survey) else ""
+    told = warning(survey)
+    made_up = "SIMULATED: " if told else ""
+    licence, address = escape(author.licence), author.licence_address
     title = f"{made_up}{species.name} at {ground.site.name}, {day}, seen by an autonomous underwater vehicle"
     return (
         '<?xml version="1.0" encoding="UTF-8"?>\n'
         '<eml:eml xmlns:eml="https://eml.ecoinformatics.org/eml-2.2.0" '
         f'packageId={quoteattr(_identifier(survey, "data set"))} system="DREAM"><dataset>'
         f"<title>{escape(title)}</title><creator>{party}</creator><pubDate>{day}</pubDate>"
-        "<language>eng</language><abstract><para>Individuals that were found, located and sized across the "
+        f"<language>eng</language><abstract><para>{escape(f'{told}. ' if told else '')}"
+        "Clumps of shells that were found, located and sized across the "
         "frames of one mission, each once. Others hide under and beside them and have no record: the "
         "number of records is no count. Identified by a machine, not verified by a person.</para></abstract>"
-        f"<intellectualRights><para>{escape(author.licence)}</para></intellectualRights>"
+        f"<intellectualRights><para>This work is licensed under <ulink url={quoteattr(address)}>"
+        f"<citetitle>{licence}</citetitle></ulink>.</para></intellectualRights>"
+        f"<licensed><licenseName>{licence}</licenseName><url>{escape(address)}</url></licensed>"
         f"<coverage><geographicCoverage><geographicDescription>{escape(ground.site.name)}</geographicDescription>"
         f"<boundingCoordinates>{edges}</boundingCoordinates></geographicCoverage>"
         f"<temporalCoverage><singleDateTime><calendarDate>{day}</calendarDate></singleDateTime></temporalCoverage>"

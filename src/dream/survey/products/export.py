@@ -15,6 +15,7 @@ from pathlib import Path
 from dream.names import look_up
 from dream.survey import files
 from dream.survey.products import (
+    areas,
     darwin_core,
     geopackage,
     geotiff,
@@ -22,19 +23,23 @@ from dream.survey.products import (
     netcdf,
     page,
     pdf,
+    series,
     tables,
+    words,
 )
 from dream.survey.products.darwin_core import Author, Species
 from dream.survey.products.ground import epsg_of, site_of
 from dream.survey.survey import Survey
+from dream.types import Target
 
 PRODUCTS: Mapping[str, str] = {
     "geotiff": "maps as cloud-optimised GeoTIFFs, with styles for QGIS",
     "geopackage": "track, decisions, patches, individuals, swath",
-    "netcdf": "measures and maps by the CF conventions",
+    "netcdf": "measures and maps by the CF conventions, of all surveys of the site",
     "darwin-core": "individuals that were found as occurrences for OBIS and GBIF",
     "mosaic": "the sea floor as one georeferenced picture",
     "tables": "measures and individuals as CSV",
+    "series": "measures of all surveys of the site, as CSV and as a picture",
     "html": "a report to read on a screen",
     "pdf": "a report to print",
 }
@@ -46,10 +51,12 @@ FILES: Mapping[str, str] = {
     mosaic.NAME: "the sea floor from above, as the camera saw it",
     geopackage.NAME: "track, decisions with their reasoning, patches, individuals, swath; styles inside",
     netcdf.NAME: "measures with intervals, and the maps, by CF 1.8",
-    darwin_core.CSV: "one Darwin Core occurrence an individual that was found and is likely one",
+    darwin_core.CSV: "one Darwin Core occurrence a clump that was found and is likely one",
     darwin_core.ARCHIVE: "the same with sizes as a Darwin Core Archive, for OBIS and GBIF",
     tables.MEASURES: "all measures with their intervals, of the survey and of each patch",
-    tables.INDIVIDUALS: "position, size and confidence of those that were found, which are not all",
+    tables.INDIVIDUALS: "position, size and confidence of the clumps that were found, which are not all",
+    series.CSV: "the measures of all surveys of the site, one a row",
+    series.PICTURE: "how the main measures went, with the 95 % interval of each survey",
     page.NAME: "the survey report, for a browser",
     pdf.NAME: "the survey report, for print",
     "README.md": "what the files are",
@@ -65,6 +72,8 @@ class Exported:
     """Names, sorted."""
     left_out: Mapping[str, str]
     """Why, by product."""
+    warnings: tuple[str, ...] = ()
+    """What is to be known of what was written."""
 
 
 def export(
@@ -74,7 +83,7 @@ def export(
     run: Path | None = None,
     species: Species | None = None,
     author: Author | None = None,
-    earlier: Sequence[Survey] = (),
+    others: Sequence[Survey] = (),
     only: Sequence[str] = (),
     watched: Callable[[Sequence[Path]], Iterable[Path]] = iter,
 ) -> Exported:
@@ -89,7 +98,8 @@ def export(
         run: Folder of the run with its observations, for the mosaic.
         species: What the individuals are, for Darwin Core.
         author: Who answers for the data, for Darwin Core.
-        earlier: Other surveys of the site, which stand beside this one in the netCDF file.
+        others: Other surveys of the site: with them netCDF, series and reports tell how it went. One that
+            is of another site is left out, and it is warned of.
         only: Names of `PRODUCTS`; all where empty. What is named and cannot be made is an error, not left
             out.
         watched: Passes the files of the frames on, and may show how far the mosaic is.
@@ -103,16 +113,17 @@ def export(
         look_up(PRODUCTS, name, "product")
     if to.exists():
         raise ValueError(f"export: expected a folder that does not exist, got {to}. Choose another")
-    for one in (survey, *earlier):
+    for one in (survey, *others):
         files.check(one)
+    surveys, warnings = series.of_one_site(survey, others)
     folder = to.with_name(f".partial.{to.name}")
-    makers = _makers(survey, folder, run, species, author, earlier, watched)
+    makers = _makers(survey, folder, run, species, author, surveys, watched)
     left_out: dict[str, str] = {}
     try:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
         for name in only or PRODUCTS:
-            if reason := _missing(name, survey, run, species):
+            if reason := _missing(name, survey, run, species, surveys):
                 if name in only:
                     raise ValueError(f"{name}: {reason}")
                 left_out[name] = reason
@@ -121,9 +132,9 @@ def export(
         told = [(name, FILES[name]) for name in FILES if (folder / name).exists()]
         if not only or "html" in only:
             picture = folder / mosaic.NAME
-            others = [line for line in told if line[0] != page.NAME]
-            page.write(survey, folder / page.NAME, others, picture if picture.exists() else None)
-        (folder / "README.md").write_text(_readme(survey, folder, left_out), encoding="utf-8")
+            beside = [line for line in told if line[0] != page.NAME]
+            page.write(survey, folder / page.NAME, beside, picture if picture.exists() else None, surveys)
+        (folder / "README.md").write_text(_readme(survey, folder, left_out, warnings), encoding="utf-8")
         names = tuple(sorted(path.name for path in folder.iterdir()))
         folder.rename(to)
     except OSError as error:
@@ -134,7 +145,7 @@ def export(
     finally:
         with suppress(OSError):
             shutil.rmtree(folder)
-    return Exported(to, names, left_out)
+    return Exported(to, names, left_out, tuple(warnings))
 
 
 def _makers(
@@ -143,7 +154,7 @@ def _makers(
     run: Path | None,
     species: Species | None,
     author: Author | None,
-    earlier: Sequence[Survey],
+    surveys: Sequence[Survey],
     watched: Callable[[Sequence[Path]], Iterable[Path]],
 ) -> dict[str, Callable[[], object]]:
     """How each product is written; only those are called of which nothing is missing."""
@@ -159,19 +170,22 @@ def _makers(
     return {
         "geotiff": lambda: geotiff.write(survey, folder),
         "geopackage": lambda: geopackage.write(survey, folder / geopackage.NAME),
-        "netcdf": lambda: netcdf.write([*earlier, survey], folder / netcdf.NAME),
+        "netcdf": lambda: netcdf.write(survey, folder / netcdf.NAME, surveys),
         "darwin-core": occurrences,
         "mosaic": picture,
         "tables": lambda: tables.write(survey, folder),
+        "series": lambda: series.write(surveys, folder),
         # Last of all, as it lists the others.
         "html": lambda: None,
-        "pdf": lambda: pdf.write(survey, folder / pdf.NAME),
+        "pdf": lambda: pdf.write(survey, folder / pdf.NAME, surveys),
     }
 
 
-def _missing(name: str, survey: Survey, run: Path | None, species: Species | None) -> str:
+def _missing(
+    name: str, survey: Survey, run: Path | None, species: Species | None, surveys: Sequence[Survey]
+) -> str:
     """Why a product cannot be made; empty where it can."""
-    if name in ("geotiff", "geopackage", "netcdf", "darwin-core", "mosaic"):
+    if name in ("geotiff", "geopackage", "netcdf", "darwin-core", "mosaic", "series"):
         try:
             site_of(survey)
         except ValueError as error:
@@ -183,6 +197,8 @@ def _missing(name: str, survey: Survey, run: Path | None, species: Species | Non
             return "which species the individuals are has to be said: --species and --species-id"
         if not darwin_core.likely(survey):
             return "no individual was found that is likely one"
+    if name == "series" and len(surveys) < 2:
+        return "it takes two surveys of the site: keep them in an archive, or name others with --earlier"
     if name == "mosaic":
         if run is None:
             return "the pictures lie in the folder of the run: say --run FOLDER"
@@ -191,13 +207,20 @@ def _missing(name: str, survey: Survey, run: Path | None, species: Species | Non
     return ""
 
 
-def _readme(survey: Survey, folder: Path, left_out: Mapping[str, str]) -> str:
+def _readme(survey: Survey, folder: Path, left_out: Mapping[str, str], warnings: Sequence[str]) -> str:
     place = survey.site.name if survey.site is not None else "a place without origin"
     lines = [f"# Survey {survey.name}: {place}", ""]
+    if told := words.warning(survey):
+        lines += [f"**{told}.** Publish none of it as an observation.", ""]
     lines += [f"- `{name}`: {what}" for name, what in FILES.items() if (folder / name).exists()]
-    if left_out:
+    if left_out or warnings:
         lines += ["", "Left out:", ""]
         lines += [f"- {name}: {reason}" for name, reason in left_out.items()]
+        lines += [f"- {warning}" for warning in warnings]
+    if survey.target is not Target.WRECK:
+        lines += ["", words.CLUMPS]
+        lines += ["", "Areas differ by what they are of:", ""]
+        lines += [f"- {area.title}, {area.value}: {area.says}." for area in areas.areas(survey)]
     if survey.site is not None:
         sheet = epsg_of(survey.site.latitude, survey.site.longitude)
         lines += ["", f"Depths are below {survey.site.datum}. Maps lie on EPSG:{sheet}, north up."]

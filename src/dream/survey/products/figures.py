@@ -7,6 +7,7 @@ import io
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from datetime import UTC
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from dream.survey.products.styles import (
     rgb,
     state_names,
 )
-from dream.survey.products.words import size_bin
+from dream.survey.products.words import HEADLINES, UNITS, day, meaning, place, size_bin, warning
 from dream.survey.survey import Measure, Patch, Survey
 
 if TYPE_CHECKING:
@@ -40,6 +41,8 @@ Float64Array = npt.NDArray[np.float64]
 INK, SOFT, GRID = "#0c2431", "#4d6573", "#d5e0e5"
 BIN = 0.025
 """Metres, width of the bins of sizes; doubled until there are at most 24."""
+DATES_APART = 0.3
+"""Share of the span of an axis that a date takes where its figure is narrowest, in print."""
 
 
 @contextmanager
@@ -79,6 +82,13 @@ def svg(figure: Figure) -> bytes:
     """A figure as a picture that a page can hold."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="svg", dpi=200, metadata={"Date": None, "Creator": None})
+    return buffer.getvalue()
+
+
+def png(figure: Figure) -> bytes:
+    """A figure as a file of its own."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=200, metadata={"Software": None})
     return buffer.getvalue()
 
 
@@ -157,9 +167,7 @@ def habitat_map(axes: Axes, survey: Survey) -> None:
         handles.append(Swatch(facecolor=NOT_SEEN, edgecolor=SOFT, linewidth=0.4, label="not seen"))
     if len(found):
         handles.append(
-            Line2D(
-                [], [], marker="o", linestyle="", color=INDIVIDUAL, markersize=4, label="individual, to scale"
-            )
+            Line2D([], [], marker="o", linestyle="", color=INDIVIDUAL, markersize=4, label="clump, to scale")
         )
     handles.append(Line2D([], [], color=TRACK, linewidth=1.3, label="track, ○ start □ end"))
     axes.legend(
@@ -335,7 +343,7 @@ def scale_length(width: float) -> float:
 
 
 def size_figure(axes: Axes, survey: Survey) -> None:
-    """How many individuals there are of each size: shares with their intervals, the median with its own.
+    """How many clumps there are of each size: shares with their intervals, the median with its own.
 
     Where the survey tells no shares, those that were found are counted as they are.
     """
@@ -378,7 +386,7 @@ def _size_shares(axes: Axes, shares: Sequence[tuple[tuple[int, int], Measure]]) 
                 [middle, middle], [low, high], color=INK, linewidth=1.1, marker="_", markersize=5, zorder=4
             )
     axes.set_xlabel("longest diameter, metres", fontsize=8)
-    axes.set_ylabel("% of the individuals, with 95 % intervals", fontsize=8)
+    axes.set_ylabel("% of the clumps, with 95 % intervals", fontsize=8)
     axes.set_ylim(bottom=0.0)
 
 
@@ -393,7 +401,7 @@ def _size_counts(axes: Axes, sizes: Float64Array) -> None:
     edges = width * np.arange(first, max(last, first + 1) + 1)
     axes.hist(sizes, edges.tolist(), color="#1f9e62", edgecolor="white", linewidth=0.8, zorder=2)
     axes.set_xlabel(f"longest diameter, metres (bins of {100.0 * width:g} cm)", fontsize=8)
-    axes.set_ylabel("individuals found", fontsize=8)
+    axes.set_ylabel("clumps found", fontsize=8)
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.margins(x=0.02)
 
@@ -413,3 +421,75 @@ def sea_floor(axes: Axes, picture: npt.NDArray[np.uint8], extent: tuple[float, f
     axes.set_ylabel("metres north of the origin", fontsize=8)
     _north(axes)
     _scale(axes, extent[1] - extent[0])
+
+
+def series_figure(surveys: Sequence[Survey]) -> Figure:
+    """How the main measures of a site went: a panel for each, with the 95 % interval of each survey.
+
+    Args:
+        surveys: Of one site, by time.
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    names = in_series(surveys)
+    rows = math.ceil(len(names) / 2)
+    layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.08)
+    figure = Figure(figsize=(9.0, 0.9 + 2.5 * rows), layout=layout, facecolor="white")
+    days = " to ".join(dict.fromkeys(map(day, (surveys[0], surveys[-1]))))
+    title = f"{place(surveys[-1])}: {len(surveys)} surveys, {days}"
+    figure.suptitle(title, x=0.012, ha="left", fontsize=11, weight="bold")
+    for number, name in enumerate(names, start=1):
+        over_time(figure.add_subplot(rows, 2, number), surveys, name)
+    under = "Points are surveys, bars their 95 % intervals."
+    if any(map(warning, surveys)):
+        under += " SIMULATED: nothing real was seen."
+    figure.supxlabel(under, x=0.012, ha="left", fontsize=8, color=SOFT)
+    return figure
+
+
+def in_series(surveys: Sequence[Survey]) -> list[str]:
+    """The main measures that any of the surveys tells."""
+    told = {measure.name for survey in surveys for measure in survey.measures if measure.value is not None}
+    return [name for name in HEADLINES if name in told]
+
+
+def over_time(axes: Axes, surveys: Sequence[Survey], name: str) -> None:
+    """How one measure went, with the 95 % interval of each survey."""
+    told = [next((m for m in survey.measures if m.name == name), None) for survey in surveys]
+    scale = 100.0 if meaning(name).share else 1.0
+    values, lows, highs = (
+        [math.nan if m is None or (value := getattr(m, end)) is None else scale * value for m in told]
+        for end in ("value", "low", "high")
+    )
+    moments = [survey.began.timestamp() for survey in surveys]
+    axes.plot(moments, values, color=TRACK, linewidth=0.8, alpha=0.4)
+    axes.vlines(moments, lows, highs, color=TRACK, linewidth=2.6, alpha=0.45)
+    axes.plot(moments, values, color=TRACK, linestyle="", marker="o", markersize=3.4)
+    unit = "%" if meaning(name).share else next((UNITS.get(m.unit, m.unit) for m in told if m), "")
+    axes.set_title(f"{meaning(name).title}, {unit}" if unit else meaning(name).title)
+    # From 0, or a change looks larger than it is.
+    axes.set_ylim(bottom=min(0.0, *lows, *values))
+    axes.margins(x=0.1)
+    dates = _dates(surveys)
+    axes.set_xticks(list(dates), list(dates.values()))
+    axes.tick_params(labelsize=8, length=2.5)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(axis="y", color=GRID, linewidth=0.6)
+    axes.set_axisbelow(True)
+
+
+def _dates(surveys: Sequence[Survey]) -> dict[float, str]:
+    """Marks of an axis: when each began; empty where it would cover the one before it."""
+    moments = [survey.began.astimezone(UTC) for survey in surveys]
+    span = moments[-1] - moments[0]
+    one_day = moments[0].date() == moments[-1].date()
+    told: dict[float, str] = {}
+    last = None
+    for moment in moments:
+        if last is not None and moment - last <= DATES_APART * span:
+            told.setdefault(moment.timestamp(), "")
+            continue
+        told[moment.timestamp()] = f"{moment:%H:%M:%S}" if one_day else f"{moment:%d %b %Y}".lstrip("0")
+        last = moment
+    return told

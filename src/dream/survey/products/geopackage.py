@@ -12,7 +12,7 @@ import sqlite3
 import struct
 from collections.abc import Iterable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +23,7 @@ import numpy.typing as npt
 from dream.survey.products import styles
 from dream.survey.products.ground import Ground, site_of
 from dream.survey.products.outlines import grouped, outlines, ring_around
+from dream.survey.products.words import warning
 from dream.survey.survey import Survey
 from dream.types import Reasoning, Target
 
@@ -138,8 +139,10 @@ def write(survey: Survey, path: Path) -> None:
                 "VALUES (?, ?, ?, ?)",
                 styled,
             )
+            made_up = f"{told}. " if (told := warning(survey)) else ""
             for table in tables:
-                _add(file, table, ground.epsg, survey.began)
+                described = replace(table, description=made_up + table.description)
+                _add(file, described, ground.epsg, survey.began)
             file.execute("COMMIT")
     except sqlite3.Error as error:
         path.unlink(missing_ok=True)
@@ -299,7 +302,8 @@ def _patches(survey: Survey, ground: Ground) -> Table:
     color = styles.STATE_COLORS[styles.SOLID_TARGET if wreck else styles.TARGET]
     return Table(
         "patches",
-        "Patches of reef, or a wreck and its debris, with what was measured of each; low and high bound 95 %",
+        "Patches of reef, or a wreck and its debris, with what was measured of each; counts are of clumps of "
+        "shells, low and high bound 95 %",
         {
             "patch": "INTEGER",
             **{name + end: "DOUBLE" for name, _ in columns for end in ("", "_low", "_high")},
@@ -331,8 +335,8 @@ def _individuals(survey: Survey, ground: Ground) -> Table:
     ]
     return Table(
         "individuals",
-        "Those that were found, each once; count in measures tells how many there are. Sizes are the longest "
-        "diameter, depths are below the datum",
+        "Clumps of shells that were found, each once; count in measures tells how many there are. Sizes are "
+        "the longest diameter, depths are below the datum",
         {
             "individual": "INTEGER",
             "patch": "INTEGER",
@@ -386,7 +390,7 @@ def _box(survey: Survey, ground: Ground) -> Table:
 def _measures(survey: Survey) -> Table:
     return Table(
         "measures",
-        "Of the whole survey; low and high bound 95 %",
+        "Of the whole survey; counts are of clumps of shells, low and high bound 95 %",
         {
             "name": "TEXT",
             "value": "DOUBLE",
@@ -407,6 +411,7 @@ def _about(survey: Survey) -> Table:
         "began": survey.began.isoformat(),
         "target": str(survey.target),
         "protocol": survey.protocol,
+        "simulated": warning(survey) or "no",
         "latitude": site.latitude,
         "longitude": site.longitude,
         "heading_deg": site.heading_deg,

@@ -31,6 +31,7 @@ from dream.survey.products.styles import (
     ramp_qml,
     state_names,
 )
+from dream.survey.products.words import warning
 from dream.survey.survey import Layers, Survey
 
 if TYPE_CHECKING:
@@ -194,8 +195,9 @@ def write(survey: Survey, folder: Path) -> list[Path]:
 
 def tags_of(survey: Survey, what: str) -> dict[str, str]:
     """What the header of a file says of its origin."""
+    made_up = f"{told}; " if (told := warning(survey)) else ""
     return {
-        "TIFFTAG_IMAGEDESCRIPTION": f"{site_of(survey).name}, {survey.name}: {what}",
+        "TIFFTAG_IMAGEDESCRIPTION": f"{made_up}{site_of(survey).name}, {survey.name}: {what}",
         "TIFFTAG_SOFTWARE": f"DREAM {survey.made_by.get('version', '')}".strip(),
         "TIFFTAG_DATETIME": survey.began.astimezone(UTC).strftime("%Y:%m:%d %H:%M:%S"),
     }

@@ -64,9 +64,15 @@ class Ground:
     Fails when: pyproj is not installed (a ValueError says what to install).
     """
 
-    def __init__(self, site: Site) -> None:
+    def __init__(self, site: Site, epsg: int | None = None) -> None:
+        """The ground of a site.
+
+        Args:
+            site: Where on earth its world is.
+            epsg: Of the map sheet, where it is not the site's own: that of another run of the same place.
+        """
         self.site = site
-        self.epsg = epsg_of(site.latitude, site.longitude)
+        self.epsg = epsg_of(site.latitude, site.longitude) if epsg is None else epsg
 
     @cached_property
     def crs(self) -> CRS:
@@ -103,6 +109,17 @@ class Ground:
             )
         longitude, latitude = self._to_globe.transform(east, north)
         return np.asarray(longitude, np.float64), np.asarray(latitude, np.float64)
+
+    def box(self, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[float, float, float, float]:
+        """West, south, east and north of points of the world, in degrees.
+
+        Where they lie on both sides of the date line, west is the larger number: so ACDD 1.3 has it of
+        `geospatial_lon_min`, and RFC 7946 of every box.
+        """
+        longitude, latitude = self.globe(x, y)
+        away = np.mod(longitude - self.site.longitude + 180.0, 360.0)
+        west, east = longitude.flat[away.argmin()], longitude.flat[away.argmax()]
+        return float(west), float(latitude.min()), float(east), float(latitude.max())
 
     def sheet(self, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[Float64Array, Float64Array]:
         """Easting and northing in metres on the map sheet of points of the world."""

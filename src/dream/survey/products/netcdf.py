@@ -4,6 +4,10 @@ The classic format (CDF-2) is written by SciPy and read by everything that reads
 surveys, one for a single one. Measures are variables over `time`; `NAME_low` and `NAME_high` are the ends of
 their 95 % intervals and stand in their `ancillary_variables`. Maps lie north up on the map sheet of the site,
 as the GeoTIFFs do.
+
+Site files are corrected over the years, so that surveys of one site may have origins some metres apart. The
+reference position is the origin of the survey that is exported, and the maps are of its ground: others are
+laid there as their own site files say.
 """
 
 from __future__ import annotations
@@ -12,6 +16,7 @@ import io
 import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -19,11 +24,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dream.survey.numbers import named
+from dream.survey import globe
+from dream.survey.products import areas, words
 from dream.survey.products.geotiff import Laid, corners_of, laid_on, sheet_around
 from dream.survey.products.ground import Ground, site_of
+from dream.survey.products.series import NONE_OF_THAT_SIZE, measures_over, of_one_site
 from dream.survey.products.styles import EXPLORED, SOLID, SOLID_TARGET, TARGET, UNKNOWN
-from dream.survey.survey import Measure, Survey
+from dream.survey.survey import Survey
+from dream.types import Target
 
 NAME = "survey.nc"
 FINER = 2
@@ -43,34 +51,37 @@ FILL_BYTE, FILL_SHORT = -127, -32767
 _UNITS = {"m2": "m2", "1/m2": "m-2", "m": "m", "": "1"}
 
 
-def write(surveys: Sequence[Survey], path: Path) -> None:
-    """Write surveys of one site, in the order of their time.
+def write(survey: Survey, path: Path, others: Sequence[Survey] = ()) -> None:
+    """Write a survey, and others of its site, in the order of their time.
 
     Args:
-        surveys: At least one, all with the same origin and heading.
+        survey: Whose origin is the reference position, and whose ground the maps are of.
         path: Of the file.
+        others: Of the same site.
 
     Raises:
-        ValueError: A survey has no origin, or they are of different sites.
+        ValueError: A survey has no origin, or one is of another site.
         OSError: It cannot be written.
     """
     from scipy.io import netcdf_file
 
-    surveys = sorted(surveys, key=lambda survey: survey.began)
-    ground = _common_ground(surveys)
-    corners = np.concatenate([corners_of(survey.layers) for survey in surveys])
-    sheet = sheet_around(ground, corners, min(survey.layers.cell for survey in surveys) / FINER)
-    on = [laid_on(sheet, survey.layers, ground) for survey in surveys]
+    ground = Ground(site_of(survey))
+    surveys, elsewhere = of_one_site(survey, others)
+    if elsewhere:
+        raise ValueError(f"netCDF: {elsewhere[0]}")
+    sheet = sheet_around(ground, corners_of(survey.layers), survey.layers.cell / FINER)
+    on = [laid_on(sheet, one.layers, Ground(site_of(one), ground.epsg)) for one in surveys]
     # Made in memory: SciPy cannot be told to give up where the disk is full.
     content = io.BytesIO()
     with netcdf_file(content, "w", version=2) as file:
-        _describe(file, surveys, ground)
+        _describe(file, survey, surveys, ground)
         file.createDimension("time", len(surveys))
         file.createDimension("side", 2)
         file.createDimension("name_length", max(len(survey.name.encode()) for survey in surveys))
         file.createDimension("y", sheet.rows)
         file.createDimension("x", sheet.cols)
         _times(file, surveys)
+        _origins(file, surveys, ground)
         easting, northing = sheet.axes()
         for name, values, of in (("x", easting, "easting"), ("y", northing, "northing")):
             _variable(
@@ -92,40 +103,33 @@ def write(surveys: Sequence[Survey], path: Path) -> None:
         path.write_bytes(content.getvalue())
 
 
-def _common_ground(surveys: Sequence[Survey]) -> Ground:
-    if not surveys:
-        raise ValueError("netCDF: expected at least one survey, got none")
-    site = site_of(surveys[0])
-    for survey in surveys[1:]:
-        other = site_of(survey)
-        same = ("latitude", "longitude", "heading_deg", "datum_offset", "name", "datum")
-        if any(getattr(site, field) != getattr(other, field) for field in same):
-            raise ValueError(
-                f"netCDF: expected surveys of one site, got {site.name} and {other.name}, "
-                "which differ in their origin, heading or datum. Write a file for each"
-            )
-    return Ground(site)
-
-
-def _describe(file: Any, surveys: Sequence[Survey], ground: Ground) -> None:
+def _describe(file: Any, survey: Survey, surveys: Sequence[Survey], ground: Ground) -> None:
     site, first, last = ground.site, surveys[0], surveys[-1]
-    box = np.concatenate([corners_of(survey.layers) for survey in surveys])
-    longitude, latitude = ground.globe(box[:, 0], box[:, 1])
-    versions = dict.fromkeys(str(survey.made_by.get("version", "unknown")) for survey in surveys)
+    west, south, east, north = ground.box(*corners_of(survey.layers).T)
+    versions = dict.fromkeys(str(one.made_by.get("version", "unknown")) for one in surveys)
+    made_up = [f"{one.name}: {told}" for one in surveys if (told := words.warning(one))]
     attributes = {
         "Conventions": "CF-1.8, ACDD-1.3",
-        "title": f"Surveys of {site.name}",
+        "title": f"{'SIMULATED: ' if made_up else ''}Surveys of {site.name}",
         "summary": "Measures with 95 % intervals and maps from missions of an underwater robot: what was "
         "seen, where the target stands, its relief, and how often each place was looked at.",
         "keywords": "seabed habitat, reef, wreck, autonomous underwater vehicle",
         "source": f"DREAM {', '.join(versions)}",
-        "history": f"{_iso(last.began)}: made from {', '.join(survey.name for survey in surveys)}",
+        "history": f"{_iso(last.began)}: made from {', '.join(one.name for one in surveys)}",
         "references": "docs/survey-measures.md of DREAM",
-        "comment": f"Depths are below {site.datum}; z = 0 of the run lies {site.datum_offset:g} m above it",
-        "geospatial_lat_min": float(latitude.min()),
-        "geospatial_lat_max": float(latitude.max()),
-        "geospatial_lon_min": float(longitude.min()),
-        "geospatial_lon_max": float(longitude.max()),
+        "comment": " ".join(
+            (
+                *(f"{told}." for told in made_up),
+                f"Maps are of the ground of {survey.name}. Its origin is the reference position: "
+                f"{site.latitude:.7f} degrees north, {site.longitude:.7f} degrees east. Other surveys are "
+                "laid there as their own site files say; what of them lies beyond is in their own exports.",
+                *((words.CLUMPS,) if survey.target is not Target.WRECK else ()),
+            )
+        ),
+        "geospatial_lat_min": south,
+        "geospatial_lat_max": north,
+        "geospatial_lon_min": west,
+        "geospatial_lon_max": east,
         "geospatial_vertical_positive": "up",
         "time_coverage_start": _iso(first.began),
         "time_coverage_end": _iso(_ended(last)),
@@ -153,6 +157,21 @@ def _times(file: Any, surveys: Sequence[Survey]) -> None:
     width = file.dimensions["name_length"]
     names = np.array([list(survey.name.encode().ljust(width)) for survey in surveys], np.uint8).view("S1")
     _variable(file, "survey", "c", ("time", "name_length"), names, long_name="name of the survey")
+
+
+def _origins(file: Any, surveys: Sequence[Survey], ground: Ground) -> None:
+    """How far the site file of each survey puts its origin from the reference position."""
+    offsets = [globe.between(replace(ground.site, heading_deg=0.0), site_of(one)) for one in surveys]
+    for name, which in (("x", "east"), ("y", "north")):
+        _variable(
+            file,
+            f"origin_{which}",
+            "d",
+            ("time",),
+            np.array([getattr(offset, name) for offset in offsets]),
+            long_name=f"metres {which} of the reference position at which the origin of the survey lies",
+            units="m",
+        )
 
 
 def _grid_mapping(file: Any, ground: Ground) -> None:
@@ -190,6 +209,7 @@ def _maps(file: Any, surveys: Sequence[Survey], on: Sequence[Laid]) -> None:
         grid,
         state,
         long_name="what the place is",
+        comment=areas.WHY if surveys[0].target is not Target.WRECK else "none",
         flag_values=np.array(list(MEANINGS), np.int8),
         flag_meanings=" ".join(MEANINGS.values()),
         **shared,
@@ -228,25 +248,26 @@ def _maps(file: Any, surveys: Sequence[Survey], on: Sequence[Laid]) -> None:
 
 def _measures(file: Any, surveys: Sequence[Survey]) -> None:
     units = {measure.name: measure.unit for survey in surveys for measure in survey.measures}
-    for name, unit in units.items():
-        of: list[Measure | None] = [
-            next((m for m in survey.measures if m.name == name), None) for survey in surveys
-        ]
+    for name, of in measures_over(surveys).items():
+        unit = units[name]
         values = np.array([_filled(m.value if m else None) for m in of])
-        words = re.sub(r"\W", "_", name)
-        plain = named(name)
-        variable = words if re.match(r"[A-Za-z]", words) else f"measure_{words}"
+        plain = re.sub(r"\W", "_", name)
+        variable = plain if re.match(r"[A-Za-z]", plain) else f"measure_{plain}"
+        notes = dict.fromkeys(m.note for m in of if m and m.note)
+        if words.size_bin(name) is not None:
+            notes[NONE_OF_THAT_SIZE] = None
+        long_name = words.long_name(name)
         _variable(
             file,
             variable,
             "d",
             ("time",),
             values,
-            long_name=plain,
+            long_name=long_name,
             units=_UNITS.get(unit, unit),
             _FillValue=FILL,
             ancillary_variables=f"{variable}_low {variable}_high",
-            comment="; ".join(dict.fromkeys(m.note for m in of if m and m.note)) or "none",
+            comment="; ".join(notes) or "none",
         )
         for end, which in (("low", "lower"), ("high", "upper")):
             _variable(
@@ -255,7 +276,7 @@ def _measures(file: Any, surveys: Sequence[Survey]) -> None:
                 "d",
                 ("time",),
                 np.array([_filled(getattr(m, end) if m else None) for m in of]),
-                long_name=f"{which} end of the 95 % interval of {plain}",
+                long_name=f"{which} end of the 95 % interval of {long_name}",
                 units=_UNITS.get(unit, unit),
                 _FillValue=FILL,
             )

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dream.survey.products import figures, web, words
+from dream.survey.products import areas, figures, web, words
 from dream.survey.products.ground import Ground, site_of
 from dream.survey.products.mosaic import small
 from dream.survey.survey import Measure, Survey
@@ -21,7 +21,11 @@ NAME = "report.html"
 
 
 def write(
-    survey: Survey, path: Path, files: Sequence[tuple[str, str]] = (), mosaic: Path | None = None
+    survey: Survey,
+    path: Path,
+    files: Sequence[tuple[str, str]] = (),
+    mosaic: Path | None = None,
+    surveys: Sequence[Survey] = (),
 ) -> None:
     """Write the page.
 
@@ -30,6 +34,7 @@ def write(
         path: Of the file.
         files: (name, what it is) of what lies beside it.
         mosaic: The GeoTIFF of the sea floor, which is shown smaller.
+        surveys: All of the site, by time; what went on is told of two or more.
 
     Raises:
         OSError: It cannot be written.
@@ -41,6 +46,8 @@ def write(
             "map": _picture(survey, figures.habitat_map, 7.4, 6.6, "Map of what was found"),
             "sea_floor": _sea_floor(survey, mosaic) if mosaic is not None else "",
             "measures": _measures(words.listed(survey)),
+            "areas": _areas(survey),
+            "series": _series(surveys) if len(surveys) > 1 else "",
             "patches": _patches(survey),
             "sizes": _sizes(survey),
             "relief": _picture(survey, figures.relief_map, 6.2, 5.0, "Map of the relief"),
@@ -58,7 +65,7 @@ def write(
     masthead = web.Masthead(
         kind="survey report",
         place=words.place(survey),
-        date=words.day(survey),
+        date=words.day(survey).replace(" ", "\N{NO-BREAK SPACE}"),
         how=_how(survey),
         simulated=words.simulated(survey),
         headlines=_headlines(survey),
@@ -95,6 +102,11 @@ def _measures(measures: Sequence[Measure]) -> str:
     return f"<div class='wide'><table>{head}<tbody>{rows}</tbody></table></div>"
 
 
+def _areas(survey: Survey) -> str:
+    told = [(f"{area.title}, {area.value}", area.says) for area in areas.areas(survey)]
+    return f"<dl class='about areas'>{web.terms(told)}</dl>" if told else ""
+
+
 def _patches(survey: Survey) -> str:
     if not survey.patches:
         return ""
@@ -119,11 +131,23 @@ def _patches(survey: Survey) -> str:
     )
 
 
+def _series(surveys: Sequence[Survey]) -> str:
+    with figures.settings():
+        picture = web.picture(
+            figures.svg(figures.series_figure(surveys)), "svg+xml", "How the main measures went"
+        )
+    lines = "".join(f"<p>{html.escape(line)}</p>" for line in words.trend_limits(surveys[-1].target))
+    return (
+        "<section class='panel series'><h2>Over time <small>all surveys of this site; every measure is in "
+        f"series.csv</small></h2>{picture}{lines}</section>"
+    )
+
+
 def _sizes(survey: Survey) -> str:
     if not len(survey.individuals):
         return ""
     picture = _picture(survey, figures.size_figure, 6.2, 5.0, "How many individuals there are of each size")
-    count = "of the individuals that stand clear of others"
+    count = "of the clumps that stand clear of others"
     return f"<section class='panel'><h2>Sizes <small>{count}</small></h2>{picture}</section>"
 
 

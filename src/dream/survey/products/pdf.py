@@ -1,14 +1,15 @@
-"""A survey as a PDF for print: three pages of A4, drawn with Matplotlib."""
+"""A survey as a PDF for print, drawn with Matplotlib: three pages of A4, and one for a series of surveys."""
 
 from __future__ import annotations
 
 import io
+import math
 import textwrap
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dream.survey.products import figures, words
+from dream.survey.products import areas, figures, words
 from dream.survey.products.figures import GRID, SOFT
 from dream.survey.survey import Survey
 from dream.types import Target
@@ -25,8 +26,13 @@ LINE = 0.0155
 """Of the height of a page."""
 
 
-def write(survey: Survey, path: Path) -> None:
+def write(survey: Survey, path: Path, surveys: Sequence[Survey] = ()) -> None:
     """Write the report.
+
+    Args:
+        survey: With or without an origin.
+        path: Of the file.
+        surveys: All of the site, by time; two or more have a page of their own.
 
     Raises:
         OSError: It cannot be written.
@@ -35,22 +41,25 @@ def write(survey: Survey, path: Path) -> None:
 
     place = words.place(survey)
     with figures.settings():
-        pages = list(_pages(survey))
+        pages = list(_pages(survey, surveys))
         # A fixed date, so that the same survey gives the same bytes.
         about = {"Title": f"{place}: survey report", "Creator": "DREAM", "CreationDate": survey.began}
         content = io.BytesIO()
         with PdfPages(content, metadata=about) as pdf:
             for number, page in enumerate(pages, start=1):
-                foot = f"{place} · {survey.name} · page {number} of {len(pages)}"
+                parts = (place, survey.name, words.warning(survey), f"page {number} of {len(pages)}")
+                foot = " · ".join(filter(None, parts))
                 page.text(0.5, 0.025, foot, ha="center", fontsize=7.5, color=SOFT)
                 pdf.savefig(page)
     path.write_bytes(content.getvalue())
 
 
-def _pages(survey: Survey) -> Iterator[Figure]:
+def _pages(survey: Survey, surveys: Sequence[Survey]) -> Iterator[Figure]:
     yield _first(survey)
     yield _second(survey)
     yield _third(survey)
+    if len(surveys) > 1:
+        yield _over_time(surveys)
 
 
 def _first(survey: Survey) -> Figure:
@@ -82,8 +91,10 @@ def _second(survey: Survey) -> Figure:
     y = _table(
         page, ("", "value", "95 % interval", "what it says"), rows, (0.08, 0.26, 0.40, 0.58), y, wrap=44
     )
+    for area in areas.areas(survey):
+        y = _paragraph(page, f"{area.title}, {area.value}: {area.says}.", y, size=8.0, gap=0.2)
     if len(survey.individuals):
-        y = _heading(page, "Sizes of the individuals that stand clear of others", y - 0.012)
+        y = _heading(page, "Sizes of the clumps that stand clear of others", y - 0.012)
         axes = page.add_axes((0.13, y - 0.185, 0.78, 0.17))
         figures.size_figure(axes, survey)
         y -= 0.235
@@ -112,6 +123,41 @@ def _third(survey: Survey) -> Figure:
         page.text(LEFT, y, what, fontsize=9, color=SOFT, va="top")
         page.text(LEFT + 0.16, y, value, fontsize=9, va="top")
         y -= LINE
+    return page
+
+
+def _over_time(surveys: Sequence[Survey]) -> Figure:
+    """How the main measures went, and their figures."""
+    page = _blank()
+    y = _heading(page, f"Over time: {len(surveys)} surveys of this site", 0.945)
+    names = figures.in_series(surveys)
+    for number, name in enumerate(names):
+        row, column = divmod(number, 2)
+        axes = page.add_axes((0.115 + 0.435 * column, y - 0.165 - 0.21 * row, 0.365, 0.145))
+        figures.over_time(axes, surveys, name)
+    y -= 0.21 * math.ceil(len(names) / 2) + 0.015
+    columns = [LEFT, *(LEFT + 0.21 + 0.16 * n for n in range(len(names)))]
+    for x, name in zip(columns[1:], names, strict=True):
+        page.text(x, y, words.meaning(name).title, fontsize=8, color=SOFT, va="top")
+    y -= LINE
+    # The last ones, above the lines that end the page.
+    shown = surveys[-int((y - 0.17) / (2.0 * LINE)) :]
+    for one in shown:
+        _rule(page, y + 0.003)
+        page.text(LEFT, y, words.day(one), fontsize=9, va="top")
+        page.text(LEFT, y - 0.013, _shortened(one.name, 34), fontsize=6.3, color=SOFT, va="top")
+        of = {m.name: m for m in one.measures}
+        for x, name in zip(columns[1:], names, strict=True):
+            if name in of:
+                page.text(x, y, words.value_text(of[name]), fontsize=9, va="top")
+                page.text(x, y - 0.013, words.interval_text(of[name]), fontsize=6.3, color=SOFT, va="top")
+        y -= 2.0 * LINE
+    if rest := len(surveys) - len(shown):
+        page.text(LEFT, y, f"and {rest} before: see series.csv", fontsize=8, color=SOFT, va="top")
+        y -= 1.5 * LINE
+    y -= 0.5 * LINE
+    for line in words.trend_limits(surveys[-1].target):
+        y = _paragraph(page, line, y, size=9.0, gap=0.35)
     return page
 
 

@@ -9,22 +9,25 @@ from pathlib import Path
 from typing import Any
 
 from dream.survey.products.ground import Ground
+from dream.survey.products.words import world
 from dream.survey.survey import Survey
 
 MEASURES, INDIVIDUALS = "measures.csv", "individuals.csv"
+SIMULATED = "simulated"
+"""A column, and no line above the table, which would break readers."""
 
 
 def write(survey: Survey, folder: Path) -> list[Path]:
     """Write `measures.csv`, of the survey and of each patch, and `individuals.csv`.
 
     Positions are metres in the world of the run; longitude and latitude come with them where there is an
-    origin.
+    origin. The last column of both says which world was simulated, and is empty of real water.
 
     Raises:
         OSError: They cannot be written.
     """
     measures, individuals = folder / MEASURES, folder / INDIVIDUALS
-    _write(measures, ("of", "name", "value", "low", "high", "unit", "note"), _measures(survey))
+    _write(measures, ("of", "name", "value", "low", "high", "unit", "note", SIMULATED), _measures(survey))
     _write(individuals, *_individuals(survey))
     return [measures, individuals]
 
@@ -34,8 +37,9 @@ def _measures(survey: Survey) -> Iterable[Sequence[Any]]:
     of += [(f"patch {number}", patch.measures) for number, patch in enumerate(survey.patches, start=1)]
     for what, measures in of:
         for m in measures:
-            numbers = map(_plain, (m.value, m.low, m.high))
-            yield what, harmless(m.name), *numbers, harmless(m.unit), harmless(m.note)
+            numbers = map(plain, (m.value, m.low, m.high))
+            texts = map(harmless, (m.unit, m.note, world(survey)))
+            yield what, harmless(m.name), *numbers, *texts
 
 
 def _individuals(survey: Survey) -> tuple[tuple[str, ...], list[list[Any]]]:
@@ -65,14 +69,15 @@ def _individuals(survey: Survey) -> tuple[tuple[str, ...], list[list[Any]]]:
         ]
         for number in range(len(found))
     ]
-    if survey.site is None:
-        return columns, rows
-    ground = Ground(survey.site)
-    longitude, latitude = ground.globe(found.position[:, 0], found.position[:, 1])
-    depth = ground.depth(found.position[:, 2])
-    for number, row in enumerate(rows):
-        row += [f"{longitude[number]:.8f}", f"{latitude[number]:.8f}", f"{depth[number]:.3f}"]
-    return (*columns, "longitude", "latitude", "depth_m"), rows
+    if survey.site is not None:
+        ground = Ground(survey.site)
+        longitude, latitude = ground.globe(found.position[:, 0], found.position[:, 1])
+        depth = ground.depth(found.position[:, 2])
+        columns += ("longitude", "latitude", "depth_m")
+        for number, row in enumerate(rows):
+            row += [f"{longitude[number]:.8f}", f"{latitude[number]:.8f}", f"{depth[number]:.3f}"]
+    made_up = harmless(world(survey))
+    return (*columns, SIMULATED), [[*row, made_up] for row in rows]
 
 
 def harmless(text: str) -> str:
@@ -95,5 +100,6 @@ def _write(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) ->
     path.write_text(text.getvalue(), encoding="utf-8")
 
 
-def _plain(value: float | None) -> str:
+def plain(value: float | None) -> str:
+    """A number as a spreadsheet reads it; nothing where it was not measured."""
     return "" if value is None else f"{value:.6g}"

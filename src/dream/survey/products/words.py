@@ -12,7 +12,7 @@ from dream.survey.numbers import named
 from dream.survey.survey import Measure, Survey
 from dream.types import Target
 
-_UNITS = {"m2": "m²", "1/m2": "per m²", "m": "m", "": ""}
+UNITS = {"m2": "m²", "1/m2": "per m²", "m": "m", "": ""}
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,11 +30,11 @@ MEANINGS = {
     "area": Meaning("Area", "ground that it covers"),
     "patch_count": Meaning("Patches", "separate pieces of reef that were seen"),
     "patches": Meaning("Patches", "separate pieces of reef"),
-    "density": Meaning("Density", "individuals on each square metre of reef"),
-    "count": Meaning("Individuals", "estimate of all, with those that hide beside others"),
-    "individuals": Meaning("Individuals", "estimate of all, with those that hide beside others"),
-    "median_size": Meaning("Median size", "half of the individuals are wider than this"),
-    "mean_size": Meaning("Mean size", "mean of the longest diameters"),
+    "density": Meaning("Clump density", "clumps of shells on each square metre of reef"),
+    "count": Meaning("Clumps", "estimate of all clumps of shells, with those that hide beside others"),
+    "individuals": Meaning("Clumps", "estimate of all clumps of shells, with those that hide beside others"),
+    "median_size": Meaning("Median clump size", "half of the clumps of shells are wider than this"),
+    "mean_size": Meaning("Mean clump size", "mean of the longest diameters of clumps of shells"),
     "reef_height": Meaning("Reef height", "how high the reef stands above the bare seabed"),
     "reef_height_max": Meaning("Highest reef", "its highest parts above the bare seabed"),
     "mean_height": Meaning("Mean height", "of the reef above the bare seabed"),
@@ -52,8 +52,8 @@ MEANINGS = {
     # Of comparisons.
     "found": Meaning(
         "Found",
-        "individuals that were found, each weighed by how likely it is one and is found; not the estimate of "
-        "all there are",
+        "individuals (clumps of shells) that were found, each weighed by how likely it is one and is found; "
+        "not the estimate of all there are",
     ),
     "found_density": Meaning("Found density", "those that were found over the target area"),
     "target_area": Meaning("Target area", "that ground's map cells which are target, gaps left out"),
@@ -79,11 +79,18 @@ HEADLINES = (
 def meaning(name: str) -> Meaning:
     """What a measure means; one that is not known here keeps its name."""
     if (ends := size_bin(name)) is not None:
-        return Meaning(f"{ends[0]} to {ends[1]} cm wide", "share of the individuals", share=True)
+        return Meaning(f"{ends[0]} to {ends[1]} cm wide", "share of the clumps of shells", share=True)
     plain = named(name)
     return MEANINGS.get(
         name, Meaning(plain[:1].upper() + plain[1:], "", share=name.endswith(("_share", "_seen")))
     )
+
+
+def long_name(name: str) -> str:
+    """A measure in one line, for the files of programs, such as "clump density: clumps of shells on ..."."""
+    told = meaning(name)
+    title = told.title[:1].lower() + told.title[1:]
+    return f"{title}: {told.says}" if told.says else title
 
 
 def explained(measure: Measure) -> str:
@@ -120,7 +127,7 @@ def interval_text(measure: Measure) -> str:
 def _with_unit(measure: Measure, text: str) -> str:
     if meaning(measure.name).share:
         return f"{text} %"
-    unit = _UNITS.get(measure.unit, measure.unit)
+    unit = UNITS.get(measure.unit, measure.unit)
     return f"{text} {unit}" if unit else text
 
 
@@ -137,11 +144,20 @@ def _number(value: float, measure: Measure) -> str:
 
 def simulated(survey: Survey) -> str:
     """Said of what no camera has seen; empty of a dive in real water."""
-    world = survey.made_by.get("world")
-    if not world:
+    return f"Simulated: {made_up}" if (made_up := world(survey)) else ""
+
+
+def warning(survey: Survey) -> str:
+    """The same for a file, whose reader may see nothing else of the survey; empty of real water."""
+    return f"SIMULATED, nothing real was seen ({made_up})" if (made_up := world(survey)) else ""
+
+
+def world(survey: Survey) -> str:
+    """Which one was simulated, such as "world reef/string, seed 1"; empty of real water."""
+    if not (name := survey.made_by.get("world")):
         return ""
     seed = survey.made_by.get("seed")
-    return f"Simulated: world {world}" + (f", seed {seed}" if seed is not None else "")
+    return f"world {name}" + (f", seed {seed}" if seed is not None else "")
 
 
 def place(survey: Survey) -> str:
@@ -178,9 +194,11 @@ def summary(survey: Survey) -> list[str]:
             where = ", where it was looked at and right beside" if _seen_share(survey) < 1.0 else ""
             lines.append(f"Reef covers {_between(area)}{patches}{where}.")
         if density := of.get("density"):
-            lines.append(f"On each square metre of it there are {_between(density, unit=False)} individuals.")
+            lines.append(
+                f"On each square metre of it there are {_between(density, unit=False)} clumps of shells."
+            )
         if size := of.get("median_size"):
-            lines.append(f"Half of them are wider than {_between(size)}.")
+            lines.append(f"Half of the clumps are wider than {_between(size)}.")
         if height := of.get("reef_height"):
             lines.append(f"The reef stands {_between(height)} above the bare seabed.")
     seen_share = _seen_share(survey)
@@ -203,23 +221,43 @@ def _seen_share(survey: Survey) -> float:
     return float((survey.layers.state != 0).mean())
 
 
+CLUMPS = (
+    "What is counted are clumps: an individual is a clump of shells that grows from one base, not a single "
+    "shell. How many oysters live in it is not known."
+)
+"""What an individual of a reef is."""
+
+
+def trend_limits(target: Target) -> list[str]:
+    """What a series does not say. Stands with every picture of one."""
+    lines = [
+        "Each point is one survey of what it saw, laid on no other. Whether two of them differ is told by "
+        "dream survey compare, which holds only ground against each other that both saw."
+    ]
+    if target is not Target.WRECK:
+        lines.append(
+            "Counts and sizes were calibrated on simulated reefs, new and up to four years on. On a reef of "
+            "other clumps they may be off, and alike so in all surveys of it."
+        )
+    return lines
+
+
 def limits(survey: Survey) -> list[str]:
     """What the figures do not say. Stands in every report."""
     worst = float(survey.track.sigma.max(initial=0.0))
     lines = [
         "Every interval is a 95 % interval: in one case of twenty the true figure lies outside of it. "
         + _calibrated(survey),
-        "A camera and a program made these figures. Nobody has checked the individuals one by one, and none "
+        "A camera and a program made these figures. Nobody has checked what it found one by one, and none "
         "was touched: whether one is alive, and what grows below the surface of the reef, is not known.",
     ]
     if survey.target is not Target.WRECK:
         lines.append(
-            "An individual is what stands apart in the pictures, often a clump of several shells. Its size "
-            "is its longest diameter as seen from above. Where clumps grow into each other, their number is "
-            "corrected, and the interval is wider."
+            f"{CLUMPS} The size of one is its longest diameter as seen from above. Where clumps grow into "
+            "each other, their number is corrected, and the interval is wider."
         )
         lines.append(
-            f"Lists and maps show the {len(survey.individuals)} individuals that were found one by one. They "
+            f"Lists and maps show the {len(survey.individuals)} clumps that were found one by one. They "
             "are not all: how many there are is an estimate, which stands among the measures."
         )
     lines.append(

@@ -1,0 +1,134 @@
+"""All surveys of a site: which belong together, and how their measures went, as a table and a picture.
+
+`series.csv` has one row for each measure of each survey; what was not measured has no value. Shares of sizes
+are told alike in all of them, see `measures_over`.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from datetime import UTC
+from pathlib import Path
+
+from dream.survey import globe
+from dream.survey.intervals import LEVEL
+from dream.survey.products import figures
+from dream.survey.products.tables import SIMULATED, harmless, plain
+from dream.survey.products.words import size_bin, world
+from dream.survey.registration import SAME_PLACE
+from dream.survey.survey import Measure, Survey
+
+CSV, PICTURE = "series.csv", "series.png"
+COLUMNS = ("survey", "date", "measure", "value", "low", "high", "unit", SIMULATED)
+NONE_OF_THAT_SIZE = (
+    "0 where sizes were measured and none is of this size; its interval is then Wilson's for 0 of as many as "
+    "were measured, and holds chance, not the error of measuring; without an upper end where that number is "
+    "not told"
+)
+"""Of the shares of sizes that a survey does not list."""
+
+
+def of_one_site(survey: Survey, others: Iterable[Survey]) -> tuple[list[Survey], list[str]]:
+    """The surveys of the site of one of them, by time, and why each of the rest is none.
+
+    Origins of one site may be apart, as those of site files that were corrected are.
+
+    Args:
+        survey: With an origin; it is among them.
+        others: That are said to be of its site; what is `survey` itself is passed over.
+    """
+    among, reasons = [survey], []
+    for other in others:
+        if (other.name, other.began) == (survey.name, survey.began):
+            continue
+        if reason := _elsewhere(survey, other):
+            reasons.append(f"{other.name} is not in the series: {reason}")
+        else:
+            among.append(other)
+    return sorted(among, key=lambda one: one.began), reasons
+
+
+def _elsewhere(survey: Survey, other: Survey) -> str:
+    """Why another is not of the site of a survey; empty where it is."""
+    if survey.site is None or other.site is None:
+        return "a run without origin"
+    if survey.site.name.strip().casefold() != other.site.name.strip().casefold():
+        return f"expected the site {survey.site.name}, got {other.site.name}"
+    if survey.target is not other.target:
+        return f"expected a survey of {survey.target}, got one of {other.target}"
+    T_site_other = globe.between(survey.site, other.site)
+    apart = math.hypot(T_site_other.x, T_site_other.y)
+    if apart > SAME_PLACE:
+        return (
+            f"expected origins at most {SAME_PLACE / 1000.0:g} km apart, got {apart / 1000.0:.1f} km. Is one "
+            "of the two site files wrong?"
+        )
+    return ""
+
+
+def measures_over(surveys: Sequence[Survey]) -> dict[str, list[Measure | None]]:
+    """What each survey tells of each measure that any of them tells; None where it does not.
+
+    A survey lists shares of sizes from its least to its largest. Of sizes beyond these it found none, which
+    is a share of 0 and not one that was not measured.
+    """
+    names = dict.fromkeys(measure.name for survey in surveys for measure in survey.measures)
+    told = [{measure.name: measure for measure in survey.measures} for survey in surveys]
+    return {
+        name: [
+            of.get(name) or (_none_of_that_size(name, of.values()) if size_bin(name) else None) for of in told
+        ]
+        for name in sorted(names, key=lambda name: (size_bin(name) is not None, size_bin(name) or (0, 0)))
+    }
+
+
+def _none_of_that_size(name: str, measures: Iterable[Measure]) -> Measure | None:
+    """The share of a size that a survey does not list; None where it measured no sizes."""
+    shares = [m for m in measures if size_bin(m.name) is not None and m.value is not None]
+    if not shares:
+        return None
+    measured = re.match(r"from (\d+) ", shares[0].note)
+    high = None if measured is None else LEVEL**2 / (int(measured[1]) + LEVEL**2)
+    return Measure(name, 0.0, 0.0, high, "")
+
+
+def write(surveys: Sequence[Survey], folder: Path) -> list[Path]:
+    """Write `series.csv` and `series.png`.
+
+    Args:
+        surveys: Of one site, by time.
+        folder: To write to.
+
+    Raises:
+        OSError: They cannot be written.
+    """
+    table, picture = folder / CSV, folder / PICTURE
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows(_rows(surveys))
+    table.write_text(text.getvalue(), encoding="utf-8")
+    with figures.settings():
+        picture.write_bytes(figures.png(figures.series_figure(surveys)))
+    return [table, picture]
+
+
+def _rows(surveys: Sequence[Survey]) -> Iterator[tuple[str, ...]]:
+    over = measures_over(surveys)
+    for number, survey in enumerate(surveys):
+        date = survey.began.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+        for name, of in over.items():
+            if (m := of[number]) is not None:
+                numbers = map(plain, (m.value, m.low, m.high))
+                yield (
+                    harmless(survey.name),
+                    date,
+                    harmless(name),
+                    *numbers,
+                    harmless(m.unit),
+                    harmless(world(survey)),
+                )
