@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +23,9 @@ SAME_PLACE = 5000.0
 FEWEST = 10
 """Individuals that must lie on each other at least."""
 DENSITY = 0.2
-"""Metres: cells of the densities that are held against each other over the wide window."""
+"""Metres: cells of the densities that are held against each other."""
+TURN = math.radians(1.0)
+"""Between turns."""
 BEST = 8
 """Turns of which the individuals are tried."""
 _EIGHTHS = np.arange(8) * (math.pi / 4.0)
@@ -71,11 +71,12 @@ class Registration:
 class Registering:
     """Lays a later survey on an earlier one.
 
-    What it does: the maps of target and relief are matched over a window, then the individuals: each pair
-    of near ones pulls, less the farther it is, while the reach is drawn in. The fit holds where many more
-    lie on each other than with one of them shifted aside. An origin may be off by more than the window: the
-    individuals are looked for over a wider one, too, by the correlation of their densities. Its covariance
-    comes from the residuals in squares of ground, because neighbours err alike.
+    What it does: the densities of individuals are correlated over a window of shifts and turns. From where
+    they are most alike each pair of near ones pulls, less the farther it is, while the reach is drawn in. The
+    fit holds where many more lie on each other than with one of them shifted aside. An origin may be off by
+    more than the window, so that a wider one is tried, too; there chance offers more. The covariance comes
+    from the residuals in squares of ground, because neighbours err alike. Where individuals do not tell, the
+    maps of target and relief are matched over the window.
 
     Reference: iterative closest points with an annealed Gaussian reach, after Granger and Pennec, EM-ICP,
     ECCV 2002; the sandwich covariance by clusters of Liang and Zeger, Biometrika 73 (1986).
@@ -114,17 +115,17 @@ class Registering:
         start, note = frames(a, b)
         there = placed(start, b.individuals.position[:, :2])
         pivot = _pivot(a, b, start)
-        first, covariance, by = self._maps(a, b, start, pivot)
-        offset = first
-        pairs, residual = 0, 0.0
         ours = a.individuals.position[:, :2]
         fits = (
-            self._individuals(ours, there, pivot, self._starts(first, by == "map"), self.sure),
-            self._individuals(ours, there, pivot, self._far(ours, there, pivot), self.sure_wide),
+            self._individuals(ours, there, pivot, self.window, self.turn, self.sure),
+            self._individuals(ours, there, pivot, self.wide, self.wide_turn, self.sure_wide),
         )
         # Within the window some may lie on each other where all do beyond it.
         fitted = max(filter(None, fits), key=lambda fit: fit[2], default=None)
-        if fitted is not None:
+        if fitted is None:
+            offset, covariance, by = self._maps(a, b, start, pivot)
+            pairs, residual = 0, 0.0
+        else:
             offset, covariance, pairs, residual = fitted
             by = "individuals"
             apart, turned = math.hypot(offset.x, offset.y), abs(offset.yaw)
@@ -179,12 +180,13 @@ class Registering:
         ours: Float64Array,
         theirs: Float64Array,
         pivot: tuple[float, float],
-        starts: Iterable[SE2],
+        window: float,
+        turn: float,
         sure: float,
     ) -> tuple[SE2, Float64Array, int, float] | None:
         if min(len(ours), len(theirs)) < FEWEST:
             return None
-        tree = cKDTree(ours)
+        tree, starts = cKDTree(ours), _alike(ours, theirs, pivot, window, turn)
         best = max((self._drawn_in(tree, theirs, pivot, start) for start in starts), key=lambda one: one[1])
         offset = best[0]
         at_best = _moved(theirs, pivot, offset)
@@ -198,39 +200,6 @@ class Registering:
         residual = ours[pairs[:, 0]] - at_best[pairs[:, 1]]
         covariance = self._covariance(at_best[pairs[:, 1]] - pivot, residual)
         return offset, covariance, len(pairs), float(np.sqrt((residual**2).mean()))
-
-    def _starts(self, first: SE2, known: bool) -> list[SE2]:
-        """Around where the maps lie on each other, or all over the window where they do not show it."""
-        shifts = (-0.25, 0.0, 0.25) if known else np.arange(-self.window, self.window + 0.1, 0.3).tolist()
-        return [SE2(first.x + dx, first.y + dy, first.yaw) for dx, dy in itertools.product(shifts, repeat=2)]
-
-    def _far(self, ours: Float64Array, theirs: Float64Array, pivot: tuple[float, float]) -> list[SE2]:
-        """Where the densities of individuals correlate best over the wide window: one place for each turn."""
-        if min(len(ours), len(theirs)) < FEWEST:
-            return []
-        half = max(float(np.abs(points - pivot).max()) for points in (ours, theirs)) + self.wide
-        count = 2 * math.ceil(half / DENSITY)
-        edges = (np.arange(count + 1) - 0.5 * count) * DENSITY
-
-        def density(points: Float64Array) -> Float64Array:
-            x, y = (points - pivot).T
-            number, _, _ = np.histogram2d(x, y, bins=(edges, edges))
-            smooth: Float64Array = ndimage.gaussian_filter(number, 1.0)
-            return smooth
-
-        fixed = np.fft.rfft2(density(ours))
-        reach = math.ceil(self.wide / DENSITY)
-        turns = np.arange(-self.wide_turn, self.wide_turn + 1e-9, math.radians(1.0))
-        starts = []
-        for turn in turns.tolist():
-            there = density(_moved(theirs, pivot, SE2(0.0, 0.0, turn)))
-            alike = np.fft.irfft2(fixed * np.conj(np.fft.rfft2(there)), s=there.shape)
-            alike = np.roll(alike, (reach, reach), axis=(0, 1))[: 2 * reach + 1, : 2 * reach + 1]
-            east, north = np.unravel_index(int(alike.argmax()), alike.shape)
-            starts.append(
-                (float(alike.max()), SE2((east - reach) * DENSITY, (north - reach) * DENSITY, turn))
-            )
-        return [start for _, start in sorted(starts, key=lambda one: -one[0])[:BEST]]
 
     def _drawn_in(
         self, tree: cKDTree, theirs: Float64Array, pivot: tuple[float, float], start: SE2
@@ -267,6 +236,32 @@ class Registering:
         # Few squares say little of how they differ: as if all erred on their own, at the least.
         alone = float((residual**2).mean()) * information
         return np.asarray(bread @ (spread + alone) @ bread)
+
+
+def _alike(
+    ours: Float64Array, theirs: Float64Array, pivot: tuple[float, float], window: float, turn: float
+) -> list[SE2]:
+    """Where the densities of individuals correlate best within a window, for each of the best turns."""
+    half = max(float(np.abs(points - pivot).max()) for points in (ours, theirs)) + window
+    count = 2 * math.ceil(half / DENSITY)
+    edges = (np.arange(count + 1) - 0.5 * count) * DENSITY
+
+    def density(points: Float64Array) -> Float64Array:
+        x, y = (points - pivot).T
+        number, _, _ = np.histogram2d(x, y, bins=(edges, edges))
+        smooth: Float64Array = ndimage.gaussian_filter(number, 1.0)
+        return smooth
+
+    fixed = np.fft.rfft2(density(ours))
+    reach, steps = math.ceil(window / DENSITY), math.ceil(turn / TURN)
+    found = []
+    for yaw in (TURN * np.arange(-steps, steps + 1)).tolist():
+        there = density(_moved(theirs, pivot, SE2(0.0, 0.0, yaw)))
+        alike = np.fft.irfft2(fixed * np.conj(np.fft.rfft2(there)), s=there.shape)
+        alike = np.roll(alike, (reach, reach), axis=(0, 1))[: 2 * reach + 1, : 2 * reach + 1]
+        east, north = np.unravel_index(int(alike.argmax()), alike.shape)
+        found.append((float(alike.max()), SE2((east - reach) * DENSITY, (north - reach) * DENSITY, yaw)))
+    return [start for _, start in sorted(found, key=lambda one: -one[0])[:BEST]]
 
 
 def frames(a: Survey, b: Survey) -> tuple[SE2, str]:
