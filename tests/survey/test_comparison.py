@@ -127,7 +127,7 @@ def test_where_nothing_shows_how_they_lie_no_ground_is_compared() -> None:
     assert found.comparable == 0.0
     assert {patch.verdict for patch in found.patches} == {"not comparable"}
     assert not np.isin(found.change, (Change.GAIN, Change.LOSS)).any()
-    assert "no ground is compared" in summary(found)
+    assert "no ground is compared" in summary(found)[0]
     # A reef of which nothing is left is a loss all the same: there is nothing that could lie elsewhere.
     bare = replace(b.layers, state=np.minimum(b.layers.state, 1))
     none = Individuals(*(getattr(b.individuals, one.name)[:0] for one in fields(Individuals)))
@@ -551,7 +551,7 @@ def test_the_page_tells_what_the_figures_hold_and_loads_nothing(
         assert text.count(f">{verdict}<") == len(rows)
     for share in (patch[what] for patch in told["patches"] for what in ("gone", "come")):
         assert f"{share['bare']} of {share['of']}" in patches
-    for line in (change_words.summary(less[0]), *change_words.limits(less[0])):
+    for line in (*change_words.summary(less[0]), *change_words.limits(less[0])):
         assert line in seen.text
     assert f"{100.0 * told['registration']['sigma_m']:.1f} cm (one sigma)" in seen.text
     assert f"{told['registration']['pairs']} individuals that both found" in seen.text

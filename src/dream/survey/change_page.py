@@ -34,7 +34,7 @@ def change_page(
         "change.html",
         {
             "notices": "".join(f'<p class="notice">{html.escape(_sentence(note))}</p>' for note in notes),
-            "summary": html.escape(change_words.summary(comparison)),
+            "summary": "".join(f"<p>{html.escape(line)}</p>" for line in change_words.summary(comparison)),
             "map": web.picture(picture, "png", "Map of what changed"),
             "surveys": _surveys(comparison),
             "laid": web.terms(_laid(comparison)),

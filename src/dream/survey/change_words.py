@@ -74,18 +74,22 @@ def seen_by_both(comparison: Comparison) -> float:
     return comparison.comparable / either if either > 0.0 else 0.0
 
 
-def summary(comparison: Comparison) -> str:
-    """What changed and how sure that is, in a few sentences for whoever reads nothing else."""
+def summary(comparison: Comparison) -> list[str]:
+    """What changed and how sure that is, in a few paragraphs for whoever reads nothing else."""
     if comparison.withheld:
-        return (
+        return [
             "Nothing shows how the two surveys lie on each other: either little of what there was is still "
             "there, or an origin is off. So no ground is compared, and there is no verdict. What each survey "
-            f"tells of all that it saw itself does not hang on that. {' '.join(_each(comparison))}"
-        ).rstrip()
+            "tells of all that it saw itself does not hang on that.",
+            *_each(comparison),
+        ]
     if comparison.comparable <= 0.0:
-        return "The two surveys looked at no ground in common: what changed cannot be told from them."
+        return [
+            "The two surveys looked at no ground in common: what changed cannot be told from them.",
+            *_each(comparison),
+        ]
     numbered = list(enumerate(comparison.patches, start=1))
-    lines = [_verdicts(comparison, numbered)]
+    lines = [" ".join((_verdicts(comparison, numbered), *_each(comparison)))]
     changed = [(k, patch) for k, patch in numbered if patch.verdict in CHANGED]
     surest = sorted(changed, key=lambda one: one[1].p or 0.0)[:TOLD]
     for k, patch in sorted(surest, key=lambda one: one[0]):
@@ -93,21 +97,20 @@ def summary(comparison: Comparison) -> str:
         lines.append(f"In {where}, {_found_in(patch)}")
     if len(changed) > TOLD:
         lines.append("The table tells of the others.")
-    lines += [
-        *_each(comparison),
-        _whole(comparison),
-        f"Both surveys looked at {number(comparison.comparable)} m², "
-        f"{_percent(seen_by_both(comparison))} of the ground that either saw; of the rest nothing is told.",
-    ]
+    lines.append(
+        f"{_whole(comparison)} Both surveys looked at {number(comparison.comparable)} m², "
+        f"{_percent(seen_by_both(comparison))} of the ground that either saw; of the rest nothing is told."
+    )
+    how_sure = []
     if any(patch.p is not None for patch in comparison.patches):
         how, those = comparison.comparing, _pieces(comparison)[1]
-        lines.append(
+        how_sure.append(
             f"The tests are set so that at most {_percent(how.level)} of the {those} that did not change are "
             f"called changed, and at most {_percent(how.false)} of those that are called changed did not."
         )
     if any(patch.verdict == "no change shown" for patch in comparison.patches):
-        lines.append("Where no change is shown there may be one still: its intervals say how large.")
-    return " ".join(lines)
+        how_sure.append("Where no change is shown there may be one still: its intervals say how large.")
+    return [*lines, " ".join(how_sure)] if how_sure else lines
 
 
 def limits(comparison: Comparison) -> list[str]:

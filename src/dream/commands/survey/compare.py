@@ -75,7 +75,7 @@ def _print(comparison: Comparison, files: tuple[Path, ...]) -> None:
     console, told = Console(), comparison.as_dict()
     console.print(f"[bold]{plain(comparison.a.name)}[/bold] → [bold]{plain(comparison.b.name)}[/bold]")
     if comparison.withheld:
-        console.print(summary(comparison), highlight=False)
+        console.print("\n\n".join(summary(comparison)), highlight=False)
     else:
         _print_laid(console, told)
     for title, differences in (
