@@ -43,8 +43,9 @@ from dream.sim.render.scene import rotation_matrices
 from dream.sim.visibility import Visibility
 from dream.sim.world import World
 from dream.sim.worlds import make_world
-from dream.survey import About, Survey, individuals, measure_observations, patches, reef, relief
+from dream.survey import About, Measure, Survey, individuals, measure_observations, patches, reef, relief
 from dream.survey.calibration import SHARP, Calibration
+from dream.survey.comparison import Difference, held_against
 from dream.survey.ground import Frame as Seen
 from dream.survey.ground import fuse, scatter_of
 from dream.survey.individuals import Peaks
@@ -589,6 +590,31 @@ def by_age(rows: list[dict[str, Any]]) -> None:
         print(f"| {name} | {' | '.join(cells)} |")
 
 
+def changes(rows: list[dict[str, Any]]) -> None:
+    """Print what two surveys of a reef, new and years on, say of its change, and whether it holds the truth.
+
+    The rows carry the measures of single surveys; their intervals are put together as `dream survey compare`
+    does.
+    """
+    of = {(row["protocol"], row["name"], row["reef"], row["years"]): row for row in rows}
+    told: dict[tuple[str, int, str], list[tuple[Difference, float]]] = {}
+    for (protocol, name, reef_, years), after in of.items():
+        before = of.get((protocol, name, reef_, 0))
+        if years and before is not None and name in (*HEADLINES, "count"):
+            was, now = (Measure(name, row["value"], row["low"], row["high"], "") for row in (before, after))
+            true = after["truth"] - before["truth"]
+            told.setdefault((protocol, years, name), []).append((held_against(was, now), true))
+    print("| protocol | years | measure | reefs | told | true | in the interval | shown |")
+    print("|---|--:|---|--:|--:|--:|--:|--:|")
+    for (protocol, years, name), pairs in sorted(told.items()):
+        change = 100.0 * float(np.mean([one.change / one.before for one, _ in pairs]))
+        truth = 100.0 * float(np.mean([true / one.before for one, true in pairs]))
+        held = sum(one.low <= true <= one.high for one, true in pairs) / len(pairs)
+        shown = sum(one.p <= 0.05 for one, _ in pairs) / len(pairs)
+        cells = (f"{change:+.0f} %", f"{truth:+.0f} %", f"{held:.0%}", f"{shown:.0%}")
+        print(f"| {protocol} | {years} | {name} | {len(pairs)} | {' | '.join(cells)} |")
+
+
 def table(rows: list[dict[str, Any]]) -> None:
     """Print what came of all missions."""
     print("| protocol | measure | missions | median error | 90 % below | mean error | in the interval |")
@@ -659,13 +685,18 @@ def main() -> int:
         for mission in with_progress(iter(missions), "missions", len(missions)):
             survey, truth = measured(mission, options.cache)
             for row in compared(survey, truth):
-                years = int(mission.world.partition("+")[2].partition("y")[0] or 0)
-                rows.append({"protocol": mission.protocol, "mission": mission.stem, "years": years, **row})
+                family, _, later = mission.world.partition("+")
+                years, which = int(later.partition("y")[0] or 0), f"{family} {mission.seed}"
+                about = {"protocol": mission.protocol, "reef": which, "years": years}
+                rows.append({**about, "mission": mission.stem, **row})
                 lines.write(json.dumps(rows[-1]) + "\n")
                 lines.flush()
     table(rows)
     print()
-    by_age([row for row in rows if not row["mission"].startswith("wreck")])
+    reefs = [row for row in rows if not row["mission"].startswith("wreck")]
+    by_age(reefs)
+    print()
+    changes(reefs)
     return 0
 
 

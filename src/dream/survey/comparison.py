@@ -17,7 +17,7 @@ from scipy.special import ndtr
 from dream.geometry import Bounds
 from dream.survey.fates import BARE, Fate, Missing, Shown, Standing, fates, missing, standing
 from dream.survey.registration import Registering, Registration
-from dream.survey.survey import Individuals, Layers, Survey, under
+from dream.survey.survey import Individuals, Layers, Measure, Survey, under
 
 Float64Array = npt.NDArray[np.float64]
 FateArray = npt.NDArray[np.uint8]
@@ -680,29 +680,34 @@ def _difference(name: str, was: float, now: float, error: float, unit: str) -> D
     return Difference(name, was, now, change, change - half, change + half, _two_sided(change / error), unit)
 
 
-def _told_by_both(a: Survey, b: Survey) -> Iterator[Difference]:
-    """Measures of both surveys that are of the ground, not of how much of it was seen. Their errors are taken
-    for independent, though part of them is not.
+def held_against(was: Measure, now: Measure) -> Difference:
+    """One measure of two surveys. Their errors are taken for independent, though part of them is not.
 
     Reference: the interval of a difference from those of its parts, Zou and Donner, Stat. Med. 27 (2008).
+
+    Raises:
+        ValueError: One of them was not measured.
     """
+    numbers = [was.value, was.low, was.high, now.value, now.low, now.high]
+    known = [value for value in numbers if value is not None]
+    if len(known) < len(numbers):
+        raise ValueError(f"{now.name}: expected two measures with intervals, got one that was not measured")
+    before, low_a, high_a, after, low_b, high_b = known
+    change = after - before
+    less, more = math.hypot(after - low_b, high_a - before), math.hypot(high_b - after, before - low_a)
+    # Of no change the side that a change would be told by is the lesser.
+    side = min(less, more) if change == 0.0 else less if change > 0.0 else more
+    p = _two_sided(Z95 * change / side) if side > 0.0 else float(change == 0.0)
+    return Difference(now.name, before, after, change, change - less, change + more, p, now.unit)
+
+
+def _told_by_both(a: Survey, b: Survey) -> Iterator[Difference]:
+    """Measures of both surveys that are of the ground, not of how much of it was seen."""
     before = {one.name: one for one in a.measures if one.name not in ("seen_share", "hull_seen")}
-    for after in b.measures:
-        was = before.get(after.name)
-        if was is None or None in (was.value, was.low, was.high, after.value, after.low, after.high):
-            continue
-        value, low, high = (
-            [float(getattr(one, name)) for one in (was, after)] for name in ("value", "low", "high")
-        )
-        change = value[1] - value[0]
-        less, more = (
-            math.hypot(value[1] - low[1], high[0] - value[0]),
-            math.hypot(high[1] - value[1], value[0] - low[0]),
-        )
-        # Of no change the side that a change would be told by is the lesser.
-        side = min(less, more) if change == 0.0 else less if change > 0.0 else more
-        p = _two_sided(Z95 * change / side) if side > 0.0 else float(change == 0.0)
-        yield Difference(after.name, value[0], value[1], change, change - less, change + more, p, after.unit)
+    for now in b.measures:
+        was = before.get(now.name)
+        if was is not None and None not in (was.value, was.low, was.high, now.value, now.low, now.high):
+            yield held_against(was, now)
 
 
 def _sides(of: Difference) -> tuple[float, float]:

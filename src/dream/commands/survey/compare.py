@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
-from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,7 +67,7 @@ def _print(comparison: Comparison, files: tuple[Path, ...]) -> None:
     from rich.console import Console
 
     from dream.survey.change_map import PAGE
-    from dream.survey.change_words import a_year, difference_cells, patch_rows, summary
+    from dream.survey.change_words import difference_cells, patch_rows, summary
     from dream.survey.numbers import p_value
     from dream.survey.products.words import size_bin
 
@@ -82,12 +81,12 @@ def _print(comparison: Comparison, files: tuple[Path, ...]) -> None:
         ("what each tells of all that it saw itself", comparison.measures),
         ("all that both saw", () if comparison.withheld else comparison.differences),
     ):
-        # A page has room for the size-frequency.
+        # The page has room for the size-frequency and for rates of a year.
         shown = [one for one in differences if size_bin(one.name) is None]
         if shown:
             rows = [(one.name, difference_cells(one), one.p) for one in shown]
             console.print()
-            console.print(_table(title, rows, [a_year(one, comparison.years) for one in shown]))
+            console.print(_table(title, rows))
     for k, patch in enumerate(() if comparison.withheld else comparison.patches, start=1):
         colour = {"gain": "green", "loss": "red", "mixed": "magenta"}.get(patch.verdict, "default")
         # The verdict is the patch's, not each figure's.
@@ -122,18 +121,14 @@ def _print_laid(console: Console, told: dict[str, Any]) -> None:
     )
 
 
-def _table(
-    title: str, rows: Iterable[tuple[str, tuple[str, str, str], float]], rates: Sequence[str] = ()
-) -> Table:
-    """Of figures, each with its name, cells and p; all tables have the same columns, some a rate as well."""
+def _table(title: str, rows: Iterable[tuple[str, tuple[str, str, str], float]]) -> Table:
+    """Of figures, each with its name, cells and p; all tables have the same columns."""
     from dream.survey.numbers import named, p_value
 
     table = slim_table(title)
     widths = {"": 13, "before → after": 16, "change": 15, "95 % interval": 17, "p": 7}
     for heading, width in widths.items():
         table.add_column(heading, justify="right" if heading else "left", min_width=width)
-    if any(rates):
-        table.add_column("a year", justify="right", min_width=8)
-    for (name, cells, p), rate in zip_longest(rows, rates if any(rates) else ()):
-        table.add_row(named(name), *cells, p_value(p), *([] if rate is None else [rate]))
+    for name, cells, p in rows:
+        table.add_row(named(name), *cells, p_value(p))
     return table
