@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
@@ -13,6 +14,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dream.files import whole_or_nothing
+from dream.names import look_up
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -43,7 +45,17 @@ class Site:
         for field, limit in limits.items():
             value = getattr(self, field)
             if not (math.isfinite(value) and abs(value) <= limit):
-                raise ValueError(f"site: {field}: expected a number within ±{limit:g}, got {value}")
+                raise ValueError(
+                    f"site: {field}: expected a number within ±{limit:g}, got {value}{self._hint(field)}"
+                )
+
+    def _hint(self, field: str) -> str:
+        """What somebody may have meant by a number that is out of range."""
+        if field == "latitude" and 90.0 < abs(self.latitude) <= 180.0 and abs(self.longitude) <= 90.0:
+            return ". Are latitude and longitude swapped?"
+        if field == "longitude" and 180.0 < self.longitude <= 360.0:
+            return f". West of Greenwich it is negative: {self.longitude - 360.0:.9g}"
+        return ""
 
     def east_north(self, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[Float64Array, Float64Array]:
         """Metres true east and north of the origin for points of the world."""
@@ -91,12 +103,41 @@ def read_site(path: Path) -> Site:
     if path.stat().st_size > MOST_BYTES:
         raise ValueError(f"{path}: expected at most {MOST_BYTES} bytes, got {path.stat().st_size}")
     try:
-        fields = _File.model_validate_json(path.read_bytes())
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        where = ".".join(map(str, first["loc"])) or "the whole"
-        raise ValueError(f"{path}: {where}: {first['msg']}, got {str(first['input'])[:80]!r}") from error
-    try:
-        return Site(**fields.model_dump())
+        return Site(**_fields(path.read_bytes()).model_dump())
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
+
+
+_EXPECTED = {
+    "name": 'a name such as "Inner reef"',
+    "latitude": "decimal degrees north such as 38.97",
+    "longitude": "decimal degrees east such as 8.31, which are negative west of Greenwich",
+    "heading_deg": "decimal degrees clockwise from north such as 20.5",
+    "datum": "a chart datum such as MLLW",
+    "datum_offset": "metres such as 0.5",
+}
+_COMMA = r"(-?\d+)\s*,\s*(\d+)"
+
+
+def _fields(content: bytes) -> _File:
+    """What a site file says. Raises a ValueError: what was expected, what it says, what it may have meant."""
+    try:
+        return _File.model_validate_json(content)
+    except ValidationError as error:
+        wrong = error.errors(include_url=False)
+    # Of a field under another name the right one is missing, too.
+    first = min(wrong, key=lambda one: one["type"] != "extra_forbidden")
+    field = ".".join(map(str, first["loc"]))
+    if first["type"] == "extra_forbidden":
+        look_up(_File.model_fields, field, "field")
+    text = content.decode("utf-8", "replace")
+    if first["type"] == "json_invalid" and (comma := re.search(rf'"(\w+)"\s*:\s*{_COMMA}', text)):
+        field, whole, rest = comma.groups()
+        raise ValueError(f"{field}: expected a decimal point, got {whole},{rest}. Write {whole}.{rest}")
+    got = str(first["input"])[:80] if field else text[:80]
+    if field not in _EXPECTED or first["type"] == "string_too_long":
+        raise ValueError(f"{field or 'the whole'}: {first['msg']}, got {got!r}")
+    if first["type"] == "missing":
+        raise ValueError(f"{field}: expected {_EXPECTED[field]}, got none")
+    hint = f". Write {comma[1]}.{comma[2]}" if (comma := re.fullmatch(rf"\s*{_COMMA}\s*", got)) else ""
+    raise ValueError(f"{field}: expected {_EXPECTED[field]}, got {got!r}{hint}")
