@@ -8,6 +8,7 @@ until the step that is being written is whole; of one for which there is no room
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import logging
 import math
 import os
@@ -23,7 +24,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from PIL import Image
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import from_json
 
 from dream.files import whole_or_nothing
@@ -198,6 +199,8 @@ class RunConfig(_Recorded):
     """The orders as sentences."""
     command: str = ""
     """The line that does it again, where that is not `dream run`."""
+    began: AwareDatetime | None = None
+    """By the clock of the machine; None in older files."""
 
 
 class PlannerTimes(_Recorded):
@@ -591,6 +594,18 @@ def _shown(path: Path) -> bytes | None:
     except (OSError, ValueError) as error:
         logger.warning("%s is left out: %s", path, error)
         return None
+
+
+def digest_of_steps(folder: Path) -> str:
+    """SHA-256 of a run's `steps.jsonl`: that of every copy of the run, and of no other.
+
+    Another mission differs by the milliseconds of its decisions, where by nothing else.
+
+    Raises:
+        FileNotFoundError: `folder` holds no recording.
+    """
+    with _file_of_run(folder, "steps.jsonl").open("rb") as lines:
+        return hashlib.file_digest(lines, "sha256").hexdigest()
 
 
 def read_config(folder: Path) -> RunConfig:

@@ -73,7 +73,7 @@ def write_report(folder: Path) -> Path:
             farthest = max(farthest, level)
             blocks += of_step
     run = {
-        "config": config.model_dump(),
+        "config": config.model_dump(mode="json"),
         "summary": summary.model_dump() if summary else None,
         "steps": [step.model_dump() for step in steps],
         "labels": [{"name": label.name.lower(), "color": LABEL_COLORS[label]} for label in Label],

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import os
+import re
 import shutil
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,14 +16,16 @@ from dream.mapping import OccupancyMap
 from dream.mission import explore
 from dream.planning import Belief
 from dream.protocol import DREAM_V1, DREAM_V1_NOISY, SurveyProtocol
-from dream.recording import record, write_config
+from dream.recording import read_config, record, write_config
 from dream.robots import Teleport, replay
+from dream.robots.bluerov2.log import DiveLog
 from dream.sim.camera_noise import noise_generator, with_noise
 from dream.sim.render import Frame, Renderer
 from dream.sim.world import World
 from dream.sim.worlds import make_world
 from dream.survey import About, Survey, measure, measure_observations
 from dream.survey.calibration import SHARP
+from dream.survey.measuring import GUESSED
 from dream.survey.reef import _Shape, _totals
 from dream.types import Observation, Target
 
@@ -280,20 +283,45 @@ def test_a_folder_of_an_older_version_tells_the_minute(run: Path, tmp_path: Path
     assert survey.made_by["began_by"] == "the name of its folder"
 
 
-def test_a_time_that_the_name_of_the_folder_does_not_tell_is_doubted(
-    run: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_run_says_itself_when_it_began_whatever_its_folder_is_called(run: Path, tmp_path: Path) -> None:
+    for name in ("2020-01-01T00-00-00_reef-patch-4_belief", "reef"):
+        copy = Path(shutil.copytree(run, tmp_path / name))
+        config = read_config(copy).model_dump()
+        write_config(copy, {**config, "began": "2026-06-01T11:30:12.7+02:00"})
+        survey = measure(copy)
+        assert survey.began == datetime(2026, 6, 1, 9, 30, 12, tzinfo=UTC)
+        assert survey.made_by["began_by"] == "its own record"
+
+
+def test_an_older_dive_began_when_its_log_says(run: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    dive = Path(shutil.copytree(run, tmp_path / "dive"))
+    DiveLog(dive, epoch_ns=1_780_000_000_250_000_000).close()
+    assert measure(dive).began == datetime.fromtimestamp(1_780_000_000, UTC)
+    (dive / "log.mcap").write_bytes(b"no log")
+    assert measure(dive).made_by["began_by"] == "when its config.json was written"
+
+
+def test_copies_of_a_run_are_the_same_run_and_no_other_is(run: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(run, tmp_path / "copy"))
+    first = measure(run).run
+    assert first is not None
+    assert measure(copy).run == first
+    steps = (copy / "steps.jsonl").read_text()
+    milliseconds = re.search(r'"planner_ms":[^,]+', steps)
+    assert milliseconds is not None
+    (copy / "steps.jsonl").write_text(steps.replace(milliseconds[0], '"planner_ms":77.0', 1))
+    assert measure(copy).run != first
+
+
+def test_a_time_that_nothing_tells_is_guessed(run: Path, tmp_path: Path) -> None:
     assert measure(run).made_by["began_by"] == "the name of its folder"
-    assert caplog.messages == []
     renamed = Path(shutil.copytree(run, tmp_path / "reef"))
     when = datetime(2026, 5, 4, 3, 2, 7, tzinfo=UTC)
     os.utime(renamed / "config.json", (when.timestamp(), when.timestamp()))
     survey = measure(renamed)
     assert survey.began == when
-    assert survey.made_by["began_by"] == "when its config.json was written"
-    (told,) = caplog.messages
-    assert told.startswith("reef: began at 2026-05-04 03:02:07 UTC, going by when its config.json was")
-    assert "call the folder as 2026-05-04T03-02-07_..." in told
+    assert survey.made_by["began_by"] == GUESSED
 
 
 def test_the_place_is_that_of_the_folder(run: Path) -> None:

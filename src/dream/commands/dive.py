@@ -833,6 +833,7 @@ class _Ready:
             **identity(name, self.told.planner),
             "max_steps": self.told.max_steps,
             "command": repeating_command(self.told, name),
+            "began": datetime.datetime.fromtimestamp(self.devices.log.epoch_ns / 1e9, datetime.UTC),
             "mounting": {
                 "dvl": np.asarray(mounting.T_base_dvl.translation).tolist(),
                 "gauge": list(mounting.pressure_sensor),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,6 +47,7 @@ class Export:
         """Exit status 0."""
         from dream import recording
         from dream.robots.bluerov2.dataset import Card, export
+        from dream.robots.bluerov2.log import dive_began
 
         config, steps = recording.read_config(self.run), recording.read_steps(self.run)
         card = Card(
@@ -56,7 +56,7 @@ class Export:
             where=self.where,
             sensors=self.sensors,
             labels_by=self.labels_by,
-            began=_began(self.run),
+            began=dive_began(self.run),
             authors=self.authors,
             licence=self.licence,
         )
@@ -83,18 +83,3 @@ def _simulated(config: RunConfig) -> str:
     if isinstance(dive, dict) and not dive.get("stand_in"):
         return ""
     return f"Simulated: world {config.world}, seed {config.seed}, protocol {config.protocol}."
-
-
-def _began(run: Path) -> datetime | None:
-    """When the clock of the dive was 0, as its log says; None where there is none."""
-    from dream.robots.bluerov2.log import NAME
-    from dream.robots.bluerov2.mcap import McapFile
-
-    if not (run / NAME).is_file():
-        return None
-    file = McapFile(run / NAME)
-    next(file.messages(), None)  # By then the metadata is known, which stands first.
-    try:
-        return datetime.fromtimestamp(int(file.metadata["dream"]["epoch_ns"]) / 1e9, UTC)
-    except (KeyError, ValueError, OverflowError, OSError):
-        return None

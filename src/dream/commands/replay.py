@@ -154,7 +154,7 @@ class Replay:
             if self.out is not None:
                 now = datetime.datetime.now(datetime.UTC)
                 folder = recording.new_run_folder(self.out, config.world, config.seed, name, now)
-                recording.write_config(folder, _config(record, planner))
+                recording.write_config(folder, {**_config(record, planner), "began": now})
                 known = None if world is None else Scorer(world, protocol, orders=record.orders)
                 logbook: Logbook = known or Logbook(protocol, orders=record.orders)
                 recorded = recording.record(steps, folder, annotate=lambda step: _scored(step, logbook))

@@ -157,7 +157,7 @@ class Run:
             # Only now: what is interrupted before it can fly leaves no folder.
             now = datetime.datetime.now(datetime.UTC)
             folder = recording.new_run_folder(self.out, world.name, world.seed, name, now)
-            recording.write_config(folder, config)
+            recording.write_config(folder, {**config, "began": now})
             if self.live:
                 from dream.live.beside import shown_live
 

@@ -294,7 +294,7 @@ def _record(
         max_steps=flight.max_steps,
         swimming=flight.swimming,
     )
-    recording.write_config(folder, config)
+    recording.write_config(folder, {**config, "began": datetime.datetime.now(datetime.UTC)})
     recorded = recording.record(steps, folder, annotate=score)
     with contextlib.suppress(MissionAborted), contextlib.closing(recorded):
         for _ in recorded:

@@ -277,7 +277,7 @@ def _runs_in(place: Path) -> list[Path]:
 
 
 def _plain(record: BaseModel | None) -> dict[str, Any] | None:
-    return None if record is None else record.model_dump()
+    return None if record is None else record.model_dump(mode="json")
 
 
 def _cap(config: RunConfig) -> int | None:

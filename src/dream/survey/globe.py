@@ -38,6 +38,11 @@ def degrees(site: Site, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[Float64Arra
     return np.degrees(np.arctan2(place[..., 1], place[..., 0])), np.degrees(latitude)
 
 
+def apart(one: Site, other: Site) -> float:
+    """Metres from one origin to the other, straight through the earth."""
+    return float(np.linalg.norm(_geocentric(one) - _geocentric(other)))
+
+
 def between(to: Site, of: Site) -> SE2:
     """`T_a_b`: where the frame of one site (b, `of`) is in that of another (a, `to`): metres, radians."""
     offset, axes, others = _geocentric(of) - _geocentric(to), _axes(to), _axes(of)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
@@ -15,8 +14,9 @@ import numpy as np
 from dream import __version__
 from dream.mapping import Layers as MapLayers
 from dream.mapping import OccupancyMap
-from dream.recording import RecordedStep, RunConfig, read_config, read_steps
+from dream.recording import RecordedStep, RunConfig, digest_of_steps, read_config, read_steps
 from dream.robots import replay
+from dream.robots.bluerov2.log import dive_began
 from dream.survey.calibration import calibration_for
 from dream.survey.ground import Frame, Ground, fuse, scatter_of
 from dream.survey.intervals import around
@@ -27,8 +27,6 @@ from dream.survey.wreck import measure_wreck, no_individuals
 from dream.types import Observation, Reasoning, Target
 from dream.versions import commit
 
-logger = logging.getLogger(__name__)
-
 UNKNOWN, EXPLORED, TARGET, SOLID, SOLID_TARGET = range(5)
 """Values of `Layers.state`."""
 HULL_SHARE = 0.15
@@ -36,6 +34,9 @@ HULL_SHARE = 0.15
 
 AROUND_TARGET = 1.0
 """Metres around target that the picture of the ground shows."""
+
+GUESSED = "when its config.json was written"
+"""Of `made_by["began_by"]`: that of a copy may have been written at any time."""
 
 Told = Callable[[int, int], None]
 """Is told how many of how many frames are taken in."""
@@ -222,7 +223,7 @@ def _about(
     run: Path, config: RunConfig, steps: Sequence[RecordedStep], observed: int, site: Site | None
 ) -> About:
     sigma = {step.step: step.position_sigma_m for step in steps}
-    began, by = _began(run)
+    began, by = _began(run, config)
     return About(
         name=run.resolve().name,
         began=began,
@@ -237,18 +238,20 @@ def _about(
             "world": config.world,
             "seed": config.seed,
             "began_by": by,
+            "run": digest_of_steps(run),
             "flown_by": {"version": config.version, "commit": config.commit},
         },
     )
 
 
-def _began(run: Path) -> tuple[datetime, str]:
+def _began(run: Path, config: RunConfig) -> tuple[datetime, str]:
     """When it began, and by what that is known.
 
-    By the folder's name, which is in UTC, and without seconds where an older version gave it; by when its
-    config was written where it is called otherwise, which is said, since a copy of the folder may have been
-    written at any time.
+    An older run does not say. Its folder's name does, in UTC, and without seconds where a still older version
+    gave it; where it is called otherwise, there is only when its config was written.
     """
+    if (recorded := config.began or dive_began(run)) is not None:
+        return recorded.astimezone(UTC).replace(microsecond=0), "its own record"
     found = re.match(r"(\d{4}-\d\d-\d\dT\d\d-\d\d)(-\d\d)?_", run.resolve().name)
     if found:
         minute, second = found.groups(default="-00")
@@ -257,15 +260,8 @@ def _began(run: Path) -> tuple[datetime, str]:
             return began, "the name of its folder"
         except ValueError:
             pass  # Such as month 13: not ours.
-    began = datetime.fromtimestamp((run / "config.json").stat().st_mtime, UTC)
-    logger.warning(
-        "%s: began at %s, going by when its config.json was written, as the name of the folder does not say. "
-        "If that is not so, call the folder as %s_..., with the true time",
-        run.resolve().name,
-        began.strftime("%Y-%m-%d %H:%M:%S UTC"),
-        began.strftime("%Y-%m-%dT%H-%M-%S"),
-    )
-    return began, "when its config.json was written"
+    written = (run / "config.json").stat().st_mtime
+    return datetime.fromtimestamp(written, UTC).replace(microsecond=0), GUESSED
 
 
 def _target(config: RunConfig) -> Target:

@@ -179,6 +179,13 @@ class Survey:
     track: Track
     decisions: tuple[DecisionPoint, ...]
     made_by: dict[str, Any]
-    """Version, commit, planner, world and seed where simulated, and the parameters of the measuring."""
+    """Version, commit, planner, world and seed where simulated, the parameters of the measuring, by what
+    is known when it `began`, and what the run said of that and its site where somebody `corrected` it."""
     picture: Picture | None = None
     """None of a survey without, which can be compared less sharply."""
+
+    @property
+    def run(self) -> str | None:
+        """SHA-256 of the run's steps, which its copies share; None in files of older versions."""
+        digest = self.made_by.get("run")
+        return digest if isinstance(digest, str) else None

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +15,8 @@ if TYPE_CHECKING:
 
     from dream.survey import Survey
     from dream.survey.archive import Archive
+
+logger = logging.getLogger(__name__)
 
 
 def archive_at(where: str | None, *, begin: bool = False) -> AbstractContextManager[Archive]:
@@ -23,10 +27,10 @@ def archive_at(where: str | None, *, begin: bool = False) -> AbstractContextMana
 
 
 def found(what: str, archive: str | None, site: Path | None = None) -> Survey:
-    """The survey that somebody named: the number of one in the archive, its file, or the folder of a run.
+    """The survey that somebody named, as `named` finds it, at a site.
 
     Args:
-        what: As it was typed. A folder or file of that name comes before a number.
+        what: As it was typed.
         archive: As `--archive` gives it.
         site: A file that says where it was, for one that does not know.
 
@@ -38,28 +42,66 @@ def found(what: str, archive: str | None, site: Path | None = None) -> Survey:
     from dream.survey.site import read_site
 
     where = None if site is None else read_site(site)
-    path = Path(what)
-    if path.is_dir():
-        survey = _measured(path)
-    elif path.is_file():
-        from dream.survey import files
-
-        survey = files.read(path)
-    elif re.fullmatch(r"[0-9]{1,18}", what):  # As many digits as a database counts with.
-        with archive_at(archive) as kept:
-            survey = kept.get(int(what))
-    else:
-        raise FileNotFoundError(
-            f"{what}: expected the number of a survey in the archive, its file, or the folder of a run, got "
-            "none of them. See dream survey list"
-        )
+    survey = named(what, archive)
+    if Path(what).exists():  # One in the archive was warned of when it was added.
+        warn_of_date(survey, what)
     if where is None or where == survey.site:
         return survey
     if survey.site is not None:
         raise ValueError(
-            f"--site: expected none, because {survey.name} says where it was ({survey.site.name}), got {site}"
+            f"--site: expected none, because {survey.name} says where it was ({survey.site.name}), got "
+            f"{site}. If that is wrong, put it right in the archive: dream survey add {what} --site {site}"
         )
     return replace(survey, site=where)
+
+
+def named(what: str, archive: str | None) -> Survey:
+    """The survey that somebody named: the number of one in the archive, its file, or the folder of a run.
+
+    Args:
+        what: As it was typed. A folder or file of that name comes before a number.
+        archive: As `--archive` gives it.
+
+    Raises:
+        FileNotFoundError: There is nothing of that name.
+        ValueError: It is damaged.
+        OSError: The archive cannot be reached.
+    """
+    path = Path(what)
+    if path.is_dir():
+        return _measured(path)
+    if path.is_file():
+        from dream.survey import files
+
+        return files.read(path)
+    if re.fullmatch(r"[0-9]{1,18}", what):  # As many digits as a database counts with.
+        with archive_at(archive) as kept:
+            return kept.get(int(what))
+    raise FileNotFoundError(
+        f"{what}: expected the number of a survey in the archive, its file, or the folder of a run, got "
+        "none of them. See dream survey list"
+    )
+
+
+def warn_of_date(survey: Survey, what: str) -> None:
+    """Warn where it is guessed when a survey began, or where that is still to come.
+
+    Args:
+        survey: As it was found.
+        what: As what it was named.
+    """
+    from dream.survey.measuring import GUESSED
+
+    began = f"{survey.began:%Y-%m-%d %H:%M:%S %Z}"
+    say = f"If that is wrong, say when with dream survey add {what} --date"
+    if survey.made_by.get("began_by") == GUESSED:
+        logger.warning(
+            "%s: began at %s, going by when its config.json was written, as neither the run nor the name of "
+            "its folder says. %s",
+            *(survey.name, began, say),
+        )
+    elif survey.began > datetime.now(UTC):
+        logger.warning("%s: began at %s, which is still to come. %s", survey.name, began, say)
 
 
 def _measured(run: Path) -> Survey:

@@ -23,6 +23,7 @@ import threading
 from collections import Counter, deque
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from time import monotonic
 from types import TracebackType
@@ -304,6 +305,18 @@ class Logged:
     type: str
     message: Any
     """As `rosbags` makes it of the bytes."""
+
+
+def dive_began(run: Path) -> datetime | None:
+    """When the clock of a dive was 0, as the log in its run folder says; None where there is none."""
+    if not (run / NAME).is_file():
+        return None
+    try:
+        file = McapFile(run / NAME)
+        next(file.messages(), None)  # By then the metadata is known, which stands first.
+        return datetime.fromtimestamp(int(file.metadata["dream"]["epoch_ns"]) / 1e9, UTC)
+    except (KeyError, ValueError, OverflowError, OSError):
+        return None
 
 
 def read_log(path: Path, topics: Collection[str] = ()) -> Iterator[Logged]:
