@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import random
 import signal
@@ -10,19 +11,23 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from dream.survey import files
+from dream.survey import Survey, files
 from dream.survey.archive import open_archive, schema
 from dream.survey.archive.geopackage import GeoPackageArchive
-from dream.survey.archive.schema import Column, Table
+from dream.survey.archive.postgis import PostgisArchive
+from dream.survey.archive.rows import Row, rows
+from dream.survey.archive.schema import Column, Migration, Table
 from dream.survey.globe import between, degrees
 from dream.survey.site import Site
 from dream.types import Reasoning
-from tests.survey.scenes import SITE, reef, wreck
+from tests.survey.scenes import SITE, WRECK_SITE, reef, wreck
 
 BACKENDS = ("geopackage", "postgis")
 
@@ -35,23 +40,33 @@ def where(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     return str(request.getfixturevalue("postgres").emptied())
 
 
-def counts(where: str) -> dict[str, int]:
-    """Rows of each table."""
-    names = list(schema.order(schema.MIGRATIONS))
+def content(where: str) -> dict[str, list[tuple[Any, ...]]]:
+    """All rows of each table."""
+    tables = schema.order(schema.MIGRATIONS).values()
+    asked = {
+        table.name: f"SELECT {', '.join(column.name for column in table.columns)} FROM {{}}{table.name} "
+        f"ORDER BY {table.columns[0].name}"
+        for table in tables
+    }
     if "://" not in where:
-        database = sqlite3.connect(where)
-        try:
-            return {name: database.execute(f"SELECT count(*) FROM {name}").fetchone()[0] for name in names}
-        finally:
-            database.close()
+        with contextlib.closing(sqlite3.connect(where)) as database:
+            return {name: database.execute(query.format("")).fetchall() for name, query in asked.items()}
     import psycopg
 
     with psycopg.connect(where) as connection:
-        found = {}
-        for name in names:
-            rows = connection.execute(f"SELECT 1 FROM dream.{name}").fetchall()
-            found[name] = len(rows)
-        return found
+        return {
+            name: list(connection.execute(query.format("dream.").encode())) for name, query in asked.items()
+        }
+
+
+def counts(where: str) -> dict[str, int]:
+    """Rows of each table."""
+    return {name: len(rows) for name, rows in content(where).items()}
+
+
+def of_run(survey: Survey, run: str = "a" * 64) -> Survey:
+    """The survey as measured of a run whose steps are known."""
+    return replace(survey, made_by={**survey.made_by, "run": run})
 
 
 def test_what_was_added_comes_back_to_the_last_bit(where: str) -> None:
@@ -71,7 +86,7 @@ def test_the_list_tells_what_is_there(where: str) -> None:
     assert (entry.number, entry.name, entry.site) == (1, survey.name, "Inner reef")
     assert entry.began == survey.began
     assert (entry.target, entry.protocol) == ("oysters", "dream-v1")
-    assert (entry.steps, entry.patches, entry.individuals) == (len(survey.track.time), 2, 60)
+    assert (entry.steps, entry.patches, entry.individuals) == (len(survey.decisions), 2, 60)
     assert entry.measures == survey.measures
 
 
@@ -82,6 +97,176 @@ def test_added_again_it_keeps_its_number(where: str) -> None:
         assert archive.add(reef()) == (1, False)
         assert counts(where) == before
         assert archive.add(reef(name="another"))[1]
+
+
+def test_another_survey_of_a_run_that_is_there_is_refused_by_its_number(where: str) -> None:
+    survey = of_run(reef())
+    with open_archive(where, begin=True) as archive:
+        archive.add(wreck())
+        assert archive.add(survey) == (2, True)
+        before = content(where)
+        assert archive.add(survey) == (2, False)
+        copied = replace(survey, name="a copy under another name", began=survey.began + timedelta(days=9))
+        with pytest.raises(ValueError, match=r"got that of survey 2 \(2026-06-01T09-30_inner-reef\)"):
+            archive.add(copied)
+        assert content(where) == before
+        assert archive.add(of_run(survey, "b" * 64)) == (3, True)
+
+
+def test_a_run_that_an_older_version_kept_is_known_by_name_and_time(where: str) -> None:
+    with open_archive(where, begin=True) as archive:
+        assert archive.add(reef()) == (1, True)
+        for again in (of_run(reef()), replace(reef(), made_by={"version": "another"})):
+            with pytest.raises(ValueError, match=r"got that of survey 1 .* --replace 1"):
+                archive.add(again)
+        assert archive.add(replace(of_run(reef()), began=reef().began + timedelta(seconds=1)))[1]
+        assert archive.add(of_run(reef(name="another"), "b" * 64))[1]
+
+
+def test_a_survey_takes_the_place_of_another_one_of_its_run(where: str) -> None:
+    """With the number, as if the other had never been there."""
+    better = of_run(reef(site=replace(SITE, latitude=10.0)))
+    with open_archive(where, begin=True) as archive:
+        archive.add(wreck())
+        archive.add(of_run(reef(name="a copy")))
+        archive.add(reef(name="another"))
+        before = content(where)
+        assert archive.replace(2, better)
+        assert files.dumped(archive.get(2)) == files.dumped(better)
+        after = content(where)
+        assert not archive.replace(2, better)
+        assert content(where) == after
+        assert [entry.number for entry in archive.entries()] == [1, 2, 3]
+    key = {table: 0 if table == "documents" else 1 for table in before}
+    for table, them in before.items():
+        if table == "surveys":
+            assert [row for row in after[table] if row[0] != 2] == [row for row in them if row[0] != 2]
+            continue
+        of = key[table]
+        assert [row for row in after[table] if row[of] != 2] == [row for row in them if row[of] != 2]
+        assert [row[2:-1] for row in after[table] if row[of] == 2] == [
+            row[2:-1] for row in them if row[of] == 2
+        ]
+
+
+def test_a_survey_does_not_take_the_place_of_another_run(where: str) -> None:
+    track = replace(reef().track, position=reef().track.position + 0.5)
+    elsewhere = replace(reef(name="elsewhere"), track=track)
+    with open_archive(where, begin=True) as archive:
+        archive.add(of_run(reef()))
+        archive.add(of_run(wreck(), "b" * 64))
+        archive.add(reef(name="of an older version"))
+        before = content(where)
+        for number, survey, complaint in (
+            (1, of_run(reef(name="other"), "c" * 64), "--replace 1: expected another measurement of the run"),
+            (1, of_run(wreck(), "b" * 64), "got that of survey 2"),
+            (2, of_run(reef()), "got that of survey 1"),
+            (3, elsewhere, "--replace 3: expected another measurement of the run"),
+            (7, of_run(reef()), r"got 7\. There are: 1, 2, 3\."),
+            (1, replace(of_run(reef()), site=None), "run without origin"),
+        ):
+            with pytest.raises(ValueError, match=complaint):
+                archive.replace(number, survey)
+            assert content(where) == before
+        # That of an older version: the same places at the same times, whatever it was called.
+        assert archive.replace(3, of_run(reef(name="renamed"), "d" * 64))
+
+
+def test_a_survey_is_removed_with_all_that_belongs_to_it_and_with_nothing_else(where: str) -> None:
+    with open_archive(where, begin=True) as archive:
+        archive.add(wreck())
+        alone = content(where)
+        archive.add(reef())
+        entry = archive.remove(2)
+        assert (entry.number, entry.name, entry.began) == (2, reef().name, reef().began)
+        assert content(where) == alone
+        with pytest.raises(ValueError, match=r"got 2\. There are: 1\. See dream survey list"):
+            archive.remove(2)
+        # No number is given twice.
+        assert archive.add(reef()) == (3, True)
+        archive.remove(1)
+        archive.remove(3)
+        with pytest.raises(ValueError, match=r"got 3\. There are: none\."):
+            archive.remove(3)
+    assert set(counts(where).values()) == {0}
+
+
+@pytest.mark.parametrize("what", ["replace", "remove"])
+def test_what_fails_on_the_way_leaves_the_survey_that_was_there(
+    what: str, where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with open_archive(where, begin=True) as archive:
+        archive.add(of_run(reef()))
+        before = content(where)
+        backend = "postgis" if "://" in where else "geopackage"
+        monkeypatch.setattr(f"dream.survey.archive.{backend}.parts", lambda: [*schema.parts(), "no_table"])
+        with pytest.raises(ValueError, match="no_table"):
+            archive.replace(1, of_run(reef(name="renamed"))) if what == "replace" else archive.remove(1)
+        assert content(where) == before
+        monkeypatch.undo()
+        archive.remove(1)
+
+
+def test_steps_and_patches_are_numbered_as_in_reports(where: str) -> None:
+    survey = reef()
+    with open_archive(where, begin=True) as archive:
+        archive.add(survey)
+    _numbered_as_in_reports(where, survey)
+
+
+def _numbered_as_in_reports(where: str, survey: Survey) -> None:
+    found = content(where)
+    columns = {name: table.columns for name, table in schema.order(schema.MIGRATIONS).items()}
+    named = {
+        name: [dict(zip((column.name for column in columns[name]), row, strict=True)) for row in found[name]]
+        for name in found
+    }
+    assert [row["steps"] for row in named["surveys"]] == [len(survey.decisions)]
+    assert [row["step"] for row in named["decisions"]] == [one.step for one in survey.decisions]
+    assert [row["patch"] for row in named["patches"]] == [1, 2]
+    assert [row["patch"] for row in named["individuals"]] == (survey.individuals.patch + 1).tolist()
+    kept = [(row["patch"], row["name"], row["value"]) for row in named["measures"]]
+    assert kept == [
+        *((None, one.name, one.value) for one in survey.measures),
+        *((k, one.name, one.value) for k, patch in enumerate(survey.patches, 1) for one in patch.measures),
+    ]
+
+
+def test_an_archive_that_counted_otherwise_tells_the_same_as_a_new_one(
+    where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As version 1 wrote it: steps with the first look, patches from 0, no runs."""
+
+    def as_then(survey: Survey) -> tuple[Row, dict[str, list[Row]]]:
+        head, others = rows(survey)
+        del head["run"]
+        for table in ("measures", "patches", "individuals"):
+            others[table] = [
+                {**row, "patch": None if row["patch"] is None else row["patch"] - 1} for row in others[table]
+            ]
+        return {**head, "steps": len(survey.track.time)}, others
+
+    there = f"dream.survey.archive.{'postgis' if '://' in where else 'geopackage'}"
+    individuals = reef().individuals
+    patch = np.where(np.arange(60) == 7, -1, individuals.patch).astype(np.int32)
+    survey = replace(reef(), individuals=replace(individuals, patch=patch))
+    with monkeypatch.context() as then:
+        then.setattr(f"{there}.MIGRATIONS", schema.MIGRATIONS[:1])
+        then.setattr(f"{there}.rows", as_then)
+        for archive_of in (GeoPackageArchive, PostgisArchive):
+            then.setattr(archive_of, "_of_its_run", lambda self, head: [])
+        with open_archive(where, begin=True) as archive:
+            archive.add(survey)
+    with open_archive(where) as archive:
+        assert files.dumped(archive.get(1)) == files.dumped(survey)
+        assert archive.entries()[0].steps == len(survey.decisions)
+    migrated = content(where)
+    with open_archive(where) as archive:
+        archive.remove(1)
+        archive.add(replace(survey, name="another"))
+    fresh = content(where)
+    for table in ("measures", "patches", "individuals"):
+        assert [row[2:] for row in migrated[table]] == [row[2:] for row in fresh[table]]
 
 
 def test_the_tables_hold_a_row_for_everything(where: str) -> None:
@@ -146,9 +331,12 @@ def test_an_older_archive_is_brought_up_to_date_with_all_that_is_in_it(
 ) -> None:
     with open_archive(where, begin=True) as archive:
         archive.add(reef())
-    later = (
-        Table("surveys", "", (Column("weather", "text", required=False),)),
-        Table("visits", "Who came", (Column("id", "id"), Column("survey_id", "integer", of="surveys"))),
+    later = Migration(
+        (
+            Table("surveys", "", (Column("weather", "text", required=False),)),
+            Table("visits", "Who came", (Column("id", "id"), Column("survey_id", "integer", of="surveys"))),
+        ),
+        ("UPDATE {schema}surveys SET weather = 'calm'",),
     )
     for module in ("geopackage", "postgis"):
         monkeypatch.setattr(f"dream.survey.archive.{module}.MIGRATIONS", (*schema.MIGRATIONS, later))
@@ -156,9 +344,11 @@ def test_an_older_archive_is_brought_up_to_date_with_all_that_is_in_it(
     with open_archive(where) as archive:
         assert files.dumped(archive.get(1)) == files.dumped(reef())
         assert archive.add(wreck()) == (2, True)
+        assert archive.remove(1).name == reef().name
     assert counts(where)["visits"] == 0
+    assert [row[-1] for row in content(where)["surveys"]] == [None]
     monkeypatch.undo()
-    with pytest.raises(ValueError, match="expected an archive of version 1 at most, got 2"):
+    with pytest.raises(ValueError, match="expected an archive of version 2 at most, got 3"):
         open_archive(where)
 
 
@@ -225,6 +415,39 @@ def test_a_writer_that_is_killed_loses_nothing_that_it_said_it_kept(where: str) 
     assert found["documents"] == found["tracks"] == found["surveys"]
 
 
+REPLACES = """
+import sys
+from dataclasses import replace
+from dream.survey.archive import open_archive
+from tests.survey.scenes import reef
+
+print("ready", flush=True)
+with open_archive(sys.argv[1]) as archive:
+    for k in range(1000):
+        archive.replace(1, reef(name=f"turn {k % 2}"))
+        print(k, flush=True)
+"""
+
+
+def test_a_replacement_that_is_killed_leaves_one_whole_survey(where: str) -> None:
+    rng = random.Random(7)
+    with open_archive(where, begin=True) as archive:
+        archive.add(reef())
+        archive.add(wreck())
+        before = counts(where)
+    for _ in range(3):
+        writer = subprocess.Popen([sys.executable, "-c", REPLACES, where], stdout=subprocess.PIPE, text=True)
+        assert writer.stdout is not None
+        assert [writer.stdout.readline() for _ in range(3)] == ["ready\n", "0\n", "1\n"]
+        time.sleep(rng.uniform(0.0, 0.05))
+        writer.send_signal(signal.SIGKILL)
+        writer.communicate(timeout=60.0)
+        with open_archive(where) as archive:
+            assert files.dumped(archive.get(1)) in [files.dumped(reef(name=f"turn {k}")) for k in range(2)]
+            assert files.dumped(archive.get(2)) == files.dumped(wreck())
+        assert counts(where) == before
+
+
 # --- The GeoPackage
 
 
@@ -274,6 +497,37 @@ def test_gdal_opens_every_layer(kept: Path) -> None:
         meta, _, geometry, _ = pyogrio.raw.read(kept, layer=name)
         assert meta["crs"] == "EPSG:4326"
         assert len(geometry) == counts(str(kept))[name]
+
+
+def test_layers_lie_where_surveys_are_and_no_longer_where_they_were(kept: Path) -> None:
+    def box() -> tuple[float, ...]:
+        with contextlib.closing(sqlite3.connect(kept)) as database:
+            (found,) = database.execute(
+                "SELECT DISTINCT min_x, min_y, max_x, max_y FROM gpkg_contents WHERE srs_id IS NOT NULL"
+            ).fetchall()
+        return tuple(found)
+
+    alone = box()
+    with open_archive(str(kept)) as archive:
+        archive.add(wreck())
+        west, south, _, _ = box()
+        assert (west, south) == (alone[0], pytest.approx(WRECK_SITE.latitude, abs=1e-3))
+        archive.replace(2, wreck(site=SITE))
+        assert box()[1] == pytest.approx(SITE.latitude, abs=1e-3)
+        archive.remove(2)
+        assert box() == alone
+        archive.remove(1)
+        assert box() == (None,) * 4
+        archive.add(reef())
+        assert box() == alone
+
+
+def test_a_geometry_that_is_none_is_told_of(kept: Path) -> None:
+    with contextlib.closing(sqlite3.connect(kept)) as database:
+        database.execute("UPDATE surveys SET geom = 'nowhere'")
+        database.commit()
+    with open_archive(str(kept)) as archive, pytest.raises(ValueError, match="got a damaged file"):
+        archive.add(wreck())
 
 
 def test_other_files_are_refused_and_left_alone(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from dream.commands.survey.add import Add
 from dream.commands.survey.compare import Compare
 from dream.commands.survey.export import Export
 from dream.commands.survey.list import List
+from dream.commands.survey.remove import Remove
 from dream.commands.survey.show import Show
 
 
@@ -25,6 +26,7 @@ class Survey:
         Annotated[Add, tyro.conf.subcommand("add")]
         | Annotated[List, tyro.conf.subcommand("list")]
         | Annotated[Show, tyro.conf.subcommand("show")]
+        | Annotated[Remove, tyro.conf.subcommand("remove")]
         | Annotated[Compare, tyro.conf.subcommand("compare")]
         | Annotated[Export, tyro.conf.subcommand("export")]
     )

@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 import logging
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 import tyro
 
 from dream.commands.console import compiling_told, print_json
-from dream.commands.survey.sources import archive_at, found
+from dream.commands.survey.sources import archive_at, named, warn_of_date
 
 logger = logging.getLogger(__name__)
 
@@ -19,13 +20,19 @@ logger = logging.getLogger(__name__)
 class Add:
     """Measure a run and keep its survey in the archive, which is begun where there is none.
 
-    Added again, a survey keeps its number.
+    Added again, a survey keeps its number. Another survey of a run that is there already, such as one that
+    was measured by a later version, or whose site was corrected, takes its place with --replace.
     """
 
     survey: tyro.conf.Positional[str]
-    """Folder of a run that was flown with --site or --keep-observations, or the file of a survey."""
+    """Folder of a run that was flown with --site or --keep-observations, or the file of a survey; to correct
+    one in the archive without its run, its number."""
     site: Path | None = None
-    """Of a run that does not know its origin: the file that does."""
+    """File that says where on earth it was: of a run that does not know, or whose origin is wrong."""
+    date: datetime | None = None
+    """When it began, where the clock of the run was wrong: YYYY-MM-DD, or YYYY-MM-DDTHH:MM:SS, in UTC."""
+    replace: int | None = None
+    """Number of the survey of this run in whose place it is put."""
     archive: str | None = None
     """Path, or postgresql:// URL, of the archive. Default: that in DREAM_ARCHIVE, else surveys.gpkg."""
     save: Path | None = None
@@ -38,23 +45,45 @@ class Add:
         from dream.survey import files
         from dream.survey.archive.schema import FROM_NOWHERE
         from dream.survey.calibration import doubt
+        from dream.survey.correcting import corrections, dated, located
+        from dream.survey.site import read_site
 
+        # What may be wrong here is read before a run is measured, which takes a while.
+        site, before = None if self.site is None else read_site(self.site), None
+        if self.replace is not None:
+            with archive_at(self.archive) as archive:
+                before = archive.get(self.replace)
         with compiling_told():
-            survey = found(self.survey, self.archive, self.site)
+            survey = found = named(self.survey, self.archive)
+        if site is not None:
+            survey = located(survey, site)
+        if self.date is not None:
+            zoned = self.date if self.date.tzinfo is not None else self.date.replace(tzinfo=UTC)
+            survey = dated(survey, zoned.astimezone(UTC))
         if survey.site is None:
             raise ValueError(f"{survey.name}: {FROM_NOWHERE}")
         with contextlib.ExitStack() as stack:
             if self.save is not None:
                 stack.enter_context(files.appearing(survey, self.save))
-            archive = stack.enter_context(archive_at(self.archive, begin=True))
-            number, new = archive.add(survey)
+            archive = stack.enter_context(archive_at(self.archive, begin=self.replace is None))
+            if self.replace is None:
+                number, new = archive.add(survey)
+                replaced = False
+            else:
+                number, new, replaced = self.replace, False, archive.replace(self.replace, survey)
             where = archive.name
+        for correction in corrections(before or found, survey):
+            logger.warning("%s: %s", survey.name, correction)
+        warn_of_date(survey, self.survey)
         if doubtful := doubt(survey.protocol, survey.target):
             logger.warning("%s: %s", survey.name, doubtful)
         if self.json:
-            print_json({"archive": where, "survey": number, "name": survey.name, "new": new})
+            told = {"survey": number, "name": survey.name, "new": new, "replaced": replaced}
+            print_json({"archive": where, **told})
         elif new:
             print(f"{where}: kept {survey.name} ({survey.site.name}) as survey {number}")
+        elif replaced:
+            print(f"{where}: put {survey.name} ({survey.site.name}) in the place of survey {number}")
         else:
             print(f"{where}: has {survey.name} ({survey.site.name}) already, as survey {number}")
         return 0

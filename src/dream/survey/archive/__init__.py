@@ -1,7 +1,8 @@
 """Surveys of a site, kept: in a GeoPackage on disk, or in PostgreSQL with PostGIS.
 
-Both hold the same tables, which QGIS opens, and pass the same tests. A survey is added in one transaction:
-it is there whole or not at all, whatever dies meanwhile; added again, it keeps its number.
+Both hold the same tables, which QGIS opens, and pass the same tests. A survey is added, replaced or removed
+in one transaction: it is there whole or not at all, whatever dies meanwhile. Added again, it keeps its
+number; no number is given twice.
 """
 
 from __future__ import annotations
@@ -37,7 +38,24 @@ class Archive(Protocol):
         """Keep a survey; its number, and whether it is new there.
 
         Raises:
-            ValueError: The survey is inconsistent, or its run had no origin.
+            ValueError: The survey is inconsistent, its run had no origin, or another survey of its run is
+                there.
+        """
+        ...
+
+    def replace(self, number: int, survey: Survey) -> bool:
+        """Keep a survey in the place of another one of its run, by its number; whether that was another.
+
+        Raises:
+            ValueError: There is none of that number, it is of another run, or the survey is inconsistent.
+        """
+        ...
+
+    def remove(self, number: int) -> Entry:
+        """Take the survey of that number out, with all that belongs to it; what it was.
+
+        Raises:
+            ValueError: There is none.
         """
         ...
 

@@ -23,13 +23,15 @@ from dream.survey.archive import entries as told
 from dream.survey.archive import wkb
 from dream.survey.archive.entries import Entry
 from dream.survey.archive.rows import Row, rows
-from dream.survey.archive.schema import MIGRATIONS, VERSIONS, WGS84, Column, Table, order
+from dream.survey.archive.schema import MIGRATIONS, VERSIONS, WGS84, Column, Table, order, parts
 from dream.survey.survey import Survey
 
 APPLICATION = 0x47504B47
 """`GPKG`, in the header of the file."""
 GEOPACKAGE = 10_300
 """Version 1.3; QGIS of 2026's stable systems calls 1.4 partly supported."""
+HEADER = 8
+"""Bytes of a geometry before its envelope (clause 2.1.3)."""
 PATIENCE = 30.0
 """Seconds to wait for another writer."""
 
@@ -117,34 +119,47 @@ class GeoPackageArchive:
     def add(self, survey: Survey) -> tuple[int, bool]:
         """Keep a survey; its number, and whether it is new there."""
         head, others = rows(survey)
-        with self._told(), self._transaction():
-            found = self._connection.execute("PRAGMA quick_check(1)").fetchone()[0]
-            if found != "ok":
-                raise sqlite3.DatabaseError(found)
-            there = self._connection.execute("SELECT id FROM surveys WHERE digest = ?", (head["digest"],))
-            if kept := there.fetchone():
-                return int(kept[0]), False
+        with self._changing():
+            there = self._of_its_run(head)
+            if (number := told.kept(head, there)) is not None:
+                return number, False
+            told.check_first_of_its_run(head, there)
             number = insert(self._connection, "surveys", head)
-            for table, rows_of in others.items():
-                for row in rows_of:
-                    insert(self._connection, table, {"survey_id": number, **row})
-            self._connection.execute(
-                """UPDATE gpkg_contents SET last_change = strftime('%Y-%m-%dT%H:%M:%fZ','now'),
-                min_x = min(coalesce(min_x, ?1), ?1), max_x = max(coalesce(max_x, ?2), ?2),
-                min_y = min(coalesce(min_y, ?3), ?3), max_y = max(coalesce(max_y, ?4), ?4)
-                WHERE srs_id IS NOT NULL""",
-                wkb.envelope(head["geom"]),
-            )
+            self._fill(number, others)
+            self._register_change()
         return number, True
+
+    def replace(self, number: int, survey: Survey) -> bool:
+        """Keep a survey in the place of another one of its run, by its number; whether that was another."""
+        head, others = rows(survey)
+        with self._changing():
+            before, there = self.get(number), self._of_its_run(head)
+            if told.kept(head, there) == number:
+                return False
+            told.check_first_of_its_run(head, [one for one in there if one[0] != number])
+            told.check_same_run(number, before, survey)
+            self._empty(number)
+            marks = ", ".join(f"{name} = ?" for name in head)
+            self._connection.execute(f"UPDATE surveys SET {marks} WHERE id = ?", (*_values(head), number))
+            self._fill(number, others)
+            self._register_change()
+        return True
+
+    def remove(self, number: int) -> Entry:
+        """Take the survey of that number out, with all that belongs to it; what it was."""
+        with self._changing():
+            entries = {entry.number: entry for entry in self._entries()}
+            if number not in entries:
+                raise told.missing(self.name, number, entries)
+            self._empty(number)
+            self._connection.execute("DELETE FROM surveys WHERE id = ?", (number,))
+            self._register_change()
+        return entries[number]
 
     def entries(self) -> list[Entry]:
         """What is there, by number."""
         with self._told(), self._transaction("DEFERRED"):
-            surveys = self._connection.execute(f"SELECT {', '.join(told.COLUMNS)} FROM surveys ORDER BY id")
-            measures = self._connection.execute(
-                f"SELECT {', '.join(told.MEASURES)} FROM measures WHERE patch IS NULL ORDER BY id"
-            )
-            return told.entries(surveys.fetchall(), measures.fetchall())
+            return self._entries()
 
     def get(self, number: int) -> Survey:
         """The survey of that number."""
@@ -152,7 +167,46 @@ class GeoPackageArchive:
             found = self._connection.execute(
                 "SELECT digest, body FROM surveys JOIN documents ON survey_id = id WHERE id = ?", (number,)
             ).fetchone()
+            if found is None:
+                there = self._connection.execute("SELECT id FROM surveys ORDER BY id").fetchall()
+                raise told.missing(self.name, number, (one for (one,) in there))
         return document(found, number, self.name)
+
+    def _entries(self) -> list[Entry]:
+        surveys = self._connection.execute(f"SELECT {', '.join(told.COLUMNS)} FROM surveys ORDER BY id")
+        measures = self._connection.execute(
+            f"SELECT {', '.join(told.MEASURES)} FROM measures WHERE patch IS NULL ORDER BY id"
+        )
+        return told.entries(surveys.fetchall(), measures.fetchall())
+
+    def _of_its_run(self, head: Row) -> list[tuple[int, str, str]]:
+        return self._connection.execute(
+            """SELECT id, digest, name FROM surveys WHERE digest = :digest OR run = :run
+            OR (name = :name AND began = :began AND (run IS NULL OR :run IS NULL)) ORDER BY id""",
+            {name: head[name] for name in told.OF_ITS_RUN},
+        ).fetchall()
+
+    def _fill(self, number: int, others: Mapping[str, Iterable[Row]]) -> None:
+        """Put in what belongs to a survey."""
+        for table, rows_of in others.items():
+            for row in rows_of:
+                insert(self._connection, table, {"survey_id": number, **row})
+
+    def _empty(self, number: int) -> None:
+        """Take out what belongs to a survey."""
+        for table in parts():
+            self._connection.execute(f"DELETE FROM {table} WHERE survey_id = ?", (number,))
+
+    def _register_change(self) -> None:
+        """Tell those who open the file that it changed, and where its layers lie now."""
+        boxes = self._connection.execute("SELECT CAST(geom AS BLOB) FROM surveys").fetchall()
+        sides = zip(*(struct.unpack_from("<4d", box, HEADER) for (box,) in boxes), strict=True)
+        ends = [end(side) for end, side in zip((min, max, min, max), sides, strict=False)]
+        self._connection.execute(
+            """UPDATE gpkg_contents SET last_change = strftime('%Y-%m-%dT%H:%M:%fZ','now'),
+            min_x = ?, max_x = ?, min_y = ?, max_y = ? WHERE srs_id IS NOT NULL""",
+            ends or [None] * 4,
+        )
 
     def _migrate(self, *, begin: bool) -> None:
         version = self._version()
@@ -169,13 +223,15 @@ class GeoPackageArchive:
                     f"CREATE TABLE {VERSIONS} (version INTEGER PRIMARY KEY NOT NULL, made TEXT NOT NULL)"
                 )
             known = order(MIGRATIONS[:version])
-            for number, tables in enumerate(MIGRATIONS[version:], start=version + 1):
-                for table in tables:
+            for number, migration in enumerate(MIGRATIONS[version:], start=version + 1):
+                for table in migration.tables:
                     for statement in statements(table, extends=table.name in known):
                         self._connection.execute(statement)
                     if table.name not in known and not table.hidden:
                         register(self._connection, table)
                     known[table.name] = table
+                for update in migration.updates:
+                    self._connection.execute(update.format(schema=""))
                 self._connection.execute(
                     f"INSERT INTO {VERSIONS} VALUES (?, strftime('%Y-%m-%dT%H:%M:%fZ','now'))", (number,)
                 )
@@ -200,6 +256,15 @@ class GeoPackageArchive:
         return version
 
     @contextlib.contextmanager
+    def _changing(self) -> Iterator[None]:
+        """A transaction in a file that is whole."""
+        with self._told(), self._transaction():
+            found = self._connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+            if found != "ok":
+                raise sqlite3.DatabaseError(found)
+            yield
+
+    @contextlib.contextmanager
     def _transaction(self, kind: str = "IMMEDIATE") -> Iterator[None]:
         self._connection.execute(f"BEGIN {kind}")
         try:
@@ -216,7 +281,8 @@ class GeoPackageArchive:
         """Say what SQLite complains of in words of the archive."""
         try:
             yield
-        except UnicodeDecodeError as error:  # Of a complaint that quotes what is damaged.
+        # Of a complaint that quotes what is damaged, or of a geometry that is none.
+        except (UnicodeDecodeError, struct.error) as error:
             raise ValueError(f"{self._path}: expected an archive of surveys, got a damaged file") from error
         except sqlite3.DatabaseError as error:
             code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
@@ -336,22 +402,22 @@ def write_layers(
 
 def insert(connection: sqlite3.Connection, table: str, row: Row, srs: int = WGS84) -> int:
     """Add a row; its key."""
-    values = [header(value, srs) + value if name == "geom" else value for name, value in row.items()]
     marks = ", ".join("?" * len(row))
-    done = connection.execute(f"INSERT INTO {table} ({', '.join(row)}) VALUES ({marks})", values)
+    done = connection.execute(f"INSERT INTO {table} ({', '.join(row)}) VALUES ({marks})", _values(row, srs))
     return int(done.lastrowid or 0)
 
 
-def document(found: Sequence[Any] | None, number: int, where: str) -> Survey:
+def _values(row: Row, srs: int = WGS84) -> list[Any]:
+    """As a GeoPackage holds them."""
+    return [header(value, srs) + value if name == "geom" else value for name, value in row.items()]
+
+
+def document(found: Sequence[Any], number: int, where: str) -> Survey:
     """The survey of a row of digest and body.
 
     Raises:
-        ValueError: There is no row, or the body is not what was added.
+        ValueError: The body is not what was added.
     """
-    if found is None:
-        raise ValueError(
-            f"{where}: expected the number of a survey in it, got {number}. See dream survey list"
-        )
     digest, body = found
     data = bytes(body)
     if hashlib.sha256(data).hexdigest() != digest:

@@ -8,7 +8,7 @@ shows them.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from types import TracebackType
 from typing import Any
 
@@ -16,12 +16,12 @@ from dream.survey.archive import entries as told
 from dream.survey.archive.entries import Entry
 from dream.survey.archive.geopackage import document
 from dream.survey.archive.rows import Row, rows
-from dream.survey.archive.schema import MIGRATIONS, VERSIONS, WGS84, Column, Table, order
+from dream.survey.archive.schema import MIGRATIONS, VERSIONS, WGS84, Column, Table, order, parts
 from dream.survey.survey import Survey
 
 SCHEMA = "dream"
 LOCK = 0x6472_6561_6D
-"""Of the server, held while tables are made: a number of our own."""
+"""Of the server, held while tables are made or a survey is changed: a number of our own."""
 PATIENCE = 30
 """Seconds after which a server that says nothing is gone."""
 
@@ -92,37 +92,52 @@ class PostgisArchive:
     def add(self, survey: Survey) -> tuple[int, bool]:
         """Keep a survey; its number, and whether it is new there."""
         head, others = rows(survey)
-        with self._told(), self._connection.transaction():
-            # Of two who add the same, the second waits here and then finds it.
+        with self._changing():
+            there = self._of_its_run(head)
+            if (number := told.kept(head, there)) is not None:
+                return number, False
+            told.check_first_of_its_run(head, there)
             done = self._connection.execute(
-                _insert("surveys", head, " ON CONFLICT (digest) DO NOTHING RETURNING id"), list(head.values())
+                _insert("surveys", head, " RETURNING id"), list(head.values())
             ).fetchone()
-            if done is None:
-                there = self._connection.execute(
-                    f"SELECT id FROM {SCHEMA}.surveys WHERE digest = %s", (head["digest"],)
-                ).fetchone()
-                assert there is not None
-                return int(there[0]), False
+            assert done is not None
             number = int(done[0])
-            with self._connection.cursor() as cursor:
-                for table, rows_of in others.items():
-                    if rows_of:
-                        full = [{"survey_id": number, **row} for row in rows_of]
-                        cursor.executemany(_insert(table, full[0]), [list(row.values()) for row in full])
+            self._fill(number, others)
         return number, True
+
+    def replace(self, number: int, survey: Survey) -> bool:
+        """Keep a survey in the place of another one of its run, by its number; whether that was another."""
+        head, others = rows(survey)
+        with self._changing():
+            before, there = self.get(number), self._of_its_run(head)
+            if told.kept(head, there) == number:
+                return False
+            told.check_first_of_its_run(head, [one for one in there if one[0] != number])
+            told.check_same_run(number, before, survey)
+            self._empty(number)
+            marks = ", ".join(f"{name} = {_mark(name)}" for name in head)
+            self._connection.execute(
+                f"UPDATE {SCHEMA}.surveys SET {marks} WHERE id = %s", [*head.values(), number]
+            )
+            self._fill(number, others)
+        return True
+
+    def remove(self, number: int) -> Entry:
+        """Take the survey of that number out, with all that belongs to it; what it was."""
+        with self._changing():
+            entries = {entry.number: entry for entry in self._entries()}
+            if number not in entries:
+                raise told.missing(self.name, number, entries)
+            self._empty(number)
+            self._connection.execute(f"DELETE FROM {SCHEMA}.surveys WHERE id = %s", (number,))
+        return entries[number]
 
     def entries(self) -> list[Entry]:
         """What is there, by number."""
         with self._told(), self._connection.transaction():
             # One picture of both tables, whoever writes meanwhile.
             self._connection.execute("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ")
-            surveys = self._connection.execute(
-                f"SELECT {', '.join(told.COLUMNS)} FROM {SCHEMA}.surveys ORDER BY id"
-            )
-            measures = self._connection.execute(
-                f"SELECT {', '.join(told.MEASURES)} FROM {SCHEMA}.measures WHERE patch IS NULL ORDER BY id"
-            )
-            return told.entries(surveys.fetchall(), measures.fetchall())
+            return self._entries()
 
     def get(self, number: int) -> Survey:
         """The survey of that number."""
@@ -132,7 +147,48 @@ class PostgisArchive:
                 "WHERE id = %s",
                 (number,),
             ).fetchone()
+            if found is None:
+                there = self._connection.execute(f"SELECT id FROM {SCHEMA}.surveys ORDER BY id").fetchall()
+                raise told.missing(self.name, number, (one for (one,) in there))
         return document(found, number, self.name)
+
+    def _entries(self) -> list[Entry]:
+        surveys = self._connection.execute(
+            f"SELECT {', '.join(told.COLUMNS)} FROM {SCHEMA}.surveys ORDER BY id"
+        )
+        measures = self._connection.execute(
+            f"SELECT {', '.join(told.MEASURES)} FROM {SCHEMA}.measures WHERE patch IS NULL ORDER BY id"
+        )
+        return told.entries(surveys.fetchall(), measures.fetchall())
+
+    def _of_its_run(self, head: Row) -> list[tuple[int, str, str]]:
+        found: list[tuple[int, str, str]] = self._connection.execute(
+            f"""SELECT id, digest, name FROM {SCHEMA}.surveys WHERE digest = %(digest)s OR run = %(run)s::text
+            OR (name = %(name)s AND began = %(began)s AND (run IS NULL OR %(run)s::text IS NULL))
+            ORDER BY id""",
+            {name: head[name] for name in told.OF_ITS_RUN},
+        ).fetchall()
+        return found
+
+    def _fill(self, number: int, others: Mapping[str, list[Row]]) -> None:
+        """Put in what belongs to a survey."""
+        with self._connection.cursor() as cursor:
+            for table, rows_of in others.items():
+                if rows_of:
+                    full = [{"survey_id": number, **row} for row in rows_of]
+                    cursor.executemany(_insert(table, full[0]), [list(row.values()) for row in full])
+
+    def _empty(self, number: int) -> None:
+        """Take out what belongs to a survey."""
+        for table in parts():
+            self._connection.execute(f"DELETE FROM {SCHEMA}.{table} WHERE survey_id = %s", (number,))
+
+    @contextlib.contextmanager
+    def _changing(self) -> Iterator[None]:
+        """A transaction; of two who change surveys, the second waits, and then finds what the first did."""
+        with self._told(), self._connection.transaction():
+            self._connection.execute("SELECT pg_advisory_xact_lock(%s)", (LOCK,))
+            yield
 
     def _migrate(self, *, begin: bool) -> None:
         if self._version() == len(MIGRATIONS):
@@ -149,11 +205,13 @@ class PostgisArchive:
                     )
                 self._begin()
             known = order(MIGRATIONS[:version])
-            for number, tables in enumerate(MIGRATIONS[version:], start=version + 1):
-                for table in tables:
+            for number, migration in enumerate(MIGRATIONS[version:], start=version + 1):
+                for table in migration.tables:
                     for statement in statements(table, extends=table.name in known):
                         self._connection.execute(statement)
                     known[table.name] = table
+                for update in migration.updates:
+                    self._connection.execute(update.format(schema=f"{SCHEMA}."))
                 self._connection.execute(f"INSERT INTO {SCHEMA}.{VERSIONS} VALUES (%s, now())", (number,))
 
     def _begin(self) -> None:
@@ -212,7 +270,7 @@ class PostgisArchive:
             message = f"{self._name}: the server cannot be reached, or went away ({self._cleaned(error)})"
             if error.sqlstate is not None and not error.sqlstate.startswith(("08", "57")):
                 message = f"{self._name}: the server refused ({self._cleaned(error)})"
-            raise OSError(f"{message}. Nothing was changed; add again what was not confirmed") from None
+            raise OSError(f"{message}. Nothing was changed; do again what was not confirmed") from None
         except pg.Error as error:
             raise ValueError(
                 f"{self._name}: expected an archive of surveys, got an error of the database "
@@ -252,8 +310,13 @@ def _column(column: Column) -> str:
 
 
 def _insert(table: str, row: Row, ending: str = "") -> str:
-    marks = (f"ST_GeomFromWKB(%s, {WGS84})" if name == "geom" else "%s" for name in row)
-    return f"INSERT INTO {SCHEMA}.{table} ({', '.join(row)}) VALUES ({', '.join(marks)}){ending}"
+    marks = ", ".join(map(_mark, row))
+    return f"INSERT INTO {SCHEMA}.{table} ({', '.join(row)}) VALUES ({marks}){ending}"
+
+
+def _mark(name: str) -> str:
+    """What stands for the value of a column."""
+    return f"ST_GeomFromWKB(%s, {WGS84})" if name == "geom" else "%s"
 
 
 def _shown(parts: dict[str, Any]) -> str:

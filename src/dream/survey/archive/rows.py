@@ -39,7 +39,7 @@ def rows(survey: Survey) -> tuple[Row, dict[str, list[Row]]]:
         "began": time(survey.began),
         "target": str(survey.target),
         "protocol": _text(survey.protocol),
-        "steps": len(survey.track.time),
+        "steps": len(survey.decisions),
         "patches": len(survey.patches),
         "individuals": len(survey.individuals),
         "latitude": site.latitude,
@@ -48,10 +48,11 @@ def rows(survey: Survey) -> tuple[Row, dict[str, list[Row]]]:
         "datum": _text(site.datum),
         "datum_offset_m": site.datum_offset,
         "geom": wkb.polygon([_places(site, np.array([*corners, corners[0]]))]),
+        "run": None if survey.run is None else _text(survey.run),
     }
     measures = [_measure(one, None) for one in survey.measures]
     patches = []
-    for number, patch in enumerate(survey.patches):
+    for number, patch in enumerate(survey.patches, start=1):
         patches.append(
             {"patch": number, "geom": wkb.multipolygon([_places(site, ring) for ring in patch.rings])}
         )
@@ -90,7 +91,7 @@ def _individuals(survey: Survey, site: Site) -> Iterator[Row]:
     longitude, latitude = globe.degrees(site, them.position[:, 0], them.position[:, 1])
     for k in range(len(them)):
         yield {
-            "patch": int(them.patch[k]) if them.patch[k] >= 0 else None,
+            "patch": int(them.patch[k]) + 1 if them.patch[k] >= 0 else None,
             "z_m": float(them.position[k, 2]),
             "sigma_m": float(them.sigma[k]),
             "size_m": float(them.size[k]),

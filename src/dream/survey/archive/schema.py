@@ -48,10 +48,20 @@ class Table:
         return next((column for column in self.columns if column.is_geometry), None)
 
 
+@dataclass(frozen=True, slots=True)
+class Migration:
+    """What a version brought."""
+
+    tables: tuple[Table, ...] = ()
+    """New ones, or further columns of those that are there (then not `required`)."""
+    updates: tuple[str, ...] = ()
+    """SQL that puts right what rows of before hold; `{schema}` stands before each table."""
+
+
 _ID = Column("id", "id")
 _SURVEY = Column("survey_id", "integer", of="surveys")
 
-MIGRATIONS: tuple[tuple[Table, ...], ...] = (
+_FIRST = Migration(
     (
         Table(
             "surveys",
@@ -139,9 +149,20 @@ MIGRATIONS: tuple[tuple[Table, ...], ...] = (
                 Column("geom", "POINT"),
             ),
         ),
+    )
+)
+_NUMBERED_AS_IN_REPORTS = Migration(
+    (Table("surveys", "Surveys: the box of each", (Column("run", "text", required=False),)),),
+    (
+        "UPDATE {schema}surveys SET steps = "
+        "(SELECT count(*) FROM {schema}decisions WHERE survey_id = surveys.id)",
+        "UPDATE {schema}patches SET patch = patch + 1",
+        "UPDATE {schema}measures SET patch = patch + 1",
+        "UPDATE {schema}individuals SET patch = patch + 1",
     ),
 )
-"""What each version brought: tables, or further columns of tables (then not `required`)."""
+"""Steps had counted the first look, patches had begun with 0; `run` tells copies of one run."""
+MIGRATIONS = (_FIRST, _NUMBERED_AS_IN_REPORTS)
 VERSIONS = "dream_versions"
 """Table with a row for every migration that was made."""
 FROM_NOWHERE = (
@@ -150,12 +171,18 @@ FROM_NOWHERE = (
 )
 
 
-def order(migrations: tuple[tuple[Table, ...], ...]) -> dict[str, Table]:
+def order(migrations: tuple[Migration, ...]) -> dict[str, Table]:
     """All tables as they are after the migrations, each after those that it points to."""
     tables: dict[str, Table] = {}
     for migration in migrations:
-        for table in migration:
+        for table in migration.tables:
             before = tables.get(table.name)
             columns = table.columns if before is None else before.columns + table.columns
             tables[table.name] = Table(table.name, table.title, columns, table.hidden)
     return tables
+
+
+def parts() -> list[str]:
+    """The tables that hold what belongs to a survey, in `survey_id`."""
+    tables = order(MIGRATIONS).values()
+    return [table.name for table in tables if any(column.of == "surveys" for column in table.columns)]
