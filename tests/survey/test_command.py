@@ -16,6 +16,7 @@ import pytest
 from dream.cli import run_command
 from dream.survey import files
 from dream.survey.archive import VARIABLE
+from dream.survey.measuring import GUESSED
 from dream.survey.products.words import limits, summary
 from dream.survey.site import Site, read_site, write_site
 from dream.types import Target
@@ -61,6 +62,7 @@ def test_surveys_are_kept_listed_shown_and_compared(two: Path, capsys: pytest.Ca
         "survey": 1,
         "name": "first",
         "new": True,
+        "replaced": False,
     }
     assert said("survey add second.survey.npz", capsys)["survey"] == 2
     assert not said("survey add first.survey.npz", capsys)["new"]
@@ -203,6 +205,16 @@ def test_the_archive_is_the_one_that_is_named_else_that_of_the_environment(
         ("survey add first.survey.npz --archive damaged.survey.npz", "got a damaged or foreign file"),
         ("survey compare first.survey.npz elsewhere.survey.npz", "expected two surveys of one site"),
         ("survey compare first.survey.npz nowhere.survey.npz", "a run without origin"),
+        ("survey add first.survey.npz --replace 3", "surveys.gpkg: expected an archive of surveys, got no"),
+        ("survey remove 3", "surveys.gpkg: expected an archive of surveys, got no file"),
+        ("survey remove first", "expected a whole number, got first"),
+        (
+            "survey add first.survey.npz --date 01.06.2026",
+            "such as 2026-06-01 or 2026-06-01T09:30, got 01.06",
+        ),
+        ("survey add first.survey.npz --date 0001-01-01T00:00+05:00", "--date: expected a date, or a date"),
+        ("survey add first.survey.npz --date 0001-01-01", "began: expected a year from 1900 to 9000, got 1"),
+        ("survey add first.survey.npz --site none.json", "none.json: expected a site file"),
         ("survey list --archive mysql://me:secret@host/reef", "expected a path or postgresql://"),
     ],
 )
@@ -253,6 +265,118 @@ def test_a_run_with_a_site_is_measured_and_kept(two: Path, capsys: pytest.Captur
     assert files.read(two / "flown.survey.npz").site == site
     assert said("survey show 1", capsys)["site"]["name"] == "Inner reef"
     assert "expected none, because" in complaint(f"survey show {run} --site {_other(two)}", capsys)
+    # Under another name it is the same run, made at the same time.
+    began = said("survey show 1", capsys)["began"]
+    assert began[:16].replace(":", "-") == run.name[:16]
+    run.rename(two / "a-copy")
+    assert said("survey show a-copy", capsys)["began"] == began
+    assert f"got that of survey 1 ({run.name})" in complaint("survey add a-copy", capsys)
+    assert said("survey add a-copy --replace 1", capsys)["replaced"]
+    assert said("survey show 1", capsys)["name"] == "a-copy"
+
+
+def test_what_is_there_is_put_right_by_its_number(
+    two: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    said("survey add first.survey.npz", capsys)
+    said("survey add second.survey.npz", capsys)
+    here = files.read(two / "second.survey.npz").site
+    assert here is not None
+    write_site(replace(here, latitude=here.latitude + 1e-3, heading_deg=5.0), two / "right.json")
+    caplog.clear()
+    words = "survey add second.survey.npz --site right.json --date 2026-06-03T10:30 --replace 2"
+    assert said(words, capsys) == {
+        "archive": "surveys.gpkg",
+        "survey": 2,
+        "name": "second",
+        "new": False,
+        "replaced": True,
+    }
+    moved, began = caplog.messages
+    assert moved.startswith(
+        "second: its origin moves by 111.3 m and turns by 5.0°, from Test reef (54.900000"
+    )
+    assert began == "second: it began at 2026-06-03 10:30:00 UTC, and not at 2026-06-01 00:00:00 UTC"
+    told = said("survey show 2", capsys)
+    assert told["began"] == "2026-06-03T10:30:00+00:00"
+    assert told["site"]["latitude"] == here.latitude + 1e-3
+    assert told["made_by"]["corrected"]["site"]["latitude"] == here.latitude
+    assert not said(words, capsys)["replaced"]
+    # Without its file; and what was put right is not lost without a word.
+    caplog.clear()
+    assert said("survey add 2 --date 2026-06-04 --replace 2", capsys)["replaced"]
+    (began,) = caplog.messages
+    assert "it began at 2026-06-04 00:00:00 UTC, and not at 2026-06-03 10:30:00 UTC" in began
+    caplog.clear()
+    assert run_command(["survey", "add", "second.survey.npz", "--replace", "2"]) == 0
+    assert "put second (Test reef) in the place of survey 2" in capsys.readouterr().out
+    assert [text.split(": ")[1].split(" at")[0].split(" by")[0] for text in caplog.messages] == [
+        "its origin moves",
+        "it began",
+    ]
+    assert said("survey show 2", capsys)["made_by"] == {}
+    assert said("survey show 1", capsys)["name"] == "first"
+
+
+def test_an_origin_that_a_run_says_wrongly_is_put_right_when_it_is_added(
+    two: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    added = said(f"survey add first.survey.npz --site {_other(two)} --save right.survey.npz", capsys)
+    assert added["new"]
+    (moved,) = caplog.messages
+    assert re.fullmatch(r"first: its origin moves by [\d.]+ km and turns by 0.0°, from Test reef .*", moved)
+    assert said("survey show 1", capsys)["site"]["name"] == "Other reef"
+    assert files.read(two / "right.survey.npz").made_by["corrected"]["site"]["name"] == "Test reef"
+
+
+def test_a_date_still_to_come_is_doubted_and_one_of_another_zone_understood(
+    two: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    said("survey add first.survey.npz --date 2999-01-01", capsys)
+    (began, doubt) = caplog.messages
+    assert began.startswith("first: it began at 2999-01-01 00:00:00 UTC, and not")
+    assert doubt == (
+        "first: began at 2999-01-01 00:00:00 UTC, which is still to come. If that is wrong, say when with "
+        "dream survey add first.survey.npz --date"
+    )
+    said("survey add second.survey.npz --date 2026-06-01T01:00:00+02:00", capsys)
+    assert said("survey show 2", capsys)["began"] == "2026-05-31T23:00:00+00:00"
+    assert [one["survey"] for one in said("survey list", capsys)["surveys"]] == [2, 1]
+
+
+def test_a_date_that_is_only_guessed_is_doubted_until_it_is_said(
+    two: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    guessed = replace(files.read(two / "first.survey.npz"), made_by={"began_by": GUESSED})
+    files.write(guessed, two / "guessed.survey.npz")
+    for command in ("show", "add"):
+        caplog.clear()
+        said(f"survey {command} guessed.survey.npz", capsys)
+        (doubt,) = caplog.messages
+        assert doubt.startswith("first: began at 2026-06-01 00:00:00 UTC, going by when its config.json was")
+        assert doubt.endswith("say when with dream survey add guessed.survey.npz --date")
+    caplog.clear()
+    said("survey add guessed.survey.npz --date 2026-05-01 --replace 1", capsys)
+    assert "going by" not in caplog.text
+
+
+def test_a_survey_is_removed_by_its_number(two: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    said("survey add first.survey.npz", capsys)
+    said("survey add second.survey.npz", capsys)
+    assert said("survey remove 1", capsys) == {
+        "archive": "surveys.gpkg",
+        "survey": 1,
+        "name": "first",
+        "site": "Test reef",
+        "began": "2026-06-01T00:00:00+00:00",
+    }
+    assert "expected the number of a survey in it, got 1. There are: 2." in complaint(
+        "survey remove 1", capsys
+    )
+    assert run_command(["survey", "remove", "2"]) == 0
+    printed = capsys.readouterr().out
+    assert printed == "surveys.gpkg: removed survey 2, second (Test reef, 2026-06-01 00:00)\n"
+    assert said("survey list", capsys)["surveys"] == []
 
 
 def test_a_site_that_cannot_be_read_stops_a_run_before_it_begins(

@@ -7,6 +7,7 @@ import logging
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -29,8 +30,8 @@ class Add:
     one in the archive without its run, its number."""
     site: Path | None = None
     """File that says where on earth it was: of a run that does not know, or whose origin is wrong."""
-    date: datetime | None = None
-    """When it began, where the clock of the run was wrong: YYYY-MM-DD, or YYYY-MM-DDTHH:MM:SS, in UTC."""
+    date: Annotated[str | None, tyro.conf.arg(metavar="YYYY-MM-DD[THH:MM[:SS]]")] = None
+    """When it began, in UTC, where the clock of the run was wrong, or its date is not known."""
     replace: int | None = None
     """Number of the survey of this run in whose place it is put."""
     archive: str | None = None
@@ -49,7 +50,9 @@ class Add:
         from dream.survey.site import read_site
 
         # What may be wrong here is read before a run is measured, which takes a while.
-        site, before = None if self.site is None else read_site(self.site), None
+        site = None if self.site is None else read_site(self.site)
+        date = None if self.date is None else _moment(self.date)
+        before = None
         if self.replace is not None:
             with archive_at(self.archive) as archive:
                 before = archive.get(self.replace)
@@ -57,11 +60,11 @@ class Add:
             survey = found = named(self.survey, self.archive)
         if site is not None:
             survey = located(survey, site)
-        if self.date is not None:
-            zoned = self.date if self.date.tzinfo is not None else self.date.replace(tzinfo=UTC)
-            survey = dated(survey, zoned.astimezone(UTC))
+        if date is not None:
+            survey = dated(survey, date)
         if survey.site is None:
             raise ValueError(f"{survey.name}: {FROM_NOWHERE}")
+        files.check(survey)  # Before an archive is begun for it.
         with contextlib.ExitStack() as stack:
             if self.save is not None:
                 stack.enter_context(files.appearing(survey, self.save))
@@ -87,3 +90,15 @@ class Add:
         else:
             print(f"{where}: has {survey.name} ({survey.site.name}) already, as survey {number}")
         return 0
+
+
+def _moment(said: str) -> datetime:
+    """What `--date` says: UTC, unless it names another zone."""
+    try:
+        moment = datetime.fromisoformat(said)
+        return (moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)).astimezone(UTC)
+    except (ValueError, OverflowError):
+        raise ValueError(
+            "--date: expected a date, or a date and a time in UTC, such as 2026-06-01 or 2026-06-01T09:30, "
+            f"got {said}"
+        ) from None

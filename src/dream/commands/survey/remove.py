@@ -14,7 +14,7 @@ from dream.commands.survey.sources import archive_at
 class Remove:
     """Take a survey out of the archive, with all that belongs to it; the others keep their numbers.
 
-    It is not asked whether you are sure. The run is left alone: what was measured of it can be added again.
+    It does so without asking. The run itself is left alone, and can be added again, under another number.
     """
 
     survey: tyro.conf.Positional[int]
