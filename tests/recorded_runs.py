@@ -183,6 +183,7 @@ CONFIG: dict[str, Any] = {
     "seed": 3,
     "planner": "sixsteps",
     "max_steps": None,
+    "began": "2026-11-21T06:01:09Z",
 }
 
 SUMMARY: dict[str, Any] = {

@@ -7,6 +7,7 @@ import json
 import math
 import shutil
 from collections.abc import Callable
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -197,6 +198,11 @@ def test_a_replay_is_recorded_where_one_asks_for_it(
     assert [s.model_dump(exclude=timed) for s in one] == [s.model_dump(exclude=timed) for s in other]
     assert read_config(again).model_extra is not None
     assert read_config(again).model_dump()["replay_of"] == str(kept_run)
+    began, anew = read_config(kept_run).began, read_config(again).began
+    assert began is not None
+    assert anew is not None
+    assert began < anew <= datetime.now(UTC)
+    assert kept_run.name.startswith(f"{began:%Y-%m-%dT%H-%M-%S}_")
     before, after = read_summary(kept_run), read_summary(again)
     assert before is not None
     assert after is not None

@@ -120,13 +120,15 @@ def test_two_hundred_steps_stay_below_twelve_megabytes(tmp_path: Path) -> None:
 
 def test_what_a_run_says_cannot_leave_its_place_in_the_page(tmp_path: Path) -> None:
     folder = recorded(tmp_path, 2, said=HOSTILE)
-    write_config(folder, {**CONFIG, "world": HOSTILE, "planner": HOSTILE})
+    began = "2026-06-01T09:30:12Z"
+    write_config(folder, {**CONFIG, "world": HOSTILE, "planner": HOSTILE, "began": began})
     page = Page(write_report(folder))
     assert page.tags.count("script") == 2 + 2  # the run, the program, and the pictures of two steps
     assert "img" not in page.tags
     assert not set("<>&") & set(page.scripts["run"])
     run = json.loads(page.scripts["run"])
     assert run["config"]["world"] == HOSTILE
+    assert run["config"]["began"] == began
     assert run["steps"][1]["reasoning"]["safety"].endswith(HOSTILE)
 
 

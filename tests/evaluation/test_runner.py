@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -413,7 +414,10 @@ def test_a_mission_can_be_kept_as_a_run(tmp_path: Path) -> None:
     results = read_results(tmp_path)
     (trace,) = results.traces.values()
     assert [step.pose.x for step in read_steps(folder)] == pytest.approx(trace.x.tolist(), abs=1e-3)
-    assert read_config(folder).max_steps == STEPS
+    config = read_config(folder)
+    assert config.max_steps == STEPS
+    assert config.began is not None
+    assert abs(datetime.now(UTC) - config.began) < timedelta(hours=1)
     summary = read_summary(folder)
     assert summary is not None
     assert (summary.steps, summary.world_hash) == (STEPS, results.rows[0].world_hash)

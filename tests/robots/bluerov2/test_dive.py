@@ -34,11 +34,11 @@ from dream.mapping import OccupancyMap
 from dream.mission import explore
 from dream.planning.belief import Belief
 from dream.protocol import POOL_V1
-from dream.recording import read_steps
+from dream.recording import read_config, read_steps
 from dream.robots.bluerov2.bridge import SAG, Limits
 from dream.robots.bluerov2.camera import RtpVideo
 from dream.robots.bluerov2.devices import PARAMETERS_BEFORE, source_of
-from dream.robots.bluerov2.log import read_log, read_measurements, read_wire
+from dream.robots.bluerov2.log import dive_began, read_log, read_measurements, read_wire
 from dream.robots.bluerov2.navigation import Instruments
 from dream.robots.replay import Replayed
 from dream.sim.worlds import make_world
@@ -139,6 +139,7 @@ def test_no_motion_outlives_the_dive_and_none_comes_before_arming(dive: Path) ->
 
 @pytest.mark.slow
 def test_the_log_holds_all_that_the_estimate_was_made_of(dive: Path) -> None:
+    assert dive_began(dive) == read_config(dive).began
     (begun,) = read_log(dive / "log.mcap", ["/begun"])
     told = json.loads(begun.message.data)["said"]
     fields: dict[str, Any] = {n: np.array(v) if isinstance(v, list) else v for n, v in told.items()}
@@ -503,8 +504,10 @@ def test_who_could_not_be_left_as_it_was_is_told_with_the_file_to_restore_it_fro
 def test_where_things_sit_is_kept_with_the_dive(tmp_path: Path) -> None:
     told = Dive(dvl_at=(0.1, 0.0, -0.2), camera_at=(0.25, 0.0, 0.02), tilt=30.0, speed_of_sound=1482.0)
     limits, start = Limits(Bounds(-1.0, -1.0, 1.0, 1.0)), SE2(0.0, 0.0, 0.0)
-    ready = _Ready(told, POOL_V1, SimpleNamespace(), limits, start, tmp_path, None, None)  # type: ignore[arg-type]
+    devices = SimpleNamespace(log=SimpleNamespace(epoch_ns=1_780_000_000_250_000_000))
+    ready = _Ready(told, POOL_V1, devices, limits, start, tmp_path, None, None)  # type: ignore[arg-type]
     config = ready._config("belief")
+    assert config["began"].isoformat() == "2026-05-28T20:26:40.250000+00:00"
     assert config["mounting"] == {
         "dvl": [0.1, 0.0, -0.2],
         "gauge": [-0.2, 0.0, 0.0],
