@@ -9,7 +9,9 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -413,6 +415,24 @@ def test_a_writer_that_is_killed_loses_nothing_that_it_said_it_kept(where: str) 
     assert found["individuals"] == 60 * found["surveys"]
     assert found["decisions"] == one * found["surveys"]
     assert found["documents"] == found["tracks"] == found["surveys"]
+
+
+def test_of_writers_who_add_one_run_at_once_one_keeps_it(where: str) -> None:
+    for run in "abc":
+        begin = threading.Barrier(4)
+
+        def add(k: int, run: str = run, begin: threading.Barrier = begin) -> bool:
+            with open_archive(where, begin=True) as archive:
+                begin.wait(30.0)
+                try:
+                    return archive.add(of_run(reef(name=f"copy {k} of {run}"), run))[1]
+                except ValueError as error:
+                    assert "expected a run that is not in the archive" in str(error)  # noqa: PT017
+                    return False
+
+        with ThreadPoolExecutor(4) as pool:
+            assert sum(pool.map(add, range(4))) == 1
+    assert counts(where)["surveys"] == 3
 
 
 REPLACES = """

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shlex
+import time
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -269,6 +271,7 @@ def test_a_run_with_a_site_is_measured_and_kept(two: Path, capsys: pytest.Captur
     began = said("survey show 1", capsys)["began"]
     assert began[:16].replace(":", "-") == run.name[:16]
     run.rename(two / "a-copy")
+    os.utime(two / "a-copy" / "config.json", (1, 1))
     assert said("survey show a-copy", capsys)["began"] == began
     assert f"got that of survey 1 ({run.name})" in complaint("survey add a-copy", capsys)
     assert said("survey add a-copy --replace 1", capsys)["replaced"]
@@ -330,9 +333,16 @@ def test_an_origin_that_a_run_says_wrongly_is_put_right_when_it_is_added(
 
 
 def test_a_date_still_to_come_is_doubted_and_one_of_another_zone_understood(
-    two: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+    two: Path,
+    capsys: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    said("survey add first.survey.npz --date 2999-01-01", capsys)
+    with monkeypatch.context() as abroad:
+        abroad.setenv("TZ", "America/New_York")
+        time.tzset()
+        said("survey add first.survey.npz --date 2999-01-01", capsys)
+    time.tzset()
     (began, doubt) = caplog.messages
     assert began.startswith("first: it began at 2999-01-01 00:00:00 UTC, and not")
     assert doubt == (

@@ -68,7 +68,7 @@ class Add:
         with contextlib.ExitStack() as stack:
             if self.save is not None:
                 stack.enter_context(files.appearing(survey, self.save))
-            archive = stack.enter_context(archive_at(self.archive, begin=self.replace is None))
+            archive = stack.enter_context(archive_at(self.archive, begin=True))
             if self.replace is None:
                 number, new = archive.add(survey)
                 replaced = False
