@@ -49,8 +49,7 @@ from dream.survey.comparison import Difference, held_against
 from dream.survey.ground import Frame as Seen
 from dream.survey.ground import fuse, scatter_of
 from dream.survey.individuals import Peaks
-from dream.survey.products.words import size_bin
-from dream.survey.sizes import BIN, CLEAR, LEAST_ROOM, RARE, sizes_of
+from dream.survey.sizes import BIN, CLEAR, LEAST_ROOM, RARE, size_bin, sizes_of
 from dream.types import Label, Observation, Target
 
 Float64Array = npt.NDArray[np.float64]

@@ -36,6 +36,7 @@ from dream.survey.comparison import (
     _Grid,
     adjusted,
     detection,
+    doubts,
 )
 from dream.survey.fates import Fate
 from dream.survey.numbers import number, p_value, typeset
@@ -111,6 +112,44 @@ def test_an_origin_that_is_off_by_metres_is_found_out_and_told_of(off: float) ->
     assert right.note == ""
 
 
+def test_a_long_reef_is_laid_along_all_of_it() -> None:
+    """Half a degree between two turns that are tried moves its ends by more than individuals are apart."""
+    rng = np.random.default_rng(1)
+    there = np.column_stack([rng.uniform(-150.0, 150.0, 1500), rng.uniform(-2.0, 2.0, 1500)])
+    first, again = (there[rng.random(1500) < 0.8] for _ in range(2))
+    a, b = pair(3, how=STILL)
+    a, b = (
+        replace(one, site=None, individuals=at(one.individuals, place))
+        for one, place in ((a, first), (b, placed(SE2(4.0, 3.0, math.radians(5.5)), again)))
+    )
+    found = Registering().register(a, b)
+    off = np.hypot(*(found.place(b.individuals.position[:, :2]) - again).T)
+    assert found.by == "individuals"
+    assert off.max() < 0.05
+    assert found.pairs > 800
+
+
+def at(individuals: Individuals, place: np.ndarray) -> Individuals:
+    """As many of them as there are places, there."""
+    some = Individuals(
+        *(
+            np.resize(getattr(individuals, one.name), (len(place), *getattr(individuals, one.name).shape[1:]))
+            for one in fields(Individuals)
+        )
+    )
+    return replace(some, position=np.column_stack([place, np.full(len(place), -6.0)]))
+
+
+@pytest.mark.parametrize("off", [100.0, 4000.0])
+def test_origins_that_are_far_apart_cost_no_more(off: float) -> None:
+    """The grid of what is held against each other does not grow with the way between them."""
+    a, b = pair(3, how=STILL)
+    found = Registering().register(
+        a, replace(b, site=replace(SITE, latitude=SITE.latitude + off / 111_000.0))
+    )
+    assert found.by == "poses"
+
+
 def test_another_reef_is_not_laid_on_this_one() -> None:
     for seed in range(2):
         rng = np.random.default_rng(seed)
@@ -124,7 +163,9 @@ def test_where_nothing_shows_how_they_lie_no_ground_is_compared() -> None:
     found = COMPARING.compare(a, replace(b, site=replace(SITE, latitude=SITE.latitude + 30.0 / 111_000.0)))
     assert found.registration.by == "poses"
     assert found.withheld
-    assert found.comparable == 0.0
+    assert found.comparable == found.only_a == found.only_b == 0.0
+    assert found.differences == ()
+    assert found.as_dict()["registration"]["sigma_m"] is None
     assert {patch.verdict for patch in found.patches} == {"not comparable"}
     assert not np.isin(found.change, (Change.GAIN, Change.LOSS)).any()
     assert "no ground is compared" in summary(found)[0]
@@ -255,7 +296,7 @@ def test_what_each_survey_tells_is_set_side_by_side_with_an_interval_of_the_chan
     assert (size.change, size.low, size.high) == pytest.approx((0.05, 0.0, 0.1))
     assert size.p == pytest.approx(0.05, abs=1e-4)
     assert found.years == pytest.approx(2.0, abs=0.01)
-    assert a_year(size, found.years) == "+0.0250 m"
+    assert a_year(size, found.years) == "0.0250 (0.0000 to 0.0500) m"
     assert a_year(size, 0.1) == ""
     # The side that zero is on tells how sure a change is.
     lop = replace(a, measures=(told("median_size", 0.20, 0.05, 0.21),))
@@ -263,6 +304,32 @@ def test_what_each_survey_tells_is_set_side_by_side_with_an_interval_of_the_chan
     assert again.low == pytest.approx(0.05 - math.hypot(0.04, 0.01))
     assert again.high == pytest.approx(0.05 + math.hypot(0.04, 0.15))
     assert again.p == pytest.approx(2.0 * ndtr(-1.959964 * 0.05 / math.hypot(0.04, 0.01)))
+
+
+def test_a_size_that_only_one_survey_has_is_compared_with_none() -> None:
+    a, b = pair(5, how=ALL)
+
+    def shares(**bins: float) -> tuple[Measure, ...]:
+        return tuple(
+            Measure(f"size_share_{name}_cm", value, 0.9 * value, 1.1 * value, "", "from 100 that stand clear")
+            for name, value in bins.items()
+        )
+
+    a = replace(a, measures=(*shares(**{"020_025": 1.0}), told("patch_count", 4.0, 4.0, 5.0)))
+    b = replace(b, measures=(*shares(**{"020_025": 0.6, "035_040": 0.4}), told("patch_count", 6.0, 6.0, 7.0)))
+    found = {one.name: one for one in COMPARING.compare(a, b).measures}
+    assert set(found) == {"size_share_020_025_cm", "size_share_035_040_cm"}
+    new = found["size_share_035_040_cm"]
+    assert (new.before, new.after) == (0.0, 0.4)
+    assert 0.0 < new.low < new.change < new.high
+    assert change_words.difference_cells(new)[1] == "+40 points"
+
+
+def test_surveys_that_were_measured_otherwise_are_doubted() -> None:
+    a, b = pair(5, how=ALL)
+    b = replace(b, made_by={"measuring": {"calibration": {"size": 0.95}}})
+    (doubt,) = doubts(a, b)
+    assert "different calibrations" in doubt
 
 
 def test_figures_of_other_things_than_a_survey_measures_have_other_names(less: list[Comparison]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import csv
 import io
+import math
 import re
 import sqlite3
 import xml.etree.ElementTree as ET
@@ -194,12 +195,13 @@ def test_sizes_that_a_survey_found_none_of_are_a_share_of_0(tmp_path: Path) -> N
         assert of["size_share_010_015_cm"][:].tolist() == [0.5, 0.0, fill, 0.25]
         assert of["size_share_025_030_cm"][:].tolist() == pytest.approx([0.0, 1.0 / 3.0, fill, 0.25])
         assert of["size_share_025_030_cm_low"][0] == 0.0
-        # Wilson 1927, for 0 of 50.
-        assert of["size_share_025_030_cm_high"][0] == pytest.approx(1.96**2 / (50 + 1.96**2))
-        # Of how many, nobody says: the share is 0, and how far it may be from that is not known.
-        assert of["size_share_010_015_cm_high"][1] == fill
-        assert b"Wilson's for 0" in of["size_share_025_030_cm"].comment
-        assert b"Wilson" not in getattr(of["time"], "comment", b"")
+        # As wide as a bin of which so many told a share of 0.
+        high = [1.96 * math.sqrt(0.01 * (0.183**2 + 1.0 / n)) for n in (50, 1)]
+        assert of["size_share_025_030_cm_high"][0] == pytest.approx(high[0])
+        # Of how many, nobody says: as if one told.
+        assert of["size_share_010_015_cm_high"][1] == pytest.approx(high[1])
+        assert b"a bin in which none is found" in of["size_share_025_030_cm"].comment
+        assert b"a bin" not in getattr(of["time"], "comment", b"")
 
 
 @pytest.mark.parametrize(("longitude", "heading"), [(179.9999, 20.0), (-179.9999, 200.0)])

@@ -9,6 +9,7 @@ import math
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -116,7 +117,9 @@ def write_change(comparison: Comparison, folder: Path) -> tuple[Path, ...]:
         draw(comparison, picture)
         rows = {"patches": _patches(comparison), "individuals": _individuals(comparison)}
         rows["ground"] = _ground(comparison)
-        write_layers(partial / "change.gpkg", _TABLES, rows, on_globe=comparison.a.site is not None)
+        made_up = comparison.a.simulated or comparison.b.simulated
+        tables = [replace(one, title=f"SIMULATED: {one.title}") if made_up else one for one in _TABLES]
+        write_layers(partial / "change.gpkg", tables, rows, on_globe=comparison.a.site is not None)
         text = json.dumps(comparison.as_dict(), allow_nan=False, indent=2) + "\n"
         (partial / "change.json").write_text(text, encoding="utf-8")
         others = [(name, what) for name, what in FILES.items() if name != PAGE]
@@ -217,8 +220,13 @@ def _furnish(axes: Axes, comparison: Comparison) -> None:
     a, b = comparison.a, comparison.b
     axes.set_title(
         f"{a.began:%Y-%m-%d} to {b.began:%Y-%m-%d}: {a.name} → {b.name}\n"
-        f"{comparison.comparable:.0f} m² seen by both, laid on each other to {100.0 * laid.sigma:.1f} cm "
-        "(× only before, + only after)",
+        + (
+            "not laid on each other: nothing is compared"
+            if comparison.withheld
+            else f"{comparison.comparable:.0f} m² seen by both, laid on each other to "
+            f"{100.0 * laid.sigma:.1f} cm (× only before, + only after)"
+        )
+        + (" · SIMULATED" if a.simulated or b.simulated else ""),
         fontsize=8,
         loc="left",
         parse_math=False,

@@ -52,7 +52,7 @@ def change_page(
     masthead = web.Masthead(
         kind="change report",
         place=words.place(a),
-        date=" to ".join(days),
+        date=" to ".join(one.replace(" ", "\N{NO-BREAK SPACE}") for one in days),
         how=f"What changed from {a.name} to {b.name}",
         simulated=f"Simulated: {'; '.join(worlds)}" if worlds else "",
         headlines=_headlines(comparison),
@@ -102,7 +102,7 @@ def _laid(comparison: Comparison) -> list[tuple[str, str]]:
     }
     told = [
         ("Laid by", by.get(laid.by, laid.by)),
-        ("To within", f"{100.0 * laid.sigma:.1f} cm (one sigma)"),
+        ("To within", "not known" if comparison.withheld else f"{100.0 * laid.sigma:.1f} cm (one sigma)"),
     ]
     if laid.pairs:
         told.append(

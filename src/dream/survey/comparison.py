@@ -17,6 +17,7 @@ from scipy.special import ndtr
 from dream.geometry import Bounds
 from dream.survey.fates import BARE, Fate, Missing, Shown, Standing, fates, missing, standing
 from dream.survey.registration import Registering, Registration
+from dream.survey.sizes import measures_over
 from dream.survey.survey import Individuals, Layers, Measure, Survey, under
 
 Float64Array = npt.NDArray[np.float64]
@@ -118,7 +119,7 @@ class Comparison:
     """Square metres that both saw."""
     only_a: float
     only_b: float
-    """Square metres that only one of them saw."""
+    """Square metres that only one of them saw; 0 where nothing is compared."""
     comparing: Comparing
     """How they were told apart."""
 
@@ -136,11 +137,12 @@ class Comparison:
             "after": _named(self.b),
             "years": self.years,
             "doubts": list(doubts(self.a, self.b)),
+            "simulated": [one.simulated for one in (self.a, self.b)],
             "registration": {
                 "x": laid.T_a_b.x,
                 "y": laid.T_a_b.y,
                 "yaw": laid.T_a_b.yaw,
-                "sigma_m": laid.sigma,
+                "sigma_m": None if self.withheld else laid.sigma,
                 "by": laid.by,
                 "pairs": laid.pairs,
                 "residual_m": laid.residual,
@@ -185,13 +187,18 @@ class Comparison:
 def doubts(a: Survey, b: Survey) -> tuple[str, ...]:
     """What two surveys have that makes their comparison less than it says."""
     told = []
-    if (a.name, a.began) == (b.name, b.began):
+    if (a.name, a.began) == (b.name, b.began) or (a.run is not None and a.run == b.run):
         told.append(
             f"both are {a.name}: expected two of a site. What differs is how one was laid on the other"
         )
     if a.began > b.began:
         told.append(
             f"{a.name} began after {b.name}; what is told as gained was lost, if their clocks are right"
+        )
+    if a.calibration != b.calibration:
+        told.append(
+            f"{a.name} and {b.name} were measured by different calibrations: sizes, counts and densities may "
+            "differ by that alone. Measure both by one version: dream survey add RUN --replace NUMBER"
         )
     if a.protocol != b.protocol:
         told.append(
@@ -274,9 +281,11 @@ class Comparing:
         seen_a, seen_b = a.layers.state > 0, theirs > 0
         both = seen_a & seen_b
         # Ground that did not change would be told as gained and lost.
-        withheld = laid.by == "poses" and all(np.isin(one.layers.state, (2, 4)).any() for one in (a, b))
+        withheld = laid.by == "poses" and bool(both.any())
+        withheld &= all(np.isin(one.layers.state, (2, 4)).any() for one in (a, b))
         if withheld:
-            both[:] = False
+            for mask in (seen_a, seen_b, both):
+                mask[:] = False
         target = (np.isin(a.layers.state, (2, 4)) & both, np.isin(theirs, (2, 4)) & both)
         units = self._units(a, b, grid, laid)
         places = (a.individuals.position[:, :2], laid.place(b.individuals.position[:, :2]))
@@ -318,12 +327,13 @@ class Comparing:
             fate_b=fate_b,
             positions_b=places[1],
             patches=self._judged(units, tested),
-            differences=self._whole(met),
+            differences=() if withheld else self._whole(met),
             measures=tuple(_told_by_both(a, b)),
             withheld=withheld,
             comparable=float(both.sum()) * cell2,
             only_a=float((seen_a & ~seen_b).sum()) * cell2,
-            only_b=float((seen_b & ~seen_a).sum()) * cell2 + _beyond(b.layers, grid, laid),
+            only_b=float((seen_b & ~seen_a).sum()) * cell2
+            + (0.0 if withheld else _beyond(b.layers, grid, laid)),
             comparing=self,
         )
 
@@ -702,11 +712,12 @@ def held_against(was: Measure, now: Measure) -> Difference:
 
 
 def _told_by_both(a: Survey, b: Survey) -> Iterator[Difference]:
-    """Measures of both surveys that are of the ground, not of how much of it was seen."""
-    before = {one.name: one for one in a.measures if one.name not in ("seen_share", "hull_seen")}
-    for now in b.measures:
-        was = before.get(now.name)
-        if was is not None and None not in (was.value, was.low, was.high, now.value, now.low, now.high):
+    """Measures of both surveys that are of the ground, not of how much of it was seen. The number of patches
+    is left out: of a few whole numbers a normal error says nothing."""
+    for was, now in measures_over((a, b)).values():
+        if was is None or now is None or now.name in ("seen_share", "hull_seen", "patch_count"):
+            continue
+        if None not in (was.value, was.low, was.high, now.value, now.low, now.high):
             yield held_against(was, now)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,11 @@ SAME_PLACE = 5000.0
 FEWEST = 10
 """Individuals that must lie on each other at least."""
 DENSITY = 0.2
-"""Metres: cells of the densities that are held against each other."""
+"""Metres: cells of the densities that are held against each other; of far ones they grow."""
+MOST_CELLS = 1024
+"""Along a side of a density."""
+FARTHEST = 200.0
+"""Metres from the middle of the individuals that are held against each other."""
 TURN = math.radians(1.0)
 """Between turns."""
 BEST = 8
@@ -242,26 +247,44 @@ def _alike(
     ours: Float64Array, theirs: Float64Array, pivot: tuple[float, float], window: float, turn: float
 ) -> list[SE2]:
     """Where the densities of individuals correlate best within a window, for each of the best turns."""
-    half = max(float(np.abs(points - pivot).max()) for points in (ours, theirs)) + window
-    count = 2 * math.ceil(half / DENSITY)
-    edges = (np.arange(count + 1) - 0.5 * count) * DENSITY
+    # What is far from all others, or beyond the window, tells nothing and would widen the grid.
+    reach = min(float(np.quantile(np.abs(theirs - pivot).max(axis=1), 0.98)), FARTHEST)
+    cell = max(DENSITY, 2.0 * (reach + window) / MOST_CELLS)
+    edges = _centred(reach + window, cell)
+    fixed = np.fft.rfft2(_density(ours - pivot, edges))
 
-    def density(points: Float64Array) -> Float64Array:
-        x, y = (points - pivot).T
-        number, _, _ = np.histogram2d(x, y, bins=(edges, edges))
-        smooth: Float64Array = ndimage.gaussian_filter(number, 1.0)
-        return smooth
+    def best(turns: Iterable[float]) -> list[tuple[float, SE2]]:
+        found = []
+        far = math.ceil(window / cell)
+        for yaw in turns:
+            there = _density(_moved(theirs, pivot, SE2(0.0, 0.0, yaw)) - pivot, edges)
+            alike = np.fft.irfft2(fixed * np.conj(np.fft.rfft2(there)), s=there.shape)
+            alike = np.roll(alike, (far, far), axis=(0, 1))[: 2 * far + 1, : 2 * far + 1]
+            east, north = np.unravel_index(int(alike.argmax()), alike.shape)
+            found.append((float(alike.max()), SE2((east - far) * cell, (north - far) * cell, yaw)))
+        return sorted(found, key=lambda one: -one[0])
 
-    fixed = np.fft.rfft2(density(ours))
-    reach, steps = math.ceil(window / DENSITY), math.ceil(turn / TURN)
-    found = []
-    for yaw in (TURN * np.arange(-steps, steps + 1)).tolist():
-        there = density(_moved(theirs, pivot, SE2(0.0, 0.0, yaw)))
-        alike = np.fft.irfft2(fixed * np.conj(np.fft.rfft2(there)), s=there.shape)
-        alike = np.roll(alike, (reach, reach), axis=(0, 1))[: 2 * reach + 1, : 2 * reach + 1]
-        east, north = np.unravel_index(int(alike.argmax()), alike.shape)
-        found.append((float(alike.max()), SE2((east - reach) * DENSITY, (north - reach) * DENSITY, yaw)))
-    return [start for _, start in sorted(found, key=lambda one: -one[0])[:BEST]]
+    steps = math.ceil(turn / TURN)
+    coarse = best((TURN * np.arange(-steps, steps + 1)).tolist())
+    # Between two turns the ends of a long reef move by more than individuals are looked for at first.
+    finer = math.ceil(TURN * reach / DENSITY)
+    if finer > 1:
+        parts = TURN * np.arange(-finer + 1, finer) / finer
+        coarse += best(coarse[0][1].yaw + parts) + best(coarse[1][1].yaw + parts)
+        coarse.sort(key=lambda one: -one[0])
+    return [start for _, start in coarse[:BEST]]
+
+
+def _centred(half: float, cell: float) -> Float64Array:
+    """Edges of cells that reach so far to both sides of 0."""
+    count = 2 * math.ceil(half / cell)
+    return np.asarray((np.arange(count + 1) - 0.5 * count) * cell, np.float64)
+
+
+def _density(points: Float64Array, edges: Float64Array) -> Float64Array:
+    number, _, _ = np.histogram2d(points[:, 0], points[:, 1], bins=(edges, edges))
+    smooth: Float64Array = ndimage.gaussian_filter(number, 1.0)
+    return smooth
 
 
 def frames(a: Survey, b: Survey) -> tuple[SE2, str]:

@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtr
 
-from dream.survey.calibration import Calibration
+from dream.survey.calibration import SCATTERED, SHARP, Calibration
 from dream.survey.individuals import Peaks
 from dream.survey.intervals import LEVEL, around, together, unknown
-from dream.survey.survey import Measure
+from dream.survey.survey import Measure, Survey
 from dream.types import BoolArray
 
 Float64Array = npt.NDArray[np.float64]
@@ -95,9 +96,7 @@ class Sizes:
         told = np.flatnonzero(shares >= RARE)
         shares /= shares[told[0] : told[-1] + 1].sum()
         for k in range(int(told[0]), int(told[-1]) + 1):
-            # A bin that seems empty may not be.
-            room = float(shares[k] * (1.0 - shares[k])) + LEAST_ROOM
-            error = math.sqrt(room) * together(self.calibration.share_spread, 1.0 / math.sqrt(self.sample))
+            error = _share_error(float(shares[k]), self.calibration.share_spread, self.sample)
             name = f"size_share_{round(100 * edges[k]):03d}_{round(100 * edges[k + 1]):03d}_cm"
             share = around(name, float(shares[k]), error, "", note)
             measures.append(dataclasses.replace(share, high=min(share.high or 0.0, 1.0)))
@@ -151,8 +150,48 @@ def unfolded(likely: Float64Array, weight: Float64Array) -> Float64Array:
     return share
 
 
+def size_bin(name: str) -> tuple[int, int] | None:
+    """Centimetres, the ends of the sizes whose share a measure tells, such as `size_share_015_020_cm`."""
+    found = re.fullmatch(r"size_share_(\d+)_(\d+)_cm", name)
+    return (int(found[1]), int(found[2])) if found else None
+
+
+def measures_over(surveys: Sequence[Survey]) -> dict[str, list[Measure | None]]:
+    """What each survey tells of each measure that any of them tells; None where it does not.
+
+    A survey lists shares of sizes from its least to its largest. Of sizes beyond these it found none, which
+    is a share of 0 and not one that was not measured.
+    """
+    names = dict.fromkeys(measure.name for survey in surveys for measure in survey.measures)
+    told = [{measure.name: measure for measure in survey.measures} for survey in surveys]
+    return {
+        name: [
+            of.get(name) or (_none_of_that_size(name, of.values()) if size_bin(name) else None) for of in told
+        ]
+        for name in sorted(names, key=lambda name: (size_bin(name) is not None, size_bin(name) or (0, 0)))
+    }
+
+
+def _none_of_that_size(name: str, measures: Iterable[Measure]) -> Measure | None:
+    """The share of a size that a survey does not list; None where it measured no sizes."""
+    shares = [m for m in measures if size_bin(m.name) is not None and m.value is not None]
+    if not shares:
+        return None
+    # A survey says of how many, but not by which calibration: by the wider.
+    said = re.match(r"from (\d+) ", shares[0].note)
+    error = _share_error(0.0, max(SHARP.share_spread, SCATTERED.share_spread), int(said[1]) if said else 1)
+    return around(name, 0.0, error, "", shares[0].note)
+
+
+def _share_error(share: float, spread: float, sample: float) -> float:
+    # A bin that seems empty may not be.
+    return math.sqrt(share * (1.0 - share) + LEAST_ROOM) * together(spread, 1.0 / math.sqrt(sample))
+
+
 def _likely(extent: Float64Array, calibration: Calibration) -> Float64Array:
     """(n, K) chance of each extent, to a step of the logarithm, were it of each of `SIZES`."""
+    from scipy.special import ndtr
+
     off = np.log(extent)[:, None] - np.log(SIZES)
     # What no size explains is believed of none.
     chance = np.full(off.shape, 1e-6)

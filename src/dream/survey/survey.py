@@ -185,6 +185,17 @@ class Survey:
     """None of a survey without, which can be compared less sharply."""
 
     @property
+    def simulated(self) -> bool:
+        """No camera has seen it."""
+        return bool(self.made_by.get("world"))
+
+    @property
+    def calibration(self) -> Any:
+        """By which its individuals were counted and sized; None in files of older versions."""
+        measuring = self.made_by.get("measuring")
+        return measuring.get("calibration") if isinstance(measuring, dict) else None
+
+    @property
     def run(self) -> str | None:
         """SHA-256 of the run's steps, which its copies share; None in files of older versions."""
         digest = self.made_by.get("run")

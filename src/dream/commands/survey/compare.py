@@ -69,7 +69,7 @@ def _print(comparison: Comparison, files: tuple[Path, ...]) -> None:
     from dream.survey.change_map import PAGE
     from dream.survey.change_words import difference_cells, patch_rows, summary
     from dream.survey.numbers import p_value
-    from dream.survey.products.words import size_bin
+    from dream.survey.sizes import size_bin
 
     console, told = Console(), comparison.as_dict()
     console.print(f"[bold]{plain(comparison.a.name)}[/bold] → [bold]{plain(comparison.b.name)}[/bold]")

@@ -28,7 +28,7 @@ def slim_table(title: str | None = None) -> Table:
 def measure_row(measure: Measure) -> tuple[str, str, str, str]:
     """Name, value, interval and note of a measure, in words."""
     from dream.survey.numbers import UNITS, named, number
-    from dream.survey.products.words import size_bin
+    from dream.survey.sizes import size_bin
 
     ends = size_bin(measure.name)
     name = named(measure.name) if ends is None else f"{ends[0]} to {ends[1]} cm wide"

@@ -54,7 +54,8 @@ FILES: Mapping[str, str] = {
     darwin_core.CSV: "one Darwin Core occurrence a clump that was found and is likely one",
     darwin_core.ARCHIVE: "the same with sizes as a Darwin Core Archive, for OBIS and GBIF",
     tables.MEASURES: "all measures with their intervals, of the survey and of each patch",
-    tables.INDIVIDUALS: "position, size and confidence of the clumps that were found, which are not all",
+    tables.INDIVIDUALS: "position, size and confidence of the clumps that were found, which are not all; the "
+    "size of one that touches others is the mean of those that stand clear",
     series.CSV: "the measures of all surveys of the site, one a row",
     series.PICTURE: "how the main measures went, with the 95 % interval of each survey",
     page.NAME: "the survey report, for a browser",
@@ -116,6 +117,11 @@ def export(
     for one in (survey, *others):
         files.check(one)
     surveys, warnings = series.of_one_site(survey, others)
+    if any(one.calibration != survey.calibration for one in surveys):
+        warnings.append(
+            "the surveys of the series were measured by different calibrations: sizes, counts and densities "
+            "may differ by that alone. Measure all by one version: dream survey add RUN --replace NUMBER"
+        )
     folder = to.with_name(f".partial.{to.name}")
     makers = _makers(survey, folder, run, species, author, surveys, watched)
     left_out: dict[str, str] = {}

@@ -29,7 +29,8 @@ from dream.survey.products.styles import (
     rgb,
     state_names,
 )
-from dream.survey.products.words import HEADLINES, UNITS, day, meaning, place, size_bin, warning
+from dream.survey.products.words import HEADLINES, UNITS, day, meaning, place, warning
+from dream.survey.sizes import size_bin
 from dream.survey.survey import Measure, Patch, Survey
 
 if TYPE_CHECKING:

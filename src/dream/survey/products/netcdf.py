@@ -28,8 +28,9 @@ from dream.survey import globe
 from dream.survey.products import areas, words
 from dream.survey.products.geotiff import Laid, corners_of, laid_on, sheet_around
 from dream.survey.products.ground import Ground, site_of
-from dream.survey.products.series import NONE_OF_THAT_SIZE, measures_over, of_one_site
+from dream.survey.products.series import NONE_OF_THAT_SIZE, of_one_site
 from dream.survey.products.styles import EXPLORED, SOLID, SOLID_TARGET, TARGET, UNKNOWN
+from dream.survey.sizes import measures_over, size_bin
 from dream.survey.survey import Survey
 from dream.types import Target
 
@@ -254,7 +255,7 @@ def _measures(file: Any, surveys: Sequence[Survey]) -> None:
         plain = re.sub(r"\W", "_", name)
         variable = plain if re.match(r"[A-Za-z]", plain) else f"measure_{plain}"
         notes = dict.fromkeys(m.note for m in of if m and m.note)
-        if words.size_bin(name) is not None:
+        if size_bin(name) is not None:
             notes[NONE_OF_THAT_SIZE] = None
         long_name = words.long_name(name)
         _variable(

@@ -9,31 +9,29 @@ from __future__ import annotations
 import csv
 import io
 import math
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC
 from pathlib import Path
 
 from dream.survey import globe
-from dream.survey.intervals import LEVEL
 from dream.survey.products import figures
 from dream.survey.products.tables import SIMULATED, harmless, plain
-from dream.survey.products.words import size_bin, world
+from dream.survey.products.words import world
 from dream.survey.registration import SAME_PLACE
-from dream.survey.survey import Measure, Survey
+from dream.survey.sizes import measures_over
+from dream.survey.survey import Survey
 
 CSV, PICTURE = "series.csv", "series.png"
 COLUMNS = ("survey", "date", "measure", "value", "low", "high", "unit", SIMULATED)
 NONE_OF_THAT_SIZE = (
-    "0 where sizes were measured and none is of this size; its interval is then Wilson's for 0 of as many as "
-    "were measured, and holds chance, not the error of measuring; without an upper end where that number is "
-    "not told"
+    "0 where sizes were measured and none is of this size; the interval is then that of a bin in which none "
+    "is found"
 )
 """Of the shares of sizes that a survey does not list."""
 
 
 def of_one_site(survey: Survey, others: Iterable[Survey]) -> tuple[list[Survey], list[str]]:
-    """The surveys of the site of one of them, by time, and why each of the rest is none.
+    """The surveys of the site of one of them, each once and by time, and why each of the rest is none.
 
     Origins of one site may be apart, as those of site files that were corrected are.
 
@@ -43,7 +41,7 @@ def of_one_site(survey: Survey, others: Iterable[Survey]) -> tuple[list[Survey],
     """
     among, reasons = [survey], []
     for other in others:
-        if (other.name, other.began) == (survey.name, survey.began):
+        if any((other.name, other.began) == (one.name, one.began) for one in among):
             continue
         if reason := _elsewhere(survey, other):
             reasons.append(f"{other.name} is not in the series: {reason}")
@@ -68,32 +66,6 @@ def _elsewhere(survey: Survey, other: Survey) -> str:
             "of the two site files wrong?"
         )
     return ""
-
-
-def measures_over(surveys: Sequence[Survey]) -> dict[str, list[Measure | None]]:
-    """What each survey tells of each measure that any of them tells; None where it does not.
-
-    A survey lists shares of sizes from its least to its largest. Of sizes beyond these it found none, which
-    is a share of 0 and not one that was not measured.
-    """
-    names = dict.fromkeys(measure.name for survey in surveys for measure in survey.measures)
-    told = [{measure.name: measure for measure in survey.measures} for survey in surveys]
-    return {
-        name: [
-            of.get(name) or (_none_of_that_size(name, of.values()) if size_bin(name) else None) for of in told
-        ]
-        for name in sorted(names, key=lambda name: (size_bin(name) is not None, size_bin(name) or (0, 0)))
-    }
-
-
-def _none_of_that_size(name: str, measures: Iterable[Measure]) -> Measure | None:
-    """The share of a size that a survey does not list; None where it measured no sizes."""
-    shares = [m for m in measures if size_bin(m.name) is not None and m.value is not None]
-    if not shares:
-        return None
-    measured = re.match(r"from (\d+) ", shares[0].note)
-    high = None if measured is None else LEVEL**2 / (int(measured[1]) + LEVEL**2)
-    return Measure(name, 0.0, 0.0, high, "")
 
 
 def write(surveys: Sequence[Survey], folder: Path) -> list[Path]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
 from itertools import pairwise
 
 from dream.survey.calibration import doubt
 from dream.survey.numbers import named
+from dream.survey.sizes import size_bin
 from dream.survey.survey import Measure, Survey
 from dream.types import Target
 
@@ -97,12 +97,6 @@ def explained(measure: Measure) -> str:
     """What it says, and how it was got."""
     sentences = (meaning(measure.name).says, measure.note)
     return ". ".join(text[:1].upper() + text[1:] for text in sentences if text)
-
-
-def size_bin(name: str) -> tuple[int, int] | None:
-    """Centimetres, the ends of the sizes whose share a measure tells, such as `size_share_015_020_cm`."""
-    found = re.fullmatch(r"size_share_(\d+)_(\d+)_cm", name)
-    return (int(found[1]), int(found[2])) if found else None
 
 
 def listed(survey: Survey) -> list[Measure]:
