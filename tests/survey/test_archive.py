@@ -254,7 +254,7 @@ def test_an_archive_that_counted_otherwise_tells_the_same_as_a_new_one(
     survey = replace(reef(), individuals=replace(individuals, patch=patch))
     with monkeypatch.context() as then:
         then.setattr(f"{there}.MIGRATIONS", schema.MIGRATIONS[:1])
-        then.setattr(f"{there}.rows", as_then)
+        then.setattr("dream.survey.archive.keeping.rows", as_then)
         for archive_of in (GeoPackageArchive, PostgisArchive):
             then.setattr(archive_of, "_of_its_run", lambda self, head: [])
         with open_archive(where, begin=True) as archive:

@@ -60,7 +60,7 @@ def test_a_server_that_goes_away_is_told_of_and_nothing_is_half_written(
     url = postgres.emptied()
     archive = PostgisArchive(url, begin=True)
     archive.add(wreck())
-    rows_of = sys.modules["dream.survey.archive.postgis"].rows
+    rows_of = sys.modules["dream.survey.archive.keeping"].rows
 
     def rows_and_then_it_dies(survey: object) -> object:
         head, others = rows_of(survey)
@@ -72,7 +72,7 @@ def test_a_server_that_goes_away_is_told_of_and_nothing_is_half_written(
 
         return head, {**others, "individuals": Dying(others["individuals"])}
 
-    monkeypatch.setattr("dream.survey.archive.postgis.rows", rows_and_then_it_dies)
+    monkeypatch.setattr("dream.survey.archive.keeping.rows", rows_and_then_it_dies)
     try:
         with pytest.raises(OSError, match="the server cannot be reached, or went away") as caught:
             archive.add(reef())

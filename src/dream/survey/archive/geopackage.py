@@ -22,7 +22,8 @@ from dream.survey import files
 from dream.survey.archive import entries as told
 from dream.survey.archive import wkb
 from dream.survey.archive.entries import Entry
-from dream.survey.archive.rows import Row, rows
+from dream.survey.archive.keeping import OF_ITS_RUN, Keeping, missing
+from dream.survey.archive.rows import Row
 from dream.survey.archive.schema import MIGRATIONS, VERSIONS, WGS84, Column, Table, order, parts
 from dream.survey.survey import Survey
 
@@ -64,7 +65,7 @@ _SYSTEMS = (
 )
 
 
-class GeoPackageArchive:
+class GeoPackageArchive(Keeping):
     """Surveys in a GeoPackage. Use it as a context, or close it."""
 
     def __init__(self, path: Path, *, begin: bool = False) -> None:
@@ -116,46 +117,6 @@ class GeoPackageArchive:
         """Its path."""
         return str(self._path)
 
-    def add(self, survey: Survey) -> tuple[int, bool]:
-        """Keep a survey; its number, and whether it is new there."""
-        head, others = rows(survey)
-        with self._changing():
-            there = self._of_its_run(head)
-            if (number := told.kept(head, there)) is not None:
-                return number, False
-            told.check_first_of_its_run(head, there)
-            number = insert(self._connection, "surveys", head)
-            self._fill(number, others)
-            self._register_change()
-        return number, True
-
-    def replace(self, number: int, survey: Survey) -> bool:
-        """Keep a survey in the place of another one of its run, by its number; whether that was another."""
-        head, others = rows(survey)
-        with self._changing():
-            before, there = self.get(number), self._of_its_run(head)
-            if told.kept(head, there) == number:
-                return False
-            told.check_first_of_its_run(head, [one for one in there if one[0] != number])
-            told.check_same_run(number, before, survey)
-            self._empty(number)
-            marks = ", ".join(f"{name} = ?" for name in head)
-            self._connection.execute(f"UPDATE surveys SET {marks} WHERE id = ?", (*_values(head), number))
-            self._fill(number, others)
-            self._register_change()
-        return True
-
-    def remove(self, number: int) -> Entry:
-        """Take the survey of that number out, with all that belongs to it; what it was."""
-        with self._changing():
-            entries = {entry.number: entry for entry in self._entries()}
-            if number not in entries:
-                raise told.missing(self.name, number, entries)
-            self._empty(number)
-            self._connection.execute("DELETE FROM surveys WHERE id = ?", (number,))
-            self._register_change()
-        return entries[number]
-
     def entries(self) -> list[Entry]:
         """What is there, by number."""
         with self._told(), self._transaction("DEFERRED"):
@@ -169,7 +130,7 @@ class GeoPackageArchive:
             ).fetchone()
             if found is None:
                 there = self._connection.execute("SELECT id FROM surveys ORDER BY id").fetchall()
-                raise told.missing(self.name, number, (one for (one,) in there))
+                raise missing(self.name, number, (one for (one,) in there))
         return document(found, number, self.name)
 
     def _entries(self) -> list[Entry]:
@@ -183,8 +144,18 @@ class GeoPackageArchive:
         return self._connection.execute(
             """SELECT id, digest, name FROM surveys WHERE digest = :digest OR run = :run
             OR (name = :name AND began = :began AND (run IS NULL OR :run IS NULL)) ORDER BY id""",
-            {name: head[name] for name in told.OF_ITS_RUN},
+            {name: head[name] for name in OF_ITS_RUN},
         ).fetchall()
+
+    def _begin_survey(self, head: Row) -> int:
+        return insert(self._connection, "surveys", head)
+
+    def _renew_survey(self, number: int, head: Row) -> None:
+        marks = ", ".join(f"{name} = ?" for name in head)
+        self._connection.execute(f"UPDATE surveys SET {marks} WHERE id = ?", (*_values(head), number))
+
+    def _end_survey(self, number: int) -> None:
+        self._connection.execute("DELETE FROM surveys WHERE id = ?", (number,))
 
     def _fill(self, number: int, others: Mapping[str, Iterable[Row]]) -> None:
         """Put in what belongs to a survey."""

@@ -15,7 +15,8 @@ from typing import Any
 from dream.survey.archive import entries as told
 from dream.survey.archive.entries import Entry
 from dream.survey.archive.geopackage import document
-from dream.survey.archive.rows import Row, rows
+from dream.survey.archive.keeping import OF_ITS_RUN, Keeping, missing
+from dream.survey.archive.rows import Row
 from dream.survey.archive.schema import MIGRATIONS, VERSIONS, WGS84, Column, Table, order, parts
 from dream.survey.survey import Survey
 
@@ -29,7 +30,7 @@ _KINDS = {"integer": "bigint", "real": "double precision", "text": "text", "time
 _KINDS |= {"blob": "bytea"}
 
 
-class PostgisArchive:
+class PostgisArchive(Keeping):
     """Surveys in a database. Use it as a context, or close it."""
 
     def __init__(self, url: str, *, begin: bool = False) -> None:
@@ -89,49 +90,6 @@ class PostgisArchive:
         """Its URL without any password."""
         return self._name
 
-    def add(self, survey: Survey) -> tuple[int, bool]:
-        """Keep a survey; its number, and whether it is new there."""
-        head, others = rows(survey)
-        with self._changing():
-            there = self._of_its_run(head)
-            if (number := told.kept(head, there)) is not None:
-                return number, False
-            told.check_first_of_its_run(head, there)
-            done = self._connection.execute(
-                _insert("surveys", head, " RETURNING id"), list(head.values())
-            ).fetchone()
-            assert done is not None
-            number = int(done[0])
-            self._fill(number, others)
-        return number, True
-
-    def replace(self, number: int, survey: Survey) -> bool:
-        """Keep a survey in the place of another one of its run, by its number; whether that was another."""
-        head, others = rows(survey)
-        with self._changing():
-            before, there = self.get(number), self._of_its_run(head)
-            if told.kept(head, there) == number:
-                return False
-            told.check_first_of_its_run(head, [one for one in there if one[0] != number])
-            told.check_same_run(number, before, survey)
-            self._empty(number)
-            marks = ", ".join(f"{name} = {_mark(name)}" for name in head)
-            self._connection.execute(
-                f"UPDATE {SCHEMA}.surveys SET {marks} WHERE id = %s", [*head.values(), number]
-            )
-            self._fill(number, others)
-        return True
-
-    def remove(self, number: int) -> Entry:
-        """Take the survey of that number out, with all that belongs to it; what it was."""
-        with self._changing():
-            entries = {entry.number: entry for entry in self._entries()}
-            if number not in entries:
-                raise told.missing(self.name, number, entries)
-            self._empty(number)
-            self._connection.execute(f"DELETE FROM {SCHEMA}.surveys WHERE id = %s", (number,))
-        return entries[number]
-
     def entries(self) -> list[Entry]:
         """What is there, by number."""
         with self._told(), self._connection.transaction():
@@ -149,7 +107,7 @@ class PostgisArchive:
             ).fetchone()
             if found is None:
                 there = self._connection.execute(f"SELECT id FROM {SCHEMA}.surveys ORDER BY id").fetchall()
-                raise told.missing(self.name, number, (one for (one,) in there))
+                raise missing(self.name, number, (one for (one,) in there))
         return document(found, number, self.name)
 
     def _entries(self) -> list[Entry]:
@@ -166,9 +124,25 @@ class PostgisArchive:
             f"""SELECT id, digest, name FROM {SCHEMA}.surveys WHERE digest = %(digest)s OR run = %(run)s::text
             OR (name = %(name)s AND began = %(began)s AND (run IS NULL OR %(run)s::text IS NULL))
             ORDER BY id""",
-            {name: head[name] for name in told.OF_ITS_RUN},
+            {name: head[name] for name in OF_ITS_RUN},
         ).fetchall()
         return found
+
+    def _begin_survey(self, head: Row) -> int:
+        done = self._connection.execute(
+            _insert("surveys", head, " RETURNING id"), list(head.values())
+        ).fetchone()
+        assert done is not None
+        return int(done[0])
+
+    def _renew_survey(self, number: int, head: Row) -> None:
+        marks = ", ".join(f"{name} = {_mark(name)}" for name in head)
+        self._connection.execute(
+            f"UPDATE {SCHEMA}.surveys SET {marks} WHERE id = %s", [*head.values(), number]
+        )
+
+    def _end_survey(self, number: int) -> None:
+        self._connection.execute(f"DELETE FROM {SCHEMA}.surveys WHERE id = %s", (number,))
 
     def _fill(self, number: int, others: Mapping[str, list[Row]]) -> None:
         """Put in what belongs to a survey."""
@@ -182,6 +156,9 @@ class PostgisArchive:
         """Take out what belongs to a survey."""
         for table in parts():
             self._connection.execute(f"DELETE FROM {SCHEMA}.{table} WHERE survey_id = %s", (number,))
+
+    def _register_change(self) -> None:
+        """Readers of a server find what is there."""
 
     @contextlib.contextmanager
     def _changing(self) -> Iterator[None]:
