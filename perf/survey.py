@@ -49,7 +49,7 @@ from dream.survey.comparison import Difference, held_against
 from dream.survey.ground import Frame as Seen
 from dream.survey.ground import fuse, scatter_of
 from dream.survey.individuals import Peaks
-from dream.survey.sizes import BIN, CLEAR, LEAST_ROOM, RARE, size_bin, sizes_of
+from dream.survey.sizes import BIN, CLEAR, LEAST_ROOM, RARE, bin_name, size_bin, sizes_of
 from dream.types import Label, Observation, Target
 
 Float64Array = npt.NDArray[np.float64]
@@ -272,10 +272,7 @@ def truth_of(world: World) -> dict[str, Any]:
 def _size_shares(sizes: Float64Array) -> dict[str, float]:
     """The size-frequency, under the names of a survey's measures."""
     number = np.bincount(np.floor(sizes / BIN).astype(np.intp), minlength=BINS) / len(sizes)
-    return {
-        f"size_share_{round(100 * k * BIN):03d}_{round(100 * (k + 1) * BIN):03d}_cm": float(share)
-        for k, share in enumerate(number)
-    }
+    return {bin_name(k): float(share) for k, share in enumerate(number)}
 
 
 def heights(drawn: Plan, on_reef: npt.NDArray[np.bool_]) -> Float64Array:
@@ -602,7 +599,8 @@ def changes(rows: list[dict[str, Any]]) -> None:
         if years and before is not None and name in (*HEADLINES, "count"):
             was, now = (Measure(name, row["value"], row["low"], row["high"], "") for row in (before, after))
             true = after["truth"] - before["truth"]
-            told.setdefault((protocol, years, name), []).append((held_against(was, now), true))
+            if (one := held_against(was, now)) is not None:
+                told.setdefault((protocol, years, name), []).append((one, true))
     print("| protocol | years | measure | reefs | told | true | in the interval | shown |")
     print("|---|--:|---|--:|--:|--:|--:|--:|")
     for (protocol, years, name), pairs in sorted(told.items()):

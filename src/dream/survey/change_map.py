@@ -110,7 +110,8 @@ def write_change(comparison: Comparison, folder: Path) -> tuple[Path, ...]:
         FileExistsError: The folder holds that of other surveys.
         OSError: They could not be written; then none of them is new.
     """
-    _check_other(comparison, folder / "change.json")
+    told = comparison.as_dict()
+    _check_other(told, folder / "change.json")
     partial = Path(tempfile.mkdtemp(prefix=".partial.", dir=folder))
     try:
         picture = partial / "change.png"
@@ -120,7 +121,7 @@ def write_change(comparison: Comparison, folder: Path) -> tuple[Path, ...]:
         made_up = comparison.a.simulated or comparison.b.simulated
         tables = [replace(one, title=f"SIMULATED: {one.title}") if made_up else one for one in _TABLES]
         write_layers(partial / "change.gpkg", tables, rows, on_globe=comparison.a.site is not None)
-        text = json.dumps(comparison.as_dict(), allow_nan=False, indent=2) + "\n"
+        text = json.dumps(told, allow_nan=False, indent=2) + "\n"
         (partial / "change.json").write_text(text, encoding="utf-8")
         others = [(name, what) for name, what in FILES.items() if name != PAGE]
         page = change_page(comparison, picture.read_bytes(), VERDICTS, others)
@@ -137,13 +138,12 @@ def write_change(comparison: Comparison, folder: Path) -> tuple[Path, ...]:
     return tuple(folder / name for name in FILES)
 
 
-def _check_other(comparison: Comparison, path: Path) -> None:
+def _check_other(told: Mapping[str, Any], path: Path) -> None:
     """What is there may be written anew, but not lost for another."""
     try:
         held = json.loads(path.read_bytes()) if path.stat().st_size < MOST_BYTES else None
     except (OSError, ValueError):
         return
-    told = comparison.as_dict()
     if isinstance(held, dict) and any(held.get(which) != told[which] for which in ("before", "after")):
         raise FileExistsError(
             f"{path.parent} holds the change between other surveys, in {path.name}: name another folder with "

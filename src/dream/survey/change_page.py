@@ -201,19 +201,18 @@ def _figures(differences: Sequence[Difference], years: float) -> str:
     if not differences:
         return "<p>There is nothing to hold against each other.</p>"
     rows = []
-    rates = any(change_words.a_year(one, years) for one in differences)
-    for one in differences:
+    rates = [typeset(change_words.a_year(one, years)) for one in differences]
+    for one, rate in zip(differences, rates, strict=True):
         value, change, interval = map(typeset, change_words.difference_cells(one))
-        rate = typeset(change_words.a_year(one, years))
         rows.append(
             f"<tr><th scope='row'>{html.escape(words.meaning(one.name).title)}</th>"
             f"<td class='value'>{html.escape(value)}</td><td class='interval'>{html.escape(change)}</td>"
             f"<td class='interval'>{html.escape(interval)}</td>"
-            + (f"<td class='interval'>{html.escape(rate)}</td>" if rates else "")
+            + (f"<td class='interval'>{html.escape(rate)}</td>" if any(rates) else "")
             + f"<td>{html.escape(p_value(one.p))}</td>"
             f"<td class='meaning'>{html.escape(words.meaning(one.name).says)}</td></tr>"
         )
-    year = ("A year",) if rates else ()
+    year = ("A year",) if any(rates) else ()
     head = web.head(("Figure", "Before → after", "Change", "95 % interval", *year, "p", "What it is"))
     return f"<div class='wide'><table>{head}<tbody>{''.join(rows)}</tbody></table></div>"
 

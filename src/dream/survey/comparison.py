@@ -690,18 +690,16 @@ def _difference(name: str, was: float, now: float, error: float, unit: str) -> D
     return Difference(name, was, now, change, change - half, change + half, _two_sided(change / error), unit)
 
 
-def held_against(was: Measure, now: Measure) -> Difference:
-    """One measure of two surveys. Their errors are taken for independent, though part of them is not.
+def held_against(was: Measure, now: Measure) -> Difference | None:
+    """One measure of two surveys; None where one did not measure it. Their errors are taken for independent,
+    though part of them is not.
 
     Reference: the interval of a difference from those of its parts, Zou and Donner, Stat. Med. 27 (2008).
-
-    Raises:
-        ValueError: One of them was not measured.
     """
     numbers = [was.value, was.low, was.high, now.value, now.low, now.high]
     known = [value for value in numbers if value is not None]
     if len(known) < len(numbers):
-        raise ValueError(f"{now.name}: expected two measures with intervals, got one that was not measured")
+        return None
     before, low_a, high_a, after, low_b, high_b = known
     change = after - before
     less, more = math.hypot(after - low_b, high_a - before), math.hypot(high_b - after, before - low_a)
@@ -717,8 +715,8 @@ def _told_by_both(a: Survey, b: Survey) -> Iterator[Difference]:
     for was, now in measures_over((a, b)).values():
         if was is None or now is None or now.name in ("seen_share", "hull_seen", "patch_count"):
             continue
-        if None not in (was.value, was.low, was.high, now.value, now.low, now.high):
-            yield held_against(was, now)
+        if (one := held_against(was, now)) is not None:
+            yield one
 
 
 def _sides(of: Difference) -> tuple[float, float]:

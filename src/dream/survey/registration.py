@@ -250,7 +250,8 @@ def _alike(
     # What is far from all others, or beyond the window, tells nothing and would widen the grid.
     reach = min(float(np.quantile(np.abs(theirs - pivot).max(axis=1), 0.98)), FARTHEST)
     cell = max(DENSITY, 2.0 * (reach + window) / MOST_CELLS)
-    edges = _centred(reach + window, cell)
+    half = math.ceil((reach + window) / cell)
+    edges = np.asarray(np.arange(-half, half + 1) * cell, np.float64)
     fixed = np.fft.rfft2(_density(ours - pivot, edges))
 
     def best(turns: Iterable[float]) -> list[tuple[float, SE2]]:
@@ -275,12 +276,6 @@ def _alike(
     return [start for _, start in coarse[:BEST]]
 
 
-def _centred(half: float, cell: float) -> Float64Array:
-    """Edges of cells that reach so far to both sides of 0."""
-    count = 2 * math.ceil(half / cell)
-    return np.asarray((np.arange(count + 1) - 0.5 * count) * cell, np.float64)
-
-
 def _density(points: Float64Array, edges: Float64Array) -> Float64Array:
     number, _, _ = np.histogram2d(points[:, 0], points[:, 1], bins=(edges, edges))
     smooth: Float64Array = ndimage.gaussian_filter(number, 1.0)
@@ -301,7 +296,7 @@ def frames(a: Survey, b: Survey) -> tuple[SE2, str]:
             f"compare: expected two surveys of one site, got {without.name}, a run without origin. Name its "
             "site with --site FILE"
         )
-    if a.site.name.strip().casefold() != b.site.name.strip().casefold():
+    if not a.site.is_called(b.site.name):
         raise ValueError(
             f"compare: expected two surveys of one site, got {a.site.name!r} ({a.name}) and {b.site.name!r} "
             f"({b.name})"

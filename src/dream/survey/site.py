@@ -49,6 +49,10 @@ class Site:
                     f"site: {field}: expected a number within ±{limit:g}, got {value}{self._hint(field)}"
                 )
 
+    def is_called(self, name: str) -> bool:
+        """Is that its name, however it is written?"""
+        return self.name.strip().casefold() == name.strip().casefold()
+
     def _hint(self, field: str) -> str:
         """What somebody may have meant by a number that is out of range."""
         if field == "latitude" and 90.0 < abs(self.latitude) <= 180.0 and abs(self.longitude) <= 90.0:

@@ -7,11 +7,10 @@ And some that show as one are two.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -97,9 +96,8 @@ class Sizes:
         shares /= shares[told[0] : told[-1] + 1].sum()
         for k in range(int(told[0]), int(told[-1]) + 1):
             error = _share_error(float(shares[k]), self.calibration.share_spread, self.sample)
-            name = f"size_share_{round(100 * edges[k]):03d}_{round(100 * edges[k + 1]):03d}_cm"
-            share = around(name, float(shares[k]), error, "", note)
-            measures.append(dataclasses.replace(share, high=min(share.high or 0.0, 1.0)))
+            share = around(bin_name(k), float(shares[k]), error, "", note)
+            measures.append(replace(share, high=min(share.high or 0.0, 1.0)))
         return tuple(measures)
 
 
@@ -150,8 +148,14 @@ def unfolded(likely: Float64Array, weight: Float64Array) -> Float64Array:
     return share
 
 
+def bin_name(number: int) -> str:
+    """Of the measure of the share in a bin of sizes, counted from 0, such as `size_share_015_020_cm`."""
+    low, high = (round(100.0 * edge * BIN) for edge in (number, number + 1))
+    return f"size_share_{low:03d}_{high:03d}_cm"
+
+
 def size_bin(name: str) -> tuple[int, int] | None:
-    """Centimetres, the ends of the sizes whose share a measure tells, such as `size_share_015_020_cm`."""
+    """Centimetres, the ends of the sizes whose share a measure tells; None of another measure."""
     found = re.fullmatch(r"size_share_(\d+)_(\d+)_cm", name)
     return (int(found[1]), int(found[2])) if found else None
 

@@ -99,11 +99,11 @@ def _kept_of_its_site(survey: Survey, archive: str | None) -> list[Survey]:
     """All that the archive keeps of the site of a survey; what cannot be read there is warned of."""
     if survey.site is None:
         return []
-    site, kept = survey.site.name.strip().casefold(), []
+    kept = []
     try:
         with archive_at(archive) as there:
             for entry in there.entries():
-                if entry.site.strip().casefold() != site or entry.target != survey.target:
+                if not survey.site.is_called(entry.site) or entry.target != survey.target:
                     continue
                 try:
                     kept.append(there.get(entry.number))

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC
 from pathlib import Path
@@ -54,12 +53,11 @@ def _elsewhere(survey: Survey, other: Survey) -> str:
     """Why another is not of the site of a survey; empty where it is."""
     if survey.site is None or other.site is None:
         return "a run without origin"
-    if survey.site.name.strip().casefold() != other.site.name.strip().casefold():
+    if not survey.site.is_called(other.site.name):
         return f"expected the site {survey.site.name}, got {other.site.name}"
     if survey.target is not other.target:
         return f"expected a survey of {survey.target}, got one of {other.target}"
-    T_site_other = globe.between(survey.site, other.site)
-    apart = math.hypot(T_site_other.x, T_site_other.y)
+    apart = globe.apart(survey.site, other.site)
     if apart > SAME_PLACE:
         return (
             f"expected origins at most {SAME_PLACE / 1000.0:g} km apart, got {apart / 1000.0:.1f} km. Is one "

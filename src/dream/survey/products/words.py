@@ -148,9 +148,9 @@ def warning(survey: Survey) -> str:
 
 def world(survey: Survey) -> str:
     """Which one was simulated, such as "world reef/string, seed 1"; empty of real water."""
-    if not (name := survey.made_by.get("world")):
+    if not survey.simulated:
         return ""
-    seed = survey.made_by.get("seed")
+    name, seed = survey.made_by["world"], survey.made_by.get("seed")
     return f"world {name}" + (f", seed {seed}" if seed is not None else "")
 
 
