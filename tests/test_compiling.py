@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import time
 
+import pytest
 from numba import njit
+from numba.core.errors import TypingError
 from numba.core.event import trigger_event
 
 from dream.compiling import COMPILES, when_compiling, working_time
@@ -25,6 +28,25 @@ def test_numba_tells_when_it_compiles_and_not_when_it_need_not() -> None:
     with when_compiling(lambda: told.append("again")):
         assert doubled(3) == 6
     assert told == ["told"]
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_garbage_is_not_collected_while_it_compiles_and_then_as_before(before: bool) -> None:
+    (gc.enable if before else gc.disable)()
+    try:
+        with trigger_event(COMPILES):
+            with trigger_event(COMPILES):
+                assert not gc.isenabled()
+            assert not gc.isenabled()
+        assert gc.isenabled() is before
+    finally:
+        gc.enable()
+
+
+def test_garbage_is_collected_again_after_what_does_not_compile() -> None:
+    with pytest.raises(TypingError):
+        njit(lambda x: x + "no number")(1)
+    assert gc.isenabled()
 
 
 class Compiles:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import time
 from collections.abc import Callable, Iterator
 
@@ -25,6 +26,29 @@ def when_compiling(tell: Callable[[], None]) -> Iterator[None]:
     """Call `tell` before the first compilation within the block, if there is one."""
     with install_listener(COMPILES, _Once(tell)):
         yield
+
+
+class _Uncollected(Listener):
+    """Keeps the garbage collector out of what a compilation makes, which took a sixth of its time."""
+
+    def __init__(self) -> None:
+        # Functions are compiled within others, in one thread at a time.
+        self._depth = 0
+        self._was_enabled = False
+
+    def on_start(self, event: Event) -> None:
+        if self._depth == 0:
+            self._was_enabled = gc.isenabled()
+            gc.disable()
+        self._depth += 1
+
+    def on_end(self, event: Event) -> None:
+        self._depth -= 1
+        if self._depth == 0 and self._was_enabled:
+            gc.enable()
+
+
+register(COMPILES, _Uncollected())  # type: ignore[no-untyped-call]
 
 
 class _Once(Listener):

@@ -67,6 +67,13 @@ def test_noise_is_the_same_at_the_same_place_and_changes_smoothly() -> None:
     assert np.abs(np.diff(second)).max() < 0.05
 
 
+def test_noise_on_a_grid_is_the_noise_at_its_points_to_the_last_bit() -> None:
+    noise = Noise.over(10.0, 1.3, np.random.default_rng(1))
+    # Some lie past the last knots.
+    x, y = np.linspace(-14.0, 13.0, 97), np.linspace(-10.0, 15.0, 61)
+    assert np.array_equal(noise.on_grid(x, y), noise.at(x[None, :], y[:, None]))
+
+
 def test_noise_of_equal_knots_is_constant() -> None:
     noise = Noise(np.ones((12, 12)), -4.0, 1.0)
     x = np.linspace(-2.0, 3.0, 50)

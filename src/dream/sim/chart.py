@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import colorsys
 import math
-from collections.abc import Callable
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,21 @@ INK = (22, 32, 38)
 START = (214, 40, 57)
 PAPER = (246, 244, 238)
 
+_Coordinate = TypeVar("_Coordinate", float, npt.NDArray[np.float64])
+
+
+class _Sheet(NamedTuple):
+    """How metres of the world lie on the picture."""
+
+    west: float
+    north: float
+    scale: float
+    """Pixels per metre."""
+
+    def at(self, x: _Coordinate, y: _Coordinate) -> tuple[_Coordinate, _Coordinate]:
+        """The pixel of a place, or of an array of them."""
+        return (x - self.west) * self.scale, (self.north - y) * self.scale
+
 
 def chart(world: World, *, pixels: int = 900) -> Image.Image:
     """A north-up chart: shaded seabed, targets coloured by group, obstacles by height, starts, scale, north.
@@ -27,26 +42,24 @@ def chart(world: World, *, pixels: int = 900) -> Image.Image:
     """
     bounds = world.bounds
     pad = 0.04 * max(bounds.width, bounds.depth)
-    west, north = bounds.x_min - pad, bounds.y_max + pad
     scale = pixels / (max(bounds.width, bounds.depth) + 2.0 * pad)
-
-    def at(x: float, y: float) -> tuple[float, float]:
-        return (x - west) * scale, (north - y) * scale
-
-    image = _seabed(world, west, north, scale, pixels)
+    sheet = _Sheet(bounds.x_min - pad, bounds.y_max + pad, scale)
+    image = _seabed(world, sheet, pixels)
     draw = ImageDraw.Draw(image)
     groups = np.unique(world.targets.group)
     colors = {int(group): _color(k, len(groups)) for k, group in enumerate(groups)}
     if world.targets_are_hull:
-        _triangles(draw, world, world.targets, at, colors)
+        _triangles(draw, world, world.targets, sheet, colors)
     else:
-        _dots(draw, world, at, scale, colors)
-    _triangles(draw, world, world.obstacles, at, {})
-    draw.rectangle([*at(bounds.x_min, bounds.y_max), *at(bounds.x_max, bounds.y_min)], outline=INK, width=2)
+        _dots(draw, world, sheet, colors)
+    _triangles(draw, world, world.obstacles, sheet, {})
+    draw.rectangle(
+        [*sheet.at(bounds.x_min, bounds.y_max), *sheet.at(bounds.x_max, bounds.y_min)], outline=INK, width=2
+    )
     for number, start in reversed(list(enumerate(world.starts))):
         _arrow(
             draw,
-            at(start.x, start.y),
+            sheet.at(start.x, start.y),
             start.yaw,
             0.022 * pixels if number == 0 else 0.014 * pixels,
             number == 0,
@@ -57,12 +70,12 @@ def chart(world: World, *, pixels: int = 900) -> Image.Image:
     return page
 
 
-def _seabed(world: World, west: float, north: float, scale: float, pixels: int) -> Image.Image:
+def _seabed(world: World, sheet: _Sheet, pixels: int) -> Image.Image:
     """Sand lit from the north-west, darker where it is deeper; slopes are exaggerated."""
-    line = (np.arange(pixels) + 0.5) / scale
-    x, y = np.meshgrid(west + line, north - line)
+    line = (np.arange(pixels) + 0.5) / sheet.scale
+    x, y = np.meshgrid(sheet.west + line, sheet.north - line)
     z = world.terrain.height(x, y)
-    down, right = np.gradient(z, 1.0 / scale)
+    down, right = np.gradient(z, 1.0 / sheet.scale)
     light = np.clip(0.5 + 1.6 * (right * 0.7 + down * 0.7), 0.0, 1.0)
     depth = np.clip(0.5 + (z - np.median(z)) / 1.6, 0.0, 1.0)
     deep, sand = np.array([150.0, 168.0, 170.0]), np.array([226.0, 216.0, 190.0])
@@ -73,15 +86,14 @@ def _seabed(world: World, west: float, north: float, scale: float, pixels: int) 
 def _dots(
     draw: ImageDraw.ImageDraw,
     world: World,
-    at: Callable[[float, float], tuple[float, float]],
-    scale: float,
+    sheet: _Sheet,
     colors: dict[int, tuple[int, int, int]],
 ) -> None:
     """Individuals too small to draw by their triangles: a dot each, as wide as they are, upper ones last."""
     targets = world.targets
     for k in np.argsort(targets.position[:, 2], kind="stable"):
-        x, y = at(float(targets.position[k, 0]), float(targets.position[k, 1]))
-        radius = max(0.5 * scale * float(targets.scale[k, :2].mean()), 1.0)
+        x, y = sheet.at(float(targets.position[k, 0]), float(targets.position[k, 1]))
+        radius = max(0.5 * sheet.scale * float(targets.scale[k, :2].mean()), 1.0)
         light = 0.65 + 0.35 * float(targets.tint[k].mean())
         color = colors[int(targets.group[k])]
         draw.ellipse(
@@ -93,7 +105,7 @@ def _triangles(
     draw: ImageDraw.ImageDraw,
     world: World,
     instances: Instances,
-    at: Callable[[float, float], tuple[float, float]],
+    sheet: _Sheet,
     colors: dict[int, tuple[int, int, int]],
 ) -> None:
     """All triangles from above, lowest first, lit from the north-west; high ones are lighter."""
@@ -113,15 +125,16 @@ def _triangles(
     light = 0.45 + 0.55 * np.clip(normal @ np.array([-0.48, 0.48, 0.73]), 0.0, 1.0)
     middle = triangles.mean(axis=1)
     rise = middle[:, 2] - world.terrain.height(middle[:, 0], middle[:, 1])
-    for k in np.argsort(middle[:, 2], kind="stable"):
-        if colors:
-            base = np.array(colors[int(instances.group[owner[k]])]) * light[k]
-        else:
-            base = (60.0 + 150.0 * np.clip(rise[k] / 3.2, 0.0, 1.0)) * light[k] * np.array([1.0, 0.96, 0.9])
-        draw.polygon(
-            [at(x, y) for x, y, _ in triangles[k]],
-            fill=tuple(int(v) for v in np.clip(base, 0, 255)),
-        )
+    if colors:
+        base = np.array([colors[int(group)] for group in instances.group[owner]])
+    else:
+        grey = 60.0 + 150.0 * np.clip(rise / 3.2, 0.0, 1.0)
+        base = grey[:, None] * np.array([1.0, 0.96, 0.9])
+    fills = np.clip(base * light[:, None], 0.0, 255.0).astype(np.uint8)
+    lines = np.stack(sheet.at(triangles[..., 0], triangles[..., 1]), axis=-1).reshape(len(triangles), -1)
+    order = np.argsort(middle[:, 2], kind="stable")
+    for line, fill in zip(lines[order].tolist(), fills[order].tolist(), strict=True):
+        draw.polygon(line, fill=tuple(fill))
 
 
 def _arrow(

@@ -41,11 +41,24 @@ class Noise:
         count = math.ceil(2.0 * half / pitch) + 4
         return Noise(uniforms(rng, -1.0, 1.0, (count, count)), -half - 1.5 * pitch, pitch)
 
+    def on_grid(self, x: Float64Array, y: Float64Array) -> Float64Array:
+        """(N, M) the noise at every pair of M values of x and N of y, to the last bit what `at` gives."""
+        rows, row_weights = self._taps(y, self.knots.shape[0])
+        cols, col_weights = self._taps(x, self.knots.shape[1])
+        # Along x first, on each line of knots, which are few.
+        lines = np.zeros((self.knots.shape[0], len(x)))
+        for j in range(4):
+            lines += col_weights[j] * self.knots[:, cols + j]
+        total = np.zeros((len(y), len(x)))
+        for i in range(4):
+            total += row_weights[i][:, None] * lines[rows + i]
+        return 1.8 * total
+
     def at(self, x: Float64Array, y: Float64Array) -> Float64Array:
         """The noise at points of equal shape, or of shapes that broadcast."""
-        rows, row_weights = self._taps(np.asarray(y, np.float64), self.knots.shape[0])
-        cols, col_weights = self._taps(np.asarray(x, np.float64), self.knots.shape[1])
-        total = np.zeros(np.broadcast_shapes(np.shape(x), np.shape(y)))
+        rows, row_weights = self._taps(y, self.knots.shape[0])
+        cols, col_weights = self._taps(x, self.knots.shape[1])
+        total = np.zeros(np.broadcast_shapes(x.shape, y.shape))
         for i in range(4):
             line = np.zeros_like(total)
             for j in range(4):
@@ -87,15 +100,16 @@ def undulation(half: float, rng: np.random.Generator) -> Float64Array:
     Swells are 10 to 20 m long and slopes stay below about 0.2. Ripples are 1 to 2 cm high.
     """
     x, y = grid(half, SPACING)
+    lines = x[0], y[:, 0]
     heights = np.zeros((y.size, x.size))
     for pitch, amplitude in OCTAVES:
-        heights += amplitude * Noise.over(half, pitch, rng).at(x, y)
+        heights += amplitude * Noise.over(half, pitch, rng).on_grid(*lines)
     across = direction(uniform(rng, 0.0, math.pi))
     wavelength = uniform(rng, 1.2, 1.7)
     height = uniform(rng, 0.005, 0.012)
     wander, loose = Noise.over(half, 5.0, rng), Noise.over(half, 7.0, rng)
-    phase = (across[0] * x + across[1] * y) / wavelength + 0.6 * wander.at(x, y)
-    return heights + height * smoothstep(-0.2, 0.5, loose.at(x, y)) * _wave(phase)
+    phase = (across[0] * x + across[1] * y) / wavelength + 0.6 * wander.on_grid(*lines)
+    return heights + height * smoothstep(-0.2, 0.5, loose.on_grid(*lines)) * _wave(phase)
 
 
 def terrain(heights: Float64Array, half: float, spacing: float = SPACING) -> Terrain:

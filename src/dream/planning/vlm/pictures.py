@@ -93,7 +93,8 @@ def mark_in_view(picture: Image.Image, observation: Observation, mark: Mark, alt
 def png(picture: Image.Image) -> bytes:
     """As a file."""
     file = io.BytesIO()
-    picture.save(file, "png")
+    # A model waits for it: a third of the time of the usual level for a picture 4 % larger.
+    picture.save(file, "png", compress_level=4)
     return file.getvalue()
 
 
