@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import chdtri
 
 from dream.estimation._kernels.groups import so3_exp
 from dream.estimation._kernels.sensors import Parameters
@@ -133,6 +132,8 @@ def start_sigmas(start: Start) -> list[float]:
 
 def parameters(imu: InertialErrors, mounting: Mounting, trust: Trust) -> Parameters:
     """All of it, as the compiled filters take it."""
+    from scipy.special import chdtri
+
     return Parameters(
         gyro_noise=imu.gyro_noise,
         accelerometer_noise=imu.accelerometer_noise,
