@@ -128,6 +128,7 @@ def wreck(site: Site | None = WRECK_SITE, name: str = "2026-06-01T09-30_old-traw
             looks=np.zeros(0, np.int32),
             confidence=none,
             patch=np.zeros(0, np.int32),
+            clear=np.zeros(0, np.bool_),
         ),
         patches=(
             Patch(
@@ -197,6 +198,7 @@ def _individuals() -> Individuals:
         looks=looks,
         confidence=np.asarray(0.9 + 0.01 * (number % 10), np.float64),
         patch=patch,
+        clear=number % 4 != 3,
     )
 
 

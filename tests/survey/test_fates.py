@@ -28,6 +28,7 @@ def people(*places: tuple[float, float]) -> Individuals:
         looks=hits,
         confidence=np.ones(n),
         patch=np.zeros(n, np.int32),
+        clear=np.ones(n, np.bool_),
     )
 
 

@@ -156,6 +156,32 @@ def test_a_full_disk_leaves_the_file_as_it_was(tmp_path: Path, monkeypatch: pyte
     assert len(list(tmp_path.iterdir())) == 1
 
 
+def older(path: Path, *, leave: bool = False) -> None:
+    """Make a file one of version 1, which did not hold whose sizes are their own; or say so alone."""
+    with zipfile.ZipFile(path) as file:
+        held = {name: file.read(name) for name in file.namelist()}
+    header = json.loads(held["header.json"])
+    held["header.json"] = json.dumps({**header, "version": 1}).encode()
+    if not leave:
+        del held["individuals.clear.npy"]
+    with zipfile.ZipFile(path, "w") as file:
+        for name, content in held.items():
+            file.writestr(name, content)
+
+
+def test_a_file_of_an_older_version_is_read_and_nothing_is_made_up(tmp_path: Path) -> None:
+    path = tmp_path / "one.npz"
+    files.write(reef(), path)
+    older(path)
+    found = files.read(path)
+    assert not found.individuals.clear.any()
+    assert files.dumped(found) == files.dumped(_with("individuals", clear=np.zeros(60, np.bool_))(reef()))
+    files.write(reef(), path)
+    older(path, leave=True)
+    with pytest.raises(ValueError, match="version: expected the arrays of 1, got those of another"):
+        files.read(path)
+
+
 def test_no_file_and_a_foreign_one_are_told_of(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="expected the file of a survey, got no file"):
         files.read(tmp_path / "none.npz")
@@ -224,7 +250,7 @@ def _header(**changes: Any) -> bytes:
         ("individuals.sigma.npy", _npy(np.zeros((60, 1))), "individuals.sigma: expected shape"),
         ("header.json", b"{}", "format: Field required"),
         ("header.json", b"\xff", "header"),
-        ("header.json", _header(version=2), "version: Input should be 1"),
+        ("header.json", _header(version=3), "version: Input should be 1 or 2"),
         ("header.json", _header(began="0001-01-01T00:00:00+05:00"), "began: expected a year from 1900"),
         (
             "header.json",

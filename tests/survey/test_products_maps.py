@@ -259,7 +259,8 @@ def test_reasons_sizes_and_intervals_are_told(package: Path) -> None:
         (swath,) = file.execute("SELECT area_m2 FROM swath").fetchone()
     assert (step, safety, note) == (5, "Free water ahead.", "slowed down <for & by the guard>")
     assert time == "2026-06-01T09:30:50.000Z"
-    assert sizes == survey.individuals.size.tolist()
+    found = survey.individuals
+    assert sizes == [size if clear else None for size, clear in zip(found.size, found.clear, strict=True)]
     measure = survey.patches[0].measures[0]
     assert area == (measure.value, measure.low, measure.high)
     assert unmeasured[0] is None

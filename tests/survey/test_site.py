@@ -8,13 +8,15 @@ import pytest
 
 from dream.survey.site import Site, read_site
 
-FIELDS = "name, latitude, longitude, heading_deg, datum, datum_offset"
+FIELDS = "name, latitude, longitude, heading_deg, datum, datum_offset, uncertainty"
 
 
 def test_a_site_file_says_where_a_run_was(tmp_path: Path) -> None:
     path = tmp_path / "site.json"
     path.write_text('{"name": "Inner reef", "latitude": 54.9, "longitude": -8.3, "datum": "MLLW"}')
     assert read_site(path) == Site("Inner reef", 54.9, -8.3, datum="MLLW")
+    path.write_text('{"name": "Inner reef", "latitude": 54.9, "longitude": -8.3, "uncertainty": 2.5}')
+    assert read_site(path) == Site("Inner reef", 54.9, -8.3, uncertainty=2.5)
 
 
 @pytest.mark.parametrize(
@@ -57,6 +59,14 @@ def test_a_site_file_says_where_a_run_was(tmp_path: Path) -> None:
             '"latitude": 54.9',
             "longitude: expected decimal degrees east such as 8.31, which are negative west of Greenwich, "
             "got none",
+        ),
+        (
+            '"latitude": 1, "longitude": 2, "uncertainty": -1',
+            "site: uncertainty: expected 0 to 10000 metres, got -1.0",
+        ),
+        (
+            '"latitude": 1, "longitude": 2, "uncertainty": "2 m"',
+            "uncertainty: expected metres such as 5, got '2 m'",
         ),
         (
             '"latitude": 1, "longitude": 2, "heading_deg": null',

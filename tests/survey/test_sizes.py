@@ -83,6 +83,7 @@ def test_sizes_of_single_individuals_are_drawn_to_what_is_likely_and_those_in_a_
     sizes = rng.uniform(0.2, 0.3, 400)
     lone = np.arange(400) < 200
     found = measured(peaks(extents(rng, sizes, SHARP), lone, sizes))
+    assert np.array_equal(found.clear, lone)
     off = found.size[:200] - sizes[:200]
     assert np.abs(np.mean(off)) < 0.01
     assert np.mean(np.abs(off) < 1.96 * found.error[:200]) > 0.9
@@ -96,6 +97,7 @@ def test_sizes_are_told_from_three_that_stand_clear(count: int) -> None:
     found = measured(peaks(across, np.arange(20) < count, across))
     median, *shares = found.measures()
     assert (median.value is None) == (found.typical is None) == (not shares) == (count < 3)
+    assert np.count_nonzero(found.clear) == found.count == count
     assert (found.size > 0.0).all()
     assert (found.error > 0.0).all()
 
@@ -104,7 +106,7 @@ def test_what_makes_up_the_cover_is_the_size_by_area() -> None:
     share = np.zeros(len(SIZES))
     small, large = np.searchsorted(SIZES, (0.1, 0.3))
     share[small], share[large] = 0.8, 0.2
-    told = Sizes(share, SIZES, SIZES, 100.0, 100, SHARP)
+    told = Sizes(share, SIZES, SIZES, 100.0, np.ones(100, np.bool_), SHARP)
     # Four fifths cover 0.8 · 0.1², one fifth covers 0.2 · 0.3², more than half.
     assert told.typical == pytest.approx(0.3, rel=0.05)
     assert told.quantile(0.5) == pytest.approx(0.1, rel=0.05)

@@ -90,7 +90,7 @@ _TABLES = (
             Column("id", "id"),
             Column("survey", "text"),
             Column("fate", "text"),
-            Column("size_m", "real"),
+            Column("size_m", "real", required=False),
             Column("confidence", "real"),
             Column("geom", "POINT"),
         ),
@@ -303,7 +303,7 @@ def _individuals(comparison: Comparison) -> Iterator[dict[str, Any]]:
             yield {
                 "survey": survey,
                 "fate": Fate(int(fates[k])).name.lower().replace("_", " "),
-                "size_m": float(them.size[k]),
+                "size_m": float(them.size[k]) if them.clear[k] else None,
                 "confidence": float(them.confidence[k]),
                 "geom": wkb.point(*place.tolist()),
             }

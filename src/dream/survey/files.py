@@ -15,7 +15,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -57,6 +57,7 @@ _INDIVIDUALS = {
     "looks": "<i4",
     "confidence": "<f8",
     "patch": "<i4",
+    "clear": "|b1",
 }
 _LAYERS = {"state": "|u1", "target_probability": "<f4", "relief": "<f4", "times_seen": "<u2"}
 _TRACK = {"time": "<f8", "position": "<f8", "yaw": "<f8", "sigma": "<f8"}
@@ -68,6 +69,10 @@ _TYPES = {
     "picture.share": "|u1",
 }
 """Of every array in the file; of a survey without a picture, that has no cells."""
+VERSION: Final = 2
+"""Of the files that are written; those of all versions before are read."""
+_SINCE = {"individuals.clear": 2}
+"""The version from which on files hold an array, where it is not the first."""
 _HEADER = "header.json"
 _BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, OSError)
 """What a damaged archive of arrays raises, by where the damage is."""
@@ -88,6 +93,7 @@ class _Site(_Part):
     heading_deg: float
     datum: Word
     datum_offset: float
+    uncertainty: float | None = None
 
 
 class _Measure(_Part):
@@ -140,7 +146,7 @@ class _Picture(_Part):
 
 class _Header(_Part):
     format: Literal["dream-survey"]
-    version: Literal[1]
+    version: Literal[1, 2]
     name: Name
     began: AwareDatetime
     site: _Site | None
@@ -253,9 +259,14 @@ def loaded(data: bytes, where: str) -> Survey:
         raise ValueError(f"{where}: expected the file of a survey, got damaged content ({error})") from error
     try:
         header = _Header.model_validate_json(contents[_HEADER])
-        arrays = {name: _array(contents[f"{name}.npy"], name) for name in _TYPES}
+        if {*contents} != _entries(header.version):
+            raise ValueError(f"version: expected the arrays of {header.version}, got those of another")
+        arrays = {name: _array(contents[f"{name}.npy"], name) for name in _TYPES if f"{name}.npy" in contents}
     except ValueError as error:
         raise ValueError(f"{where}: {_first(error)}") from error
+    if "individuals.clear" not in arrays:
+        # It does not say whose sizes are their own.
+        arrays["individuals.clear"] = np.zeros(len(arrays["individuals.sigma"]), np.bool_)
     _check(header, arrays, where)
     return _survey(header, arrays, where)
 
@@ -267,11 +278,11 @@ def _put(file: zipfile.ZipFile, name: str, content: bytes) -> None:
 
 
 def _contents(data: bytes) -> dict[str, bytes]:
-    expected = {_HEADER, *(f"{name}.npy" for name in _TYPES)}
+    expected = _entries(VERSION)
     with zipfile.ZipFile(io.BytesIO(data)) as file:
         entries = file.infolist()
-        names = [entry.filename for entry in entries]
-        if sorted(names) != sorted(expected):
+        names = sorted(entry.filename for entry in entries)
+        if not any(names == sorted(_entries(version)) for version in range(1, VERSION + 1)):
             wrong = sorted(expected.symmetric_difference(names)) or ["an entry twice"]
             raise ValueError(f"entries that are missing or foreign: {', '.join(wrong)[:200]}")
         # A packed entry unpacks to what its directory says, so this bounds what is unpacked.
@@ -279,6 +290,11 @@ def _contents(data: bytes) -> dict[str, bytes]:
         if total > 4 * MOST_BYTES or file.getinfo(_HEADER).file_size > MOST_HEADER:
             raise ValueError(f"{total} bytes unpacked, which is too much")
         return {entry.filename: file.read(entry) for entry in entries}
+
+
+def _entries(version: int) -> set[str]:
+    """Of a file of such a version."""
+    return {_HEADER, *(f"{name}.npy" for name in _TYPES if _SINCE.get(name, 1) <= version)}
 
 
 def _array(content: bytes, name: str) -> Array:
@@ -336,7 +352,7 @@ def _header(survey: Survey) -> _Header:
     site, layers = survey.site, survey.layers
     return _Header(
         format="dream-survey",
-        version=1,
+        version=VERSION,
         name=survey.name,
         began=survey.began,
         site=None
@@ -348,6 +364,7 @@ def _header(survey: Survey) -> _Header:
             heading_deg=site.heading_deg,
             datum=site.datum,
             datum_offset=site.datum_offset,
+            uncertainty=site.uncertainty,
         ),
         target=survey.target,
         protocol=survey.protocol,

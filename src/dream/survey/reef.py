@@ -157,6 +157,7 @@ def measure_reef(
         sigma=error,
         size=sizes.size,
         size_sigma=sizes.error,
+        clear=sizes.clear,
         hits=seen.hits,
         looks=seen.looks,
         confidence=seen.sure,

@@ -20,6 +20,8 @@ Float64Array = npt.NDArray[np.float64]
 
 MOST_BYTES = 1 << 16
 """A larger site file is refused."""
+FARTHEST = 10_000.0
+"""Metres: places that are less certain are none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +39,9 @@ class Site:
     """What depths are below: a chart datum such as MLLW."""
     datum_offset: float = 0.0
     """Metres from the datum up to the local z = 0."""
+    uncertainty: float | None = None
+    """Metres that hold 95 % of how far places lie from where these say, by the origin and the heading; None
+    where nobody said."""
 
     def __post_init__(self) -> None:
         if not self.name.strip():
@@ -48,6 +53,8 @@ class Site:
                 raise ValueError(
                     f"site: {field}: expected a number within ±{limit:g}, got {value}{self._hint(field)}"
                 )
+        if self.uncertainty is not None and not 0.0 <= self.uncertainty <= FARTHEST:
+            raise ValueError(f"site: uncertainty: expected 0 to {FARTHEST:g} metres, got {self.uncertainty}")
 
     def is_called(self, name: str) -> bool:
         """Is that its name, however it is written?"""
@@ -80,6 +87,7 @@ class _File(BaseModel):
     heading_deg: float = 0.0
     datum: Annotated[str, Field(max_length=200)] = "local sea surface"
     datum_offset: float = 0.0
+    uncertainty: float | None = None
 
 
 def write_site(site: Site, path: Path) -> None:
@@ -119,6 +127,7 @@ _EXPECTED = {
     "heading_deg": "decimal degrees clockwise from north such as 20.5",
     "datum": "a chart datum such as MLLW",
     "datum_offset": "metres such as 0.5",
+    "uncertainty": "metres such as 5",
 }
 _COMMA = r"(-?\d+)\s*,\s*(\d+)"
 

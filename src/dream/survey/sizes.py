@@ -57,9 +57,14 @@ class Sizes:
     """(N,) its standard deviation, metres."""
     sample: float
     """As many as if all told alike: Kish's effective size of the sample."""
-    clear: int
-    """Individuals that stand clear."""
+    clear: BoolArray
+    """(N,) it stands clear, and near enough: its size is its own."""
     calibration: Calibration
+
+    @property
+    def count(self) -> int:
+        """Individuals that stand clear."""
+        return int(np.count_nonzero(self.clear))
 
     @property
     def typical(self) -> float | None:
@@ -67,7 +72,7 @@ class Sizes:
 
         It is that of what makes a crust, however many have settled since.
         """
-        if self.clear < FEWEST:
+        if self.count < FEWEST:
             return None
         cover = np.cumsum(self.share * np.square(SIZES))
         return float(np.exp(np.interp(0.5 * cover[-1], cover, np.log(SIZES) + 0.5 * STEP)))
@@ -83,9 +88,9 @@ class Sizes:
 
     def measures(self) -> tuple[Measure, ...]:
         """The median, and the shares in bins of size."""
-        if self.clear < FEWEST:
+        if self.count < FEWEST:
             return (unknown("median_size", "m", f"fewer than {FEWEST} individuals stand clear of others"),)
-        note = f"from {self.clear} that stand clear of others"
+        note = f"from {self.count} that stand clear of others"
         # Where sizes are two heaps and the middle lies between them, a small share is a long way.
         error = LEVEL * together(self.calibration.rank_spread, 0.5 / math.sqrt(self.sample))
         low, median, high = (self.quantile(0.5 + side * min(error, 0.49)) for side in (-1.0, 0.0, 1.0))
@@ -116,11 +121,10 @@ def sizes_of(peaks: Peaks, sure: Float64Array, on_reef: BoolArray, calibration: 
     """
     there = (sure > 0.5) & (on_reef if np.count_nonzero(on_reef & (sure > 0.5)) >= FEWEST else True)
     clear = there & peaks.lone & (peaks.nearest <= CLEAR)
-    count = int(np.count_nonzero(clear))
     across = np.maximum(peaks.across, SIZES[0])
-    if count < FEWEST:
+    if np.count_nonzero(clear) < FEWEST:
         guess = across / math.exp(calibration.extent[0][1])
-        return Sizes(np.zeros(len(SIZES)), guess, 0.5 * guess, 0.0, count, calibration)
+        return Sizes(np.zeros(len(SIZES)), guess, 0.5 * guess, 0.0, clear, calibration)
     weight = _weights(peaks.stature[there], peaks.stature[clear])
     likely = _likely(across[clear], calibration)
     share = unfolded(likely, weight)
@@ -132,7 +136,7 @@ def sizes_of(peaks: Peaks, sure: Float64Array, on_reef: BoolArray, calibration: 
     size[clear] = each @ SIZES
     error[clear] = np.sqrt(np.maximum(each @ np.square(SIZES) - np.square(size[clear]), 0.0))
     sample = float(weight.sum() ** 2 / np.square(weight).sum())
-    return Sizes(share, size, error, sample, count, calibration)
+    return Sizes(share, size, error, sample, clear, calibration)
 
 
 def unfolded(likely: Float64Array, weight: Float64Array) -> Float64Array:

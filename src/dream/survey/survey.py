@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from dream.geometry import Bounds
 from dream.survey.site import Site
-from dream.types import Reasoning, Target
+from dream.types import BoolArray, Reasoning, Target
 
 Float64Array = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
@@ -51,7 +51,7 @@ class Individuals:
     sigma: Float64Array
     """(N,) metres, standard error of the position over ground, pose errors included."""
     size: Float64Array
-    """(N,) metres across, the longest diameter."""
+    """(N,) metres across, the longest diameter; the mean of those that stand clear where one does not."""
     size_sigma: Float64Array
     """(N,) metres, standard error."""
     hits: npt.NDArray[np.int32]
@@ -62,6 +62,8 @@ class Individuals:
     """(N,) probability that it is one."""
     patch: npt.NDArray[np.int32]
     """(N,) index into `Survey.patches`; −1 for none."""
+    clear: BoolArray
+    """(N,) it stands clear of others, and was seen near enough: its size was measured."""
 
     def __len__(self) -> int:
         return len(self.position)

@@ -118,7 +118,7 @@ def measure_wreck(
 def no_individuals() -> Individuals:
     """A wreck has none."""
     none, whole = np.zeros(0), np.zeros(0, np.int32)
-    return Individuals(np.zeros((0, 3)), none, none, none, whole, whole, none, whole)
+    return Individuals(np.zeros((0, 3)), none, none, none, whole, whole, none, whole, np.zeros(0, np.bool_))
 
 
 def _highest(name: str, heights: Float64Array, ground: Ground) -> Measure:

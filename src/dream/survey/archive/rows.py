@@ -48,6 +48,7 @@ def rows(survey: Survey) -> tuple[Row, dict[str, list[Row]]]:
         "datum": _text(site.datum),
         "datum_offset_m": site.datum_offset,
         "geom": wkb.polygon([_places(site, np.array([*corners, corners[0]]))]),
+        "uncertainty_m": site.uncertainty,
         "run": None if survey.run is None else _text(survey.run),
     }
     measures = [_measure(one, None) for one in survey.measures]
@@ -99,6 +100,7 @@ def _individuals(survey: Survey, site: Site) -> Iterator[Row]:
             "hits": int(them.hits[k]),
             "looks": int(them.looks[k]),
             "confidence": float(them.confidence[k]),
+            "clear": int(them.clear[k]),
             "geom": wkb.point(longitude[k], latitude[k]),
         }
 

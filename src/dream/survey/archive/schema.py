@@ -61,11 +61,17 @@ class Migration:
 _ID = Column("id", "id")
 _SURVEY = Column("survey_id", "integer", of="surveys")
 
+_BOXES = "Surveys: the box of each"
+_FOUND = (
+    "Individuals that were found, each once; count in measures tells how many there are. Sizes are their own "
+    "where clear is 1, else the mean of those"
+)
+
 _FIRST = Migration(
     (
         Table(
             "surveys",
-            "Surveys: the box of each",
+            _BOXES,
             (
                 _ID,
                 Column("digest", "text", unique=True),
@@ -113,7 +119,7 @@ _FIRST = Migration(
         ),
         Table(
             "individuals",
-            "Individuals that were found, each once; count in measures tells how many there are",
+            _FOUND,
             (
                 _ID,
                 _SURVEY,
@@ -152,7 +158,7 @@ _FIRST = Migration(
     )
 )
 _NUMBERED_AS_IN_REPORTS = Migration(
-    (Table("surveys", "Surveys: the box of each", (Column("run", "text", required=False),)),),
+    (Table("surveys", _BOXES, (Column("run", "text", required=False),)),),
     (
         "UPDATE {schema}surveys SET steps = "
         "(SELECT count(*) FROM {schema}decisions WHERE survey_id = surveys.id)",
@@ -162,7 +168,15 @@ _NUMBERED_AS_IN_REPORTS = Migration(
     ),
 )
 """Steps had counted the first look, patches had begun with 0; `run` tells copies of one run."""
-MIGRATIONS = (_FIRST, _NUMBERED_AS_IN_REPORTS)
+_HOW_SURE = Migration(
+    (
+        Table("individuals", _FOUND, (Column("clear", "integer", required=False),)),
+        Table("surveys", _BOXES, (Column("uncertainty_m", "real", required=False),)),
+    )
+)
+"""`clear` is 1 where the size is its own, 0 where it is the mean of those that stand clear;
+`uncertainty_m` is that of the site. Surveys that were kept before do not say."""
+MIGRATIONS = (_FIRST, _NUMBERED_AS_IN_REPORTS, _HOW_SURE)
 VERSIONS = "dream_versions"
 """Table with a row for every migration that was made."""
 FROM_NOWHERE = (

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import re
 import uuid
 import zipfile
@@ -35,6 +36,7 @@ import numpy as np
 from dream.survey.products.ground import Ground, site_of
 from dream.survey.products.tables import harmless
 from dream.survey.products.words import warning
+from dream.survey.site import Site
 from dream.survey.survey import Survey
 from dream.types import Target
 
@@ -184,8 +186,7 @@ def occurrences(survey: Survey, species: Species, author: Author | None = None) 
             **common,
             "decimalLongitude": f"{longitude[n]:.7f}",
             "decimalLatitude": f"{latitude[n]:.7f}",
-            # Seven digits are a centimetre; 0 is no value that the term allows.
-            "coordinateUncertaintyInMeters": f"{max(0.01, WITHIN * float(found.sigma[n])):.2f}",
+            "coordinateUncertaintyInMeters": _uncertainty(ground.site, float(found.sigma[n])),
             "minimumDepthInMeters": f"{depth[n]:.2f}",
             "maximumDepthInMeters": f"{depth[n]:.2f}",
             "occurrenceRemarks": f"{made_up}a clump of shells, how many individuals are in it is not known; "
@@ -227,20 +228,20 @@ def _measurements(survey: Survey, ids: Sequence[str]) -> list[dict[str, str]]:
     made_up = warning(survey)
     rows = []
     for n, occurrence in zip(likely(survey), ids, strict=True):
-        rows.append(
-            {
-                "occurrenceID": occurrence,
-                "measurementType": "longest diameter of the clump seen from above",
-                "measurementTypeID": LENGTH,
-                "measurementValue": f"{found.size[n]:.3f}",
-                "measurementAccuracy": f"{found.size_sigma[n]:.3f}",
-                "measurementUnit": "m",
-                "measurementUnitID": METRES,
-                "measurementMethod": "from labelled images and depth; the accuracy is one standard error. "
-                "Of a clump that touches others it is the mean of those that stand clear",
-                "measurementRemarks": made_up,
-            }
-        )
+        if found.clear[n]:
+            rows.append(
+                {
+                    "occurrenceID": occurrence,
+                    "measurementType": "longest diameter of the clump seen from above",
+                    "measurementTypeID": LENGTH,
+                    "measurementValue": f"{found.size[n]:.3f}",
+                    "measurementAccuracy": f"{found.size_sigma[n]:.3f}",
+                    "measurementUnit": "m",
+                    "measurementUnitID": METRES,
+                    "measurementMethod": "from labelled images and depth; the accuracy is one standard error",
+                    "measurementRemarks": made_up,
+                }
+            )
         rows.append(
             {
                 "occurrenceID": occurrence,
@@ -255,6 +256,14 @@ def _measurements(survey: Survey, ids: Sequence[str]) -> list[dict[str, str]]:
             }
         )
     return rows
+
+
+def _uncertainty(site: Site, sigma: float) -> str:
+    """Metres that hold 95 % of how far one may be off; as the term asks, empty where nobody knows."""
+    if site.uncertainty is None:
+        return ""
+    # Seven digits of a degree are a centimetre; 0 is no value that the term allows.
+    return f"{max(0.01, math.hypot(WITHIN * sigma, site.uncertainty)):.2f}"
 
 
 def _identifier(survey: Survey, what: str) -> str:

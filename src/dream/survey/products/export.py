@@ -54,8 +54,8 @@ FILES: Mapping[str, str] = {
     darwin_core.CSV: "one Darwin Core occurrence a clump that was found and is likely one",
     darwin_core.ARCHIVE: "the same with sizes as a Darwin Core Archive, for OBIS and GBIF",
     tables.MEASURES: "all measures with their intervals, of the survey and of each patch",
-    tables.INDIVIDUALS: "position, size and confidence of the clumps that were found, which are not all; the "
-    "size of one that touches others is the mean of those that stand clear",
+    tables.INDIVIDUALS: "position, size and confidence of the clumps that were found, which are not all; one "
+    "that touches others has no size",
     series.CSV: "the measures of all surveys of the site, one a row",
     series.PICTURE: "how the main measures went, with the 95 % interval of each survey",
     page.NAME: "the survey report, for a browser",

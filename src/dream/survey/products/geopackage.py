@@ -323,8 +323,8 @@ def _individuals(survey: Survey, ground: Ground) -> Table:
             _geometry(_POINT, [np.array([[easting[n], northing[n]]])], -depth[n : n + 1]),
             n + 1,
             int(found.patch[n]) + 1 if found.patch[n] >= 0 else None,
-            float(found.size[n]),
-            float(found.size_sigma[n]),
+            float(found.size[n]) if found.clear[n] else None,
+            float(found.size_sigma[n]) if found.clear[n] else None,
             float(found.sigma[n]),
             float(depth[n]),
             float(found.confidence[n]),
@@ -336,7 +336,7 @@ def _individuals(survey: Survey, ground: Ground) -> Table:
     return Table(
         "individuals",
         "Clumps of shells that were found, each once; count in measures tells how many there are. Sizes are "
-        "the longest diameter, depths are below the datum",
+        "the longest diameter of those that stand clear of others, depths are below the datum",
         {
             "individual": "INTEGER",
             "patch": "INTEGER",

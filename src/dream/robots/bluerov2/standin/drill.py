@@ -86,7 +86,8 @@ class Outcome:
     lost: float
     """When that was lost without which nothing may move; NaN where nothing such was."""
     last_motion: float
-    """When the last packet was sent that can move the vehicle; 0 where none was."""
+    """When the last packet was sent that can move the vehicle: before 0 where the fault kept the next one
+    back, −inf where there was none."""
     slid: float
     """Metres that the vehicle really moved while it was watched."""
     off: float
@@ -187,7 +188,7 @@ class Drill:
             did=f"{standing.stance}{resort}",
             reason=standing.reason,
             lost=lost - began,
-            last_motion=max((at - began for at in topside.moves if began < at <= ended), default=0.0),
+            last_motion=max((at - began for at in topside.moves if at <= ended), default=-math.inf),
             slid=slid,
             off=math.dist(
                 topside.bridge.fix.T_world_base.translation[:2], standin.T_world_base.translation[:2]
@@ -546,7 +547,7 @@ def killed(how: signal.Signals = signal.SIGKILL, *, lasts: float = 4.0, seed: in
             did="disarmed by the autopilot",
             reason="Lost manual control",
             lost=0.0,
-            last_motion=max(moved, 0.0),
+            last_motion=moved,
             slid=slid,
             off=math.nan,
             healed=False,
