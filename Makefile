@@ -24,7 +24,7 @@ setup: .venv/.synced ## Build .venv, with .venv/bin/dream in it
 	@.tools/bin/python -m pip install --quiet --disable-pip-version-check "uv>=0.8,<1"
 
 .venv/.synced: pyproject.toml uv.lock | .tools/bin/uv
-	@$(UV) sync --quiet --locked --compile-bytecode --python "$$(.tools/bin/python -c 'import sys; print(sys._base_executable)')"
+	@$(UV) sync --quiet --locked --python "$$(.tools/bin/python -c 'import sys; print(sys._base_executable)')"
 	@touch $@
 
 run: setup ## Explore an oyster reef and write its report
@@ -49,7 +49,7 @@ test: setup ## Run all tests
 	@$(BIN)/pytest -n 3 --dist loadscope
 
 test-ray: setup ## Run the tests that need Ray, an optional extra
-	@$(UV) sync --quiet --locked --compile-bytecode --inexact --extra ray
+	@$(UV) sync --quiet --locked --inexact --extra ray
 	@$(BIN)/pytest tests/evaluation/test_engines.py
 
 test-train: setup ## Run the tests of training, which need PyTorch, an optional extra
@@ -65,7 +65,7 @@ results: setup ## Write docs/results.md from the released results
 	@$(BIN)/dream results results/test results/paper results/sweep --out docs/results.md
 
 perf: setup ## Measure speed and accuracy beside named peers; some forty minutes
-	@$(UV) sync --quiet --locked --compile-bytecode --inexact --group perf
+	@$(UV) sync --quiet --locked --inexact --group perf
 	@$(BIN)/python perf/render.py
 	@$(BIN)/python perf/edges.py
 	@$(BIN)/python perf/completion.py

@@ -15,8 +15,6 @@ from dream import __version__
 from dream.mapping import Layers as MapLayers
 from dream.mapping import OccupancyMap
 from dream.recording import RecordedStep, RunConfig, digest_of_steps, read_config, read_steps
-from dream.robots import replay
-from dream.robots.bluerov2.log import dive_began
 from dream.survey.calibration import calibration_for
 from dream.survey.ground import Frame, Ground, fuse, scatter_of
 from dream.survey.intervals import around
@@ -129,6 +127,8 @@ class _Kept(Collection[Observation]):
     """The observations in a run folder, read one by one."""
 
     def __init__(self, run: Path) -> None:
+        from dream.robots import replay
+
         self._files = sorted((run / replay.FOLDER).glob("*.npz"))
         if not self._files:
             raise FileNotFoundError(
@@ -143,6 +143,8 @@ class _Kept(Collection[Observation]):
         return len(self._files)
 
     def __iter__(self) -> Iterator[Observation]:
+        from dream.robots import replay
+
         return (replay.read(file).observation for file in self._files)
 
     def __contains__(self, item: object) -> bool:
@@ -250,6 +252,8 @@ def _began(run: Path, config: RunConfig) -> tuple[datetime, str]:
     An older run does not say. Its folder's name does, in UTC, and without seconds where a still older version
     gave it; where it is called otherwise, there is only when its config was written.
     """
+    from dream.robots.bluerov2.log import dive_began
+
     if (recorded := config.began or dive_began(run)) is not None:
         return recorded.astimezone(UTC).replace(microsecond=0), "its own record"
     found = re.match(r"(\d{4}-\d\d-\d\dT\d\d-\d\d)(-\d\d)?_", run.resolve().name)
