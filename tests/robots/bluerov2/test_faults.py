@@ -1,16 +1,19 @@
 """Faults over the real protocols, in real time: what is lost ends all motion, and nothing else does.
 
 Times are those of the packets' own taps against the last sign of what was lost, so that a busy computer
-changes what is measured, and not whether it holds.
+changes what is measured, and not whether it holds. One that stood still is a fault of its own, which is told
+first: then the fault is begun once more.
 """
 
 import math
+import threading
 import time
 from dataclasses import dataclass
+from types import TracebackType
 
 import pytest
 
-from dream.robots.bluerov2.bridge import SAG, Stance
+from dream.robots.bluerov2.bridge import SAG, Stance, Standing
 from dream.robots.bluerov2.standin.drill import HEALING_FAULTS, Drill, Fault, Outcome, killed
 
 OFF = 0.1
@@ -31,12 +34,53 @@ LOSSES = DRILLED[:-1]
 """Those in which something is lost without which nothing may move."""
 
 
+STALL = 0.15
+"""Seconds: samples that come later by 0.2 s are missed."""
+TRIES = 4
+
+
+class Stalls:
+    """Watches whether the computer goes on."""
+
+    def __init__(self) -> None:
+        self.worst = 0.0
+        """Seconds by which a short sleep was too long."""
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+
+    def __enter__(self) -> "Stalls":
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ending.set()
+        self._thread.join()
+
+    def _watch(self) -> None:
+        before = time.monotonic()
+        while not self._ending.wait(0.02):
+            before, last = time.monotonic(), before
+            self.worst = max(self.worst, before - last - 0.02)
+
+
+def suffered(drill: Drill, fault: Fault) -> Outcome:
+    """What came of a fault of a computer that went on, if one of a few tries was of one."""
+    for _ in range(TRIES):
+        with Stalls() as stalls:
+            outcome = drill.suffer(fault)
+        if stalls.worst < STALL:
+            break
+    return outcome
+
+
 @dataclass(frozen=True)
 class Drilled:
     """What came of the faults that heal, one after the other on one vehicle, and of one that does not."""
 
     outcomes: dict[str, Outcome]
-    over: Outcome
+    over: Standing
     since_over: float
     """Seconds that were watched after the battery had recovered."""
     moved_since_over: list[float]
@@ -59,10 +103,10 @@ def flat(drill: Drill) -> None:
 def drilled(tmp_path_factory: pytest.TempPathFactory) -> Drilled:
     faults = {fault.name: fault for fault in HEALING_FAULTS}
     with Drill(tmp_path_factory.mktemp("faults")) as drill:
-        outcomes = {name: drill.suffer(faults[name]) for name in DRILLED}
+        outcomes = {name: suffered(drill, faults[name]) for name in DRILLED}
         topside = drill.topside
-        over = drill.suffer(Fault("the battery falls to 13.5 V", flat, lasts=SAG + 1.5))
-        ended = next(at for at, standing in topside.said if standing.stance is Stance.OVER)
+        drill.suffer(Fault("the battery falls to 13.5 V", flat, lasts=SAG + 1.5))
+        ended, over = next(entry for entry in topside.said if entry[1].stance is Stance.OVER)
         full_again(drill)
         topside.go()
         time.sleep(2.5)
@@ -105,7 +149,6 @@ def test_a_reason_is_told(drilled: Drilled) -> None:
 
 @pytest.mark.slow
 def test_a_dive_that_is_over_is_never_moved_again(drilled: Drilled) -> None:
-    assert drilled.over.did.startswith("over")
     assert "battery" in drilled.over.reason
     # The battery has recovered, and there is a new goal; both came too late.
     assert drilled.stance is Stance.OVER
