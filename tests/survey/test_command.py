@@ -25,6 +25,7 @@ from dream.types import Target
 from tests.survey.browsing import Seen
 from tests.survey.repeated import reef, survey, without
 from tests.survey.scenes import reef as made_reef
+from tests.survey.scenes import wreck as made_wreck
 
 
 @pytest.fixture
@@ -422,3 +423,16 @@ def test_what_the_page_says_to_type_works(
     assert (tmp_path / "runs/change/change.html").is_file()
     assert (tmp_path / "runs/products/survey.gpkg").is_file()
     assert (tmp_path / "runs/products/series.png").is_file()
+
+
+def test_of_a_wreck_pieces_are_told_and_of_a_reef_patches(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    for made, part, parts in ((made_wreck(), "piece", "pieces"), (made_reef(), "patch", "patches")):
+        path = tmp_path / f"{part}.survey.npz"
+        files.write(made, path)
+        assert run_command(["survey", "show", str(path)]) == 0
+        out = capsys.readouterr().out
+        assert f", {parts}: {len(made.patches)}" in out
+        assert any(line.startswith(part) for line in out.splitlines())

@@ -293,6 +293,9 @@ def test_a_place_is_as_sure_as_the_site_and_the_find_together(metres: float) -> 
     # √(−2 ln 0.05) standard errors of 5 cm hold 95 % of a circular scatter.
     found = 0.05 * np.sqrt(-2.0 * np.log(0.05))
     assert {row["coordinateUncertaintyInMeters"] for row in rows} == {f"{np.hypot(found, metres):.2f}"}
+    told = dict(words.facts(reef(site=replace(SITE, uncertainty=metres))))
+    assert told["Origin sure to"] == f"{metres:g} m (95 %)"
+    assert "Origin sure to" not in dict(words.facts(reef()))
 
 
 def test_what_is_likely_no_individual_is_not_told_to_be_present(tmp_path: Path) -> None:

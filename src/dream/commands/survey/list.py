@@ -49,6 +49,8 @@ class List:
             return 0
         from rich.console import Console
 
+        from dream.types import Target
+
         table = slim_table(f"Surveys in {plain(where)}")
         table.add_column("no", justify="right", no_wrap=True)
         table.add_column("site, when it began, and survey", overflow="fold")
@@ -60,7 +62,7 @@ class List:
             table.add_row(
                 str(entry.number),
                 f"{plain(entry.site)}, {entry.began:%Y-%m-%d %H:%M}\n{plain(entry.name)}",
-                str(entry.patches),
+                "" if entry.target == Target.WRECK else str(entry.patches),
                 ""
                 if (all_of := figures.get("count")) is None or all_of.value is None
                 else f"{all_of.value:.0f}",

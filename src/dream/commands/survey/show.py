@@ -69,8 +69,11 @@ def _print(survey: Survey) -> None:
 
     from dream.survey.calibration import doubt
     from dream.survey.numbers import named
+    from dream.types import Target
 
     console = Console()
+    # The hull is one, what lies around it are others.
+    part, parts = ("piece", "pieces") if survey.target is Target.WRECK else ("patch", "patches")
     where = "no origin" if survey.site is None else plain(survey.site.name)
     console.print(f"[bold]{plain(survey.name)}[/bold]  {where}, {survey.began:%Y-%m-%d %H:%M:%S %Z}")
     console.print(
@@ -78,7 +81,7 @@ def _print(survey: Survey) -> None:
         # A wreck has neither.
         + f", {len(survey.individuals)} individuals found (count tells how many there are)"
         * any(measure.name == "count" for measure in survey.measures)
-        + f", patches: {len(survey.patches)}" * bool(survey.patches)
+        + f", {parts}: {len(survey.patches)}" * bool(survey.patches)
     )
     if doubtful := doubt(survey.protocol, survey.target):
         console.print(f"\n{plain(doubtful)}", highlight=False)
@@ -94,7 +97,7 @@ def _print(survey: Survey) -> None:
         return
     names = list(dict.fromkeys(measure.name for patch in survey.patches for measure in patch.measures))
     table = slim_table()
-    for heading in ("patch", *map(named, names)):
+    for heading in (part, *map(named, names)):
         table.add_column(heading)
     for k, patch in enumerate(survey.patches, start=1):
         values = {measure.name: measure_row(measure) for measure in patch.measures}

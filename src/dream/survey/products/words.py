@@ -299,10 +299,10 @@ def facts(survey: Survey) -> list[tuple[str, str]]:
     if survey.site is not None:
         site = survey.site
         north, east = "N" if site.latitude >= 0 else "S", "E" if site.longitude >= 0 else "W"
-        told += [
-            ("Origin", f"{abs(site.latitude):.5f}° {north}, {abs(site.longitude):.5f}° {east} (WGS 84)"),
-            ("Depths below", site.datum),
-        ]
+        origin = f"{abs(site.latitude):.5f}° {north}, {abs(site.longitude):.5f}° {east} (WGS 84)"
+        told += [("Origin", origin), ("Depths below", site.datum)]
+        if site.uncertainty is not None:
+            told.append(("Origin sure to", f"{site.uncertainty:g} m (95 %)"))
     steps = len(survey.track.time) - 1
     minutes = (float(survey.track.time[-1]) if len(survey.track.time) else 0.0) / 60.0
     told += [
