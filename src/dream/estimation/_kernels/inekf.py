@@ -214,7 +214,7 @@ def rest_rows(q: Parameters, s: State) -> tuple[Float64Array, Float64Array, Floa
 
 @njit(cache=True, nogil=True)
 def correct(
-    q: Parameters, s: State, V: Float64Array, H: Float64Array, N: Float64Array, sensor: int
+    q: Parameters, s: State, V: Float64Array, H: Float64Array, N: Float64Array, sensor: np.int64
 ) -> tuple[State, int, float]:
     """The state after a measurement, what became of it (see `kalman`), and its normalised innovation squared.
 
@@ -249,28 +249,28 @@ def correct_dvl(
 ) -> tuple[State, int, float]:
     """After a velocity over ground; see `correct`."""
     V, H, N = dvl_rows(q, s, velocity, covariance)
-    return correct(q, s, V, H, N, 0)
+    return correct(q, s, V, H, N, kalman.DVL)
 
 
 @njit(cache=True, nogil=True)
 def correct_depth(q: Parameters, s: State, z: float, sigma: float) -> tuple[State, int, float]:
     """After a depth; see `correct`."""
     V, H, N = depth_rows(q, s, z, sigma)
-    return correct(q, s, V, H, N, 1)
+    return correct(q, s, V, H, N, kalman.DEPTH)
 
 
 @njit(cache=True, nogil=True)
 def correct_heading(q: Parameters, s: State, yaw: float, sigma: float) -> tuple[State, int, float]:
     """After a heading; see `correct`. Iron can turn a compass for long, so it never insists."""
     V, H, N = heading_rows(s, yaw, sigma)
-    return correct(q, s, V, H, N, -1)
+    return correct(q, s, V, H, N, kalman.OTHER)
 
 
 @njit(cache=True, nogil=True)
 def correct_rest(q: Parameters, s: State) -> tuple[State, int, float]:
     """After the word that the vehicle rests; see `correct`."""
     V, H, N = rest_rows(q, s)
-    return correct(q, s, V, H, N, -1)
+    return correct(q, s, V, H, N, kalman.OTHER)
 
 
 @njit(cache=True, nogil=True)

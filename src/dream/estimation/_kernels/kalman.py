@@ -15,6 +15,8 @@ Float64Array = npt.NDArray[np.float64]
 REFUSED, TAKEN, INSISTED, UNSOUND = 0, 1, 2, 3
 """What became of a measurement: beyond the gate; taken; taken since it had been refused for too long; not
 possible, as the covariance of the innovation is not positive or something is NaN."""
+DVL, DEPTH, OTHER = np.int64(0), np.int64(1), np.int64(-1)
+"""Places of sensors in `refused_since`. Of plain numbers each would have a filter compiled for itself."""
 
 
 @njit(cache=True, nogil=True)
@@ -98,7 +100,7 @@ def correct_in_time(
     limit: float,
     time: float,
     refused_since: Float64Array,
-    sensor: int,
+    sensor: np.int64,
     patience: float,
 ) -> tuple[int, float, Float64Array, Float64Array, Float64Array]:
     """As `correct`, but a sensor that has been refused for longer than `patience` seconds is believed.

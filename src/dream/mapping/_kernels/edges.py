@@ -848,7 +848,8 @@ def update(
             if touched[i, j]:
                 at[changed] = i, j
                 changed += 1
-    count = 0
+    # A plain 0 would have all that takes the number compiled a second time.
+    count = np.int64(0)
     for i, j in at:
         count = _forget(components, nodes, links, faces, runs, blocks, state, table[i, j], scratch, count)
     found = np.empty((SIDE * SIDE // 2, 4), np.int32)
