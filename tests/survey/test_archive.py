@@ -366,6 +366,42 @@ def test_an_older_archive_is_brought_up_to_date_with_all_that_is_in_it(
         open_archive(where)
 
 
+def test_an_older_archive_that_cannot_be_written_to_can_be_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "surveys.gpkg"
+
+    def as_then(survey: Survey) -> tuple[Row, dict[str, list[Row]]]:
+        head, others = rows(survey)
+        del head["uncertainty_m"]
+        for row in others["individuals"]:
+            del row["clear"]
+        return head, others
+
+    with monkeypatch.context() as then:
+        then.setattr("dream.survey.archive.geopackage.MIGRATIONS", schema.MIGRATIONS[:2])
+        then.setattr("dream.survey.archive.keeping.rows", as_then)
+        with open_archive(str(path), begin=True) as archive:
+            archive.add(reef())
+    before = path.read_bytes()
+    connect: Any = sqlite3.connect
+
+    def unwritable(database: Any, **options: Any) -> Any:
+        if database == path:
+            return connect(f"file:{path}?mode=ro", uri=True, **options)
+        return connect(database, **options)
+
+    monkeypatch.setattr(sqlite3, "connect", unwritable)
+    with open_archive(str(path)) as archive:
+        assert [entry.name for entry in archive.entries()] == [reef().name]
+        assert files.dumped(archive.get(1)) == files.dumped(reef())
+        for change in (lambda: archive.add(wreck()), lambda: archive.remove(1)):
+            with pytest.raises(OSError, match=r"surveys\.gpkg: expected an archive that can be written"):
+                change()
+        assert len(archive.entries()) == 1
+    assert path.read_bytes() == before
+
+
 ADDS = """
 import sys
 from dataclasses import replace

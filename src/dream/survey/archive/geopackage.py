@@ -90,15 +90,34 @@ class GeoPackageArchive(Keeping):
             self._connection = sqlite3.connect(path, timeout=PATIENCE, isolation_level=None)
         try:
             with self._told():
-                # The file may be a stranger's: its views and triggers call no function that could do harm.
-                self._connection.execute("PRAGMA trusted_schema = OFF")
-                # What was reported as kept is on the disk, also where the power fails.
-                self._connection.execute("PRAGMA synchronous = FULL")
-                self._connection.execute("PRAGMA foreign_keys = ON")
-                self._migrate(begin=begin)
+                self._set_up()
+                try:
+                    self._migrate(begin=begin)
+                except sqlite3.OperationalError as error:
+                    if begin or error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_READONLY:
+                        raise
+                    self._go_on_in_memory()
         except BaseException:
             self._connection.close()
             raise
+
+    def _set_up(self) -> None:
+        # The file may be a stranger's: its views and triggers call no function that could do harm.
+        self._connection.execute("PRAGMA trusted_schema = OFF")
+        # What was reported as kept is on the disk, also where the power fails.
+        self._connection.execute("PRAGMA synchronous = FULL")
+        self._connection.execute("PRAGMA foreign_keys = ON")
+
+    def _go_on_in_memory(self) -> None:
+        """Bring a copy up to date where an older archive cannot be written to, and only read from it."""
+        copy = sqlite3.connect(":memory:", isolation_level=None)
+        self._connection.backup(copy)
+        self._connection.close()
+        self._connection = copy
+        self._set_up()
+        self._migrate(begin=False)
+        # What is kept there would be lost.
+        self._connection.execute("PRAGMA query_only = ON")
 
     def __enter__(self) -> GeoPackageArchive:
         return self
