@@ -287,6 +287,15 @@ def test_occurrences_as_obis_asks(tmp_path: Path) -> None:
     assert len({row["occurrenceID"] for row in rows}) == 60
 
 
+def test_an_older_survey_that_does_not_say_whose_size_is_its_own_is_warned_of(tmp_path: Path) -> None:
+    found = reef().individuals
+    older = replace(reef(), individuals=replace(found, clear=np.zeros(len(found), np.bool_)))
+    for name, survey, warned in (("older", older, True), ("new", reef(), False), ("wreck", wreck(), False)):
+        made = export(survey, tmp_path / name, only=["tables"])
+        assert any("no individual is given a size" in line for line in made.warnings) == warned
+        assert ("no individual is given a size" in (made.folder / "README.md").read_text()) == warned
+
+
 @pytest.mark.parametrize("metres", [0.0, 0.1, 5.0])
 def test_a_place_is_as_sure_as_the_site_and_the_find_together(metres: float) -> None:
     rows = darwin_core.occurrences(reef(site=replace(SITE, uncertainty=metres)), OYSTER)
