@@ -210,8 +210,7 @@ def _few_colors(image: Image.Image) -> Image.Image:
     counted: Any = drawing.getcolors(drawing.width * drawing.height)
     colors = np.array([color for _, color in sorted(counted, reverse=True)], np.int32)
     palette, rare = colors[:256], colors[256:]
-    apart = np.square(rare[:, None] - palette).sum(axis=2)
-    nearest = np.concatenate([np.arange(len(palette)), apart.argmin(axis=1)])
+    nearest = [*range(len(palette)), *(np.square(palette - color).sum(axis=1).argmin() for color in rare)]
     # One entry for each possible colour: memory that is not touched costs nothing.
     index_of = np.zeros(1 << 24, np.uint8)
     index_of[colors @ np.array([1, 1 << 8, 1 << 16])] = nearest

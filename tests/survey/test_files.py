@@ -248,6 +248,11 @@ def _header(**changes: Any) -> bytes:
         ("layers.relief.npy", _npy(np.zeros((80, 64), np.float32)), "layers.relief: expected shape"),
         ("layers.relief.npy", _npy(np.zeros((64, 80), np.float32))[:-4], "layers.relief: expected an array"),
         ("individuals.sigma.npy", _npy(np.zeros((60, 1))), "individuals.sigma: expected shape"),
+        (
+            "individuals.clear.npy",
+            _npy(np.full(60, 2, np.uint8).view(np.bool_)),
+            "individuals.clear: expected yes or no",
+        ),
         ("header.json", b"{}", "format: Field required"),
         ("header.json", b"\xff", "header"),
         ("header.json", _header(version=3), "version: Input should be 1 or 2"),

@@ -518,6 +518,9 @@ def _check(header: _Header, arrays: Arrays, where: str) -> None:
     expect(not ((hits < 0) | (hits > looks)).any(), "individuals.hits", "0 to as many as the looks", "others")
     sure = arrays["individuals.confidence"]
     expect(not ((sure < 0.0) | (sure > 1.0)).any(), "individuals.confidence", "0 to 1", "others")
+    # Of a byte that is neither NumPy makes what it likes.
+    clear = arrays["individuals.clear"].view(np.uint8)
+    expect(not (clear > 1).any(), "individuals.clear", "yes or no", "other bytes")
     patch = arrays["individuals.patch"]
     count = len(header.patches)
     expect(
