@@ -29,7 +29,7 @@ def when_compiling(tell: Callable[[], None]) -> Iterator[None]:
 
 
 class _Uncollected(Listener):
-    """Keeps the garbage collector out of what a compilation makes, which took a sixth of its time."""
+    """Keeps the garbage collector out of what a compilation makes, which took a tenth of its time."""
 
     def __init__(self) -> None:
         # Functions are compiled within others, in one thread at a time.
