@@ -66,6 +66,15 @@ def counts(where: str) -> dict[str, int]:
     return {name: len(rows) for name, rows in content(where).items()}
 
 
+def rows_of_version_2(survey: Survey) -> tuple[Row, dict[str, list[Row]]]:
+    """As that version wrote them: without how sure anything is."""
+    head, others = rows(survey)
+    del head["uncertainty_m"]
+    for row in others["individuals"]:
+        del row["clear"]
+    return head, others
+
+
 def of_run(survey: Survey, run: str = "a" * 64) -> Survey:
     """The survey as measured of a run whose steps are known."""
     return replace(survey, made_by={**survey.made_by, "run": run})
@@ -247,14 +256,12 @@ def test_an_archive_that_counted_otherwise_tells_the_same_as_a_new_one(
     """As version 1 wrote it: steps with the first look, patches from 0, no runs, nor how sure anything is."""
 
     def as_then(survey: Survey) -> tuple[Row, dict[str, list[Row]]]:
-        head, others = rows(survey)
-        del head["run"], head["uncertainty_m"]
+        head, others = rows_of_version_2(survey)
+        del head["run"]
         for table in ("measures", "patches", "individuals"):
             others[table] = [
                 {**row, "patch": None if row["patch"] is None else row["patch"] - 1} for row in others[table]
             ]
-        for row in others["individuals"]:
-            del row["clear"]
         return {**head, "steps": len(survey.track.time)}, others
 
     there = f"dream.survey.archive.{'postgis' if '://' in where else 'geopackage'}"
@@ -370,17 +377,9 @@ def test_an_older_archive_that_cannot_be_written_to_can_be_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "surveys.gpkg"
-
-    def as_then(survey: Survey) -> tuple[Row, dict[str, list[Row]]]:
-        head, others = rows(survey)
-        del head["uncertainty_m"]
-        for row in others["individuals"]:
-            del row["clear"]
-        return head, others
-
     with monkeypatch.context() as then:
         then.setattr("dream.survey.archive.geopackage.MIGRATIONS", schema.MIGRATIONS[:2])
-        then.setattr("dream.survey.archive.keeping.rows", as_then)
+        then.setattr("dream.survey.archive.keeping.rows", rows_of_version_2)
         with open_archive(str(path), begin=True) as archive:
             archive.add(reef())
     before = path.read_bytes()

@@ -250,7 +250,10 @@ def test_every_file_of_a_simulated_survey_says_so(tmp_path: Path) -> None:
             }
             measured = archive.read("extendedmeasurementorfact.csv").decode()
             told |= {f"row {row}": row.encode() for row in measured.split("\n")[1:-1]}
-        assert len(told) > 180
+        # Each individual has a place and how sure it is; those that were measured have a size.
+        facts = 2 * len(survey.individuals) + np.count_nonzero(survey.individuals.clear)
+        assert sum(what.startswith("row ") for what in told) == facts
+        assert len(told) > facts + 15
         for what, content in told.items():
             assert (b"simulated" in content.lower().replace(b"simulated reefs", b"")) == (
                 name == "made-up"

@@ -81,6 +81,10 @@ class Drilled:
 
     outcomes: dict[str, Outcome]
     over: Standing
+    did: str
+    """What it did first where that ended."""
+    stalled: bool
+    """The computer stood still meanwhile, which is told first."""
     since_over: float
     """Seconds that were watched after the battery had recovered."""
     moved_since_over: list[float]
@@ -105,14 +109,15 @@ def drilled(tmp_path_factory: pytest.TempPathFactory) -> Drilled:
     with Drill(tmp_path_factory.mktemp("faults")) as drill:
         outcomes = {name: suffered(drill, faults[name]) for name in DRILLED}
         topside = drill.topside
-        drill.suffer(Fault("the battery falls to 13.5 V", flat, lasts=SAG + 1.5))
+        with Stalls() as stalls:
+            did = drill.suffer(Fault("the battery falls to 13.5 V", flat, lasts=SAG + 1.5)).did
         ended, over = next(entry for entry in topside.said if entry[1].stance is Stance.OVER)
         full_again(drill)
         topside.go()
         time.sleep(2.5)
         moved = [at - ended for at in topside.moves if at > ended]
         watched, stance = topside.now() - ended, topside.bridge.standing.stance
-    return Drilled(outcomes, over, watched, moved, stance, topside.log.lost)
+    return Drilled(outcomes, over, did, stalls.worst >= STALL, watched, moved, stance, topside.log.lost)
 
 
 @pytest.mark.slow
@@ -149,6 +154,7 @@ def test_a_reason_is_told(drilled: Drilled) -> None:
 
 @pytest.mark.slow
 def test_a_dive_that_is_over_is_never_moved_again(drilled: Drilled) -> None:
+    assert drilled.did.startswith("over") or drilled.stalled
     assert "battery" in drilled.over.reason
     # The battery has recovered, and there is a new goal; both came too late.
     assert drilled.stance is Stance.OVER
