@@ -74,8 +74,8 @@ def complaints() -> list[str]:
 def page(browser: Browser, complaints: list[str]) -> Iterator[Page]:
     context = browser.new_context(viewport={"width": 1400, "height": 900})
     page = context.new_page()
-    page.set_default_timeout(8000)
-    expect.set_options(timeout=8000)
+    page.set_default_timeout(20_000)
+    expect.set_options(timeout=20_000)
     page.on("console", lambda message: complaints.append(message.text))
     page.on("pageerror", lambda error: complaints.append(str(error)))
     yield page
@@ -182,6 +182,25 @@ def test_a_lost_connection_is_told_and_made_up_for(
     for step in (3, 2, 1, 0):
         page.keyboard.press("ArrowLeft")
         counter(page, step, 4)
+
+
+def test_a_connection_that_nobody_answers_is_given_up(
+    page: Page, show: Callable[..., Shown], growing: Make
+) -> None:
+    run = growing().write(2)
+    shown = show(run.folder)
+    page.goto(shown.address)
+    counter(page, 1, 1)
+    shown.stop()
+    silent = listen("127.0.0.1", shown.port)
+    silent.settimeout(20.0)
+    connection, _ = silent.accept()
+    silent.close()
+    run.write(3)
+    shown.start()
+    with connection:
+        counter(page, 4, 4)
+    expect(page.locator("#lost")).to_be_hidden()
 
 
 def test_missions_stand_side_by_side_and_new_ones_appear(

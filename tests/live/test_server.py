@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import io
 import json
 import logging
@@ -16,13 +17,15 @@ from PIL import Image
 
 pytest.importorskip("fastapi")
 pytest.importorskip("httpx")
+pytest.importorskip("uvicorn")
 
+import uvicorn
 from starlette.testclient import TestClient
 
 from dream.live import folders, server
 from dream.live.doors import COOKIE, Doors
 from dream.live.folders import Watched
-from dream.live.server import Pages, address, application, listen
+from dream.live.server import Pages, address, application, listen, serve
 from dream.live.stream import Cursor
 from dream.types import Label
 from tests.live.runs import STEPS, Growing
@@ -413,6 +416,27 @@ def test_a_run_that_is_not_there_yet_is_waited_for(
 
 
 # ---- where it listens
+
+
+def test_a_connection_that_comes_while_it_ends_is_closed(
+    run: Growing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listening = listen("127.0.0.1", 0)
+    place = listening.getsockname()
+    late: list[socket.socket] = []
+    shutdown = uvicorn.Server.shutdown
+
+    async def shutdown_as_one_comes(ending: uvicorn.Server, sockets: list[socket.socket]) -> None:
+        late.append(socket.create_connection(place, timeout=5.0))
+        for _ in range(3):
+            await asyncio.sleep(0)  # It is accepted, but not yet among the server's connections.
+        await shutdown(ending, sockets)
+
+    monkeypatch.setattr(uvicorn.Server, "shutdown", shutdown_as_one_comes)
+    serve([run.folder], Doors(), listening, lambda pages: True)
+    (connection,) = late
+    with connection, contextlib.suppress(ConnectionResetError):
+        assert connection.recv(1) == b""
 
 
 def test_the_usual_port_gives_way_and_one_that_was_asked_for_does_not(

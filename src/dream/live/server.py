@@ -310,5 +310,9 @@ def serve(places: list[Path], doors: Doors, listening: socket.socket, over: Call
         ending = asyncio.create_task(watch())
         await server.serve(sockets=[listening])
         ending.cancel()
+        # One that came while it ended would stay open and unanswered, and its page would wait for it.
+        for connection in list(server.server_state.connections):
+            connection.transport.abort()
+        await asyncio.sleep(0)
 
     asyncio.run(run())

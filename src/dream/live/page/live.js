@@ -299,6 +299,7 @@ function draw() {
 
 let source = null;
 let heard = now();
+let tried = now(); // when a connection was last begun, or given up
 let retry = 0;
 let caughtUp = false; // with all that there is of the run that is open
 let broken = null; // since when there is no connection, on our clock
@@ -309,6 +310,7 @@ function connect() {
   clearTimeout(retry);
   source?.close();
   caughtUp = false;
+  tried = now();
   source = new EventSource(`/events?open=${opened ?? ""}&have=${positions()}`);
   source.addEventListener("runs", ({ data }) => hearRuns(JSON.parse(data)));
   source.addEventListener("run", ({ data }) => hearRun(JSON.parse(data)));
@@ -316,7 +318,8 @@ function connect() {
   source.addEventListener("step", ({ data }) => hearStep(JSON.parse(data)));
   source.addEventListener("beat", ({ data }) => hearBeat(JSON.parse(data)));
   source.addEventListener("error", () => {
-    broken ??= now();
+    tried = now();
+    broken ??= tried;
     // What the browser gave up, as it does where the server is full, is tried again here.
     if (source.readyState === EventSource.CLOSED) retry = setTimeout(connect, RETRY_MS);
   });
@@ -379,11 +382,12 @@ function lose() {
   at("lost").hidden = false;
 }
 
-// A connection can also die without a word. One that comes back at once is not worth one.
+// A connection can also die without a word, or be taken by what never answers. One that comes back at once is not
+// worth a word.
 setInterval(() => {
-  if (broken === null && now() - heard > SILENCE_MS) {
+  if (now() - Math.max(heard, tried) > SILENCE_MS) {
     connect();
-    broken = now();
+    broken ??= now();
   }
   if (broken !== null && now() - broken > GRACE_MS) lose();
   dirty();
