@@ -21,10 +21,10 @@ import numpy.typing as npt
 from scipy import stats
 
 from dream.evaluation import statistics
+from dream.evaluation.comparison import FAMILIES
 from dream.evaluation.oracle.bounds import known_bounds
 from dream.evaluation.results import Row, read_results
 from dream.evaluation.suites import family_of
-from dream.evaluation.tables import FAMILIES
 from dream.protocol import protocol_named
 
 FloatArray = npt.NDArray[np.float64]

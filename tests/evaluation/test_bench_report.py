@@ -23,14 +23,14 @@ from rich.console import Console
 from dream.cli import run_command
 from dream.commands import Bench
 from dream.commands.console import _Scores
-from dream.evaluation import tables
+from dream.evaluation.comparison import compare, family
 from dream.evaluation.figures import Picture, shown_cases
 from dream.evaluation.oracle.bounds import Bounds
 from dream.evaluation.report import repeating_command, sections, write_report, write_results
 from dream.evaluation.results import Results, read_results
 from dream.evaluation.runner import Ended, Plan
 from dream.evaluation.suites import SUITES, Case
-from dream.evaluation.tables import compare, family
+from dream.evaluation.summary import print_summary
 from dream.planning import PLANNERS, Asking
 from dream.protocol import protocol_named
 from dream.sim.files import world_hash
@@ -286,7 +286,7 @@ def test_the_live_table_counts_what_was_never_reached_as_the_tables_do(tmp_path:
     assert "80.0" in line
     assert "200" not in line
     results = read_results(write_bench(tmp_path, missions, FEW[:2], list(planners), max_steps=80))
-    tables.print_summary(results, console)
+    print_summary(results, console)
     assert "80.0" in console.file.getvalue().split("random")[-1]  # type: ignore[attr-defined]
 
 

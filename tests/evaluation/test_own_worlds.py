@@ -15,7 +15,8 @@ import pytest
 from dream.cli import run_command
 from dream.commands.bench import Bench
 from dream.commands.oracle import _search_case
-from dream.evaluation import figures, tables
+from dream.evaluation import figures
+from dream.evaluation.comparison import compare, family, groups
 from dream.evaluation.engines import Processes
 from dream.evaluation.report import repeating_command
 from dream.evaluation.results import TIMES, Results, mission_path, read_manifest, read_results
@@ -65,9 +66,9 @@ def test_a_saved_world_that_nobody_changed_is_the_one_of_its_name() -> None:
     assert run_command(["bench", "--world", "mine", *FLY]) == 0
     assert run_command(["bench", "--world", "reef/L", *FLY, "--out", "theirs"]) == 0
     assert rows(Path("bench/mine")) == rows(Path("theirs"))
-    comparison = tables.compare(read_results(Path("bench/mine")))
+    comparison = compare(read_results(Path("bench/mine")))
     assert comparison.bounds.keys() == {Case("reef/L", 1)}, "its bounds are known"
-    assert tables.family(comparison.cases[0]) == "letter"
+    assert family(comparison.cases[0]) == "letter"
 
 
 @pytest.fixture(scope="module")
@@ -89,10 +90,10 @@ def test_a_changed_world_is_called_so_in_rows_tables_and_files(changed: Path) ->
     assert {(row.world, row.seed, row.world_hash) for row in results.rows} == {
         ("reef/L (changed)", 1, world_hash(world))
     }
-    comparison = tables.compare(results)
+    comparison = compare(results)
     assert comparison.bounds == {}
-    assert [*tables.groups(comparison)] == ["All worlds"]
-    assert tables.family(comparison.cases[0]) == "other"
+    assert [*groups(comparison)] == ["All worlds"]
+    assert family(comparison.cases[0]) == "other"
     with pytest.raises(ValueError, match=r'no family for the world "reef/L \(changed\)"'):
         family_of("reef/L (changed)")
     assert "reef/L (changed) 1" in (bench / "report.html").read_text()
@@ -102,7 +103,7 @@ def test_a_changed_world_is_called_so_in_rows_tables_and_files(changed: Path) ->
 
 
 def scene(results: Results) -> figures.Scene:
-    comparison = tables.compare(results)
+    comparison = compare(results)
     return figures.scene(results, comparison, comparison.cases[0])
 
 

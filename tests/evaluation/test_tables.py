@@ -11,22 +11,24 @@ import pytest
 from rich.console import Console
 
 from dream.evaluation import tables
-from dream.evaluation.oracle.bounds import Bounds
-from dream.evaluation.report import warnings
-from dream.evaluation.results import Flown, Results
-from dream.evaluation.suites import Case
-from dream.evaluation.tables import (
-    NONE,
-    UNMEASURED,
+from dream.evaluation.cells import ASKING, NONE, Table, escape_markdown
+from dream.evaluation.comparison import (
+    BY_BELIEF,
     Comparison,
-    Table,
     baselines,
     best_baseline,
     compare,
     contradictions,
-    escape_markdown,
+    difference,
     groups,
+    what_is_missing,
 )
+from dream.evaluation.oracle.bounds import Bounds
+from dream.evaluation.paper_tables import UNMEASURED, paper_tables, published_tables
+from dream.evaluation.report import warnings
+from dream.evaluation.results import Flown, Results
+from dream.evaluation.suites import Case
+from dream.evaluation.summary import print_summary
 from tests.evaluation.benches import (
     ASKED,
     GPT,
@@ -83,7 +85,7 @@ def row(table: Table, *names: str) -> dict[str, str]:
 def summary_of(made: Results, *, width: int) -> str:
     """What the terminal shows of a benchmark."""
     shown = io.StringIO()
-    tables.print_summary(made, Console(file=shown, width=width))
+    print_summary(made, Console(file=shown, width=width))
     return shown.getvalue()
 
 
@@ -165,7 +167,7 @@ def test_starts_that_only_one_has_flown_are_not_compared() -> None:
         flown(starts[0], "lawnmower", Made(60, 190)),
         cases=starts,
     )
-    assert tables.difference(half, "sixsteps", "lawnmower", half.cases).value == 50 - 59
+    assert difference(half, "sixsteps", "lawnmower", half.cases).value == 50 - 59
 
 
 def test_starts_of_a_world_count_as_one_world() -> None:
@@ -371,7 +373,7 @@ def test_the_look_around_is_below_a_bound_that_comes_after_it(known: dict[Case, 
 
 
 def test_the_papers_tables_count_the_planners_own_stop() -> None:
-    first, second = tables.paper_tables(
+    first, second = paper_tables(
         comparison(
             flown(L1, "sixsteps", FAST),
             flown(L2, "sixsteps", Made(400)),
@@ -396,18 +398,18 @@ def test_what_is_measured_is_no_longer_called_unmeasured() -> None:
         cases=[L1],
         planners=["uivnav", "gpt"],
     )
-    (table,) = tables.paper_tables(asked)
+    (table,) = paper_tables(asked)
     assert UNMEASURED not in str(table.rows)
     assert row(tables.conduct(asked, "All", (L1,)), "gpt")["VLM calls"] == "60"
 
 
 def test_published_numbers_stand_in_tables_of_their_own() -> None:
-    reefs, wrecks, successor = tables.published_tables()
+    reefs, wrecks, successor = published_tables()
     assert row(reefs, "DREAM") == {"method": "DREAM", "steps": "137.3", "coverage, %": "98.26"}
     assert row(reefs, "UIVNav")["coverage, %"] == "55.46"
     assert row(wrecks, "vanilla GPT-5")["coverage, %"] == "60.23"
     assert row(successor, "CORAL")["VLM calls"] == "547"
-    ours = tables.paper_tables(comparison(*three_each()))
+    ours = paper_tables(comparison(*three_each()))
     assert not {"DREAM", "CORAL", "vanilla GPT-5"} & {line[0] for table in ours for line in table.rows}
 
 
@@ -458,7 +460,7 @@ def test_missions_that_failed_are_told_from_those_not_yet_flown() -> None:
     failed += [failure(Case("reef/K", 9), "sixsteps"), failure(L1, "unheard-of")]
     some = comparison(flown(L2, "sixsteps", FAST), failed=failed)
     assert some.missing == 5
-    assert tables.what_is_missing(some) == "5 of 6 missions are missing (2 failed, 3 not yet flown)"
+    assert what_is_missing(some) == "5 of 6 missions are missing (2 failed, 3 not yet flown)"
     worlds = tables.world_table(some)
     assert row(worlds, "reef/L 1")["sixsteps"] == "failed"
     assert row(worlds, "wreck/1 1")["sixsteps"] == "not yet flown"
@@ -525,7 +527,7 @@ def test_every_two_that_asked_a_model_are_held_against_each_other_world_by_world
 
 
 def test_the_papers_tables_say_what_asking_took() -> None:
-    (table,) = tables.paper_tables(compare(asking({})))
+    (table,) = paper_tables(compare(asking({})))
     assert table.headings[-5:] == ("calls", "tokens", "US$", "minutes", "by belief, %")
     line = row(table, "dream (openai:gpt)")
     assert (line["calls"], line["tokens"], line["US$"], line["minutes"]) == (
@@ -535,7 +537,7 @@ def test_the_papers_tables_say_what_asking_took() -> None:
         "13.0",
     )
     line = row(table, "sixsteps")
-    assert [line[name] for name in tables.ASKING] == [NONE, NONE, NONE, "5.0", NONE]
+    assert [line[name] for name in ASKING] == [NONE, NONE, NONE, "5.0", NONE]
     assert "at 12 s a call." in " ".join(table.notes)
     assert [line[0] for line in table.rows if UNMEASURED in line] == ["UIVNav (our re-implementation)"]
     assert {len(line) for line in table.rows} == {len(table.headings)}
@@ -543,18 +545,18 @@ def test_the_papers_tables_say_what_asking_took() -> None:
 
 def test_a_cost_that_one_mission_lacks_is_unknown_and_no_sum_of_the_others() -> None:
     found = compare(asking({}, vlm_cost_usd=None))
-    assert row(tables.paper_tables(found)[0], "dream (openai:gpt)")["US$"] == "unknown"
+    assert row(paper_tables(found)[0], "dream (openai:gpt)")["US$"] == "unknown"
     assert row(tables.conduct(found, "All", (L1, L2)), "dream (openai:gpt)")["US$"] == "unknown"
     assert row(tables.conduct(found, "All", (L1, L2)), "dream (openai:gpt)")["VLM calls"] == "100"
 
 
 def test_minutes_that_were_not_written_down_are_not_made_up() -> None:
-    (table,) = tables.paper_tables(compare(asking({}, mission_s=None)))
+    (table,) = paper_tables(compare(asking({}, mission_s=None)))
     assert row(table, "dream (openai:gpt)")["minutes"] == NONE
 
 
 def test_where_no_model_was_asked_the_papers_tables_have_no_columns_for_it() -> None:
-    for table in tables.paper_tables(comparison(*three_each())):
+    for table in paper_tables(comparison(*three_each())):
         assert table.headings == ("method", "worlds", "steps", "coverage, %")
         assert len(table.notes) == 1
 
@@ -563,7 +565,7 @@ def test_planners_asked_with_different_latency_are_told_apart() -> None:
     made = asking({})
     both = {**made.manifest["planners"], "vanilla": {**GPT, "model_name": "small", "latency": 3}}
     found = compare(replace(made, manifest={**made.manifest, "planners": both}))
-    (table,) = tables.paper_tables(found)
+    (table,) = paper_tables(found)
     assert "at 12 s a call for dream (openai:gpt); at 3 s a call for vanilla (small)." in " ".join(
         table.notes
     )
@@ -573,7 +575,7 @@ def test_planners_asked_with_different_latency_are_told_apart() -> None:
 def test_what_asked_the_stand_in_is_a_wire_test_and_measures_no_model(model: str) -> None:
     found = compare(asking({"model": model}))
     assert found.planners == ("dream (wire test)", "sixsteps")
-    (table,) = tables.paper_tables(found)
+    (table,) = paper_tables(found)
     assert row(table, "dream (wire test)")["calls"] == "50.0"
     assert "planners that ask a vision-language model" in [line[0] for line in table.rows]
     assert "never what a model can do" in " ".join(table.notes)
@@ -614,7 +616,7 @@ def test_one_mission_that_belief_flew_marks_the_row(fallbacks: int, marked: bool
         for k, each in enumerate(rows)
     ]
     found = compare(replace(made, rows=tuple(rows)))
-    assert all(share <= tables.BY_BELIEF for share in found.unanswered.values())
+    assert all(share <= BY_BELIEF for share in found.unanswered.values())
     assert list(found.by_belief.values()) == ([1] if marked else [])
     assert ("most of those in 1 mission." in " ".join(warnings(found))) == marked
 

@@ -205,7 +205,7 @@ class Outcome:
         from rich.console import Console
 
         from dream.evaluation.results import read_results
-        from dream.evaluation.tables import print_summary
+        from dream.evaluation.summary import print_summary
 
         console = Console(width=None if sys.stdout.isatty() else 120)
         if self.rows:

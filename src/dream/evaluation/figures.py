@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from PIL import Image
 
+from dream.evaluation.comparison import FAMILIES, Comparison, coverage_at_end, family, groups, label
 from dream.evaluation.results import Results
 from dream.evaluation.statistics import FloatArray, kaplan_meier, mean_band, ratio
 from dream.evaluation.suites import Case
-from dream.evaluation.tables import FAMILIES, Comparison, coverage_at_end, family, groups, label
 from dream.protocol import protocol_named
 
 if TYPE_CHECKING:

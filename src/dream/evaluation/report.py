@@ -22,10 +22,25 @@ from urllib.parse import quote
 from PIL import Image
 
 from dream.evaluation import figures, tables
+from dream.evaluation.cells import NONE, Table, about_rows, escape_markdown, number, with_interval
+from dream.evaluation.comparison import (
+    FAMILIES,
+    Comparison,
+    best_baseline,
+    compare,
+    contradictions,
+    coverage_at_end,
+    difference,
+    groups,
+    is_number,
+    is_wire_test,
+    label,
+    what_is_missing,
+)
 from dream.evaluation.figures import DARK, LIGHT, Picture, Scene
+from dream.evaluation.paper_tables import paper_tables, published_tables
 from dream.evaluation.results import Results, read_results
 from dream.evaluation.suites import LISTED
-from dream.evaluation.tables import NONE, Comparison, Table, compare, label, number
 from dream.files import write_whole
 from dream.planning import LABELLED, PLANNERS, Asking
 from dream.planning.vlm import WIRE_TEST
@@ -88,7 +103,7 @@ def sections(results: Results, comparison: Comparison) -> list[Section]:
     pictures = {picture.name: picture for picture in figures.pictures(results, comparison)}
     curves = tuple(picture for name, picture in pictures.items() if name != "profile")
     profile = tuple(picture for name, picture in pictures.items() if name == "profile")
-    found = tables.groups(comparison)
+    found = groups(comparison)
     whole = next(iter(found))
     against = tables.against_the_best_baseline(comparison)
     every = [
@@ -153,8 +168,8 @@ def sections(results: Results, comparison: Comparison) -> list[Section]:
             "paper",
             "The paper's tables",
             "In the paper's own form, measured in our simulator. What others published stands apart below.",
-            tuple(tables.paper_tables(comparison)),
-            aside=tuple(tables.published_tables()),
+            tuple(paper_tables(comparison)),
+            aside=tuple(published_tables()),
         )
     )
     every.append(
@@ -174,8 +189,7 @@ def sections(results: Results, comparison: Comparison) -> list[Section]:
 def details(comparison: Comparison) -> dict[str, list[Table]]:
     """All measures, group by group."""
     return {
-        title: tables.detail_tables(comparison, title, cases)
-        for title, cases in tables.groups(comparison).items()
+        title: tables.detail_tables(comparison, title, cases) for title, cases in groups(comparison).items()
     }
 
 
@@ -189,14 +203,14 @@ def run_table(results: Results, comparison: Comparison) -> Table:
     known = [
         f"{name} {protocol[name]:g} m"
         for name in ("reach", "cell", "lattice")
-        if tables.is_number(protocol.get(name))
+        if is_number(protocol.get(name))
     ]
     rows = [
         ("worlds", f"{manifest['suite']}: {len(comparison.cases)} cases"),
         ("protocol", ", ".join([comparison.protocol, *known, f"{comparison.horizon} steps at most"])),
         (
             "missions",
-            tables.what_is_missing(comparison) if comparison.missing else f"all {len(comparison.rows)}",
+            what_is_missing(comparison) if comparison.missing else f"all {len(comparison.rows)}",
         ),
         *(
             (
@@ -298,12 +312,12 @@ def warnings(comparison: Comparison) -> list[str]:
             else "No case was flown by all planners, so that they stand in no order"
         )
         found.append(
-            f"Unfinished: {tables.what_is_missing(comparison)}. Means of different planners are over "
+            f"Unfinished: {what_is_missing(comparison)}. Means of different planners are over "
             f"different worlds and cannot be compared. {order}; a paired comparison is over the cases that "
             "both have flown."
         )
-    found += tables.about_rows(comparison)
-    broken = tables.contradictions(comparison)
+    found += about_rows(comparison)
+    broken = contradictions(comparison)
     if broken:
         found.append(
             f"A certified bound is contradicted, so one of the two is wrong: {'; '.join(broken[:5])}."
@@ -328,13 +342,13 @@ def _verdict(comparison: Comparison) -> str:
     """The result in a few sentences, with what speaks against it."""
     if comparison.missing:
         return (
-            f"No verdict: {tables.what_is_missing(comparison)}, and planners can only be ranked by what all "
+            f"No verdict: {what_is_missing(comparison)}, and planners can only be ranked by what all "
             "of them have flown."
         )
     unfit = (*comparison.wire_tests, *comparison.by_belief)
     judged = [name for name in comparison.planners if name not in unfit]
     if not judged:
-        return " ".join(["No verdict.", *tables.about_rows(comparison)])
+        return " ".join(["No verdict.", *about_rows(comparison)])
     standing = comparison.standing(judged, comparison.cases)
     if not standing:
         return "No verdict: nothing was to be flown."
@@ -356,20 +370,20 @@ def _verdict(comparison: Comparison) -> str:
             f"{_listed(equal)} are equally fast here: {number(time)} steps to 98.26 % of the instances on "
             f"average where never counts as {comparison.horizon}. {_tie(standing, equal, unseen)}"
         )
-    reference = tables.best_baseline(comparison, comparison.cases)
+    reference = best_baseline(comparison, comparison.cases)
     if reference is not None and reference not in equal:
-        difference = tables.difference(comparison, best, reference, comparison.cases)
+        later = difference(comparison, best, reference, comparison.cases)
         text += (
             f" The best baseline, {reference}, takes {_time(comparison, reference)}; paired by world the "
-            f"difference is {tables.with_interval(difference)} over {difference.count} worlds."
+            f"difference is {with_interval(later)} over {later.count} worlds."
         )
     return text + _of_each_kind(comparison, [best, *([] if reference in (None, best) else [reference])])
 
 
 def _of_each_kind(comparison: Comparison, planners: Sequence[str]) -> str:
     """Reefs and wrecks apart, where there are both: how many there are of each decides a mean over all."""
-    found = tables.groups(comparison)
-    kinds = [title for title in ("Reefs together", tables.FAMILIES["wreck"]) if title in found]
+    found = groups(comparison)
+    kinds = [title for title in ("Reefs together", FAMILIES["wreck"]) if title in found]
     if len(kinds) < 2:
         return ""
     told = []
@@ -410,12 +424,12 @@ def _verdict_by_coverage(comparison: Comparison, standing: Mapping[str, tuple[fl
         text += f"{best} is the best here: it saw {saw}."
     else:
         text += f"{_listed(first)} are equal: each saw {saw}. They stand in the order of the benchmark."
-    reference = tables.best_baseline(comparison, cases)
+    reference = best_baseline(comparison, cases)
     if reference is not None and reference not in first:
-        found = tables.difference(comparison, best, reference, cases, measure=tables.coverage_at_end)
+        found = difference(comparison, best, reference, cases, measure=coverage_at_end)
         text += (
             f" The best baseline, {reference}, saw {_coverage(comparison, reference)} %; paired by world the "
-            f"difference is {tables.with_interval(found, 2, scale=100)} points over {found.count} worlds."
+            f"difference is {with_interval(found, 2, scale=100)} points over {found.count} worlds."
         )
     return text
 
@@ -426,14 +440,14 @@ def _listed(names: Sequence[str]) -> str:
 
 def _time(comparison: Comparison, planner: str) -> str:
     limits = (0.0, float(comparison.horizon))
-    return tables.with_interval(
+    return with_interval(
         comparison.estimate(planner, comparison.cases, comparison.time("t98"), limits=limits)
     )
 
 
 def _coverage(comparison: Comparison, planner: str) -> str:
-    found = comparison.estimate(planner, comparison.cases, tables.coverage_at_end, limits=(0.0, 1.0))
-    return tables.with_interval(found, 2, scale=100)
+    found = comparison.estimate(planner, comparison.cases, coverage_at_end, limits=(0.0, 1.0))
+    return with_interval(found, 2, scale=100)
 
 
 # ---- Markdown ----
@@ -441,7 +455,7 @@ def _coverage(comparison: Comparison, planner: str) -> str:
 
 def markdown(results: Results, comparison: Comparison) -> str:
     """All tables of a benchmark as one Markdown page."""
-    escape = tables.escape_markdown
+    escape = escape_markdown
     parts = [f"# Benchmark {escape(str(results.manifest['suite']))}\n"]
     parts += [f"> {escape(text)}\n" for text in warnings(comparison)]
     for section in sections(results, comparison):
@@ -731,7 +745,7 @@ def write_results(folders: Sequence[Path], page: Path, pictures: Path) -> list[P
             text = text.replace(_place(picture), f"![{picture.title}]({quote(link)})\n\n*{picture.says}*\n")
         parts.append(text)
     parts.append("## As published elsewhere\n")
-    parts += [table.markdown() for table in tables.published_tables()]
+    parts += [table.markdown() for table in published_tables()]
     for path, content in files.items():
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)
@@ -759,7 +773,7 @@ def _without_wire_tests(folder: Path) -> tuple[Results, list[str]]:
     """A benchmark without what was flown with the stand-in, and what there is to say of that."""
     results = read_results(folder)
     planners = results.manifest["planners"]
-    others = {name: given for name, given in planners.items() if not tables.is_wire_test(given)}
+    others = {name: given for name, given in planners.items() if not is_wire_test(given)}
     tested = [name for name in planners if name not in others]
     if not tested:
         return results, []
@@ -782,7 +796,7 @@ def _without_wire_tests(folder: Path) -> tuple[Results, list[str]]:
 def _chapter(results: Results, left_out: Sequence[str], name: str) -> tuple[str, list[tuple[Picture, str]]]:
     """A benchmark in Markdown, with the place of each picture, and these with the kind of file of each."""
     comparison = compare(results)
-    escape = tables.escape_markdown
+    escape = escape_markdown
     every = sections(results, comparison)
     drawn = [(picture, "svg") for section in every for picture in section.pictures]
     shown = figures.shown_cases(comparison)
@@ -819,7 +833,7 @@ def _sweep_chapter(folder: Path, name: str) -> tuple[str, list[tuple[Picture, st
             results, said = _without_wire_tests(path)
             left_out |= dict.fromkeys(said)
             reach = results.manifest["protocol"].get("reach")
-            if not tables.is_number(reach) or reach in found:
+            if not is_number(reach) or reach in found:
                 raise ValueError(f"{path}: expected a benchmark with a reach of its own, got {reach}")
             found[float(reach)] = results, compare(results)
     if not found:
@@ -828,8 +842,8 @@ def _sweep_chapter(folder: Path, name: str) -> tuple[str, list[tuple[Picture, st
     picture = figures.sweep(comparisons)
     first = found[min(found)][0]
     parts = [
-        f"## Sweep over the reach: {tables.escape_markdown(str(first.manifest['suite']))}\n",
-        *(f"> {tables.escape_markdown(each)}\n" for each in left_out),
+        f"## Sweep over the reach: {escape_markdown(str(first.manifest['suite']))}\n",
+        *(f"> {escape_markdown(each)}\n" for each in left_out),
         _place(picture),
     ]
     parts.append(tables.sweep_table(comparisons).markdown())
