@@ -7,7 +7,7 @@ import time
 import pytest
 from rich.console import Console
 
-from dream.commands.dive_console import KEYS, Operator, Reading, Will, _watch, page
+from dream.commands.dive.console import KEYS, Operator, Reading, Will, _watch, page
 
 
 @pytest.mark.parametrize(

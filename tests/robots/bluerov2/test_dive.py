@@ -16,16 +16,12 @@ import numpy as np
 import pytest
 
 from dream.cli import _Telling, run_command
-from dream.commands.dive import (
-    LEAVING,
-    Dive,
-    _how_to_restore,
-    _mounting_told,
-    _outlives_its_terminal,
-    _Ready,
-    _tell,
-    repeating_command,
-)
+from dream.commands.dive import Dive, _outlives_its_terminal
+from dream.commands.dive.console import tell
+from dream.commands.dive.flight import Flight
+from dream.commands.dive.options import mounting_told, repeating_command
+from dream.commands.dive.ready import Ready, how_to_restore
+from dream.commands.dive.records import config
 from dream.errors import MissionAborted
 from dream.estimation import InEkf, InEkfState, Timeline
 from dream.evaluation.dive_figure import read_dive
@@ -35,9 +31,10 @@ from dream.mission import explore
 from dream.planning.belief import Belief
 from dream.protocol import POOL_V1
 from dream.recording import read_config, read_steps
-from dream.robots.bluerov2.bridge import SAG, Limits
+from dream.robots.bluerov2.bridge import SAG, LastResort, Limits
 from dream.robots.bluerov2.camera import RtpVideo
 from dream.robots.bluerov2.devices import PARAMETERS_BEFORE, source_of
+from dream.robots.bluerov2.leaving import LEAVING, leave
 from dream.robots.bluerov2.log import dive_began, read_log, read_measurements, read_wire
 from dream.robots.bluerov2.navigation import Instruments
 from dream.robots.replay import Replayed
@@ -207,7 +204,7 @@ def test_a_pilot_who_could_not_steer_is_refused(
 def test_a_vehicle_that_does_not_answer_is_told_in_a_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dream.commands.dive.HEARTBEAT", 0.5)
+    monkeypatch.setattr("dream.commands.dive.ready.HEARTBEAT", 0.5)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]
@@ -282,7 +279,7 @@ class Vehicle:
         self.telemetry = self
         for name, value in changes.items():
             setattr(self, name, value)
-        monkeypatch.setattr("dream.commands.dive.time.sleep", self.sleep)
+        monkeypatch.setattr("dream.robots.bluerov2.leaving.time.sleep", self.sleep)
 
     def sleep(self, seconds: float) -> None:
         self.time += seconds
@@ -305,10 +302,8 @@ class Vehicle:
 
     def left(self, how: Literal["hold", "surface", "disarm"] = "surface") -> None:
         devices = SimpleNamespace(now=lambda: self.time, link=self, station=self)
-        limits = Limits(Bounds(-1.0, -1.0, 1.0, 1.0))
-        start = SE2(0.0, 0.0, 0.0)
-        told = Dive(last_resort=how, json=True)
-        _Ready(told, POOL_V1, devices, limits, start, Path(), None, None)._leave(self)  # type: ignore[arg-type]
+        limits = Limits(Bounds(-1.0, -1.0, 1.0, 1.0), last_resort=LastResort(how))
+        leave(devices, limits, lambda line: None)  # type: ignore[arg-type]
 
 
 def test_in_the_end_the_vehicle_is_brought_up_and_disarmed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -369,7 +364,7 @@ def test_one_that_holds_rides_out_a_battery_that_sags_or_does_not_tell(
         vehicle.voltage = volts if math.isnan(volts) or vehicle.time % 10.0 < 2.0 else 16.0
         slept(seconds)
 
-    monkeypatch.setattr("dream.commands.dive.time.sleep", sleep)
+    monkeypatch.setattr("dream.robots.bluerov2.leaving.time.sleep", sleep)
     vehicle.left("hold")
     assert (vehicle.mode, vehicle.engaged) == ("ALT_HOLD", True)
 
@@ -409,7 +404,7 @@ def test_a_warning_that_nobody_can_read_stops_nobody(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("sys.stderr", Gone())
     record = logging.LogRecord("dream", logging.WARNING, __file__, 1, "the battery is low", None, None)
     _Telling().handle(record)
-    _tell("it comes to the surface", quiet=False)
+    tell("it comes to the surface", quiet=False)
 
 
 def test_the_line_that_dives_again_says_what_was_told() -> None:
@@ -486,18 +481,18 @@ def test_a_dive_that_ends_before_its_first_step_says_why_and_what_the_log_lost(
 ) -> None:
     limits, start = Limits(Bounds(-1.0, -1.0, 1.0, 1.0)), SE2(0.0, 0.0, 0.0)
     devices = SimpleNamespace(log=SimpleNamespace(lost={"mavlink": 3, "a50": 0, "camera": 2}))
-    ready = _Ready(Dive(), POOL_V1, devices, limits, start, tmp_path, None, None)  # type: ignore[arg-type]
+    ready = Ready(Dive(), POOL_V1, devices, limits, start, tmp_path, None, None)  # type: ignore[arg-type]
     with pytest.raises(
         MissionAborted, match=r"aborted: 48\.2 m outside the area; no step was made\. The log"
     ):
-        ready._end({"steps": 0}, MissionAborted("48.2 m outside the area"))
+        Flight(ready, "belief")._end({"steps": 0}, MissionAborted("48.2 m outside the area"))
     assert "messages are lost: 3 of mavlink, 2 of camera. Was the disk full?" in caplog.text
 
 
 def test_who_could_not_be_left_as_it_was_is_told_with_the_file_to_restore_it_from(tmp_path: Path) -> None:
     assert (
         f"2 parameters are not as before the dive: their values stand in {tmp_path / PARAMETERS_BEFORE}."
-        in (_how_to_restore(2, tmp_path))
+        in (how_to_restore(2, tmp_path))
     )
 
 
@@ -505,21 +500,21 @@ def test_where_things_sit_is_kept_with_the_dive(tmp_path: Path) -> None:
     told = Dive(dvl_at=(0.1, 0.0, -0.2), camera_at=(0.25, 0.0, 0.02), tilt=30.0, speed_of_sound=1482.0)
     limits, start = Limits(Bounds(-1.0, -1.0, 1.0, 1.0)), SE2(0.0, 0.0, 0.0)
     devices = SimpleNamespace(log=SimpleNamespace(epoch_ns=1_780_000_000_250_000_000))
-    ready = _Ready(told, POOL_V1, devices, limits, start, tmp_path, None, None)  # type: ignore[arg-type]
-    config = ready._config("belief")
-    assert config["began"].isoformat() == "2026-05-28T20:26:40.250000+00:00"
-    assert config["mounting"] == {
+    ready = Ready(told, POOL_V1, devices, limits, start, tmp_path, None, None)  # type: ignore[arg-type]
+    kept = config(ready, "belief")
+    assert kept["began"].isoformat() == "2026-05-28T20:26:40.250000+00:00"
+    assert kept["mounting"] == {
         "dvl": [0.1, 0.0, -0.2],
         "gauge": [-0.2, 0.0, 0.0],
         "camera": [0.25, 0.0, 0.02],
     }
-    assert config["dive"]["speed_of_sound"] == 1482.0
-    assert "--dvl-at 0.1 0 -0.2" in config["command"]
+    assert kept["dive"]["speed_of_sound"] == 1482.0
+    assert "--dvl-at 0.1 0 -0.2" in kept["command"]
     # The camera looks from there, and the estimator reads the DVL there.
     assert ready.mount.translation == pytest.approx([0.25, 0.0, 0.02])
     ahead = ready.mount.rotation[:, 2]
     assert math.degrees(math.asin(-ahead[2])) == pytest.approx(30.0)
-    assert _mounting_told(told).T_base_dvl.translation == pytest.approx([0.1, 0.0, -0.2])
+    assert mounting_told(told).T_base_dvl.translation == pytest.approx([0.1, 0.0, -0.2])
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ import pytest
 
 from dream import commands
 from dream.cli import COMMANDS, run_command
-from dream.commands.dive_console import KEYS
+from dream.commands.dive.console import KEYS
 from dream.perception.sidecar import Sidecar
 from dream.robots.bluerov2.lens import Calibrated, Lens
 from dream.robots.bluerov2.log import DiveLog

@@ -149,3 +149,10 @@ def page(title: str, readings: list[Reading], will: Will) -> RenderableType:
     keys = "   ".join(f"{key} {what}" for key, what in KEYS.items())
     wants = "" if will is Will.GO else f" · the operator wants: {will}"
     return Panel(table, title=f"{title}{wants}", subtitle=keys, title_align="left", subtitle_align="left")
+
+
+def tell(line: str, *, quiet: bool) -> None:
+    """A line on standard error, unless `quiet`."""
+    if not quiet:
+        with contextlib.suppress(OSError):  # The terminal may be gone.
+            print(f"dream: {line}", file=sys.stderr)

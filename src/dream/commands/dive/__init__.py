@@ -1,0 +1,242 @@
+"""`dream dive`: a mission with a real BlueROV2, or with its stand-in."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import importlib.util
+import logging
+import shutil
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import tyro
+
+from dream.commands.console import check_max_steps, check_writable, compiling_told, kept_interrupts
+from dream.commands.dive.console import tell
+from dream.commands.dive.flight import Flight
+from dream.commands.dive.options import Sight, check_options, limits_told, sight_told, waters_told
+from dream.commands.dive.predive import STILL, predive_list, print_findings
+from dream.commands.dive.ready import Ready, opened
+from dream.commands.dive.tank import Tank, rehearse_mission
+from dream.commands.run import planner_name
+from dream.geometry import Bounds
+from dream.planning import PLANNERS, AnyPlanner
+from dream.protocol import protocol_named
+
+if TYPE_CHECKING:
+    ChosenPlanner = AnyPlanner
+else:
+    ChosenPlanner = tyro.extras.subcommand_type_from_defaults(PLANNERS, sort_subcommands=False)
+
+logger = logging.getLogger(__name__)
+
+LAST_CHECK = ".dream-check"
+"""Name of the folder of the last check: made anew each time, so that it is one that nobody else has."""
+
+
+@dataclass(frozen=True, slots=True)
+class Dive:
+    """Fly one mission with a BlueROV2; leave its recording, its log and its report.
+
+    --check only goes through the list before a dive. --stand-in needs no vehicle: it starts programs that
+    speak the same protocols, and explores a simulated tank through them.
+    """
+
+    planner: ChosenPlanner = PLANNERS["belief"]
+    """Who decides."""
+    vehicle: str = "udpin:0.0.0.0:14550"
+    """MAVLink: udpin:HOST:PORT listens (BlueOS sends to 14550), udpout: and tcp:HOST:PORT go there."""
+    dvl: str = "192.168.2.95"
+    """HOST or HOST:PORT of the A50."""
+    speed_of_sound: float | None = None
+    """m/s in this water. The A50 is set to it and keeps it; left as it is, and compared with what --water
+    makes likely, unless given."""
+    dvl_at: tuple[float, float, float] | None = None
+    """Where the A50 sits: metres forward, left and up of the autopilot; -0.15 0 -0.1 unless given."""
+    gauge_at: tuple[float, float, float] | None = None
+    """Where the pressure sensor sits, likewise; -0.2 0 0 unless given."""
+    camera: str = "rtp:5600"
+    """rtp:PORT for H.264 over UDP, an rtsp:// address, a video file, or the number of a device."""
+    pilot: str | None = None
+    """udpin:HOST:PORT, as udpin:127.0.0.1:14551: a ground station that connects there sees the vehicle, and
+    its joystick outranks the mission."""
+    calibration: Path | None = None
+    """OpenCV's YAML of the camera, with `calibrated_in`; needed, but with --stand-in and --check."""
+    tilt: float = 20.0
+    """Degrees that the camera looks down."""
+    camera_at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where its lens sits: metres forward, left and up of the autopilot."""
+    lights: float | None = None
+    """Brightness, 0 to 1; left as they are unless given."""
+    labels: Path | None = None
+    """ONNX file that labels pictures; light shells on a dark floor are found without one."""
+    depth: Path | None = None
+    """ONNX file that estimates depth; without one the floor is taken for flat, at the DVL's altitude."""
+    area: tuple[float, float, float, float] | None = None
+    """x_min y_min x_max y_max of what to survey, metres in the map. Needed, but with --stand-in."""
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """x, y and heading in degrees where the vehicle lies at the launch, in the map: 0 looks along x."""
+    protocol: str = "pool-v1"
+    """Survey protocol."""
+    drive: Literal["alt-hold", "guided"] = "alt-hold"
+    """ALT_HOLD and sticks, which needs no position of the autopilot; or GUIDED and velocities."""
+    estimator: Literal["inekf", "ekf", "cipg", "dead-reckoning"] = "inekf"
+    """What reckons the pose."""
+    max_steps: int | None = None
+    """Decisions at most; the protocol's cap unless given."""
+    max_depth: float = 10.0
+    """Metres."""
+    minutes: float = 60.0
+    """Of the dive, at most."""
+    min_voltage: float = 14.0
+    """Volts of the battery, at least."""
+    last_resort: Literal["hold", "surface", "disarm"] = "surface"
+    """What is done with the vehicle in the end, and when it must not go on."""
+    water: Literal["fresh", "sea"] = "fresh"
+    """For its density."""
+    surface_pressure: float | None = None
+    """hPa at the surface; measured where the vehicle lies, unless given: then it has to lie there."""
+    set_parameters: bool = False
+    """Set those parameters of the vehicle that the list wants otherwise, and put them back at the end."""
+    unattended: bool = False
+    """Dive without an operator at this terminal."""
+    check: bool = False
+    """Only go through the list, and say go or no-go."""
+    stand_in: bool = False
+    """Dive in a simulated tank, through programs that stand in for vehicle, DVL and camera."""
+    world: str = "pool/arc"
+    """Of the stand-in."""
+    seed: int = 1
+    """Likewise."""
+    live: bool = False
+    """Show it in a browser while it dives, at an address that is printed."""
+    out: Path = Path("runs")
+    """Folder that the dive's own folder is made in."""
+    json: bool = False
+    """Print the summary, or the list, as one JSON object and nothing else."""
+
+    def __call__(self) -> int:
+        """Exit status 0; 1 for a no-go; a MissionAborted where the mission did not end by itself."""
+        check_max_steps(self.max_steps, protocol_named(self.protocol))
+        if self.area is None and not self.stand_in:
+            raise ValueError("--area: expected x_min y_min x_max y_max in metres, got none")
+        if self.calibration is None and not (self.stand_in or self.check):
+            raise ValueError(
+                "--calibration: expected OpenCV's YAML of the camera, got none. See docs/bluerov2.md"
+            )
+        if self.pilot is not None and self.drive == "guided":
+            raise ValueError("--pilot: expected --drive alt-hold, got guided, in which sticks do not move it")
+        if not (
+            self.unattended or self.stand_in or self.check or (sys.stdin.isatty() and sys.stderr.isatty())
+        ):
+            raise ValueError(
+                "dive: expected an operator at a terminal, got none. Say --unattended to dive without one"
+            )
+        if self.live:
+            from dream.live.beside import check_installed
+
+            check_installed()
+        _check_extra()
+        check_options(self)
+        if self.area is not None:
+            limits_told(self, Bounds(*self.area))
+        # A file that cannot be read is told at a desk too, where no vehicle answers.
+        sight = sight_told(self)
+        with contextlib.ExitStack() as shown:
+            return self._dive(sight, shown)
+
+    def _dive(self, sight: Sight, shown: contextlib.ExitStack) -> int:
+        """The same; a page that stays until it is closed is left to `shown`: the vehicle waits for none."""
+        from dream import recording
+
+        protocol = protocol_named(self.protocol)
+        name = planner_name(self.planner)
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(compiling_told())
+            stack.enter_context(_outlives_its_terminal())
+            interrupted = stack.enter_context(kept_interrupts())
+            if not self.check:
+                rehearse_mission(protocol, self.estimator)
+                interrupted()
+            begun = datetime.datetime.now(datetime.UTC)
+            tank = Tank(self.world, self.seed, self.drive) if self.stand_in else None
+            where = "dive" if tank is None else tank.world.name
+            if self.check:
+                # What was heard is kept, but nothing is flown: it is no run, and the last check is enough.
+                check_writable(self.out)
+                folder = self.out / LAST_CHECK
+                shutil.rmtree(folder, ignore_errors=True)
+                folder.mkdir(exist_ok=True)
+            else:
+                folder = recording.new_run_folder(self.out, where, self.seed, name, begun)
+            if self.live and not self.check:
+                from dream.live.beside import shown_live
+
+                shown.enter_context(shown_live(folder))
+            if tank is not None:
+                stack.enter_context(tank)
+            # The log is whole once the devices are closed.
+            stack.callback(draw_flown, folder, quiet=self.json)
+            waters = waters_told(self) if tank is None else tank.waters(protocol, self.pilot)
+            limits = limits_told(self, waters.area)
+            devices = stack.enter_context(opened(self, waters, folder, begun))
+            ready = Ready(self, protocol, devices, limits, waters.start, folder, tank, sight)
+            tell(f"listening to the sensors for {STILL:g} s: the vehicle has to lie still", quiet=self.json)
+            found = predive_list(ready)
+            interrupted()
+            if self.check or not all(finding.ok for finding in found):
+                return print_findings(found, as_json=self.json)
+            return Flight(ready, name).fly(interrupted)
+
+
+def _check_extra() -> None:
+    missing = [name for name in ("pymavlink", "cv2", "rosbags") if importlib.util.find_spec(name) is None]
+    if missing:
+        raise ValueError(
+            f"dive: expected the extra rov, got none ({', '.join(missing)}). "
+            'Say: pip install "dream-auv[rov]"'
+        )
+
+
+def draw_flown(folder: Path, *, quiet: bool) -> None:
+    """Draw what a dive's log tells, beside it. Where nothing was flown, or it cannot be, nothing stays.
+
+    Args:
+        folder: Of the run.
+        quiet: Do not print where.
+    """
+    if not (folder / "steps.jsonl").is_file():
+        return
+    from dream.evaluation.dive_figure import draw_dive
+
+    try:
+        paths = draw_dive(folder)
+    except (ValueError, OSError, ImportError) as error:
+        logger.warning("the dive was not drawn: %s", error)
+        return
+    if not quiet:
+        print(f"  drawn: {paths[0]}")
+
+
+@contextlib.contextmanager
+def _outlives_its_terminal() -> Iterator[None]:
+    """A terminal that closes takes the operator with it, and not what has to bring the vehicle up.
+
+    Who asks the program to end has the dive ended in order, as by Ctrl-C.
+    """
+    if not hasattr(signal, "SIGHUP") or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    closed = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    ended = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGHUP, closed)
+        signal.signal(signal.SIGTERM, ended)

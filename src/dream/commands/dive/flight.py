@@ -1,0 +1,257 @@
+"""Arm, dive, explore, and leave all of it on disk."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from dream.commands.console import print_json, with_progress
+from dream.commands.dive.console import Operator, Reading, Will, console, tell
+from dream.commands.dive.records import config, print_outcome, summary
+from dream.errors import MissionAborted
+from dream.geometry import SE2
+from dream.planning import AnyPlanner
+from dream.types import Setpoint
+
+if TYPE_CHECKING:
+    from dream.commands.dive.ready import Ready
+    from dream.evaluation.metrics import Logbook
+    from dream.robots.bluerov2.bridge import Bridge, Standing
+    from dream.robots.bluerov2.navigation import Fix
+    from dream.robots.bluerov2.rov import BlueRov2, Manners
+    from dream.types import Step
+
+logger = logging.getLogger(__name__)
+
+_ENDS = {Will.END: "ended by the operator", Will.SURFACE: "the operator wants it at the surface"}
+
+
+@dataclass
+class Flight:
+    """One mission of a dive that is ready."""
+
+    ready: Ready
+    name: str
+    """Of the planner."""
+    last: Step | None = None
+    """The last one that was made."""
+
+    def fly(self, interrupted: Callable[[], None]) -> int:
+        """Arm, dive, explore, and leave all of it on disk.
+
+        Args:
+            interrupted: Raises the KeyboardInterrupt that compiled code may have swallowed.
+        """
+        from dream import recording
+        from dream.evaluation.metrics import Logbook, Scorer
+        from dream.mapping import OccupancyMap
+        from dream.mission import explore
+        from dream.robots.bluerov2.bridge import LEASE, Bridge
+        from dream.robots.bluerov2.drives import AltHold, Guided
+        from dream.robots.bluerov2.leaving import leave
+        from dream.robots.bluerov2.rov import Sight
+        from dream.robots.replay import Keeping
+
+        ready, name = self.ready, self.name
+        told, devices, protocol = ready.told, ready.devices, ready.protocol
+        began = time.perf_counter()
+        recording.write_config(ready.folder, config(ready, name))
+        link = devices.link
+        drive = (Guided if told.drive == "guided" else AltHold)(link, link.joystick())
+        bridge = Bridge(
+            devices.navigator,
+            drive,
+            ready.limits,
+            devices.now,
+            pilot=devices.station,
+            said=self._log_standing,
+            fixed=self._log_fix,
+            failing=devices.failing,
+            sight=Sight(devices.camera),
+            aimed=self._log_goal,
+        )
+        operator = Operator(
+            willed=lambda will: self._willed(bridge, will),
+            alive=lambda: bridge.renew_operator(LEASE),
+        )
+        vehicle, tank = self._robot(bridge, operator), ready.tank
+        logbook: Logbook = Logbook(protocol) if tank is None else Scorer(tank.world, protocol)
+        stopped: BaseException | None = None
+        try:
+            # All that can fail before is done: from here on, whatever comes, the vehicle is brought home.
+            if link.busy:
+                raise MissionAborted(f"vehicle: {link.busy}")
+            link.set_mode("GUIDED" if told.drive == "guided" else "ALT_HOLD")
+            link.arm()
+            bridge.start()
+            title = f"{name} · {ready.folder.name}"
+            with console(title, lambda: self._readings(bridge), operator) as shown:
+                start = ready.start
+                vehicle.go_to(Setpoint(start.x, start.y, start.yaw, protocol.altitude))
+                occupancy = OccupancyMap(ready.limits.area, protocol)
+                robot = Keeping(vehicle, ready.folder)
+                steps = explore(robot, _in_real_time(told.planner), occupancy, max_steps=told.max_steps)
+                recorded = recording.record(
+                    self._logged(steps),
+                    ready.folder,
+                    annotate=lambda step: self._annotated(step, logbook),
+                )
+                with contextlib.closing(recorded):
+                    total = told.max_steps or protocol.cap
+                    for _ in recorded if shown else with_progress(recorded, name, total):
+                        interrupted()
+        except (KeyboardInterrupt, Exception) as error:  # noqa: BLE001 - whatever it was, what was flown is kept.
+            stopped = error
+        finally:
+            try:
+                bridge.close()
+            finally:
+                leave(devices, ready.limits, lambda line: tell(line, quiet=told.json))
+        came = summary(ready, name, logbook, bridge, vehicle, time.perf_counter() - began)
+        recording.write_summary(ready.folder, came)
+        return self._end(came, stopped)
+
+    def _end(self, came: Mapping[str, Any], stopped: BaseException | None) -> int:
+        """Tell what came of it and leave the page: exit status 0, or a MissionAborted by what stopped it."""
+        from dream.report import write_report
+
+        folder = self.ready.folder
+        if lost := {name: count for name, count in self.ready.devices.log.lost.items() if count}:
+            which = ", ".join(f"{count} of {name}" for name, count in lost.items())
+            logger.warning("the log is not whole, messages are lost: %s. Was the disk full?", which)
+        what = "interrupted" if isinstance(stopped, KeyboardInterrupt) else str(stopped)
+        if stopped is not None and not (folder / "steps.jsonl").is_file():
+            raise MissionAborted(f"aborted: {what}; no step was made. The log is kept in {folder}")
+        page = write_report(folder)
+        if self.ready.told.json:
+            print_json(came)
+        else:
+            print_outcome(came, page)
+        if stopped is not None:
+            raise MissionAborted(f"aborted: {what}; {came['steps']} steps are kept in {folder}")
+        return 0
+
+    def _robot(self, bridge: Bridge, operator: Operator) -> BlueRov2:
+        from dream.planning.vlm import Asking
+        from dream.protocol import SHOWN
+        from dream.robots.bluerov2.rov import BlueRov2
+
+        ready, planner = self.ready, self.ready.told.planner
+        return BlueRov2(
+            bridge,
+            ready.devices.navigator,
+            ready.eye,
+            ready.sight.perception,
+            ready.protocol,
+            ready.devices.now,
+            T_base_camera=ready.mount,
+            fineness=SHOWN if isinstance(planner, Asking) else 1,
+            manners=_manners(planner),
+            waits=lambda: operator.will is not Will.GO,
+            holds=lambda: operator.will is Will.HOLD,
+            truth=None if ready.tank is None else ready.tank.truth,
+        )
+
+    def _willed(self, bridge: Bridge, will: Will) -> None:
+        """The operator's word is the last: also where a joystick is broken, or its station gone."""
+        station = self.ready.devices.station
+        if will in _ENDS:
+            if station is not None:
+                station.dismiss()
+            bridge.end(_ENDS[will])
+        elif will is Will.GO and station is not None:
+            station.release()
+
+    def _logged(self, steps: Iterator[Step]) -> Iterator[Step]:
+        """Tell the log of each decision."""
+        for step in steps:
+            self.last, decision = step, step.decision
+            told = {
+                "step": step.index,
+                "turn": decision.turn,
+                "advance": decision.advance,
+                "done": decision.done,
+                "note": step.guarded.note,
+                "reasoning": asdict(decision.reasoning),
+                "arrival": step.arrival.note,
+            }
+            self._log("decision", told)
+            yield step
+
+    def _annotated(self, step: Step, logbook: Logbook) -> Mapping[str, Any]:
+        from dream.evaluation.metrics import Scorer
+
+        if isinstance(logbook, Scorer):
+            return {"coverage": logbook.add(step).as_dict()}
+        logbook.note(step)
+        return {}
+
+    def _log(self, channel: str, told: Mapping[str, Any]) -> None:
+        """What DREAM itself decides, as of now."""
+        self.ready.devices.log.tap(self.ready.devices.now(), channel, True, told)
+
+    def _log_standing(self, standing: Standing) -> None:
+        self._log("standing", {"stance": str(standing.stance), "reason": standing.reason})
+        if standing.reason:
+            logger.warning("%s: %s", standing.stance, standing.reason)
+
+    def _log_goal(self, goal: SE2, altitude: float) -> None:
+        self._log("goal", {"x": goal.x, "y": goal.y, "yaw": goal.yaw, "altitude": altitude})
+
+    def _log_fix(self, fix: Fix) -> None:
+        self.ready.devices.log.tap(fix.time, "estimate", False, fix)
+
+    def _readings(self, bridge: Bridge) -> list[Reading]:
+        """What the operator's console shows."""
+        devices, standing, fix = self.ready.devices, bridge.standing, bridge.fix
+        said, pose, goal = devices.link.telemetry, bridge.fix.T_world_base.se2, bridge.goal
+        here = f"{pose.x:+.2f} {pose.y:+.2f} m, heading {math.degrees(pose.yaw):+.0f}°"
+        there = "none" if goal is None else f"{goal.x:+.2f} {goal.y:+.2f} m, {math.degrees(goal.yaw):+.0f}°"
+        ages = (
+            f"IMU {fix.imu_age:.2f}, depth {fix.depth_age:.2f}, DVL {fix.dvl_age:.2f}, "
+            f"camera {devices.camera.age:.2f} s"
+        )
+        station = devices.station
+        return [
+            Reading(
+                "it",
+                f"{standing.stance}: {standing.reason}" if standing.reason else str(standing.stance),
+                not standing.reason,
+            ),
+            Reading("step", "none yet" if self.last is None else self._step_line(self.last)),
+            Reading("vehicle", f"{said.mode}, {'armed' if said.armed else 'disarmed'}", said.armed),
+            *([] if station is None else [Reading("pilot", station.words, not station.gone)]),
+            Reading("is at", f"{here} ± {fix.position_sigma:.2f} m"),
+            Reading("goes to", there),
+            Reading("depth", f"{said.depth:.2f} m, {fix.altitude:.2f} m above the floor"),
+            Reading("battery", f"{said.voltage:.1f} V", not said.voltage < self.ready.limits.voltage + 0.3),
+            Reading("ages", ages, max(fix.imu_age, fix.dvl_age - 0.8, devices.camera.age - 0.8) < 0.2),
+            Reading("camera", devices.camera.problem or "well", devices.camera.connected),
+            Reading("DVL", devices.dvl.problem or "well", not devices.dvl.problem),
+            Reading("log", devices.log.problem or f"{devices.log.written} messages", not devices.log.problem),
+        ]
+
+    def _step_line(self, step: Step) -> str:
+        total = self.ready.told.max_steps or self.ready.protocol.cap
+        return f"{step.index} of {total} at most. {step.decision.reasoning.action}"
+
+
+def _manners(planner: AnyPlanner) -> Manners:
+    """How long a planner may think: one that asks a model, for as long as it waits for an answer."""
+    from dream.planning.vlm import Asking
+    from dream.robots.bluerov2.rov import Manners
+
+    thinking = Manners().thinking
+    return Manners(thinking=planner.timeout + thinking) if isinstance(planner, Asking) else Manners()
+
+
+def _in_real_time(planner: AnyPlanner) -> AnyPlanner:
+    """A planner that asks a model, with no time to be waited for an answer but that which it takes."""
+    from dream.planning.vlm import Asking
+
+    return replace(planner, latency=None) if isinstance(planner, Asking) else planner

@@ -1,0 +1,121 @@
+"""The list that is gone through before a dive: of the devices, and of what only this dive asks for."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from dream.commands.console import print_json
+from dream.geometry import SE3
+
+if TYPE_CHECKING:
+    from dream.commands.dive.ready import Ready
+    from dream.robots.bluerov2.check import Finding
+
+STILL = 4.0
+"""Seconds that the sensors are listened to before the dive, with the vehicle lying still."""
+FIRST_REPORT = 5.0
+"""Seconds that the connection to the DVL may take."""
+FIRST_FRAME = 15.0
+"""Seconds that the first frame of the camera may take."""
+
+
+def predive_list(ready: Ready) -> list[Finding]:
+    """The pre-dive list; the camera is pointed before, since its pictures are part of it."""
+    link = ready.devices.link
+    pointed, sounded = _pointed(ready), _sounded(ready)
+    began = time.monotonic()
+    while not ready.devices.camera.connected and time.monotonic() - began < FIRST_FRAME:
+        link.operator_alive()
+        time.sleep(0.1)
+    found = ready.devices.findings(STILL, ready.start, ready.limits, ready.folder)
+    return [pointed, *sounded, *found, _floor(ready), _looked(ready)]
+
+
+def _floor(ready: Ready) -> Finding:
+    """Whether the dive may go as deep as it has to."""
+    from dream.robots.bluerov2.check import Finding
+    from dream.robots.bluerov2.navigation import NotReady
+
+    altitude, deepest = ready.protocol.altitude, ready.limits.depth
+    wanted = f"a floor over which {altitude:g} m are at most {deepest:g} m deep: see --max-depth"
+    seabed, began = math.nan, time.monotonic()
+    try:
+        while math.isnan(seabed) and time.monotonic() - began < FIRST_REPORT:
+            seabed = ready.devices.navigator.update().seabed
+            time.sleep(0.05)
+    except NotReady:
+        return Finding("floor", ok=False, said="not known before navigation begins", wanted=wanted)
+    if math.isnan(seabed):
+        return Finding("floor", ok=False, said="the DVL does not see it", wanted=wanted)
+    deep = -(seabed + altitude)
+    said = f"{altitude:g} m above it is {deep:.1f} m deep, {deepest:g} m are allowed"
+    return Finding("floor", ok=deep <= deepest, said=said, wanted=wanted)
+
+
+def _looked(ready: Ready) -> Finding:
+    """Make of one picture what the map is made from: lens and models fit it, or the dive is none."""
+    from dream.robots.bluerov2.check import Finding
+
+    wanted = "a picture that --calibration, --labels and --depth fit"
+    if ready.sight.lens is None and ready.tank is None:
+        return Finding("pictures", ok=False, said="no --calibration was given", wanted=wanted)
+    try:
+        eye, perception = ready.eye, ready.sight.perception
+        picture = ready.devices.camera.newest(FIRST_FRAME)
+        began, camera = time.perf_counter(), ready.protocol.camera
+        rgb, seen = eye.view(picture, camera)
+        level = SE3.level(ready.start.x, ready.start.y, 0.0, ready.start.yaw)
+        perception.perceive(rgb, camera, level, ready.mount, ready.protocol.altitude)
+    except (OSError, ValueError, RuntimeError) as error:
+        return Finding("pictures", ok=False, said=str(error), wanted=wanted)
+    ms = 1e3 * (time.perf_counter() - began)
+    return Finding("pictures", ok=True, said=f"{seen.mean():.0%} of the view, labelled in {ms:.0f} ms")
+
+
+def _sounded(ready: Ready) -> list[Finding]:
+    """Tell the DVL how fast sound goes, where that was given."""
+    from dream.robots.bluerov2.check import Finding
+
+    speed = ready.told.speed_of_sound
+    if speed is None:
+        return []
+    try:
+        said, ok = f"told {speed:g} m/s, {ready.devices.tell_sound(FIRST_REPORT)}", True
+    except (ConnectionError, TimeoutError, ValueError) as error:
+        said, ok = str(error), False
+    return [Finding("sound", ok, said, wanted=f"a DVL that takes {speed:g} m/s for its speed of sound")]
+
+
+def _pointed(ready: Ready) -> Finding:
+    """Point the camera, and see where it looks, as the map depends on it; and set the lights."""
+    from dream.robots.bluerov2.check import Finding
+    from dream.robots.bluerov2.mavlink import Refused
+
+    link = ready.devices.link
+    wanted = f"a mount that looks {ready.told.tilt:g}° down and says so: see MNT1_* and --tilt"
+    try:
+        if ready.told.lights is not None:
+            link.set_lights(ready.told.lights)
+        up = link.tilt_camera(-math.radians(ready.told.tilt))
+    except (Refused, RuntimeError, TimeoutError, ValueError) as error:
+        return Finding("camera mount", ok=False, said=str(error), wanted=wanted)
+    return Finding("camera mount", ok=True, said=f"looks {-math.degrees(up):.0f}° down")
+
+
+def print_findings(found: list[Finding], *, as_json: bool) -> int:
+    """Print the list; exit status 0 for go, 1 for no-go."""
+    go = all(finding.ok for finding in found)
+    if as_json:
+        print_json({"go": go, "findings": [asdict(finding) for finding in found]})
+        return 0 if go else 1
+    width = max(len(finding.name) for finding in found)
+    for finding in found:
+        mark = "ok" if finding.ok else "NO"
+        wanted = "" if finding.ok else f"   wanted: {finding.wanted}"
+        print(f"  {mark}  {finding.name:<{width}}  {finding.said}{wanted}")
+    wrong = sum(not finding.ok for finding in found)
+    print("go" if go else f"no-go: {wrong} of {len(found)} are not well")
+    return 0 if go else 1

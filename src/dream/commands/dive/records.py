@@ -1,0 +1,105 @@
+"""What a dive leaves beside its steps: `config.json` and `summary.json`."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dream import __version__
+from dream.commands.dive.options import mounting_told, repeating_command
+from dream.planning import PLANNERS
+from dream.planning.identity import identity
+from dream.versions import commit
+
+if TYPE_CHECKING:
+    from dream.commands.dive.ready import Ready
+    from dream.evaluation.metrics import Logbook
+    from dream.robots.bluerov2.bridge import Bridge
+    from dream.robots.bluerov2.rov import BlueRov2
+
+
+def config(ready: Ready, name: str) -> dict[str, Any]:
+    """`config.json`: what the dive was begun with."""
+    told = asdict(replace(ready.told, planner=PLANNERS["belief"]))
+    del told["planner"]
+    mounting = mounting_told(ready.told)
+    return {
+        "version": __version__,
+        "commit": commit(),
+        "protocol": ready.protocol.name,
+        "world": "dive" if ready.tank is None else ready.tank.world.name,
+        "seed": ready.told.seed,
+        **identity(name, ready.told.planner),
+        "max_steps": ready.told.max_steps,
+        "command": repeating_command(ready.told, name),
+        "began": datetime.datetime.fromtimestamp(ready.devices.log.epoch_ns / 1e9, datetime.UTC),
+        "mounting": {
+            "dvl": np.asarray(mounting.T_base_dvl.translation).tolist(),
+            "gauge": list(mounting.pressure_sensor),
+            "camera": np.asarray(ready.mount.translation).tolist(),
+        },
+        "dive": {key: str(value) if isinstance(value, Path) else value for key, value in told.items()},
+    }
+
+
+def summary(
+    ready: Ready, name: str, logbook: Logbook, bridge: Bridge, robot: BlueRov2, wall_s: float
+) -> dict[str, Any]:
+    """`summary.json`: of the mission, and of the devices."""
+    from dream.sim.files import world_hash
+
+    devices = ready.devices
+    lags = [1e3 * lag for lag in bridge.lags] or [0.0]
+    ages = [1e3 * age for age in robot.picture_ages] or [0.0]
+    counts, seconds = devices.camera.counts, devices.now()
+    tank = ready.tank
+    return {
+        "protocol": ready.protocol.name,
+        "world": "dive" if tank is None else tank.world.name,
+        "seed": ready.told.seed,
+        "world_hash": "" if tank is None else world_hash(tank.world),
+        "planner": name,
+        **logbook.summary(),
+        # Nobody feels a touch but a simulator.
+        **({"collisions": None} if tank is None else {}),
+        "wall_s": round(wall_s, 3),
+        "dive": {
+            "estimator": ready.told.estimator,
+            "drive": ready.told.drive,
+            "command_lag_ms": {f"p{p}": round(float(np.percentile(lags, p)), 1) for p in (50, 99)},
+            "late_beats": bridge.late_beats,
+            "picture_age_ms": {f"p{p}": round(float(np.percentile(ages, p)), 1) for p in (50, 99)},
+            "pictures": counts.received,
+            "pictures_per_s": round(counts.received / seconds, 2),
+            "packets_lost": counts.lost,
+            "link_loss": round(devices.link.telemetry.loss, 4),
+            "refused": {**devices.link.refused, **devices.dvl.refused, **devices.navigator.refused},
+            "pilot_refused": None if devices.station is None else dict(devices.station.refused),
+            "log_lost": devices.log.lost,
+            "behind_s": None if tank is None else round(tank.running.truth().behind, 3),
+        },
+    }
+
+
+def print_outcome(summary: Mapping[str, Any], page: Path) -> None:
+    """The summary in a few lines."""
+    ended = {"done": "done", "cap": "out of steps", "aborted": "aborted"}[summary["ended"]]
+    print(f"{summary['world']} {summary['seed']} · {summary['planner']} · {summary['protocol']}")
+    print(f"  {ended} after {summary['steps']} steps and {summary['distance_m']:.1f} m")
+    if summary["coverage"]["instances"] is not None:
+        error = summary["position_error_m"]
+        print(
+            f"  traversed {summary['coverage']['instances']:.1%} of the targets, {summary['collisions']} "
+            f"collisions; {error['rmse']:.3f} m (rms) from where it believed to be"
+        )
+    dive = summary["dive"]
+    print(
+        f"  {dive['pictures_per_s']:.1f} pictures a second; from goal to command "
+        f"{dive['command_lag_ms']['p50']:.0f} ms, at most {dive['command_lag_ms']['p99']:.0f} ms in 99 of 100"
+    )
+    print(f"  report: {page}")
