@@ -473,7 +473,7 @@ def test_while_a_region_is_open_no_group_is_expected_farther_than_any_view_reach
     match = re.search(r"and (\S+) groups", said)
     assert match
     everywhere = could_hide(opened, planner.size, NOTHING).sum() * DREAM_V1.cell**2
-    most = Groups(planner.groups, planner.searched).intensity(1, AREA.width * AREA.depth) * everywhere
+    most = Groups(planner.groups, planner.searched).after(1, AREA.width * AREA.depth).intensity * everywhere
     assert float(match[1]) < 0.3 * most
 
 
@@ -612,7 +612,7 @@ def test_it_says_what_it_expects_beside_targets(over_the_reef: Flown) -> None:
 def test_it_says_the_risk_and_the_groups_that_its_model_gives(over_the_reef: Flown) -> None:
     """Asked afresh, with nothing looked at in vain; every place in this arena may come into view."""
     planner, risks = over_the_reef.planner, set()
-    groups = Groups(planner.groups, planner.searched)
+    prior = Groups(planner.groups, planner.searched)
     for observation, occupancy, _ in over_the_reef.asked[::3]:
         said = planner.begin(MISSION).decide(observation, occupancy).reasoning
         completion = check_completion(occupancy, observation.pose)
@@ -620,10 +620,10 @@ def test_it_says_the_risk_and_the_groups_that_its_model_gives(over_the_reef: Flo
         if completion.complete:
             hiding &= hiding_places(occupancy, observation.pose, planner.size * DREAM_V1.group_radius)
         hidden, whole = hiding.sum() * DREAM_V1.cell**2, AREA.width * AREA.depth
-        found = len(completion.regions)
-        risk = groups.risk(found, whole - hidden, hidden)
+        groups = prior.after(len(completion.regions), whole - hidden)
+        risk = groups.risk(hidden)
         assert f"with a probability of {risk:.1%}; {planner.risk:.1%} is accepted" in said.completion
-        expected = groups.intensity(found, whole - hidden) * hidden
+        expected = groups.intensity * hidden
         assert f"and {expected:.2f} groups in ground not searched" in said.distribution
         risks.add(round(risk, 2))
     assert len(risks) > 2

@@ -185,8 +185,9 @@ def test_the_risk_is_that_of_the_model_drawn_at_random(found: int, searched: flo
     missed = generator.poisson(intensity[like_this] * hidden)
     error = 4.0 * 0.5 / math.sqrt(like_this.sum())
     assert like_this.sum() > 20_000
-    assert groups.risk(found, searched, hidden) == pytest.approx((missed > 0).mean(), abs=error)
-    expected = groups.intensity(found, searched) * hidden
+    groups = groups.after(found, searched)
+    assert groups.risk(hidden) == pytest.approx((missed > 0).mean(), abs=error)
+    expected = groups.intensity * hidden
     assert expected == pytest.approx(missed.mean(), abs=4.0 * missed.std() / math.sqrt(len(missed)))
 
 
@@ -194,28 +195,28 @@ def test_the_risk_is_that_of_the_model_drawn_at_random(found: int, searched: flo
 def test_the_risk_grows_with_what_is_hidden_and_found_and_falls_with_what_was_searched(
     groups: Groups, found: int, searched: float, hidden: float, more: float
 ) -> None:
-    risk = groups.risk(found, searched, hidden)
+    risk = groups.after(found, searched).risk(hidden)
     assert 0.0 <= risk <= 1.0
-    assert groups.risk(found, searched, hidden + more) >= risk - 1e-12
-    assert groups.risk(found + 1, searched, hidden) >= risk - 1e-12
-    assert groups.risk(found, searched + more, hidden) <= risk + 1e-12
+    assert groups.after(found, searched).risk(hidden + more) >= risk - 1e-12
+    assert groups.after(found + 1, searched).risk(hidden) >= risk - 1e-12
+    assert groups.after(found, searched + more).risk(hidden) <= risk + 1e-12
 
 
 @given(groups=priors, found=counts, searched=areas)
 def test_nothing_hidden_is_no_risk_and_a_little_is_as_much_as_its_expected_groups(
     groups: Groups, found: int, searched: float
 ) -> None:
-    assert groups.risk(found, searched, 0.0) == 0.0
-    little = 1e-3
-    expected = groups.intensity(found, searched) * little
-    assert groups.risk(found, searched, little) == pytest.approx(expected, rel=0.02)
+    groups, little = groups.after(found, searched), 1e-3
+    assert groups.risk(0.0) == 0.0
+    assert groups.risk(little) == pytest.approx(groups.intensity * little, rel=0.02)
 
 
 @given(groups=priors, found=counts, searched=areas, hidden=areas)
 def test_the_risk_is_at_most_the_groups_that_are_expected(
     groups: Groups, found: int, searched: float, hidden: float
 ) -> None:
-    assert groups.risk(found, searched, hidden) <= groups.intensity(found, searched) * hidden + 1e-9
+    groups = groups.after(found, searched)
+    assert groups.risk(hidden) <= groups.intensity * hidden + 1e-9
 
 
 @pytest.mark.parametrize("name", ["shape", "area"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +27,7 @@ from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
-    from dream.mapping.completion import Completion
+    from dream.mapping.completion import Completion, Region
 
 FloatArray = npt.NDArray[np.floating[Any]]
 
@@ -440,18 +441,17 @@ class BeliefPilot:
             # But places that the vehicle might yet get to may see more than that; only elsewhere it is asked.
             hopeful = within(places & ~occupancy.observed, protocol.reach, cell)
             hiding &= hopeful | that_would_show(occupancy, pose, self.size, hiding & ~hopeful)
-        groups = Groups(planner.groups, planner.searched)
         hidden = float(hiding.sum()) * cell**2
         searched = np.count_nonzero(occupancy.to_see) * cell**2 - hidden
-        found = len(completion.regions)
+        groups = Groups(planner.groups, planner.searched).after(len(completion.regions), searched)
         hull = self._expected_hull(occupancy, away_from_hull)
         if away_from_hull is not None:
             hidden *= planner.alone
-        risk = groups.risk(found, searched, hidden)
-        rarity = 1.0
+        risk, rarity = groups.risk(hidden), 1.0
         if self.recall is not None:
+            searched_cells = occupancy.to_see & ~hiding
             risk, rarity = self._with_survey(
-                self.recall, risk, groups, completion, hiding, hidden, searched, occupancy
+                self.recall, groups, completion.regions, searched_cells, hiding, hidden
             )
         if planner.certify:
             risk = float(hiding.any())
@@ -460,7 +460,7 @@ class BeliefPilot:
             beside,
             hiding,
             risk,
-            groups.intensity(found, searched) * hidden,
+            groups.intensity * hidden,
             hull,
             left / (self.hull.found + left) if left else 0.0,
             away_from_hull,
@@ -470,30 +470,28 @@ class BeliefPilot:
     def _with_survey(
         self,
         recall: Recall,
-        risk: float,
         groups: Groups,
-        completion: Completion,
+        regions: Sequence[Region],
+        searched: BoolArray,
         hiding: BoolArray,
         hidden: float,
-        searched: float,
-        occupancy: OccupancyMap,
     ) -> tuple[float, float]:
         """The risk with a survey as far as it is believed, and `_Expected.rarity`.
 
         Where it saw no group one must have come since. How many do is learnt as the number of groups is, from
         those that came to such ground, and the ground of which it was searched again.
         """
-        empty, found, came = recall.empty, len(completion.regions), recall.came(completion.regions)
+        came, empty = recall.came(regions), recall.empty
         share = float(np.count_nonzero(hiding & empty)) / max(int(np.count_nonzero(hiding)), 1)
-        again = self.mission.protocol.cell**2 * np.count_nonzero(empty & occupancy.to_see & ~hiding)
-        coming = Groups(self.planner.arriving * max(recall.prior.years, 1.0), self.planner.searched)
-        arrived = coming.risk(came, again, share * hidden)
-        elsewhere = groups.risk(found, searched, (1.0 - share) * hidden)
-        told = 1.0 - (1.0 - elsewhere) * (1.0 - arrived)
-        rarity = coming.intensity(came, again) / groups.intensity(found, searched)
+        again = self.mission.protocol.cell**2 * np.count_nonzero(empty & searched)
+        arriving = self.planner.arriving * max(recall.prior.years, 1.0)
+        coming = Groups(arriving, self.planner.searched).after(came, again)
+        told = 1.0 - (1.0 - groups.risk((1.0 - share) * hidden)) * (1.0 - coming.risk(share * hidden))
+        rarity = min(coming.intensity / groups.intensity, 1.0)
+        believed = recall.believed
         return (
-            recall.believed * told + (1.0 - recall.believed) * risk,
-            recall.believed * min(rarity, 1.0) + 1.0 - recall.believed,
+            believed * told + (1.0 - believed) * groups.risk(hidden),
+            believed * rarity + 1.0 - believed,
         )
 
     def _expected_hull(self, occupancy: OccupancyMap, away_from_hull: FloatArray | None) -> FloatArray:

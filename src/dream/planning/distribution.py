@@ -60,24 +60,28 @@ def blurred(
 class Groups:
     """How many groups of targets there are: a Poisson process whose intensity is learnt on the way.
 
-    The intensity has a Gamma prior. After n groups in a searched area A the number in a hidden area H has a
-    negative binomial distribution; that it is not zero is the risk of stopping now.
+    The intensity has a Gamma distribution, and has one again once some ground was searched. The number in
+    hidden ground has a negative binomial distribution; that it is not zero is the risk of stopping now.
     """
 
     shape: float
-    """Groups that the prior is worth."""
+    """Groups that it rests on: those that the prior is worth, and those that were found."""
     area: float
-    """Square metres of ground that the prior is worth."""
+    """Square metres of ground that it rests on, likewise."""
 
     def __post_init__(self) -> None:
-        check_range("shape", self.shape, 1e-3, 1e3)
-        check_range("area", self.area, 1e-3, 1e6)
+        check_range("shape", self.shape, 1e-3, 1e9)
+        check_range("area", self.area, 1e-3, 1e9)
 
-    def intensity(self, found: int, searched: float) -> float:
-        """Groups to be expected per square metre, after `found` of them on `searched` square metres."""
-        return (self.shape + found) / (self.area + searched)
+    def after(self, found: int, searched: float) -> Groups:
+        """What is known once `found` groups were found on `searched` square metres."""
+        return Groups(self.shape + found, self.area + searched)
 
-    def risk(self, found: int, searched: float, hidden: float) -> float:
+    @property
+    def intensity(self) -> float:
+        """Groups to be expected per square metre."""
+        return self.shape / self.area
+
+    def risk(self, hidden: float) -> float:
         """Probability of at least one group on `hidden` square metres."""
-        known = self.area + searched
-        return float(1.0 - (known / (known + hidden)) ** (self.shape + found))
+        return float(1.0 - (self.area / (self.area + hidden)) ** self.shape)
