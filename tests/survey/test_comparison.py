@@ -23,7 +23,7 @@ from scipy.stats import false_discovery_control
 from dream.geometry import SE2
 from dream.survey import Individuals, Measure, Survey, change_words
 from dream.survey.archive import wkb
-from dream.survey.change_map import VERDICTS, write_change
+from dream.survey.change_map import VERDICTS, draw_on, write_change
 from dream.survey.change_page import change_page
 from dream.survey.change_words import a_year, summary
 from dream.survey.comparison import (
@@ -40,6 +40,7 @@ from dream.survey.comparison import (
 )
 from dream.survey.fates import Fate
 from dream.survey.numbers import number, p_value, typeset
+from dream.survey.products.sheet import corners_of, new_figure
 from dream.survey.registration import Registering, frames, mutual, placed
 from dream.survey.site import Site
 from dream.types import Target
@@ -594,6 +595,35 @@ def test_a_folder_in_the_place_of_a_file_leaves_all_as_it_was(same: list[Compari
     with pytest.raises(OSError, match=r"could not write the change to .*change\.html is a folder"):
         write_change(same[0], tmp_path)
     assert [path.name for path in tmp_path.rglob("*")] == ["change.html"]
+
+
+def test_the_map_of_a_change_is_turned_to_the_north(less: list[Comparison]) -> None:
+    """With y bearing east, what lies along y is drawn to the right: ground, outlines and individuals."""
+    comparison = replace(less[0], a=replace(less[0].a, site=replace(SITE, heading_deg=90.0)))
+    figure, axes = new_figure(4.0, 4.0)
+    draw_on(axes, comparison, corners_of(comparison.bounds))
+    figure.canvas.draw()
+    (image,) = axes.images
+    drawn = axes.transData.inverted().transform(image.get_transform().transform(((1.0, 2.0),)))
+    assert drawn[0] == pytest.approx((2.0, -1.0), abs=1e-6)
+    gone = less[0].a.individuals.position[less[0].fate_a == Fate.LOST, :2]
+    assert len(gone) > 10
+    offsets = axes.collections[1].get_offsets()
+    assert np.asarray(offsets) == pytest.approx(gone[:, ::-1] * [1.0, -1.0], abs=1e-6)
+    x, y = less[0].patches[0].rings[0].T
+    assert np.asarray(axes.lines[0].get_xydata()) == pytest.approx(np.column_stack([y, -x]), abs=1e-6)
+
+
+def test_the_map_of_a_change_shows_where_both_looked_though_it_is_one_cell(
+    same: list[Comparison], tmp_path: Path
+) -> None:
+    change = np.full_like(same[0].change, Change.NOT_COMPARABLE)
+    change[10, 20] = Change.BARE
+    png, *_ = write_change(replace(same[0], change=change), tmp_path)
+    bare = np.array([0xD8, 0xD2, 0xC4])
+    rows, _ = np.nonzero((np.asarray(Image.open(png).convert("RGB")) == bare).all(axis=2))
+    # The cell fills the sheet, and is no dot among the ground that one of them saw.
+    assert np.ptp(rows) > 300
 
 
 def test_the_page_tells_what_the_figures_hold_and_loads_nothing(

@@ -31,6 +31,7 @@ from dream.survey.products import (
     netcdf,
     page,
     pdf,
+    sheet,
     tables,
     words,
 )
@@ -535,15 +536,15 @@ def test_a_pdf_of_three_pages_that_is_the_same_again(tmp_path: Path) -> None:
     ("width", "length"), [(4.9, 0.5), (5.0, 1.0), (24.0, 2.0), (25.0, 5.0), (40.0, 5.0), (50.0, 10.0)]
 )
 def test_a_scale_of_round_length(width: float, length: float) -> None:
-    assert figures.scale_length(width) == pytest.approx(length)
+    assert sheet.scale_length(width) == pytest.approx(length)
 
 
 def test_maps_of_the_report_are_turned_to_the_north() -> None:
     """With y bearing east, what lies along y is drawn to the right."""
     survey = reef(site=replace(SITE, heading_deg=90.0))
-    east, north = figures.east_north(survey, np.array([[0.0, 10.0]]))[0]
+    east, north = sheet.east_north(survey.site, np.array([[0.0, 10.0]]))[0]
     assert (east, north) == pytest.approx((10.0, 0.0), abs=1e-9)
-    figure, axes = figures.new_figure(4.0, 4.0)
+    figure, axes = sheet.new_figure(4.0, 4.0)
     figures.habitat_map(axes, survey)
     figure.canvas.draw()
     image = axes.images[0]
@@ -579,7 +580,7 @@ def test_shares_of_sizes_are_drawn_with_their_intervals_and_not_listed() -> None
     assert words.listed(survey) == list(reef().measures)
     assert words.meaning(shares[1].name).title == "15 to 20 cm wide"
     assert words.value_text(shares[1]) == "20 %"
-    _, axes = figures.new_figure(4.0, 3.0)
+    _, axes = sheet.new_figure(4.0, 3.0)
     figures.size_figure(axes, survey)
     bars = [(bar.get_x(), bar.get_width(), bar.get_height()) for bar in axes.containers[0]]
     assert bars[0] == pytest.approx((0.10, 0.05, 20.0))

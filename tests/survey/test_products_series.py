@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from dream.survey import Measure, Survey
-from dream.survey.products import figures, page, pdf, series
+from dream.survey.products import figures, page, pdf, series, sheet
 from tests.survey.browsing import Seen
 from tests.survey.scenes import reef, wreck
 
@@ -59,7 +59,7 @@ def test_a_panel_for_each_main_measure_with_the_interval_of_each_survey() -> Non
             for m in unsure[1].measures
         ),
     )
-    with figures.settings():
+    with sheet.settings():
         panels = figures.series_figure(unsure).axes
     assert [panel.get_title(loc="left") for panel in panels] == [
         "Reef area, m²",

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import errno
 import json
-import math
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -23,6 +22,7 @@ from dream.survey.archive.schema import Column, Table
 from dream.survey.change_page import change_page
 from dream.survey.comparison import Change, Comparison, PatchChange, Verdict
 from dream.survey.fates import Fate, Missing
+from dream.survey.products.sheet import corners_of, east_north, new_figure, png, settings, show_map
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,6 +44,8 @@ VERDICTS: Mapping[Verdict, str] = {
     "no change shown": "#333333",
     "not comparable": "#aaaaaa",
 }
+WIDTH = 6.4
+"""Inches of the picture."""
 MOST_BYTES = 1 << 26
 """Of a change.json that is looked into."""
 PAGE = "change.html"
@@ -153,57 +155,81 @@ def _check_other(told: Mapping[str, Any], path: Path) -> None:
 
 def draw(comparison: Comparison, path: Path) -> None:
     """A picture of the change on the earlier survey's ground, with a scale, north and the figures."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    around = _around(comparison)
+    corners = east_north(comparison.a.site, around)
+    wide, high = np.ptp(corners, axis=0)
+    with settings():
+        figure, axes = new_figure(WIDTH, min(2.0 * WIDTH, max(3.6, WIDTH * high / wide) + 1.0))
+        draw_on(axes, comparison, around)
+        path.write_bytes(png(figure))
+
+
+def _around(comparison: Comparison) -> Float64Array:
+    """(N, 2) corners of the cells that both saw; of all ground where there are none."""
+    box, cell = comparison.bounds, comparison.cell
+    row, col = np.nonzero(comparison.change != Change.NOT_COMPARABLE)
+    if not row.size:
+        return corners_of(box)
+    cells = np.unique(np.concatenate([(col + x, row + y) for x in (0, 1) for y in (0, 1)], axis=1), axis=1)
+    return np.array([box.x_min, box.y_min]) + cell * cells.T
+
+
+def draw_on(axes: Axes, comparison: Comparison, around: Float64Array) -> None:
+    """The map itself, on a sheet that holds what is `around`: (N, 2) points of the earlier survey's frame."""
     from matplotlib.colors import ListedColormap
-    from matplotlib.figure import Figure
     from matplotlib.patches import Patch as Key
 
-    bounds = comparison.bounds
-    height = 7.4 * bounds.depth / bounds.width + 1.5
-    figure = Figure(figsize=(8.0, min(14.0, max(5.0, height))), dpi=150, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    axes.imshow(
+    site = comparison.a.site
+    show_map(
+        axes,
+        site,
+        comparison.bounds,
         comparison.change,
+        around,
         cmap=ListedColormap([GROUND[change] for change in Change]),
         vmin=-0.5,
-        vmax=4.5,
-        origin="lower",
-        extent=(bounds.x_min, bounds.x_max, bounds.y_min, bounds.y_max),
-        interpolation="nearest",
+        vmax=len(Change) - 0.5,
     )
     a = comparison.a.individuals.position[:, :2]
     dots = (
-        (a[np.isin(comparison.fate_a, (Fate.THERE, Fate.HIDDEN))], "#000000", 0.8, "."),
-        (a[comparison.fate_a == Fate.LOST], "#7a2e00", 5.0, "x"),
-        (comparison.positions_b[comparison.fate_b == Fate.NEW], "#00304d", 5.0, "+"),
+        (a[np.isin(comparison.fate_a, (Fate.THERE, Fate.HIDDEN))], "#000000", 1.0, "."),
+        (a[comparison.fate_a == Fate.LOST], "#7a2e00", 9.0, "x"),
+        (comparison.positions_b[comparison.fate_b == Fate.NEW], "#00304d", 9.0, "+"),
     )
     for points, color, size, mark in dots:
-        axes.scatter(points[:, 0], points[:, 1], s=size, c=color, marker=mark, linewidths=0.4)
+        at = east_north(site, points)
+        axes.scatter(at[:, 0], at[:, 1], s=size, c=color, marker=mark, linewidths=0.6, zorder=4)
     for number, patch in enumerate(comparison.patches, start=1):
         color = VERDICTS[patch.verdict]
-        for ring in patch.rings:
+        rings = [east_north(site, ring) for ring in patch.rings]
+        for ring in rings:
             changed = patch.verdict in ("gain", "loss", "mixed")
-            axes.plot(*ring.T, color=color, linewidth=1.6 if changed else 0.8)
-        share = _shares(patch)
-        top = patch.rings[0][np.argmax(patch.rings[0][:, 1])]
+            axes.plot(*ring.T, color=color, linewidth=1.6 if changed else 0.8, zorder=3)
         axes.annotate(
-            f"{number} {patch.verdict}{share}",
-            top,
+            f"{number} {patch.verdict}{_shares(patch)}",
+            rings[0][np.argmax(rings[0][:, 1])],
             xytext=(0, 3),
             textcoords="offset points",
             color=color,
-            fontsize=7,
+            fontsize=9,
             ha="center",
             bbox={"facecolor": "white", "alpha": 0.75, "linewidth": 0.0, "pad": 1.0},
+            zorder=6,
         )
-    _furnish(axes, comparison)
+    axes.set_facecolor(GROUND[Change.NOT_COMPARABLE])
+    axes.set_title(_title(comparison), fontsize=8.5, weight="normal")
     words = ("not comparable", "bare in both", "target in both", "gain", "loss")
-    keys = [Key(facecolor=GROUND[change], edgecolor="#888888") for change in Change]
+    keys = [Key(facecolor=GROUND[change], edgecolor="#888888", linewidth=0.4) for change in Change]
     axes.legend(
-        keys, words, loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=5, fontsize=7, frameon=False
+        keys,
+        words,
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.09),
+        ncols=5,
+        fontsize=8.5,
+        handlelength=1.4,
+        columnspacing=1.2,
     )
-    figure.savefig(path)
 
 
 def _shares(patch: PatchChange) -> str:
@@ -214,48 +240,16 @@ def _shares(patch: PatchChange) -> str:
     return "" if count is None or count.before <= 0.0 else f" {count.change / count.before:+.0%}"
 
 
-def _furnish(axes: Axes, comparison: Comparison) -> None:
-    """Title, scale, north."""
-    bounds, laid = comparison.bounds, comparison.registration
-    a, b = comparison.a, comparison.b
-    axes.set_title(
-        f"{a.began:%Y-%m-%d} to {b.began:%Y-%m-%d}: {a.name} → {b.name}\n"
-        + (
-            "not laid on each other: nothing is compared"
-            if comparison.withheld
-            else f"{comparison.comparable:.0f} m² seen by both, laid on each other to "
-            f"{100.0 * laid.sigma:.1f} cm (× only before, + only after)"
-        )
-        + (" · SIMULATED" if a.simulated or b.simulated else ""),
-        fontsize=8,
-        loc="left",
-        parse_math=False,
+def _title(comparison: Comparison) -> str:
+    a, b, sigma = comparison.a, comparison.b, comparison.registration.sigma
+    made_up = " · SIMULATED" if a.simulated or b.simulated else ""
+    told = (
+        "not laid on each other: nothing is compared"
+        if comparison.withheld
+        else f"{comparison.comparable:.0f} m² seen by both, laid on each other to {100.0 * sigma:.1f} cm; "
+        "× only before, + only after"
     )
-    axes.set_xlabel("x, metres", fontsize=7)
-    axes.set_ylabel("y, metres", fontsize=7)
-    axes.tick_params(labelsize=7)
-    axes.set_xlim(bounds.x_min, bounds.x_max)
-    axes.set_ylim(bounds.y_min, bounds.y_max)
-    length = next(one for one in (20.0, 10.0, 5.0, 2.0, 1.0, 0.5) if one <= 0.3 * bounds.width or one == 0.5)
-    x, y = bounds.x_min + 0.04 * bounds.width, bounds.y_min + 0.04 * bounds.depth
-    axes.plot([x, x + length], [y, y], color="black", linewidth=3.0, solid_capstyle="butt")
-    axes.annotate(
-        f"{length:g} m",
-        (x + 0.5 * length, y),
-        xytext=(0, 4),
-        textcoords="offset points",
-        ha="center",
-        fontsize=7,
-    )
-    if a.site is None:
-        return
-    # The local y axis has this bearing, so north is as much to the other side.
-    bearing = math.radians(a.site.heading_deg)
-    north = (-math.sin(bearing), math.cos(bearing))
-    foot = (bounds.x_max - 0.07 * bounds.width, bounds.y_min + 0.05 * bounds.depth)
-    tip = (foot[0] + 0.07 * bounds.width * north[0], foot[1] + 0.07 * bounds.width * north[1])
-    axes.annotate("", tip, foot, arrowprops={"arrowstyle": "-|>", "color": "black"})
-    axes.annotate("N", tip, ha="center", va="bottom", fontsize=8)
+    return "\n".join([f"{a.began:%Y-%m-%d} to {b.began:%Y-%m-%d}{made_up}", f"{a.name} →", b.name, told])
 
 
 def _on_globe(comparison: Comparison, points: Float64Array) -> Float64Array:

@@ -207,9 +207,9 @@ def _figures(differences: Sequence[Difference], years: float) -> str:
         rows.append(
             f"<tr><th scope='row'>{html.escape(words.meaning(one.name).title)}</th>"
             f"<td class='value'>{html.escape(value)}</td><td class='interval'>{html.escape(change)}</td>"
-            f"<td class='interval'>{html.escape(interval)}</td>"
-            + (f"<td class='interval'>{html.escape(rate)}</td>" if any(rates) else "")
-            + f"<td>{html.escape(p_value(one.p))}</td>"
+            f"<td class='interval' data-is='95 %:'>{html.escape(interval)}</td>"
+            + (f"<td class='interval' data-is='a year:'>{html.escape(rate)}</td>" if any(rates) else "")
+            + f"<td class='interval' data-is='p'>{html.escape(p_value(one.p))}</td>"
             f"<td class='meaning'>{html.escape(words.meaning(one.name).says)}</td></tr>"
         )
     year = ("A year",) if any(rates) else ()

@@ -1,12 +1,9 @@
-"""Maps and the size-frequency figure of the reports: north up where that is known, with a scale and a north
-arrow."""
+"""Maps and the size-frequency figure of the reports."""
 
 from __future__ import annotations
 
-import io
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from datetime import UTC
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +11,16 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.survey.products.outlines import ring_around
+from dream.survey.products.sheet import (
+    GRID,
+    INK,
+    SOFT,
+    corners_of,
+    east_north,
+    north_arrow,
+    scale_bar,
+    show_map,
+)
 from dream.survey.products.styles import (
     DECISION,
     EXPLORED,
@@ -39,73 +46,10 @@ if TYPE_CHECKING:
 
 Float64Array = npt.NDArray[np.float64]
 
-INK, SOFT, GRID = "#0c2431", "#4d6573", "#d5e0e5"
 BIN = 0.025
 """Metres, width of the bins of sizes; doubled until there are at most 24."""
 DATES_APART = 0.3
 """Share of the span of an axis that a date takes where its figure is narrowest, in print."""
-
-
-@contextmanager
-def settings() -> Iterator[None]:
-    """How all figures are drawn, whatever the user's matplotlibrc says."""
-    import matplotlib as mpl
-
-    with mpl.rc_context():
-        mpl.rcdefaults()
-        mpl.rcParams.update(
-            {
-                "svg.hashsalt": "dream",
-                "svg.fonttype": "path",
-                "pdf.fonttype": 42,
-                "font.size": 9.0,
-                "axes.edgecolor": SOFT,
-                "axes.labelcolor": SOFT,
-                "axes.linewidth": 0.6,
-                "axes.titlesize": 10.0,
-                "axes.titlelocation": "left",
-                "axes.titleweight": "bold",
-                "axes.titlecolor": INK,
-                "text.color": INK,
-                "text.parse_math": False,
-                "xtick.color": SOFT,
-                "ytick.color": SOFT,
-                "xtick.major.width": 0.6,
-                "ytick.major.width": 0.6,
-                "legend.frameon": False,
-                "image.composite_image": False,
-            }
-        )
-        yield
-
-
-def svg(figure: Figure) -> bytes:
-    """A figure as a picture that a page can hold."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="svg", dpi=200, metadata={"Date": None, "Creator": None})
-    return buffer.getvalue()
-
-
-def png(figure: Figure) -> bytes:
-    """A figure as a file of its own."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=200, metadata={"Software": None})
-    return buffer.getvalue()
-
-
-def new_figure(width: float, height: float) -> tuple[Figure, Axes]:
-    """Inches."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
-    return figure, figure.add_subplot()
-
-
-def east_north(survey: Survey, points: Float64Array) -> Float64Array:
-    """(N, 2) metres east and north of the origin; the world's own where the survey has none."""
-    if survey.site is None:
-        return points
-    return np.column_stack(survey.site.east_north(points[:, 0], points[:, 1]))
 
 
 def habitat_map(axes: Axes, survey: Survey) -> None:
@@ -125,7 +69,7 @@ def habitat_map(axes: Axes, survey: Survey) -> None:
     for number, patch in enumerate(survey.patches, start=1):
         axes.add_patch(_outlined(survey, patch))
         if len(survey.patches) > 1:
-            x, y = east_north(survey, patch.rings[0]).T
+            x, y = east_north(survey.site, patch.rings[0]).T
             axes.text(
                 (x.min() + x.max()) / 2.0,
                 y.max(),
@@ -145,7 +89,7 @@ def habitat_map(axes: Axes, survey: Survey) -> None:
                 found.size,
                 np.zeros(len(found)),
                 units="xy",
-                offsets=east_north(survey, found.position[:, :2]),
+                offsets=east_north(survey.site, found.position[:, :2]),
                 transOffset=axes.transData,
                 facecolor=INDIVIDUAL,
                 edgecolor="white",
@@ -153,7 +97,7 @@ def habitat_map(axes: Axes, survey: Survey) -> None:
                 zorder=4,
             )
         )
-    track = east_north(survey, survey.track.position[:, :2])
+    track = east_north(survey.site, survey.track.position[:, :2])
     axes.plot(*track.T, color=TRACK, linewidth=1.1, zorder=5, alpha=0.85)
     for at, marker in ((0, "o"), (-1, "s")):
         if len(track):
@@ -188,7 +132,9 @@ def _outlined(survey: Survey, patch: Patch) -> Any:
     from matplotlib.path import Path
 
     # Holes turn the other way than outlines, which is how they stay empty.
-    shape = Path.make_compound_path(*(Path(east_north(survey, ring), closed=True) for ring in patch.rings))
+    shape = Path.make_compound_path(
+        *(Path(east_north(survey.site, ring), closed=True) for ring in patch.rings)
+    )
     edge = outline_color(survey.target)
     return PathPatch(
         shape,
@@ -250,97 +196,12 @@ def _ramp_map(
 
 
 def _show(axes: Axes, survey: Survey, picture: npt.NDArray[Any], **options: Any) -> Any:
-    """Draw a map, turned to the north, with its scale, arrow and box."""
-    from matplotlib.transforms import Affine2D
-
-    box = survey.layers.bounds
-    image = axes.imshow(
-        picture,
-        extent=(box.x_min, box.x_max, box.y_min, box.y_max),
-        origin="lower",
-        interpolation="nearest",
-        zorder=1,
-        **options,
-    )
-    heading = 0.0 if survey.site is None else survey.site.heading_deg
-    # The world's y axis bears `heading` clockwise from north.
-    image.set_transform(Affine2D().rotate_deg(-heading) + axes.transData)
-    ring = ring_around(survey.area)
-    axes.plot(*east_north(survey, ring).T, color=SOFT, linewidth=0.7, linestyle=(0, (4, 2)), zorder=2)
-    outer = np.array(
-        [
-            (box.x_min, box.y_min),
-            (box.x_max, box.y_min),
-            (box.x_max, box.y_max),
-            (box.x_min, box.y_max),
-        ]
-    )
-    corners = east_north(survey, np.concatenate([outer, ring]))
-    (west, south), (east, north) = corners.min(axis=0), corners.max(axis=0)
-    pad = 0.03 * max(east - west, north - south)
-    axes.set_xlim(west - pad, east + pad)
-    axes.set_ylim(south - pad, north + pad)
-    axes.set_aspect("equal")
-    axes.tick_params(labelsize=7.5, length=2.5)
-    if survey.site is None:
-        axes.set_xlabel("x, metres", fontsize=8)
-        axes.set_ylabel("y, metres", fontsize=8)
-    else:
-        axes.set_xlabel("metres east of the origin", fontsize=8)
-        axes.set_ylabel("metres north of the origin", fontsize=8)
-        _north(axes)
-    _scale(axes, east - west)
+    """A map of a survey, with the box that was asked for."""
+    ring, layers = ring_around(survey.area), survey.layers
+    around = np.concatenate([corners_of(layers.bounds), ring])
+    image = show_map(axes, survey.site, layers.bounds, picture, around, **options)
+    axes.plot(*east_north(survey.site, ring).T, color=SOFT, linewidth=0.7, linestyle=(0, (4, 2)), zorder=2)
     return image
-
-
-def _north(axes: Axes) -> None:
-    axes.annotate(
-        "N",
-        xy=(0.965, 0.975),
-        xytext=(0.965, 0.865),
-        xycoords="axes fraction",
-        ha="center",
-        va="center",
-        fontsize=9,
-        weight="bold",
-        arrowprops={"arrowstyle": "-|>,head_width=0.28,head_length=0.55", "color": INK, "linewidth": 1.2},
-        bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.75},
-        zorder=8,
-    )
-
-
-def _scale(axes: Axes, width: float) -> None:
-    """A bar of a round length, about a fifth of the map."""
-    length = scale_length(width)
-    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    x, y = left + 0.035 * (right - left), bottom + 0.035 * (top - bottom)
-    thick = 0.010 * (top - bottom)
-    axes.add_patch(
-        _rectangle(x - 0.4 * thick, y - 0.4 * thick, length + 0.8 * thick, 5.2 * thick, "white", 0.75, 7.0)
-    )
-    axes.add_patch(_rectangle(x, y, length / 2.0, thick, INK, 1.0, 8.0))
-    axes.add_patch(_rectangle(x + length / 2.0, y, length / 2.0, thick, "white", 1.0, 8.0))
-    axes.text(
-        x + length / 2.0, y + 1.6 * thick, f"{length:g} m", ha="center", va="bottom", fontsize=8, zorder=8
-    )
-
-
-def _rectangle(
-    x: float, y: float, width: float, height: float, color: str, alpha: float, order: float
-) -> Any:
-    from matplotlib.patches import Rectangle
-
-    edge = INK if alpha == 1.0 else "none"
-    return Rectangle(
-        (x, y), width, height, facecolor=color, edgecolor=edge, linewidth=0.6, alpha=alpha, zorder=order
-    )
-
-
-def scale_length(width: float) -> float:
-    """1, 2 or 5 times a power of ten, at most a fifth of `width`."""
-    most = width / 5.0
-    power = 10.0 ** math.floor(math.log10(most))
-    return next(power * step for step in (5.0, 2.0, 1.0) if power * step <= most * (1.0 + 1e-9))
 
 
 def size_figure(axes: Axes, survey: Survey) -> None:
@@ -420,8 +281,8 @@ def sea_floor(axes: Axes, picture: npt.NDArray[np.uint8], extent: tuple[float, f
     axes.tick_params(labelsize=7.5, length=2.5)
     axes.set_xlabel("metres east of the origin", fontsize=8)
     axes.set_ylabel("metres north of the origin", fontsize=8)
-    _north(axes)
-    _scale(axes, extent[1] - extent[0])
+    north_arrow(axes)
+    scale_bar(axes, extent[1] - extent[0])
 
 
 def series_figure(surveys: Sequence[Survey]) -> Figure:

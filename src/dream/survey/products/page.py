@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dream.survey.products import areas, figures, web, words
+from dream.survey.products import areas, figures, sheet, web, words
 from dream.survey.products.ground import Ground, site_of
 from dream.survey.products.mosaic import small
 from dream.survey.survey import Measure, Survey
@@ -94,7 +94,7 @@ def _measures(measures: Sequence[Measure]) -> str:
     rows = "".join(
         f"<tr><th scope='row'>{html.escape(words.meaning(m.name).title)}</th>"
         f"<td class='value'>{html.escape(words.value_text(m))}</td>"
-        f"<td class='interval'>{html.escape(words.interval_text(m))}</td>"
+        f"<td class='interval' data-is='95 %:'>{html.escape(words.interval_text(m))}</td>"
         f"<td class='meaning'>{html.escape(words.explained(m))}</td></tr>"
         for m in measures
     )
@@ -132,9 +132,9 @@ def _patches(survey: Survey) -> str:
 
 
 def _series(surveys: Sequence[Survey]) -> str:
-    with figures.settings():
+    with sheet.settings():
         picture = web.picture(
-            figures.svg(figures.series_figure(surveys)), "svg+xml", "How the main measures went"
+            sheet.svg(figures.series_figure(surveys)), "svg+xml", "How the main measures went"
         )
     lines = "".join(f"<p>{html.escape(line)}</p>" for line in words.trend_limits(surveys[-1].target))
     return (
@@ -154,16 +154,16 @@ def _sizes(survey: Survey) -> str:
 def _picture(
     survey: Survey, draw: Callable[[Axes, Survey], None], width: float, height: float, what: str
 ) -> str:
-    with figures.settings():
-        figure, axes = figures.new_figure(width, height)
+    with sheet.settings():
+        figure, axes = sheet.new_figure(width, height)
         draw(axes, survey)
-        return web.picture(figures.svg(figure), "svg+xml", what)
+        return web.picture(sheet.svg(figure), "svg+xml", what)
 
 
 def _sea_floor(survey: Survey, path: Path) -> str:
     picture, extent = small(path, Ground(site_of(survey)))
-    with figures.settings():
-        figure, axes = figures.new_figure(9.0, 7.0)
+    with sheet.settings():
+        figure, axes = sheet.new_figure(9.0, 7.0)
         figures.sea_floor(axes, picture, extent)
         buffer = io.BytesIO()
         figure.savefig(buffer, format="jpeg", dpi=150, pil_kwargs={"quality": 82})

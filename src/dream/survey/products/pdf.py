@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dream.survey.products import areas, figures, words
-from dream.survey.products.figures import GRID, SOFT
+from dream.survey.products import areas, figures, sheet, words
+from dream.survey.products.sheet import GRID, SOFT
 from dream.survey.survey import Survey
 from dream.types import Target
 
@@ -40,7 +40,7 @@ def write(survey: Survey, path: Path, surveys: Sequence[Survey] = ()) -> None:
     from matplotlib.backends.backend_pdf import PdfPages
 
     place = words.place(survey)
-    with figures.settings():
+    with sheet.settings():
         pages = list(_pages(survey, surveys))
         # A fixed date, so that the same survey gives the same bytes.
         about = {"Title": f"{place}: survey report", "Creator": "DREAM", "CreationDate": survey.began}

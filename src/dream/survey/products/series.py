@@ -13,7 +13,7 @@ from datetime import UTC
 from pathlib import Path
 
 from dream.survey import globe
-from dream.survey.products import figures
+from dream.survey.products import figures, sheet
 from dream.survey.products.tables import SIMULATED, harmless, plain
 from dream.survey.products.words import world
 from dream.survey.registration import SAME_PLACE
@@ -82,8 +82,8 @@ def write(surveys: Sequence[Survey], folder: Path) -> list[Path]:
     writer.writerow(COLUMNS)
     writer.writerows(_rows(surveys))
     table.write_text(text.getvalue(), encoding="utf-8")
-    with figures.settings():
-        picture.write_bytes(figures.png(figures.series_figure(surveys)))
+    with sheet.settings():
+        picture.write_bytes(sheet.png(figures.series_figure(surveys)))
     return [table, picture]
 
 
