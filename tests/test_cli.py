@@ -170,6 +170,7 @@ def test_a_planner_that_asks_a_model_is_chosen_and_explained_without_its_client_
         (["draw", "--world", "wreck/9"], 'no world "wreck/9". Of wreck/ there are: 1, 2, 3, 4, 5.'),
         (["draw", "--world", "wreck/12"], 'no world "wreck/12". Of wreck/ there are: 1, 2, 3, 4, 5.'),
         (["draw", "--world", "reef/99x"], 'no world "reef/99x". Of reef/ there are: fringing, string,'),
+        (["draw", "--world", "reef"], 'no world "reef". Of reef/ there are: fringing, string,'),
         (["draw", "--world", "reef/strin"], 'no world "reef/strin". Did you mean "reef/string"?'),
         (["draw", "--world", "wrek/2"], 'no world "wrek/2". Did you mean "wreck/2"?'),
         (["bench", "paepr"], 'no suite "paepr". Did you mean "paper"?'),

@@ -18,7 +18,7 @@ def look_up(table: Mapping[str, T], name: str, kind: str, *, see: str = "") -> T
     """
     if name in table:
         return table[name]
-    family = name[: name.find("/") + 1]
+    family = name[: name.find("/") + 1] or f"{name}/"
     if not any(one.startswith(family) for one in table):
         family = ""
     rest, others = name[len(family) :], [one[len(family) :] for one in table if one.startswith(family)]
