@@ -138,7 +138,7 @@ _Index = Annotated[int, Field(ge=0, le=10_000_000)]
 _Steps = Annotated[int, Field(ge=0, le=1000)]
 _Tour = Annotated[list[Annotated[int, Field(ge=0, le=255)]], Field(max_length=1000)]
 _Witnesses = Annotated[
-    list[Annotated[list[_Index], Field(min_length=1, max_length=10_000)]], Field(max_length=64)
+    list[Annotated[list[_Index], Field(min_length=1, max_length=10_000)]], Field(max_length=MOST)
 ]
 
 
@@ -348,7 +348,7 @@ def _better_bound(
     del seed  # Nothing is left to chance.
     number = {int(target): i for i, target in enumerate(graph.individuals)}
     # Larger ones were taken over from the other share: true, but weaker than those to be found.
-    own = [witness for witness in limit.witnesses if len(witness) == may_miss + 1]
+    own = [witness for witness in limit.witnesses if len(witness) <= may_miss + 1]
     witnesses = [tuple(number[target] for target in witness) for witness in own]
     tour = limit.tour if limit.best_tour is not None else None
     certificate = certify(

@@ -1,10 +1,13 @@
 """Certified lower bounds on the actions that any collision-free walk needs.
 
-A witness is a set of more individuals than may be missed, so every walk that is good enough sees one of them.
-The fewest actions to see one of each of some witnesses, found by an exact search over (pose, witnesses seen),
-are therefore a lower bound. Witnesses are added where the shortest walks past the present ones still miss too
-much, until such a walk misses no more than allowed (then it is an optimum), or no walk of that length passes
-all of them (then the bound grows), or the budget is spent.
+A witness is a set of individuals; it is heard when one of them is seen. A walk misses all individuals of
+the witnesses that it does not hear, so one that is good enough hears so many that the others hold no more
+than may be missed. The fewest actions to hear so many of some witnesses, found by an exact search over (pose,
+witnesses heard), are therefore a lower bound. Witnesses are added where the shortest walks that hear enough
+of the present ones still miss too much, until such a walk misses no more than allowed (then it is an
+optimum), or no walk of that length hears enough (then the bound grows), or the budget is spent.
+
+Small witnesses say what a large one cannot: which of many places are left out together.
 
 What makes the search short: every round knows, from the round before it, which states a walk within the limit
 can pass at all, and at least how many actions each of them lacks. It looks only there.
@@ -29,9 +32,11 @@ Witness = tuple[int, ...]
 
 CORE = 9
 """Witnesses with an exact table of the actions to go for every set of them: 512 rows."""
-NEW = 4
-"""Witnesses added in one round, at most."""
-MOST = 64
+PARTS = 4
+"""Witnesses that what may be missed is cut into: more of them bind a walk closer, and fill a mask sooner."""
+NEW = 2
+"""Witnesses from which on a round adds no more."""
+MOST = 128
 """Witnesses in all: the bits of a mask."""
 SPARE = 4
 """How much more a state counts that leaves one more action to spare, when a bottleneck is looked for."""
@@ -39,8 +44,8 @@ WIDTH = 100
 """Walks kept at a time in looking for one that sees much."""
 LARGE = 1_000_000
 """States of a proof from which it is worth while to look for a better core."""
-ROOM = 80_000_000
-"""States that a search may hold: 1.3 GB, twice that to find the steps to go, 0.6 GB of fronts."""
+ROOM = 60_000_000
+"""States that a search may hold: 1.4 GB, twice that to find the steps to go, 1 GB of fronts."""
 CHUNK = 20_000
 """States expanded between two looks at the clock."""
 LONGEST = search.FAR - 1
@@ -54,8 +59,8 @@ class Certificate:
     length: int
     """No walk from `graph.start` with fewer actions leaves at most `may_miss` individuals unseen."""
     witnesses: tuple[Witness, ...]
-    """Each a set of `may_miss` + 1 individuals, as indices into `graph.individuals`, of which every walk that
-    leaves at most `may_miss` unseen sees one. No walk with fewer actions than `length` sees one of each."""
+    """Each a set of individuals, as indices into `graph.individuals`. On every walk with fewer actions than
+    `length`, those of which it sees nothing hold more than `may_miss` individuals."""
     walks: tuple[tuple[int, ...], ...]
     """Shortest walks past the witnesses of a round, as actions, those that see most; the last one is an
     optimum where it has `length` actions and leaves at most `may_miss` unseen."""
@@ -99,7 +104,7 @@ def certify(
         raise ValueError(
             f"tour: expected a walk that misses at most {may_miss} individuals, got one that misses {lacking}"
         )
-    _check_witnesses(witnesses, may_miss, unseen)
+    _check_witnesses(witnesses, unseen)
     if length < 0:
         raise ValueError(f"length: expected 0 or more, got {length}")
     if len(unseen) <= may_miss:
@@ -121,16 +126,16 @@ def certify(
 
 
 def verify(graph: PoseGraph, may_miss: int, witnesses: Sequence[Sequence[int]], length: int) -> bool:
-    """Does no walk with fewer than `length` actions see one of each witness? Searches again, wholly.
+    """Does no walk with fewer than `length` actions hear enough of the witnesses? Searches again, wholly.
 
     How the witnesses were found plays no part: the first few get a table, the others are added in turn to an
     exact search for walks of `length` − 1 actions, until there is none or no witness is left.
 
     Raises:
-        ValueError: `may_miss` is negative, or a witness has too few individuals, or one that the look-around
-            shows or that does not exist, or there are more than 64 of them.
+        ValueError: `may_miss` is negative, or a witness is empty, or has an individual that the look-around
+            shows or that does not exist, or there are more than 128 of them.
     """
-    _check_witnesses(witnesses, may_miss, _unseen(graph, may_miss))
+    _check_witnesses(witnesses, _unseen(graph, may_miss))
     if length <= 0 or not witnesses:
         return length <= 0
     if length > LONGEST:
@@ -138,13 +143,7 @@ def verify(graph: PoseGraph, may_miss: int, witnesses: Sequence[Sequence[int]], 
     product = _Product(graph, may_miss, float("inf"))
     for witness in witnesses[:CORE]:
         product.add(witness)
-    known = product.search(length - 1, NOTHING)
-    for witness in witnesses[CORE:]:
-        if known is None:
-            return True
-        product.add(witness)
-        known = product.search(length - 1, known)
-    return known is None
+    return product.past(length - 1, [tuple(witness) for witness in witnesses[CORE:]]) is None
 
 
 class _SpentError(Exception):
@@ -196,14 +195,13 @@ def _unseen(graph: PoseGraph, may_miss: int) -> list[int]:
     return _members(_everything(graph) & ~graph.shown)
 
 
-def _check_witnesses(witnesses: Sequence[Sequence[int]], may_miss: int, unseen: Sequence[int]) -> None:
+def _check_witnesses(witnesses: Sequence[Sequence[int]], unseen: Sequence[int]) -> None:
     if len(witnesses) > MOST:
         raise ValueError(f"witnesses: expected at most {MOST}, got {len(witnesses)}")
     for k, witness in enumerate(witnesses):
-        if len(set(witness)) <= may_miss or not set(unseen).issuperset(witness):
+        if not witness or not set(unseen).issuperset(witness):
             raise ValueError(
-                f"witness {k}: expected {may_miss + 1} individuals that the look-around does not show, "
-                f"got {list(witness)}"
+                f"witness {k}: expected individuals that the look-around does not show, got {list(witness)}"
             )
 
 
@@ -211,12 +209,12 @@ def _check_witnesses(witnesses: Sequence[Sequence[int]], may_miss: int, unseen: 
 class _Known:
     """The states of a search that walks within its limit pass, pose after pose."""
 
-    bits: np.uint64
-    """Its witnesses."""
+    bits: UInt64Array
+    """(2,) its witnesses."""
     first: Int64Array
     """(P + 1,) the first of the states at each pose."""
     mask: UInt64Array
-    """Witnesses that each has seen."""
+    """(n, 2) witnesses that each has heard."""
     since: UInt8Array
     """After how many actions."""
     steps: UInt8Array
@@ -226,9 +224,9 @@ class _Known:
 
 
 NOTHING = _Known(
-    np.uint64(0),
+    np.zeros(2, np.uint64),
     np.zeros(0, np.int64),
-    np.zeros(0, np.uint64),
+    np.zeros((0, 2), np.uint64),
     np.zeros(0, np.uint8),
     np.zeros(0, np.uint8),
     np.zeros(0, np.int32),
@@ -236,7 +234,7 @@ NOTHING = _Known(
 
 
 class _Product:
-    """The graph times the sets of witnesses seen, the first of them, the core, with an exact table."""
+    """The graph times the sets of witnesses heard, the first of them, the core, with an exact table."""
 
     def __init__(self, graph: PoseGraph, may_miss: int, until: float) -> None:
         self.graph = graph
@@ -246,16 +244,20 @@ class _Product:
         self.back = self.arcs.reversed
         poses = len(graph.arcs)
         self.witnesses: list[Witness] = []
+        self.members = np.zeros((MOST, len(graph.shown)), np.uint64)
         self.core = 0
-        self.seen = np.zeros(poses, np.uint64)
+        self.seen = np.zeros((poses, 2), np.uint64)
         self.expanded = 0
-        # Memory that is never touched costs nothing. One row for every set of the core and one more witness.
+        # Memory that is never touched costs nothing. One row for every set of the core and one more witness:
+        # the actions to hear all of it.
         self.table = np.empty((2 << CORE, poses), np.uint8)
         self.table[0] = 0
+        # One for every set of the core: to hear enough of it.
+        self.least = np.zeros((1 << CORE, poses), np.uint8)
         self.pose = np.empty(ROOM, np.int32)
-        self.mask = np.empty(ROOM, np.uint64)
+        self.mask = np.empty((ROOM, 2), np.uint64)
         self.parent = np.empty(ROOM, np.int32)
-        self.front = np.empty(ROOM, np.uint64)
+        self.front = np.empty((ROOM, 2), np.uint64)
 
     def add(self, witness: Sequence[int]) -> None:
         """One more witness: into the core while there is room, else behind it."""
@@ -263,33 +265,68 @@ class _Product:
         bits = _bits(witness, len(self.graph.shown))
         words = np.flatnonzero(bits)
         watching = ((self.graph.views[:, words] & bits[words]) != 0).any(axis=1)
-        self.seen[watching] |= np.uint64(1 << len(self.witnesses))
+        word, bit = divmod(len(self.witnesses), 64)
+        self.seen[watching, word] |= np.uint64(1 << bit)
+        self.members[len(self.witnesses)] = bits
         self.witnesses.append(tuple(witness))
         if self.core < CORE:
             self._fill_table()
             self.core += 1
+            self._fill_least()
+
+    def _fill_least(self) -> None:
+        spared = self._spared(self.core)
+        for wanted in range(1 << self.core):
+            self.least[wanted] = self._least(wanted, spared)
+
+    def _spared(self, count: int) -> list[bool]:
+        """Of every set of the first witnesses, whether all of their individuals may be missed."""
+        union = np.zeros((1 << count, self.members.shape[1]), np.uint64)
+        for k in range(count):
+            union[1 << k : 2 << k] = union[: 1 << k] | self.members[k]
+        return [int(row.sum()) <= self.may_miss for row in np.bitwise_count(union)]
+
+    def _least(self, wanted: int, spared: Sequence[bool]) -> UInt8Array:
+        """Fewest actions from every pose to hear so many of the wanted that the others may be missed."""
+        row: UInt8Array = self.table[wanted].copy()
+        left = wanted
+        while left:
+            if spared[left]:
+                np.minimum(row, self.table[wanted & ~left], out=row)
+            left = (left - 1) & wanted
+        return row
+
+    def unheard(self, sight: UInt64Array) -> UInt64Array:
+        """(..., W) individuals of the witnesses of which walks with this sight, (..., W), see nothing."""
+        members = self.members[: len(self.witnesses)]
+        silent = ((sight[..., None, :] & members) == 0).all(axis=-1)
+        hidden: UInt64Array = np.bitwise_or.reduce(np.where(silent[..., None], members, 0), axis=-2)
+        return hidden
 
     def _fill_table(self) -> None:
         """The rows of all sets with the witness after those of the core."""
         sets = 1 << self.core
-        search.extend_table(self.back.first, self.back.to, self.seen, self.table, sets, 2 * sets)
+        seen = np.ascontiguousarray(self.seen[:, 0])
+        search.extend_table(self.back.first, self.back.to, seen, self.table, sets, 2 * sets)
 
     def forget(self) -> None:
         """Keep only the core."""
         del self.witnesses[self.core :]
-        self.seen &= np.uint64((1 << self.core) - 1)
+        self.seen &= np.array([(1 << self.core) - 1, 0], np.uint64)
 
     def swap(self) -> bool:
         """Take the last witness into the full core for the one least missed; False if it is itself."""
         self.check_time()
         one, last = np.uint64(1), len(self.witnesses) - 1
-        newest = (self.seen >> np.uint64(last)) & one
-        self.seen = (self.seen & np.uint64((1 << CORE) - 1)) | (newest << np.uint64(CORE))
+        newest = (self.seen[:, last // 64] >> np.uint64(last % 64)) & one
+        self.seen[:, 0] = (self.seen[:, 0] & np.uint64((1 << CORE) - 1)) | (newest << np.uint64(CORE))
+        self.seen[:, 1] = 0
         self._fill_table()
-        every = (2 << CORE) - 1
+        self.members[CORE] = self.members[last]
+        every, spared = (2 << CORE) - 1, self._spared(CORE + 1)
 
         def worth(without: int) -> tuple[int, int, int]:
-            row = self.table[every & ~(1 << without)]
+            row = self._least(every & ~(1 << without), spared)
             return int(row[self.graph.start]), int(row.sum(dtype=np.int64)), without
 
         out = max(range(CORE + 1), key=worth)
@@ -298,16 +335,20 @@ class _Product:
         if out < CORE:
             for row in range(1 << CORE):
                 self.table[row] = self.table[(row & low) | ((row & ~low) << 1)]
-        self.seen = (self.seen & np.uint64(low)) | ((self.seen >> one) & ~np.uint64(low))
+        seen = self.seen[:, 0]
+        self.seen[:, 0] = (seen & np.uint64(low)) | ((seen >> one) & ~np.uint64(low))
         del self.witnesses[out]
+        self.members[out:CORE] = self.members[out + 1 : CORE + 1].copy()
+        if out < CORE:
+            self._fill_least()
         return out < CORE
 
     def core_length(self) -> int:
-        """Fewest actions from the start past the core."""
-        return int(self.table[(1 << self.core) - 1, self.graph.start])
+        """Fewest actions from the start to hear enough of the core."""
+        return int(self.least[(1 << self.core) - 1, self.graph.start])
 
     def search(self, limit: int, known: _Known) -> _Known | None:
-        """What walks of at most `limit` actions past all witnesses pass; None where there are none.
+        """What walks of at most `limit` actions that hear enough pass; None where there are none.
 
         Args:
             limit: Actions.
@@ -315,7 +356,8 @@ class _Product:
         """
         self.check_time()
         poses, start = len(self.seen), self.graph.start
-        full = np.uint64((1 << len(self.witnesses)) - 1)
+        full = (1 << len(self.witnesses)) - 1
+        bits = np.array([full & (1 << 64) - 1, full >> 64], np.uint64)
         if self.core_length() > limit:
             return None
         front_at, front_size = np.zeros(poses, np.int64), np.zeros(poses, np.int32)
@@ -331,7 +373,7 @@ class _Product:
                     self.arcs.to,
                     self.seen,
                     limit,
-                    self.table,
+                    self.least,
                     self.core,
                     known.bits,
                     known.first,
@@ -365,14 +407,28 @@ class _Product:
             self.back.first,
             self.back.to,
             self.seen,
-            full,
+            self.members[: len(self.witnesses)],
+            self.may_miss,
             limit,
             total,
             self.pose,
             self.mask,
             np.array(layers, np.int64),
         )
-        return _Known(full, first, mask, since, steps, state) if len(mask) else None
+        return _Known(bits, first, mask, since, steps, state) if len(mask) else None
+
+    def past(self, limit: int, witnesses: Sequence[Witness]) -> _Known | None:
+        """The same with the core and then these witnesses, and no others."""
+        self.forget()
+        known = self.search(limit, NOTHING)
+        # Not all at once: what is known of the first ones keeps the search for the next ones small.
+        for k in range(0, len(witnesses), NEW):
+            if known is None:
+                return None
+            for witness in witnesses[k : k + NEW]:
+                self.add(witness)
+            known = self.search(limit, known)
+        return known
 
     def best_walks(self, known: _Known) -> tuple[list[list[int]], UInt64Array]:
         """Poses of walks of the last search that see much, and what each has seen, the best first.
@@ -382,7 +438,7 @@ class _Product:
         """
         graph = self.graph
         where = np.repeat(np.arange(len(self.seen), dtype=np.int32), np.diff(known.first))
-        goals = np.flatnonzero(known.mask == known.bits)
+        goals = np.flatnonzero(known.steps == 0)
         length = int(known.since[goals].max())
         place = goals[known.since[goals] == length][: 10 * WIDTH]
         sight = graph.views[where[place]] | graph.shown
@@ -450,10 +506,10 @@ class _Product:
         )
         return tuple(sorted([int(order[0]), *others.tolist()]))
 
-    def bottleneck(self, missed: Sequence[int], known: _Known, limit: int) -> Witness:
-        """A witness among the missed individuals that few of the states in each layer see.
+    def bottlenecks(self, missed: Sequence[int], known: _Known, limit: int, size: int) -> list[Witness]:
+        """Witnesses of `size` missed individuals together, which few of the states in each layer hear.
 
-        Not one of the earlier witnesses' individuals, if it can be.
+        None of the earlier witnesses' individuals, if it can be.
         """
         spare = np.minimum(limit - known.since.astype(np.int64) - known.steps, 10)
         share = SPARE**spare
@@ -463,14 +519,20 @@ class _Product:
         lost = set(_members(~np.bitwise_or.reduce(self.graph.views[passed], axis=0)))
         used = {i for witness in self.witnesses for i in witness}
         fresh = [i for i in missed if i in lost or i not in used]
-        chosen, _ = search.least_watched(
-            self.graph.views[passed],
-            weights[passed],
-            np.array(fresh if len(fresh) > self.may_miss else missed, np.int64),
-            len(self.graph.individuals),
-            self.may_miss + 1,
-        )
-        return tuple(sorted(chosen.tolist()))
+        left = np.array(fresh if len(fresh) >= size else missed, np.int64)
+        part = -(-(self.may_miss + 1) // PARTS)
+        found = []
+        for begin in range(0, size, part):
+            chosen, _ = search.least_watched(
+                self.graph.views[passed],
+                weights[passed],
+                left,
+                len(self.graph.individuals),
+                min(part, size - begin),
+            )
+            found.append(tuple(sorted(chosen.tolist())))
+            left = left[~np.isin(left, chosen)]
+        return found
 
     def actions(self, poses: Sequence[int]) -> tuple[int, ...]:
         """The actions between the poses of a walk."""
@@ -536,24 +598,10 @@ class _Proof:
             self._use_all(limit + 1)
             return False
         if limit > self.length:
-            if self._past(limit - 1, self.product.witnesses[CORE:]) is not None:
+            if self.product.past(limit - 1, self.product.witnesses[CORE:]) is not None:
                 return False
             self._use_all(limit)
         return True
-
-    def _past(self, limit: int, witnesses: Sequence[Witness]) -> _Known | None:
-        """What walks of at most `limit` actions past the core and then the witnesses pass; None: no walk."""
-        product = self.product
-        product.forget()
-        known = product.search(limit, NOTHING)
-        # Not all at once: what is known of the first ones keeps the search for the next ones small.
-        for k in range(0, len(witnesses), NEW):
-            if known is None:
-                return None
-            for witness in witnesses[k : k + NEW]:
-                product.add(witness)
-            known = product.search(limit, known)
-        return known
 
     def _use_all(self, length: int) -> None:
         """Take over a bound that all present witnesses certify, and improve the core for the next."""
@@ -568,7 +616,7 @@ class _Proof:
         """Add witnesses until a walk of `limit` actions at most will do: True, or none is left: False."""
         product = self.product
         product.expanded = 0
-        known = self._past(limit, witnesses)
+        known = product.past(limit, witnesses)
         while known is not None:
             found, sight = product.best_walks(known)
             if self._optimal(found, sight):
@@ -580,16 +628,18 @@ class _Proof:
                 self._use_core()
                 known = product.search(limit, NOTHING)
                 continue
-            for _ in range(NEW):
-                missed = self._missed(sight[0])
-                if len(missed) <= product.may_miss:
+            most = min(len(product.witnesses) + NEW, MOST)
+            while len(sight) and len(product.witnesses) < most:
+                unheard = product.unheard(sight[0])
+                size = product.may_miss + 1 - int(np.bitwise_count(unheard).sum())
+                missed = _members(self.everything & ~sight[0] & ~unheard)
+                if len(missed) < size:
                     break
-                witness = product.bottleneck(missed, known, limit)
-                product.add(witness)
-                # The next one is for the best of the walks that see this one.
-                sight = sight[(sight & _bits(witness, sight.shape[1])).any(axis=1)]
-                if not len(sight) or len(product.witnesses) == MOST:
-                    break
+                room = MOST - len(product.witnesses)
+                for witness in product.bottlenecks(missed, known, limit, size)[:room]:
+                    product.add(witness)
+                # The next ones are for the best of the walks that hear enough of these.
+                sight = sight[np.bitwise_count(product.unheard(sight)).sum(axis=-1) <= product.may_miss]
             known = product.search(limit, known)
         return False
 

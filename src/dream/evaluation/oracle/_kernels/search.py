@@ -1,6 +1,7 @@
-"""Exact searches over (pose, witnesses seen): distance tables, layers without the dominated, steps to go.
+"""Exact searches over (pose, witnesses heard): distance tables, layers without the dominated, steps to go.
 
-Arcs come as two arrays: those of pose p are `to[first[p] : first[p + 1]]`. Witness i is bit i of a mask.
+Arcs come as two arrays: those of pose p are `to[first[p] : first[p + 1]]`. A mask has two words: witness i is
+bit i % 64 of word i // 64.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -14,6 +15,12 @@ FAR = 255
 """In a table: this many actions or more, or never."""
 
 
+@njit(cache=True, nogil=True, inline="always")
+def within(a, b, c, d):
+    """Does a mask of the words (a, b) hold nothing that one of (c, d) does not?"""
+    return (a & ~c) | (b & ~d) == np.uint64(0)
+
+
 @njit(cache=True, nogil=True)
 def extend_table(first_back, back, seen, table, old, new):
     """Fewest actions from every pose to see all of a set of witnesses, for sets `old` to `new` − 1.
@@ -21,7 +28,7 @@ def extend_table(first_back, back, seen, table, old, new):
     Args:
         first_back: (P + 1,) int64, of the arcs turned round.
         back: (E,) int32, likewise.
-        seen: (P,) uint64 witnesses that each pose sees.
+        seen: (P,) uint64 witnesses that each pose sees, in one word.
         table: (≥ new, P) uint8, row `set` for that set as a mask; the rows below `old` are filled, row 0 with
             zeros. At most `FAR`.
         old: First set to fill, above 0.
@@ -79,22 +86,22 @@ def extend_table(first_back, back, seen, table, old, new):
 
 
 @njit(cache=True, nogil=True)
-def least_steps(known_first, known_mask, known_since, known_steps, known_bits, s, m, layer):
+def least_steps(known_first, known_mask, known_since, known_steps, known_bits, s, low, high, layer):
     """At least so many actions a state lacks by an earlier search, `FAR` for more than the limit left it.
 
     Had the earlier search let it pass, then it kept the state itself, or one that had seen as much no later.
     """
-    part = m & known_bits
-    if part == known_bits:
+    low, high = low & known_bits[0], high & known_bits[1]
+    if low == known_bits[0] and high == known_bits[1]:
         return 0
     least = np.int64(0)
     passed = False
     for j in range(known_first[s], known_first[s + 1]):
-        if part & ~known_mask[j] == np.uint64(0):
+        if within(low, high, known_mask[j, 0], known_mask[j, 1]):
             if known_steps[j] > least:
                 least = np.int64(known_steps[j])
             passed = passed or known_since[j] <= layer
-            if part == known_mask[j]:
+            if low == known_mask[j, 0] and high == known_mask[j, 1]:
                 break
     return least if passed else FAR
 
@@ -127,21 +134,22 @@ def expand(
 ):
     """Carry the states `low` to `high` − 1, all in `layer`, one action on.
 
-    A state is a pose and the witnesses seen on a way there. It is dropped where the way on is known to be
-    too long for `limit`, and where a state at the same pose has seen as much after no more actions. A state
-    that has seen all is carried on too: it may stand for others that have not.
+    A state is a pose and the witnesses heard on a way there. It is dropped where the way on is known to be
+    too long for `limit`, and where a state at the same pose has heard as much after no more actions. A state
+    that has heard enough is carried on too: it may stand for others that have not.
 
     Args:
         first: (P + 1,) int64, of the arcs.
         to: (E,) int32, likewise.
-        seen: (P,) uint64 witnesses that each pose sees.
+        seen: (P, 2) uint64 witnesses that each pose sees.
         limit: Actions that a whole walk may have.
-        table: (2**table_bits, P) uint8 as of `extend_table`, for the lowest witnesses.
+        table: (2**table_bits, P) uint8 at least so many actions to go where these of the lowest witnesses
+            were not heard.
         table_bits: How many these are.
-        known_bits: uint64, the witnesses of an earlier search with the same limit.
+        known_bits: (2,) uint64, the witnesses of an earlier search with the same limit.
         known_first: (P + 1,) int64 its states at each pose that some walk within the limit passes; (0,) where
             there is none.
-        known_mask: uint64, what these had seen.
+        known_mask: (…, 2) uint64, what these had heard.
         known_since: uint8, after how many actions.
         known_steps: uint8, at least so many actions they lack.
         layer: Actions so far.
@@ -149,12 +157,12 @@ def expand(
         high: One after the last.
         count: Number of states.
         pose: (room,) int32 of each state.
-        mask: (room,) uint64 witnesses it has seen.
+        mask: (room, 2) uint64 witnesses it has heard.
         parent: (room,) int32 the state before.
         front_at: (P,) int64 where in `front` the list of a pose begins.
         front_size: (P,) int32 its length.
         front_room: (P,) int32 its capacity.
-        front: (room,) uint64 masks at a pose, none of them a part of another.
+        front: (room, 2) uint64 masks at a pose, none of them a part of another.
         used: Entries of `front` in use.
 
     Returns:
@@ -163,32 +171,30 @@ def expand(
     """
     rest = limit - layer - 1
     ones = np.uint64((1 << table_bits) - 1)
-    zero = np.uint64(0)
     remembers = len(known_first) > 0
     for k in range(low, high):
-        have = mask[k]
         for e in range(first[pose[k]], first[pose[k] + 1]):
             s = to[e]
-            m = have | seen[s]
+            m, n = mask[k, 0] | seen[s, 0], mask[k, 1] | seen[s, 1]
             if table[np.int64(ones & ~m), s] > rest:
                 continue
             if remembers and (
-                least_steps(known_first, known_mask, known_since, known_steps, known_bits, s, m, layer + 1)
+                least_steps(known_first, known_mask, known_since, known_steps, known_bits, s, m, n, layer + 1)
                 > rest
             ):
                 continue
             at, size = front_at[s], front_size[s]
             dominated = False
             for j in range(at, at + size):
-                if m & ~front[j] == zero:
+                if within(m, n, front[j, 0], front[j, 1]):
                     dominated = True
                     break
             if dominated:
                 continue
             kept = at
             for j in range(at, at + size):
-                if front[j] & ~m != zero:
-                    front[kept] = front[j]
+                if not within(front[j, 0], front[j, 1], m, n):
+                    front[kept, 0], front[kept, 1] = front[j, 0], front[j, 1]
                     kept += 1
             size = kept - at
             if size == front_room[s]:
@@ -196,17 +202,17 @@ def expand(
                 if used + room > len(front):
                     return -1, used
                 for j in range(size):
-                    front[used + j] = front[at + j]
+                    front[used + j, 0], front[used + j, 1] = front[at + j, 0], front[at + j, 1]
                 front_at[s] = used
                 front_room[s] = room
                 at = used
                 used += room
-            front[at + size] = m
+            front[at + size, 0], front[at + size, 1] = m, n
             front_size[s] = size + 1
             if count == len(pose):
                 return -1, used
             pose[count] = s
-            mask[count] = m
+            mask[count, 0], mask[count, 1] = m, n
             parent[count] = k
             count += 1
     return count, used
@@ -219,9 +225,9 @@ def drop_dominated(low, count, pose, mask, parent, front_at, front_size, front):
     for k in range(low, count):
         s = pose[k]
         for j in range(front_at[s], front_at[s] + front_size[s]):
-            if front[j] == mask[k]:
+            if front[j, 0] == mask[k, 0] and front[j, 1] == mask[k, 1]:
                 pose[kept] = s
-                mask[kept] = mask[k]
+                mask[kept, 0], mask[kept, 1] = mask[k, 0], mask[k, 1]
                 parent[kept] = parent[k]
                 kept += 1
                 break
@@ -229,23 +235,56 @@ def drop_dominated(low, count, pose, mask, parent, front_at, front_size, front):
 
 
 @njit(cache=True, nogil=True)
-def steps_to_go(first_back, back, seen, full, limit, count, pose, mask, layer_first):
+def ones_of(word):
+    """Number of bits set in a uint64."""
+    x = word
+    x = x - ((x >> np.uint64(1)) & np.uint64(0x5555555555555555))
+    x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
+    x = (x + (x >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return np.int64((x * np.uint64(0x0101010101010101)) >> np.uint64(56))
+
+
+@njit(cache=True, nogil=True)
+def hears_enough(members, mask, may_miss, together):
+    """Do the witnesses that are not in `mask` hold no more individuals than may be missed?
+
+    Args:
+        members: (K, W) uint64 individuals of each witness.
+        mask: (2,) uint64 witnesses that were heard.
+        may_miss: Individuals that may stay unseen.
+        together: (W,) uint64, overwritten.
+    """
+    together[:] = np.uint64(0)
+    for k in range(len(members)):
+        if mask[k // 64] >> np.uint64(k % 64) & np.uint64(1) == np.uint64(0):
+            missed = np.int64(0)
+            for w in range(len(together)):
+                together[w] |= members[k, w]
+                missed += ones_of(together[w])
+            if missed > may_miss:
+                return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def steps_to_go(first_back, back, seen, members, may_miss, limit, count, pose, mask, layer_first):
     """The states of a finished search that a walk within the limit passes, with the actions they lack.
 
     Args:
         first_back: (P + 1,) int64, of the arcs turned round.
         back: (E,) int32, likewise.
-        seen: (P,) uint64 witnesses that each pose sees.
-        full: uint64 all witnesses.
+        seen: (P, 2) uint64 witnesses that each pose sees.
+        members: (K, W) uint64 individuals of each witness.
+        may_miss: Individuals that may stay unseen.
         limit: Actions that a whole walk may have.
         count: Number of states.
         pose: (≥ count,) int32 of each state.
-        mask: (≥ count,) uint64 witnesses it has seen.
+        mask: (≥ count, 2) uint64 witnesses it has heard.
         layer_first: (layers + 1,) int64 first state of each layer.
 
     Returns:
         at: (P + 1,) int64 the first of the states below at each pose.
-        masks: (K,) uint64 witnesses that each has seen.
+        masks: (K, 2) uint64 witnesses that each has heard.
         since: (K,) uint8 after how many actions.
         steps: (K,) uint8 at least so many actions it lacks.
         state: (K,) int32 which one it is.
@@ -257,27 +296,27 @@ def steps_to_go(first_back, back, seen, full, limit, count, pose, mask, layer_fi
     for s in range(poses):
         at[s + 1] += at[s]
     end = at[:-1].copy()
-    masks = np.empty(count, np.uint64)
+    masks = np.empty((count, 2), np.uint64)
     layer_of = np.empty(count, np.int16)
     place, state = np.empty(count, np.int32), np.empty(count, np.int32)
     now, later = np.empty(count, np.int32), np.empty(count, np.int32)
     n_now = 0
     steps = np.full(count, -1, np.int16)
+    together = np.empty(members.shape[1], np.uint64)
     for layer in range(len(layer_first) - 1):
         for k in range(layer_first[layer], layer_first[layer + 1]):
             j = end[pose[k]]
             end[pose[k]] += 1
-            masks[j] = mask[k]
+            masks[j, 0], masks[j, 1] = mask[k, 0], mask[k, 1]
             layer_of[j] = layer
             place[j] = pose[k]
             state[j] = k
-            if mask[k] == full:
+            if hears_enough(members, mask[k], may_miss, together):
                 steps[j] = 0
                 now[n_now] = j
                 n_now += 1
     # Of each pose, the states without steps yet.
     waiting = np.arange(count).astype(np.int32)
-    zero = np.uint64(0)
     lack = 0
     while n_now > 0:
         lack += 1
@@ -293,7 +332,9 @@ def steps_to_go(first_back, back, seen, full, limit, count, pose, mask, layer_fi
                     if steps[i] >= 0 or layer_of[i] + lack > limit:
                         continue
                     # The state after i is j, or was dropped for j's sake.
-                    if layer_of[j] <= layer_of[i] + 1 and (masks[i] | seen[s]) & ~masks[j] == zero:
+                    if layer_of[j] <= layer_of[i] + 1 and within(
+                        masks[i, 0] | seen[s, 0], masks[i, 1] | seen[s, 1], masks[j, 0], masks[j, 1]
+                    ):
                         steps[i] = lack
                         later[n_later] = i
                         n_later += 1
@@ -310,7 +351,7 @@ def steps_to_go(first_back, back, seen, full, limit, count, pose, mask, layer_fi
         at[s] = kept
         for j in range(begin, stop):
             if steps[j] >= 0:
-                masks[kept] = masks[j]
+                masks[kept, 0], masks[kept, 1] = masks[j, 0], masks[j, 1]
                 layer_of[kept] = layer_of[j]
                 state[kept] = state[j]
                 steps[kept] = steps[j]
@@ -324,16 +365,6 @@ def steps_to_go(first_back, back, seen, full, limit, count, pose, mask, layer_fi
         steps[:kept].astype(np.uint8),
         state[:kept].copy(),
     )
-
-
-@njit(cache=True, nogil=True)
-def ones_of(word):
-    """Number of bits set in a uint64."""
-    x = word
-    x = x - ((x >> np.uint64(1)) & np.uint64(0x5555555555555555))
-    x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
-    x = (x + (x >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
-    return np.int64((x * np.uint64(0x0101010101010101)) >> np.uint64(56))
 
 
 @njit(cache=True, nogil=True)
@@ -358,17 +389,17 @@ def before(
     Args:
         first_back: (P + 1,) int64, of the arcs turned round.
         back: (E,) int32, likewise.
-        seen: (P,) uint64 witnesses that each pose sees.
+        seen: (P, 2) uint64 witnesses that each pose sees.
         views: (P, W) uint64 individuals that each pose sees.
         layer: Actions up to the states looked for.
         known_first: (P + 1,) int64 the first of the states at each pose.
-        known_mask: uint64, witnesses that these had seen.
+        known_mask: (…, 2) uint64, witnesses that these had heard.
         known_since: uint8, after how many actions.
         known_state: int32, their places in `pose` and `parent`.
         pose: int32 of each state.
         parent: int32 the state before.
         ends: (K,) int32 poses from which the walks are known.
-        masks: (K,) uint64 witnesses seen up to there.
+        masks: (K, 2) uint64 witnesses heard up to there.
         sight: (K, W) uint64 individuals seen from there on.
 
     Returns:
@@ -389,7 +420,11 @@ def before(
         for e in range(first_back[s], first_back[s + 1]):
             p = back[e]
             for j in range(known_first[p], known_first[p + 1]):
-                if known_since[j] != layer or (known_mask[j] | seen[s]) != masks[k]:
+                if (
+                    known_since[j] != layer
+                    or known_mask[j, 0] | seen[s, 0] != masks[k, 0]
+                    or known_mask[j, 1] | seen[s, 1] != masks[k, 1]
+                ):
                     continue
                 all_seen[:] = sight[k]
                 at = known_state[j]
