@@ -633,8 +633,6 @@ class _Proof:
                 unheard = product.unheard(sight[0])
                 size = product.may_miss + 1 - int(np.bitwise_count(unheard).sum())
                 missed = _members(self.everything & ~sight[0] & ~unheard)
-                if len(missed) < size:
-                    break
                 room = MOST - len(product.witnesses)
                 for witness in product.bottlenecks(missed, known, limit, size)[:room]:
                     product.add(witness)
