@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from dream.live import server
 from dream.live.doors import Doors
+from dream.live.folders import Watched
 from dream.live.server import listen, serve
 from tests.live.runs import STEPS, Growing
 
@@ -201,6 +203,22 @@ def test_a_connection_that_nobody_answers_is_given_up(
     with connection:
         counter(page, 4, 4)
     expect(page.locator("#lost")).to_be_hidden()
+
+
+def test_a_server_that_still_reads_is_waited_for(
+    page: Page, show: Callable[..., Shown], growing: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Longer than a connection that nobody answers is waited for."""
+    look = Watched.look
+
+    def slow(watched: Watched) -> None:
+        time.sleep(0.0 if len(list(watched)) else 9.0)
+        look(watched)
+
+    monkeypatch.setattr(Watched, "look", slow)
+    run = growing().write(2)
+    page.goto(show(run.folder).address)
+    counter(page, 1, 1)
 
 
 def test_missions_stand_side_by_side_and_new_ones_appear(

@@ -7,6 +7,7 @@ import json
 import logging
 import re
 import socket
+import time
 from collections.abc import Callable, Iterator, MutableMapping
 from pathlib import Path
 from typing import Any
@@ -366,6 +367,32 @@ def test_too_many_pages_are_turned_away_and_let_in_when_one_goes(
     assert asyncio.run(two()) == (200, 503)
     status, _ = asyncio.run(streamed(app, "/events", until=lambda body: b"beat" in body))
     assert status == 200
+
+
+def test_a_look_goes_on_alone_when_the_page_goes_that_waits_for_it(
+    pages: Pages, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is read is read by one at a time, and those who come meanwhile wait for it."""
+    looks: list[int] = []
+    under_way = 0
+
+    def slow(watched: Watched) -> None:
+        nonlocal under_way
+        under_way += 1
+        looks.append(under_way)
+        time.sleep(0.3)
+        under_way -= 1
+
+    monkeypatch.setattr(Watched, "look", slow)
+
+    async def come_and_go() -> None:
+        for _ in range(3):
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(pages.look(), 0.05)
+        await pages.look()
+
+    asyncio.run(come_and_go())
+    assert looks == [1]
 
 
 def test_a_page_that_takes_too_long_is_let_go(pages: Pages, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -78,14 +78,20 @@ class Pages:
     closing: Callable[[], bool] = lambda: False
     """Whether the server is about to end, and pages have to let go."""
     _looked: float = 0.0
-    _looking: asyncio.Lock = field(default_factory=asyncio.Lock)
+    _looking: asyncio.Task[None] | None = None
 
     async def look(self) -> None:
-        """See what came since; all pages share one look."""
-        async with self._looking:
-            if time.monotonic() - self._looked >= LOOK_S:
-                await asyncio.to_thread(self.watched.look)
-                self._looked = time.monotonic()
+        """See what came since; all pages share one look, which goes on when a page goes that waits for it."""
+        if self._looking is None and time.monotonic() - self._looked >= LOOK_S:
+            self._looking = asyncio.create_task(self._look())
+        if self._looking is not None:
+            await asyncio.shield(self._looking)
+
+    async def _look(self) -> None:
+        try:
+            await asyncio.to_thread(self.watched.look)
+        finally:
+            self._looked, self._looking = time.monotonic(), None
 
 
 def application(pages: Pages, doors: Doors) -> ASGIApp:

@@ -382,10 +382,11 @@ function lose() {
   at("lost").hidden = false;
 }
 
-// A connection can also die without a word, or be taken by what never answers. One that comes back at once is not
-// worth a word.
+// A connection can also die without a word, or be taken by what never answers. One that was answered is given up
+// but once: its server may still read what there is. One that comes back at once is not worth a word.
 setInterval(() => {
-  if (now() - Math.max(heard, tried) > SILENCE_MS) {
+  const unanswered = source.readyState !== EventSource.OPEN;
+  if ((broken === null || unanswered) && now() - Math.max(heard, tried) > SILENCE_MS) {
     connect();
     broken ??= now();
   }
