@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.survey.products.ground import Ground, site_of
+from dream.survey.products.sheet import corners_of
 from dream.survey.products.styles import (
     PROBABILITY_COLORS,
     RELIEF_COLORS,
@@ -89,14 +90,6 @@ def sheet_around(ground: Ground, corners: Float64Array, cell: float) -> Sheet:
     return Sheet(west * cell, north * cell, cell, north - south, east - west)
 
 
-def corners_of(layers: Layers) -> Float64Array:
-    """(4, 2) of the box that the layers cover."""
-    box = layers.bounds
-    return np.array(
-        [(box.x_min, box.y_min), (box.x_max, box.y_min), (box.x_max, box.y_max), (box.x_min, box.y_max)]
-    )
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Laid:
     """Which map cell each cell of a sheet takes its value from."""
@@ -112,7 +105,7 @@ class Laid:
 
 def laid(layers: Layers, ground: Ground) -> Laid:
     """Lay a map on a sheet of its own."""
-    return laid_on(sheet_around(ground, corners_of(layers), layers.cell / FINER), layers, ground)
+    return laid_on(sheet_around(ground, corners_of(layers.bounds), layers.cell / FINER), layers, ground)
 
 
 def laid_on(sheet: Sheet, layers: Layers, ground: Ground) -> Laid:

@@ -20,6 +20,7 @@ from dream.protocol import PROTOCOLS
 from dream.robots import replay
 from dream.survey.products import _kernels, geotiff
 from dream.survey.products.ground import Ground, site_of
+from dream.survey.products.sheet import corners_of
 from dream.survey.survey import Survey
 from dream.types import Label, Observation, UInt8Array
 
@@ -81,7 +82,7 @@ class Mosaic:
                 "Fly it with --keep-observations"
             )
         box = survey.layers.bounds
-        sheet = geotiff.sheet_around(ground, geotiff.corners_of(survey.layers), self.cell)
+        sheet = geotiff.sheet_around(ground, corners_of(survey.layers.bounds), self.cell)
         plan = _Plan(sheet, ground, box)
         frames = (_of(survey, replay.read(file).observation, file) for file in watched(files))
         picture, mask = self.paint(frames, plan.to_cells, (sheet.rows, sheet.cols))

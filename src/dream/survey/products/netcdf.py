@@ -26,9 +26,10 @@ import numpy.typing as npt
 
 from dream.survey import globe
 from dream.survey.products import areas, words
-from dream.survey.products.geotiff import Laid, corners_of, laid_on, sheet_around
+from dream.survey.products.geotiff import Laid, laid_on, sheet_around
 from dream.survey.products.ground import Ground, site_of
 from dream.survey.products.series import NONE_OF_THAT_SIZE, of_one_site
+from dream.survey.products.sheet import corners_of
 from dream.survey.products.styles import EXPLORED, SOLID, SOLID_TARGET, TARGET, UNKNOWN
 from dream.survey.sizes import measures_over, size_bin
 from dream.survey.survey import Survey
@@ -70,7 +71,7 @@ def write(survey: Survey, path: Path, others: Sequence[Survey] = ()) -> None:
     surveys, elsewhere = of_one_site(survey, others)
     if elsewhere:
         raise ValueError(f"netCDF: {elsewhere[0]}")
-    sheet = sheet_around(ground, corners_of(survey.layers), survey.layers.cell / FINER)
+    sheet = sheet_around(ground, corners_of(survey.layers.bounds), survey.layers.cell / FINER)
     on = [laid_on(sheet, one.layers, Ground(site_of(one), ground.epsg)) for one in surveys]
     # Made in memory: SciPy cannot be told to give up where the disk is full.
     content = io.BytesIO()
@@ -106,7 +107,7 @@ def write(survey: Survey, path: Path, others: Sequence[Survey] = ()) -> None:
 
 def _describe(file: Any, survey: Survey, surveys: Sequence[Survey], ground: Ground) -> None:
     site, first, last = ground.site, surveys[0], surveys[-1]
-    west, south, east, north = ground.box(*corners_of(survey.layers).T)
+    west, south, east, north = ground.box(*corners_of(survey.layers.bounds).T)
     versions = dict.fromkeys(str(one.made_by.get("version", "unknown")) for one in surveys)
     made_up = [f"{one.name}: {told}" for one in surveys if (told := words.warning(one))]
     attributes = {
