@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import base64
+import io
 import itertools
 import json
 import logging
@@ -184,6 +185,19 @@ def test_a_picture_that_promises_too_many_pixels_is_left_out_with_a_warning(
     pictures = json.loads(page.scripts["pictures-0"])
     assert [name for name, url in pictures.items() if url is None] == ["rgb"]
     assert "0000_rgb.png is left out" in caplog.text
+
+
+def test_a_map_of_more_colours_than_any_drawing_has_is_shown_in_fewer(tmp_path: Path) -> None:
+    folder = recorded(tmp_path, 1)
+    colors = np.random.default_rng(1).integers(0, 256, (400, 400, 3)).astype(np.uint8)
+    colors[:200] = (20, 120, 220)
+    Image.fromarray(colors).save(folder / "maps/0000.png")
+    url = json.loads(Page(write_report(folder)).scripts["pictures-0"])["map"]
+    with Image.open(io.BytesIO(base64.b64decode(url.split(",", 1)[1]))) as shown:
+        assert shown.mode == "P"
+        found = np.asarray(shown.convert("RGB"), np.int32)
+    assert np.abs(found[:200] - (20, 120, 220)).max() <= 2
+    assert np.abs(found[200:] - colors[200:]).mean() < 24.0
 
 
 def test_a_folder_that_is_no_run_has_no_report(tmp_path: Path) -> None:

@@ -51,6 +51,8 @@ SHARED_SCRIPTS = ("words.js", "pictures.js", "asked.js", "chart.js", "step.js", 
 _SCRIPTS = (*SHARED_SCRIPTS, "page.js")
 _JPEG_QUALITY = 80
 _MAX_SIDE = 4096
+_MOST_DRAWN = 1 << 16
+"""Colours: the map of a step has some hundreds."""
 # What Pillow says of a header that promises too much; the warning counts where warnings are errors.
 _BOMBS = (Image.DecompressionBombError, Image.DecompressionBombWarning)
 
@@ -204,10 +206,13 @@ def open_picture(file: Path | io.BytesIO, convert: Callable[[Image.Image], T], w
 def _few_colors(image: Image.Image) -> Image.Image:
     """A drawing in its 256 commonest colours, which takes a third of the space.
 
-    These stay exact; the rarer ones, along smooth lines, take the nearest of them.
+    These stay exact; the rarer ones, along smooth lines, take the nearest of them. A picture of more colours
+    than any drawing has is Pillow's to reduce.
     """
     drawing = image.convert("RGB")
-    counted: Any = drawing.getcolors(drawing.width * drawing.height)
+    counted: Any = drawing.getcolors(_MOST_DRAWN)
+    if counted is None:
+        return drawing.quantize(256)
     colors = np.array([color for _, color in sorted(counted, reverse=True)], np.int32)
     palette, rare = colors[:256], colors[256:]
     nearest = [*range(len(palette)), *(np.square(palette - color).sum(axis=1).argmin() for color in rare)]

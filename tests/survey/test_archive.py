@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import io
+import json
 import os
 import random
 import signal
@@ -11,6 +13,7 @@ import subprocess
 import sys
 import threading
 import time
+import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import timedelta
@@ -73,6 +76,19 @@ def rows_of_version_2(survey: Survey) -> tuple[Row, dict[str, list[Row]]]:
     for row in others["individuals"]:
         del row["clear"]
     return head, others
+
+
+def of_version_1(survey: Survey) -> bytes:
+    """Its file as that version wrote it: without whose sizes were measured."""
+    made = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(files.dumped(survey))) as file, zipfile.ZipFile(made, "w") as older:
+        for name in file.namelist():
+            content = file.read(name)
+            if name == "header.json":
+                content = json.dumps({**json.loads(content), "version": 1}).encode()
+            if name != "individuals.clear.npy":
+                older.writestr(name, content)
+    return made.getvalue()
 
 
 def of_run(survey: Survey, run: str = "a" * 64) -> Survey:
@@ -290,6 +306,103 @@ def test_an_archive_that_counted_otherwise_tells_the_same_as_a_new_one(
     assert [row[-1] for row in fresh["individuals"]] == individuals.clear.tolist()
 
 
+def titles(where: str) -> dict[str, str]:
+    """What those who open the archive read of each table."""
+    if "://" not in where:
+        with contextlib.closing(sqlite3.connect(where)) as database:
+            return dict(database.execute("SELECT table_name, description FROM gpkg_contents"))
+    import psycopg
+
+    with psycopg.connect(where) as connection:
+        return dict(
+            connection.execute(
+                "SELECT relname, obj_description(pg_class.oid) FROM pg_class JOIN pg_namespace ON "
+                "pg_namespace.oid = relnamespace WHERE nspname = 'dream' AND relkind = 'r'"
+            ).fetchall()
+        )
+
+
+def test_an_archive_that_is_brought_up_to_date_says_of_its_tables_what_a_new_one_says(
+    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there = f"dream.survey.archive.{'postgis' if '://' in where else 'geopackage'}"
+    first, *others = schema.MIGRATIONS
+    of_then = tuple(replace(table, title="as it was") for table in first.tables)
+    with monkeypatch.context() as then:
+        then.setattr(f"{there}.MIGRATIONS", (replace(first, tables=of_then),))
+        open_archive(where, begin=True).__exit__(None, None, None)
+    assert titles(where)["individuals"] == "as it was"
+    with open_archive(where):
+        told = titles(where)
+    renewed = {table.name: table.title for migration in others for table in migration.tables}
+    assert "clear" in renewed["individuals"]
+    assert {name: told[name] for name in renewed} == renewed
+
+
+def test_a_file_of_an_older_version_says_of_no_individual_whether_its_size_is_its_own(where: str) -> None:
+    older = files.loaded(of_version_1(reef()), "it")
+    with open_archive(where, begin=True) as archive:
+        assert archive.add(older) == (1, True)
+        assert archive.add(wreck()) == (2, True)
+        assert {row[-1] for row in content(where)["individuals"]} == {None}
+        assert archive.replace(1, of_run(reef()))
+    assert [row[-1] for row in content(where)["individuals"]] == reef().individuals.clear.tolist()
+
+
+def test_an_older_survey_added_again_keeps_its_number(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The file that the archive keeps of it has other bytes than it would have now."""
+    older = of_version_1(of_run(reef()))
+    with monkeypatch.context() as then:
+        then.setattr(files, "dumped", lambda survey: older)
+        with open_archive(where, begin=True) as archive:
+            archive.add(of_run(reef()))
+    before = content(where)
+    with open_archive(where) as archive:
+        assert archive.add(files.loaded(older, "it")) == (1, False)
+        assert not archive.replace(1, files.loaded(older, "it"))
+        assert content(where) == before
+        with pytest.raises(ValueError, match="got that of survey 1"):
+            archive.add(of_run(reef()))
+        assert archive.replace(1, of_run(reef()))
+
+
+def test_what_was_said_of_older_files_whose_sizes_nobody_knows_is_taken_back(
+    where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Version 3 called them means; sizes that were measured, or not told at all, stay as they are."""
+    there = f"dream.survey.archive.{'postgis' if '://' in where else 'geopackage'}"
+
+    def as_then(survey: Survey) -> tuple[Row, dict[str, list[Row]]]:
+        head, others = rows(survey)
+        return head, {
+            **others,
+            "individuals": [{**row, "clear": row["clear"] or 0} for row in others["individuals"]],
+        }
+
+    none = np.zeros(60, np.bool_)
+    unsized = tuple(
+        replace(one, value=None, low=None, high=None) if one.name == "median_size" else one
+        for one in reef().measures
+    )
+    with monkeypatch.context() as then:
+        then.setattr(f"{there}.MIGRATIONS", schema.MIGRATIONS[:3])
+        then.setattr("dream.survey.archive.keeping.rows", as_then)
+        with open_archive(where, begin=True) as archive:
+            archive.add(reef())
+            archive.add(files.loaded(of_version_1(of_run(reef(name="older"))), "it"))
+            archive.add(
+                replace(
+                    of_run(reef(name="few"), "b" * 64),
+                    measures=unsized,
+                    individuals=replace(reef().individuals, clear=none),
+                )
+            )
+    with open_archive(where):
+        found = content(where)["individuals"]
+    clear = {number: [row[-1] for row in found if row[1] == number] for number in (1, 2, 3)}
+    assert clear == {1: reef().individuals.clear.tolist(), 2: [None] * 60, 3: [0] * 60}
+
+
 def test_the_tables_hold_a_row_for_everything(where: str) -> None:
     survey = reef()
     with open_archive(where, begin=True) as archive:
@@ -369,7 +482,7 @@ def test_an_older_archive_is_brought_up_to_date_with_all_that_is_in_it(
     assert counts(where)["visits"] == 0
     assert [row[-1] for row in content(where)["surveys"]] == [None]
     monkeypatch.undo()
-    with pytest.raises(ValueError, match="expected an archive of version 3 at most, got 4"):
+    with pytest.raises(ValueError, match="expected an archive of version 4 at most, got 5"):
         open_archive(where)
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
 import shlex
+import sqlite3
 import time
 from dataclasses import replace
 from datetime import timedelta
@@ -80,6 +82,15 @@ def test_surveys_are_kept_listed_shown_and_compared(two: Path, capsys: pytest.Ca
     assert compared["patches"][1]["verdict"] == "loss"
     assert sorted(path.name for path in (two / "told").iterdir()) == [
         *("change.gpkg", "change.html", "change.json", "change.png")
+    ]
+    with contextlib.closing(sqlite3.connect(two / "told/change.gpkg")) as change:
+        sizes = change.execute("SELECT survey, size_m FROM individuals ORDER BY id").fetchall()
+    both = {name: files.read(two / f"{name}.survey.npz").individuals for name in ("first", "second")}
+    assert 0 < sum(size is None for _, size in sizes) < len(sizes) / 3
+    assert sizes == [
+        (when, size if clear else None)
+        for when, found in zip(("before", "after"), both.values(), strict=True)
+        for size, clear in zip(found.size.tolist(), found.clear, strict=True)
     ]
     for words in ("survey list", "survey show 1", "survey compare 1 second.survey.npz"):
         assert run_command(words.split()) == 0

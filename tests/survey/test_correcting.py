@@ -65,6 +65,20 @@ def test_it_is_said_by_how_much_an_origin_moves_and_turns() -> None:
     assert corrections(reef(site=None), reef()) == ()
 
 
+def test_what_does_not_move_an_origin_is_told_as_what_it_is() -> None:
+    surer = replace(SITE, name="Outer reef", uncertainty=2.0, datum="LAT")
+    before, after = replace(reef(), site=SITE), replace(reef(), site=surer)
+    assert corrections(before, after) == (
+        "the name of its site is Outer reef, and not Inner reef",
+        "the datum of its site is LAT, and not MLLW",
+        "the uncertainty of its site is 2 m, and not unknown",
+    )
+    assert corrections(after, replace(reef(), site=replace(surer, uncertainty=None, datum_offset=0.0))) == (
+        "the datum offset of its site is 0 m, and not 0.5 m",
+        "the uncertainty of its site is unknown, and not 2 m",
+    )
+
+
 def test_it_is_said_when_a_survey_began_instead() -> None:
     (told,) = corrections(reef(), replace(reef(), began=THEN))
     assert told == "it began at 2025-07-08 12:00:00 UTC, and not at 2026-06-01 09:30:00 UTC"

@@ -182,6 +182,21 @@ def test_a_file_of_an_older_version_is_read_and_nothing_is_made_up(tmp_path: Pat
         files.read(path)
 
 
+@pytest.mark.parametrize("version", [1, 2])
+def test_of_a_file_that_lacks_an_array_that_one_is_named(version: int, tmp_path: Path) -> None:
+    path = tmp_path / "one.npz"
+    files.write(reef(), path)
+    if version == 1:
+        older(path)
+    with zipfile.ZipFile(path) as file:
+        held = {name: file.read(name) for name in file.namelist() if name != "layers.relief.npy"}
+    with zipfile.ZipFile(path, "w") as file:
+        for name, content in held.items():
+            file.writestr(name, content)
+    with pytest.raises(ValueError, match=r"missing or foreign: layers\.relief\.npy\)$"):
+        files.read(path)
+
+
 def test_no_file_and_a_foreign_one_are_told_of(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="expected the file of a survey, got no file"):
         files.read(tmp_path / "none.npz")

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from dream.geometry import SE2, SE3, Bounds
 from dream.mapping import OccupancyMap
@@ -116,6 +117,29 @@ def test_every_individual_is_near_a_true_one(survey: Survey, world: World) -> No
     found = survey.individuals.position[sure][:, None, :2]
     away = np.hypot(*(found - true[None]).transpose(2, 0, 1)).min(axis=1)
     assert np.mean(away < 0.12) > 0.9
+
+
+def test_those_that_stand_clear_have_a_size_of_their_own(survey: Survey, world: World) -> None:
+    found = survey.individuals
+    clear = found.clear
+    assert 10 < np.count_nonzero(clear) < 0.6 * len(clear)
+    assert (found.confidence[clear] > 0.5).all()
+    assert (found.patch[clear] >= 0).all()
+    (note,) = {one.note for one in survey.measures if one.name == "median_size"}
+    assert note == f"from {np.count_nonzero(clear)} that stand clear of others"
+    # The others have one size, the mean.
+    assert len(np.unique(found.size[~clear])) == 1
+    assert len(np.unique(found.size[clear])) > 0.5 * np.count_nonzero(clear)
+    targets = world.targets
+    away, nearest = cKDTree(targets.position[:, :2]).query(found.position[:, :2])
+    across = np.array(
+        [
+            np.ptp((world.meshes[mesh].vertices * scale)[:, :2], axis=0).max()
+            for mesh, scale in zip(targets.mesh, targets.scale, strict=True)
+        ]
+    )
+    sure = clear & (away < 0.12)
+    assert np.corrcoef(found.size[sure], across[np.asarray(nearest)[sure]])[0, 1] > 0.25
 
 
 def test_the_parts_make_the_whole(survey: Survey) -> None:

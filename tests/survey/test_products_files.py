@@ -572,6 +572,19 @@ def test_figures_have_the_digits_that_they_are_worth(measure: Measure, value: st
     assert words.interval_text(measure) == interval
 
 
+def test_only_sizes_that_were_measured_are_drawn_and_none_where_none_was(tmp_path: Path) -> None:
+    found = reef().individuals
+    _, axes = sheet.new_figure(4.0, 3.0)
+    figures.size_figure(axes, reef())
+    bars: Any = axes.containers[0]
+    assert sum(bar.get_height() for bar in bars) == np.count_nonzero(found.clear) < len(found)
+    none = replace(reef(), individuals=replace(found, clear=np.zeros(len(found), np.bool_)))
+    for survey, drawn in ((reef(), True), (none, False)):
+        assert figures.tells_sizes(survey) == drawn
+        page.write(survey, tmp_path / "report.html")
+        assert ("<h2>Sizes" in (tmp_path / "report.html").read_text()) == drawn
+
+
 def test_shares_of_sizes_are_drawn_with_their_intervals_and_not_listed() -> None:
     shares = tuple(
         Measure(f"size_share_{first:03d}_{first + 5:03d}_cm", 0.2, 0.1, 0.3, "") for first in range(10, 35, 5)

@@ -247,6 +247,15 @@ def test_parts_of_a_patch_are_polygons_with_their_own_holes() -> None:
     ]
 
 
+def test_how_sure_the_origin_is_stands_with_it_where_somebody_said(package: Path, tmp_path: Path) -> None:
+    geopackage.write(reef(site=replace(SITE, uncertainty=2.5)), tmp_path / "surer.gpkg")
+    told = []
+    for path in (package, tmp_path / "surer.gpkg"):
+        with sqlite3.connect(path) as file:
+            told.append(file.execute("SELECT value FROM about WHERE key = 'uncertainty_m'").fetchall())
+    assert told == [[], [("2.5",)]]
+
+
 def test_reasons_sizes_and_intervals_are_told(package: Path) -> None:
     survey = reef()
     with sqlite3.connect(package) as file:

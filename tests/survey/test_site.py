@@ -68,6 +68,15 @@ def test_a_site_file_says_where_a_run_was(tmp_path: Path) -> None:
             '"latitude": 1, "longitude": 2, "uncertainty": "2 m"',
             "uncertainty: expected metres such as 5, got '2 m'",
         ),
+        # Which some libraries take for 1.
+        (
+            '"latitude": 1, "longitude": 2, "uncertainty": true',
+            "uncertainty: expected metres such as 5, got 'True'",
+        ),
+        (
+            '"latitude": true, "longitude": 2',
+            "latitude: expected decimal degrees north such as 38.97, got 'True'",
+        ),
         (
             '"latitude": 1, "longitude": 2, "heading_deg": null',
             "heading_deg: expected decimal degrees clockwise from north such as 20.5, got 'None'",

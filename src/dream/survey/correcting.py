@@ -31,14 +31,14 @@ def dated(survey: Survey, began: datetime) -> Survey:
 def corrections(before: Survey, after: Survey) -> tuple[str, ...]:
     """How far another origin, or another date, of a survey is from what it was, in words."""
     told = []
-    if before.site is not None and after.site is not None and before.site != after.site:
-        metres = apart(before.site, after.site)
-        far = f"{metres:.1f} m" if metres < 1000.0 else f"{metres / 1000.0:.1f} km"
-        turn = (after.site.heading_deg - before.site.heading_deg + 180.0) % 360.0 - 180.0
-        told.append(
-            f"its origin moves by {far} and turns by {turn:.1f}°, from {_said(before.site)} to "
-            f"{_said(after.site)}"
-        )
+    if before.site is not None and after.site is not None:
+        moves = _moves(before.site, after.site)
+        told += moves
+        for name, words in _UNMOVED.items():
+            then, now = getattr(before.site, name), getattr(after.site, name)
+            # Which site it was is said where it moves.
+            if then != now and not (moves and name == "name"):
+                told.append(f"the {words} of its site is {_said(now)}, and not {_said(then)}")
     if before.began != after.began:
         told.append(
             f"it began at {after.began:%Y-%m-%d %H:%M:%S %Z}, and not at {before.began:%Y-%m-%d %H:%M:%S %Z}"
@@ -53,5 +53,27 @@ def _keeping(survey: Survey, **said: Any) -> dict[str, Any]:
     return {**survey.made_by, "corrected": {**said, **before}}
 
 
-def _said(site: Site) -> str:
+_UNMOVED = {
+    "name": "name",
+    "datum": "datum",
+    "datum_offset": "datum offset",
+    "uncertainty": "uncertainty",
+}
+"""Fields of a site that do not say where it is, in words."""
+
+
+def _moves(before: Site, after: Site) -> list[str]:
+    metres = apart(before, after)
+    turn = (after.heading_deg - before.heading_deg + 180.0) % 360.0 - 180.0
+    if metres == turn == 0.0:
+        return []
+    far = f"{metres:.1f} m" if metres < 1000.0 else f"{metres / 1000.0:.1f} km"
+    return [f"its origin moves by {far} and turns by {turn:.1f}°, from {_place(before)} to {_place(after)}"]
+
+
+def _said(value: str | float | None) -> str:
+    return "unknown" if value is None else value if isinstance(value, str) else f"{value:g} m"
+
+
+def _place(site: Site) -> str:
     return f"{site.name} ({site.latitude:.6f}, {site.longitude:.6f}, heading {site.heading_deg:g}°)"

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from dream.files import whole_or_nothing
 from dream.names import look_up
@@ -76,18 +76,28 @@ class Site:
         return c * x + s * y, -s * x + c * y
 
 
+def _no_truth(value: object) -> object:
+    """Refuse what pydantic takes for 1 or 0."""
+    if isinstance(value, bool):
+        raise ValueError("expected a number")
+    return value
+
+
+_Number = Annotated[float, BeforeValidator(_no_truth)]
+
+
 class _File(BaseModel):
     """`site.json`, as an operator writes it."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     name: Annotated[str, Field(min_length=1, max_length=200)]
-    latitude: float
-    longitude: float
-    heading_deg: float = 0.0
+    latitude: _Number
+    longitude: _Number
+    heading_deg: _Number = 0.0
     datum: Annotated[str, Field(max_length=200)] = "local sea surface"
-    datum_offset: float = 0.0
-    uncertainty: float | None = None
+    datum_offset: _Number = 0.0
+    uncertainty: _Number | None = None
 
 
 def write_site(site: Site, path: Path) -> None:

@@ -52,18 +52,20 @@ class Sizes:
     share: Float64Array
     """(K,) of the individuals of the reef that have each of `SIZES`; all 0 where none stands clear."""
     size: Float64Array
-    """(N,) metres, of each; of those that do not stand clear, the mean of all."""
+    """(N,) metres, of each; of those that do not stand clear, the mean of all, or a guess from their extent
+    where none does."""
     error: Float64Array
     """(N,) its standard deviation, metres."""
     sample: float
     """As many as if all told alike: Kish's effective size of the sample."""
     clear: BoolArray
-    """(N,) it stands clear, and near enough: its size is its own."""
+    """(N,) it stands clear, near enough, and is likelier an individual than not: its size is its own. None
+    where fewer than `FEWEST` are."""
     calibration: Calibration
 
     @property
     def count(self) -> int:
-        """Individuals that stand clear."""
+        """Individuals whose size is their own."""
         return int(np.count_nonzero(self.clear))
 
     @property
@@ -72,7 +74,7 @@ class Sizes:
 
         It is that of what makes a crust, however many have settled since.
         """
-        if self.count < FEWEST:
+        if not self.count:
             return None
         cover = np.cumsum(self.share * np.square(SIZES))
         return float(np.exp(np.interp(0.5 * cover[-1], cover, np.log(SIZES) + 0.5 * STEP)))
@@ -88,7 +90,7 @@ class Sizes:
 
     def measures(self) -> tuple[Measure, ...]:
         """The median, and the shares in bins of size."""
-        if self.count < FEWEST:
+        if not self.count:
             return (unknown("median_size", "m", f"fewer than {FEWEST} individuals stand clear of others"),)
         note = f"from {self.count} that stand clear of others"
         # Where sizes are two heaps and the middle lies between them, a small share is a long way.
@@ -124,7 +126,7 @@ def sizes_of(peaks: Peaks, sure: Float64Array, on_reef: BoolArray, calibration: 
     across = np.maximum(peaks.across, SIZES[0])
     if np.count_nonzero(clear) < FEWEST:
         guess = across / math.exp(calibration.extent[0][1])
-        return Sizes(np.zeros(len(SIZES)), guess, 0.5 * guess, 0.0, clear, calibration)
+        return Sizes(np.zeros(len(SIZES)), guess, 0.5 * guess, 0.0, np.zeros_like(clear), calibration)
     weight = _weights(peaks.stature[there], peaks.stature[clear])
     likely = _likely(across[clear], calibration)
     share = unfolded(likely, weight)

@@ -63,7 +63,8 @@ class Individuals:
     patch: npt.NDArray[np.int32]
     """(N,) index into `Survey.patches`; −1 for none."""
     clear: BoolArray
-    """(N,) it stands clear of others, and was seen near enough: its size was measured."""
+    """(N,) its size was measured: it stands clear of others, was seen near enough, and is likelier one than
+    not."""
 
     def __len__(self) -> int:
         return len(self.position)
@@ -196,6 +197,12 @@ class Survey:
         """By which its individuals were counted and sized; None in files of older versions."""
         measuring = self.made_by.get("measuring")
         return measuring.get("calibration") if isinstance(measuring, dict) else None
+
+    @property
+    def tells_clear(self) -> bool:
+        """Does it say whose sizes were measured? Files of version 1 told sizes, but not whose."""
+        sized = any(one.name == "median_size" and one.value is not None for one in self.measures)
+        return not sized or bool(self.individuals.clear.any())
 
     @property
     def run(self) -> str | None:

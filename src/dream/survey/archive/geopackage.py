@@ -10,7 +10,6 @@ rather than a write-ahead log, so that between writes the archive is one file th
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import sqlite3
 import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -23,7 +22,7 @@ from dream.survey.archive import entries as told
 from dream.survey.archive import wkb
 from dream.survey.archive.entries import Entry
 from dream.survey.archive.keeping import OF_ITS_RUN, Keeping, missing
-from dream.survey.archive.rows import Row
+from dream.survey.archive.rows import Row, digest
 from dream.survey.archive.schema import MIGRATIONS, VERSIONS, WGS84, Column, Table, order, parts
 from dream.survey.survey import Survey
 
@@ -96,7 +95,7 @@ class GeoPackageArchive(Keeping):
                 except sqlite3.OperationalError as error:
                     if begin or error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_READONLY:
                         raise
-                    self._go_on_in_memory()
+                    self._go_on_with_a_copy()
         except BaseException:
             self._connection.close()
             raise
@@ -108,10 +107,13 @@ class GeoPackageArchive(Keeping):
         self._connection.execute("PRAGMA synchronous = FULL")
         self._connection.execute("PRAGMA foreign_keys = ON")
 
-    def _go_on_in_memory(self) -> None:
+    def _go_on_with_a_copy(self) -> None:
         """Bring a copy up to date where an older archive cannot be written to, and only read from it."""
-        copy = sqlite3.connect(":memory:", isolation_level=None)
-        self._connection.backup(copy)
+        # Without a name it goes to a file of SQLite's own where it is large, which is gone when it is closed.
+        with contextlib.ExitStack() as stack:
+            copy = stack.enter_context(contextlib.closing(sqlite3.connect("", isolation_level=None)))
+            self._connection.backup(copy)
+            stack.pop_all()
         self._connection.close()
         self._connection = copy
         self._set_up()
@@ -217,8 +219,8 @@ class GeoPackageArchive(Keeping):
                 for table in migration.tables:
                     for statement in statements(table, extends=table.name in known):
                         self._connection.execute(statement)
-                    if table.name not in known and not table.hidden:
-                        register(self._connection, table)
+                    if not table.hidden:
+                        (retitle if table.name in known else register)(self._connection, table)
                     known[table.name] = table
                 for update in migration.updates:
                     self._connection.execute(update.format(schema=""))
@@ -360,6 +362,13 @@ def register(connection: sqlite3.Connection, table: Table, srs: int = WGS84) -> 
         )
 
 
+def retitle(connection: sqlite3.Connection, table: Table) -> None:
+    """Tell those who open the file of a table that is listed what it is now."""
+    connection.execute(
+        "UPDATE gpkg_contents SET description = ? WHERE table_name = ?", (table.title, table.name)
+    )
+
+
 def write_layers(
     path: Path, tables: Sequence[Table], rows_of: Mapping[str, Iterable[Row]], *, on_globe: bool
 ) -> None:
@@ -408,8 +417,8 @@ def document(found: Sequence[Any], number: int, where: str) -> Survey:
     Raises:
         ValueError: The body is not what was added.
     """
-    digest, body = found
+    kept, body = found
     data = bytes(body)
-    if hashlib.sha256(data).hexdigest() != digest:
+    if digest(data) != kept:
         raise ValueError(f"{where}: survey {number}: expected what was added, got damaged content")
     return files.loaded(data, f"{where}: survey {number}")

@@ -8,8 +8,9 @@ from contextlib import AbstractContextManager
 
 import numpy as np
 
+from dream.survey import files
 from dream.survey.archive.entries import Entry
-from dream.survey.archive.rows import Row, rows
+from dream.survey.archive.rows import Row, digest, rows
 from dream.survey.survey import Survey
 
 OF_ITS_RUN = ("digest", "run", "name", "began")
@@ -25,7 +26,7 @@ class Keeping(ABC):
         head, others = rows(survey)
         with self._changing():
             there = self._of_its_run(head)
-            if (number := _kept(head, there)) is not None:
+            if (number := self._kept(head, there)) is not None:
                 return number, False
             _check_first_of_its_run(head, there)
             number = self._begin_survey(head)
@@ -38,7 +39,7 @@ class Keeping(ABC):
         head, others = rows(survey)
         with self._changing():
             before, there = self.get(number), self._of_its_run(head)
-            if _kept(head, there) == number:
+            if self._kept(head, there) == number:
                 return False
             _check_first_of_its_run(head, [one for one in there if one[0] != number])
             _check_same_run(number, before, survey)
@@ -58,6 +59,19 @@ class Keeping(ABC):
             self._end_survey(number)
             self._register_change()
         return entries[number]
+
+    def _kept(self, head: Row, there: Iterable[tuple[int, str, str]]) -> int | None:
+        """The number of a survey that is in the archive already; None where it is not.
+
+        Args:
+            head: Its row of `surveys`.
+            there: Number, digest and name of surveys of its run.
+        """
+        for number, kept, _ in there:
+            # A file of an older version holds the same survey in other bytes.
+            if head["digest"] == kept or head["digest"] == digest(files.dumped(self.get(number))):
+                return number
+        return None
 
     @property
     @abstractmethod
@@ -114,18 +128,9 @@ def missing(where: str, number: int, numbers: Iterable[int]) -> ValueError:
     )
 
 
-def _kept(head: Row, there: Iterable[tuple[int, str, str]]) -> int | None:
-    """The number of a survey that is in the archive already; None where it is not.
-
-    Args:
-        head: Its row of `surveys`.
-        there: Number, digest and name of surveys of its run.
-    """
-    return next((number for number, digest, _ in there if digest == head["digest"]), None)
-
-
 def _check_first_of_its_run(head: Row, there: Iterable[tuple[int, str, str]]) -> None:
-    """Raise a ValueError where the archive has another survey of its run. Arguments as of `_kept`."""
+    """Raise a ValueError where the archive has another survey of its run. Arguments as of
+    `Keeping._kept`."""
     for number, _, name in there:
         raise ValueError(
             f"{head['name']}: expected a run that is not in the archive, got that of survey {number} "

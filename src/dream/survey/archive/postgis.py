@@ -258,15 +258,16 @@ class PostgisArchive(Keeping):
 def statements(table: Table, *, extends: bool) -> list[str]:
     """The SQL that makes a table, or that adds its columns to the one that is there."""
     name = f"{SCHEMA}.{table.name}"
+    titled = f"COMMENT ON TABLE {name} IS '{table.title}'"
     if extends:
-        return [f"ALTER TABLE {name} ADD COLUMN {_column(column)}" for column in table.columns]
+        return [*(f"ALTER TABLE {name} ADD COLUMN {_column(column)}" for column in table.columns), titled]
     made = [f"CREATE TABLE {name} ({', '.join(_column(column) for column in table.columns)})"]
     for column in table.columns:
         if column.is_geometry:
             made.append(f"CREATE INDEX ON {name} USING gist ({column.name})")
         elif column.of and column.kind != "id":
             made.append(f"CREATE INDEX ON {name} ({column.name})")
-    return [*made, f"COMMENT ON TABLE {name} IS '{table.title}'"]
+    return [*made, titled]
 
 
 def _column(column: Column) -> str:

@@ -33,7 +33,7 @@ def rows(survey: Survey) -> tuple[Row, dict[str, list[Row]]]:
     box = survey.area
     corners = [(box.x_min, box.y_min), (box.x_max, box.y_min), (box.x_max, box.y_max), (box.x_min, box.y_max)]
     head = {
-        "digest": hashlib.sha256(body).hexdigest(),
+        "digest": digest(body),
         "name": _text(survey.name),
         "site": _text(site.name),
         "began": time(survey.began),
@@ -70,6 +70,11 @@ def rows(survey: Survey) -> tuple[Row, dict[str, list[Row]]]:
     }
 
 
+def digest(body: bytes) -> str:
+    """By which it is known what a survey's file holds."""
+    return hashlib.sha256(body).hexdigest()
+
+
 def time(moment: datetime) -> str:
     """As tables hold a time: ISO 8601 in UTC, to the millisecond."""
     return moment.astimezone(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
@@ -90,6 +95,7 @@ def _measure(measure: Measure, patch: int | None) -> Row:
 def _individuals(survey: Survey, site: Site) -> Iterator[Row]:
     them = survey.individuals
     longitude, latitude = globe.degrees(site, them.position[:, 0], them.position[:, 1])
+    tells_clear = survey.tells_clear
     for k in range(len(them)):
         yield {
             "patch": int(them.patch[k]) + 1 if them.patch[k] >= 0 else None,
@@ -100,7 +106,7 @@ def _individuals(survey: Survey, site: Site) -> Iterator[Row]:
             "hits": int(them.hits[k]),
             "looks": int(them.looks[k]),
             "confidence": float(them.confidence[k]),
-            "clear": int(them.clear[k]),
+            "clear": int(them.clear[k]) if tells_clear else None,
             "geom": wkb.point(longitude[k], latitude[k]),
         }
 

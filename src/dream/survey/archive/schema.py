@@ -53,7 +53,7 @@ class Migration:
     """What a version brought."""
 
     tables: tuple[Table, ...] = ()
-    """New ones, or further columns of those that are there (then not `required`)."""
+    """New ones, or what is new of those that are there: a title, further columns (then not `required`)."""
     updates: tuple[str, ...] = ()
     """SQL that puts right what rows of before hold; `{schema}` stands before each table."""
 
@@ -64,7 +64,7 @@ _SURVEY = Column("survey_id", "integer", of="surveys")
 _BOXES = "Surveys: the box of each"
 _FOUND = (
     "Individuals that were found, each once; count in measures tells how many there are. Sizes are their own "
-    "where clear is 1, else the mean of those"
+    "where clear is 1, else the mean of those, or a guess where there are none"
 )
 
 _FIRST = Migration(
@@ -176,7 +176,16 @@ _HOW_SURE = Migration(
 )
 """`clear` is 1 where the size is its own, 0 where it is the mean of those that stand clear;
 `uncertainty_m` is that of the site. Surveys that were kept before do not say."""
-MIGRATIONS = (_FIRST, _NUMBERED_AS_IN_REPORTS, _HOW_SURE)
+_CLEAR_WHERE_IT_IS_TOLD = Migration(
+    (Table("individuals", _FOUND, ()),),
+    (
+        "UPDATE {schema}individuals SET clear = NULL WHERE survey_id IN (SELECT survey_id FROM "
+        "{schema}measures WHERE patch IS NULL AND name = 'median_size' AND value IS NOT NULL) AND survey_id "
+        "NOT IN (SELECT survey_id FROM {schema}individuals WHERE clear = 1)",
+    ),
+)
+"""Of files of older versions that were added since, `clear` had been 0."""
+MIGRATIONS = (_FIRST, _NUMBERED_AS_IN_REPORTS, _HOW_SURE, _CLEAR_WHERE_IT_IS_TOLD)
 VERSIONS = "dream_versions"
 """Table with a row for every migration that was made."""
 FROM_NOWHERE = (

@@ -122,8 +122,7 @@ def export(
             "the surveys of the series were measured by different calibrations: sizes, counts and densities "
             "may differ by that alone. Measure all by one version: dream survey add RUN --replace NUMBER"
         )
-    sized = any(one.name == "median_size" and one.value is not None for one in survey.measures)
-    if sized and not survey.individuals.clear.any():
+    if not survey.tells_clear:
         warnings.append(
             "no individual is given a size: an older version measured the survey, and did not say whose size "
             "is its own. Measure again: dream survey add RUN --replace NUMBER"

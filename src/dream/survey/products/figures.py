@@ -207,15 +207,12 @@ def _show(axes: Axes, survey: Survey, picture: npt.NDArray[Any], **options: Any)
 def size_figure(axes: Axes, survey: Survey) -> None:
     """How many clumps there are of each size: shares with their intervals, the median with its own.
 
-    Where the survey tells no shares, those that were found are counted as they are.
+    Where the survey tells no shares, those whose size was measured are counted as they are.
     """
-    shares = [
-        (ends, m) for m in survey.measures if (ends := size_bin(m.name)) is not None and m.value is not None
-    ]
-    if shares:
+    if shares := _shares_of(survey):
         _size_shares(axes, shares)
     else:
-        _size_counts(axes, survey.individuals.size)
+        _size_counts(axes, survey.individuals.size[survey.individuals.clear])
     median = next((m for m in survey.measures if m.name == "median_size" and m.value is not None), None)
     if median is not None and median.value is not None:
         if median.low is not None and median.high is not None:
@@ -235,9 +232,20 @@ def size_figure(axes: Axes, survey: Survey) -> None:
     axes.grid(axis="y", color=GRID, linewidth=0.6, zorder=0)
 
 
+def tells_sizes(survey: Survey) -> bool:
+    """Is there anything that `size_figure` would show?"""
+    return bool(_shares_of(survey) or survey.individuals.clear.any())
+
+
+def _shares_of(survey: Survey) -> list[tuple[tuple[int, int], Measure]]:
+    """The shares of sizes that it tells, each with its ends in centimetres."""
+    told = ((size_bin(measure.name), measure) for measure in survey.measures if measure.value is not None)
+    return [(ends, measure) for ends, measure in told if ends is not None]
+
+
 def _size_shares(axes: Axes, shares: Sequence[tuple[tuple[int, int], Measure]]) -> None:
     for (first, last), measure in shares:
-        assert measure.value is not None  # `size_figure` takes no others.
+        assert measure.value is not None  # `_shares_of` gives no others.
         middle, height = 0.005 * (first + last), 100.0 * measure.value
         axes.bar(
             middle, height, 0.01 * (last - first), color="#1f9e62", edgecolor="white", linewidth=0.8, zorder=2

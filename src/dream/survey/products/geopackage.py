@@ -417,6 +417,7 @@ def _about(survey: Survey) -> Table:
         "heading_deg": site.heading_deg,
         "datum": site.datum,
         "datum_offset_m": site.datum_offset,
+        **({} if site.uncertainty is None else {"uncertainty_m": site.uncertainty}),
         **{f"made_by.{key}": value for key, value in survey.made_by.items()},
     }
     rows = [(key, str(value)) for key, value in told.items()]

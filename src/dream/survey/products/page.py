@@ -144,7 +144,7 @@ def _series(surveys: Sequence[Survey]) -> str:
 
 
 def _sizes(survey: Survey) -> str:
-    if not len(survey.individuals):
+    if not figures.tells_sizes(survey):
         return ""
     picture = _picture(survey, figures.size_figure, 6.2, 5.0, "How many individuals there are of each size")
     count = "of all clumps, told by those that stand clear of others"
