@@ -262,9 +262,15 @@ def test_an_archive_that_is_not_there_or_damaged_hinders_no_export(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "damaged.gpkg").write_text("no database")
-    for name, warned in (("none.gpkg", False), ("damaged.gpkg", True)):
+    for name, only, warned in (
+        ("none.gpkg", ("tables", "html"), False),
+        ("damaged.gpkg", ("tables", "html"), True),
+        # Which tell of one survey alone.
+        ("damaged.gpkg", ("tables", "geopackage"), False),
+    ):
         caplog.clear()
-        command = Export("7", tmp_path / f"of {name}", archive=str(tmp_path / name), only=("tables",))
+        to = tmp_path / f"{only[-1]} of {name}"
+        command = Export("7", to, archive=str(tmp_path / name), only=only)
         assert opened(command, reef(), monkeypatch)() == 0
         assert ("the series is without what the archive keeps" in caplog.text) == warned
 

@@ -55,7 +55,7 @@ class Export:
 
     def __call__(self) -> int:
         """Exit status 0."""
-        from dream.survey.products import Author, Species, export, page
+        from dream.survey.products import OVER_TIME, Author, Species, export, page
 
         for one, other, both in (
             (self.species, self.species_id, "--species and --species-id"),
@@ -68,7 +68,8 @@ class Export:
         with compiling_told():
             survey = found(self.survey, self.archive, self.site)
             others = [found(one, self.archive, self.site) for one in self.earlier]
-        others = others or _kept_of_its_site(survey, self.archive)
+        if not others and (not self.only or set(self.only) & set(OVER_TIME)):
+            others = _kept_of_its_site(survey, self.archive)
         run = self.run or (Path(self.survey) if Path(self.survey).is_dir() else None)
         title = f"mosaic of {survey.name}"
         made = export(

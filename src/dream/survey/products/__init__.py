@@ -2,6 +2,6 @@
 reports."""
 
 from dream.survey.products.darwin_core import Author, Species
-from dream.survey.products.export import PRODUCTS, Exported, export
+from dream.survey.products.export import OVER_TIME, PRODUCTS, Exported, export
 
-__all__ = ["PRODUCTS", "Author", "Exported", "Species", "export"]
+__all__ = ["OVER_TIME", "PRODUCTS", "Author", "Exported", "Species", "export"]

@@ -43,6 +43,8 @@ PRODUCTS: Mapping[str, str] = {
     "html": "a report to read on a screen",
     "pdf": "a report to print",
 }
+OVER_TIME = ("netcdf", "series", "html", "pdf")
+"""Those of `PRODUCTS` that tell of the other surveys of the site, too."""
 FILES: Mapping[str, str] = {
     "habitat.tif": "what each place is, coloured; QGIS takes the legend from habitat.qml",
     "target_probability.tif": "how sure it is that the target stands in a place, 0 to 1",
