@@ -36,8 +36,9 @@ from dream.survey.products import (
     words,
 )
 from dream.survey.products.ground import Ground
+from dream.survey.registration import Registering
 from dream.survey.site import Site
-from tests.survey import scenes
+from tests.survey import repeated, scenes
 from tests.survey.browsing import Seen
 from tests.survey.scenes import SITE, reef, wreck
 
@@ -110,7 +111,7 @@ def test_rules_of_cf(series: Path) -> None:
             if name in ("crs", "time_bounds"):
                 continue
             assert variable.long_name  # 3.2
-            if name not in ("survey", "habitat"):
+            if name != "survey" and not hasattr(variable, "flag_meanings"):
                 assert variable.units  # 3.1
             for other in getattr(variable, "ancillary_variables", b"").split():  # 3.4
                 assert other.decode() in file.variables
@@ -165,6 +166,43 @@ def test_an_origin_that_was_corrected_by_metres_is_laid_where_its_own_file_says(
         row = np.abs(of["y"][:][:, None] - northing[within]).argmin(axis=0)
         # In a cell of the map, not on its edge.
         assert (of["habitat"][1][row, col] == LATER.layers.state.ravel()[within]).mean() > 0.98
+        # Farther off than two surveys are looked for on each other.
+        assert of["laid_by"][:].tolist() == [0, 3]
+        assert (
+            of["laid_turn"][:].tolist()
+            == of["laid_east"][:].tolist()
+            == of["laid_north"][:].tolist()
+            == [0, 0]
+        )
+        assert of["laid_sigma"][1] > 0.25
+
+
+@pytest.mark.parametrize("heading", [0.0, 40.0])
+def test_maps_lie_as_the_individuals_do_where_site_files_err(heading: float, tmp_path: Path) -> None:
+    """The site file of the later one has moved by 3 m, and its world by a hand."""
+    rng = np.random.default_rng(5)
+    there = repeated.reef(rng)
+    first, later = (repeated.survey(there, rng, name=name) for name in ("first", "later"))
+    site = replace(repeated.SITE, heading_deg=heading)
+    moved = replace(site, latitude=site.latitude + 3.0 / 111_300.0)
+    before = replace(first, site=site)
+    after = replace(later, site=moved, began=first.began + timedelta(days=365))
+    netcdf.write(before, tmp_path / "survey.nc", [after])
+    how = Registering().register(before, after)
+    assert how.by == "individuals"
+    with opened(tmp_path / "survey.nc") as file:
+        of = file.variables
+        assert of["laid_by"][:].tolist() == [0, 1]
+        assert of["laid_by"].flag_meanings.split()[1] == b"individuals"
+        # Back to where it was, but for the drift of both worlds.
+        assert np.hypot(of["laid_east"][1], of["laid_north"][1] + 3.0) < 1.0
+        assert abs(of["laid_turn"][1]) < 4.0
+        assert 0.0 < of["laid_sigma"][1] < 0.1
+        habitat = of["habitat"][:].copy()
+    both = (habitat != 0).all(axis=0)
+    target = habitat == scenes.TARGET
+    alike = (target[0] & target[1] & both).sum() / (target.any(axis=0) & both).sum()
+    assert alike > 0.85, alike
 
 
 def test_an_origin_beyond_the_edge_of_a_zone_is_laid_on_the_same_sheet(tmp_path: Path) -> None:

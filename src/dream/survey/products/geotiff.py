@@ -105,12 +105,19 @@ class Laid:
 
 def laid(layers: Layers, ground: Ground) -> Laid:
     """Lay a map on a sheet of its own."""
-    return laid_on(sheet_around(ground, corners_of(layers.bounds), layers.cell / FINER), layers, ground)
+    sheet = sheet_around(ground, corners_of(layers.bounds), layers.cell / FINER)
+    return laid_on(sheet, layers, *ground.world(*sheet.centres()))
 
 
-def laid_on(sheet: Sheet, layers: Layers, ground: Ground) -> Laid:
-    """Lay a map on a sheet."""
-    x, y = ground.world(*sheet.centres())
+def laid_on(sheet: Sheet, layers: Layers, x: Float64Array, y: Float64Array) -> Laid:
+    """Lay a map on a sheet.
+
+    Args:
+        sheet: The sheet.
+        layers: The map.
+        x: (rows, cols) metres in the map's world, of the middles of the sheet's cells.
+        y: The same.
+    """
     rows, cols = layers.state.shape
     col = np.floor((x - layers.bounds.x_min) / layers.cell).astype(np.intp)
     row = np.floor((y - layers.bounds.y_min) / layers.cell).astype(np.intp)

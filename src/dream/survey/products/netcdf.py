@@ -7,7 +7,7 @@ as the GeoTIFFs do.
 
 Site files are corrected over the years, so that surveys of one site may have origins some metres apart. The
 reference position is the origin of the survey that is exported, and the maps are of its ground: others are
-laid there as their own site files say.
+laid there as what stands on it shows, else as their own site files say.
 """
 
 from __future__ import annotations
@@ -24,13 +24,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dream.geometry import SE2
 from dream.survey import globe
 from dream.survey.products import areas, words
-from dream.survey.products.geotiff import Laid, laid_on, sheet_around
+from dream.survey.products.geotiff import Laid, Sheet, laid_on, sheet_around
 from dream.survey.products.ground import Ground, site_of
 from dream.survey.products.series import NONE_OF_THAT_SIZE, of_one_site
 from dream.survey.products.sheet import corners_of
 from dream.survey.products.styles import EXPLORED, SOLID, SOLID_TARGET, TARGET, UNKNOWN
+from dream.survey.registration import Registering, Registration
 from dream.survey.sizes import measures_over, size_bin
 from dream.survey.survey import Survey
 from dream.types import Target
@@ -46,6 +48,8 @@ MEANINGS = {
     SOLID: "obstacle",
     SOLID_TARGET: "high_target",
 }
+LAID_BY = ("", "individuals", "map", "poses")
+"""As `Registration.by` has it, after the survey itself."""
 FILL = 9.96921e36
 """netCDF's own for floats: CF wants a number, and NaN is not understood everywhere."""
 FILL_BYTE, FILL_SHORT = -127, -32767
@@ -72,7 +76,8 @@ def write(survey: Survey, path: Path, others: Sequence[Survey] = ()) -> None:
     if elsewhere:
         raise ValueError(f"netCDF: {elsewhere[0]}")
     sheet = sheet_around(ground, corners_of(survey.layers.bounds), survey.layers.cell / FINER)
-    on = [laid_on(sheet, one.layers, Ground(site_of(one), ground.epsg)) for one in surveys]
+    lying = [None if one is survey else Registering().register(survey, one) for one in surveys]
+    on = _laid(sheet, ground, surveys, lying)
     # Made in memory: SciPy cannot be told to give up where the disk is full.
     content = io.BytesIO()
     with netcdf_file(content, "w", version=2) as file:
@@ -84,6 +89,7 @@ def write(survey: Survey, path: Path, others: Sequence[Survey] = ()) -> None:
         file.createDimension("x", sheet.cols)
         _times(file, surveys)
         _origins(file, surveys, ground)
+        _lying(file, ground, lying)
         easting, northing = sheet.axes()
         for name, values, of in (("x", easting, "easting"), ("y", northing, "northing")):
             _variable(
@@ -124,7 +130,8 @@ def _describe(file: Any, survey: Survey, surveys: Sequence[Survey], ground: Grou
                 *(f"{told}." for told in made_up),
                 f"Maps are of the ground of {survey.name}. Its origin is the reference position: "
                 f"{site.latitude:.7f} degrees north, {site.longitude:.7f} degrees east. Other surveys are "
-                "laid there as their own site files say; what of them lies beyond is in their own exports.",
+                "laid there as their individuals or maps lie on its own where these show it, else as their "
+                "own site files say (laid_by); what of them lies beyond is in their own exports.",
                 *((words.CLUMPS,) if survey.target is not Target.WRECK else ()),
             )
         ),
@@ -174,6 +181,54 @@ def _origins(file: Any, surveys: Sequence[Survey], ground: Ground) -> None:
             long_name=f"metres {which} of the reference position at which the origin of the survey lies",
             units="m",
         )
+
+
+def _laid(
+    sheet: Sheet, ground: Ground, surveys: Sequence[Survey], lying: Sequence[Registration | None]
+) -> list[Laid]:
+    x, y = ground.world(*sheet.centres())
+    points = np.column_stack([x.ravel(), y.ravel()])
+    on = []
+    for one, there in zip(surveys, lying, strict=True):
+        own = points if there is None else there.back(points)
+        on.append(laid_on(sheet, one.layers, own[:, 0].reshape(x.shape), own[:, 1].reshape(x.shape)))
+    return on
+
+
+def _lying(file: Any, ground: Ground, lying: Sequence[Registration | None]) -> None:
+    """What shows how each survey lies on the ground of the one that is exported, and how far off site files
+    are."""
+    by = [0 if there is None else LAID_BY.index(there.by) for there in lying]
+    _variable(
+        file,
+        "laid_by",
+        "b",
+        ("time",),
+        np.array(by, np.int8),
+        long_name="what shows how the maps of the survey lie on the ground of the one that is exported",
+        flag_values=np.arange(len(LAID_BY), dtype=np.int8),
+        flag_meanings="its_own individuals map site_files",
+    )
+    moved = [SE2(0.0, 0.0, 0.0) if there is None else there.moved for there in lying]
+    east, north = ground.site.east_north([of.x for of in moved], [of.y for of in moved])
+    off = "the maps of the survey are laid otherwise than the site files say"
+    for name, values, what, units in (
+        ("laid_east", east, f"metres east by which {off}", "m"),
+        ("laid_north", north, f"metres north by which {off}", "m"),
+        (
+            "laid_turn",
+            np.degrees([of.yaw for of in moved]),
+            f"degrees counter-clockwise, seen from above, by which {off}",
+            "degree",
+        ),
+        (
+            "laid_sigma",
+            np.array([0.0 if there is None else there.sigma for there in lying]),
+            "standard error of where the maps of the survey lie on the ground of the one that is exported",
+            "m",
+        ),
+    ):
+        _variable(file, name, "d", ("time",), values, long_name=what, units=units)
 
 
 def _grid_mapping(file: Any, ground: Ground) -> None:
