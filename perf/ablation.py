@@ -2,14 +2,17 @@
 
     python perf/ablation.py --out ablation          goes on where it was broken off; 40 minutes on two cores
     python perf/ablation.py --out ablation --only "greedy" "no-tour"
+    python perf/ablation.py --out ablation --starts 0 1 2    from more places in the same worlds
 
-Differences are over the same worlds from the same starts; intervals at 95 % resample worlds within families.
+Differences are over the same worlds from the same starts; intervals at 95 % resample worlds within families,
+of each world the mean over its starts.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -46,12 +49,22 @@ VARIANTS: dict[str, tuple[str, AnyPlanner]] = {
 """Name → what is different, and the planner."""
 
 
-def values(rows: dict[tuple[str, int], Row], cap: int) -> dict[str, dict[tuple[str, int], float]]:
-    """Per world: steps to 98.26 %, steps to the own stop, success."""
+World = tuple[str, int]
+
+
+def values(rows: Sequence[Row], cap: int) -> dict[str, dict[World, float]]:
+    """Per world, the mean over its starts: steps to 98.26 %, steps to the own stop, success."""
+    of_world: dict[World, list[Row]] = {}
+    for row in rows:
+        of_world.setdefault((row.world, row.seed), []).append(row)
+
+    def means(of: Callable[[Row], float]) -> dict[World, float]:
+        return {world: float(np.mean([of(row) for row in these])) for world, these in of_world.items()}
+
     return {
-        "t98": {key: float(cap if row.t98 is None else row.t98) for key, row in rows.items()},
-        "stop": {key: float(cap if row.t_stop is None else row.t_stop) for key, row in rows.items()},
-        "success": {key: float(row.success) for key, row in rows.items()},
+        "t98": means(lambda row: cap if row.t98 is None else row.t98),
+        "stop": means(lambda row: cap if row.t_stop is None else row.t_stop),
+        "success": means(lambda row: row.success),
     }
 
 
@@ -63,11 +76,13 @@ def main() -> int:
     parser.add_argument(
         "--only", nargs="*", default=list(VARIANTS), help="variants to fly; the whole always is"
     )
+    parser.add_argument("--starts", nargs="+", type=int, default=[0], help="of each world's four")
     options = parser.parse_args()
     names = ["belief", *(name for name in options.only if name != "belief")]
     if unknown := set(names) - set(VARIANTS):
         parser.error(f"--only: expected some of {', '.join(VARIANTS)}, got {', '.join(sorted(unknown))}")
-    cases = tuple(case for case in suite_named("dev") if family_of(case.world) != "wreck")
+    reefs = [case for case in suite_named("dev") if family_of(case.world) != "wreck"]
+    cases = tuple(replace(case, start=start) for start in sorted(set(options.starts)) for case in reefs)
     plan = Plan("dev reefs", cases, {name: VARIANTS[name][1] for name in names}, DREAM_V1)
     for done, ended in enumerate(fly_plan(plan, options.out, Processes(options.jobs)), start=1):
         if isinstance(ended.outcome, Failure):
@@ -75,9 +90,9 @@ def main() -> int:
         print(f"\r{done}/{len(plan)} missions", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
 
-    found: dict[str, dict[tuple[str, int], Row]] = {}
+    found: dict[str, list[Row]] = {}
     for row in read_results(options.out).rows:
-        found.setdefault(row.planner, {})[row.world, row.seed] = row
+        found.setdefault(row.planner, []).append(row)
     whole = values(found["belief"], DREAM_V1.cap)
     print("| without | steps to 98.26 % | difference | own stop | difference | success |")
     print("|---|--:|--:|--:|--:|--:|")
@@ -92,8 +107,8 @@ def main() -> int:
             difference = statistics.interval(change, strata, statistics.mean)
             apart = f"{difference.value:+.1f} [{difference.low:+.1f}, {difference.high:+.1f}]"
             cells += [f"{ours.mean():.1f}", "" if name == "belief" else apart]
-        success = list(these["success"].values())
-        print(f"| {' | '.join([*cells, f'{int(sum(success))}/{len(success)}'])} |")
+        success = f"{sum(row.success for row in found[name])}/{len(found[name])}"
+        print(f"| {' | '.join([*cells, success])} |")
     return 0
 
 

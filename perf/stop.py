@@ -2,6 +2,7 @@
 
     python perf/stop.py                          some 10 minutes on two cores
     python perf/stop.py --bench bench/dev        with the planners of a benchmark beside it
+    python perf/stop.py --fresh 25               225 reefs that no suite has, 25 of each family
 
 Until it ends a mission does not depend on the risk that is accepted. So each world is flown once, to the end
 of all doubt, and what the planner believed step by step tells where it would have ended for another risk.
@@ -39,6 +40,8 @@ from dream.types import LOOK_AROUND
 from dream.types import Mission as MissionBrief
 
 RISKS = (0.5, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 0.001)
+FRESH = 310_001
+"""Seed of the first reef of each family that no suite has."""
 RADII = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
 """Metres."""
 
@@ -52,6 +55,8 @@ class Mission:
     """Were there regions, and all of them enclosed?"""
     risk: tuple[float, ...]
     """As the planner believed it."""
+    ended: bool
+    """Whether it ended by itself in the end, whatever risk was left."""
     hidden: tuple[tuple[float, ...], ...]
     """Square metres where the middle of a group of each of `RADII` would not have been noticed."""
 
@@ -106,7 +111,7 @@ def flown(task: tuple[Case, str]) -> Mission:
         area = tuple(
             float(could_hide(step.occupancy, radius, nothing).sum()) * protocol.cell**2 for radius in RADII
         )
-    return Mission(tuple(coverage), tuple(closed), tuple(risk), tuple(hidden))
+    return Mission(tuple(coverage), tuple(closed), tuple(risk), step.ended == "done", tuple(hidden))
 
 
 def intensity(area: npt.NDArray[np.float64], missed: npt.NDArray[np.bool_]) -> tuple[float, float]:
@@ -131,9 +136,15 @@ def main() -> int:
     parser.add_argument("--bench", type=Path, help="folder of a benchmark of the same worlds")
     parser.add_argument("--protocol", default="dream-v1")
     parser.add_argument("--jobs", type=int, default=processors(), help="missions at a time")
+    parser.add_argument(
+        "--fresh", type=int, metavar="N", help="N reefs of each family that no suite has, not those of `dev`"
+    )
     options = parser.parse_args()
     protocol = protocol_named(options.protocol)
     cases = [case for case in suite_named("dev") if family_of(case.world) != "wreck"]
+    if options.fresh is not None:
+        kinds = dict.fromkeys(case.world for case in cases)
+        cases = [Case(kind, FRESH + k) for kind in kinds for k in range(options.fresh)]
     missions: list[Mission] = []
     groups = [[(case, protocol.name)] for case in cases]
     for task, outcome in Processes(options.jobs).run(flown, groups):
@@ -151,7 +162,8 @@ def main() -> int:
         for mission in missions:
             ends = np.flatnonzero(np.array(mission.closed) & (np.array(mission.risk) <= accepted))
             end = int(ends[0]) if len(ends) else len(mission.risk) - 1
-            done = len(ends) > 0
+            # Where nothing is left that it knows a way to see, it ends with the risk that there is.
+            done = len(ends) > 0 or mission.ended
             steps.append(end + LOOK_AROUND + 1 if done else protocol.cap)
             promised.append(mission.risk[end])
             coverage.append(mission.coverage[end])
@@ -174,14 +186,16 @@ def main() -> int:
         found, likelihood = intensity(areas[:, k], missed_at)
         print(f"| {radius:g} m | {1000.0 * found:.2f} | {likelihood:.0f} |")
     if options.bench is not None:
-        print("\n| stop | missed 98.26 % | mean step | mean coverage |\n|---|--:|--:|--:|")
+        print("\n| stop | missed 98.26 % | mean step | mean coverage | 98.26 % seen after |")
+        print("|---|--:|--:|--:|--:|")
         rows = [row for row in read_results(options.bench).rows if family_of(row.world) != "wreck"]
         for name in dict.fromkeys(row.planner for row in rows):
             these = [row for row in rows if row.planner == name]
             ended = [protocol.cap if row.t_stop is None else row.t_stop for row in these]
             missed_share = np.mean([row.instances < COMPLETE for row in these])
             covered = np.mean([row.instances for row in these])
-            print(f"| {name} | {missed_share:.1%} | {np.mean(ended):.1f} | {covered:.2%} |")
+            seen = np.mean([protocol.cap if row.t98 is None else row.t98 for row in these])
+            print(f"| {name} | {missed_share:.1%} | {np.mean(ended):.1f} | {covered:.2%} | {seen:.1f} |")
     return 0
 
 
