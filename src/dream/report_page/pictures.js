@@ -12,9 +12,10 @@ function depthColor(share) {
   return DEPTH_STOPS[index].map((from, channel) => from + (place - index) * (DEPTH_STOPS[index + 1][channel] - from));
 }
 
-// 256 RGB triples: the colour of every level.
+// The colour of every level of 256, as a pixel of a canvas is laid in memory: a whole one is set at once.
 function table(colorOf) {
-  return Uint8ClampedArray.from(Array.from({ length: 256 }, (_, level) => colorOf(level)).flat());
+  const bytes = Uint8ClampedArray.from(Array.from({ length: 256 }, (_, level) => [...colorOf(level), 255]).flat());
+  return new Uint32Array(bytes.buffer);
 }
 
 class Pictures {
@@ -72,11 +73,12 @@ class Pictures {
     context.drawImage(image, 0, 0);
     if (!(name in this.tables)) return;
     const pixels = context.getImageData(0, 0, canvas.width, canvas.height);
-    const levels = new Uint8Array(canvas.width * canvas.height);
+    const colored = new Uint32Array(pixels.data.buffer);
+    const levels = new Uint8Array(colored.length);
     for (let pixel = 0; pixel < levels.length; pixel++) levels[pixel] = pixels.data[4 * pixel];
     if (name === "depth") this.reach(levels.reduce((most, level) => Math.max(most, level), 0));
     const colors = this.tables[name];
-    for (let pixel = 0; pixel < levels.length; pixel++) pixels.data.set(colors.subarray(3 * levels[pixel], 3 * levels[pixel] + 3), 4 * pixel);
+    for (let pixel = 0; pixel < levels.length; pixel++) colored[pixel] = colors[levels[pixel]];
     context.putImageData(pixels, 0, 0);
     this.levels[name] = { levels, width: canvas.width, height: canvas.height };
   }
