@@ -7,11 +7,11 @@ UV := env -u VIRTUAL_ENV -u UV_PYTHON -u UV_PROJECT_ENVIRONMENT -u UV_PROJECT -u
 # Kept bytecode spares every process that a test starts a second or more of compiling.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup run tank survey test test-ray test-train check results perf clean
+.PHONY: help setup run tank survey test test-ray test-train test-checkers check results perf clean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup: .venv/.synced ## Build .venv, with .venv/bin/dream in it
 
@@ -55,6 +55,10 @@ test-ray: setup ## Run the tests that need Ray, an optional extra
 test-train: setup ## Run the tests of training, which need PyTorch, an optional extra
 	@$(UV) sync --quiet --locked --inexact --extra train
 	@$(BIN)/pytest tests/learning
+
+test-checkers: setup ## Run the tests that read files with others' checkers and readers
+	@$(UV) sync --quiet --locked --inexact --group checkers
+	@$(BIN)/pytest tests/live/test_rerun.py tests/survey/test_products_files.py::test_a_cf_checker_finds_no_fault
 
 check: setup ## Lint, types and format
 	@$(BIN)/ruff check .

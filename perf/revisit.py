@@ -5,11 +5,13 @@
     python perf/revisit.py --kind other       with the survey of another reef; also shift, empty, came
     python perf/revisit.py --whole            fly with a survey to the own stop too, not only to 98.26 %
     python perf/revisit.py --years 3          after three years; --protocol dream-v1-noisy: both under noise
+    python perf/revisit.py --sigma 0.1        as if the survey did not know its place to 0.1 m
     python perf/revisit.py --clairvoyant 60   and search a minute a world for the tour of one who knows it
 
-Every mission is kept in `--out` as it ends, so that the same call goes on where it was, and one that ends at
-98.26 % apart from one that ends at its own stop. Ratios are of steps to 98.26 %, in pairs, 200 where it was
-never reached; see docs/revisit.md.
+The survey is measured as `dream survey add` does it, and told as `dream run --from-survey` does. Missions are
+kept in `--out` as they end, so that the same call goes on where it was, and those that end at 98.26 % apart
+from those that end at their own stop. Ratios are of steps to 98.26 %, in pairs, 200 where it was never
+reached; see docs/revisit.md.
 """
 
 from __future__ import annotations
@@ -17,6 +19,8 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import astuple, replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -35,12 +39,16 @@ from dream.mapping.prior import Prior
 from dream.planning import Belief
 from dream.protocol import DREAM_V1, SurveyProtocol, protocol_named
 from dream.sim.worlds import make_world
+from dream.survey import Survey, files
+from dream.survey.measuring import About, measure_observations
+from dream.survey.prior import prior_of
 from dream.types import BoolArray
 
 KINDS = ("right", "other", "shift", "empty", "came")
 SHIFT = 4.0
 """Metres east and north by which a survey is told in the wrong place."""
-SIGMA = 0.1
+BEGAN = datetime(2026, 1, 1, tzinfo=UTC)
+"""Of every survey; the mission that comes back is so many years later."""
 APART = 3.0
 """Metres between groups: a survey of the kind `came` says of the one farthest off that it was bare ground."""
 
@@ -75,26 +83,30 @@ def fly(
     return told
 
 
-def surveyed(path: Path, bounds: Bounds, kind: str, years: int = 1) -> Prior:
-    """The survey that a kept map makes, right or wrong in one of the ways, on the cells of those bounds."""
-    then, cell = OccupancyMap.load(path), DREAM_V1.cell
-    shape = round(bounds.depth / cell), round(bounds.width / cell)
-    row, col = np.mgrid[: shape[0], : shape[1]]
-    shift = SHIFT if kind == "shift" else 0.0
-    x = bounds.x_min + (col + 0.5) * cell - shift
-    y = bounds.y_min + (row + 0.5) * cell - shift
-    inside = then.contains(x, y)
-    i, j = then.cell_of(x[inside], y[inside])
-    target, solid = np.full(shape, np.nan, np.float32), np.zeros(shape, np.bool_)
-    told = then.target_probability.copy()
+def survey_of(name: str, seed: int, keep: Path, protocol: SurveyProtocol) -> Survey:
+    """The survey of a mission to its own stop, or that which was kept; its map lies beside it."""
+    kept = keep.with_suffix(".survey.npz")
+    if not kept.exists():
+        seen = []
+        for step in simulate(make_world(name, seed), Belief(), protocol):
+            seen.append(step.observation)
+        step.occupancy.save(keep.with_suffix(".npz"))
+        files.write(measure_observations(seen, step.occupancy, About(keep.stem, BEGAN)), kept)
+    return files.read(kept)
+
+
+def told_wrong(survey: Survey, kind: str, keep: Path) -> Survey:
+    """The same survey, wrong in one of the ways; `keep` is that of `survey_of`."""
+    layers = survey.layers
+    told = layers.target_probability.copy()
     if kind == "empty":
-        told[:] = 0.0
+        told[~np.isnan(told)] = 0.0
     if kind == "came":
-        told[farthest_group(then)] = 0.0
-    target[inside] = np.where(then.seen[i, j], told[i, j], np.nan)
-    solid[inside] = then.solid[i, j]
-    said = "of a year ago" if years == 1 else f"of {years} years ago"
-    return Prior(bounds, cell, target, solid, SIGMA, float(years), said)
+        told[farthest_group(OccupancyMap.load(keep.with_suffix(".npz"))) & ~np.isnan(told)] = 0.0
+    bounds = layers.bounds
+    if kind == "shift":
+        bounds = Bounds(*(side + SHIFT for side in astuple(bounds)))
+    return replace(survey, layers=replace(layers, bounds=bounds, target_probability=told))
 
 
 def clairvoyant(name: str, seed: int, keep: Path, budget_s: float) -> tuple[int, int]:
@@ -161,6 +173,7 @@ def main() -> int:
     parser.add_argument("--whole", action="store_true", help="to the own stop; else to 98.26 %%")
     parser.add_argument("--arriving", type=float, default=Belief().arriving, help="of the planner")
     parser.add_argument("--years", type=int, default=1, help="between the survey and the mission")
+    parser.add_argument("--sigma", type=float, help="metres that the survey may err by; else its own word")
     parser.add_argument("--protocol", choices=(DREAM_V1.name, "dream-v1-noisy"), default=DREAM_V1.name)
     parser.add_argument("--clairvoyant", type=float, metavar="SECONDS", help="of processor time a world")
     parser.add_argument("--out", type=Path, default=Path("bench/revisit"))
@@ -177,13 +190,16 @@ def main() -> int:
         of = seed if options.kind != "other" else options.seeds[0] + (seed - options.seeds[0] + 1) % 5
         under = "" if protocol == DREAM_V1 else f"{protocol.name}-"
         on = f"{under}{family}-{seed}" + ("" if options.years == 1 else f"-{options.years}y")
-        before = options.out / f"{under}{family}-{of}-before.json"
-        fly(first, of, before, protocol=protocol)
+        before = options.out / f"{under}{family}-{of}-before"
+        survey = told_wrong(survey_of(first, of, before, protocol), options.kind, before)
         without = fly(later, seed, options.out / f"{on}-without.json", protocol=protocol)
         bounds = make_world(later, seed).bounds
-        prior = surveyed(before.with_suffix(".npz"), bounds, options.kind, options.years)
+        now = BEGAN + timedelta(days=365.25 * options.years)
+        prior = prior_of(survey, bounds, protocol.cell, now=now)
+        if options.sigma is not None:
+            prior = replace(prior, sigma=options.sigma)
         planner = Belief(arriving=options.arriving)
-        flown = f"{options.kind}-{options.arriving:g}{'-whole' if options.whole else ''}"
+        flown = f"{options.kind}-{options.arriving:g}-{prior.sigma:g}m{'-whole' if options.whole else ''}"
         keep = options.out / f"{on}-{flown}.json"
         with_it = fly(later, seed, keep, prior, planner=planner, protocol=protocol, whole=options.whole)
         pair = [mission[key] or DREAM_V1.cap for key in ("t98", "t_stop") for mission in (with_it, without)]

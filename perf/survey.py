@@ -3,12 +3,14 @@
     python perf/survey.py                      # the tables of docs/survey-measures.md
     python perf/survey.py --calibrate --worlds 3   # the numbers of src/dream/survey/calibration.py
     python perf/survey.py --worlds 2 --wrecks 0 --swims 0
+    python perf/survey.py --worlds 0 --swims 0   # wrecks alone
+    python perf/survey.py --worlds 0 --swims 0 --wrecks 2 --first-wreck 7001   # that wreck.py is fitted to
     python perf/survey.py --wrecks 0 --swims 0 --years 5   # older than any that the calibration knows
 
 Reefs of all four families, seeds 72000 and up, new and some years on, are flown by `belief` in dream-v1 and
-dream-v1-noisy, some new ones in dream-v1-nav, and wrecks of seed 70000. Calibration uses reefs of seeds 60000
-and up, new and some years on, which no table does. Poses of missions and the truth of worlds are kept in
-`--cache`, so that an interrupted call goes on where it was.
+dream-v1-noisy, some new ones in dream-v1-nav, and wrecks of seeds 7101 and up. Calibration uses reefs of
+seeds 60000 and up, new and some years on, which no table does. Poses of missions and the truth of worlds are
+kept in `--cache`, so that an interrupted call goes on where it was.
 """
 
 from __future__ import annotations
@@ -55,7 +57,7 @@ from dream.types import Label, Observation, Target
 Float64Array = npt.NDArray[np.float64]
 
 FAMILIES = ("reef/fringing", "reef/string", "reef/patch", "reef/mixed")
-FIRST, FIRST_OF_CALIBRATION, FIRST_WRECK = 72_000, 60_000, 70_000
+FIRST, FIRST_OF_CALIBRATION, FIRST_WRECK = 72_000, 60_000, 7101
 YEARS_OF_CALIBRATION = (0, 1, 2, 4)
 """That have passed on the reefs: on a new one all clumps are of an age."""
 TILE, ABOVE, PIXELS = 4.0, 15.0, 400
@@ -641,7 +643,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--worlds", type=int, default=5, help="reefs of each family and age")
     parser.add_argument("--swims", type=int, default=2, help="of each family in dream-v1-nav")
-    parser.add_argument("--wrecks", type=int, default=1, help="wrecks of each kind")
+    parser.add_argument("--wrecks", type=int, default=2, help="wrecks of each kind")
+    parser.add_argument("--first-wreck", type=int, default=FIRST_WRECK, help="seed")
     parser.add_argument(
         "--years", type=int, nargs="+", default=[0, 1, 3], help="that have passed on the reefs"
     )
@@ -671,7 +674,7 @@ def main() -> int:
         Mission("dream-v1-nav", family, FIRST + k) for k in range(options.swims) for family in FAMILIES
     ]
     missions += [
-        Mission(protocol, f"wreck/{kind}", FIRST_WRECK + k)
+        Mission(protocol, f"wreck/{kind}", options.first_wreck + k)
         for k in range(options.wrecks)
         for kind in range(1, 6)
         for protocol in ("dream-v1", "dream-v1-noisy")

@@ -27,6 +27,7 @@ from dream.planning import PLANNERS, AnyPlanner, Dream, Lawnmower, RandomWalk, S
 from dream.recording import RunConfig, read_config, read_summary, record, write_config, write_summary
 from dream.report import repeating_command, write_report
 from dream.types import Step
+from tests.programs import CHROMIUM, do_without
 from tests.recorded_runs import (
     CONFIG,
     SUMMARY,
@@ -40,7 +41,6 @@ from tests.recorded_runs import (
 HOSTILE = (
     "</script ></script><script>document.title='owned'</script><img src=x onerror=alert(1)> & <!-- {{run}}"
 )
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
 class Page(HTMLParser):
@@ -264,7 +264,7 @@ def test_a_planner_that_is_not_known_here_is_named_with_all_its_parameters() -> 
 
 def browse(page: Path, step: int | None, profile: Path, *options: str) -> subprocess.CompletedProcess[str]:
     if CHROMIUM is None:
-        pytest.skip("no Chromium on this machine to open the page with")
+        do_without("needs Chromium to open the page with: apt-get install chromium")
     quiet = (
         "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
         "--disable-component-update --disable-sync --hide-scrollbars --enable-logging=stderr "

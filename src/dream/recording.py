@@ -202,6 +202,17 @@ class RunConfig(_Recorded):
     began: AwareDatetime | None = None
     """By the clock of the machine; None in older files."""
 
+    @property
+    def dive(self) -> dict[str, Any] | None:
+        """What a dive was begun with; None of a run in the simulator."""
+        told = (self.model_extra or {}).get("dive")
+        return told if isinstance(told, dict) else None
+
+    @property
+    def real(self) -> bool:
+        """Was it in real water? Its `world` and `seed` then name nothing."""
+        return self.dive is not None and not self.dive.get("stand_in")
+
 
 class PlannerTimes(_Recorded):
     """Milliseconds that a decision took."""

@@ -134,9 +134,7 @@ def repeating_command(config: RunConfig) -> str:
 
 def _place(config: RunConfig) -> str:
     """Where it was; a real place has no seed."""
-    dive = (config.model_extra or {}).get("dive")
-    real = isinstance(dive, dict) and not dive.get("stand_in")
-    return config.world if real else f"{config.world} seed {config.seed}"
+    return config.world if config.real else f"{config.world} seed {config.seed}"
 
 
 def _blocks(folder: Path, step: RecordedStep) -> tuple[int, list[str]]:

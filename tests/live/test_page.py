@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -21,12 +20,9 @@ from dream.live.doors import Doors
 from dream.live.folders import Watched
 from dream.live.server import listen, serve
 from tests.live.runs import STEPS, Growing
+from tests.programs import CHROMIUM, do_without
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine to open the page with"),
-]
+pytestmark = pytest.mark.slow
 Make = Callable[..., Growing]
 HOSTILE = "</p><script>document.title='owned'</script><img src=x onerror=alert(1)>"
 TOKEN = "a-token-of-some-length"
@@ -60,6 +56,8 @@ class Shown:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
+    if CHROMIUM is None:
+        do_without("needs Chromium to open the page with: apt-get install chromium")
     with sync_playwright() as playwright:
         quiet = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-background-networking"]
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=quiet)

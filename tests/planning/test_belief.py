@@ -26,14 +26,16 @@ from dream.mapping import (
     view,
     visible_weight,
 )
+from dream.mapping.prior import Prior
 from dream.planning import Belief, sentences
-from dream.planning.belief import MOST_VISITS, BeliefPilot, _away_from_hull
+from dream.planning.belief import GIVEN_UP, MOST_VISITS, BeliefPilot, Thought, _away_from_hull
 from dream.planning.distribution import Groups, expectation
 from dream.planning.hull import PATCH
-from dream.planning.lookahead import Plan
+from dream.planning.lookahead import LookAhead, Plan, Prospect
 from dream.planning.travel import careful_travel, nearest_open, travel_from
-from dream.protocol import DREAM_V1
+from dream.protocol import DREAM_V1, protocol_named
 from dream.sim.world import World
+from dream.sim.worlds import make_world
 from dream.types import BoolArray, Decision, Mission, Observation, Step
 from tests.mapping.analytic import AREA, map_with
 from tests.planning.flights import SIDE, all_but, observed_at
@@ -42,6 +44,8 @@ from tests.sim.arenas import FLOOR, arena, placed
 MISSION = Mission(DREAM_V1, AREA, DREAM_V1.cap)
 SLIT = np.s_[70:72, 20:22]
 """Four cells that no observation ever shows."""
+WITHHELD = np.s_[30:60, 60:90]
+"""A box that no observation ever shows."""
 NOTHING = np.zeros((SIDE, SIDE), np.bool_)
 
 
@@ -150,17 +154,6 @@ def test_it_never_stands_still_but_to_be_done(flown: Flown) -> None:
     assert not any(decision.stops and not decision.done for _, _, decision in flown.asked)
 
 
-def test_it_comes_back_to_a_pose_only_so_often_while_nothing_is_new(flown: Flown) -> None:
-    visits: Counter[SE2] = Counter()
-    observed = 0
-    for observation, occupancy, _ in flown.asked:
-        if (now := int(occupancy.observed.sum())) > observed:
-            observed = now
-            visits.clear()
-        visits[DREAM_V1.snap(observation.pose)] += 1
-        assert max(visits.values()) <= 3 * MOST_VISITS
-
-
 def test_the_same_world_gets_the_same_decisions_word_for_word() -> None:
     world = WORLDS["out of reach"]
     first, second = ([decision for *_, decision in _fly(world, max_steps=25).asked] for _ in range(2))
@@ -176,8 +169,9 @@ def test_where_there_is_nothing_all_ground_is_seen_before_it_ends() -> None:
 
 
 @pytest.mark.slow
-def test_a_larger_empty_arena_is_seen_to_the_last_cell_within_the_cap(empty_world: World) -> None:
-    world = replace(empty_world, bounds=Bounds(-14.0, -14.0, 14.0, 14.0))
+def test_an_empty_world_of_full_size_is_seen_to_the_last_cell_within_the_cap() -> None:
+    world = make_world("flat/empty", 1)
+    assert (world.bounds.width, world.bounds.depth) == (40.0, 40.0)
     *_, last = simulate(world, Belief(), DREAM_V1)
     assert last.ended == "done"
     assert last.index < DREAM_V1.cap
@@ -316,6 +310,75 @@ def test_ground_that_never_shows_is_given_up_then_tried_again_when_refused() -> 
     first = claims.index(True)
     assert not all(claims[first:]), "once refused it looks again"
     assert sum(claims) >= 2, "and gives up again"
+
+
+def _visited_in_vain(planner: Belief, most: int) -> tuple[bool, int]:
+    """With a box that never shows: is it done within so many steps, and how often was it at one pose?"""
+    toy = Toy(SE2(-3.0, 2.0, 0.0), all_but(WITHHELD), never=~all_but(WITHHELD))
+    pilot, visits = planner.begin(MISSION), Counter[SE2]()
+    for _ in range(most):
+        visits[toy.pose] += 1
+        if toy.step(pilot).done:
+            return True, max(visits.values())
+    return False, max(visits.values())
+
+
+def test_ground_that_never_shows_brings_it_to_no_pose_more_often_than_that(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert _visited_in_vain(Belief(), 40) == (True, MOST_VISITS)
+    monkeypatch.setattr(BeliefPilot, "_visits", lambda *_: 1)
+    done, visits = _visited_in_vain(Belief(), 40)
+    assert not done
+    assert visits > 2 * MOST_VISITS, "nothing else stops it"
+
+
+def test_what_only_the_map_still_promises_brings_it_to_no_pose_more_often_than_twice_that(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As where the look-ahead has nothing to go for, and no number of looks in vain is enough."""
+    monkeypatch.setattr(LookAhead, "plan", lambda *_: None)
+    assert _visited_in_vain(Belief(patience=100), 60) == (True, 2 * MOST_VISITS)
+    monkeypatch.setattr(BeliefPilot, "_visits", lambda *_: 1)
+    done, visits = _visited_in_vain(Belief(patience=100), 60)
+    assert not done
+    assert visits > 3 * MOST_VISITS
+
+
+@pytest.mark.parametrize("patience", [Belief().patience, 100])
+def test_it_says_how_much_ground_it_gave_up_and_counts_for_searched(patience: int) -> None:
+    """Looked at in vain often enough; or, where no number of looks is, given up with what it headed for."""
+    toy = Toy(SE2(-3.0, 2.0, 0.0), all_but(WITHHELD), never=~all_but(WITHHELD))
+    pilot = Belief(patience=patience).begin(MISSION)
+    areas = []
+    for _ in range(40):
+        dropped = np.count_nonzero(pilot.vain.count >= GIVEN_UP)
+        decision = toy.step(pilot)
+        area = DREAM_V1.cell**2 * np.count_nonzero(~toy.map.observed & (pilot.vain.count >= patience))
+        said = re.search(r"accepted\. (\S+) m² that never came into view", decision.reasoning.completion)
+        if np.count_nonzero(pilot.vain.count >= GIVEN_UP) == dropped:
+            # What is dropped after that was said is told in the next step.
+            assert (said is not None) == (area > 0.0)
+            if said:
+                assert float(said[1]) == pytest.approx(area, abs=0.051)
+                areas.append(area)
+        if decision.done:
+            break
+    assert decision.done
+    assert (len(set(areas)) > 2) == (patience == 3)
+    assert f"; {area:.1f} m² that never came into view were given up: done" in decision.reasoning.action
+    assert area == DREAM_V1.cell**2 * NOTHING[WITHHELD].size
+
+
+def test_neither_ground_outside_the_area_nor_what_was_seen_is_among_what_it_gave_up() -> None:
+    occupancy = map_with(explored=_half_known())
+    occupancy.restrict(Bounds(-12.0, -12.0, 12.0, -4.0))
+    pilot, observation = Belief().begin(MISSION), observed_at(-6.0, -6.0, math.pi)
+    assert "given up" not in pilot.decide(observation, occupancy).reasoning.completion
+    assert occupancy.observed[:32, 48:56].all()
+    pilot.vain.count[:, 48:72] = pilot.patience
+    said = pilot.decide(observation, occupancy).reasoning.completion
+    assert said.endswith(" 32.0 m² that never came into view were given up and are not counted.")
 
 
 @pytest.mark.parametrize(
@@ -659,9 +722,137 @@ def test_it_says_how_many_steps_lead_where_and_what_they_show() -> None:
     single = sentences.plan(Plan(path[:2], 0.0, 0.0, cells=12.0), travel)
     assert single == (
         "The next step leads to (-1.0, 2.0), looking towards 0°, "
-        "and may show 12 of the cells that keep the map open."
+        "and may show 12 of the cells that are still to be seen."
     )
     assert "may show" not in sentences.plan(Plan(path, 1.0, 0.2), travel)
+
+
+@dataclass
+class Explained:
+    """Flies as it decides, and keeps what each plan shows by the views of its poses, one after the other."""
+
+    planner: Belief
+    hull: bool
+    """There is one in the world."""
+    pilot: BeliefPilot = field(init=False)
+    plans: list[tuple[Plan, Decision, tuple[float, float, float]]] = field(default_factory=list)
+    """With square metres of targets, of middles of groups, and patches."""
+
+    def begin(self, mission: Mission) -> Explained:
+        self.pilot = self.planner.begin(mission)
+        return self
+
+    def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
+        thought = self.pilot.consider(observation, occupancy)
+        decision = self.pilot.act(thought, thought.plan, occupancy)
+        if thought.plan is not None and thought.plan.choice is not None:
+            shows = self._shows(thought, thought.plan, self.pilot.prospect(thought, occupancy), occupancy)
+            self.plans.append((thought.plan, decision, shows))
+        return decision
+
+    def _shows(
+        self, thought: Thought, plan: Plan, prospect: Prospect, occupancy: OccupancyMap
+    ) -> tuple[float, float, float]:
+        assert plan.choice is not None
+        ground, middles, elements = NOTHING.copy(), NOTHING.copy(), set[int]()
+        for row, col, heading in plan.path[-1:] if plan.choice.straight else plan.path[1:]:
+            shown, noticed = self.pilot.outlook.shown((row, col, heading))
+            ground, middles = ground | shown, middles | noticed
+            if (listed := prospect.listed) is not None:
+                for k in np.flatnonzero(listed.nodes == row * self.pilot.outlook.cols + col):
+                    first, past = listed.starts[k * DREAM_V1.headings + heading :][:2]
+                    elements.update(listed.elements[first:past].tolist())
+        ground &= ~occupancy.observed & (self.pilot.vain.count < self.pilot.patience)
+        square, expected = DREAM_V1.cell**2, thought.expected
+        return (
+            square * float(expected.beside[ground].sum()),
+            square * float(np.count_nonzero(expected.hiding & middles)),
+            float(expected.hull[sorted(elements)].sum()),
+        )
+
+
+@pytest.fixture(scope="module", params=["reef", "wreck"])
+def explained(request: pytest.FixtureRequest) -> Explained:
+    """Short flights; that over the reef begins where it does not see all of it at once."""
+    world = WORLDS[request.param]
+    if request.param == "reef":
+        world = replace(world, starts=(SE2(-8.0, 7.0, 0.0),))
+    flight = Explained(Belief(), hull=world.targets_are_hull)
+    assert list(simulate(world, flight, DREAM_V1, max_steps=24))
+    return flight
+
+
+def test_what_a_plan_promises_is_what_the_views_along_its_way_would_show(explained: Explained) -> None:
+    for plan, _, shows in explained.plans:
+        assert (plan.targets, plan.cleared, plan.patches) == pytest.approx(shows, rel=1e-3, abs=1e-3)
+    targets, cleared, patches = np.sum([shows for *_, shows in explained.plans], axis=0)
+    assert targets > 10.0
+    assert cleared > 100.0
+    assert (patches > 10.0) == explained.hull
+
+
+def test_it_says_why_it_goes_there_and_that_is_how_it_chose(explained: Explained) -> None:
+    assert explained.plans
+    for plan, decision, _ in explained.plans:
+        between = plan.choice
+        assert between is not None
+        assert between.jump == explained.planner.jump
+        assert decision.reasoning.next_target.endswith(sentences.choice(between))
+        assert plan.rate == (between.view if between.straight else between.rate)
+        assert (between.rate < between.jump * between.view) == between.straight
+
+
+def test_on_a_walk_over_targets_or_round_what_a_survey_foretells_it_says_that() -> None:
+    tank = make_world("pool/arc", 1)
+    walks = 0
+    for step in simulate(tank, Belief(), protocol_named(tank.protocol), max_steps=8):
+        said = step.decision.reasoning.next_target
+        assert said.endswith(sentences.WALK) == ("and traverse" in said)
+        walks += "and traverse" in said
+    assert walks
+    told = NOTHING.astype(np.float32)
+    told[40:52, 70:80] = 0.99
+    surveyed = replace(MISSION, prior=Prior(AREA, DREAM_V1.cell, told, NOTHING, years=1.0))
+    occupancy, observation = map_with(explored=_half_known()), observed_at(-6.0, 0.0, 0.0)
+    for mission, round_it in ((surveyed, True), (MISSION, False)):
+        said = Belief().begin(mission).decide(observation, occupancy).reasoning.next_target
+        assert said.endswith(sentences.ROUND) == round_it
+
+
+def test_whoever_takes_another_plan_is_given_no_reasons_for_this_one() -> None:
+    pilot, observation = Belief().begin(MISSION), observed_at(-6.0, 0.0, 0.0)
+    occupancy = map_with(explored=_half_known())
+    thought = pilot.consider(observation, occupancy)
+    assert thought.plan is not None
+    own = pilot.act(thought, thought.plan, occupancy).reasoning.next_target
+    other = pilot.act(thought, replace(thought.plan, later=0.0), occupancy).reasoning.next_target
+    assert thought.why in own
+    assert own != thought.why
+    assert thought.why
+    assert thought.why not in other
+
+
+def test_the_cells_that_it_says_are_still_to_be_seen_are_those_of_the_view_there(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """From afar, and where the look-ahead has nothing to go for: a slit that never shows."""
+    monkeypatch.setattr(LookAhead, "plan", lambda *_: None)
+    toy, steps = Toy(SE2(9.0, -9.0, 0.0), all_but(SLIT), never=~all_but(SLIT)), []
+    pilot = Belief().begin(MISSION)
+    for _ in range(30):
+        decision = toy.step(pilot)
+        if decision.done:
+            break
+        said = decision.reasoning.next_target
+        x, y, degrees, cells = _numbers(
+            r"to \((\S+), (\S+)\), looking towards (\d+)°, and may show (\d+) of the cells", decision
+        )
+        promised = view(toy.map, x, y, math.radians(degrees)) & ~toy.map.observed
+        assert cells == np.count_nonzero(promised) > 0
+        assert said.endswith(sentences.LEFTOVER)
+        steps.append("The next step" in said)
+    assert decision.done
+    assert {True, False} == set(steps)
 
 
 def test_the_way_that_it_announces_begins_with_its_move_and_can_be_gone(flown: Flown) -> None:

@@ -18,7 +18,7 @@ from dream.mapping import OccupancyMap
 from dream.mapping._kernels import flags
 from dream.planning._kernels import lookahead
 from dream.planning._kernels.lookahead import FREE, UNKNOWN, Views
-from dream.planning.lookahead import NOTHING, LookAhead, Plan, Prospect
+from dream.planning.lookahead import NOTHING, SERVICE, LookAhead, Plan, Prospect
 from dream.planning.outlook import Listed, Outlook
 from dream.planning.travel import Pose, Travel, careful_standoff, careful_travel, offsets_of
 from dream.protocol import DREAM_V1
@@ -483,14 +483,24 @@ def test_a_far_view_is_gone_for_when_jump_says_that_it_is_so_much_better() -> No
     assert len(far.path) - 1 > 4
     assert far.rate > near.rate, "it gains more a step, the way there included"
     turning_point = near.rate / far.rate
-    assert scene.plan(jump=0.9 * turning_point) == near
-    assert scene.plan(jump=1.1 * turning_point) == far
+    before, after = (scene.plan(jump=share * turning_point) for share in (0.9, 1.1))
+    assert before is not None
+    assert after is not None
+    assert replace(before, choice=near.choice) == near
+    assert replace(after, choice=far.choice) == far
+    for plan in (before, after):
+        assert plan.choice is not None
+        assert plan.choice.straight == (plan is after)
+        assert (plan.choice.rate, plan.choice.view) == (near.rate, far.rate)
 
 
 def test_where_the_horizon_shows_nothing_the_far_view_is_taken_whatever_jump_says() -> None:
     plan = _scene(FAR_OFF).plan(jump=0.0)
     assert plan is not None
     assert len(plan.path) - 1 > 4
+    assert plan.choice is not None
+    assert plan.choice.straight
+    assert (plan.choice.rate, plan.choice.view) == (0.0, plan.rate)
 
 
 def test_the_rate_of_a_far_view_is_what_it_shows_over_the_steps_to_it() -> None:
@@ -532,6 +542,58 @@ def test_a_plan_says_how_much_of_what_it_is_after_it_shows() -> None:
         assert plan.targets == pytest.approx(float(scene.prospect.targets[tiles].sum()), rel=1e-4)
         assert plan.targets > 0.0
         assert plan.cleared == plan.patches == plan.cells == 0.0
+
+
+def test_a_plan_says_what_its_way_the_tour_after_it_and_the_best_view_were_worth() -> None:
+    """By the slow twins of what is shown and of the tour."""
+    scene = _scene((slice(20, 40), slice(30, 60), 1.0), FAR_OFF)
+    tour, discount, step_cost, keep = 0.7, 0.95, 0.001, 0.01
+    plan = scene.plan(jump=0.0, tour=tour, discount=discount, step_cost=step_cost, keep=keep)
+    assert plan is not None
+    assert plan.choice is not None
+    outlook, weights = scene.prospect.outlook, scene.prospect.weights.astype(np.float64)
+    views, total = outlook.views(), float(weights.sum())
+    seen: set[int] = set()
+    gained = 0.0
+    for step, pose in enumerate(plan.path[1:], start=1):
+        shown = shown_by(views, *pose)
+        gained += discount**step * float(weights[list(shown - seen)].sum())
+        seen |= shown
+    assert plan.choice.shown == pytest.approx(gained, rel=1e-4)
+
+    weights[list(seen)] = 0.0
+    x, y, area = outlook.places()
+    mass = np.bincount(area, weights, outlook.areas)
+    middle = [np.bincount(area, weights * at, outlook.areas) / np.maximum(mass, 1e-9) for at in (x, y)]
+    service = lookahead.DETOUR + np.bincount(area, weights > 0.0, outlook.areas) / (SERVICE * views.first[1])
+    row, col, _ = plan.path[-1]
+    worth, steps = _tour(
+        list(mass),
+        list(zip(*middle, strict=True)),
+        list(service),
+        at=(col * DREAM_V1.lattice, row * DREAM_V1.lattice),
+        keep=keep * total,
+        discount=discount,
+    )
+    assert plan.later == pytest.approx(steps, rel=1e-4)
+    assert steps > 4.0
+    level = len(plan.path) - 1
+    after = tour * (discount**level * worth - step_cost * total * (level + steps))
+    assert plan.choice.after == pytest.approx(after, rel=1e-4)
+    straight = scene.plan(jump=100.0)
+    assert straight is not None
+    assert plan.choice.view == straight.rate
+    assert straight.later == 0.0
+
+
+def test_a_plan_says_among_how_many_sequences_it_was_chosen() -> None:
+    scene = _scene((slice(20, 76), slice(30, 60), 1.0))
+    for width in (1, 5):
+        values = {"discount": 0.95, "step_cost": 0.001, "tour": 1.0, "keep": 0.01, "jump": 0.0}
+        plan = LookAhead(width, 4, **values).plan(scene.prospect, scene.travel, scene.moves, scene.known)
+        assert plan is not None
+        assert plan.choice is not None
+        assert plan.choice.sequences == width
 
 
 def test_what_is_left_takes_longer_the_more_there_is() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 from typing import Any
@@ -13,6 +14,7 @@ from dream.evaluation.runner import simulate
 from dream.geometry import SE2, Bounds
 from dream.mapping import OccupancyMap, check_completion
 from dream.mapping.completion import Region
+from dream.mapping.layers import Evidence
 from dream.mapping.prior import Prior
 from dream.planning import Belief, sentences
 from dream.planning.belief import BeliefPilot, _Expected
@@ -20,7 +22,7 @@ from dream.planning.recall import BELIEVED, LIKELY, LOOKS, Recall
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
 from dream.types import BoolArray, Mission, Step
-from tests.mapping.analytic import AREA, map_with
+from tests.mapping.analytic import AREA, Disc, empty_map, look_around, map_with
 from tests.planning.flights import observed_at
 
 SIDE = round(AREA.width / DREAM_V1.cell)
@@ -285,13 +287,64 @@ def test_it_goes_where_the_targets_were(known: list[Step], string_reef: World) -
     assert not any(step.arrival.collided for step in known)
 
 
-def test_its_words_say_what_the_survey_foretells_and_what_is_new(known: list[Step]) -> None:
+def test_its_words_say_whose_survey_it_is_and_that_it_is_believed(known: list[Step]) -> None:
     words = known[-1].decision.reasoning.distribution
     told = re.search(r"The survey last year, 1\.0 years old, is believed to (\d+)%: ([\d.]+) m²", words)
     assert told is not None
     assert int(told[1]) > 50
-    assert "are new" in words
-    assert "are gone" in words
+
+
+STAYED, CAME, WENT, BEHIND = (
+    *(Disc(3.0, 3.0, 1.2), Disc(-4.0, 3.0, 1.0), Disc(0.0, -4.5, 1.5)),
+    Disc(10.5, -10.5, 1.0),
+)
+"""Groups; the last one lies out of reach of a look around from the middle."""
+SHOWN = 0.0501
+"""m² to which the words are exact."""
+
+
+def cells_of(disc: Disc, more: float = 0.0) -> BoolArray:
+    """Those whose middles are on it, or at most so many metres beside it."""
+    row, col = np.mgrid[:SIDE, :SIDE]
+    x, y = (AREA.x_min + (k + 0.5) * DREAM_V1.cell for k in (col, row))
+    return np.asarray(np.hypot(x - disc.x, y - disc.y) <= disc.radius + more)
+
+
+@pytest.mark.parametrize("came", [(), (CAME,)], ids=["none came", "one came"])
+@pytest.mark.parametrize("went", [(), (WENT,)], ids=["none went", "one went"])
+def test_its_words_say_how_much_is_left_is_new_and_is_gone(
+    came: tuple[Disc, ...], went: tuple[Disc, ...]
+) -> None:
+    # Told a cell larger than it is, so that nothing at its rim is news.
+    was = cells_of(STAYED, 0.25) | cells_of(BEHIND)
+    for disc in went:
+        was |= cells_of(disc)
+    occupancy = empty_map()
+    for _ in range(2):
+        look_around(occupancy, 0.0, 0.0, STAYED, BEHIND, *came)
+    pilot = Belief().begin(Mission(DREAM_V1, AREA, 200, prior=survey(was)))
+    assert isinstance(pilot, BeliefPilot)
+    words = pilot.consider(observed_at(0.0, 0.0, 0.0), occupancy).reasoning.distribution
+    told = re.search(
+        r"([\d.]+) m² where it foretells targets are still to be seen; "
+        r"([\d.]+) m² of targets are new, ([\d.]+) m² are gone",
+        words,
+    )
+    assert told is not None
+    left, new, gone = map(float, told.groups())
+    square, not_told = DREAM_V1.cell**2, occupancy.target & ~was
+    assert new == pytest.approx(square * np.count_nonzero(not_told), abs=SHOWN)
+    assert new == pytest.approx(sum(math.pi * disc.radius**2 for disc in came), rel=0.15)
+    # Of some cells at a rim no frame said anything: they hold both.
+    bare = occupancy.target_probability < 0.9 * Evidence().target_prior
+    assert gone == pytest.approx(square * np.count_nonzero(was & bare), abs=SHOWN)
+    lost = was & bare & ~cells_of(STAYED, 0.25)
+    assert square * np.count_nonzero(lost) == pytest.approx(
+        sum(math.pi * disc.radius**2 for disc in went), rel=0.05
+    )
+    # New ones are foretold beside it, but not a metre away.
+    sizes = (square * np.count_nonzero(cells_of(BEHIND, more)) for more in (0.0, 1.0))
+    assert next(sizes) < left < next(sizes)
 
 
 def test_a_survey_of_bare_ground_alone_lowers_no_risk() -> None:

@@ -7,15 +7,16 @@ from collections.abc import Iterator
 
 import pytest
 
+from tests.programs import do_without
 from tests.survey.postgres import Server, missing, serving
 
 
 @pytest.fixture(scope="session")
 def postgres() -> Iterator[Server]:
-    """A real server; skipped where its packages are not there."""
+    """A real server; its packages may not be there."""
     if importlib.util.find_spec("psycopg") is None:
-        pytest.skip("needs psycopg, an optional extra")
+        do_without("needs psycopg, an optional extra")
     if reason := missing():
-        pytest.skip(reason)
+        do_without(reason)
     with serving() as server:
         yield server

@@ -35,7 +35,7 @@ def missing() -> str:
 
 
 class Server:
-    """A server that can be stopped, killed and started again."""
+    """A server that can be stopped, started again, and made to hang."""
 
     def __init__(self, folder: Path, prefix: list[str]) -> None:
         self._folder, self._prefix = folder, prefix
@@ -86,10 +86,29 @@ class Server:
         """At once: connections are cut, as by a machine that goes down."""
         if self._process is None:
             return
-        number = int((self._folder / "data" / "postmaster.pid").read_text().split()[0])
-        os.kill(number, signal.SIGQUIT)
+        os.kill(self._number(), signal.SIGQUIT)
         self._process.wait(30.0)
         self._process = None
+
+    @contextlib.contextmanager
+    def frozen(self) -> Iterator[None]:
+        """All its programs stand still; the system still acknowledges what they are sent."""
+        assert self._process is not None
+        number = self._number()
+        children = Path(f"/proc/{number}/task/{number}/children").read_text().split()
+        # The program that started it stops with it, and does not go on by itself.
+        numbers = [self._process.pid, number, *map(int, children)]
+        for one in numbers[1:]:
+            os.kill(one, signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            for one in numbers:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(one, signal.SIGCONT)
+
+    def _number(self) -> int:
+        return int((self._folder / "data" / "postmaster.pid").read_text().split()[0])
 
 
 @contextlib.contextmanager

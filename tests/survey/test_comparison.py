@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
 import math
+import pickle
 import re
 import sqlite3
+import subprocess
+import sys
 from dataclasses import fields, replace
 from datetime import timedelta
 from pathlib import Path
-from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -20,10 +24,12 @@ from scipy.spatial import cKDTree
 from scipy.special import ndtr
 from scipy.stats import false_discovery_control
 
+from dream.cli import run_command
 from dream.geometry import SE2
-from dream.survey import Individuals, Measure, Survey, change_words
+from dream.survey import Individuals, Measure, Survey, change_words, files
 from dream.survey.archive import wkb
-from dream.survey.change_map import VERDICTS, draw_on, write_change
+from dream.survey.change_layers import GROUND, VERDICTS
+from dream.survey.change_map import FILES, draw_on, write_change
 from dream.survey.change_page import change_page
 from dream.survey.change_words import a_year, summary
 from dream.survey.comparison import (
@@ -557,37 +563,167 @@ def test_the_change_is_written_as_a_picture_layers_and_figures(
     assert fates["lost"] == (less[0].fate_a == Fate.LOST).sum()
 
 
-def test_on_a_full_disk_no_part_of_the_change_is_written(
+CHANGES = {
+    Change.NOT_COMPARABLE: "not comparable",
+    Change.BARE: "bare",
+    Change.KEPT: "kept",
+    Change.GAIN: "gain",
+    Change.LOSS: "loss",
+}
+
+
+@pytest.mark.parametrize("site", [None, replace(SITE, heading_deg=33.0)])
+def test_gdal_opens_the_ground_as_one_valid_area_of_each_kind(
+    site: Site | None, less: list[Comparison], tmp_path: Path
+) -> None:
+    """All of the earlier survey's box: bare ground is told from ground that one of them did not see."""
+    pyogrio, shapely = pytest.importorskip("pyogrio"), pytest.importorskip("shapely")
+    change = less[0].change.copy()
+    # Cells that touch at a corner, and a hole that touches its outline in one.
+    change[40:48, 40:48] = Change.GAIN
+    change[41, 41] = change[42, 42] = change[47, 47] = Change.LOSS
+    change[39, 39] = Change.GAIN
+    comparison = replace(less[0], a=replace(less[0].a, site=site), change=change)
+    _, gpkg, *_ = write_change(comparison, tmp_path)
+    assert [name for name, _ in pyogrio.list_layers(gpkg)] == [
+        *("ground", "patches", "individuals", "layer_styles")
+    ]
+    meta, _, geometry, (kinds, areas) = pyogrio.raw.read(gpkg, layer="ground", columns=["change", "area_m2"])
+    assert kinds.tolist() == list(CHANGES.values())
+    cells = np.bincount(change.ravel(), minlength=len(Change))
+    assert areas == pytest.approx(cells * comparison.cell**2)
+    shapes = shapely.from_wkb(geometry)
+    assert shapely.is_valid(shapes).all()
+    assert set(shapely.get_type_id(shapes)) == {6}
+    if site is None:
+        assert shapely.area(shapes) == pytest.approx(areas)
+        box = comparison.bounds
+        whole = shapely.box(box.x_min, box.y_min, box.x_max, box.y_max)
+        assert shapely.union_all(shapes).symmetric_difference(whole).area < 1e-9
+    else:
+        assert meta["crs"] == "EPSG:4326"
+        geod = pytest.importorskip("pyproj").Geod(ellps="WGS84")
+        there = [abs(geod.geometry_area_perimeter(shape)[0]) for shape in shapes]
+        assert there == pytest.approx(areas, rel=1e-4)
+    _, _, geometry, _ = pyogrio.raw.read(gpkg, layer="patches")
+    assert shapely.is_valid(shapely.from_wkb(geometry)).all()
+
+
+def test_every_kind_of_thing_in_the_layers_has_a_look_of_its_own(
+    less: list[Comparison], tmp_path: Path
+) -> None:
+    _, gpkg, *_ = write_change(less[0], tmp_path)
+    with contextlib.closing(sqlite3.connect(gpkg)) as database:
+        drawn = dict(
+            database.execute(
+                "SELECT f_table_name, styleQML FROM layer_styles "
+                "WHERE useAsDefault AND f_geometry_column = 'geom'"
+            )
+        )
+        assert set(drawn) == {"ground", "patches", "individuals"}
+        for layer, style in drawn.items():
+            (renderer,) = ElementTree.fromstring(style.partition("\n")[2]).iter("renderer-v2")
+            assert renderer.get("type") == "categorizedSymbol"
+            there = {
+                one for (one,) in database.execute(f"SELECT DISTINCT {renderer.get('attr')} FROM {layer}")
+            }
+            looks = {
+                symbol.get("name"): tuple(
+                    (option.get("name"), option.get("value")) for option in symbol.iter("Option")
+                )
+                for symbol in renderer.iter("symbol")
+            }
+            kinds = {one.get("value"): looks[one.get("symbol")] for one in renderer.iter("category")}
+            assert there
+            assert there <= set(kinds)
+            assert len(kinds) == len(looks)
+            told = set(kinds) - {"hidden"}  # Drawn as what is there, as on the picture.
+            assert len({kinds[kind] for kind in told}) == len(told)
+            if layer == "ground":
+                assert set(kinds) == set(CHANGES.values())
+                for change in (Change.BARE, Change.KEPT, Change.GAIN, Change.LOSS):
+                    red, green, blue = (int(GROUND[change][at : at + 2], 16) for at in (1, 3, 5))
+                    assert ("color", f"{red},{green},{blue},255") in kinds[CHANGES[change]]
+
+
+FULL = """
+import pickle, resource, sys
+from pathlib import Path
+from unittest import mock
+from dream.survey import change_map
+
+comparison = pickle.loads(sys.stdin.buffer.read())
+for folder in map(Path, sys.argv[1:]):
+    owner = change_map.json if folder.name == "dumps" else change_map
+    go_on = getattr(owner, folder.name)
+
+    def without_room(*of, **more):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, resource.RLIM_INFINITY))
+        return go_on(*of, **more)
+
+    with mock.patch.object(owner, folder.name, without_room):
+        try:
+            change_map.write_change(comparison, folder)
+        except OSError as error:
+            print(error)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+"""
+
+
+def test_on_a_full_disk_no_part_of_the_change_is_written_and_what_was_there_stays(
+    same: list[Comparison], tmp_path: Path
+) -> None:
+    """The system itself makes no file longer: each time it is another one of the four that is cut off."""
+    told = same[0].as_dict()
+    before = dict.fromkeys(FILES, b"of before")
+    # By which it is known whose change this is.
+    before["change.json"] = json.dumps({which: told[which] for which in ("before", "after")}).encode()
+    # Each is called just before its file is written.
+    folders = [tmp_path / name for name in ("draw", "write_change_layers", "dumps", "change_page")]
+    for folder in folders:
+        folder.mkdir()
+        for name, content in before.items():
+            (folder / name).write_bytes(content)
+    ended = subprocess.run(
+        [sys.executable, "-W", "error", "-c", FULL, *folders],
+        input=pickle.dumps(same[0]),
+        capture_output=True,
+        cwd=Path(__file__).parents[2],
+        check=False,
+    )
+    assert (ended.returncode, ended.stderr) == (0, b"")
+    for folder, line in zip(folders, ended.stdout.decode().splitlines(), strict=True):
+        reason = "disk I/O error" if folder.name == "write_change_layers" else "File too large"
+        assert line.startswith(
+            f"could not write the change to {folder} ({reason}). Nothing there was changed"
+        )
+        assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_a_comparison_that_fails_leaves_no_folder(
     same: list[Comparison], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(*_: object, **__: object) -> None:
+    files.write(same[0].a, tmp_path / "one")
+    files.write(replace(same[0].b, site=replace(SITE, name="Other reef")), tmp_path / "other")
+    files.write(same[0].b, tmp_path / "again")
+    compare = ["survey", "compare", str(tmp_path / "one")]
+    there = set(tmp_path.rglob("*"))
+    for out in ("new", "new/within", "."):
+        failing = [*compare, str(tmp_path / "other"), "--out", str(tmp_path / out)]
+        assert run_command(failing) == 2
+        assert set(tmp_path.rglob("*")) == there
+
+    def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_text", full)
-    with pytest.raises(OSError, match=r"could not write the change to .*No space left"):
-        write_change(same[0], tmp_path)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_page_that_cannot_be_written_leaves_what_was_there(
-    same: list[Comparison], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """By the last of the files, when the others are already done."""
-    for name in ("change.html", "change.json", "change.png"):
-        (tmp_path / name).write_text("of before")
-    write = Path.write_text
-
-    def full(path: Path, *rest: Any, **more: Any) -> int:
-        if path.name == "change.html":
-            write(path, "<!doctype html><p>half of")
-            raise OSError(28, "No space left on device")
-        return write(path, *rest, **more)
-
-    monkeypatch.setattr(Path, "write_text", full)
-    with pytest.raises(OSError, match=r"could not write the change to .*No space left"):
-        write_change(same[0], tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["change.html", "change.json", "change.png"]
-    assert {path.read_text() for path in tmp_path.iterdir()} == {"of before"}
+    with monkeypatch.context() as disk:
+        disk.setattr("dream.survey.change_map.draw", full)
+        assert run_command([*compare, str(tmp_path / "again"), "--out", str(tmp_path / "new/within")]) == 2
+    assert set(tmp_path.rglob("*")) == there
+    # A folder that was there stays, though it is empty.
+    (tmp_path / "empty").mkdir()
+    assert run_command([*compare, str(tmp_path / "other"), "--out", str(tmp_path / "empty")]) == 2
+    assert (tmp_path / "empty").is_dir()
 
 
 def test_a_folder_in_the_place_of_a_file_leaves_all_as_it_was(same: list[Comparison], tmp_path: Path) -> None:

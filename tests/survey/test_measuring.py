@@ -7,16 +7,22 @@ import re
 import shutil
 from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from dream.commands.dive import Dive
+from dream.commands.dive.ready import Ready
+from dream.commands.dive.records import config as dive_config
+from dream.commands.ground import Known
 from dream.geometry import SE2, SE3, Bounds
 from dream.mapping import OccupancyMap
 from dream.mission import explore
 from dream.planning import Belief
-from dream.protocol import DREAM_V1, DREAM_V1_NOISY, SurveyProtocol
+from dream.protocol import DREAM_V1, DREAM_V1_NOISY, POOL_V1, SurveyProtocol
 from dream.recording import read_config, record, write_config
 from dream.robots import Teleport, replay
 from dream.robots.bluerov2.log import DiveLog
@@ -24,9 +30,10 @@ from dream.sim.camera_noise import noise_generator, with_noise
 from dream.sim.render import Frame, Renderer
 from dream.sim.world import World
 from dream.sim.worlds import make_world
-from dream.survey import About, Survey, measure, measure_observations
+from dream.survey import About, Survey, files, measure, measure_observations
 from dream.survey.calibration import SHARP
 from dream.survey.measuring import GUESSED
+from dream.survey.products import tables, words
 from dream.survey.reef import _Shape, _totals
 from dream.types import Observation, Target
 
@@ -324,6 +331,30 @@ def test_an_older_dive_began_when_its_log_says(run: Path, tmp_path: Path) -> Non
     assert measure(dive).began == datetime.fromtimestamp(1_780_000_000, UTC)
     (dive / "log.mcap").write_bytes(b"no log")
     assert measure(dive).made_by["began_by"] == "when its config.json was written"
+
+
+@pytest.mark.parametrize("stand_in", [False, True])
+def test_a_dive_is_simulated_only_in_the_stand_in(run: Path, tmp_path: Path, stand_in: bool) -> None:
+    """As `dream dive` writes its config.json."""
+    dive = Path(shutil.copytree(run, tmp_path / "dive"))
+    tank: Any = SimpleNamespace(world=SimpleNamespace(name="pool/arc")) if stand_in else None
+    devices: Any = SimpleNamespace(log=SimpleNamespace(epoch_ns=1_780_000_000_000_000_000))
+    unused: Any = None
+    begun, start = Dive(stand_in=stand_in), SE2(0.0, 0.0, 0.0)
+    ready = Ready(begun, POOL_V1, devices, unused, start, dive, tank, unused, Known())
+    write_config(dive, {**dive_config(ready, "belief"), "protocol": "dream-v1"})
+    survey = files.loaded(files.dumped(measure(dive)), "it")
+    assert survey.simulated is stand_in
+    assert words.world(survey) == ("world pool/arc, seed 1" if stand_in else "")
+    tables.write(survey, tmp_path)
+    told = (tmp_path / "measures.csv").read_text("utf-8-sig")
+    assert ("world pool/arc" in told) is stand_in
+
+
+def test_an_older_survey_of_a_dive_is_of_real_water(run: Path) -> None:
+    survey = measure(run)
+    assert survey.simulated
+    assert not dataclasses.replace(survey, made_by={**survey.made_by, "world": "dive"}).simulated
 
 
 def test_copies_of_a_run_are_the_same_run_and_no_other_is(run: Path, tmp_path: Path) -> None:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import subprocess
 import sys
+import time
 import traceback
+from collections.abc import Iterator
 
 import pytest
 
 from dream.survey import files
-from dream.survey.archive import open_archive
+from dream.survey.archive import open_archive, postgis, schema
 from dream.survey.archive.postgis import PostgisArchive
+from dream.survey.archive.rows import Row
 from tests.survey.postgres import PASSWORD, QUOTED, Server
 from tests.survey.scenes import reef, wreck
 
@@ -95,6 +100,170 @@ def test_a_server_that_goes_away_is_told_of_and_nothing_is_half_written(
         assert files.dumped(again.get(number)) == files.dumped(reef())
 
 
+@contextlib.contextmanager
+def soon(most: float) -> Iterator[None]:
+    """Done within so many seconds."""
+    begun = time.monotonic()
+    yield
+    assert time.monotonic() - begun < most
+
+
+STANDS_STILL = """
+import os, signal, sys
+from dream.survey.archive.postgis import PostgisArchive
+
+with PostgisArchive(sys.argv[1]) as archive, archive._changing():
+    print("changing", flush=True)
+    os.kill(os.getpid(), signal.SIGSTOP)
+"""
+
+
+def test_a_writer_that_stands_still_is_not_waited_for_for_ever(
+    postgres: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    url = postgres.emptied()
+    with open_archive(url, begin=True) as archive:
+        archive.add(reef())
+    writer = subprocess.Popen([sys.executable, "-c", STANDS_STILL, url], stdout=subprocess.PIPE, text=True)
+    assert writer.stdout is not None
+    assert writer.stdout.readline() == "changing\n"
+    monkeypatch.setattr(postgis, "PATIENCE", 0.5)
+    try:
+        with open_archive(url) as archive:
+            # Nobody waits to read.
+            assert len(archive.entries()) == 1
+            with soon(10.0), pytest.raises(OSError, match=r"has kept the archive to itself for 0\.5 s"):
+                archive.add(wreck())
+            writer.kill()
+            writer.communicate(timeout=60.0)
+            until = time.monotonic() + 10.0
+            while time.monotonic() < until:
+                with contextlib.suppress(OSError):
+                    assert archive.add(wreck()) == (2, True)
+                    break
+            assert len(archive.entries()) == 2
+    finally:
+        writer.kill()
+        writer.communicate(timeout=60.0)
+
+
+def test_a_writer_that_stands_still_makes_way_for_others_and_keeps_nothing(
+    postgres: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    url = postgres.emptied()
+    open_archive(url, begin=True).__exit__(None, None, None)
+    monkeypatch.setattr(postgis, "PATIENCE", 0.5)
+    with PostgisArchive(url) as still:
+        begin_survey = still._begin_survey
+
+        def stand_still(head: Row) -> int:
+            monkeypatch.setattr(postgis, "PATIENCE", 20.0)
+            with open_archive(url) as other, soon(10.0):
+                other.add(wreck())
+            return begin_survey(head)
+
+        monkeypatch.setattr(still, "_begin_survey", stand_still)
+        with pytest.raises(OSError, match=r"but stood still for longer .* Nothing was changed"):
+            still.add(reef())
+    with open_archive(url) as archive:
+        assert [entry.name for entry in archive.entries()] == [wreck().name]
+
+
+def test_a_server_that_hangs_is_told_of_and_is_not_waited_for_for_ever(
+    postgres: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(postgis, "STATEMENT", 0.5)
+    monkeypatch.setattr(postgis, "MARGIN", 0.5)
+    url = postgres.emptied()
+    with open_archive(url, begin=True) as archive:
+        archive.add(reef())
+        with postgres.frozen():
+            with soon(5.0), pytest.raises(OSError, match=r"went away \(it has said nothing for 1 s\)"):
+                archive.entries()
+            with soon(5.0), pytest.raises(OSError, match="cannot be reached, or went away"):
+                open_archive(f"{url}?connect_timeout=2")
+        with pytest.raises(OSError, match="went away"):
+            archive.entries()
+    with open_archive(url) as archive:
+        assert len(archive.entries()) == 1
+
+
+@pytest.mark.parametrize("step", ["_begin_survey", "_fill"])
+def test_a_server_that_hangs_while_a_survey_is_added_keeps_none_of_it(
+    step: str, postgres: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(postgis, "STATEMENT", 0.5)
+    monkeypatch.setattr(postgis, "MARGIN", 0.5)
+    url = postgres.emptied()
+    with contextlib.ExitStack() as hanging, PostgisArchive(url, begin=True) as archive:
+        go_on = getattr(archive, step)
+
+        def hang(*of: object) -> object:
+            hanging.enter_context(postgres.frozen())
+            return go_on(*of)
+
+        monkeypatch.setattr(archive, step, hang)
+        with soon(5.0), pytest.raises(OSError, match=r"said nothing for 1 s\)\. Nothing was changed"):
+            archive.add(reef())
+    with open_archive(url) as again:
+        assert again.entries() == []
+
+
+def test_what_a_server_may_have_kept_is_not_told_as_unchanged(
+    postgres: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is asked to keep a survey, and does not answer: this one does keep it."""
+    monkeypatch.setattr(postgis, "STATEMENT", 0.5)
+    monkeypatch.setattr(postgis, "MARGIN", 0.5)
+    url = postgres.emptied()
+    with contextlib.ExitStack() as hanging, PostgisArchive(url, begin=True) as archive:
+        monkeypatch.setattr(archive, "_register_change", lambda: hanging.enter_context(postgres.frozen()))
+        with (
+            soon(5.0),
+            pytest.raises(OSError, match="may be kept or not: look with dream survey list") as told,
+        ):
+            archive.add(reef())
+        assert "Nothing was changed" not in str(told.value)
+    until = time.monotonic() + 10.0
+    with open_archive(url) as again:
+        while not again.entries() and time.monotonic() < until:
+            time.sleep(0.05)
+        assert [entry.name for entry in again.entries()] == [reef().name]
+
+
+def test_a_server_that_dies_while_it_keeps_a_survey_may_have_kept_it(
+    postgres: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    archive = PostgisArchive(postgres.emptied(), begin=True)
+    monkeypatch.setattr(archive, "_register_change", postgres.stop)
+    try:
+        with archive, pytest.raises(OSError, match="may be kept or not: look with dream survey list"):
+            archive.add(reef())
+    finally:
+        postgres.start()
+
+
+def test_a_server_that_takes_too_long_is_told_to_stop(
+    postgres: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(postgis, "STATEMENT", 0.5)
+    url = postgres.emptied()
+    with open_archive(url, begin=True) as archive:
+        with psycopg.connect(url) as connection:
+            connection.execute(
+                "CREATE FUNCTION dream.slow() RETURNS trigger LANGUAGE plpgsql AS "
+                "'BEGIN PERFORM pg_sleep(30); RETURN NEW; END'"
+            )
+            connection.execute(
+                "CREATE TRIGGER slow BEFORE INSERT ON dream.surveys EXECUTE FUNCTION dream.slow()"
+            )
+        complaint = "the server gave up what it was asked for .*statement timeout.* Nothing was changed"
+        with soon(5.0), pytest.raises(OSError, match=complaint):
+            archive.add(reef())
+        # It is there still, and so is the connection.
+        assert archive.entries() == []
+
+
 def test_a_database_without_postgis_and_without_the_right_to_make_it_is_told_of(postgres: Server) -> None:
     with psycopg.connect(postgres.emptied(), autocommit=True) as connection:
         connection.execute("DROP DATABASE IF EXISTS bare")
@@ -118,8 +287,32 @@ def test_who_may_only_read_can_read(postgres: Server) -> None:
         connection.execute("GRANT SELECT ON ALL TABLES IN SCHEMA dream TO reader")
         with open_archive(postgres.url("postgres", user="reader", password="reader")) as archive:
             assert len(archive.entries()) == 1
-            with pytest.raises(ValueError, match="permission denied"):
+            with pytest.raises(OSError, match=r"expected the right to do this there .*permission denied"):
                 archive.add(wreck())
+        connection.execute("DROP SCHEMA dream CASCADE")
+        connection.execute("DROP ROLE reader")
+
+
+def test_who_may_only_read_is_told_who_can_bring_an_older_archive_up_to_date(
+    postgres: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    url = postgres.emptied()
+    with monkeypatch.context() as then:
+        then.setattr(postgis, "MIGRATIONS", schema.MIGRATIONS[:2])
+        open_archive(url, begin=True).__exit__(None, None, None)
+    with psycopg.connect(url, autocommit=True) as connection:
+        connection.execute("DROP ROLE IF EXISTS reader")
+        connection.execute("CREATE ROLE reader LOGIN PASSWORD 'reader'")
+        connection.execute("GRANT USAGE ON SCHEMA dream TO reader")
+        connection.execute("GRANT SELECT ON ALL TABLES IN SCHEMA dream TO reader")
+        reading = postgres.url("postgres", user="reader", password="reader")
+        complaint = (
+            "expected an archive of version 4, got version 2 and no right to bring it up to date .*owner"
+        )
+        with pytest.raises(PermissionError, match=complaint):
+            open_archive(reading)
+        with open_archive(url), open_archive(reading) as archive:
+            assert archive.entries() == []
         connection.execute("DROP SCHEMA dream CASCADE")
         connection.execute("DROP ROLE reader")
 

@@ -74,13 +74,25 @@ def test_how_the_frames_were_brought_together_is_said() -> None:
     ("survey", "site", "message"),
     [
         (wreck(), None, "expected a survey of oysters"),
-        (reef(site=replace(WRECK_SITE, name="elsewhere")), SITE, "of this place"),
+        (
+            reef(site=replace(WRECK_SITE, name=SITE.name)),
+            SITE,
+            "of this place, got one whose origin is [0-9]+",
+        ),
+        (moved(reef(), 0.0, 6_000.0, 20.0), SITE, r"of this place, got one whose origin is 6\.0 km away"),
+        (reef(site=replace(SITE, name="Outer reef")), SITE, "of 'Inner reef', .* got one of 'Outer reef'"),
         (moved(reef(), 500.0, 0.0, 20.0), SITE, "saw nothing of it"),
     ],
 )
 def test_a_survey_of_something_else_is_refused(survey: Survey, site: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         prior_of(survey, AREA, CELL, target=Target.OYSTERS, site=site)  # type: ignore[arg-type]
+
+
+def test_a_site_is_the_same_however_its_name_is_written() -> None:
+    survey = reef(site=replace(SITE, name=f" {SITE.name.upper()} "))
+    prior = prior_of(survey, AREA, CELL, site=SITE)
+    np.testing.assert_array_equal(prior.target, survey.layers.target_probability)
 
 
 def test_a_survey_from_after_the_mission_is_refused() -> None:

@@ -177,6 +177,41 @@ def test_an_origin_that_was_corrected_by_metres_is_laid_where_its_own_file_says(
         assert of["laid_sigma"][1] > 0.25
 
 
+def test_a_survey_that_saw_nothing_keeps_its_place_in_the_series(tmp_path: Path) -> None:
+    layers = LATER.layers
+    blind = replace(
+        LATER,
+        individuals=scenes.wreck().individuals,
+        patches=(),
+        layers=replace(
+            layers,
+            state=np.full_like(layers.state, scenes.UNKNOWN),
+            target_probability=np.full_like(layers.target_probability, np.nan),
+            relief=np.full_like(layers.relief, np.nan),
+            times_seen=np.zeros_like(layers.times_seen),
+        ),
+    )
+    netcdf.write(reef(), tmp_path / "survey.nc", [blind])
+    with opened(tmp_path / "survey.nc") as file:
+        of = file.variables
+        assert of["laid_by"][:].tolist() == [0, 3]
+        assert of["habitat"][0].any()
+        assert not of["habitat"][1].any()
+
+
+def test_surveys_of_one_time_each_have_a_time_of_their_own(tmp_path: Path) -> None:
+    """As CF asks of a coordinate. What was recorded stands in the bounds."""
+    began = reef().began
+    same = [replace(LATER, name=name, began=began) for name in ("second", "third")]
+    after = replace(LATER, name="fourth", began=began + timedelta(seconds=1))
+    netcdf.write(reef(), tmp_path / "survey.nc", [*same, after])
+    with opened(tmp_path / "survey.nc") as file:
+        time, bounds = file.variables["time"][:].copy(), file.variables["time_bounds"][:].copy()
+    assert np.diff(time).tolist() == [1.0, 1.0, 1.0]
+    assert (bounds[:, 0] - bounds[0, 0]).tolist() == [0.0, 0.0, 0.0, 1.0]
+    assert ((bounds[:, 0] <= time) & (time <= bounds[:, 1])).all()
+
+
 @pytest.mark.parametrize("heading", [0.0, 40.0])
 def test_maps_lie_as_the_individuals_do_where_site_files_err(heading: float, tmp_path: Path) -> None:
     """The site file of the later one has moved by 3 m, and its world by a hand."""
@@ -315,6 +350,7 @@ def test_occurrences_as_obis_asks(tmp_path: Path) -> None:
     for n, row in enumerate(rows):
         assert row["basisOfRecord"] == "MachineObservation"
         assert row["identificationVerificationStatus"] == "PredictedByMachine"
+        assert row["identificationReferences"] == "DREAM 0.1.0, docs/survey-measures.md"
         assert row["occurrenceStatus"] == "present"
         assert (row["scientificName"], row["scientificNameID"]) == (OYSTER.name, OYSTER.id)
         assert row["eventDate"] == "2026-06-01T09:30:00Z/2026-06-01T09:32:00Z"
@@ -636,3 +672,19 @@ def test_shares_of_sizes_are_drawn_with_their_intervals_and_not_listed() -> None
     bars = [(bar.get_x(), bar.get_width(), bar.get_height()) for bar in axes.containers[0]]
     assert bars[0] == pytest.approx((0.10, 0.05, 20.0))
     assert np.sort(np.asarray(axes.lines[0].get_ydata(), float)) == pytest.approx([10.0, 30.0])
+
+
+def test_individuals_without_a_measured_size_are_drawn_as_dots() -> None:
+    survey = reef()
+    clear = np.arange(len(survey.individuals)) % 3 == 0
+    survey = replace(survey, individuals=replace(survey.individuals, clear=clear))
+    _, axes = sheet.new_figure(4.0, 4.0)
+    figures.habitat_map(axes, survey)
+    (scaled,) = axes.collections
+    assert len(np.asarray(scaled.get_offsets())) == clear.sum()
+    dots = [np.asarray(line.get_xdata()).size for line in axes.lines if line.get_linestyle() == "None"]
+    assert (~clear).sum() in dots
+    legend = axes.get_legend()
+    assert legend is not None
+    told = [text.get_text() for text in legend.get_texts()]
+    assert {"clump, to scale", "clump, size not measured"} <= set(told)

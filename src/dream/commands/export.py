@@ -79,7 +79,6 @@ class Export:
 
 def _simulated(config: RunConfig) -> str:
     """Said of what no camera has seen; empty of a dive in real water."""
-    dive = (config.model_extra or {}).get("dive")
-    if isinstance(dive, dict) and not dive.get("stand_in"):
+    if config.real:
         return ""
     return f"Simulated: world {config.world}, seed {config.seed}, protocol {config.protocol}."

@@ -24,20 +24,19 @@ from dream.commands.console import (
     tell_lost,
     with_progress,
 )
+from dream.commands.ground import Ground
 from dream.commands.mission import confirmed, draw_orders, given
 from dream.commands.swim import Swim
 from dream.errors import MissionAborted
-from dream.planning import PLANNERS, AnyPlanner, Belief
+from dream.planning import PLANNERS, AnyPlanner
 from dream.planning.vlm import WIRE_TEST, Asking, Ranked, stands_in
 from dream.protocol import protocol_named
 
 if TYPE_CHECKING:
-    from dream.mapping.prior import Prior
     from dream.orders import Orders
     from dream.protocol import SurveyProtocol
     from dream.recording import RecordedStep
     from dream.sim.world import World
-    from dream.survey.site import Site
     from dream.types import Step
 
     ChosenPlanner = AnyPlanner
@@ -74,17 +73,9 @@ class Run:
     back, and `dream export` makes a data set of it."""
     live: bool = False
     """Show it in a browser while it flies, at an address that is printed; dream watch does so afterwards."""
-    site: Path | None = None
-    """File that says where on earth the world lies, for `dream survey`: name, latitude, longitude,
-    heading_deg, datum. It is kept with the run, and so is all that is seen."""
-    from_survey: str | None = None
-    """An earlier survey of the same ground, to plan with: its number in the archive, its file, or the folder
-    of its run. The planner goes first to what it held."""
-    archive: str | None = None
-    """Path, or postgresql:// URL, of the archive that `--from-survey` looks in. Default: that in
-    DREAM_ARCHIVE, else surveys.gpkg."""
     json: bool = False
     """Print the summary as one JSON object and nothing else."""
+    ground: Ground = field(default_factory=Ground)
     swim: Swim = field(default_factory=Swim)
 
     def __call__(self) -> int:
@@ -107,9 +98,8 @@ class Run:
         from dream.robots.replay import keep
         from dream.sim.render import Renderer
         from dream.sim.visibility import Visibility
-        from dream.survey.site import read_site, write_site
 
-        site = None if self.site is None else read_site(self.site)
+        site = self.ground.where()
         began = working_time()
         with compiling_told():
             with kept_interrupts() as check:
@@ -122,9 +112,7 @@ class Run:
                 if self.mission is not None:
                     draft = None if self.yes else self.out / "mission.draft.png"
                     words, orders = _orders(self.mission, self.planner, world, protocol, draft)
-                prior = None
-                if self.from_survey is not None:
-                    prior = _prior(self.from_survey, self.archive, self.planner, world, protocol, site)
+                known = self.ground.known(site, self.planner, world.bounds, protocol, world)
                 visibility, renderer = Visibility(world, protocol), Renderer(world)
                 steps = simulate(
                     world,
@@ -136,7 +124,7 @@ class Run:
                     swimming=swimming,
                     renderer=renderer,
                     solids=visibility.solids,
-                    prior=prior,
+                    prior=known.prior,
                 )
                 config = run_config(
                     world,
@@ -150,14 +138,12 @@ class Run:
                     words=words,
                     swimming=swimming,
                 )
-                if prior is not None:
-                    config["from_survey"] = {"given": self.from_survey, **prior.as_dict()}
                 scorer = Scorer(world, protocol, visibility=visibility, renderer=renderer, orders=orders)
                 check()
             # Only now: what is interrupted before it can fly leaves no folder.
             now = datetime.datetime.now(datetime.UTC)
             folder = recording.new_run_folder(self.out, world.name, world.seed, name, now)
-            recording.write_config(folder, {**config, "began": now})
+            recording.write_config(folder, {**config, **known.config(), "began": now})
             if self.live:
                 from dream.live.beside import shown_live
 
@@ -165,10 +151,7 @@ class Run:
             if orders is not None:
                 write_mission(folder / "mission.json", words, orders)
                 draw_orders(orders, world.bounds, protocol, folder / "mission.png")
-            if prior is not None:
-                prior.save(folder / "prior.npz")
-            if site is not None:
-                write_site(site, folder / "site.json")
+            known.keep(folder)
             if self.keep_observations or site is not None:
                 steps = keep(steps, folder, protocol)
             recorded = recording.record(
@@ -203,34 +186,6 @@ class Run:
 def planner_name(planner: AnyPlanner) -> str:
     """The name of a planner on the command line."""
     return next(name for name, default in PLANNERS.items() if type(default) is type(planner))
-
-
-def _prior(
-    what: str,
-    archive: str | None,
-    planner: AnyPlanner,
-    world: World,
-    protocol: SurveyProtocol,
-    site: Site | None,
-) -> Prior:
-    """An earlier survey on the cells of the mission's map; says what is taken for granted of it."""
-    from datetime import timedelta
-
-    from dream.commands.survey.sources import found
-    from dream.evaluation.runner import labelled_in
-    from dream.sim.files import CHANGED
-    from dream.sim.years import LATER
-    from dream.survey.prior import frames_told, prior_of
-
-    survey = found(what, archive)
-    on = LATER.fullmatch(world.name.removesuffix(CHANGED))
-    # A mission in the simulator is flown today, in whatever year its world is.
-    now = None if on is None else survey.began + timedelta(days=365.25 * float(on["years"]))
-    prior = prior_of(survey, world.bounds, protocol.cell, target=labelled_in(world), site=site, now=now)
-    logger.warning("--from-survey: %s", frames_told(survey, site))
-    if not isinstance(planner, Belief):
-        logger.warning("--from-survey: %s cannot use it and flies as without it", planner_name(planner))
-    return prior
 
 
 def _orders(

@@ -57,13 +57,12 @@ class Record:
     @property
     def dive(self) -> dict[str, Any] | None:
         """What a dive was begun with; None of a run in the simulator."""
-        told = (self.config.model_extra or {}).get("dive")
-        return told if isinstance(told, dict) else None
+        return self.config.dive
 
     @property
     def world_name(self) -> str | None:
         """Where it was; None of a dive in real water, whose world nobody knows."""
-        if self.dive is not None and not self.dive.get("stand_in"):
+        if self.config.real:
             return None
         return self.config.world_from or self.config.world
 
@@ -117,11 +116,21 @@ class Record:
         return None if self.config.orders is None else read_orders(json.dumps(self.config.orders))
 
     def prior(self, bounds: Bounds) -> Prior | None:
-        """What it was told of an earlier survey; None where there was none."""
-        told = (self.config.model_extra or {}).get("from_survey")
+        """What it was told of an earlier survey; None where there was none.
+
+        Raises:
+            FileNotFoundError: That was not kept.
+            ValueError: It is damaged, or of another map.
+        """
+        told, kept = (self.config.model_extra or {}).get("from_survey"), self.folder / "prior.npz"
         if told is None:
             return None
-        return Prior.load(self.folder / "prior.npz", told, bounds, self.protocol.cell)
+        if not kept.is_file():
+            raise FileNotFoundError(
+                f"{kept}: expected what the mission was told of an earlier survey, got no file. Without it "
+                "another mission would be flown"
+            )
+        return Prior.load(kept, told, bounds, self.protocol.cell)
 
     def bounds(self, world: World | None) -> Bounds:
         """The survey area."""

@@ -183,7 +183,7 @@ class Thought:
     plan: Plan | None = None
     """Where to go; None where the mission should end."""
     why: str = ""
-    """Why it should end; empty while it should not."""
+    """Why this plan; without one, why the mission should end."""
 
 
 @dataclass(slots=True)
@@ -271,7 +271,7 @@ class BeliefPilot:
             distribution=sentences.distribution(occupancy, completion)
             + sentences.expectations(expected.beside, expected.groups, occupancy),
             target_area=sentences.target_area(area, completion),
-            completion=self._certainty(completion, expected),
+            completion=self._certainty(completion, expected, occupancy),
         )
         if self.recall is not None:
             told = reasoning.distribution + sentences.recalled(self.recall, occupancy)
@@ -286,7 +286,7 @@ class BeliefPilot:
         enclosed = completion.complete and bool(completion.regions)
         looked_over = expected.hull_left <= self.planner.hull_left
         if enclosed and looked_over and expected.risk <= self.planner.risk:
-            return replace(thought, why="Every region is enclosed and little can have been missed: done.")
+            return replace(thought, why=sentences.enough(self._given_up(occupancy)))
         # 4 Next target: what was found is traversed first, where the protocol asks for that ...
         visits = self._visits(travel.start, occupancy)
         walk = self._walk(thought, travel, moves, visits, occupancy)
@@ -297,16 +297,17 @@ class BeliefPilot:
         # With a survey the risk may be little long before all ground was searched: then that is done with.
         sure = self.recall is not None and bool(completion.regions) and looked_over
         sure = sure and expected.risk <= self.planner.risk
-        plan = None
+        plan, why = None, ""
         if self.recall is not None and self.recall.believed > 0.5:
-            plan = self._round(thought, prospect, moves, occupancy)
+            plan, why = self._round(thought, prospect, moves, occupancy), sentences.ROUND
         if plan is None and not sure:
             plan = self.look_ahead.plan(prospect, travel, moves, self.outlook.known_tiles(occupancy))
+            why = "" if plan is None or plan.choice is None else sentences.choice(plan.choice)
         if plan is not None and visits >= MOST_VISITS:
             self._give_up(plan, occupancy)
             plan = None
         if plan is not None:
-            return replace(thought, plan=plan)
+            return replace(thought, plan=plan, why=why)
         near_solids = travel_from(pose, occupancy)
         walk = self._walk(thought, near_solids, near_solids.free, visits, occupancy)
         if walk is not None:
@@ -315,7 +316,7 @@ class BeliefPilot:
         travel, plan = self._leftover(completion, hiding, pose, occupancy)
         if plan is not None and visits >= 2 * MOST_VISITS:
             self._give_up(plan, occupancy)
-        why = "" if plan else "Nothing is left that any known way leads to a view of: done."
+        why = sentences.LEFTOVER if plan else sentences.nothing_left(self._given_up(occupancy))
         return replace(thought, travel=travel, plan=plan, why=why)
 
     def _round(
@@ -379,7 +380,7 @@ class BeliefPilot:
                 return None
             if visits < MOST_VISITS:
                 plan = Plan(path, rate=0.0, later=0.0, passed=int(passes.sum()))
-                return replace(thought, travel=travel, plan=plan)
+                return replace(thought, travel=travel, plan=plan, why=sentences.WALK)
             self.passed_in_vain[tuple(left[passes].T)] = True
             left = left[~passes]
 
@@ -388,6 +389,8 @@ class BeliefPilot:
         if plan is None:
             self.claimed = thought.pose
             return Decision(done=True, reasoning=replace(thought.reasoning, action=thought.why))
+        # Whoever takes another plan has reasons of their own.
+        why = f" {thought.why}" if plan is thought.plan and thought.why else ""
         # 5 Safety is in the search: its first move is one that the guard lets pass.
         # 6 Action: the first of the sequence.
         turn, advance = thought.travel.move(plan.path[0], plan.path[1])
@@ -396,21 +399,21 @@ class BeliefPilot:
             advance,
             reasoning=replace(
                 thought.reasoning,
-                next_target=sentences.plan(plan, thought.travel),
+                next_target=sentences.plan(plan, thought.travel) + why,
                 safety=sentences.safety(occupancy, thought.travel, plan.path[:2]),
                 action=sentences.action(turn, advance),
             ),
         )
 
-    def _certainty(self, completion: Completion, expected: _Expected) -> str:
-        hull = ""
+    def _certainty(self, completion: Completion, expected: _Expected, occupancy: OccupancyMap) -> str:
+        more = sentences.not_counted(self._given_up(occupancy))
         if expected.away_from_hull is not None:
             area = PATCH**2 * float(expected.hull.sum())
-            hull = sentences.hull(area, expected.hull_left, self.planner.hull_left)
+            more += sentences.hull(area, expected.hull_left, self.planner.hull_left)
         if self.planner.certify:
             unseen = float(expected.hiding.sum()) * self.mission.protocol.cell**2
-            return sentences.certificate(completion, unseen) + hull
-        return sentences.certainty(completion, expected.risk, self.planner.risk) + hull
+            return sentences.certificate(completion, unseen) + more
+        return sentences.certainty(completion, expected.risk, self.planner.risk) + more
 
     # ------------------------------------------------------------------------------------- distribution
 
@@ -630,6 +633,11 @@ class BeliefPilot:
             self.visits.clear()
         self.visits[pose] += 1
         return self.visits[pose]
+
+    def _given_up(self, occupancy: OccupancyMap) -> float:
+        """Square metres to be seen that never were and are hoped for no more: they count as searched."""
+        given_up = ~occupancy.observed & (self.vain.count >= self.patience)
+        return float(np.count_nonzero(given_up)) * self.mission.protocol.cell**2
 
     def _give_up(self, plan: Plan, occupancy: OccupancyMap) -> None:
         """Hope for nothing more from the views of a plan."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +26,32 @@ NOTHING = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
+class Choice:
+    """Between the best sequence of actions and the way straight to the best single view.
+
+    Weights are square metres of targets, some of which count more than once.
+    """
+
+    jump: float
+    """Share of the view's rate that the sequence must reach."""
+    sequences: int
+    """Among which the best was chosen."""
+    shown: float = 0.0
+    """Weight that the best of them shows, the later the less."""
+    after: float = 0.0
+    """What the tour after it counts, with all of its steps and its own paid for."""
+    rate: float = 0.0
+    """Weight that its best stretch shows a step, the discount taken out; 0 where it shows nothing."""
+    view: float = 0.0
+    """Weight that the best single view shows for each step there; 0 where none shows anything."""
+
+    @property
+    def straight(self) -> bool:
+        """The view is gone for."""
+        return self.view > 0.0 and (self.rate == 0.0 or self.rate < self.jump * self.view)
+
+
+@dataclass(frozen=True, slots=True)
 class Plan:
     """Where to go, and what that is expected to show."""
 
@@ -45,6 +71,8 @@ class Plan:
     """Target cells that it traverses, where it is a walk for that."""
     cells: float = 0.0
     """Cells that only the map's own view of a pose still promises."""
+    choice: Choice | None = None
+    """Why this way, where there was one to choose."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,11 +157,12 @@ class LookAhead:
             known: (tiles,) where ground is known.
         """
         weights, views = prospect.weights, prospect.outlook.views(prospect.listed)
-        plan = self._sequence(prospect, weights, views, travel, moves, known)
+        sequence, choice = self._sequence(prospect, weights, views, travel, moves, known)
         view = self._view(prospect, weights, views, travel)
-        if view is not None and (plan is None or plan.rate < self.jump * view.rate):
-            return view
-        return plan
+        if view is not None:
+            choice = replace(choice, view=view.rate)
+        plan = view if choice.straight else sequence
+        return None if plan is None else replace(plan, choice=choice)
 
     def _sequence(
         self,
@@ -143,7 +172,8 @@ class LookAhead:
         travel: Travel,
         moves: npt.NDArray[np.uint8],
         known: BoolArray,
-    ) -> Plan | None:
+    ) -> tuple[Plan | None, Choice]:
+        """The best sequence, None where none shows anything; and the choice, still without the view."""
         from dream.planning._kernels import lookahead
 
         protocol = travel.protocol
@@ -159,8 +189,9 @@ class LookAhead:
             self.horizon,
             self.discount,
         )
+        nothing = Choice(self.jump, len(score) - first)
         if score.max() <= NOTHING:
-            return None
+            return None, nothing
         ends = slice(first, None)
         worth, steps = self._later(prospect, weights, views, travel, seen[ends], pose[ends], level[ends])
         value = score[ends] + self.tour * worth
@@ -174,9 +205,12 @@ class LookAhead:
         weight_of_steps = np.cumsum(self.discount ** np.arange(1, len(indices)))
         rate = float((score[indices[1:]] / weight_of_steps).max())
         if rate <= NOTHING:
-            return None
+            return None, nothing
         path = [travel.pose(int(pose[k])) for k in indices]
-        return prospect.plan(path, rate, float(steps[end - first]), seen[end])
+        choice = replace(
+            nothing, shown=float(score[end]), after=float(value[end - first] - score[end]), rate=rate
+        )
+        return prospect.plan(path, rate, float(steps[end - first]), seen[end]), choice
 
     def _later(
         self,

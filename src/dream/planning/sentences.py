@@ -13,10 +13,16 @@ from dream.planning.travel import Travel
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
     from dream.mapping.completion import Completion, Region
-    from dream.planning.lookahead import Plan
+    from dream.planning.lookahead import Choice, Plan
     from dream.planning.recall import Recall
 
 COMPASS = ("east", "northeast", "north", "northwest")
+WALK = "What was found is traversed before anything else is looked for."
+"""Why it goes there: a walk over targets."""
+ROUND = "It is the shortest way found round all that the survey makes worth looking at."
+"""Why it goes there: a way round all that is foretold."""
+LEFTOVER = "Of all views it shows most of what is left, for each step there."
+"""Why it goes there: to what only the map's own view still promises."""
 
 
 def distribution(occupancy: OccupancyMap, completion: Completion) -> str:
@@ -67,9 +73,8 @@ def target_area(area: Region | None, completion: Completion) -> str:
         return "None: " + (
             "every known region is enclosed." if completion.regions else "nothing to work on yet."
         )
-    return (
-        f"The region around {_place(area.centroid)}, with {len(area.open_cells)} unknown cells at its edge."
-    )
+    cells = f"{len(area.open_cells)} unknown cell{'s' if len(area.open_cells) != 1 else ''}"
+    return f"The nearest open region, around {_place(area.centroid)}, with {cells} at its edge or inside."
 
 
 def completeness(completion: Completion, hidden: npt.NDArray[np.bool_], group_radius: float) -> str:
@@ -86,6 +91,25 @@ def certainty(completion: Completion, risk: float, accepted: float) -> str:
         f"{_enclosed(completion)}. "
         f"To stop now would miss a group with a probability of {risk:.1%}; {accepted:.1%} is accepted."
     )
+
+
+def not_counted(given_up: float) -> str:
+    """Step 3: ground that was given up, in square metres; the risk takes it for searched."""
+    if not given_up:
+        return ""
+    return f" {_area(given_up)} m² that never came into view were given up and are not counted."
+
+
+def enough(given_up: float) -> str:
+    """Why the mission ends: all that it promised was seen, but for some square metres that were given up."""
+    but = f", but for {_area(given_up)} m² that were given up" if given_up else ""
+    return f"Every region is enclosed and little can have been missed{but}: done."
+
+
+def nothing_left(given_up: float) -> str:
+    """Why the mission ends: nothing can be looked at; of that some square metres were given up."""
+    but = f"; {_area(given_up)} m² that never came into view were given up" if given_up else ""
+    return f"Nothing is left that any known way leads to a view of{but}: done."
 
 
 def hull(area: float, share: float, accepted: float) -> str:
@@ -128,12 +152,29 @@ def plan(ahead: Plan, travel: Travel) -> str:
     if ahead.cleared >= 0.5:
         shown.append(f"{ahead.cleared:.0f} m² on which the middle of a group could lie")
     if ahead.cells:
-        shown.append(f"{ahead.cells:.0f} of the cells that keep the map open")
+        shown.append(f"{ahead.cells:.0f} of the cells that are still to be seen")
     what = f", and may show {' and '.join(shown)}" if shown else ""
     if ahead.passed:
         what = f", and traverse {ahead.passed} target cell{'s' if ahead.passed != 1 else ''}"
     later = f" What is left then takes about {ahead.later:.0f} more." if ahead.later >= 0.5 else ""
     return f"{lead} to {_place(travel.position(row, col))}, looking towards {towards:.0f}°{what}.{later}"
+
+
+def choice(between: Choice) -> str:
+    """Step 4: why it goes there, by what the look-ahead compared."""
+    rate, view, share = _weight(between.rate), _weight(between.view), f"{between.jump:.0%}"
+    if between.straight:
+        best = f"It is the best single view for its distance, {view} weighted m² of targets a step"
+        if between.rate == 0.0:
+            return f"{best}; no sequence of the next actions shows anything."
+        return f"{best}; the best sequence of actions gives {rate} at most, less than {share} of that."
+    best = (
+        f"It is worth most of {between.sequences} sequences of actions, {_weight(between.shown)} weighted m² "
+        f"of targets on its way and {_weight(between.after)} by the tour after it less all steps"
+    )
+    if between.view == 0.0:
+        return f"{best}; there is no single view to go to instead."
+    return f"{best}; its best stretch gives {rate} a step, at least {share} of the best single view's {view}."
 
 
 def next_target(
@@ -199,6 +240,16 @@ def _enclosed(completion: Completion) -> str:
 def _place(point: npt.ArrayLike) -> str:
     x, y = np.asarray(point, dtype=np.float64)
     return f"({x:.1f}, {y:.1f})"
+
+
+def _area(square_metres: float) -> str:
+    return f"{square_metres:.1f}" if square_metres >= 0.05 else f"{square_metres:.1g}"
+
+
+def _weight(weight: float) -> str:
+    if abs(weight) < 1e-4:
+        return "almost 0"
+    return f"{weight:.3g}" if abs(weight) < 99.5 else f"{weight:.0f}"
 
 
 def _extent(region: Region, occupancy: OccupancyMap) -> tuple[float, str]:

@@ -179,3 +179,96 @@ def recognise(
                     count += 1
         if count >= 3:
             hits[n] += 1
+
+
+@njit(cache=True, nogil=True)
+def steadied(depth: Array, labels: Array, half: int, apart: float) -> tuple[Array, Array]:
+    """Depths of which the inverse is a mean over the pixels around that show the same surface.
+
+    Args:
+        depth: (H, W) float32 metres along the optical axis.
+        labels: (H, W) uint8. A pixel of another label is of another surface.
+        half: The mean is over (2 half + 1)² pixels.
+        apart: Per metre: by how much inverse depths of one surface may differ.
+
+    Returns:
+        (H, W) float32, NaN where depth is NaN; and (H, W) int32, how many pixels each is the mean of.
+    """
+    high, wide = depth.shape
+    found = np.full((high, wide), np.nan, np.float32)
+    counts = np.zeros((high, wide), np.int32)
+    for v in range(high):
+        for u in range(wide):
+            if not depth[v, u] > 0.0:
+                continue
+            inverse, total, count = 1.0 / depth[v, u], 0.0, 0
+            for i in range(max(0, v - half), min(high, v + half + 1)):
+                for j in range(max(0, u - half), min(wide, u + half + 1)):
+                    if labels[i, j] != labels[v, u] or not depth[i, j] > 0.0:
+                        continue
+                    if abs(1.0 / depth[i, j] - inverse) <= apart:
+                        total += 1.0 / depth[i, j]
+                        count += 1
+            found[v, u], counts[v, u] = count / total, count
+    return found, counts
+
+
+@njit(cache=True, nogil=True)
+def vote(
+    depth: Array,
+    labels: Array,
+    lens: Array,
+    rotation: Array,
+    origin: Array,
+    limits: Array,
+    corner: Array,
+    cell: float,
+    frame: int,
+    last: Array,
+    weight: Array,
+    times: Array,
+) -> None:
+    """Let one frame say of every fine cell once that it shows target there, and once that it shows seabed.
+
+    A wall has many pixels over one cell. Counted each, those few that scatter out of it would outweigh the
+    seabed at its foot. A vote from depth z weighs z⁻⁴.
+
+    Args:
+        depth: (H, W) float32 metres along the optical axis.
+        labels: (H, W) uint8.
+        lens: fx, fy, cx, cy.
+        rotation: (3, 3) camera to world.
+        origin: (3,) of the camera.
+        limits: Least and greatest depth, reach over ground.
+        corner: x and y of the lower left corner of the grid.
+        cell: Metres.
+        frame: A number of its own, above −1.
+        last: (2, rows, cols) int32, the last frame that voted for seabed and for target; changed.
+        weight: (2, rows, cols) float32, sums of the votes for each; added to.
+        times: (rows, cols) uint16, frames that voted for target; added to.
+    """
+    _, rows, cols = weight.shape
+    high, wide = depth.shape
+    for v in range(high):
+        b = (v + 0.5 - lens[3]) / lens[1]
+        for u in range(wide):
+            z = depth[v, u]
+            label = labels[v, u]
+            if not (limits[0] <= z <= limits[1]) or (label != SEABED and label != TARGET):
+                continue
+            a = (u + 0.5 - lens[2]) / lens[0]
+            dx = z * (rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2])
+            dy = z * (rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2])
+            if dx * dx + dy * dy > limits[2] * limits[2]:
+                continue
+            col = math.floor((origin[0] + dx - corner[0]) / cell)
+            row = math.floor((origin[1] + dy - corner[1]) / cell)
+            if row < 0 or col < 0 or row >= rows or col >= cols:
+                continue
+            kind = label - SEABED
+            if last[kind, row, col] == frame:
+                continue
+            last[kind, row, col] = frame
+            weight[kind, row, col] += 1.0 / (z * z * z * z)
+            if label == TARGET:
+                times[row, col] = min(times[row, col] + 1, np.uint16(65535))

@@ -7,21 +7,18 @@ import errno
 import json
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from dream.survey import globe
-from dream.survey.archive import wkb
-from dream.survey.archive.geopackage import write_layers
-from dream.survey.archive.schema import Column, Table
+from dream.survey.change_layers import GROUND, GROUND_WORDS, INDIVIDUALS, VERDICTS, write_change_layers
 from dream.survey.change_page import change_page
-from dream.survey.comparison import Change, Comparison, PatchChange, Verdict
-from dream.survey.fates import Fate, Missing
+from dream.survey.change_words import CHANGED
+from dream.survey.comparison import Change, Comparison, PatchChange
+from dream.survey.fates import Fate
 from dream.survey.products.sheet import corners_of, east_north, new_figure, png, settings, show_map
 
 if TYPE_CHECKING:
@@ -29,21 +26,6 @@ if TYPE_CHECKING:
 
 Float64Array = npt.NDArray[np.float64]
 
-GROUND = {
-    Change.NOT_COMPARABLE: "#f2f2f2",
-    Change.BARE: "#d8d2c4",
-    Change.KEPT: "#8a8a84",
-    Change.GAIN: "#0072b2",
-    Change.LOSS: "#d55e00",
-}
-"""Colours of ground: gain and loss are told apart by those who do not tell red from green (Okabe and Ito)."""
-VERDICTS: Mapping[Verdict, str] = {
-    "gain": "#0072b2",
-    "loss": "#d55e00",
-    "mixed": "#7b3294",
-    "no change shown": "#333333",
-    "not comparable": "#aaaaaa",
-}
 WIDTH = 6.4
 """Inches of the picture."""
 MOST_BYTES = 1 << 26
@@ -51,58 +33,12 @@ MOST_BYTES = 1 << 26
 PAGE = "change.html"
 FILES: Mapping[str, str] = {
     "change.png": "map of the change",
-    "change.gpkg": "patches with verdicts, individuals with what became of them, ground; QGIS opens it",
+    "change.gpkg": "ground, patches with verdicts, individuals with what became of them; QGIS opens it so "
+    "coloured",
     "change.json": "all figures of this page, and more, for programs",
     PAGE: "the page to read",
 }
 """What is written. The page comes last, as it shows and names the others."""
-
-_TABLES = (
-    Table(
-        "patches",
-        "Patches and what became of them",
-        (
-            Column("id", "id"),
-            Column("patch", "integer"),
-            Column("verdict", "text"),
-            Column("p", "real", required=False),
-            Column("q", "real", required=False),
-            Column("seen_share", "real"),
-            Column("before_patch", "integer", required=False),
-            Column("after_patches", "text"),
-            Column("gone_share", "real", required=False),
-            Column("gone_low", "real", required=False),
-            Column("gone_high", "real", required=False),
-            Column("come_share", "real", required=False),
-            Column("come_low", "real", required=False),
-            Column("come_high", "real", required=False),
-            Column("found_before", "real", required=False),
-            Column("found_after", "real", required=False),
-            Column("target_before_m2", "real", required=False),
-            Column("target_after_m2", "real", required=False),
-            Column("target_change_low_m2", "real", required=False),
-            Column("target_change_high_m2", "real", required=False),
-            Column("geom", "MULTIPOLYGON"),
-        ),
-    ),
-    Table(
-        "individuals",
-        "Individuals that were found, and what became of them",
-        (
-            Column("id", "id"),
-            Column("survey", "text"),
-            Column("fate", "text"),
-            Column("size_m", "real", required=False),
-            Column("confidence", "real"),
-            Column("geom", "POINT"),
-        ),
-    ),
-    Table(
-        "ground",
-        "Ground by what became of it, in strips of cells",
-        (Column("id", "id"), Column("change", "text"), Column("geom", "POLYGON")),
-    ),
-)
 
 
 def write_change(comparison: Comparison, folder: Path) -> tuple[Path, ...]:
@@ -118,11 +54,7 @@ def write_change(comparison: Comparison, folder: Path) -> tuple[Path, ...]:
     try:
         picture = partial / "change.png"
         draw(comparison, picture)
-        rows = {"patches": _patches(comparison), "individuals": _individuals(comparison)}
-        rows["ground"] = _ground(comparison)
-        made_up = comparison.a.simulated or comparison.b.simulated
-        tables = [replace(one, title=f"SIMULATED: {one.title}") if made_up else one for one in _TABLES]
-        write_layers(partial / "change.gpkg", tables, rows, on_globe=comparison.a.site is not None)
+        write_change_layers(comparison, partial / "change.gpkg")
         text = json.dumps(told, allow_nan=False, indent=2) + "\n"
         (partial / "change.json").write_text(text, encoding="utf-8")
         others = [(name, what) for name, what in FILES.items() if name != PAGE]
@@ -134,7 +66,10 @@ def write_change(comparison: Comparison, folder: Path) -> tuple[Path, ...]:
         for name in FILES:
             (partial / name).replace(folder / name)
     except OSError as error:
-        raise OSError(f"could not write the change to {folder} ({error.strerror or error})") from error
+        raise OSError(
+            f"could not write the change to {folder} ({error.strerror or error}). Nothing there was changed: "
+            "make room, or name another folder with --out"
+        ) from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return tuple(folder / name for name in FILES)
@@ -192,9 +127,9 @@ def draw_on(axes: Axes, comparison: Comparison, around: Float64Array) -> None:
     )
     a = comparison.a.individuals.position[:, :2]
     dots = (
-        (a[np.isin(comparison.fate_a, (Fate.THERE, Fate.HIDDEN))], "#000000", 1.0, "."),
-        (a[comparison.fate_a == Fate.LOST], "#7a2e00", 9.0, "x"),
-        (comparison.positions_b[comparison.fate_b == Fate.NEW], "#00304d", 9.0, "+"),
+        (a[np.isin(comparison.fate_a, (Fate.THERE, Fate.HIDDEN))], INDIVIDUALS[Fate.THERE], 1.0, "."),
+        (a[comparison.fate_a == Fate.LOST], INDIVIDUALS[Fate.LOST], 9.0, "x"),
+        (comparison.positions_b[comparison.fate_b == Fate.NEW], INDIVIDUALS[Fate.NEW], 9.0, "+"),
     )
     for points, color, size, mark in dots:
         at = east_north(site, points)
@@ -203,8 +138,7 @@ def draw_on(axes: Axes, comparison: Comparison, around: Float64Array) -> None:
         color = VERDICTS[patch.verdict]
         rings = [east_north(site, ring) for ring in patch.rings]
         for ring in rings:
-            changed = patch.verdict in ("gain", "loss", "mixed")
-            axes.plot(*ring.T, color=color, linewidth=1.6 if changed else 0.8, zorder=3)
+            axes.plot(*ring.T, color=color, linewidth=1.6 if patch.verdict in CHANGED else 0.8, zorder=3)
         axes.annotate(
             f"{number} {patch.verdict}{_shares(patch)}",
             rings[0][np.argmax(rings[0][:, 1])],
@@ -218,11 +152,10 @@ def draw_on(axes: Axes, comparison: Comparison, around: Float64Array) -> None:
         )
     axes.set_facecolor(GROUND[Change.NOT_COMPARABLE])
     axes.set_title(_title(comparison), fontsize=8.5, weight="normal")
-    words = ("not comparable", "bare in both", "target in both", "gain", "loss")
     keys = [Key(facecolor=GROUND[change], edgecolor="#888888", linewidth=0.4) for change in Change]
     axes.legend(
         keys,
-        words,
+        [GROUND_WORDS[change] for change in Change],
         loc="upper center",
         bbox_to_anchor=(0.5, -0.09),
         ncols=5,
@@ -250,73 +183,3 @@ def _title(comparison: Comparison) -> str:
         "× only before, + only after"
     )
     return "\n".join([f"{a.began:%Y-%m-%d} to {b.began:%Y-%m-%d}{made_up}", f"{a.name} →", b.name, told])
-
-
-def _on_globe(comparison: Comparison, points: Float64Array) -> Float64Array:
-    """(n, 2) longitude and latitude, or metres of the earlier survey's world where it has no site."""
-    site = comparison.a.site
-    if site is None:
-        return points
-    return np.column_stack(globe.degrees(site, points[:, 0], points[:, 1]))
-
-
-def _patches(comparison: Comparison) -> Iterator[dict[str, Any]]:
-    for number, patch in enumerate(comparison.patches, start=1):
-        figures = {one.name: one for one in patch.differences}
-        count, area = figures.get("found"), figures.get("target_area")
-        yield {
-            "patch": number,
-            "verdict": patch.verdict,
-            "p": patch.p,
-            "q": patch.q,
-            "seen_share": patch.seen,
-            "before_patch": None if patch.before is None else patch.before + 1,
-            "after_patches": ", ".join(str(k + 1) for k in patch.after),
-            **_interval("gone", patch.gone),
-            **_interval("come", patch.come),
-            "found_before": None if count is None else count.before,
-            "found_after": None if count is None else count.after,
-            "target_before_m2": None if area is None else area.before,
-            "target_after_m2": None if area is None else area.after,
-            "target_change_low_m2": None if area is None else area.low,
-            "target_change_high_m2": None if area is None else area.high,
-            "geom": wkb.multipolygon([_on_globe(comparison, ring) for ring in patch.rings]),
-        }
-
-
-def _interval(name: str, of: Missing | None) -> dict[str, float | None]:
-    return {f"{name}_{part}": None if of is None else getattr(of, part) for part in ("share", "low", "high")}
-
-
-def _individuals(comparison: Comparison) -> Iterator[dict[str, Any]]:
-    for survey, them, places, fates in (
-        ("before", comparison.a.individuals, comparison.a.individuals.position[:, :2], comparison.fate_a),
-        ("after", comparison.b.individuals, comparison.positions_b, comparison.fate_b),
-    ):
-        for k, place in enumerate(_on_globe(comparison, places)):
-            yield {
-                "survey": survey,
-                "fate": Fate(int(fates[k])).name.lower().replace("_", " "),
-                "size_m": float(them.size[k]) if them.clear[k] else None,
-                "confidence": float(them.confidence[k]),
-                "geom": wkb.point(*place.tolist()),
-            }
-
-
-def _ground(comparison: Comparison) -> Iterator[dict[str, Any]]:
-    """Strips of cells of one row that became the same; bare ground is left out."""
-    cell, bounds = comparison.cell, comparison.bounds
-    for row, cells in enumerate(comparison.change):
-        starts = np.flatnonzero(np.diff(cells, prepend=255))
-        for start, end in zip(starts, [*starts[1:], len(cells)], strict=True):
-            change = Change(int(cells[start]))
-            if change is Change.BARE:
-                continue
-            west, east = bounds.x_min + cell * start, bounds.x_min + cell * end
-            south = bounds.y_min + cell * row
-            corners = [(west, south), (east, south), (east, south + cell), (west, south + cell)]
-            ring = np.array([*corners, corners[0]])
-            yield {
-                "change": change.name.lower().replace("_", " "),
-                "geom": wkb.polygon([_on_globe(comparison, ring)]),
-            }

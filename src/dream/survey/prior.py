@@ -9,7 +9,8 @@ import numpy as np
 
 from dream.geometry import SE2, Bounds
 from dream.mapping.prior import MOST_YEARS, Prior
-from dream.survey.globe import between
+from dream.survey.globe import apart, between
+from dream.survey.registration import SAME_PLACE
 from dream.survey.site import Site
 from dream.survey.survey import Survey
 from dream.types import Target
@@ -17,8 +18,6 @@ from dream.types import Target
 SOLID = (3, 4)
 """States of what stood up, hull or not."""
 YEAR = 365.25 * 86_400.0
-FARTHEST = 100_000.0
-"""Metres between the origins of two sites beyond which a survey is of another place."""
 
 
 def prior_of(
@@ -55,6 +54,16 @@ def prior_of(
         )
     T_survey_mission = SE2(0.0, 0.0, 0.0)
     if site is not None and survey.site is not None:
+        if not survey.site.is_called(site.name):
+            raise ValueError(
+                f"--from-survey: expected a survey of {site.name!r}, where the mission is, got one of "
+                f"{survey.site.name!r} ({survey.name}). Is it the same place under another name?"
+            )
+        if (away := apart(survey.site, site)) > SAME_PLACE:
+            raise ValueError(
+                "--from-survey: expected a survey of this place, got one whose origin is "
+                f"{away / 1000.0:.1f} km away. Is one of the two site files wrong?"
+            )
         T_survey_mission = between(survey.site, site)
     rows, cols = round(bounds.depth / cell), round(bounds.width / cell)
     y, x = np.mgrid[:rows, :cols]
@@ -63,10 +72,6 @@ def prior_of(
     layers = survey.layers
     east = T_survey_mission.x + c * x - s * y - layers.bounds.x_min
     north = T_survey_mission.y + s * x + c * y - layers.bounds.y_min
-    if not max(abs(T_survey_mission.x), abs(T_survey_mission.y)) <= FARTHEST:
-        raise ValueError(
-            f"--from-survey: expected a survey of this place, got one {T_survey_mission.x:g} m away"
-        )
     # Far below a cell, so that its edge is the same whatever the last digits say.
     row, col = (np.floor(k / layers.cell + 1e-6).astype(np.int64) for k in (north, east))
     inside = (row >= 0) & (row < layers.state.shape[0]) & (col >= 0) & (col < layers.state.shape[1])

@@ -348,13 +348,15 @@ def _ground(layers: Layers, T: SE2 | None) -> Float64Array:
 
 
 def _pivot(a: Survey, b: Survey, start: SE2) -> tuple[float, float]:
-    """The middle of what is looked for in the later survey, or of its ground."""
+    """The middle of what is looked for in the later survey, or of its ground, or of the area of one that saw
+    nothing."""
     points = b.individuals.position[:, :2]
     if not len(points):
         ground = _ground(b.layers, None)
         points = ground[ground[:, 2] > 0.0, :2] if ground[:, 2].any() else ground[:, :2]
     if not len(points):
-        raise ValueError(f"compare: expected a survey that saw something, got {b.name} or {a.name}")
+        area = b.layers.bounds
+        points = np.array([[area.x_min + area.x_max, area.y_min + area.y_max]]) / 2.0
     x, y = placed(start, points).mean(axis=0).tolist()
     return x, y
 

@@ -21,6 +21,9 @@ from dream.types import BoolArray, Reasoning, Target
 Float64Array = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 
+DIVE = "dive"
+"""The `world` in `made_by` of older surveys of dives in real water; newer ones have none."""
+
 
 @dataclass(frozen=True, slots=True)
 class Measure:
@@ -190,7 +193,7 @@ class Survey:
     @property
     def simulated(self) -> bool:
         """No camera has seen it."""
-        return bool(self.made_by.get("world"))
+        return self.made_by.get("world") not in (None, "", DIVE)
 
     @property
     def calibration(self) -> Any:

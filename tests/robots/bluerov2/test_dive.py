@@ -1,6 +1,7 @@
 """`dream dive --stand-in`: the paper's tank trial, end to end, over the real protocols."""
 
 import contextlib
+import csv
 import importlib.util
 import json
 import logging
@@ -8,6 +9,8 @@ import math
 import signal
 import socket
 from collections.abc import Iterator
+from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Literal
@@ -22,6 +25,8 @@ from dream.commands.dive.flight import Flight
 from dream.commands.dive.options import mounting_told, repeating_command
 from dream.commands.dive.ready import Ready, how_to_restore
 from dream.commands.dive.records import config
+from dream.commands.dive.tank import rehearse_return
+from dream.commands.ground import Ground, Known
 from dream.errors import MissionAborted
 from dream.estimation import InEkf, InEkfState, Timeline
 from dream.evaluation.dive_figure import read_dive
@@ -29,6 +34,8 @@ from dream.geometry import SE2, Bounds
 from dream.mapping import OccupancyMap
 from dream.mission import explore
 from dream.planning.belief import Belief
+from dream.planning.lookahead import Plan
+from dream.planning.rounds import Rounds
 from dream.protocol import POOL_V1
 from dream.recording import read_config, read_steps
 from dream.robots.bluerov2.bridge import SAG, LastResort, Limits
@@ -39,6 +46,9 @@ from dream.robots.bluerov2.log import dive_began, read_log, read_measurements, r
 from dream.robots.bluerov2.navigation import Instruments
 from dream.robots.replay import Replayed
 from dream.sim.worlds import make_world
+from dream.survey import files
+from dream.survey.site import Site, read_site, write_site
+from tests.survey.scenes import reef
 
 STEPS = 50
 """At most. Programs that run by the clock never make quite the same dive; it ends by itself after some 35."""
@@ -56,15 +66,35 @@ def shown_live(folder: Path) -> Iterator[None]:
     SHOWN.append((folder, sorted(path.name for path in folder.iterdir())))
 
 
+SITE = Site("Test tank", 54.9, 8.3, heading_deg=20.0)
+
+
 @pytest.fixture(scope="module")
-def dive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file that says where on earth the tank is."""
+    path = tmp_path_factory.mktemp("site") / "site.json"
+    write_site(SITE, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def dive(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a dive that ends by itself."""
     out = tmp_path_factory.mktemp("dive")
-    fly = ["dive", "--stand-in", "--world", "pool/arc", "--max-steps", str(STEPS), "--json"]
+    fly = ["dive", "--stand-in", "--world", "pool/arc", "--max-steps", str(STEPS), "--site", str(site)]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("dream.live.beside.check_installed", lambda: None)
         patch.setattr("dream.live.beside.shown_live", shown_live)
-        assert run_command([*fly, "--live", "--out", str(out)]) == 0
+        assert run_command([*fly, "--live", "--json", "--out", str(out)]) == 0
+    return out / (out / "latest").readlink()
+
+
+@pytest.fixture(scope="module")
+def second(site: Path, dive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a short dive that plans with the survey of the first."""
+    out = tmp_path_factory.mktemp("second")
+    fly = ["dive", "--stand-in", "--world", "pool/arc", "--max-steps", "5", "--json", "--out", str(out)]
+    assert run_command([*fly, "--site", str(site), "--from-survey", str(dive)]) == 0
     return out / (out / "latest").readlink()
 
 
@@ -162,6 +192,169 @@ def test_a_replay_decides_as_the_dive_did(dive: Path) -> None:
     assert [(step.decision.turn, step.decision.advance) for step in again] == [
         (step.decision.turn, step.decision.advance) for step in flown
     ]
+
+
+@pytest.mark.slow
+def test_a_dive_with_a_site_is_measured_and_written_for_others_at_its_place(
+    dive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rasterio, pyogrio = (pytest.importorskip(name) for name in ("rasterio", "pyogrio.raw"))
+    transform = pytest.importorskip("rasterio.warp").transform
+    assert read_site(dive / "site.json") == SITE
+    capsys.readouterr()
+    assert run_command(["survey", "add", str(dive), "--archive", str(tmp_path / "kept.gpkg"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["survey"] == 1
+    show = ["survey", "show", "1", "--archive", str(tmp_path / "kept.gpkg"), "--json"]
+    assert run_command(show) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["name"], told["site"]["name"], told["protocol"]) == (dive.name, "Test tank", "pool-v1")
+    assert told["target"] == "oysters"
+    export = ["survey", "export", "1", "--archive", str(tmp_path / "kept.gpkg"), "--to", str(tmp_path / "to")]
+    assert run_command([*export, "--only", "geotiff", "geopackage", "tables", "html", "--json"]) == 0
+    # Each that was found lies on a shell of the tank, where on earth that is, and as deep.
+    shells = np.asarray(make_world("pool/arc", 1).targets.position)
+    bearing = math.radians(SITE.heading_deg)
+    east = math.cos(bearing) * shells[:, 0] + math.sin(bearing) * shells[:, 1]
+    north = math.cos(bearing) * shells[:, 1] - math.sin(bearing) * shells[:, 0]
+    with rasterio.open(tmp_path / "to/habitat.tif") as habitat:
+        cells, crs, around = habitat.read(1), habitat.crs, habitat.bounds
+        square, tags = abs(habitat.transform.a * habitat.transform.e), habitat.tags()
+    plane = f"+proj=aeqd +lat_0={SITE.latitude} +lon_0={SITE.longitude} +datum=WGS84"
+    there = np.array(transform(plane, crs, east, north)).T
+    assert (there > [around.left, around.bottom]).all()
+    assert (there < [around.right, around.top]).all()
+    with (tmp_path / "to/individuals.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    lon_lat = np.array([[float(row["longitude"]), float(row["latitude"])] for row in rows])
+    found = np.array(transform("EPSG:4326", crs, *lon_lat.T)).T
+    away = np.hypot(*(found[:, None] - there).transpose(2, 0, 1))
+    assert away.min(axis=1).max() < 0.2
+    assert [float(row["depth_m"]) for row in rows] == pytest.approx(-shells[away.argmin(axis=1), 2], abs=0.15)
+    # Nobody calibrated counts in a tank; but they are of its size.
+    measures = {measure["name"]: measure["value"] for measure in told["measures"]}
+    assert told["individuals_found"] == len(rows)
+    assert 0.2 * len(shells) < len(rows) < measures["count"] < 2.0 * len(shells)
+    known = OccupancyMap.load(dive / "map.npz")
+    assert measures["seen_share"] == pytest.approx(known.known[known.to_see].mean(), abs=0.01)
+    assert square * np.count_nonzero(cells == 2) == pytest.approx(
+        POOL_V1.cell**2 * np.count_nonzero(known.target & ~known.solid), rel=0.1
+    )
+    assert measures["reef_area"] > POOL_V1.cell**2 * np.count_nonzero(known.target)
+    _, _, places, _ = pyogrio.read(tmp_path / "to/survey.gpkg", layer="individuals")
+    assert len(places) == len(rows)
+    # The stand-in's tank is simulated, and each file says so.
+    assert all(row["simulated"] == "world pool/arc, seed 1" for row in rows)
+    assert "SIMULATED" in tags["TIFFTAG_IMAGEDESCRIPTION"]
+    assert "Simulated: world pool/arc, seed 1" in (tmp_path / "to/report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_a_dive_plans_with_an_earlier_survey_and_keeps_what_it_was_told(
+    dive: Path, second: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = (read_config(second).model_extra or {})["from_survey"]
+    assert (kept["given"], kept["source"], kept["years"]) == (str(dive), dive.name, 1.0)
+    assert read_site(second / "site.json") == SITE
+    before = OccupancyMap.load(dive / "map.npz")
+    with np.load(second / "prior.npz") as prior:
+        np.testing.assert_array_equal(np.isfinite(prior["target"]), before.known)
+        np.testing.assert_array_equal(np.nan_to_num(prior["target"]) > 0.5, before.target & before.known)
+    words = [step.reasoning.distribution for step in read_steps(second)[4:]]
+    assert words
+    assert all(f"The survey {dive.name}, 1.0 years old, is believed to" in said for said in words)
+    capsys.readouterr()
+    assert run_command(["replay", str(second), "--estimator", "none", "--json"]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert (again["from"], again["agree"]) == ("observations", again["steps"])
+
+
+def test_before_a_dive_with_a_survey_ways_round_what_it_foretells_are_rehearsed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    planned = []
+    plan = Rounds.plan
+
+    def planning(rounds: Rounds, *rest: Any) -> Plan | None:
+        planned.append(plan(rounds, *rest))
+        return planned[-1]
+
+    monkeypatch.setattr(Rounds, "plan", planning)
+    rehearse_return()
+    assert any(way is not None for way in planned)
+
+
+@pytest.fixture
+def no_devices(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Devices that must not be opened."""
+    monkeypatch.setattr(
+        "dream.robots.bluerov2.devices.Devices.__enter__", lambda devices: pytest.fail("devices were opened")
+    )
+
+
+CHECK = ["dive", "--area", "0", "0", "20", "16", "--at", "1", "1", "0", "--protocol", "dream-v1", "--check"]
+"""A list gone through before a dive over `tests.survey.scenes.AREA`."""
+
+
+@pytest.mark.usefixtures("no_devices")
+@pytest.mark.parametrize(
+    ("told", "wanted"),
+    [
+        ("--site none.json", "none.json: expected a site file such as"),
+        ("--site bad.json", "bad.json: site: latitude: expected a number within ±90, got 95.0"),
+        ("--from-survey nothing", "nothing: expected the number of a survey in the archive, its file, or"),
+        ("--from-survey 1", "surveys.gpkg: expected an archive of surveys, got no file"),
+        ("--from-survey 1 --archive there.gpkg", "there.gpkg: expected an archive of surveys, got no file"),
+        (
+            "--from-survey damaged.survey.npz",
+            "damaged.survey.npz: expected the file of a survey, got damaged",
+        ),
+        ("--site other.json --from-survey reef.survey.npz", "got one of 'Inner reef'"),
+        ("--from-survey beside.survey.npz", "expected a survey of this area, got"),
+        ("--from-survey later.survey.npz", "expected a survey from before the mission"),
+    ],
+)
+def test_a_site_or_a_survey_that_does_not_fit_is_told_before_any_vehicle_is_asked(
+    told: str,
+    wanted: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("DREAM_ARCHIVE", raising=False)
+    Path("bad.json").write_text('{"name": "reef", "latitude": 95, "longitude": 8}')
+    write_site(Site("Other reef", 54.9, 8.3), Path("other.json"))
+    then = replace(reef(), began=datetime(2020, 6, 1, tzinfo=UTC))
+    files.write(then, Path("reef.survey.npz"))
+    files.write(replace(then, began=datetime(2999, 6, 1, tzinfo=UTC)), Path("later.survey.npz"))
+    beside = Bounds(100.0, 0.0, 120.0, 16.0)
+    files.write(
+        replace(then, area=beside, layers=replace(then.layers, bounds=beside)), Path("beside.survey.npz")
+    )
+    Path("damaged.survey.npz").write_bytes(files.dumped(then)[:-3000])
+    assert run_command([*CHECK, *told.split(), "--out", "runs"]) == 2
+    said = capsys.readouterr().err
+    assert wanted in said
+    assert len(said.splitlines()) == 1
+    assert not Path("runs").exists()
+
+
+def test_a_planner_that_cannot_use_a_survey_says_so_before_it_dives(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def opening(devices: object) -> None:
+        raise ValueError("devices are opened")
+
+    monkeypatch.setattr("dream.robots.bluerov2.devices.Devices.__enter__", opening)
+    survey = replace(reef(), began=datetime(2020, 6, 1, tzinfo=UTC))
+    files.write(survey, tmp_path / "reef.survey.npz")
+    more = ["--from-survey", str(tmp_path / "reef.survey.npz"), "--out", str(tmp_path)]
+    for planner, doubted in (("frontier", True), ("belief", False)):
+        caplog.clear()
+        assert run_command([CHECK[0], planner, *CHECK[1:], *more]) == 2
+        frames, *doubts = caplog.messages
+        assert "and of the mission are taken as equal: one of the two does not say" in frames
+        assert doubts == ["--from-survey: frontier cannot use it and flies as without it"] * doubted
 
 
 def test_without_an_area_there_is_no_dive(capsys: pytest.CaptureFixture[str]) -> None:
@@ -413,11 +606,18 @@ def test_the_line_that_dives_again_says_what_was_told() -> None:
     assert line == ("dream dive belief --area -1.8 -1.8 1.8 1.8 --at 0.5 0 90 --max-steps 5 --set-parameters")
     planner = Belief(risk=0.1)
     assert repeating_command(Dive(planner=planner), "belief") == "dream dive belief --risk 0.1"
+    ground = Ground(site=Path("reef.json"), from_survey="3", archive="kept.gpkg")
+    line = "dream dive belief --site reef.json --from-survey 3"
+    assert repeating_command(Dive(ground=ground), "belief") == f"{line} --archive kept.gpkg"
+    ground = replace(ground, archive="postgresql://me:secret@host/reef")
+    assert repeating_command(Dive(ground=ground), "belief") == line
 
 
 @pytest.mark.parametrize(
     ("options", "wanted"),
     [
+        ("--area 1 -1 -1 1", "--area: expected finite x_min < x_max and y_min < y_max"),
+        ("--area -1.83 -1 1 1", "--area: expected a width of whole 0.05 m cells, got 2.83 m"),
         ("--area -1 -1 1 1 --at 50 50 0", "--at: expected a place inside --area -1 -1 1 1, got 50 50"),
         ("--area -1 -1 1 1 --max-depth -3", "--max-depth: expected a limit above 0, got -3"),
         ("--area -1 -1 1 1 --minutes 0", "--minutes: expected a limit above 0, got 0"),
@@ -481,7 +681,7 @@ def test_a_dive_that_ends_before_its_first_step_says_why_and_what_the_log_lost(
 ) -> None:
     limits, start = Limits(Bounds(-1.0, -1.0, 1.0, 1.0)), SE2(0.0, 0.0, 0.0)
     devices = SimpleNamespace(log=SimpleNamespace(lost={"mavlink": 3, "a50": 0, "camera": 2}))
-    ready = Ready(Dive(), POOL_V1, devices, limits, start, tmp_path, None, None)  # type: ignore[arg-type]
+    ready = Ready(Dive(), POOL_V1, devices, limits, start, tmp_path, None, None, Known())  # type: ignore[arg-type]
     with pytest.raises(
         MissionAborted, match=r"aborted: 48\.2 m outside the area; no step was made\. The log"
     ):
@@ -500,7 +700,7 @@ def test_where_things_sit_is_kept_with_the_dive(tmp_path: Path) -> None:
     told = Dive(dvl_at=(0.1, 0.0, -0.2), camera_at=(0.25, 0.0, 0.02), tilt=30.0, speed_of_sound=1482.0)
     limits, start = Limits(Bounds(-1.0, -1.0, 1.0, 1.0)), SE2(0.0, 0.0, 0.0)
     devices = SimpleNamespace(log=SimpleNamespace(epoch_ns=1_780_000_000_250_000_000))
-    ready = Ready(told, POOL_V1, devices, limits, start, tmp_path, None, None)  # type: ignore[arg-type]
+    ready = Ready(told, POOL_V1, devices, limits, start, tmp_path, None, None, Known())  # type: ignore[arg-type]
     kept = config(ready, "belief")
     assert kept["began"].isoformat() == "2026-05-28T20:26:40.250000+00:00"
     assert kept["mounting"] == {

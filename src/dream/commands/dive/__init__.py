@@ -11,7 +11,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -23,13 +23,18 @@ from dream.commands.dive.flight import Flight
 from dream.commands.dive.options import Sight, check_options, limits_told, sight_told, waters_told
 from dream.commands.dive.predive import STILL, predive_list, print_findings
 from dream.commands.dive.ready import Ready, opened
-from dream.commands.dive.tank import Tank, rehearse_mission
+from dream.commands.dive.tank import Tank, rehearse_mission, rehearse_return
+from dream.commands.ground import Ground
 from dream.commands.run import planner_name
 from dream.geometry import Bounds
 from dream.planning import PLANNERS, AnyPlanner
 from dream.protocol import protocol_named
 
 if TYPE_CHECKING:
+    from dream.commands.ground import Known
+    from dream.protocol import SurveyProtocol
+    from dream.survey.site import Site
+
     ChosenPlanner = AnyPlanner
 else:
     ChosenPlanner = tyro.extras.subcommand_type_from_defaults(PLANNERS, sort_subcommands=False)
@@ -120,6 +125,7 @@ class Dive:
     """Folder that the dive's own folder is made in."""
     json: bool = False
     """Print the summary, or the list, as one JSON object and nothing else."""
+    ground: Ground = field(default_factory=Ground)
 
     def __call__(self) -> int:
         """Exit status 0; 1 for a no-go; a MissionAborted where the mission did not end by itself."""
@@ -147,11 +153,11 @@ class Dive:
         if self.area is not None:
             limits_told(self, Bounds(*self.area))
         # A file that cannot be read is told at a desk too, where no vehicle answers.
-        sight = sight_told(self)
+        sight, site = sight_told(self), self.ground.where()
         with contextlib.ExitStack() as shown:
-            return self._dive(sight, shown)
+            return self._dive(sight, site, shown)
 
-    def _dive(self, sight: Sight, shown: contextlib.ExitStack) -> int:
+    def _dive(self, sight: Sight, site: Site | None, shown: contextlib.ExitStack) -> int:
         """The same; a page that stays until it is closed is left to `shown`: the vehicle waits for none."""
         from dream import recording
 
@@ -161,11 +167,14 @@ class Dive:
             stack.enter_context(compiling_told())
             stack.enter_context(_outlives_its_terminal())
             interrupted = stack.enter_context(kept_interrupts())
+            tank = Tank(self.world, self.seed, self.drive) if self.stand_in else None
+            known = self._known(site, protocol, tank)
             if not self.check:
                 rehearse_mission(protocol, self.estimator)
+                if known.prior is not None:
+                    rehearse_return()
                 interrupted()
             begun = datetime.datetime.now(datetime.UTC)
-            tank = Tank(self.world, self.seed, self.drive) if self.stand_in else None
             where = "dive" if tank is None else tank.world.name
             if self.check:
                 # What was heard is kept, but nothing is flown: it is no run, and the last check is enough.
@@ -186,13 +195,21 @@ class Dive:
             waters = waters_told(self) if tank is None else tank.waters(protocol, self.pilot)
             limits = limits_told(self, waters.area)
             devices = stack.enter_context(opened(self, waters, folder, begun))
-            ready = Ready(self, protocol, devices, limits, waters.start, folder, tank, sight)
+            ready = Ready(self, protocol, devices, limits, waters.start, folder, tank, sight, known)
             tell(f"listening to the sensors for {STILL:g} s: the vehicle has to lie still", quiet=self.json)
             found = predive_list(ready)
             interrupted()
             if self.check or not all(finding.ok for finding in found):
                 return print_findings(found, as_json=self.json)
             return Flight(ready, name).fly(interrupted)
+
+    def _known(self, site: Site | None, protocol: SurveyProtocol, tank: Tank | None) -> Known:
+        """What is known of the ground, on the cells of the map that the dive will make."""
+        world = None if tank is None else tank.world
+        if world is not None:
+            return self.ground.known(site, self.planner, world.bounds, protocol, world)
+        assert self.area is not None
+        return self.ground.known(site, self.planner, Bounds(*self.area), protocol, None)
 
 
 def _check_extra() -> None:

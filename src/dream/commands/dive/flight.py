@@ -61,6 +61,7 @@ class Flight:
         told, devices, protocol = ready.told, ready.devices, ready.protocol
         began = time.perf_counter()
         recording.write_config(ready.folder, config(ready, name))
+        ready.known.keep(ready.folder)
         link = devices.link
         drive = (Guided if told.drive == "guided" else AltHold)(link, link.joystick())
         bridge = Bridge(
@@ -95,7 +96,13 @@ class Flight:
                 vehicle.go_to(Setpoint(start.x, start.y, start.yaw, protocol.altitude))
                 occupancy = OccupancyMap(ready.limits.area, protocol)
                 robot = Keeping(vehicle, ready.folder)
-                steps = explore(robot, _in_real_time(told.planner), occupancy, max_steps=told.max_steps)
+                steps = explore(
+                    robot,
+                    _in_real_time(told.planner),
+                    occupancy,
+                    max_steps=told.max_steps,
+                    prior=ready.known.prior,
+                )
                 recorded = recording.record(
                     self._logged(steps),
                     ready.folder,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from dream.geometry import SE2, Bounds
 from dream.planning import PLANNERS
+from dream.protocol import protocol_named
 
 if TYPE_CHECKING:
     from dream.commands.dive import Dive
@@ -55,6 +56,7 @@ def check_options(told: Dive) -> None:
     Raises:
         ValueError: An option is out of its range, or does not go with another.
     """
+    from dream.mapping import OccupancyMap
     from dream.robots.bluerov2.navigation import check_aboard
 
     places = {"--dvl-at": told.dvl_at, "--gauge-at": told.gauge_at, "--camera-at": told.camera_at}
@@ -79,6 +81,10 @@ def check_options(told: Dive) -> None:
     if told.area is None:
         return
     x, y, _ = told.at
+    try:
+        OccupancyMap(Bounds(*told.area), protocol_named(told.protocol))
+    except ValueError as error:
+        raise ValueError(f"--area: {str(error).removeprefix('bounds: ')}") from error
     if not Bounds(*told.area).contains(x, y):
         area = " ".join(f"{side:g}" for side in told.area)
         raise ValueError(f"--at: expected a place inside --area {area}, got {x:g} {y:g}")
@@ -136,14 +142,21 @@ def mounting_told(told: Dive) -> Mounting:
     return mounting_of(told.dvl_at or DVL_AT, told.gauge_at or GAUGE_AT)
 
 
+_NOT_REPEATED = ("planner", "ground", "out", "json", "live")
+"""Fields that are no option, or change nothing of the dive."""
+
+
 def repeating_command(told: Dive, name: str) -> str:
     """The command line that dives so again; options at their defaults are left out."""
     words = ["dream", "dive", name]
-    for owner, default in ((told.planner, PLANNERS[name]), (told, type(told)())):
+    without = type(told)()
+    for owner, default in ((told.planner, PLANNERS[name]), (told, without), (told.ground, without.ground)):
         for field in fields(owner):
             value = getattr(owner, field.name)
-            if field.name in ("planner", "out", "json", "live") or value == getattr(default, field.name):
+            if field.name in _NOT_REPEATED or value == getattr(default, field.name):
                 continue
+            if field.name == "archive" and "://" in value:
+                continue  # It may hold a password.
             words.append("--" + field.name.replace("_", "-"))
             if value is not True:
                 words += [f"{one:g}" for one in value] if isinstance(value, tuple) else [str(value)]

@@ -20,6 +20,7 @@ from dream.protocol import SurveyProtocol
 if TYPE_CHECKING:
     from dream.commands.dive import Dive
     from dream.commands.dive.tank import Tank
+    from dream.commands.ground import Known
     from dream.robots.bluerov2.bridge import Limits
     from dream.robots.bluerov2.devices import Devices, LiveEye
 
@@ -39,6 +40,8 @@ class Ready:
     folder: Path
     tank: Tank | None
     sight: Sight
+    known: Known
+    """Of the ground."""
 
     @cached_property
     def mount(self) -> SE3:

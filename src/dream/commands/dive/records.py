@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 def config(ready: Ready, name: str) -> dict[str, Any]:
     """`config.json`: what the dive was begun with."""
     told = asdict(replace(ready.told, planner=PLANNERS["belief"]))
-    del told["planner"]
+    # What is known of the ground is kept beside; the address of an archive may hold a password.
+    del told["planner"], told["ground"]
     mounting = mounting_told(ready.told)
     return {
         "version": __version__,
@@ -43,6 +44,7 @@ def config(ready: Ready, name: str) -> dict[str, Any]:
             "gauge": list(mounting.pressure_sensor),
             "camera": np.asarray(ready.mount.translation).tolist(),
         },
+        **ready.known.config(),
         "dive": {key: str(value) if isinstance(value, Path) else value for key, value in told.items()},
     }
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 import socket
 from typing import TYPE_CHECKING, Self
 
+import numpy as np
+
 from dream.commands.dive.options import Waters
 from dream.geometry import SE3
-from dream.protocol import SurveyProtocol
+from dream.protocol import DREAM_V1, SurveyProtocol
 
 if TYPE_CHECKING:
+    from dream.mapping.prior import Prior
     from dream.robots.bluerov2.standin.process import StandInProcess
     from dream.sim.world import World
 
@@ -26,19 +29,21 @@ class Tank:
         self.world: World = make_world(world, seed)
         self._seed = seed
         self._options = ("--position",) if drive == "guided" else ()
-        self.ground = _free_port()
-        self.video = _free_port()
+        self.ports: tuple[int, int] | None = None
+        """Of the vehicle and of its video, once it is entered."""
         self.process: StandInProcess | None = None
 
     def __enter__(self) -> Self:
         from dream.robots.bluerov2.standin.process import StandInProcess
 
         loopback = "127.0.0.1"
+        # Asked for as late as can be, lest somebody else takes them meanwhile.
+        vehicle, video = self.ports = _free_port(), _free_port()
         self.process = StandInProcess(
             self.world.name,
             self._seed,
-            ground=(loopback, self.ground),
-            video=(loopback, self.video),
+            ground=(loopback, vehicle),
+            video=(loopback, video),
             options=self._options,
         )
         return self
@@ -57,13 +62,12 @@ class Tank:
         """Where it is, and how its programs are reached; a pilot may come to `pilot`."""
         from dream.robots.bluerov2.devices import Addresses
 
-        host, port = self.running.a50
+        assert self.ports is not None
+        (host, port), (vehicle, video) = self.running.a50, self.ports
         return Waters(
             self.world.bounds,
             protocol.snap(self.world.starts[0]),
-            Addresses(
-                f"udpin:127.0.0.1:{self.ground}", f"{host}:{port}", f"rtp:127.0.0.1:{self.video}", pilot
-            ),
+            Addresses(f"udpin:127.0.0.1:{vehicle}", f"{host}:{port}", f"rtp:127.0.0.1:{video}", pilot),
             self.running.surface_pressure,
         )
 
@@ -82,12 +86,33 @@ def _free_port() -> int:
 
 def rehearse_mission(protocol: SurveyProtocol, estimator: str) -> None:
     """Explore a simulated place for some steps, and steer: what is compiled now stops nothing under water."""
-    from dream.evaluation.runner import simulate
-    from dream.planning.belief import Belief
     from dream.robots.bluerov2.drives import rehearse
     from dream.sim.worlds import make_world
 
-    world = make_world("pool/arc" if protocol.traversal is not None else "reef/patch", 1)
-    for _ in simulate(world, Belief(), protocol, max_steps=REHEARSED):
-        pass
+    _explore(make_world("pool/arc" if protocol.traversal is not None else "reef/patch", 1), protocol)
     rehearse(estimator)
+
+
+def rehearse_return() -> None:
+    """Explore a simulated reef of which a survey tells: what is called on only then is compiled, too.
+
+    Always by `DREAM_V1`: in a tank there is so much to traverse that a short mission plans no way round what
+    was foretold.
+    """
+    from dream.mapping.prior import Prior
+    from dream.sim.worlds import make_world
+
+    world, cell = make_world("reef/patch", 1), DREAM_V1.cell
+    bounds, (x, y) = world.bounds, world.targets.position[:, :2].T
+    shape = round(bounds.depth / cell), round(bounds.width / cell)
+    was = np.zeros(shape, np.float32)
+    was[((y - bounds.y_min) / cell).astype(int), ((x - bounds.x_min) / cell).astype(int)] = 1.0
+    _explore(world, DREAM_V1, Prior(bounds, cell, was, np.zeros(shape, np.bool_)))
+
+
+def _explore(world: World, protocol: SurveyProtocol, prior: Prior | None = None) -> None:
+    from dream.evaluation.runner import simulate
+    from dream.planning.belief import Belief
+
+    for _ in simulate(world, Belief(), protocol, max_steps=REHEARSED, prior=prior):
+        pass

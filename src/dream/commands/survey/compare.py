@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,18 +50,34 @@ class Compare:
         from dream.survey.change_map import write_change
         from dream.survey.comparison import Comparing, doubts
 
-        check_writable(self.out)
-        with compiling_told():
-            a, b = (found(what, self.archive, self.site) for what in (self.before, self.after))
-            for doubt in doubts(a, b):
-                logger.warning("compare: %s", doubt)
-            comparison = Comparing().compare(a, b)
-        files = write_change(comparison, self.out)
+        with _made_only_to_last(self.out):
+            with compiling_told():
+                a, b = (found(what, self.archive, self.site) for what in (self.before, self.after))
+                for doubt in doubts(a, b):
+                    logger.warning("compare: %s", doubt)
+                comparison = Comparing().compare(a, b)
+            files = write_change(comparison, self.out)
         if self.json:
             print_json({**comparison.as_dict(), "files": [str(path) for path in files]})
         else:
             _print(comparison, files)
         return 0
+
+
+@contextlib.contextmanager
+def _made_only_to_last(folder: Path) -> Iterator[None]:
+    """Make a folder, and take it away again, with those it is in that were made for it, where what follows
+    fails."""
+    made = [one for one in (folder, *folder.parents) if not one.exists()]
+    try:
+        check_writable(folder)
+        yield
+    except BaseException:
+        for one in made:
+            # Others may have put something there meanwhile.
+            with contextlib.suppress(OSError):
+                one.rmdir()
+        raise
 
 
 def _print(comparison: Comparison, files: tuple[Path, ...]) -> None:

@@ -10,6 +10,7 @@ rather than a write-ahead log, so that between writes the archive is one file th
 from __future__ import annotations
 
 import contextlib
+import errno
 import sqlite3
 import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -52,6 +53,11 @@ _OF_GEOPACKAGE = (
     (table_name), CONSTRAINT fk_gc_tn FOREIGN KEY (table_name) REFERENCES gpkg_contents(table_name),
     CONSTRAINT fk_gc_srs FOREIGN KEY (srs_id) REFERENCES gpkg_spatial_ref_sys (srs_id))""",
 )
+_OF_STYLES = """CREATE TABLE layer_styles (id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
+    f_table_catalog TEXT, f_table_schema TEXT, f_table_name TEXT, f_geometry_column TEXT, styleName TEXT,
+    styleQML TEXT, styleSLD TEXT, useAsDefault BOOLEAN, description TEXT, owner TEXT, ui TEXT,
+    update_time DATETIME DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ','now')))"""
+"""What QGIS looks for."""
 _WKT = (
     'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563,AUTHORITY["EPSG","7030"]],'
     'AUTHORITY["EPSG","6326"]],PRIMEM["Greenwich",0,AUTHORITY["EPSG","8901"]],UNIT["degree",'
@@ -370,14 +376,20 @@ def retitle(connection: sqlite3.Connection, table: Table) -> None:
 
 
 def write_layers(
-    path: Path, tables: Sequence[Table], rows_of: Mapping[str, Iterable[Row]], *, on_globe: bool
+    path: Path,
+    tables: Sequence[Table],
+    rows_of: Mapping[str, Iterable[Row]],
+    styles: Mapping[str, str],
+    *,
+    on_globe: bool,
 ) -> None:
-    """Write a GeoPackage that holds these tables and nothing else.
+    """Write a GeoPackage that holds these tables, how QGIS draws them, and nothing else.
 
     Args:
         path: Of a file that is not there.
         tables: Their columns.
         rows_of: By table; `geom` is well-known binary.
+        styles: By table, as QGIS writes them (QML).
         on_globe: Places are longitude and latitude; else metres of no known system.
 
     Raises:
@@ -394,9 +406,20 @@ def write_layers(
                 register(connection, table, srs)
                 for row in rows_of[table.name]:
                     insert(connection, table.name, row, srs)
+            connection.execute(_OF_STYLES)
+            connection.execute(
+                "INSERT INTO gpkg_contents (table_name, data_type, identifier) "
+                "VALUES ('layer_styles', 'attributes', 'layer_styles')"
+            )
+            connection.executemany(
+                "INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, f_geometry_column, "
+                "styleName, styleQML, styleSLD, useAsDefault, description, owner) "
+                "VALUES ('', '', ?, 'geom', ?, ?, '', 1, '', '')",
+                [(name, name, style) for name, style in styles.items()],
+            )
             connection.execute("COMMIT")
     except sqlite3.DatabaseError as error:
-        raise OSError(f"could not write {path} ({error})") from error
+        raise OSError(errno.EIO, str(error), str(path)) from error
 
 
 def insert(connection: sqlite3.Connection, table: str, row: Row, srs: int = WGS84) -> int:

@@ -23,8 +23,15 @@ from dream.survey.survey import Survey
 SCHEMA = "dream"
 LOCK = 0x6472_6561_6D
 """Of the server, held while tables are made or a survey is changed: a number of our own."""
-PATIENCE = 30
-"""Seconds after which a server that says nothing is gone."""
+PATIENCE = 30.0
+"""Seconds to wait for another writer; to hold up others while we ask for nothing; and for a network that is
+down."""
+STATEMENT = 60.0
+"""Seconds that the server may take for one statement."""
+MIGRATION = 3600.0
+"""The same of those that bring a large archive up to date, each of which changes all rows of a table."""
+MARGIN = 15.0
+"""Seconds beyond these after which a server that says nothing hangs."""
 
 _KINDS = {"integer": "bigint", "real": "double precision", "text": "text", "time": "timestamptz"}
 _KINDS |= {"blob": "bytea"}
@@ -46,6 +53,8 @@ class PostgisArchive(Keeping):
             ValueError: The URL is none, or the tables are of a later version.
         """
         pg = _psycopg()
+        from dream.survey.archive.patience import CONNECTING, PatientConnection
+
         if not url.startswith(("postgresql://", "postgres://")):
             scheme = url.split("://", 1)[0]
             raise ValueError(
@@ -61,13 +70,16 @@ class PostgisArchive(Keeping):
             ) from None
         self._secrets = [str(parts[key]) for key in ("password", "sslpassword") if parts.get(key)]
         self._name = _shown(parts)
-        options = {"connect_timeout": "10", "keepalives_idle": "10", "keepalives_interval": "5"}
-        options |= {"keepalives_count": "3", "tcp_user_timeout": str(1000 * PATIENCE)}
+        options = {"connect_timeout": f"{CONNECTING:.0f}", "keepalives_idle": "10"}
+        options |= {"keepalives_interval": "5", "keepalives_count": "3"}
+        options |= {"tcp_user_timeout": f"{1000 * PATIENCE:.0f}"}
         with self._told():
             # Autocommit: every transaction below is a block, and none stays open between them.
-            self._connection = pg.connect(**{**options, **parts}, autocommit=True)
+            self._connection = PatientConnection.connect(**{**options, **parts}, autocommit=True)
         try:
             with self._told():
+                self._wait_for_others(PATIENCE)
+                self._wait_for_statements(STATEMENT)
                 self._migrate(begin=begin)
         except BaseException:
             self._connection.close()
@@ -163,16 +175,64 @@ class PostgisArchive(Keeping):
     @contextlib.contextmanager
     def _changing(self) -> Iterator[None]:
         """A transaction; of two who change surveys, the second waits, and then finds what the first did."""
-        with self._told(), self._connection.transaction():
-            self._connection.execute("SELECT pg_advisory_xact_lock(%s)", (LOCK,))
+        with self._told(), self._alone():
             yield
 
+    @contextlib.contextmanager
+    def _alone(self) -> Iterator[None]:
+        """A transaction in which no other program changes the archive.
+
+        Raises:
+            OSError: Whether it was kept is not known.
+        """
+        pg = _psycopg()
+        done = False
+        try:
+            with self._connection.transaction():
+                self._connection.execute("SELECT pg_advisory_xact_lock(%s)", (LOCK,))
+                yield
+                done = True
+        except pg.OperationalError as error:
+            if not (done and _gone(error)):
+                raise
+            raise OSError(
+                f"{self._name}: expected the server to confirm the change, got no answer "
+                f"({self._cleaned(error)}). It may be kept or not: look with dream survey list, and do again "
+                "what is not there"
+            ) from None
+
+    def _wait_for_others(self, seconds: float) -> None:
+        """Bound how long we wait for another writer, and how long others wait for us where we stand still."""
+        for setting in ("lock_timeout", "idle_in_transaction_session_timeout"):
+            self._set(setting, seconds)
+
+    def _wait_for_statements(self, seconds: float) -> None:
+        """Bound how long one statement may take, by the server's clock, and by ours where it hangs."""
+        self._set("statement_timeout", seconds)
+        self._connection.patience = seconds + MARGIN
+
+    def _set(self, setting: str, seconds: float) -> None:
+        self._connection.execute("SELECT set_config(%s, %s, false)", (setting, f"{1000 * seconds:.0f}ms"))
+
     def _migrate(self, *, begin: bool) -> None:
-        if self._version() == len(MIGRATIONS):
+        version = self._version()
+        if version == len(MIGRATIONS):
             return
-        with self._connection.transaction():
-            # Who comes second waits, and finds the tables made.
-            self._connection.execute("SELECT pg_advisory_xact_lock(%s)", (LOCK,))
+        pg = _psycopg()
+        try:
+            self._bring_up_to_date(begin=begin)
+        except pg.errors.InsufficientPrivilege as error:
+            if version == 0:
+                raise
+            raise PermissionError(
+                f"{self._name}: expected an archive of version {len(MIGRATIONS)}, got version {version} and "
+                f"no right to bring it up to date ({self._cleaned(error)}). Let the owner of its tables open "
+                "it once, such as with dream survey list"
+            ) from None
+
+    def _bring_up_to_date(self, *, begin: bool) -> None:
+        # Who comes second waits, and finds the tables made.
+        with self._alone():
             version = self._version()
             if version == 0:
                 if not begin:
@@ -181,6 +241,7 @@ class PostgisArchive(Keeping):
                         "with dream survey add"
                     )
                 self._begin()
+            self._wait_for_statements(MIGRATION)
             known = order(MIGRATIONS[:version])
             for number, migration in enumerate(MIGRATIONS[version:], start=version + 1):
                 for table in migration.tables:
@@ -190,6 +251,7 @@ class PostgisArchive(Keeping):
                 for update in migration.updates:
                     self._connection.execute(update.format(schema=f"{SCHEMA}."))
                 self._connection.execute(f"INSERT INTO {SCHEMA}.{VERSIONS} VALUES (%s, now())", (number,))
+            self._wait_for_statements(STATEMENT)
 
     def _begin(self) -> None:
         pg = _psycopg()
@@ -242,17 +304,34 @@ class PostgisArchive(Keeping):
         pg = _psycopg()
         try:
             yield
-        except pg.OperationalError as error:
-            # Here is also a server without room, which takes back what was begun.
-            message = f"{self._name}: the server cannot be reached, or went away ({self._cleaned(error)})"
-            if error.sqlstate is not None and not error.sqlstate.startswith(("08", "57")):
-                message = f"{self._name}: the server refused ({self._cleaned(error)})"
-            raise OSError(f"{message}. Nothing was changed; do again what was not confirmed") from None
         except pg.Error as error:
-            raise ValueError(
-                f"{self._name}: expected an archive of surveys, got an error of the database "
-                f"({self._cleaned(error)})"
+            words = self._cleaned(error)
+            failed = _FAILED.get(error.sqlstate or "", "").format(PATIENCE)
+            if not failed and isinstance(error, pg.OperationalError):
+                # Refused is also what there is no room for: the server takes back what was begun.
+                failed = _GONE if _gone(error) else "the server refused"
+            if not failed:
+                raise ValueError(
+                    f"{self._name}: expected an archive of surveys, got an error of the database ({words})"
+                ) from None
+            raise OSError(
+                f"{self._name}: {failed} ({words}). Nothing was changed; do again what was not confirmed"
             ) from None
+
+
+_GONE = "the server cannot be reached, or went away"
+_FAILED = {
+    "25P03": "expected to go on within {:g} s, as others wait for us, but stood still for longer",
+    "42501": "expected the right to do this there",
+    "55P03": "another program has kept the archive to itself for {:g} s; it may hang",
+    "57014": "the server gave up what it was asked for",
+}
+"""Errors that are no fault of the archive's content, by SQLSTATE."""
+
+
+def _gone(error: Any) -> bool:
+    """Does an error leave open what the server did last?"""
+    return error.sqlstate is None or error.sqlstate.startswith(("08", "57"))
 
 
 def statements(table: Table, *, extends: bool) -> list[str]:

@@ -159,6 +159,7 @@ def occurrences(survey: Survey, species: Species, author: Author | None = None) 
     free = {
         "scientificName": species.name,
         "identifiedBy": f"DREAM {version}".strip(),
+        "identificationReferences": f"{f'DREAM {version}'.strip()}, docs/survey-measures.md",
         "samplingProtocol": f"autonomous visual survey, DREAM protocol {survey.protocol}",
         "locality": ground.site.name,
         "verticalDatum": ground.site.datum,
@@ -205,7 +206,8 @@ def likely(survey: Survey) -> list[int]:
 
 COLUMNS = (
     *("occurrenceID", "basisOfRecord", "occurrenceStatus", "scientificName", "scientificNameID"),
-    *("identificationVerificationStatus", "identifiedBy", "eventID", "eventDate", "samplingProtocol"),
+    *("identificationVerificationStatus", "identifiedBy", "identificationReferences"),
+    *("eventID", "eventDate", "samplingProtocol"),
     *("sampleSizeValue", "sampleSizeUnit", "decimalLongitude", "decimalLatitude", "geodeticDatum"),
     *("coordinateUncertaintyInMeters", "minimumDepthInMeters", "maximumDepthInMeters", "verticalDatum"),
     *("locality", "organismQuantity", "organismQuantityType", "license", "occurrenceRemarks"),

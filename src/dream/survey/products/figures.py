@@ -48,12 +48,22 @@ Float64Array = npt.NDArray[np.float64]
 
 BIN = 0.025
 """Metres, width of the bins of sizes; doubled until there are at most 24."""
+DOT: dict[str, Any] = {
+    "marker": "o",
+    "markersize": 2.0,
+    "markeredgewidth": 0.3,
+    "markeredgecolor": "white",
+}
+"""An individual whose size was not measured."""
 DATES_APART = 0.3
 """Share of the span of an axis that a date takes where its figure is narrowest, in print."""
 
 
 def habitat_map(axes: Axes, survey: Survey) -> None:
-    """What was found: the map, outlines of patches with their numbers, individuals to scale, the track."""
+    """What was found: the map, outlines of patches with their numbers, individuals, the track.
+
+    Individuals whose size was measured are drawn to scale, the others as dots.
+    """
     from matplotlib.collections import EllipseCollection
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch as Swatch
@@ -82,21 +92,24 @@ def habitat_map(axes: Axes, survey: Survey) -> None:
                 zorder=6,
             )
     found = survey.individuals
-    if len(found):
-        axes.add_collection(
-            EllipseCollection(
-                found.size,
-                found.size,
-                np.zeros(len(found)),
-                units="xy",
-                offsets=east_north(survey.site, found.position[:, :2]),
-                transOffset=axes.transData,
-                facecolor=INDIVIDUAL,
-                edgecolor="white",
-                linewidth=0.25,
-                zorder=4,
-            )
+    sized = found.size[found.clear]
+    places = east_north(survey.site, found.position[:, :2])
+    axes.add_collection(
+        EllipseCollection(
+            sized,
+            sized,
+            np.zeros(len(sized)),
+            units="xy",
+            offsets=places[found.clear],
+            transOffset=axes.transData,
+            facecolor=INDIVIDUAL,
+            edgecolor="white",
+            linewidth=0.25,
+            zorder=4,
         )
+    )
+    # Of the others the size is a guess, which must not be read off a map.
+    axes.plot(*places[~found.clear].T, linestyle="", color=INDIVIDUAL, zorder=4, **DOT)
     track = east_north(survey.site, survey.track.position[:, :2])
     axes.plot(*track.T, color=TRACK, linewidth=1.1, zorder=5, alpha=0.85)
     for at, marker in ((0, "o"), (-1, "s")):
@@ -110,10 +123,13 @@ def habitat_map(axes: Axes, survey: Survey) -> None:
     ]
     if (layers.state == UNKNOWN).any():
         handles.append(Swatch(facecolor=NOT_SEEN, edgecolor=SOFT, linewidth=0.4, label="not seen"))
-    if len(found):
+    if len(sized):
         handles.append(
             Line2D([], [], marker="o", linestyle="", color=INDIVIDUAL, markersize=4, label="clump, to scale")
         )
+    if len(found) > len(sized):
+        label = "clump, size not measured"
+        handles.append(Line2D([], [], linestyle="", color=INDIVIDUAL, label=label, **DOT))
     handles.append(Line2D([], [], color=TRACK, linewidth=1.3, label="track, ○ start □ end"))
     axes.legend(
         handles=handles,

@@ -149,20 +149,26 @@ def _describe(file: Any, survey: Survey, surveys: Sequence[Survey], ground: Grou
 def _times(file: Any, surveys: Sequence[Survey]) -> None:
     began = np.array([(survey.began - EPOCH).total_seconds() for survey in surveys])
     ended = np.array([(_ended(survey) - EPOCH).total_seconds() for survey in surveys])
+    # A coordinate has to increase; of surveys of which only the day is known several may be of one time.
+    told = began.copy()
+    for k in range(1, len(told)):
+        told[k] = max(told[k], told[k - 1] + 1.0)
     _variable(
         file,
         "time",
         "d",
         ("time",),
-        began,
+        told,
         standard_name="time",
         long_name="when the survey began",
+        comment="of surveys that began at one time each is told a second after the one before; time_bounds "
+        "has what was recorded",
         units="seconds since 1970-01-01 00:00:00",
         calendar="standard",
         axis="T",
         bounds="time_bounds",
     )
-    _variable(file, "time_bounds", "d", ("time", "side"), np.column_stack([began, ended]))
+    _variable(file, "time_bounds", "d", ("time", "side"), np.column_stack([began, np.maximum(ended, told)]))
     width = file.dimensions["name_length"]
     names = np.array([list(survey.name.encode().ljust(width)) for survey in surveys], np.uint8).view("S1")
     _variable(file, "survey", "c", ("time", "name_length"), names, long_name="name of the survey")

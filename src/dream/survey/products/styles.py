@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 from xml.sax.saxutils import quoteattr
 
 from dream.types import Target
@@ -109,25 +110,22 @@ def point_qml(
     color: str, size: float, border: str = "#ffffff", *, angle: str = "", shape: str = "circle"
 ) -> str:
     """A style of points; `size` in millimetres, `angle` the column that turns each, clockwise from north."""
-    options = {
-        "name": shape,
-        "color": _rgba(color),
-        "outline_color": _rgba(border),
-        "outline_width": "0.15",
-        "size": f"{size:g}",
-        "size_unit": "MM",
-    }
+    options = marker(color, size, border, shape=shape)
     return _vector_qml("marker", _layer("SimpleMarker", options, {"angle": angle} if angle else {}))
 
 
+UNSIZED = 0.08
+"""Metres: the dot of what has no size, smaller than what is measured."""
+
+
 def sized_point_qml(color: str, column: str, border: str = "#ffffff") -> str:
-    """A style of round points drawn to scale: `column` is the diameter in metres."""
+    """A style of round points drawn to scale: `column` is the diameter in metres; dots where it is NULL."""
     options = {
         "name": "circle",
         "color": _rgba(color, 200),
         "outline_color": _rgba(border),
         "outline_width": "0.1",
-        "size": "0.25",
+        "size": f"{UNSIZED:g}",
         "size_unit": "RenderMetersInMapUnits",
     }
     return _vector_qml("marker", _layer("SimpleMarker", options, {"size": column}))
@@ -135,14 +133,56 @@ def sized_point_qml(color: str, column: str, border: str = "#ffffff") -> str:
 
 def polygon_qml(color: str, border: str, width: float, opacity: int) -> str:
     """A style of polygons; `opacity` of the fill from 0 to 255."""
-    options = {
+    return _vector_qml("fill", _layer("SimpleFill", fill(color, border, width, opacity)))
+
+
+def categories_qml(
+    kind: Literal["fill", "marker"], column: str, looks: Sequence[tuple[str, str, Mapping[str, str]]]
+) -> str:
+    """A style that tells the rows of a layer apart by the words in a column, each a line of the legend.
+
+    Args:
+        kind: `fill` for polygons, `marker` for points.
+        column: That holds the words.
+        looks: The words, what the legend calls them, and their look, as `fill` or `marker` gives it.
+    """
+    categories = "".join(
+        f'<category symbol="{number}" value={quoteattr(words)} label={quoteattr(label)} type="string" '
+        'render="true"/>'
+        for number, (words, label, _) in enumerate(looks)
+    )
+    layers = [_layer({"fill": "SimpleFill", "marker": "SimpleMarker"}[kind], look) for *_, look in looks]
+    return _renderer_qml(
+        f'type="categorizedSymbol" attr={quoteattr(column)}',
+        kind,
+        layers,
+        f"<categories>{categories}</categories>",
+    )
+
+
+def fill(color: str, border: str, width: float, opacity: int, *, hatched: bool = False) -> dict[str, str]:
+    """The look of polygons: `width` of the border in millimetres, `opacity` of the fill from 0 to 255."""
+    return {
         "color": _rgba(color, opacity),
         "outline_color": _rgba(border),
         "outline_width": f"{width:g}",
-        "style": "solid" if opacity else "no",
+        "style": "no" if not opacity else "b_diagonal" if hatched else "solid",
         "joinstyle": "round",
     }
-    return _vector_qml("fill", _layer("SimpleFill", options))
+
+
+def marker(
+    color: str, size: float, border: str, *, shape: str = "circle", width: float = 0.15
+) -> dict[str, str]:
+    """The look of points: `size`, and `width` of the border, in millimetres."""
+    return {
+        "name": shape,
+        "color": _rgba(color),
+        "outline_color": _rgba(border),
+        "outline_width": f"{width:g}",
+        "size": f"{size:g}",
+        "size_unit": "MM",
+    }
 
 
 def _layer(kind: str, options: Mapping[str, str], driven: Mapping[str, str] | None = None) -> str:
@@ -170,12 +210,20 @@ def _layer(kind: str, options: Mapping[str, str], driven: Mapping[str, str] | No
 
 
 def _vector_qml(kind: str, layer: str) -> str:
+    return _renderer_qml('type="singleSymbol"', kind, [layer])
+
+
+def _renderer_qml(attributes: str, kind: str, layers: Sequence[str], more: str = "") -> str:
+    """Of symbols of one layer each, which are named by their numbers."""
+    symbols = "".join(
+        f'<symbol type="{kind}" name="{number}" alpha="1" clip_to_extent="1" force_rhr="0">{layer}</symbol>'
+        for number, layer in enumerate(layers)
+    )
     return (
         "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"
         '<qgis version="3.22.0" styleCategories="Symbology">'
-        '<renderer-v2 type="singleSymbol" forceraster="0" enableorderby="0" symbollevels="0"><symbols>'
-        f'<symbol type="{kind}" name="0" alpha="1" clip_to_extent="1" force_rhr="0">{layer}</symbol>'
-        "</symbols></renderer-v2><blendMode>0</blendMode></qgis>\n"
+        f'<renderer-v2 {attributes} forceraster="0" enableorderby="0" symbollevels="0">{more}<symbols>'
+        f"{symbols}</symbols></renderer-v2><blendMode>0</blendMode></qgis>\n"
     )
 
 
