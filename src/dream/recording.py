@@ -53,6 +53,9 @@ MAX_SHOWN_BYTES = 8 << 20
 # Pictures are written while the robot waits: little compression, done quickly.
 _PNG_LEVEL = 1
 
+PRIOR = "prior.npz"
+"""In the folder of a run: what it was told of an earlier survey."""
+
 
 class _Recorded(BaseModel):
     """What a file of a run holds. Fields that we do not know are kept, numbers are finite."""

@@ -138,6 +138,10 @@ def test_a_replay_decides_as_then_by_what_was_kept_of_the_survey(
     assert (said["agree"], said["first_difference"]) == (STEPS, None)
     replayed = tmp_path / "replayed" / (tmp_path / "replayed/latest").readlink()
     assert decided(replayed) == decided(run)
+    # A replay can be replayed.
+    if not keeping:
+        assert run_command(f"replay {replayed} --json".split()) == 0
+        assert json.loads(capsys.readouterr().out)["agree"] == STEPS
     # With another survey in its place it says otherwise.
     with np.load(run / "prior.npz") as kept:
         bare, solid = np.where(np.isnan(kept["target"]), np.nan, 0.0), kept["solid"]

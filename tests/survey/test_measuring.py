@@ -5,7 +5,7 @@ import math
 import os
 import re
 import shutil
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -22,7 +22,7 @@ from dream.geometry import SE2, SE3, Bounds
 from dream.mapping import OccupancyMap
 from dream.mission import explore
 from dream.planning import Belief
-from dream.protocol import DREAM_V1, DREAM_V1_NOISY, POOL_V1, SurveyProtocol
+from dream.protocol import DREAM_V1, DREAM_V1_NOISY, SurveyProtocol
 from dream.recording import read_config, record, write_config
 from dream.robots import Teleport, replay
 from dream.robots.bluerov2.log import DiveLog
@@ -32,9 +32,12 @@ from dream.sim.world import World
 from dream.sim.worlds import make_world
 from dream.survey import About, Survey, files, measure, measure_observations
 from dream.survey.calibration import SHARP
+from dream.survey.change_page import change_page
+from dream.survey.comparison import Comparing
 from dream.survey.measuring import GUESSED
-from dream.survey.products import tables, words
+from dream.survey.products import Species, export, tables, words
 from dream.survey.reef import _Shape, _totals
+from dream.survey.site import Site
 from dream.types import Observation, Target
 
 ABOUT = About("a survey", datetime(2026, 6, 1, tzinfo=UTC))
@@ -226,6 +229,17 @@ def test_what_was_not_seen_beside_a_reef_is_expected_and_doubted(
     assert seen[1] < 0.7 * seen[0]
 
 
+def test_notes_in_tables_are_read_alike_by_all_spreadsheets(
+    world: World, middle: tuple[float, float], tmp_path: Path
+) -> None:
+    """Some take a file for Latin letters: what we write ourselves is ASCII."""
+    frames = around(world, middle, DREAM_V1)[1:2]
+    tables.write(measure_observations(frames, mapped(frames, world, DREAM_V1), ABOUT), tmp_path)
+    told = (tmp_path / "measures.csv").read_bytes()
+    assert b"square metres of it not seen but likely" in told
+    assert told.isascii()
+
+
 def test_a_seabed_without_a_reef_has_none(world: World) -> None:
     empty = make_world("flat/empty", 1)
     frames = around(empty, (0.0, 0.0), DREAM_V1)
@@ -333,28 +347,52 @@ def test_an_older_dive_began_when_its_log_says(run: Path, tmp_path: Path) -> Non
     assert measure(dive).made_by["began_by"] == "when its config.json was written"
 
 
-@pytest.mark.parametrize("stand_in", [False, True])
-def test_a_dive_is_simulated_only_in_the_stand_in(run: Path, tmp_path: Path, stand_in: bool) -> None:
-    """As `dream dive` writes its config.json."""
-    dive = Path(shutil.copytree(run, tmp_path / "dive"))
+def as_a_dive(run: Path, to: Path, *, stand_in: bool) -> Path:
+    """The run as `dream dive` leaves one: with the config.json that it writes."""
+    dive = Path(shutil.copytree(run, to))
     tank: Any = SimpleNamespace(world=SimpleNamespace(name="pool/arc")) if stand_in else None
     devices: Any = SimpleNamespace(log=SimpleNamespace(epoch_ns=1_780_000_000_000_000_000))
     unused: Any = None
     begun, start = Dive(stand_in=stand_in), SE2(0.0, 0.0, 0.0)
-    ready = Ready(begun, POOL_V1, devices, unused, start, dive, tank, unused, Known())
-    write_config(dive, {**dive_config(ready, "belief"), "protocol": "dream-v1"})
-    survey = files.loaded(files.dumped(measure(dive)), "it")
+    ready = Ready(begun, DREAM_V1, devices, unused, start, dive, tank, unused, Known())
+    write_config(dive, dive_config(ready, "belief"))
+    return dive
+
+
+@pytest.mark.parametrize("stand_in", [False, True])
+def test_a_dive_is_simulated_only_in_the_stand_in_and_every_file_says_so(
+    run: Path, tmp_path: Path, stand_in: bool
+) -> None:
+    pytest.importorskip("pyproj")
+    pytest.importorskip("rasterio")
+    dive = as_a_dive(run, tmp_path / "dive", stand_in=stand_in)
+    survey = files.loaded(files.dumped(measure(dive, Site("Inner reef", 54.9, 8.3))), "it")
     assert survey.simulated is stand_in
-    assert words.world(survey) == ("world pool/arc, seed 1" if stand_in else "")
-    tables.write(survey, tmp_path)
-    told = (tmp_path / "measures.csv").read_text("utf-8-sig")
-    assert ("world pool/arc" in told) is stand_in
+    later = dataclasses.replace(
+        survey,
+        name="later",
+        began=survey.began + timedelta(days=365),
+        made_by={**survey.made_by, "run": "another"},
+    )
+    species = Species("Ostrea edulis", "urn:lsid:marinespecies.org:taxname:1")
+    made = export(survey, tmp_path / "out", run=dive, species=species, others=[later]).folder
+    page = change_page(Comparing().compare(survey, later), b"", {})
+    (made / "change.html").write_text(page)
+    said = (b"SIMULATED", b"Simulated: world pool/arc, seed 1", b"world pool/arc")
+    telling = {file.name for file in made.iterdir() if any(word in file.read_bytes() for word in said)}
+    # What is compressed or drawn has tests of its own, by what it is.
+    drawn = {"darwin-core.zip", "report.pdf", "series.png"}
+    plain = {file.name for file in made.iterdir() if file.suffix != ".qml"} - drawn
+    assert len(plain) == 14
+    assert telling == (plain if stand_in else set())
 
 
 def test_an_older_survey_of_a_dive_is_of_real_water(run: Path) -> None:
     survey = measure(run)
     assert survey.simulated
-    assert not dataclasses.replace(survey, made_by={**survey.made_by, "world": "dive"}).simulated
+    older = dataclasses.replace(survey, made_by={**survey.made_by, "world": "dive"})
+    assert not files.loaded(files.dumped(older), "it").simulated
+    assert words.world(older) == words.warning(older) == words.simulated(older) == ""
 
 
 def test_copies_of_a_run_are_the_same_run_and_no_other_is(run: Path, tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from dream.survey import Survey
 from dream.survey.archive import open_archive
 from dream.survey.products import PRODUCTS, Species, export
 from dream.survey.products.export import FILES
+from tests.survey.floor import keep_frames
 from tests.survey.scenes import reef, wreck
 
 pytest.importorskip("pyproj")
@@ -150,15 +151,21 @@ def test_a_damaged_survey_is_refused(damage: Callable[[Survey], Survey], says: s
 
 
 def test_where_the_disk_is_full_nothing_is_left(tmp_path: Path) -> None:
-    """No file may grow beyond a limit, by the system itself: each time another product is the one that
-    fails."""
+    """No file may grow beyond a limit, by the system itself: several at four sizes, and each by itself at one
+    that its largest file exceeds and README.md does not."""
+    attempts: list[tuple[int, tuple[str, ...]]] = [(room, QUICK) for room in (2_000, 9_000, 30_000, 120_000)]
+    attempts += [(6_000, (name,)) for name in PRODUCTS]
+    keep_frames(tmp_path / "run")
     program = (
-        "import resource; from pathlib import Path; from tests.survey.scenes import reef\n"
-        "from dream.survey.products import export\n"
-        "for room in (2_000, 9_000, 30_000, 120_000):\n"
+        "import resource; from dataclasses import replace; from datetime import timedelta\n"
+        "from pathlib import Path; from tests.survey.scenes import reef\n"
+        "from dream.survey.products import Species, export\n"
+        "now = reef(); before = replace(now, name='before', began=now.began - timedelta(days=365))\n"
+        f"here, species = Path({str(tmp_path)!r}), Species({OYSTER.name!r}, {OYSTER.id!r})\n"
+        f"for room, only in {attempts!r}:\n"
         "    resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))\n"
-        f"    try: export(reef(), Path({str(tmp_path / 'out')!r}), only={QUICK!r})\n"
-        "    except OSError as error: print(error)\n"
+        "    try: export(now, here / 'out', run=here / 'run', only=only, species=species, others=[before])\n"
+        "    except OSError as error: print(*only, error)\n"
     )
     ended = subprocess.run(
         [sys.executable, "-W", "error", "-c", program],
@@ -169,9 +176,9 @@ def test_where_the_disk_is_full_nothing_is_left(tmp_path: Path) -> None:
     )
     assert (ended.returncode, ended.stderr) == (0, "")
     told = ended.stdout.splitlines()
-    assert len(told) == 4
-    assert all(line.startswith("export: ") and "Choose another" in line for line in told)
-    assert not list(tmp_path.iterdir())
+    assert [line.partition(" export: ")[0] for line in told] == [" ".join(only) for _, only in attempts]
+    assert all("Choose another" in line for line in told)
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
 def test_an_interruption_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

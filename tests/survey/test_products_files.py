@@ -20,7 +20,7 @@ import pytest
 from scipy.io import netcdf_file
 
 from dream.geometry import Bounds
-from dream.survey import Measure, Picture
+from dream.survey import Measure, Picture, Survey
 from dream.survey.products import (
     Author,
     Species,
@@ -44,6 +44,7 @@ from tests.survey.scenes import SITE, reef, wreck
 
 pytest.importorskip("pyproj")
 
+ROOT = Path(__file__).parents[2]
 OYSTER = Species("Ostrea edulis", "urn:lsid:marinespecies.org:taxname:1")
 LATER = replace(
     reef(),
@@ -177,11 +178,12 @@ def test_an_origin_that_was_corrected_by_metres_is_laid_where_its_own_file_says(
         assert of["laid_sigma"][1] > 0.25
 
 
-def test_a_survey_that_saw_nothing_keeps_its_place_in_the_series(tmp_path: Path) -> None:
-    layers = LATER.layers
-    blind = replace(
-        LATER,
-        individuals=scenes.wreck().individuals,
+def blinded(survey: Survey) -> Survey:
+    """The same, had it seen nothing."""
+    layers = survey.layers
+    return replace(
+        survey,
+        individuals=wreck().individuals,
         patches=(),
         layers=replace(
             layers,
@@ -191,12 +193,20 @@ def test_a_survey_that_saw_nothing_keeps_its_place_in_the_series(tmp_path: Path)
             times_seen=np.zeros_like(layers.times_seen),
         ),
     )
-    netcdf.write(reef(), tmp_path / "survey.nc", [blind])
+
+
+@pytest.mark.parametrize("blind", [(1,), (0,), (0, 1)], ids=str)
+def test_a_survey_that_saw_nothing_keeps_its_place_in_the_series(
+    blind: tuple[int, ...], tmp_path: Path
+) -> None:
+    """Be it the one that is exported, another, or all."""
+    first, later = (blinded(one) if n in blind else one for n, one in enumerate((reef(), LATER)))
+    netcdf.write(first, tmp_path / "survey.nc", [later])
     with opened(tmp_path / "survey.nc") as file:
         of = file.variables
         assert of["laid_by"][:].tolist() == [0, 3]
-        assert of["habitat"][0].any()
-        assert not of["habitat"][1].any()
+        assert of["laid_by"].flag_meanings.split()[3] == b"site_files"
+        assert [bool(habitat.any()) for habitat in of["habitat"]] == [n not in blind for n in (0, 1)]
 
 
 def test_surveys_of_one_time_each_have_a_time_of_their_own(tmp_path: Path) -> None:
@@ -346,11 +356,17 @@ def test_occurrences_as_obis_asks(tmp_path: Path) -> None:
     darwin_core.write(real, OYSTER, tmp_path)
     rows = rows_of((tmp_path / "occurrence.csv").read_text())
     assert len(rows) == 60
+    cited = (ROOT / "CITATION.cff").read_text()
+    author, title = (re.search(rf"{key}: (.*)", cited) for key in ("name", "title"))
+    assert author is not None
+    assert title is not None
+    assert (ROOT / darwin_core.METHOD).is_file()
+    reference = f"{author[1]}: {title[1]}, version 0.1.0, {darwin_core.METHOD}"
     longitude, latitude = Ground(SITE).globe(*real.individuals.position[:, :2].T)
     for n, row in enumerate(rows):
         assert row["basisOfRecord"] == "MachineObservation"
         assert row["identificationVerificationStatus"] == "PredictedByMachine"
-        assert row["identificationReferences"] == "DREAM 0.1.0, docs/survey-measures.md"
+        assert row["identificationReferences"] == reference
         assert row["occurrenceStatus"] == "present"
         assert (row["scientificName"], row["scientificNameID"]) == (OYSTER.name, OYSTER.id)
         assert row["eventDate"] == "2026-06-01T09:30:00Z/2026-06-01T09:32:00Z"
@@ -424,6 +440,22 @@ def test_a_reef_in_ground_that_nobody_saw_is_not_said_to_be_in_the_figures() -> 
     assert told in words.summary(some)[0]
     every = replace(some, layers=replace(some.layers, state=np.maximum(some.layers.state, 1)))
     assert told not in words.summary(every)[0]
+
+
+def test_how_much_was_looked_at_is_one_figure_in_a_report(tmp_path: Path) -> None:
+    """That of the measure, which is of the area to be seen; the map may reach farther."""
+    survey = reef()
+    page.write(survey, tmp_path / "report.html")
+    told = next(m for m in survey.measures if m.name == "seen_share")
+    assert (survey.layers.state != scenes.UNKNOWN).mean() > 0.95
+    assert words.value_text(told) == "90.0 %"
+    sentences = [line for line in words.summary(survey) if "was looked at; of the rest" in line]
+    assert sentences == [
+        "90.0 % of the area that was to be seen was looked at; of the rest nothing is known."
+    ]
+    assert "97 %" not in Seen((tmp_path / "report.html").read_text()).text
+    untold = replace(survey, measures=())
+    assert words.summary(untold) == ["97 % of the map was looked at; of the rest nothing is known."]
 
 
 def test_each_of_the_three_areas_is_told_with_what_it_is(tmp_path: Path) -> None:
@@ -545,6 +577,21 @@ def test_tables_open_with_and_without_an_origin(tmp_path: Path) -> None:
     assert float(local[7]["x_m"]) == pytest.approx(found.position[7, 0], abs=5e-4)
     for row, size, clear in zip(local, found.size, found.clear, strict=True):
         assert (row["size_m"], bool(row["size_sigma_m"])) == (f"{size:.3f}" if clear else "", clear)
+
+
+def test_names_that_people_gave_stay_as_they_are_and_all_else_is_ascii(tmp_path: Path) -> None:
+    """Without a byte order mark, which R would take into the name of the first column."""
+    name = "Rømø Flak, Österriff"
+    survey = replace(reef(site=replace(SITE, name=name)), name=name)
+    other = replace(survey, name="before", began=survey.began - timedelta(days=365))
+    only = ("tables", "series", "darwin-core")
+    made = export(survey, tmp_path / "out", only=only, species=OYSTER, others=[other])
+    files = {path.name: path.read_text("utf-8") for path in made.folder.glob("*.csv")}
+    assert len(files) == 4
+    for text in files.values():
+        assert text.replace(name, "").isascii()
+    assert rows_of(files["occurrence.csv"])[0]["locality"] == name
+    assert rows_of(files["series.csv"])[-1]["survey"] == name
 
 
 @pytest.mark.parametrize("begins", "=+-@\t\r")
@@ -675,6 +722,8 @@ def test_shares_of_sizes_are_drawn_with_their_intervals_and_not_listed() -> None
 
 
 def test_individuals_without_a_measured_size_are_drawn_as_dots() -> None:
+    from matplotlib.colors import to_hex
+
     survey = reef()
     clear = np.arange(len(survey.individuals)) % 3 == 0
     survey = replace(survey, individuals=replace(survey.individuals, clear=clear))
@@ -682,8 +731,10 @@ def test_individuals_without_a_measured_size_are_drawn_as_dots() -> None:
     figures.habitat_map(axes, survey)
     (scaled,) = axes.collections
     assert len(np.asarray(scaled.get_offsets())) == clear.sum()
-    dots = [np.asarray(line.get_xdata()).size for line in axes.lines if line.get_linestyle() == "None"]
-    assert (~clear).sum() in dots
+    (dots,) = (line for line in axes.lines if np.asarray(line.get_xdata()).size == (~clear).sum())
+    assert dots.get_linestyle() == "None"
+    filled = to_hex(np.asarray(scaled.get_facecolor())[0])
+    assert to_hex(dots.get_markerfacecolor()) != filled, "or it looks like a small one drawn to scale"
     legend = axes.get_legend()
     assert legend is not None
     told = [text.get_text() for text in legend.get_texts()]

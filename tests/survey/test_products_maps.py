@@ -21,6 +21,7 @@ from dream.survey.products.outlines import grouped, outlines
 from dream.survey.site import Site
 from dream.survey.survey import Survey
 from tests.survey import scenes
+from tests.survey.floor import keep_frames
 from tests.survey.scenes import SITE, area_of, reef, wreck
 
 pytest.importorskip("pyproj")
@@ -109,11 +110,13 @@ def test_cloud_optimised_by_its_own_layout(maps: Path, name: str) -> None:
     assert firsts == sorted(firsts, reverse=True), "the data of the coarsest come first"
 
 
-def test_rio_cogeo_agrees(maps: Path) -> None:
+def test_rio_cogeo_agrees(maps: Path, tmp_path: Path) -> None:
     checker = pytest.importorskip("rio_cogeo")
-    for name in MAPS:
-        valid, errors, warnings = checker.cog_validate(str(maps / f"{name}.tif"), strict=True)
-        assert valid, (errors, warnings)
+    keep_frames(tmp_path)
+    mosaic.mosaic_for(reef()).write(reef(), tmp_path, tmp_path / mosaic.NAME)
+    for path in (*(maps / f"{name}.tif" for name in MAPS), tmp_path / mosaic.NAME):
+        valid, errors, warnings = checker.cog_validate(str(path), strict=True)
+        assert valid, (path.name, errors, warnings)
 
 
 def _directories(data: bytes) -> tuple[list[int], list[list[int]]]:

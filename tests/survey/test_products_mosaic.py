@@ -10,37 +10,16 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dream.geometry import SE3, Bounds, Camera, camera_mount
+from dream.geometry import Bounds
 from dream.robots import replay
 from dream.survey.products import _kernels
 from dream.survey.products.ground import Ground
 from dream.survey.products.mosaic import Mosaic, mosaic_for
-from dream.types import Label, Observation
+from dream.types import Label
+from tests.survey.floor import colour, keep_frames, looking_down
 from tests.survey.scenes import AREA, SITE, reef
 
 CELL = 0.05
-
-
-def looking_down(x: float, y: float, height: float, yaw: float = 0.0, scale: int = 2) -> Observation:
-    """A frame of a flat floor whose colours grow evenly with x (red) and y (green)."""
-    camera = Camera.from_fov(48, 36, math.radians(70.0))
-    base, mount = SE3.level(x, y, height, yaw), camera_mount(math.radians(90.0))
-    depth = np.full((36, 48), height, np.float32)
-    fine = camera.scaled(scale)
-    points = fine.back_project(np.full((36 * scale, 48 * scale), height), base @ mount)
-    return Observation(
-        time=0.0,
-        rgb=colour(np.asarray(points[..., 0], np.float64), np.asarray(points[..., 1], np.float64)),
-        depth=depth,
-        labels=np.full(depth.shape, Label.SEABED, np.uint8),
-        camera=camera,
-        T_world_base=base,
-        T_base_camera=mount,
-    )
-
-
-def colour(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
-    return np.stack([10.0 * x, 10.0 * y, np.full(x.shape, 77.0)], -1).round().clip(0, 255).astype(np.uint8)
 
 
 def to_cells(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -168,10 +147,7 @@ def paint_slowly(
 def test_from_a_run_it_lies_on_the_globe(tmp_path: Path) -> None:
     rasterio = pytest.importorskip("rasterio")
     pytest.importorskip("pyproj")
-    (tmp_path / replay.FOLDER).mkdir()
-    for number in range(3):
-        kept = replay.Kept(None, looking_down(7.0 + 1.5 * number, 8.0, 2.0))
-        replay.write(tmp_path / replay.FOLDER / f"{number:04d}.npz", kept)
+    keep_frames(tmp_path)
     path = tmp_path / "mosaic.tif"
     Mosaic(cell=CELL).write(reef(), tmp_path, path)
     x, y = np.array([7.0, 8.3, 10.5]), np.array([8.0, 7.5, 8.4])

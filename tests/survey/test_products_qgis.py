@@ -22,7 +22,8 @@ PYTHON = next(
 )
 OPENING = """
 import json, os, sys
-from qgis.core import QgsApplication, QgsRasterLayer, QgsVectorLayer
+from qgis.core import NULL, QgsApplication, QgsRasterLayer, QgsRenderContext, QgsSymbolLayer
+from qgis.core import QgsUnitTypes, QgsVectorLayer
 folder = sys.argv[1]
 app = QgsApplication([], False)
 app.initQgis()
@@ -36,6 +37,23 @@ for name in ("track", "decisions", "patches", "individuals", "swath", "area", "m
     layer = QgsVectorLayer(f"{folder}/survey.gpkg|layername={name}", name, "ogr")
     styled = layer.loadDefaultStyle()[1] if layer.isSpatial() else None
     told[name] = [layer.isValid(), layer.crs().authid(), layer.featureCount(), styled]
+    if name == "individuals":
+        looks = layer.renderer()
+        context = QgsRenderContext()
+        looks.startRender(context, layer.fields())
+        told["sizes"] = []
+        for one in layer.getFeatures():
+            context.expressionContext().setFeature(one)
+            symbol = looks.symbolForFeature(one, context).symbolLayer(0)
+            sized = symbol.dataDefinedProperties().property(QgsSymbolLayer.PropertySize).field()
+            unit = QgsUnitTypes.encodeUnit(symbol.sizeUnit())
+            label = next(
+                entry.label()
+                for entry in looks.legendSymbolItems()
+                if entry.ruleKey() in looks.legendKeysForFeature(one, context)
+            )
+            told["sizes"].append([one["size_m"] == NULL, label, sized, unit])
+        looks.stopRender(context)
 layer = QgsRasterLayer(f'NETCDF:"{folder}/survey.nc":relief', "relief")
 told["netcdf"] = [layer.isValid(), layer.extent().xMinimum()]
 told["geotiff"] = QgsRasterLayer(f"{folder}/relief.tif", "relief").extent().xMinimum()
@@ -78,6 +96,14 @@ def test_the_geopackage_opens_with_its_styles(told: dict[str, Any]) -> None:
         assert told[name] == [True, "EPSG:32632", count, True]
     assert told["measures"][0]
     assert told["measures"][2] == len(reef().measures)
+
+
+def test_only_measured_sizes_are_drawn_to_scale(told: dict[str, Any]) -> None:
+    to_scale = [False, "clump, to scale", "size_m", "RenderMetersInMapUnits"]
+    dot = [True, "clump, size not measured", "", "MM"]
+    looks = told["sizes"]
+    assert [one == to_scale for one in looks] == reef().individuals.clear.tolist()
+    assert all(one in (to_scale, dot) for one in looks), looks
 
 
 def test_the_netcdf_lies_where_the_geotiff_does(told: dict[str, Any]) -> None:

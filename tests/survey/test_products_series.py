@@ -161,6 +161,21 @@ def test_what_is_of_another_site_or_target_is_not_in_the_series(other: Survey, r
     assert reasons == [f"other is not in the series: {reason}"]
 
 
+def test_a_run_is_once_in_a_series_and_runs_that_are_called_alike_are_all_in_it() -> None:
+    """Of some only the day is known, and names of folders are given more than once."""
+    now = replace(reef(), made_by={"run": "one"})
+    alike = replace(now, made_by={"run": "another"})
+    copied = replace(now, name="copy")
+    dated = replace(now, name="dated", began=now.began - timedelta(days=365))
+    among, reasons = series.of_one_site(now, [now, alike, copied, dated])
+    assert [one.run for one in among] == ["one", "another"]
+    assert reasons == [
+        f"dated is not in the series: expected a run once, got that of {now.name} with two dates, 2026-06-01 "
+        "09:30 and 2025-06-01 09:30, of which the first is told. Where the second is right, export that "
+        "survey"
+    ]
+
+
 def test_the_survey_itself_is_once_in_its_series() -> None:
     """The archive keeps it, too, and may have measured it by an older version."""
     again = replace(reef(), made_by={"version": "0.0.1"})

@@ -103,10 +103,11 @@ class Known:
 
     def keep(self, folder: Path) -> None:
         """Leave it in the folder of the run, where `dream survey` and `dream replay` find it."""
+        from dream.recording import PRIOR
         from dream.survey.site import write_site
 
         if self.prior is not None:
-            self.prior.save(folder / "prior.npz")
+            self.prior.save(folder / PRIOR)
         if self.site is not None:
             write_site(self.site, folder / "site.json")
 

@@ -7,6 +7,7 @@ import datetime
 import importlib.util
 import math
 import shlex
+import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -155,6 +156,8 @@ class Replay:
                 now = datetime.datetime.now(datetime.UTC)
                 folder = recording.new_run_folder(self.out, config.world, config.seed, name, now)
                 recording.write_config(folder, {**_config(record, planner), "began": now})
+                if (kept := record.folder / recording.PRIOR).is_file():
+                    shutil.copyfile(kept, folder / recording.PRIOR)
                 known = None if world is None else Scorer(world, protocol, orders=record.orders)
                 logbook: Logbook = known or Logbook(protocol, orders=record.orders)
                 recorded = recording.record(steps, folder, annotate=lambda step: _scored(step, logbook))

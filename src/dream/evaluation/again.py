@@ -24,6 +24,7 @@ from dream.planning.vlm import stands_in
 from dream.planning.vlm.orders import read_orders
 from dream.protocol import SurveyProtocol, protocol_named
 from dream.recording import (
+    PRIOR,
     RecordedDecision,
     RecordedGuard,
     RecordedStep,
@@ -122,7 +123,7 @@ class Record:
             FileNotFoundError: That was not kept.
             ValueError: It is damaged, or of another map.
         """
-        told, kept = (self.config.model_extra or {}).get("from_survey"), self.folder / "prior.npz"
+        told, kept = (self.config.model_extra or {}).get("from_survey"), self.folder / PRIOR
         if told is None:
             return None
         if not kept.is_file():

@@ -235,7 +235,7 @@ def _totals(
     count_error = _count_error(worth, calibration)
     density = count / area
     doubtful = sum(shape.area < 1.5 * patches.SMALLEST for shape in shapes)
-    note = f"{unseen:.1f} m² of it not seen but likely" if unseen >= 0.05 else ""
+    note = f"{unseen:.1f} square metres of it not seen but likely" if unseen >= 0.05 else ""
     if count == 0.0:
         # A ratio of nothing has no width.
         told = around("density", 0.0, NONE_FOUND / area, "1/m2"), around("count", 0.0, NONE_FOUND, "")

@@ -49,6 +49,10 @@ TERMS = {
     "measurementUnitID": f"{OBIS}measurementUnitID",
 }
 """Columns whose terms are not Darwin Core's own."""
+SOFTWARE = "The DREAM developers: DREAM, an open implementation"
+"""As CITATION.cff names it."""
+METHOD = "docs/survey-measures.md"
+"""Where it says how individuals are found."""
 LENGTH = "http://vocab.nerc.ac.uk/collection/P01/current/OBSINDLX/"
 """"Length of biological entity specified elsewhere", with which the OBIS manual tells lengths (examples)."""
 METRES = "http://vocab.nerc.ac.uk/collection/P06/current/ULAA/"
@@ -159,7 +163,7 @@ def occurrences(survey: Survey, species: Species, author: Author | None = None) 
     free = {
         "scientificName": species.name,
         "identifiedBy": f"DREAM {version}".strip(),
-        "identificationReferences": f"{f'DREAM {version}'.strip()}, docs/survey-measures.md",
+        "identificationReferences": f"{SOFTWARE}{f', version {version}' if version else ''}, {METHOD}",
         "samplingProtocol": f"autonomous visual survey, DREAM protocol {survey.protocol}",
         "locality": ground.site.name,
         "verticalDatum": ground.site.datum,

@@ -49,12 +49,14 @@ Float64Array = npt.NDArray[np.float64]
 BIN = 0.025
 """Metres, width of the bins of sizes; doubled until there are at most 24."""
 DOT: dict[str, Any] = {
+    "linestyle": "",
     "marker": "o",
-    "markersize": 2.0,
-    "markeredgewidth": 0.3,
-    "markeredgecolor": "white",
+    "markersize": 1.3,
+    "markeredgewidth": 0.35,
+    "markerfacecolor": "white",
+    "markeredgecolor": INDIVIDUAL,
 }
-"""An individual whose size was not measured."""
+"""An individual whose size was not measured: hollow, or it would look like a small one drawn to scale."""
 DATES_APART = 0.3
 """Share of the span of an axis that a date takes where its figure is narrowest, in print."""
 
@@ -109,7 +111,7 @@ def habitat_map(axes: Axes, survey: Survey) -> None:
         )
     )
     # Of the others the size is a guess, which must not be read off a map.
-    axes.plot(*places[~found.clear].T, linestyle="", color=INDIVIDUAL, zorder=4, **DOT)
+    axes.plot(*places[~found.clear].T, zorder=4, **DOT)
     track = east_north(survey.site, survey.track.position[:, :2])
     axes.plot(*track.T, color=TRACK, linewidth=1.1, zorder=5, alpha=0.85)
     for at, marker in ((0, "o"), (-1, "s")):
@@ -128,8 +130,7 @@ def habitat_map(axes: Axes, survey: Survey) -> None:
             Line2D([], [], marker="o", linestyle="", color=INDIVIDUAL, markersize=4, label="clump, to scale")
         )
     if len(found) > len(sized):
-        label = "clump, size not measured"
-        handles.append(Line2D([], [], linestyle="", color=INDIVIDUAL, label=label, **DOT))
+        handles.append(Line2D([], [], label="clump, size not measured", **DOT))
     handles.append(Line2D([], [], color=TRACK, linewidth=1.3, label="track, ○ start □ end"))
     axes.legend(
         handles=handles,

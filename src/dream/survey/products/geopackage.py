@@ -351,7 +351,7 @@ def _individuals(survey: Survey, ground: Ground) -> Table:
         rows,
         "POINT",
         heights=True,
-        style=styles.sized_point_qml(styles.INDIVIDUAL, "size_m"),
+        style=styles.sized_point_qml(styles.INDIVIDUAL, "size_m", "clump"),
     )
 
 

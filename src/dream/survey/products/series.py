@@ -32,7 +32,8 @@ NONE_OF_THAT_SIZE = (
 def of_one_site(survey: Survey, others: Iterable[Survey]) -> tuple[list[Survey], list[str]]:
     """The surveys of the site of one of them, each once and by time, and why each of the rest is none.
 
-    Origins of one site may be apart, as those of site files that were corrected are.
+    Origins of one site may be apart, as those of site files that were corrected are. A run is told once: as
+    `survey` tells it, or else the first of the others.
 
     Args:
         survey: With an origin; it is among them.
@@ -40,13 +41,30 @@ def of_one_site(survey: Survey, others: Iterable[Survey]) -> tuple[list[Survey],
     """
     among, reasons = [survey], []
     for other in others:
-        if any((other.name, other.began) == (one.name, one.began) for one in among):
+        told = next((one for one in among if _same(one, other)), None)
+        if told is not None and told.began == other.began:
             continue
-        if reason := _elsewhere(survey, other):
+        if reason := _elsewhere(survey, other) if told is None else _twice(told, other):
             reasons.append(f"{other.name} is not in the series: {reason}")
         else:
             among.append(other)
     return sorted(among, key=lambda one: one.began), reasons
+
+
+def _same(one: Survey, other: Survey) -> bool:
+    """Are both of one run, however it was measured, called or dated?"""
+    if one.run is not None and other.run is not None:
+        return one.run == other.run
+    return (one.name, one.began) == (other.name, other.began)
+
+
+def _twice(told: Survey, other: Survey) -> str:
+    """Why another survey of a run that is told is not: its date was corrected, or that of the other."""
+    one, two = (f"{survey.began.astimezone(UTC):%Y-%m-%d %H:%M}" for survey in (told, other))
+    return (
+        f"expected a run once, got that of {told.name} with two dates, {one} and {two}, of which the first "
+        "is told. Where the second is right, export that survey"
+    )
 
 
 def _elsewhere(survey: Survey, other: Survey) -> str:

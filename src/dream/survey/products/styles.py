@@ -114,21 +114,33 @@ def point_qml(
     return _vector_qml("marker", _layer("SimpleMarker", options, {"angle": angle} if angle else {}))
 
 
-UNSIZED = 0.08
-"""Metres: the dot of what has no size, smaller than what is measured."""
+def sized_point_qml(color: str, column: str, what: str, border: str = "#ffffff") -> str:
+    """A style of round points: to scale where a size was measured, else small hollow dots.
 
-
-def sized_point_qml(color: str, column: str, border: str = "#ffffff") -> str:
-    """A style of round points drawn to scale: `column` is the diameter in metres; dots where it is NULL."""
-    options = {
+    Args:
+        color: Of the points.
+        column: Their diameter in metres, NULL where none was measured.
+        what: One of them is called in the legend.
+        border: Colour around those to scale.
+    """
+    scaled = {
         "name": "circle",
         "color": _rgba(color, 200),
         "outline_color": _rgba(border),
         "outline_width": "0.1",
-        "size": f"{UNSIZED:g}",
+        "size": "0.25",
         "size_unit": "RenderMetersInMapUnits",
     }
-    return _vector_qml("marker", _layer("SimpleMarker", options, {"size": column}))
+    # In millimetres: a dot that grew with the map would be read as a size.
+    dot = marker("#ffffff", 0.7, color, width=0.12)
+    return _categorised(
+        "marker",
+        f"CASE WHEN \"{column}\" IS NULL THEN 'none' ELSE 'size' END",
+        (
+            ("size", f"{what}, to scale", _layer("SimpleMarker", scaled, {"size": column})),
+            ("none", f"{what}, size not measured", _layer("SimpleMarker", dot)),
+        ),
+    )
 
 
 def polygon_qml(color: str, border: str, width: float, opacity: int) -> str:
@@ -146,18 +158,8 @@ def categories_qml(
         column: That holds the words.
         looks: The words, what the legend calls them, and their look, as `fill` or `marker` gives it.
     """
-    categories = "".join(
-        f'<category symbol="{number}" value={quoteattr(words)} label={quoteattr(label)} type="string" '
-        'render="true"/>'
-        for number, (words, label, _) in enumerate(looks)
-    )
-    layers = [_layer({"fill": "SimpleFill", "marker": "SimpleMarker"}[kind], look) for *_, look in looks]
-    return _renderer_qml(
-        f'type="categorizedSymbol" attr={quoteattr(column)}',
-        kind,
-        layers,
-        f"<categories>{categories}</categories>",
-    )
+    simple = {"fill": "SimpleFill", "marker": "SimpleMarker"}[kind]
+    return _categorised(kind, column, [(words, label, _layer(simple, look)) for words, label, look in looks])
 
 
 def fill(color: str, border: str, width: float, opacity: int, *, hatched: bool = False) -> dict[str, str]:
@@ -211,6 +213,22 @@ def _layer(kind: str, options: Mapping[str, str], driven: Mapping[str, str] | No
 
 def _vector_qml(kind: str, layer: str) -> str:
     return _renderer_qml('type="singleSymbol"', kind, [layer])
+
+
+def _categorised(kind: str, attribute: str, looks: Sequence[tuple[str, str, str]]) -> str:
+    """Of rows that a column or an expression tells apart: its words, what the legend calls them, their
+    layer."""
+    categories = "".join(
+        f'<category symbol="{number}" value={quoteattr(words)} label={quoteattr(label)} type="string" '
+        'render="true"/>'
+        for number, (words, label, _) in enumerate(looks)
+    )
+    return _renderer_qml(
+        f'type="categorizedSymbol" attr={quoteattr(attribute)}',
+        kind,
+        [layer for *_, layer in looks],
+        f"<categories>{categories}</categories>",
+    )
 
 
 def _renderer_qml(attributes: str, kind: str, layers: Sequence[str], more: str = "") -> str:

@@ -43,7 +43,7 @@ MEANINGS = {
     "rugosity": Meaning("Rugosity", "length along the surface over length on the plan; 1 is flat"),
     "length": Meaning("Length", "longest extent"),
     "width": Meaning("Width", "extent across its length"),
-    "seen_share": Meaning("Area looked at", "share of the operator's box that was seen", share=True),
+    "seen_share": Meaning("Area looked at", "how much of the ground was looked at", share=True),
     "outline_area": Meaning("Outline of the wreck", "ground that the hull covers"),
     "hull_seen": Meaning("Hull seen", "share of the outer surface that was looked at", share=True),
     "debris_extent": Meaning("Debris field", "extent of hull and pieces together"),
@@ -172,6 +172,7 @@ def found(survey: Survey) -> str:
 def summary(survey: Survey) -> list[str]:
     """What was found, in a few sentences for whoever reads nothing else."""
     of = {measure.name: measure for measure in survey.measures if measure.value is not None}
+    mapped = float((survey.layers.state != 0).mean())
     lines = [line] if (line := doubt(survey.protocol, survey.target)) else []
     if survey.target is Target.WRECK:
         if area := of.get("outline_area"):
@@ -185,7 +186,7 @@ def summary(survey: Survey) -> list[str]:
             count = len(survey.patches)
             patches = f" in {count} {'patch' if count == 1 else 'patches'}" if count else ""
             # Unseen ground farther off may hold a reef of its own, which no frame says anything about.
-            where = ", where it was looked at and right beside" if _seen_share(survey) < 1.0 else ""
+            where = ", where it was looked at and right beside" if mapped < 1.0 else ""
             lines.append(f"Reef covers {_between(area)}{patches}{where}.")
         if density := of.get("density"):
             lines.append(
@@ -195,10 +196,14 @@ def summary(survey: Survey) -> list[str]:
             lines.append(f"Half of the clumps are wider than {_between(size)}.")
         if height := of.get("reef_height"):
             lines.append(f"The reef stands {_between(height)} above the bare seabed.")
-    seen_share = _seen_share(survey)
-    lines.append(
-        f"{100.0 * seen_share:.0f} % of the mapped ground was looked at; of the rest nothing is known."
+    # The map may reach beyond the area to be seen: its own share only where a survey tells no other.
+    told = of.get("seen_share")
+    looked = (
+        f"{value_text(told)} of the area that was to be seen"
+        if told
+        else f"{100.0 * mapped:.0f} % of the map"
     )
+    lines.append(f"{looked} was looked at; of the rest nothing is known.")
     return lines
 
 
@@ -209,10 +214,6 @@ def _between(measure: Measure, *, unit: bool = True) -> str:
     if measure.low is None or measure.high is None:
         return value
     return f"{value} ({_number(measure.low, measure)} to {_number(measure.high, measure)})"
-
-
-def _seen_share(survey: Survey) -> float:
-    return float((survey.layers.state != 0).mean())
 
 
 CLUMPS = (
