@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import fftconvolve
 
-from dream.evaluation.calibration import Bin, Tally, brier, reliability_curve, tally
+from dream.evaluation.calibration import NOTHING, Bin, Tally, brier, reliability_curve, tally
 from dream.evaluation.engines import Failure, Processes, processors
 from dream.evaluation.figures import Picture, Theme
 from dream.evaluation.suites import Case, family_of, suite_named
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
 EVERY = 5
 """Decisions from one look at the forecasts to the next."""
 BESIDE, ANYWHERE = "beside known targets", "anywhere else"
-NOTHING = tally(np.zeros(0), np.zeros(0, np.bool_))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

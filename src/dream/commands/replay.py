@@ -72,7 +72,7 @@ class Replay:
         record = read_record(self.run)
         planner = record.planner if self.planner is None else self._asked(record, self.planner)
         same_planner = record.was_flown_by(planner)
-        if not (record.observed or record.dive is not None or same_planner):
+        if not (record.observed or record.config.dive is not None or same_planner):
             raise ValueError(
                 f"--planner: expected a run with its observations, got one without: by {self.planner} it "
                 f"would be another mission. Say: dream run {self.planner} --world {record.world_name} "
@@ -197,7 +197,8 @@ class Replay:
             for step in record.steps
             if step.truth is not None
         ]
-        told: dict[str, Any] = {"flown_with": (record.dive or {}).get("estimator"), "compared": len(tracks)}
+        dive = record.config.dive or {}
+        told: dict[str, Any] = {"flown_with": dive.get("estimator"), "compared": len(tracks)}
         for name in names:
             far = tracks.from_truth(name, truth)
             told[name] = {

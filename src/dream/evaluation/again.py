@@ -56,11 +56,6 @@ class Record:
         return protocol_named(self.config.protocol)
 
     @property
-    def dive(self) -> dict[str, Any] | None:
-        """What a dive was begun with; None of a run in the simulator."""
-        return self.config.dive
-
-    @property
     def world_name(self) -> str | None:
         """Where it was; None of a dive in real water, whose world nobody knows."""
         if self.config.real:
@@ -137,7 +132,7 @@ class Record:
         """The survey area."""
         if world is not None:
             return world.bounds
-        area = (self.dive or {}).get("area")
+        area = (self.config.dive or {}).get("area")
         try:
             return Bounds(*map(float, area or ()))
         except (TypeError, ValueError) as error:
@@ -210,7 +205,7 @@ def fly_again(record: Record, planner: AnyPlanner, world: World | None) -> Itera
         ValueError: An observation is missing, or something does not fit together.
     """
     config, protocol, steps = record.config, record.protocol, len(record.steps)
-    if record.observed or record.dive is not None:
+    if record.observed or record.config.dive is not None:
         robot = Replayed(record.folder)
         if robot.moves < steps - 1:
             raise ValueError(
@@ -219,7 +214,7 @@ def fly_again(record: Record, planner: AnyPlanner, world: World | None) -> Itera
             )
         occupancy = OccupancyMap(record.bounds(world), protocol)
         # A dive takes whatever its labels call a target; so did this one.
-        target = Target.ANY if record.dive is not None or world is None else labelled_in(world)
+        target = Target.ANY if record.config.dive is not None or world is None else labelled_in(world)
         again = explore(
             robot,
             planner,

@@ -89,20 +89,22 @@ def tally(told: npt.NDArray[np.floating[Any]], true: BoolArray) -> Tally:
     return Tally(sums[0], sums[1], sums[2], float(((p - true) ** 2).sum()))
 
 
+NOTHING = tally(np.zeros(0), np.zeros(0, np.bool_))
+"""Of no forecasts."""
+
+
 def brier(tallies: Sequence[Tally]) -> Brier:
     """Over all forecasts of all worlds; ValueError where there are none."""
-    count = np.sum([one.count for one in tallies], axis=0)
-    total = float(count.sum())
+    whole = sum(tallies, NOTHING)
+    total = float(whole.count.sum())
     if total == 0.0:
         raise ValueError("tallies: expected at least one forecast, got none")
-    used = count > 0.0
-    told, true = (
-        np.sum([getattr(one, of) for one in tallies], axis=0)[used] / count[used] for of in ("told", "true")
-    )
-    share = count[used] / total
+    used = whole.count > 0.0
+    count = whole.count[used]
+    told, true, share = whole.told[used] / count, whole.true[used] / count, count / total
     base = float(share @ true)
     return Brier(
-        score=sum(one.squares for one in tallies) / total,
+        score=whole.squares / total,
         reliability=float(share @ (told - true) ** 2),
         resolution=float(share @ (true - base) ** 2),
         uncertainty=base * (1.0 - base),

@@ -1,4 +1,4 @@
-"""Loops over the pixels of a frame, for `ground` and `individuals`."""
+"""Loops over the pixels of a frame, for `ground`, `individuals` and `footprint`."""
 
 from __future__ import annotations
 
@@ -12,6 +12,28 @@ from numba import njit
 Array = npt.NDArray[Any]
 SEABED, TARGET, OBSTACLE = 1, 2, 3
 """Values of `types.Label`."""
+
+
+@njit(cache=True, nogil=True)
+def _away(a: float, b: float, z: float, rotation: Array) -> tuple[float, float, float]:
+    """From the camera to the point of a ray (a, b, 1) at depth z: metres along the axes of the world."""
+    return (
+        z * (rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2]),
+        z * (rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2]),
+        z * (rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2]),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _under(
+    dx: float, dy: float, origin: Array, corner: Array, cell: float, rows: int, cols: int
+) -> tuple[int, int]:
+    """Row and column of the cell under a point so far from the camera; −1 each beyond the grid."""
+    row = math.floor((origin[1] + dy - corner[1]) / cell)
+    col = math.floor((origin[0] + dx - corner[0]) / cell)
+    if row < 0 or col < 0 or row >= rows or col >= cols:
+        return -1, -1
+    return row, col
 
 
 @njit(cache=True, nogil=True)
@@ -58,14 +80,10 @@ def splat(
             label = labels[v, u]
             if not (limits[0] <= z <= limits[1]) or (label != SEABED and label != TARGET):
                 continue
-            a = (u + 0.5 - lens[2]) / lens[0]
-            dx = z * (rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2])
-            dy = z * (rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2])
-            col = math.floor((origin[0] + dx - corner[0]) / cell)
-            row = math.floor((origin[1] + dy - corner[1]) / cell)
-            if row < 0 or col < 0 or row >= rows or col >= cols:
+            dx, dy, dz = _away((u + 0.5 - lens[2]) / lens[0], b, z, rotation)
+            row, col = _under(dx, dy, origin, corner, cell, rows, cols)
+            if row < 0:
                 continue
-            dz = z * (rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2])
             if label == TARGET:
                 # The top of a hull is only in the image from further off than labels are trusted.
                 top[row, col] = max(top[row, col], origin[2] + dz)
@@ -115,14 +133,11 @@ def count_looks(
             z = depth[v, u]
             if not (limits[0] <= z <= limits[1]):
                 continue
-            a = (u + 0.5 - lens[2]) / lens[0]
-            dx = z * (rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2])
-            dy = z * (rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2])
+            dx, dy, _ = _away((u + 0.5 - lens[2]) / lens[0], b, z, rotation)
             if dx * dx + dy * dy > limits[2] * limits[2]:
                 continue
-            col = math.floor((origin[0] + dx - corner[0]) / cell)
-            row = math.floor((origin[1] + dy - corner[1]) / cell)
-            if row < 0 or col < 0 or row >= rows or col >= cols or last[row, col] == frame:
+            row, col = _under(dx, dy, origin, corner, cell, rows, cols)
+            if row < 0 or last[row, col] == frame:
                 continue
             last[row, col] = frame
             times[row, col] = min(times[row, col] + 1, np.uint16(65535))
@@ -256,14 +271,11 @@ def vote(
             label = labels[v, u]
             if not (limits[0] <= z <= limits[1]) or (label != SEABED and label != TARGET):
                 continue
-            a = (u + 0.5 - lens[2]) / lens[0]
-            dx = z * (rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2])
-            dy = z * (rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2])
+            dx, dy, _ = _away((u + 0.5 - lens[2]) / lens[0], b, z, rotation)
             if dx * dx + dy * dy > limits[2] * limits[2]:
                 continue
-            col = math.floor((origin[0] + dx - corner[0]) / cell)
-            row = math.floor((origin[1] + dy - corner[1]) / cell)
-            if row < 0 or col < 0 or row >= rows or col >= cols:
+            row, col = _under(dx, dy, origin, corner, cell, rows, cols)
+            if row < 0:
                 continue
             kind = label - SEABED
             if last[kind, row, col] == frame:
