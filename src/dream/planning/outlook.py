@@ -172,7 +172,8 @@ class Outlook:
         near = within(changed, protocol.reach + 2.0 * protocol.cell, protocol.cell)
         which = np.flatnonzero(near[self.cells_of_nodes()])
         scale = protocol.lattice / protocol.cell
-        sight_lines(self._solid, self.cols, *self._corner, scale, self._limit, self._depth, which)
+        depth = self._depth.reshape(self.rows, self.cols, -1)
+        sight_lines(self._solid, np.argwhere(changed), *self._corner, scale, self._limit, depth, which)
 
     def cells_of_nodes(self) -> tuple[IntArray, IntArray]:
         """(rows · cols,) map row and column of each node; the last one for nodes on the far edge."""

@@ -350,7 +350,8 @@ def doubt(voxels, looks, elements):
 def _is_clear(solid, x, y, z, to_x, to_y, to_z, last):
     """Does nothing solid lie on a segment, up to `last` before its end? All in voxels.
 
-    From voxel to voxel; only in one that holds something is the segment followed from part to part.
+    From voxel to voxel; only in one that holds something is the segment followed from part to part. It is
+    gone back from its end: most of what hides a hull is the hull's own, beside what it hides.
     """
     levels, rows, cols = solid.shape
     dx, dy, dz = to_x - x, to_y - y, to_z - z
@@ -358,33 +359,34 @@ def _is_clear(solid, x, y, z, to_x, to_y, to_z, last):
     if length <= last:
         return True
     past = 1.0 - last / length
-    col, row, level = math.floor(x), math.floor(y), math.floor(z)
-    step_x, step_y, step_z = (1 if dx > 0 else -1), (1 if dy > 0 else -1), (1 if dz > 0 else -1)
+    col, row, level = math.floor(to_x), math.floor(to_y), math.floor(to_z)
+    step_x, step_y, step_z = (-1 if dx > 0 else 1), (-1 if dy > 0 else 1), (-1 if dz > 0 else 1)
     slope_x = abs(1.0 / dx) if dx != 0.0 else math.inf
     slope_y = abs(1.0 / dy) if dy != 0.0 else math.inf
     slope_z = abs(1.0 / dz) if dz != 0.0 else math.inf
-    next_x = slope_x * ((col + 1 - x) if dx > 0 else (x - col)) if dx != 0.0 else math.inf
-    next_y = slope_y * ((row + 1 - y) if dy > 0 else (y - row)) if dy != 0.0 else math.inf
-    next_z = slope_z * ((level + 1 - z) if dz > 0 else (z - level)) if dz != 0.0 else math.inf
+    next_x = slope_x * ((to_x - col) if dx > 0 else (col + 1 - to_x)) if dx != 0.0 else math.inf
+    next_y = slope_y * ((to_y - row) if dy > 0 else (row + 1 - to_y)) if dy != 0.0 else math.inf
+    next_z = slope_z * ((to_z - level) if dz > 0 else (level + 1 - to_z)) if dz != 0.0 else math.inf
     stride = 0.5 / (PARTS * length)
-    entered = 0.0
-    while entered < past:
-        left = min(next_x, next_y, next_z, past)
-        if 0 <= level < levels and 0 <= row < rows and 0 <= col < cols and solid[level, row, col]:
+    left = past
+    while left > 0.0:
+        entered = max(1.0 - min(next_x, next_y, next_z), 0.0)
+        inside = 0 <= row < rows and 0 <= col < cols and 0 <= level < levels
+        if entered < left and inside and solid[level, row, col]:
             parts = solid[level, row, col]
             along = entered + 0.5 * stride
             while along < left:
                 if parts & _part(x + along * dx, y + along * dy, z + along * dz):
                     return False
                 along += stride
-        entered = left
-        if next_x <= left:
+        left = min(left, entered)
+        if next_x <= next_y and next_x <= next_z:
             col += step_x
             next_x += slope_x
-        elif next_y <= left:
+        elif next_y <= next_z:
             row += step_y
             next_y += slope_y
-        elif next_z <= left:
+        else:
             level += step_z
             next_z += slope_z
     return True

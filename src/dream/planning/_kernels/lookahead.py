@@ -23,6 +23,8 @@ DETOUR = 0.3
 """Steps that an area costs a tour beside the way there and the looking."""
 ROUNDING = 1e-4
 """Weight a step by which rounding may make a view better than another."""
+HALF_DIAGONAL = 0.708
+"""Of a cell, in cells; rounded up."""
 FREE, UNKNOWN = 1, 2
 """A move over ground known to be free, and one against which nothing is known."""
 
@@ -55,34 +57,55 @@ class Views(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def sight_lines(solid, cols, x0, y0, scale, limit, depth, which):
-    """Write how far each bearing is open from lattice nodes, in cells.
+def sight_lines(solid, changed, x0, y0, scale, limit, depth, which):
+    """Write how far some bearings are open from lattice nodes, in cells: those that led over some cells.
 
     Args:
         solid: (R, C) bool, cells.
-        cols: Of the lattice.
+        changed: (n, 2) rows and columns of the cells that are solid now and were not, or were and are not.
         x0: Column of lattice node (0, 0), in cells.
         y0: Row of it.
         scale: Cells between nodes.
         limit: Cells beyond which nothing is looked at.
-        depth: (nodes, BEARINGS) uint8 to write.
-        which: (n,) flat indices of the nodes.
+        depth: (lattice rows, lattice columns, BEARINGS) uint8 to write.
+        which: (m,) flat indices of the nodes to write.
     """
     height, width = solid.shape
+    ahead = np.empty((2, BEARINGS))
     for b in range(BEARINGS):
         angle = 2.0 * math.pi * (b + 0.5) / BEARINGS
-        dx, dy = 0.5 * math.cos(angle), 0.5 * math.sin(angle)
-        for node in which:
-            x, y = x0 + (node % cols) * scale, y0 + (node // cols) * scale
+        ahead[0, b], ahead[1, b] = 0.5 * math.cos(angle), 0.5 * math.sin(angle)
+    over = np.empty(BEARINGS, np.bool_)
+    for node in which:
+        row, col = node // depth.shape[1], node % depth.shape[1]
+        x, y = x0 + col * scale, y0 + row * scale
+        # To find which of them so many cells lie on takes longer than to follow all.
+        over[:] = len(changed) > BEARINGS
+        for k in range(len(changed) if len(changed) <= BEARINGS else 0):
+            # A cell is crossed by rays that come within half its diagonal of its middle.
+            dx, dy = changed[k, 1] + 0.5 - x, changed[k, 0] + 0.5 - y
+            squared = dx * dx + dy * dy
+            if squared > (limit + 1.0) ** 2:
+                continue
+            if squared <= 1.0:
+                over[:] = True
+                break
+            middle = math.atan2(dy, dx) / (2.0 * math.pi) * BEARINGS - 0.5
+            half = math.asin(HALF_DIAGONAL / math.sqrt(squared)) / (2.0 * math.pi) * BEARINGS
+            for b in range(math.ceil(middle - half), math.floor(middle + half) + 1):
+                over[b % BEARINGS] = True
+        for b in range(BEARINGS):
+            if not over[b]:
+                continue
             reached = 2 * limit
             for s in range(1, 2 * limit + 1):
-                i, j = math.floor(y + s * dy), math.floor(x + s * dx)
+                i, j = math.floor(y + s * ahead[1, b]), math.floor(x + s * ahead[0, b])
                 if i < 0 or i >= height or j < 0 or j >= width:
                     continue
                 if solid[i, j]:
                     reached = s
                     break
-            depth[node, b] = (reached + 1) // 2
+            depth[row, col, b] = (reached + 1) // 2
 
 
 @njit(cache=True, nogil=True)
