@@ -35,6 +35,7 @@ from dream.commands.console import with_progress
 from dream.geometry import SE3, Camera
 from dream.mapping import OccupancyMap
 from dream.mission import explore
+from dream.perception.scatter import scatter_of
 from dream.planning import Belief
 from dream.protocol import SurveyProtocol, protocol_named
 from dream.robots import Teleport
@@ -49,7 +50,7 @@ from dream.survey import About, Measure, Survey, individuals, measure_observatio
 from dream.survey.calibration import SHARP, Calibration
 from dream.survey.comparison import Difference, held_against
 from dream.survey.ground import Frame as Seen
-from dream.survey.ground import fuse, scatter_of
+from dream.survey.ground import fuse
 from dream.survey.individuals import Peaks
 from dream.survey.sizes import BIN, CLEAR, LEAST_ROOM, RARE, bin_name, size_bin, sizes_of
 from dream.types import Label, Observation, Target

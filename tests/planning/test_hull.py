@@ -53,6 +53,20 @@ def _view(x: float, y: float, yaw: float, *boxes: Box) -> Observation:
     )
 
 
+def _scattered(observations: list[Observation], scatter: float = 0.002) -> list[Observation]:
+    """With depths z that err by σ = `scatter` z²."""
+    rng = np.random.default_rng(5)
+    return [
+        replace(
+            seen,
+            depth=(seen.depth + scatter * seen.depth**2 * rng.standard_normal(seen.depth.shape)).astype(
+                np.float32
+            ),
+        )
+        for seen in observations
+    ]
+
+
 def _after(*observations: Observation) -> Hull:
     hull = Hull(BOUNDS, DREAM_V1)
     for observation in observations:
@@ -113,6 +127,31 @@ def test_hull_seen_from_beyond_reach_is_known_and_unseen() -> None:
     assert len(_shown(hull, 0.0, -6.0, NORTH)) > 0
     assert len(_shown(hull, 0.0, -9.5, NORTH)) == 0
     assert len(_shown(hull, 0.0, -6.0, SOUTH)) == 0
+
+
+def test_scattering_depths_leave_next_to_nothing_of_a_crate_that_was_seen_all_around() -> None:
+    exact, scattered = (
+        _after(*of(_round(12.0, CRATE)), *of(_round(6.0, CRATE))) for of in (list, _scattered)
+    )
+    assert scattered.found == pytest.approx(exact.found, rel=0.15)
+    assert scattered.unseen < 0.02 * scattered.found
+
+
+def test_hull_seen_from_afar_is_vague_where_depths_scatter_until_it_is_seen() -> None:
+    afar = _view(0.0, -10.0, NORTH, CRATE)
+    assert not (_after(afar)._voxels & kernels.VAGUE).any()
+    hull = _after(*_scattered([afar]))
+    vague = (hull._voxels & kernels.VAGUE) > 0
+    assert vague.sum() > 100
+    assert (hull._voxels[vague] & kernels.HULL).all()
+    near = _after(*_scattered([_view(0.0, -5.0, NORTH, CRATE)]))
+    assert near.found > 10.0
+    assert not (near._voxels & kernels.VAGUE).any()
+
+
+def test_where_depths_scatter_much_nothing_is_marked_from_afar() -> None:
+    hull = _after(*_scattered([_view(0.0, -16.0, NORTH, CRATE)], 0.006))
+    assert hull.unseen < 0.05 * _after(_view(0.0, -16.0, NORTH, CRATE)).unseen
 
 
 def test_what_is_high_is_only_in_the_image_from_afar() -> None:
@@ -293,8 +332,14 @@ def test_carving_agrees_with_a_slow_twin() -> None:
 
 def test_elements_agree_with_a_slow_twin() -> None:
     rng = np.random.default_rng(3)
-    kinds = [0, kernels.FREE, kernels.HULL, kernels.HULL | kernels.SEEN, kernels.OTHER | kernels.FREE]
-    voxels = rng.choice(np.array(kinds, np.uint8), (12, 16, 14), p=(0.6, 0.3, 0.02, 0.03, 0.05))
+    vague = kernels.HULL | kernels.VAGUE
+    kinds = [
+        *(0, kernels.FREE, kernels.OTHER | kernels.FREE),
+        *(kernels.HULL, kernels.HULL | kernels.FREE, kernels.HULL | kernels.SEEN),
+        *(vague, vague | kernels.FREE, vague | kernels.SEEN),
+    ]
+    shares = (0.58, 0.29, 0.05, 0.01, 0.01, 0.02, 0.02, 0.01, 0.01)
+    voxels = rng.choice(np.array(kinds, np.uint8), (12, 16, 14), p=shares)
     looks = rng.integers(0, 4, voxels.shape).astype(np.uint8)
     worth = np.array([[0.9, 0.5, 0.2], [0.3, 0.1, 0.0]])
     near = np.ones((6, 8, 7), np.uint8)
@@ -317,7 +362,7 @@ def test_elements_agree_with_a_slow_twin() -> None:
             around[1, 1, 2],
         )
         kind = -1
-        if voxels[h, r, c] == kernels.HULL:
+        if voxels[h, r, c] in (kernels.HULL, kernels.HULL | kernels.FREE, vague):
             kind = kernels.SURFACE
         elif voxels[h, r, c] == 0 and (around & kernels.HULL).any() and kernels.FREE in beside:
             kind = kernels.EDGE

@@ -98,18 +98,6 @@ def test_cells_divide_the_cells_of_the_map_also_where_the_area_is_large() -> Non
         assert drawn.times.shape == (round(side / 0.25), round(side / 0.25))
 
 
-@pytest.mark.parametrize("scatter", [0.0, 0.001, 0.002, 0.005])
-def test_the_frames_themselves_show_how_depths_scatter(scatter: float) -> None:
-    camera = Camera.from_fov(320, 240, 1.57)
-    found = ground.scatter_of([Frame.of(level_view(scatter, camera=camera))])
-    assert found == pytest.approx(scatter, rel=0.05, abs=2e-6)
-
-
-def test_scatter_of_frames_without_seabed_is_none() -> None:
-    labels = np.full((48, 64), Label.TARGET, np.uint8)
-    assert ground.scatter_of([Frame.of(level_view(0.01, labels))]) == 0.0
-
-
 def test_smoothing_keeps_a_plane_and_takes_two_thirds_of_the_noise() -> None:
     plane, noisy = level_view().depth, level_view(0.002).depth
     inner = np.s_[30:-2, 2:-2]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from dream.geometry import Bounds, FloatArray
 from dream.protocol import SurveyProtocol
-from dream.types import BoolArray, IntArray, Label, Observation
+from dream.types import BoolArray, Float32Array, IntArray, Label, Observation
 
 PATCH = 0.5
 """Metres along a patch of hull: an individual of a wreck."""
@@ -25,6 +25,12 @@ CARVED = 1.5
 """Times the reach: how far the water is taken for free where nothing returned."""
 STEEPEST = 2.0
 """Widths of a pixel by which neighbouring depths may differ and still be taken for one surface."""
+AROUND = 2
+"""Pixels on each side that depths which scatter are averaged over."""
+SURE = 0.25
+"""Of a voxel: the standard error of a depth up to which its return is marked."""
+FIRST = 20
+"""Frames that tell by how much depths scatter."""
 OVERLAP = 0.8
 """Voxels before an element in which nothing hides it: at a slant, its own surface would."""
 
@@ -38,10 +44,14 @@ class Hull:
     repeated from the same side, by bearing and range; each in vain makes them worth less, until they are
     given up.
 
-    Assumes: depths, labels and poses that are true to half a voxel; a level vehicle at its altitude.
+    Depths that scatter are averaged over one surface; where they are still not sure to a part of a voxel,
+    nothing is marked, and what seems to be hull from beyond reach is none where a ray passed through. Else
+    walls would grow thick, with hull in and behind them that never shows.
+
+    Assumes: poses that are true to half a voxel; a level vehicle at its altitude.
 
     Fails when: a patch is seen only through a gap finer than a voxel, or over the edge of a deck above
-    the camera. Noisy depth makes walls thicker and hides what is behind their edges.
+    the camera.
     """
 
     def __init__(self, bounds: Bounds, protocol: SurveyProtocol) -> None:
@@ -72,6 +82,7 @@ class Hull:
         self._corner: FloatArray = np.array([bounds.x_min - margin, bounds.y_min - margin, np.nan])
         self._box = np.array([*shape, 0, 0, 0], np.int64)
         self._seen = 0
+        self._scatters: list[float] = []
         self._elements = np.zeros((0, 4), np.int32)
         self._middles: FloatArray = np.zeros((0, 3))
         self._weights: FloatArray = np.zeros(0)
@@ -106,6 +117,7 @@ class Hull:
         if math.isnan(self._corner[2]):
             self._corner[2] = place[2] - 2.0 * protocol.altitude
         looked_at, bits = self._looked_at(observation)
+        depth, sure, far = self._depths(observation)
         lens = (camera.fx, camera.fy, camera.cx, camera.cy)
         self._seen += kernels.mark(
             self._voxels,
@@ -113,7 +125,7 @@ class Hull:
             self._near,
             self._posts,
             self._box,
-            observation.depth,
+            sure,
             observation.labels,
             int(Label.TARGET),
             int(Label.SEABED),
@@ -122,12 +134,13 @@ class Hull:
             lens,
             (protocol.min_depth, protocol.max_depth),
             protocol.reach,
+            far,
             self._corner,
             self._side,
         )
         kernels.fill(
             self._solid,
-            observation.depth,
+            depth,
             observation.labels,
             int(Label.SEABED),
             rotation,
@@ -140,7 +153,7 @@ class Hull:
         )
         kernels.carve(
             self._voxels,
-            observation.depth,
+            depth,
             rotation,
             place,
             lens,
@@ -195,6 +208,21 @@ class Hull:
     @property
     def _voxels_of_patch(self) -> float:
         return SLANT * (PATCH / self._side) ** 2
+
+    def _depths(self, observation: Observation) -> tuple[Float32Array, Float32Array, int]:
+        """Depths, those of them that are marked (NaN elsewhere), and what hull beyond reach is marked as."""
+        from dream.perception.scatter import SCATTERS, scatter_in, steadied
+        from dream.planning._kernels import hull as kernels
+
+        if len(self._scatters) < FIRST and (found := scatter_in(observation)) is not None:
+            self._scatters.append(found)
+        scatter = float(np.median(self._scatters)) if self._scatters else 0.0
+        if scatter <= SCATTERS:
+            return observation.depth, observation.depth, kernels.HULL
+        depth, averaged = steadied(observation, AROUND, scatter)
+        error = scatter * depth**2 / np.sqrt(np.maximum(averaged, 1))
+        sure = np.where(error <= SURE * self._side, depth, np.float32(np.nan))
+        return depth, sure, kernels.HULL | kernels.VAGUE
 
     def _looked_at(self, observation: Observation) -> tuple[IntArray, npt.NDArray[np.uint64]]:
         """Elements that the observation should show from a new side, and those sides' bits.

@@ -102,5 +102,5 @@ BETWEEN = 0.001
 
 
 def calibration_for(scatter: float) -> Calibration:
-    """The calibration for depths that scatter so, as `ground.scatter_of` finds it."""
+    """The calibration for depths that scatter so, as `perception.scatter.scatter_of` finds it."""
     return SCATTERED if scatter > BETWEEN else SHARP

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from itertools import count
 
@@ -10,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import Bounds
+from dream.perception.scatter import SCATTERS, steadied
 from dream.protocol import SurveyProtocol
-from dream.survey.ground import SCATTERS, Frame
+from dream.survey.ground import Frame
 from dream.types import BoolArray, Label, Observation
 
 Float64Array = npt.NDArray[np.float64]
@@ -19,10 +19,6 @@ Float64Array = npt.NDArray[np.float64]
 FOOT, TOP = 1, 2
 """Pixels on each side that scattering depths are averaged over: for the footprint, and for the highest point,
 which is seen from further off."""
-ONE_SURFACE = 4.0
-"""Standard deviations of a difference by which the depths of one surface may differ."""
-SLOPE = 0.001
-"""Per metre: and by which they may on a slope."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +58,7 @@ class Footprint:
             bounds: What to draw.
             cell: Metres.
             protocol: Reach and depth limits.
-            scatter: Per metre: depths z scatter by σ = this z², see `ground.scatter_of`.
+            scatter: Per metre: depths z scatter by σ = this z², see `perception.scatter.scatter_of`.
         """
         self.cell = cell
         self._scatter = scatter
@@ -98,7 +94,7 @@ class Footprint:
         from dream.survey import _kernels
 
         frame = Frame.of(seen)
-        depth, _ = self._steadied(frame, FOOT)
+        depth, _ = steadied(frame, FOOT, self._scatter)
         _kernels.vote(
             depth,
             frame.labels,
@@ -117,7 +113,7 @@ class Footprint:
 
     def _note_top(self, frame: Frame) -> None:
         # From further off than labels are trusted: the top of a hull is only then in the image.
-        depth, averaged = self._steadied(frame, TOP)
+        depth, averaged = steadied(frame, TOP, self._scatter)
         valid = (frame.labels == Label.TARGET) & (depth >= self._limits[0]) & (depth <= self._limits[1])
         if not valid.any():
             return
@@ -131,12 +127,3 @@ class Footprint:
         error = self._scatter * along**2 * np.abs(rise) / np.sqrt(averaged[valid])
         highest = int((z - error).argmax())
         self._tops.append(Top(float(z[highest]), float(error[highest]), bool(rows[highest] == 0)))
-
-    def _steadied(self, frame: Frame, half: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]:
-        from dream.survey import _kernels
-
-        if self._scatter <= SCATTERS:
-            return frame.depth, np.ones(frame.depth.shape, np.int32)
-        apart = ONE_SURFACE * math.sqrt(2.0) * self._scatter + SLOPE
-        depth, averaged = _kernels.steadied(frame.depth, frame.labels, half, apart)
-        return depth, averaged

@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import Bounds, Camera
+from dream.perception.scatter import SCATTERS
 from dream.protocol import SurveyProtocol
-from dream.types import Float32Array, Label, Observation, UInt8Array
+from dream.types import Float32Array, Observation, UInt8Array
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -21,8 +22,6 @@ MOST_CELLS = 1 << 23
 """Of larger areas the cells grow."""
 MOST_PIXELS = 1 << 17
 """Of larger images every n-th row and column is taken."""
-SCATTERS = 0.0005
-"""Per metre: depths that scatter more, as σ = this z², are smoothed before they are used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,7 +125,7 @@ def fuse(frames: Iterable[Frame], bounds: Bounds, protocol: SurveyProtocol, scat
         frames: Of a whole mission.
         bounds: What to draw.
         protocol: Reach, depth limits, and the cells of the map.
-        scatter: Of the depths, from `scatter_of`.
+        scatter: Of the depths, from `perception.scatter.scatter_of`.
     """
     from dream.survey import _kernels
 
@@ -173,25 +172,6 @@ def fuse(frames: Iterable[Frame], bounds: Bounds, protocol: SurveyProtocol, scat
     np.divide(share, weight, out=share, where=seen)
     height[~seen] = np.nan
     return Ground(bounds, cell, height, share, nearest, top, times, scatter)
-
-
-def scatter_of(frames: Iterable[Frame]) -> float:
-    """By how much depths scatter, per metre: σ = this z².
-
-    On a plane the inverse depth is linear in the pixel, so that its second differences along a row show
-    nothing but noise, which is equal everywhere: 1/z scatters by σ/z². Their median magnitude on seabed
-    passes over edges.
-    """
-    found = []
-    for frame in frames:
-        inverse = 1.0 / frame.depth.astype(np.float64)
-        bend = np.abs(inverse[:, :-2] - 2.0 * inverse[:, 1:-1] + inverse[:, 2:])
-        seabed = frame.labels == Label.SEABED
-        flat = seabed[:, :-2] & seabed[:, 1:-1] & seabed[:, 2:] & np.isfinite(bend)
-        if np.count_nonzero(flat) >= 100:
-            found.append(float(np.median(bend[flat])))
-    # The median of |N(0, 1)| is 0.6745; the second difference has six times the variance.
-    return float(np.median(found)) / 0.6745 / math.sqrt(6.0) if found else 0.0
 
 
 def smoothed(depth: Float32Array) -> Float32Array:

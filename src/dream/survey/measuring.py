@@ -14,9 +14,10 @@ import numpy as np
 from dream import __version__
 from dream.mapping import Layers as MapLayers
 from dream.mapping import OccupancyMap
+from dream.perception.scatter import scatter_of
 from dream.recording import RecordedStep, RunConfig, digest_of_steps, read_config, read_steps
 from dream.survey.calibration import calibration_for
-from dream.survey.ground import Frame, Ground, fuse, scatter_of
+from dream.survey.ground import Frame, Ground, fuse
 from dream.survey.intervals import around
 from dream.survey.reef import measure_reef
 from dream.survey.site import Site

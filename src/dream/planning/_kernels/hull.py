@@ -12,9 +12,9 @@ import math
 import numpy as np
 from numba import njit
 
-FREE, HULL, SEEN, OTHER = 1, 2, 4, 8
+FREE, HULL, SEEN, OTHER, VAGUE = 1, 2, 4, 8, 16
 """Bits of a voxel: a ray passed through; the target returned from it, and did so within reach; something else
-returned from it."""
+returned from it; the target did from beyond reach, by a depth that scatters."""
 BLOCK = 2
 """Voxels along a block: what is left in a block is one element of each kind."""
 SURFACE, EDGE = 0, 1
@@ -61,6 +61,7 @@ def mark(
     lens,
     limits,
     reach,
+    far,
     corner,
     side,
 ):
@@ -81,6 +82,7 @@ def mark(
         lens: fx, fy, cx and cy in pixels.
         limits: Least and greatest valid depth.
         reach: Metres over ground within which a return counts as seen.
+        far: Bits of a voxel from which the target returned from beyond reach.
         corner: (3,) x, y and z of the grid's low corner.
         side: Metres along a voxel.
 
@@ -107,7 +109,7 @@ def mark(
                 continue
             solid[level, row, col] |= _part(x, y, h)
             if labels[i, j] == target:
-                bits = HULL | SEEN if dx * dx + dy * dy <= reach * reach else HULL
+                bits = HULL | SEEN if dx * dx + dy * dy <= reach * reach else far
                 new += (bits & ~voxels[level, row, col] & SEEN) != 0
                 if not voxels[level, row, col] & HULL:
                     for v in range((level - 1) // BLOCK, (level + 1) // BLOCK + 1):
@@ -218,7 +220,8 @@ def _kind(voxels, level, row, col):
     """Of what kind of element a voxel is, -1 if of none."""
     bits = voxels[level, row, col]
     if bits & HULL:
-        return -1 if bits & SEEN else SURFACE
+        # Where depths scatter, what seems to be hull from afar is none where a ray passed through.
+        return -1 if bits & SEEN or (bits & VAGUE and bits & FREE) else SURFACE
     if bits:
         return -1
     # Free alone: looks along a surface carve voxels that it cuts.
