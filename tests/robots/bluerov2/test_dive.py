@@ -40,7 +40,7 @@ from dream.protocol import POOL_V1
 from dream.recording import read_config, read_steps
 from dream.robots.bluerov2.bridge import SAG, LastResort, Limits
 from dream.robots.bluerov2.camera import RtpVideo
-from dream.robots.bluerov2.devices import PARAMETERS_BEFORE, source_of
+from dream.robots.bluerov2.devices import PARAMETERS_BEFORE, Devices, source_of
 from dream.robots.bluerov2.leaving import LEAVING, leave
 from dream.robots.bluerov2.log import dive_began, read_log, read_measurements, read_wire
 from dream.robots.bluerov2.navigation import Instruments
@@ -342,7 +342,9 @@ def test_a_site_or_a_survey_that_does_not_fit_is_told_before_any_vehicle_is_aske
 def test_a_planner_that_cannot_use_a_survey_says_so_before_it_dives(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def opening(devices: object) -> None:
+    def opening(devices: Devices) -> None:
+        # They are open already; left so, their threads would outlive the test.
+        devices.__exit__(None, None, None)
         raise ValueError("devices are opened")
 
     monkeypatch.setattr("dream.robots.bluerov2.devices.Devices.__enter__", opening)
