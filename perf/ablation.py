@@ -1,8 +1,12 @@
-"""What each ingredient of the planner `belief` is worth: the reefs of the suite `dev` without it, paired.
+"""What each ingredient of the planner `belief` is worth: the suite `dev` without it, paired.
 
-    python perf/ablation.py --out ablation          goes on where it was broken off; 40 minutes on two cores
+    python perf/ablation.py --out ablation          goes on where it was broken off; 50 minutes on two cores
     python perf/ablation.py --out ablation --only "greedy" "no-tour"
     python perf/ablation.py --out ablation --starts 0 1 2    from more places in the same worlds
+    python perf/ablation.py --out ablation --wrecks    the wrecks, by what is seen of them; an hour
+
+What is not in it is flown as well: its certificate, lanes while no target was seen, and keeping to the last
+way unless a new one is worth a step more.
 
 Differences are over the same worlds from the same starts; intervals at 95 % resample worlds within families,
 of each world the mean over its starts.
@@ -13,7 +17,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +27,95 @@ from dream.evaluation.engines import Failure, Processes, processors
 from dream.evaluation.results import Row, read_results
 from dream.evaluation.runner import Plan, fly_plan
 from dream.evaluation.suites import family_of, suite_named
-from dream.planning import AnyPlanner, Belief
+from dream.geometry import SE2
+from dream.mapping import OccupancyMap
+from dream.mapping.completion import Completion
+from dream.planning import AnyPlanner, Belief, Lawnmower
+from dream.planning.baselines.sweeping import Sweeping
+from dream.planning.belief import BeliefPilot, FloatArray, Thought, _Expected
+from dream.planning.travel import Pose
+from dream.planning.walk import rest_of
 from dream.protocol import DREAM_V1
+from dream.types import Decision, Mission, Observation
+
+LANES = Lawnmower(swath=1.0, inset=0.5, least=0.25)
+"""As `sweep-and-graze` lays them."""
+WORTH_TURNING = 1.0
+"""Steps that a new way must be worth more than the rest of the last one."""
+
+
+@dataclass(frozen=True, slots=True)
+class WithoutHull(Belief):
+    """Takes a wreck for a reef."""
+
+    def begin(self, mission: Mission) -> BeliefPilot:
+        """A pilot of its own."""
+        return _WithoutHull(self, mission)
+
+
+@dataclass(slots=True)
+class _WithoutHull(BeliefPilot):
+    def _expected(
+        self,
+        occupancy: OccupancyMap,
+        completion: Completion,
+        pose: SE2,
+        away_from_hull: FloatArray | None,
+    ) -> _Expected:
+        return BeliefPilot._expected(self, occupancy, completion, pose, None)
+
+
+@dataclass(frozen=True, slots=True)
+class InLanes(Belief):
+    """Sweeps in lanes until it sees a target."""
+
+    def begin(self, mission: Mission) -> BeliefPilot:
+        """A pilot of its own."""
+        return _InLanes(self, mission)
+
+
+@dataclass(slots=True)
+class _InLanes(BeliefPilot):
+    sweeping: Sweeping = field(init=False)
+
+    def __post_init__(self) -> None:
+        BeliefPilot.__post_init__(self)
+        self.sweeping = LANES.begin(self.mission)
+
+    def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
+        thought = self.consider(observation, occupancy)
+        if thought.plan is not None and not occupancy.target.any():
+            decision = self.sweeping.decide(observation, occupancy)
+            if not decision.done:
+                return decision
+        return self.act(thought, thought.plan, occupancy)
+
+
+@dataclass(frozen=True, slots=True)
+class Hesitant(Belief):
+    """Keeps to the rest of its last way unless a new one is worth a step more."""
+
+    def begin(self, mission: Mission) -> BeliefPilot:
+        """A pilot of its own."""
+        return _Hesitant(self, mission)
+
+
+@dataclass(slots=True)
+class _Hesitant(BeliefPilot):
+    way: list[Pose] = field(default_factory=list)
+
+    def consider(self, observation: Observation, occupancy: OccupancyMap) -> Thought:
+        thought = BeliefPilot.consider(self, observation, occupancy)
+        plan, travel = thought.plan, thought.travel
+        if plan is not None and plan.choice is not None:
+            rest = rest_of(self.way, travel, thought.moves)
+            if len(rest) > 1 and rest[1] != plan.path[1]:
+                new, old = self.look_ahead.judge(self.prospect(thought, occupancy), travel, [plan.path, rest])
+                if new.value - old.value < WORTH_TURNING:
+                    plan = old.plan
+        self.way = [] if plan is None else plan.path
+        return replace(thought, plan=plan)
+
 
 WHOLE = Belief()
 VARIANTS: dict[str, tuple[str, AnyPlanner]] = {
@@ -45,15 +136,23 @@ VARIANTS: dict[str, tuple[str, AnyPlanner]] = {
     "no-cost": ("a step costs nothing", replace(WHOLE, step_cost=0.0)),
     "no-jump": ("never straight to one far view while the sequence shows anything", replace(WHOLE, jump=0.0)),
     "small-groups": ("groups of 1.5 m radius hide, as the protocol promises", replace(WHOLE, size=1.0)),
+    "certify": ("ends only when all that can be seen was", replace(WHOLE, certify=True)),
+    "lanes": ("sweeps in lanes until it sees a target", InLanes()),
+    "hysteresis": ("keeps to its last way unless a new one is worth a step more", Hesitant()),
 }
 """Name → what is different, and the planner."""
+ON_WRECKS: dict[str, tuple[str, AnyPlanner]] = {
+    "belief": VARIANTS["belief"],
+    "no-hull": ("a wreck is a reef to it", WithoutHull()),
+    **{name: VARIANTS[name] for name in ("greedy", "short", "narrow", "no-tour", "no-jump")},
+}
 
 
 World = tuple[str, int]
 
 
 def values(rows: Sequence[Row], cap: int) -> dict[str, dict[World, float]]:
-    """Per world, the mean over its starts: steps to 98.26 %, steps to the own stop, success."""
+    """Per world, the mean over its starts: steps to 98.26 %, to the own stop, percent seen at the end."""
     of_world: dict[World, list[Row]] = {}
     for row in rows:
         of_world.setdefault((row.world, row.seed), []).append(row)
@@ -64,7 +163,7 @@ def values(rows: Sequence[Row], cap: int) -> dict[str, dict[World, float]]:
     return {
         "t98": means(lambda row: cap if row.t98 is None else row.t98),
         "stop": means(lambda row: cap if row.t_stop is None else row.t_stop),
-        "success": means(lambda row: row.success),
+        "seen": means(lambda row: 100.0 * row.instances),
     }
 
 
@@ -73,17 +172,17 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("ablation"), help="folder to keep the missions in")
     parser.add_argument("--jobs", type=int, default=processors(), help="missions at a time")
-    parser.add_argument(
-        "--only", nargs="*", default=list(VARIANTS), help="variants to fly; the whole always is"
-    )
+    parser.add_argument("--wrecks", action="store_true", help="those of the suite, instead of its reefs")
+    parser.add_argument("--only", nargs="*", help="variants to fly; the whole always is")
     parser.add_argument("--starts", nargs="+", type=int, default=[0], help="of each world's four")
     options = parser.parse_args()
-    names = ["belief", *(name for name in options.only if name != "belief")]
-    if unknown := set(names) - set(VARIANTS):
-        parser.error(f"--only: expected some of {', '.join(VARIANTS)}, got {', '.join(sorted(unknown))}")
-    reefs = [case for case in suite_named("dev") if family_of(case.world) != "wreck"]
-    cases = tuple(replace(case, start=start) for start in sorted(set(options.starts)) for case in reefs)
-    plan = Plan("dev reefs", cases, {name: VARIANTS[name][1] for name in names}, DREAM_V1)
+    variants = ON_WRECKS if options.wrecks else VARIANTS
+    names = ["belief", *(name for name in options.only or variants if name != "belief")]
+    if unknown := set(names) - set(variants):
+        parser.error(f"--only: expected some of {', '.join(variants)}, got {', '.join(sorted(unknown))}")
+    worlds = [case for case in suite_named("dev") if (family_of(case.world) == "wreck") == options.wrecks]
+    cases = tuple(replace(case, start=start) for start in sorted(set(options.starts)) for case in worlds)
+    plan = Plan("dev", cases, {name: variants[name][1] for name in names}, DREAM_V1)
     for done, ended in enumerate(fly_plan(plan, options.out, Processes(options.jobs)), start=1):
         if isinstance(ended.outcome, Failure):
             print(f"failed: {ended.key}: {ended.outcome}", file=sys.stderr)
@@ -94,16 +193,19 @@ def main() -> int:
     for row in read_results(options.out).rows:
         found.setdefault(row.planner, []).append(row)
     whole = values(found["belief"], DREAM_V1.cap)
-    print("| without | steps to 98.26 % | difference | own stop | difference | success |")
-    print("|---|--:|--:|--:|--:|--:|")
+    shown = {"seen": "seen, %", "stop": "own stop"}
+    if not options.wrecks:
+        shown = {"t98": "steps to 98.26 %", "stop": "own stop"}
+    print(f"| | {' | '.join(f'{name} | difference' for name in shown.values())} | success |")
+    print(f"|---|{'--:|' * (2 * len(shown) + 1)}")
     for name in names:
         these = values(found[name], DREAM_V1.cap)
         cells = [name]
-        for measure in ("t98", "stop"):
+        for measure in shown:
             shared = sorted(these[measure].keys() & whole[measure].keys())
             ours = np.array([these[measure][key] for key in shared])
             change = ours - np.array([whole[measure][key] for key in shared])
-            strata = [family_of(world) for world, _ in shared]
+            strata = [world if options.wrecks else family_of(world) for world, _ in shared]
             difference = statistics.interval(change, strata, statistics.mean)
             apart = f"{difference.value:+.1f} [{difference.low:+.1f}, {difference.high:+.1f}]"
             cells += [f"{ours.mean():.1f}", "" if name == "belief" else apart]
