@@ -2,6 +2,7 @@
 
     python perf/decision.py              three minutes, one process
     python perf/decision.py --world reef/mixed --seed 101 --planners belief nbv
+    python perf/decision.py --wrecks --planners belief    a wreck of each design; two minutes
 
 The times are those of the planner alone. They hold on an idle core; the ratios hold on a busy one, too.
 """
@@ -27,6 +28,8 @@ from dream.types import LOOK_AROUND
 
 LARGE, CAP = 100.0, 800
 """Metres along the large arena, and its steps at most."""
+DESIGNS = 5
+"""Of wrecks."""
 
 
 def milliseconds(world: World, planner: str, cap: int) -> tuple[npt.NDArray[np.float64], str]:
@@ -48,21 +51,27 @@ def main() -> int:
     parser.add_argument("--world", default="reef/mixed", help="a reef")
     parser.add_argument("--seed", type=int, default=101)
     parser.add_argument("--planners", nargs="+", default=["belief", "sixsteps", "nbv"], choices=OFFLINE)
+    parser.add_argument("--wrecks", action="store_true", help="one of each design, instead of the reef")
     options = parser.parse_args()
-    usual = worlds.make_world(options.world, options.seed)
-    # The same recipe on a larger sea floor.
-    worlds.SIDES = (LARGE,) * 3
-    large = worlds.make_world(options.world, options.seed)
-    print("| planner | arena | p50, ms | p99, ms | p50 to that of the usual arena | ended |")
-    print("|---|--:|--:|--:|--:|---|")
+    if options.wrecks:
+        names = [f"wreck/{design}" for design in range(1, DESIGNS + 1)]
+        arenas = [(name, worlds.make_world(name, options.seed), DREAM_V1.cap) for name in names]
+    else:
+        usual = worlds.make_world(options.world, options.seed)
+        # The same recipe on a larger sea floor.
+        worlds.SIDES = (LARGE,) * 3
+        large = worlds.make_world(options.world, options.seed)
+        arenas = [("usual", usual, DREAM_V1.cap), ("large", large, CAP)]
+    print("| planner | arena | side | p50, ms | p99, ms | p50 to that of the first | ended |")
+    print("|---|---|--:|--:|--:|--:|---|")
     for planner in options.planners:
         first = 0.0
-        for world, cap in ((usual, DREAM_V1.cap), (large, CAP)):
+        for name, world, cap in arenas:
             taken, ended = milliseconds(world, planner, cap)
             p50, p99 = np.percentile(taken, [50, 99])
             first = first or p50
-            side = f"{world.bounds.width:.0f} m"
-            print(f"| {planner} | {side} | {p50:.0f} | {p99:.0f} | {p50 / first:.2f} | {ended} |", flush=True)
+            cells = (f"{world.bounds.width:.0f} m", f"{p50:.0f}", f"{p99:.0f}", f"{p50 / first:.2f}", ended)
+            print(f"| {planner} | {name} | {' | '.join(cells)} |", flush=True)
     return 0
 
 
