@@ -7,14 +7,18 @@ import shutil
 import statistics
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from PIL import Image
 
 from dream.cli import run_command
-from dream.evaluation.results import read_results
+from dream.evaluation.results import Row, read_results
+from dream.evaluation.statistics import interval, mean
+from dream.evaluation.suites import family_of
 from dream.sim.world import World
 
 ROOT = Path(__file__).parents[2]
@@ -59,6 +63,52 @@ def test_the_readme_shows_the_tables_of_the_released_missions() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     for line in lines:
         assert line in readme
+
+
+def test_what_a_sensor_that_errs_costs_is_told_as_released() -> None:
+    true, noisy = (
+        {
+            (row.world, row.seed): row
+            for row in read_results(ROOT / "results" / folder).rows
+            if row.planner == "belief"
+        }
+        for folder in ("test", "noisy")
+    )
+    assert len(noisy) == 200
+    assert true.keys() == noisy.keys()
+    wrecks = sorted(key for key in noisy if key[0].startswith("wreck"))
+    reefs = sorted(noisy.keys() - set(wrecks))
+
+    def costs(value: Callable[[Row], float], keys: list[tuple[str, int]], digits: int) -> str:
+        change = np.array([value(noisy[key]) - value(true[key]) for key in keys])
+        strata = [key[0] if key[0].startswith("wreck") else family_of(key[0]) for key in keys]
+        found = interval(change, strata, mean)
+        told = [f"{x:.{digits}f}".replace("-", "−") for x in (found.value, found.low, found.high)]
+        return f"{told[0]} [{told[1]}, {told[2]}]"
+
+    def stop(row: Row) -> float:
+        return 200 if row.t_stop is None else row.t_stop
+
+    def seen(row: Row) -> float:
+        return 100.0 * row.instances
+
+    def won(rows: dict[tuple[str, int], Row], keys: list[tuple[str, int]]) -> list[tuple[str, int]]:
+        return [key for key in keys if rows[key].success]
+
+    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    assert won(noisy, reefs) == reefs
+    stops = [statistics.fmean(stop(rows[key]) for key in reefs) for rows in (noisy, true)]
+    assert (
+        f"succeeds on all 150 reefs, after {stops[0]:.1f} steps: no different from {stops[1]:.1f}" in readme
+    )
+    assert f"(paired {costs(stop, reefs, 1)})" in readme
+    assert won(noisy, wrecks) == won(true, wrecks)
+    assert len(won(noisy, wrecks)) == 10
+    last = [statistics.fmean(stop(rows[key]) for key in won(noisy, wrecks)) for rows in (noisy, true)]
+    assert f"on the same ten, after {last[0]:.1f} steps and not {last[1]:.1f}" in readme
+    shown = [statistics.fmean(seen(rows[key]) for key in wrecks) for rows in (noisy, true)]
+    assert f"sees {shown[0]:.1f} %, not {shown[1]:.1f} % ({costs(seen, wrecks, 1)})" in readme
+    assert not any(row.collisions for row in noisy.values())
 
 
 def test_who_stands_beside_uivnav_in_the_papers_form_is_told_as_released() -> None:
