@@ -15,9 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from dream.survey.patches import grouped
 from dream.survey.products import geopackage, geotiff, mosaic
 from dream.survey.products.ground import Ground
-from dream.survey.products.outlines import grouped, outlines
+from dream.survey.products.outlines import outlines
 from dream.survey.site import Site
 from dream.survey.survey import Survey
 from tests.survey import scenes

@@ -8,6 +8,7 @@ part of it of at least `SMALLEST` square metres. So neither depends on the cell 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -114,6 +115,37 @@ def signed_area(ring: Float64Array) -> float:
     """Square metres in a closed ring; negative where it runs clockwise."""
     x, y = (ring - ring[0]).T
     return float(0.5 * np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
+
+
+def grouped(rings: Sequence[Float64Array]) -> list[list[Float64Array]]:
+    """Polygons of closed rings: each counter-clockwise one, then the clockwise ones that are its holes.
+
+    Parts of one patch that touch at a corner are polygons of their own.
+    """
+    areas = [signed_area(ring) for ring in rings]
+    outlines = [n for n, area in enumerate(areas) if area > 0.0]
+    polygons = {n: [rings[n]] for n in outlines}
+    # Of many outlines only few lie around a hole: whose boxes do is soon found.
+    low = np.array([rings[n].min(axis=0) for n in outlines]).reshape(-1, 2)
+    high = np.array([rings[n].max(axis=0) for n in outlines]).reshape(-1, 2)
+    for n, ring in enumerate(rings):
+        if areas[n] > 0.0:
+            continue
+        # Rings may share corners, but no side: its middle is clearly inside an outline, or clearly not.
+        middle = 0.5 * (ring[0] + ring[1])
+        near = np.flatnonzero(((low <= middle) & (middle <= high)).all(axis=1))
+        around = [outlines[k] for k in near if _contains(rings[outlines[k]], middle)]
+        if around:
+            polygons[min(around, key=areas.__getitem__)].append(ring)
+    return list(polygons.values())
+
+
+def _contains(ring: Float64Array, point: Float64Array) -> bool:
+    """Is the point inside? By the crossings of a ray to the east."""
+    (x0, y0), (x1, y1) = ring[:-1].T, ring[1:].T
+    crosses = (y0 > point[1]) != (y1 > point[1])
+    at = x0[crosses] + (point[1] - y0[crosses]) * (x1 - x0)[crosses] / (y1 - y0)[crosses]
+    return bool(np.count_nonzero(at > point[0]) % 2)
 
 
 def perimeter(outline: tuple[Float64Array, ...]) -> float:

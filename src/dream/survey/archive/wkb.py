@@ -8,6 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from dream.survey.patches import grouped
+
 Float64Array = npt.NDArray[np.float64]
 
 
@@ -27,20 +29,8 @@ def polygon(rings: Sequence[Float64Array]) -> bytes:
 
 
 def multipolygon(rings: Sequence[Float64Array]) -> bytes:
-    """Of closed rings: outlines run counter-clockwise, each with the clockwise holes that lie in it.
-
-    Parts of one patch that touch at a corner are outlines of their own.
-    """
-    outlines = [ring for ring in rings if _turn(ring) > 0.0]
-    holes: list[list[Float64Array]] = [[] for _ in outlines]
-    for ring in rings:
-        if _turn(ring) <= 0.0:
-            # Between two corners of a hole, so that a corner that it shares with an outline is no doubt.
-            middle = 0.5 * (ring[0] + ring[1])
-            inside = [k for k, outline in enumerate(outlines) if _within(middle, outline)]
-            smallest = min(inside, key=lambda k: _turn(outlines[k]), default=0)
-            holes[smallest].append(ring)
-    parts = [polygon([outline, *within]) for outline, within in zip(outlines, holes, strict=True)]
+    """Of closed rings: outlines run counter-clockwise, each with the clockwise holes that lie in it."""
+    parts = [polygon(part) for part in grouped(rings)]
     return struct.pack("<BII", 1, 6, len(parts)) + b"".join(parts)
 
 
@@ -66,20 +56,6 @@ def envelope(geometry: bytes) -> tuple[float, float, float, float]:
 def kind(geometry: bytes) -> int:
     """1 of a point, 2 of a line, 3 of a polygon, 6 of several."""
     return int(struct.unpack_from("<I", geometry, 1)[0])
-
-
-def _turn(ring: Float64Array) -> float:
-    """Area, positive counter-clockwise."""
-    x, y = (ring - ring[0]).T
-    return float(0.5 * (x[:-1] * y[1:] - x[1:] * y[:-1]).sum())
-
-
-def _within(place: Float64Array, ring: Float64Array) -> bool:
-    """By the parity of crossings to the west."""
-    (x0, y0), (x1, y1) = ring[:-1].T, ring[1:].T
-    crosses = (y0 <= place[1]) != (y1 <= place[1])
-    at = x0[crosses] + (place[1] - y0[crosses]) * (x1 - x0)[crosses] / (y1 - y0)[crosses]
-    return bool((at < place[0]).sum() % 2)
 
 
 def _places(places: Float64Array) -> bytes:

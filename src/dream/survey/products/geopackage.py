@@ -20,9 +20,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from dream.survey.patches import grouped
 from dream.survey.products import styles
 from dream.survey.products.ground import Ground, site_of
-from dream.survey.products.outlines import grouped, outlines, ring_around
+from dream.survey.products.outlines import outlines, ring_around
 from dream.survey.products.words import warning
 from dream.survey.survey import Survey
 from dream.types import Reasoning, Target

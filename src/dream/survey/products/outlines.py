@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import Bounds
-from dream.survey.patches import signed_area
+from dream.survey.patches import grouped
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -37,6 +35,7 @@ def outlines(mask: npt.NDArray[np.bool_]) -> list[list[Float64Array]]:
         if start not in leaving:
             continue
         ring, at, step = [start], start, leaving[start][0]
+        index = {start: 0}
         while True:
             steps = leaving[at]
             steps.remove(step)
@@ -49,39 +48,18 @@ def outlines(mask: npt.NDArray[np.bool_]) -> list[list[Float64Array]]:
             onward = leaving[at]
             turn = left if left in onward else (step if step in onward else (step[1], -step[0]))
             if turn != step:
-                if at in ring:
+                if at in index:
                     # A hole that touches its outline, or another hole, in a corner is a ring of its own.
-                    first = ring.index(at)
+                    first = index[at]
                     rings.append(np.array([*ring[first:], at], np.float64))
+                    for corner in ring[first:]:
+                        del index[corner]
                     del ring[first:]
+                index[at] = len(ring)
                 ring.append(at)
             step = turn
         rings.append(np.array([*ring, ring[0]], np.float64))
     return grouped(rings)
-
-
-def grouped(rings: Sequence[Float64Array]) -> list[list[Float64Array]]:
-    """Polygons of closed rings: each counter-clockwise one, then the clockwise ones that are its holes."""
-    areas = [signed_area(ring) for ring in rings]
-    shells = {n: [ring] for n, ring in enumerate(rings) if areas[n] > 0.0}
-    for n, ring in enumerate(rings):
-        if areas[n] > 0.0:
-            continue
-        # Rings may share corners, but no side: its middle is clearly inside a shell, or clearly not.
-        middle = 0.5 * (ring[0] + ring[1])
-        around = [shell for shell, (outline, *_) in shells.items() if _contains(outline, middle)]
-        if around:
-            shells[min(around, key=areas.__getitem__)].append(ring)
-    return list(shells.values())
-
-
-def _contains(ring: Float64Array, point: Float64Array) -> bool:
-    """Is the point inside? By the crossings of a ray to the east."""
-    (x0, y0), (x1, y1) = ring[:-1].T, ring[1:].T
-    crosses = (y0 > point[1]) != (y1 > point[1])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = x0 + (point[1] - y0) / (y1 - y0) * (x1 - x0)
-    return bool(np.count_nonzero(crosses & (at > point[0])) % 2)
 
 
 def ring_around(box: Bounds) -> Float64Array:
