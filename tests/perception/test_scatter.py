@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dream.geometry import Camera, camera_mount
-from dream.perception.scatter import ONE_SURFACE, SCATTERS, SLOPE, scatter_in, scatter_of, steadied
+from dream.perception.scatter import ONE_SURFACE, SCATTERS, SLOPE, Scatter, scatter_of, steadied
 from dream.types import Float32Array, Label, UInt8Array
 
 CAMERA = Camera.from_fov(320, 240, 1.57)
@@ -44,9 +44,23 @@ def test_one_frame_that_scatters_otherwise_does_not_decide() -> None:
 
 def test_frames_without_seabed_tell_nothing() -> None:
     nothing = Seen(seabed(0.01).depth, np.full((240, 320), Label.TARGET, np.uint8))
-    assert scatter_in(nothing) is None
-    assert scatter_of([nothing]) == 0.0
-    assert scatter_of([nothing, seabed(0.002)]) == pytest.approx(0.002, rel=0.05)
+    scatter = Scatter()
+    scatter.add(nothing)
+    assert scatter.value == 0.0
+    scatter.add(seabed(0.002))
+    assert scatter.value == pytest.approx(0.002, rel=0.05)
+
+
+def test_no_return_may_also_be_0_or_without_end() -> None:
+    seen = seabed(0.002)
+    seen.depth[::7, ::5], seen.depth[::5, ::7] = 0.0, np.inf
+    seen.depth[:60] = np.inf
+    assert scatter_of([seen]) == pytest.approx(0.002, rel=0.1)
+    depth, averaged = steadied(seen, 2, 0.002)
+    gone = ~((seen.depth > 0.0) & np.isfinite(seen.depth))
+    assert np.isnan(depth[gone]).all()
+    assert np.isfinite(depth[~gone]).all()
+    assert (averaged[gone] == 0).all()
 
 
 def test_depths_that_hardly_scatter_are_left_alone() -> None:

@@ -19,19 +19,19 @@ def steadied(depth, labels, half, apart):
         apart: Per metre: by how much inverse depths of one surface may differ.
 
     Returns:
-        (H, W) float32, NaN where depth is NaN; and (H, W) int32, how many pixels each is the mean of.
+        (H, W) float32, NaN where nothing returns; and (H, W) int32, how many pixels each is the mean of.
     """
     high, wide = depth.shape
     found = np.full((high, wide), np.nan, np.float32)
     counts = np.zeros((high, wide), np.int32)
     for v in range(high):
         for u in range(wide):
-            if not depth[v, u] > 0.0:
+            if not 0.0 < depth[v, u] < np.inf:
                 continue
             inverse, total, count = 1.0 / depth[v, u], 0.0, 0
             for i in range(max(0, v - half), min(high, v + half + 1)):
                 for j in range(max(0, u - half), min(wide, u + half + 1)):
-                    if labels[i, j] != labels[v, u] or not depth[i, j] > 0.0:
+                    if labels[i, j] != labels[v, u] or not 0.0 < depth[i, j] < np.inf:
                         continue
                     if abs(1.0 / depth[i, j] - inverse) <= apart:
                         total += 1.0 / depth[i, j]

@@ -39,32 +39,52 @@ class Frame(Protocol):
         ...
 
 
-def scatter_in(frame: Frame) -> float | None:
-    """By how much depths scatter in one frame, per metre; None where it shows too little seabed.
+class Scatter:
+    """By how much depths scatter, as the frames tell that it is given.
 
-    The second differences of inverse depth along a row show nothing but noise on a plane. Their median
-    magnitude passes over edges.
+    What it does: on a plane the second differences of inverse depth along a row show nothing but noise. Their
+    median magnitude over flat seabed passes over edges, and that over the frames over odd ones.
+
+    Assumes: errors that are independent from pixel to pixel.
+
+    Fails when: neighbouring pixels err alike, as where depth was smoothed or comes in steps; then it finds
+    less than there is, down to nothing.
     """
-    inverse = 1.0 / frame.depth.astype(np.float64)
-    bend = np.abs(inverse[:, :-2] - 2.0 * inverse[:, 1:-1] + inverse[:, 2:])
-    seabed = frame.labels == Label.SEABED
-    flat = seabed[:, :-2] & seabed[:, 1:-1] & seabed[:, 2:] & np.isfinite(bend)
-    if np.count_nonzero(flat) < ENOUGH:
-        return None
-    # The median of |N(0, 1)| is 0.6745; the second difference has six times the variance.
-    return float(np.median(bend[flat])) / 0.6745 / math.sqrt(6.0)
+
+    def __init__(self) -> None:
+        """Nothing was seen yet."""
+        self._found: list[float] = []
+
+    def add(self, frame: Frame) -> None:
+        """Take in one frame; one that shows hardly any seabed tells nothing."""
+        depth = frame.depth.astype(np.float64)
+        inverse = 1.0 / np.where((depth > 0.0) & np.isfinite(depth), depth, np.nan)
+        bend = np.abs(inverse[:, :-2] - 2.0 * inverse[:, 1:-1] + inverse[:, 2:])
+        seabed = frame.labels == Label.SEABED
+        flat = seabed[:, :-2] & seabed[:, 1:-1] & seabed[:, 2:] & np.isfinite(bend)
+        if np.count_nonzero(flat) >= ENOUGH:
+            # The median of |N(0, 1)| is 0.6745; the second difference has six times the variance.
+            self._found.append(float(np.median(bend[flat])) / 0.6745 / math.sqrt(6.0))
+
+    @property
+    def value(self) -> float:
+        """Per metre: depths z scatter by σ = this z². 0 where no frame told."""
+        return float(np.median(self._found)) if self._found else 0.0
 
 
 def scatter_of(frames: Iterable[Frame]) -> float:
-    """By how much depths scatter in most frames, per metre: σ = this z². 0 where none shows it."""
-    found = [scatter for frame in frames if (scatter := scatter_in(frame)) is not None]
-    return float(np.median(found)) if found else 0.0
+    """`Scatter.value` after some frames."""
+    scatter = Scatter()
+    for frame in frames:
+        scatter.add(frame)
+    return scatter.value
 
 
 def steadied(frame: Frame, half: int, scatter: float) -> tuple[Float32Array, npt.NDArray[np.int32]]:
     """Depths averaged over the pixels around that show the same surface.
 
-    A mean across the edge of what stands up would lie in the water behind it.
+    A mean across the edge of what stands up would lie in the water behind it. Surfaces whose difference
+    drowns in the scatter are taken for one: at σ = 0.002 z² and 7.5 m those less than 0.7 m apart.
 
     Args:
         frame: Its depths and labels.
@@ -72,7 +92,8 @@ def steadied(frame: Frame, half: int, scatter: float) -> tuple[Float32Array, npt
         scatter: Per metre, as `scatter_of` finds it; depths that hardly scatter are left as they are.
 
     Returns:
-        (H, W) metres, NaN where there is no return; and (H, W) how many pixels each is the mean of.
+        (H, W) metres, NaN where there is no return (those of the frame itself where they hardly scatter); and
+        (H, W) how many pixels each is the mean of.
     """
     from dream.perception import _kernels
 

@@ -28,9 +28,7 @@ STEEPEST = 2.0
 AROUND = 2
 """Pixels on each side that depths which scatter are averaged over."""
 SURE = 0.25
-"""Of a voxel: the standard error of a depth up to which its return is marked."""
-FIRST = 20
-"""Frames that tell by how much depths scatter."""
+"""Of a voxel: the standard error of a depth up to which its return is marked from beyond reach."""
 OVERLAP = 0.8
 """Voxels before an element in which nothing hides it: at a slant, its own surface would."""
 
@@ -44,14 +42,17 @@ class Hull:
     repeated from the same side, by bearing and range; each in vain makes them worth less, until they are
     given up.
 
-    Depths that scatter are averaged over one surface; where they are still not sure to a part of a voxel,
-    nothing is marked, and what seems to be hull from beyond reach is none where a ray passed through. Else
-    walls would grow thick, with hull in and behind them that never shows.
+    Depths that scatter are averaged over one surface. Then a return is marked where it is sure to a part of a
+    voxel, or as sure as one within reach that all pixels around agree on; and what seems to be hull from
+    beyond reach is none where a ray passed through. Else walls would grow thick, with hull in and behind them
+    that never shows.
 
-    Assumes: poses that are true to half a voxel; a level vehicle at its altitude.
+    Assumes: depths that are true to half a voxel, or err from pixel to pixel each for itself; labels that are
+    true; poses that are true to half a voxel; a level vehicle at its altitude.
 
     Fails when: a patch is seen only through a gap finer than a voxel, or over the edge of a deck above
-    the camera.
+    the camera. Depths that err by more than a voxel, or neighbours that err alike, make walls thicker and
+    hide what is behind their edges.
     """
 
     def __init__(self, bounds: Bounds, protocol: SurveyProtocol) -> None:
@@ -61,6 +62,7 @@ class Hull:
             bounds: The survey area; nothing outside is ever known.
             protocol: Camera, reach and altitude.
         """
+        from dream.perception.scatter import Scatter
         from dream.planning._kernels import hull as kernels
 
         self.protocol = protocol
@@ -82,7 +84,7 @@ class Hull:
         self._corner: FloatArray = np.array([bounds.x_min - margin, bounds.y_min - margin, np.nan])
         self._box = np.array([*shape, 0, 0, 0], np.int64)
         self._seen = 0
-        self._scatters: list[float] = []
+        self._scatter = Scatter()
         self._elements = np.zeros((0, 4), np.int32)
         self._middles: FloatArray = np.zeros((0, 3))
         self._weights: FloatArray = np.zeros(0)
@@ -211,17 +213,19 @@ class Hull:
 
     def _depths(self, observation: Observation) -> tuple[Float32Array, Float32Array, int]:
         """Depths, those of them that are marked (NaN elsewhere), and what hull beyond reach is marked as."""
-        from dream.perception.scatter import SCATTERS, scatter_in, steadied
+        from dream.perception.scatter import SCATTERS, steadied
         from dream.planning._kernels import hull as kernels
 
-        if len(self._scatters) < FIRST and (found := scatter_in(observation)) is not None:
-            self._scatters.append(found)
-        scatter = float(np.median(self._scatters)) if self._scatters else 0.0
+        protocol = self.protocol
+        self._scatter.add(observation)
+        scatter = self._scatter.value
         if scatter <= SCATTERS:
             return observation.depth, observation.depth, kernels.HULL
         depth, averaged = steadied(observation, AROUND, scatter)
         error = scatter * depth**2 / np.sqrt(np.maximum(averaged, 1))
-        sure = np.where(error <= SURE * self._side, depth, np.float32(np.nan))
+        # Within reach a hull counts as seen: there it must be marked, however much all depths scatter.
+        at_reach = scatter * (protocol.reach**2 + protocol.altitude**2) / (2 * AROUND + 1)
+        sure = np.where(error <= max(SURE * self._side, at_reach), depth, np.float32(np.nan))
         return depth, sure, kernels.HULL | kernels.VAGUE
 
     def _looked_at(self, observation: Observation) -> tuple[IntArray, npt.NDArray[np.uint64]]:

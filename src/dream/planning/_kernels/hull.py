@@ -216,12 +216,17 @@ def carve(voxels, depth, rotation, camera, lens, farthest, slack, corner, side):
 
 
 @njit(cache=True, nogil=True)
+def _is_hull(bits):
+    """Did the target return from a voxel? Not where it only seemed so from afar and a ray passed through."""
+    return bits & HULL and (bits & SEEN or not (bits & VAGUE and bits & FREE))
+
+
+@njit(cache=True, nogil=True)
 def _kind(voxels, level, row, col):
     """Of what kind of element a voxel is, -1 if of none."""
     bits = voxels[level, row, col]
-    if bits & HULL:
-        # Where depths scatter, what seems to be hull from afar is none where a ray passed through.
-        return -1 if bits & SEEN or (bits & VAGUE and bits & FREE) else SURFACE
+    if _is_hull(bits):
+        return -1 if bits & SEEN else SURFACE
     if bits:
         return -1
     # Free alone: looks along a surface carve voxels that it cuts.
@@ -234,12 +239,12 @@ def _kind(voxels, level, row, col):
         or voxels[level, row, col - 1] == FREE
     ):
         return -1
-    around = 0
     for i in range(-1, 2):
         for j in range(-1, 2):
             for k in range(-1, 2):
-                around |= voxels[level + i, row + j, col + k]
-    return EDGE if around & HULL else -1
+                if _is_hull(voxels[level + i, row + j, col + k]):
+                    return EDGE
+    return -1
 
 
 @njit(cache=True, nogil=True)
