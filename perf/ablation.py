@@ -3,7 +3,7 @@
     python perf/ablation.py --out ablation          goes on where it was broken off; 50 minutes on two cores
     python perf/ablation.py --out ablation --only "greedy" "no-tour"
     python perf/ablation.py --out ablation --starts 0 1 2    from more places in the same worlds
-    python perf/ablation.py --out ablation --wrecks    the wrecks, by what is seen of them; an hour
+    python perf/ablation.py --out wrecks --wrecks   the wrecks, by what is seen of them; half an hour
 
 What is not in it is flown as well: its certificate, lanes while no target was seen, and keeping to the last
 way unless a new one is worth a step more.
@@ -38,15 +38,10 @@ from dream.planning.walk import rest_of
 from dream.protocol import DREAM_V1
 from dream.types import Decision, Mission, Observation
 
-LANES = Lawnmower(swath=1.0, inset=0.5, least=0.25)
-"""As `sweep-and-graze` lays them."""
-WORTH_TURNING = 1.0
-"""Steps that a new way must be worth more than the rest of the last one."""
-
 
 @dataclass(frozen=True, slots=True)
 class WithoutHull(Belief):
-    """Takes a wreck for a reef."""
+    """Believes nothing about a hull; what stands up it sees as it comes by."""
 
     def begin(self, mission: Mission) -> BeliefPilot:
         """A pilot of its own."""
@@ -69,18 +64,17 @@ class _WithoutHull(BeliefPilot):
 class InLanes(Belief):
     """Sweeps in lanes until it sees a target."""
 
+    lanes: Lawnmower = field(default_factory=lambda: Lawnmower(swath=1.0, inset=0.5, least=0.25))
+    """As `sweep-and-graze` lays them."""
+
     def begin(self, mission: Mission) -> BeliefPilot:
         """A pilot of its own."""
-        return _InLanes(self, mission)
+        return _InLanes(self, mission, sweeping=self.lanes.begin(mission))
 
 
 @dataclass(slots=True)
 class _InLanes(BeliefPilot):
-    sweeping: Sweeping = field(init=False)
-
-    def __post_init__(self) -> None:
-        BeliefPilot.__post_init__(self)
-        self.sweeping = LANES.begin(self.mission)
+    sweeping: Sweeping = field(kw_only=True)
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         thought = self.consider(observation, occupancy)
@@ -93,15 +87,19 @@ class _InLanes(BeliefPilot):
 
 @dataclass(frozen=True, slots=True)
 class Hesitant(Belief):
-    """Keeps to the rest of its last way unless a new one is worth a step more."""
+    """Keeps to the rest of its last way unless a new one is worth more."""
+
+    more: float = 1.0
+    """Steps."""
 
     def begin(self, mission: Mission) -> BeliefPilot:
         """A pilot of its own."""
-        return _Hesitant(self, mission)
+        return _Hesitant(self, mission, more=self.more)
 
 
 @dataclass(slots=True)
 class _Hesitant(BeliefPilot):
+    more: float = field(kw_only=True)
     way: list[Pose] = field(default_factory=list)
 
     def consider(self, observation: Observation, occupancy: OccupancyMap) -> Thought:
@@ -111,7 +109,7 @@ class _Hesitant(BeliefPilot):
             rest = rest_of(self.way, travel, thought.moves)
             if len(rest) > 1 and rest[1] != plan.path[1]:
                 new, old = self.look_ahead.judge(self.prospect(thought, occupancy), travel, [plan.path, rest])
-                if new.value - old.value < WORTH_TURNING:
+                if new.value - old.value < self.more:
                     plan = old.plan
         self.way = [] if plan is None else plan.path
         return replace(thought, plan=plan)
@@ -143,7 +141,7 @@ VARIANTS: dict[str, tuple[str, AnyPlanner]] = {
 """Name → what is different, and the planner."""
 ON_WRECKS: dict[str, tuple[str, AnyPlanner]] = {
     "belief": VARIANTS["belief"],
-    "no-hull": ("a wreck is a reef to it", WithoutHull()),
+    "no-hull": ("no belief about the hull", WithoutHull()),
     **{name: VARIANTS[name] for name in ("greedy", "short", "narrow", "no-tour", "no-jump")},
 }
 
@@ -177,7 +175,8 @@ def main() -> int:
     parser.add_argument("--starts", nargs="+", type=int, default=[0], help="of each world's four")
     options = parser.parse_args()
     variants = ON_WRECKS if options.wrecks else VARIANTS
-    names = ["belief", *(name for name in options.only or variants if name != "belief")]
+    chosen = list(variants) if options.only is None else options.only
+    names = ["belief", *(name for name in chosen if name != "belief")]
     if unknown := set(names) - set(variants):
         parser.error(f"--only: expected some of {', '.join(variants)}, got {', '.join(sorted(unknown))}")
     worlds = [case for case in suite_named("dev") if (family_of(case.world) == "wreck") == options.wrecks]
@@ -190,8 +189,11 @@ def main() -> int:
     print(file=sys.stderr)
 
     found: dict[str, list[Row]] = {}
+    wanted = {(case.world, case.seed, case.start) for case in cases}
     for row in read_results(options.out).rows:
-        found.setdefault(row.planner, []).append(row)
+        # The folder may hold more than was asked for now.
+        if (row.world, row.seed, row.start) in wanted:
+            found.setdefault(row.planner, []).append(row)
     whole = values(found["belief"], DREAM_V1.cap)
     shown = {"seen": "seen, %", "stop": "own stop"}
     if not options.wrecks:
