@@ -16,6 +16,7 @@ import pytest
 from PIL import Image
 
 from dream.cli import run_command
+from dream.evaluation.metrics import COMPLETE
 from dream.evaluation.results import Row, read_results
 from dream.evaluation.statistics import interval, mean
 from dream.evaluation.suites import family_of
@@ -63,6 +64,33 @@ def test_the_readme_shows_the_tables_of_the_released_missions() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     for line in lines:
         assert line in readme
+
+
+def test_what_is_told_of_the_worlds_to_tune_on_is_as_released() -> None:
+    reefs: dict[str, list[Row]] = {}
+    for row in read_results(ROOT / "results/dev").rows:
+        if family_of(row.world) != "wreck":
+            reefs.setdefault(row.planner, []).append(row)
+
+    def soon(rows: list[Row]) -> float:
+        return statistics.fmean(200 if row.t98 is None else row.t98 for row in rows)
+
+    def stop(rows: list[Row]) -> float:
+        return statistics.fmean(200 if row.t_stop is None else row.t_stop for row in rows)
+
+    page = (ROOT / "docs/planner.md").read_text(encoding="utf-8")
+    belief, baselines = reefs.pop("belief"), {name for name in reefs if name != "sixsteps"}
+    assert min(baselines, key=lambda name: soon(reefs[name])) == "sweep-and-graze"
+    steps = f"98.26 % are seen after {soon(belief):.1f} steps and it stops by itself after {stop(belief):.1f}"
+    assert steps in page
+    assert all(row.success for row in belief)
+    assert len(reefs) == 6
+    for name, rows in reefs.items():
+        assert stop(rows) > stop(belief)
+        missed = statistics.fmean(row.instances < COMPLETE for row in rows)
+        seen = statistics.fmean(row.instances for row in rows)
+        shares = f"{100.0 * missed:.1f} % | {stop(rows):.1f} | {100.0 * seen:.2f} %"
+        assert f"| {name} | {shares} | {soon(rows):.1f} |" in page
 
 
 def test_what_a_sensor_that_errs_costs_is_told_as_released() -> None:
