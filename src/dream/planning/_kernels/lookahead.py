@@ -25,6 +25,8 @@ ROUNDING = 1e-4
 """Weight a step by which rounding may make a view better than another."""
 HALF_DIAGONAL = 0.708
 """Of a cell, in cells; rounded up."""
+FEW = 256
+"""Cells up to which it is worth finding which bearings lead over them; of more, all are followed."""
 FREE, UNKNOWN = 1, 2
 """A move over ground known to be free, and one against which nothing is known."""
 
@@ -79,9 +81,8 @@ def sight_lines(solid, changed, x0, y0, scale, limit, depth, which):
     for node in which:
         row, col = node // depth.shape[1], node % depth.shape[1]
         x, y = x0 + col * scale, y0 + row * scale
-        # To find which of them so many cells lie on takes longer than to follow all.
-        over[:] = len(changed) > BEARINGS
-        for k in range(len(changed) if len(changed) <= BEARINGS else 0):
+        over[:] = len(changed) > FEW
+        for k in range(0 if len(changed) > FEW else len(changed)):
             # A cell is crossed by rays that come within half its diagonal of its middle.
             dx, dy = changed[k, 1] + 0.5 - x, changed[k, 0] + 0.5 - y
             squared = dx * dx + dy * dy
