@@ -142,7 +142,10 @@ VARIANTS: dict[str, tuple[str, AnyPlanner]] = {
 ON_WRECKS: dict[str, tuple[str, AnyPlanner]] = {
     "belief": VARIANTS["belief"],
     "no-hull": ("no belief about the hull", WithoutHull()),
-    **{name: VARIANTS[name] for name in ("greedy", "short", "narrow", "no-tour", "no-jump")},
+    **{
+        name: VARIANTS[name]
+        for name in ("greedy", "short", "narrow", "no-tour", "no-discount", "no-cost", "no-jump")
+    },
 }
 
 

@@ -29,7 +29,7 @@ from dream.mapping import (
 from dream.mapping.prior import Prior
 from dream.planning import Belief, sentences
 from dream.planning.belief import GIVEN_UP, MOST_VISITS, BeliefPilot, Thought, _away_from_hull
-from dream.planning.distribution import Groups, expectation
+from dream.planning.distribution import Groups, calibrated, expectation
 from dream.planning.hull import PATCH
 from dream.planning.lookahead import LookAhead, Plan, Prospect
 from dream.planning.travel import careful_travel, nearest_open, travel_from
@@ -138,7 +138,7 @@ def test_a_mission_ends_by_itself_and_says_why(flown: Flown) -> None:
     why = flown.last.decision.reasoning
     assert "done" in why.action
     risk, accepted, *hull = map(float, re.findall(r"([\d.]+)%", why.completion))
-    assert risk <= accepted == 2.0
+    assert risk <= accepted == 0.2
     if hull:
         expected, enough = hull
         assert expected <= enough
@@ -521,7 +521,7 @@ def test_ground_that_cannot_be_seen_is_no_risk() -> None:
     decision = Belief(risk=0.0).begin(MISSION).decide(observation, _behind_a_wall())
     assert could_hide(_behind_a_wall(), Belief().size, NOTHING).sum() > 1000
     assert decision.done
-    assert "with a probability of 0.0%; 0.0% is accepted" in decision.reasoning.completion
+    assert "with a probability of 0.00%; 0.00% is accepted" in decision.reasoning.completion
     assert "and 0.00 groups in ground not searched" in decision.reasoning.distribution
 
 
@@ -546,7 +546,7 @@ def test_ground_looked_at_in_vain_often_enough_is_no_risk() -> None:
     assert not pilot.decide(observation, occupancy).done
     pilot.vain.count[~occupancy.observed] = pilot.patience + 2
     decision = pilot.decide(observation, occupancy)
-    assert "with a probability of 0.0%;" in decision.reasoning.completion
+    assert "with a probability of 0.00%;" in decision.reasoning.completion
     assert decision.done
 
 
@@ -684,8 +684,8 @@ def test_it_says_the_risk_and_the_groups_that_its_model_gives(over_the_reef: Flo
             hiding &= hiding_places(occupancy, observation.pose, planner.size * DREAM_V1.group_radius)
         hidden, whole = hiding.sum() * DREAM_V1.cell**2, AREA.width * AREA.depth
         groups = prior.after(len(completion.regions), whole - hidden)
-        risk = groups.risk(hidden)
-        assert f"with a probability of {risk:.1%}; {planner.risk:.1%} is accepted" in said.completion
+        risk = calibrated(groups.risk(hidden))
+        assert f"with a probability of {risk:.2%}; {planner.risk:.2%} is accepted" in said.completion
         expected = groups.intensity * hidden
         assert f"and {expected:.2f} groups in ground not searched" in said.distribution
         risks.add(round(risk, 2))

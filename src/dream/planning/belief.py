@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from dream.geometry import SE2
 from dream.planning import sentences
-from dream.planning.distribution import Groups, expectation
+from dream.planning.distribution import Groups, calibrated, expectation, uncalibrated
 from dream.planning.hull import PATCH, Hull
 from dream.planning.lookahead import NOTHING, LookAhead, Plan, Prospect
 from dream.planning.outlook import Listed, Outlook
@@ -72,7 +72,7 @@ class Belief:
     stops too early, which `--certify` never does.
     """
 
-    risk: float = 0.02
+    risk: float = 0.002
     """Probability of having missed a group with which the mission may end."""
     certify: bool = False
     """Be done only when all ground that can be seen was seen."""
@@ -154,7 +154,7 @@ class _Expected:
     hiding: BoolArray
     """(rows, cols) middles of groups that would not have been noticed."""
     risk: float
-    """Probability that there is such a group."""
+    """Probability that there is such a group, by how often that came true."""
     groups: float
     """How many are to be expected."""
     hull: FloatArray
@@ -346,7 +346,7 @@ class BeliefPilot:
                 worth[needed & unseen] = 1.1 * leave
             if part > 1:
                 # Nor any that could hold one, where hardly any risk is accepted.
-                each = leave * square * intensity / max(0.5 * self.planner.risk, 1e-9)
+                each = leave * square * intensity / max(0.5 * uncalibrated(self.planner.risk), 1e-9)
                 hiding[unknown] = min(each, 1.1 * leave)
             ahead = replace(
                 prospect, ground=self.outlook.on_tiles(worth), hiding=self.outlook.on_tiles(hiding)
@@ -462,7 +462,7 @@ class BeliefPilot:
         return _Expected(
             beside,
             hiding,
-            risk,
+            calibrated(risk),
             groups.intensity * hidden,
             hull,
             left / (self.hull.found + left) if left else 0.0,
@@ -479,7 +479,7 @@ class BeliefPilot:
         hiding: BoolArray,
         hidden: float,
     ) -> tuple[float, float]:
-        """The risk with a survey as far as it is believed, and `_Expected.rarity`.
+        """The risk, not calibrated, with a survey as far as it is believed, and `_Expected.rarity`.
 
         Where it saw no group one must have come since. How many do is learnt as the number of groups is, from
         those that came to such ground, and the ground of which it was searched again.

@@ -16,6 +16,11 @@ if TYPE_CHECKING:
 
 FloatArray = npt.NDArray[np.floating[Any]]
 
+STEEPER = 1.7
+"""Power of the odds of a risk at which they come true ..."""
+SCALE = 1.5
+"""... and what that is times. Both fitted on the reefs of the suite `dev` (`perf/stop.py`)."""
+
 
 def expectation(
     occupancy: OccupancyMap, radius: float, prior: float, prior_weight: float, where: BoolArray
@@ -85,3 +90,24 @@ class Groups:
     def risk(self, hidden: float) -> float:
         """Probability of at least one group on `hidden` square metres."""
         return float(1.0 - (self.area / (self.area + hidden)) ** self.shape)
+
+
+def calibrated(risk: float) -> float:
+    """How often what `Groups` gives a probability comes true.
+
+    Ground that is left to search comes in slivers, and a group that hid in one would mostly reach out of it.
+    So small risks come true less often than the process says, and great ones more often.
+
+    Reference: a line in log odds, as Platt (1999) calibrates scores.
+    """
+    return _odds_times(risk, SCALE, STEEPER)
+
+
+def uncalibrated(risk: float) -> float:
+    """The probability by `Groups` of what comes true as often as that."""
+    return _odds_times(risk, SCALE ** (-1.0 / STEEPER), 1.0 / STEEPER)
+
+
+def _odds_times(probability: float, scale: float, power: float) -> float:
+    for_it, against = scale * probability**power, (1.0 - probability) ** power
+    return float(for_it / (for_it + against))

@@ -89,7 +89,7 @@ def certainty(completion: Completion, risk: float, accepted: float) -> str:
     """Step 3, with the risk of stopping now."""
     return (
         f"{_enclosed(completion)}. "
-        f"To stop now would miss a group with a probability of {risk:.1%}; {accepted:.1%} is accepted."
+        f"To stop now would miss a group with a probability of {risk:.2%}; {accepted:.2%} is accepted."
     )
 
 
