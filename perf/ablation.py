@@ -3,6 +3,7 @@
     python perf/ablation.py --out ablation          goes on where it was broken off; 50 minutes on two cores
     python perf/ablation.py --out ablation --only "greedy" "no-tour"
     python perf/ablation.py --out ablation --starts 0 1 2    from more places in the same worlds
+    python perf/ablation.py --out fresh --fresh 25 --only no-cost    on 225 reefs that no suite has
     python perf/ablation.py --out wrecks --wrecks   the wrecks, by what is seen of them; half an hour
 
 What is not in it is flown as well: its certificate, lanes while no target was seen, and keeping to the last
@@ -37,6 +38,7 @@ from dream.planning.travel import Pose
 from dream.planning.walk import rest_of
 from dream.protocol import DREAM_V1
 from dream.types import Decision, Mission, Observation
+from stop import fresh_reefs
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,6 +176,9 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("ablation"), help="folder to keep the missions in")
     parser.add_argument("--jobs", type=int, default=processors(), help="missions at a time")
     parser.add_argument("--wrecks", action="store_true", help="those of the suite, instead of its reefs")
+    parser.add_argument(
+        "--fresh", type=int, metavar="N", help="N reefs of each family that no suite has, not those of `dev`"
+    )
     parser.add_argument("--only", nargs="*", help="variants to fly; the whole always is")
     parser.add_argument("--starts", nargs="+", type=int, default=[0], help="of each world's four")
     options = parser.parse_args()
@@ -182,9 +187,14 @@ def main() -> int:
     names = ["belief", *(name for name in chosen if name != "belief")]
     if unknown := set(names) - set(variants):
         parser.error(f"--only: expected some of {', '.join(variants)}, got {', '.join(sorted(unknown))}")
+    if options.wrecks and options.fresh is not None:
+        parser.error("--fresh: expected reefs, got --wrecks")
     worlds = [case for case in suite_named("dev") if (family_of(case.world) == "wreck") == options.wrecks]
+    if options.fresh is not None:
+        worlds = fresh_reefs(options.fresh)
+    suite = "dev" if options.fresh is None else "fresh"
     cases = tuple(replace(case, start=start) for start in sorted(set(options.starts)) for case in worlds)
-    plan = Plan("dev", cases, {name: variants[name][1] for name in names}, DREAM_V1)
+    plan = Plan(suite, cases, {name: variants[name][1] for name in names}, DREAM_V1)
     for done, ended in enumerate(fly_plan(plan, options.out, Processes(options.jobs)), start=1):
         if isinstance(ended.outcome, Failure):
             print(f"failed: {ended.key}: {ended.outcome}", file=sys.stderr)

@@ -11,6 +11,7 @@ of all doubt, and what the planner believed step by step tells where it would ha
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -44,6 +45,8 @@ from dream.types import Mission as MissionBrief
 RISKS = (0.5, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 0.002, 0.0001)
 FRESH = 310_001
 """Seed of the first reef of each family that no suite has."""
+BY_MODEL = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0)
+"""Between these, how often a risk that is not calibrated comes true."""
 RADII = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
 """Metres."""
 
@@ -89,6 +92,12 @@ class _Watched:
         return _WatchedPilot(Belief(risk=0.0), mission, said=self.said)
 
 
+def fresh_reefs(of_each: int) -> list[Case]:
+    """Reefs that no suite has: so many of each kind that is in `dev`."""
+    kinds = dict.fromkeys(case.world for case in suite_named("dev") if family_of(case.world) != "wreck")
+    return [Case(kind, FRESH + k) for kind in kinds for k in range(of_each)]
+
+
 def flown(task: tuple[Case, str]) -> Mission:
     """Fly it."""
     case, name = task
@@ -132,17 +141,25 @@ def intensity(area: npt.NDArray[np.float64], missed: npt.NDArray[np.bool_]) -> t
     return float(np.exp(best.x)), -float(best.fun)
 
 
-def odds_that_came(missions: list[Mission]) -> tuple[float, float]:
-    """`SCALE` and `STEEPER` of `dream.planning.distribution` that are likeliest, every world alike."""
-    told, missed, weights = [], [], []
-    for mission in missions:
+def told_and_came(
+    missions: list[Mission],
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.int64]]:
+    """At steps at which all regions were enclosed: the model's risk, was anything missed, which mission."""
+    told, came, which = [], [], []
+    for k, mission in enumerate(missions):
         closed = np.array(mission.closed)
-        if closed.any():
-            risk = [uncalibrated(risk) for risk in np.array(mission.risk)[closed]]
-            told.append(logit(np.clip(risk, 1e-6, 1.0 - 1e-6)))
-            missed.append(np.array(mission.coverage)[closed] < COMPLETE)
-            weights.append(np.full(len(risk), 1.0 / len(risk)))
-    odds, came, weight = (np.concatenate(parts) for parts in (told, missed, weights))
+        told.append([uncalibrated(float(risk)) for risk in np.array(mission.risk)[closed]])
+        came.append(np.array(mission.coverage)[closed] < COMPLETE)
+        which.append(np.full(np.count_nonzero(closed), k))
+    return np.concatenate(told), np.concatenate(came), np.concatenate(which)
+
+
+def odds_that_came(
+    told: npt.NDArray[np.float64], came: npt.NDArray[np.bool_], which: npt.NDArray[np.int64]
+) -> tuple[float, float]:
+    """`SCALE` and `STEEPER` of `dream.planning.distribution` that are likeliest, every mission alike."""
+    odds = logit(np.clip(told, 1e-6, 1.0 - 1e-6))
+    weight = 1.0 / np.bincount(which)[which]
 
     def unlikely(line: npt.NDArray[np.float64]) -> float:
         p = np.clip(expit(line[0] + line[1] * odds), 1e-9, 1.0 - 1e-9)
@@ -165,8 +182,7 @@ def main() -> int:
     protocol = protocol_named(options.protocol)
     cases = [case for case in suite_named("dev") if family_of(case.world) != "wreck"]
     if options.fresh is not None:
-        kinds = dict.fromkeys(case.world for case in cases)
-        cases = [Case(kind, FRESH + k) for kind in kinds for k in range(options.fresh)]
+        cases = fresh_reefs(options.fresh)
     missions: list[Mission] = []
     groups = [[(case, protocol.name)] for case in cases]
     for task, outcome in Processes(options.jobs).run(flown, groups):
@@ -195,8 +211,18 @@ def main() -> int:
             f"| belief, risk {accepted:g} | {np.mean(promised):.1%} | {np.mean(missed):.1%} "
             f"[{interval.low:.1%}, {interval.high:.1%}] | {np.mean(steps):.1f} | {np.mean(coverage):.2%} |"
         )
-    scale, power = odds_that_came(missions)
+    told, came, which = told_and_came(missions)
+    scale, power = odds_that_came(told, came, which)
     print(f"\nThe odds of the model come true {scale:.2f} times, to the power {power:.2f}")
+    print("\n| by the model | steps | missions | told, mean | came true |")
+    print("|---|--:|--:|--:|--:|")
+    for low, high in itertools.pairwise(BY_MODEL):
+        of_these = (low < told) & (told <= high)
+        if of_these.any():
+            print(
+                f"| {low:.0%} to {high:.0%} | {of_these.sum()} | {len(np.unique(which[of_these]))} | "
+                f"{told[of_these].mean():.1%} | {came[of_these].mean():.1%} |"
+            )
     steps_of = [
         (areas, share < COMPLETE)
         for mission in missions
