@@ -134,6 +134,10 @@ VARIANTS: dict[str, tuple[str, AnyPlanner]] = {
     "no-tour": ("sequences are judged by their own gain alone", replace(WHOLE, tour=0.0)),
     "no-discount": ("what is seen later is worth as much", replace(WHOLE, discount=1.0)),
     "no-cost": ("a step costs nothing", replace(WHOLE, step_cost=0.0)),
+    "no-haste": (
+        "a step costs nothing, and what is seen later is worth as much",
+        replace(WHOLE, discount=1.0, step_cost=0.0),
+    ),
     "no-jump": ("never straight to one far view while the sequence shows anything", replace(WHOLE, jump=0.0)),
     "small-groups": ("groups of 1.5 m radius hide, as the protocol promises", replace(WHOLE, size=1.0)),
     "certify": ("ends only when all that can be seen was", replace(WHOLE, certify=True)),

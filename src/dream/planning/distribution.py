@@ -93,10 +93,10 @@ class Groups:
 
 
 def calibrated(risk: float) -> float:
-    """How often what `Groups` gives a probability comes true.
+    """How often more than a success may was missed where `Groups` gives a probability of a hidden group.
 
-    Ground that is left to search comes in slivers, and a group that hid in one would mostly reach out of it.
-    So small risks come true less often than the process says, and great ones more often.
+    Where little ground is left to search it comes in slivers, and a group that hid in one would mostly reach
+    out of it: then less often than the process says. Where much is left, more often.
 
     Reference: a line in log odds, as Platt (1999) calibrates scores.
     """
