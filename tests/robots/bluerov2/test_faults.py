@@ -111,20 +111,25 @@ def test_a_computer_that_stands_still_is_told() -> None:
 
 
 @dataclass(frozen=True)
-class Drilled:
-    """What came of the faults that heal, one after the other on one vehicle, and of one that does not."""
+class End:
+    """What came of a fault that does not heal."""
 
-    outcomes: dict[str, Outcome]
-    over: Standing
     did: str
-    """What it did first where that ended."""
-    stalled: bool
-    """The computer stood still meanwhile, which is told first."""
+    """What it did first."""
+    over: Standing
     since_over: float
     """Seconds that were watched after the battery had recovered."""
     moved_since_over: list[float]
     """When, since the dive was over, something was sent that can move the vehicle."""
     stance: Stance
+
+
+@dataclass(frozen=True)
+class Drilled:
+    """What came of the faults that heal, one after the other on one vehicle, and of one that does not."""
+
+    outcomes: dict[str, Outcome]
+    end: End
     log_lost: dict[str, int]
 
 
@@ -138,21 +143,32 @@ def flat(drill: Drill) -> None:
         drill.standin.tank.drain(13.5)
 
 
+def ended(drill: Drill) -> End:
+    topside = drill.topside
+    did = drill.suffer(Fault("the battery falls to 13.5 V", flat, lasts=SAG + 1.5)).did
+    at_the_end, over = next(entry for entry in topside.said if entry[1].stance is Stance.OVER)
+    full_again(drill)
+    topside.go()
+    time.sleep(2.5)
+    moved = [at - at_the_end for at in topside.moves if at > at_the_end]
+    stance = topside.bridge.standing.stance
+    return End(did, over, topside.now() - at_the_end, moved, stance)
+
+
 @pytest.fixture(scope="module")
 def drilled(tmp_path_factory: pytest.TempPathFactory) -> Drilled:
     faults = {fault.name: fault for fault in HEALING_FAULTS}
     with Drill(tmp_path_factory.mktemp("faults")) as drill:
         outcomes = {name: suffered(drill, faults[name]) for name in DRILLED}
-        topside = drill.topside
-        with Stalls() as stalls:
-            did = drill.suffer(Fault("the battery falls to 13.5 V", flat, lasts=SAG + 1.5)).did
-        ended, over = next(entry for entry in topside.said if entry[1].stance is Stance.OVER)
-        full_again(drill)
-        topside.go()
-        time.sleep(2.5)
-        moved = [at - ended for at in topside.moves if at > ended]
-        watched, stance = topside.now() - ended, topside.bridge.standing.stance
-    return Drilled(outcomes, over, did, stalls.worst >= STALL, watched, moved, stance, topside.log.lost)
+        end, log_lost = ended(drill), drill.topside.log.lost
+    # On a computer that is busy something else may be lost for a moment first. What is over stays so, and the
+    # fault is begun once more on another vehicle.
+    for _ in range(TRIES - 1):
+        if end.did.startswith("over"):
+            break
+        with Drill(tmp_path_factory.mktemp("faults")) as drill:
+            end = ended(drill)
+    return Drilled(outcomes, end, log_lost)
 
 
 @pytest.mark.slow
@@ -189,12 +205,13 @@ def test_a_reason_is_told(drilled: Drilled) -> None:
 
 @pytest.mark.slow
 def test_a_dive_that_is_over_is_never_moved_again(drilled: Drilled) -> None:
-    assert drilled.did.startswith("over") or drilled.stalled
-    assert "battery" in drilled.over.reason
+    end = drilled.end
+    assert end.did.startswith("over")
+    assert "battery" in end.over.reason
     # The battery has recovered, and there is a new goal; both came too late.
-    assert drilled.stance is Stance.OVER
-    assert drilled.since_over > 2.0
-    assert max(drilled.moved_since_over, default=0.0) <= LIMIT
+    assert end.stance is Stance.OVER
+    assert end.since_over > 2.0
+    assert max(end.moved_since_over, default=0.0) <= LIMIT
 
 
 @pytest.mark.slow
