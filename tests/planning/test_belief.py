@@ -649,11 +649,11 @@ def test_it_says_which_regions_are_enclosed_and_which_is_worked_on(flown: Flown)
     assert worked_on or not flown.last.occupancy.target.any() or len(flown.asked) < 6
 
 
-def test_it_says_what_it_expects_beside_targets(over_the_reef: Flown) -> None:
-    planner, some = over_the_reef.planner, 0
+def test_it_says_what_it_expects_beside_targets() -> None:
+    planner, some = Belief(glimpse=1.0), 0
     evidence = planner.kernel * DREAM_V1.group_radius
-    for observation, occupancy, decision in over_the_reef.asked[::2]:
-        match = re.search(r"Beside known targets (\S+) m² more", decision.reasoning.distribution)
+    for observation, occupancy, decision in _fly(REEF, planner).asked[::2]:
+        match = re.search(r"Beside targets seen or glimpsed (\S+) m² more", decision.reasoning.distribution)
         assert match
         regions = check_completion(occupancy, observation.pose).regions
         expected = np.zeros(occupancy.shape)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from dream.geometry import SE2
 from dream.planning import sentences
 from dream.planning.distribution import Groups, calibrated, expectation, uncalibrated
+from dream.planning.glimpses import Glimpses
 from dream.planning.hull import PATCH, Hull
 from dream.planning.lookahead import NOTHING, LookAhead, Plan, Prospect
 from dream.planning.outlook import Listed, Outlook
@@ -23,7 +24,7 @@ from dream.planning.travel import Pose, Travel, careful_standoff, careful_travel
 from dream.planning.vain import VainLooks
 from dream.planning.views import all_views_from
 from dream.planning.walk import Walk
-from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
+from dream.types import BoolArray, Decision, Float32Array, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
@@ -47,7 +48,7 @@ NEAR = 5
 """Steps within which the hull's views are worked out for every second node; within twice as many for every
 fourth, for every sixteenth beyond."""
 LEAVE = 0.015
-"""Share of the targets, seen and foretold, that a way round them may leave."""
+"""Share of the targets, seen and foretold or hinted at, that may be left."""
 MOST_VISITS = 3
 """Of a pose without anything new: then what it headed for is given up; after twice as many, leftovers too."""
 GIVEN_UP = np.iinfo(np.uint16).max // 2
@@ -96,6 +97,8 @@ class Belief:
     # Well below what is aimed at: the estimate does not foresee what can be seen from a few places only.
     hull_left: float = 0.005
     """Share of a hull that may be unseen when the mission ends, by the planner's own estimate."""
+    glimpse: float = 2.5
+    """How far frames are looked at for hints of targets, in reaches (8 m under dream-v1); 1 takes none."""
     search: float = 0.05
     """Square metres of targets to be expected for a square metre on which the middle of a group could lie."""
     alone: float = 0.05
@@ -129,6 +132,7 @@ class Belief:
         check_range("prior_weight", self.prior_weight, 1e-6, 100.0)
         check_range("open_edge", self.open_edge, 0.0, 1.0)
         check_range("hull_left", self.hull_left, 0.0, 1.0)
+        check_range("glimpse", self.glimpse, 1.0, 100.0)
         check_range("search", self.search, 1e-6, 1.0)
         check_range("alone", self.alone, 0.0, 1.0)
         check_range("eager", self.eager, 0.0, 1000.0)
@@ -165,6 +169,8 @@ class _Expected:
     """(rows, cols) metres to the nearest target that stands up; None where there is no hull."""
     rarity: float
     """How many times as many groups are to be expected where an earlier survey saw none."""
+    hinted: float
+    """Square metres of targets, where some were hinted at beyond the reach and nothing was observed yet."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,6 +211,8 @@ class BeliefPilot:
     """(rows, cols) cells that are not worth another try to traverse them."""
     recall: Recall | None = field(init=False)
     """None where there is no earlier survey."""
+    glimpses: Glimpses | None = field(init=False)
+    """None where no frame is looked at beyond the reach."""
     rounds: Rounds = field(default_factory=Rounds)
     visits: Counter[Pose] = field(default_factory=Counter)
     """How often a pose was returned to since anything was new."""
@@ -219,6 +227,8 @@ class BeliefPilot:
         self.passed_in_vain = np.zeros_like(self.vain.observed)
         self.patience = self.planner.patience
         self.recall = None if self.mission.prior is None else Recall(self.mission.prior, self.size)
+        farthest = self.planner.glimpse * self.mission.protocol.reach
+        self.glimpses = Glimpses(self.mission, farthest) if self.planner.glimpse > 1.0 else None
 
     @property
     def size(self) -> float:
@@ -257,6 +267,8 @@ class BeliefPilot:
         self.outlook.update(occupancy, foretold)
         self.hull.integrate(observation)
         self._try_hull(here)
+        if self.glimpses is not None:
+            self.glimpses.add(observation, occupancy)
         # Beside a hull every place counts that the guard allows.
         away_from_hull = _away_from_hull(occupancy)
         travel = careful_travel(pose, occupancy) if away_from_hull is None else travel_from(pose, occupancy)
@@ -273,9 +285,12 @@ class BeliefPilot:
             target_area=sentences.target_area(area, completion),
             completion=self._certainty(completion, expected, occupancy),
         )
+        told = reasoning.distribution
+        if self.glimpses is not None:
+            told += sentences.hinted(expected.hinted, self.glimpses.precision)
         if self.recall is not None:
-            told = reasoning.distribution + sentences.recalled(self.recall, occupancy)
-            reasoning = replace(reasoning, distribution=told)
+            told += sentences.recalled(self.recall, occupancy)
+        reasoning = replace(reasoning, distribution=told)
         if self.walk is not None:
             reasoning = replace(
                 reasoning, completion=reasoning.completion + sentences.traversal(occupancy, completion)
@@ -283,7 +298,9 @@ class BeliefPilot:
             if len(completion.untraversed):
                 reasoning = replace(reasoning, target_area=sentences.left_to_traverse(occupancy, completion))
         thought = Thought(protocol.snap(pose), travel, moves, completion, expected, reasoning)
-        enclosed = completion.complete and bool(completion.regions)
+        square = protocol.cell**2
+        leave = LEAVE * (square * np.count_nonzero(occupancy.target) + expected.hinted)
+        enclosed = completion.complete and bool(completion.regions) and expected.hinted <= leave
         looked_over = expected.hull_left <= self.planner.hull_left
         if enclosed and looked_over and expected.risk <= self.planner.risk:
             return replace(thought, why=sentences.enough(self._given_up(occupancy)))
@@ -427,15 +444,13 @@ class BeliefPilot:
         from dream.mapping import could_hide, that_would_show, within
 
         planner, protocol = self.planner, self.mission.protocol
-        cell, evidence = protocol.cell, planner.kernel * protocol.group_radius
-        beside = np.zeros(occupancy.shape, np.float32)
-        if completion.regions:
-            near = within(occupancy.target, 2.0 * evidence, cell)
-            beside = expectation(occupancy, evidence, planner.prior, planner.prior_weight, near)
-            row, col = completion.open_cells.T
-            # A hole far from all targets must be closed, but holds none more likely than other ground does.
-            least = np.where(near[row, col], planner.open_edge, planner.search)
-            beside[row, col] = np.maximum(beside[row, col], least)
+        cell = protocol.cell
+        # Of a hull more is believed than hints tell; see `Hull`.
+        glimpses = self.glimpses if away_from_hull is None else None
+        beside, hinted = self._beside(occupancy, completion, glimpses), 0.0
+        if glimpses is not None:
+            hoped_for = glimpses.hints(occupancy) & (self.vain.count < self.patience)
+            hinted = float(beside[hoped_for].sum()) * cell**2
         places = self._places(occupancy, pose)
         hopeless = ~within(places, protocol.reach, cell) | (self.vain.count >= self.patience)
         hiding = could_hide(occupancy, self.size, hopeless)
@@ -468,7 +483,32 @@ class BeliefPilot:
             left / (self.hull.found + left) if left else 0.0,
             away_from_hull,
             rarity,
+            hinted,
         )
+
+    def _beside(
+        self, occupancy: OccupancyMap, completion: Completion, glimpses: Glimpses | None
+    ) -> Float32Array:
+        """(rows, cols) probability of a target beside those that were seen or hinted at."""
+        from dream.mapping import within
+
+        planner, cell = self.planner, self.mission.protocol.cell
+        hints, evidence = np.zeros_like(occupancy.target), None
+        if glimpses is not None:
+            hints, evidence = glimpses.hints(occupancy), glimpses.evidence(occupancy)
+        if not completion.regions and not hints.any():
+            return np.zeros(occupancy.shape, np.float32)
+        blur = planner.kernel * self.mission.protocol.group_radius
+        near = within(occupancy.target | hints, 2.0 * blur, cell)
+        beside = expectation(occupancy, blur, planner.prior, planner.prior_weight, near, evidence)
+        if glimpses is not None:
+            beside = glimpses.weighed(beside, occupancy)
+        if completion.regions:
+            row, col = completion.open_cells.T
+            # A hole far from all targets must be closed, but holds none more likely than other ground does.
+            least = np.where(near[row, col], planner.open_edge, planner.search)
+            beside[row, col] = np.maximum(beside[row, col], least)
+        return beside
 
     def _with_survey(
         self,
@@ -554,6 +594,8 @@ class BeliefPilot:
         hiding = np.where(expected.hiding, search * square, 0.0)
         if self.recall is not None:
             hiding[self.recall.empty] *= expected.rarity
+        if self.glimpses is not None and expected.away_from_hull is None:
+            hiding *= self.glimpses.unnoticed(self.size, occupancy)
         return Prospect(
             self.outlook,
             ground=self.outlook.on_tiles(ground),

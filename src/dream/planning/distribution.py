@@ -9,12 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.planning.parameters import check_range
-from dream.types import BoolArray
+from dream.types import BoolArray, Float32Array
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
 
 FloatArray = npt.NDArray[np.floating[Any]]
+Cells = BoolArray | Float32Array
 
 STEEPER = 1.7
 """Power of the odds of a risk at which they come true ..."""
@@ -23,7 +24,12 @@ SCALE = 1.5
 
 
 def expectation(
-    occupancy: OccupancyMap, radius: float, prior: float, prior_weight: float, where: BoolArray
+    occupancy: OccupancyMap,
+    radius: float,
+    prior: float,
+    prior_weight: float,
+    where: BoolArray,
+    evidence: tuple[Cells, Cells] | None = None,
 ) -> npt.NDArray[np.float32]:
     """(rows, cols) probability of a target in every cell not observed that is asked about, 0 elsewhere.
 
@@ -36,18 +42,20 @@ def expectation(
         prior: Probability in a cell about which nothing is known.
         prior_weight: How much blurred evidence the prior is worth.
         where: (rows, cols) the cells asked about.
+        evidence: (rows, cols) of targets and of ground, as shares of cells; those of the map unless given.
     """
     where = where & ~occupancy.observed
-    targets = blurred(occupancy.target, radius, occupancy, where)
-    observed = blurred(occupancy.seen, radius, occupancy, where)
+    of_targets, of_ground = (occupancy.target, occupancy.seen) if evidence is None else evidence
+    targets = blurred(of_targets, radius, occupancy, where)
+    observed = blurred(of_ground, radius, occupancy, where)
     p = (targets + prior * prior_weight) / (observed + prior_weight)
     return np.where(where, np.clip(p, 0.0, 1.0), 0.0).astype(np.float32)
 
 
 def blurred(
-    mask: BoolArray, radius: float, occupancy: OccupancyMap, where: BoolArray
+    cells: Cells, radius: float, occupancy: OccupancyMap, where: BoolArray
 ) -> npt.NDArray[np.float32]:
-    """(rows, cols) share of the cells around that are in the mask, weighted by a Gaussian of `radius` metres.
+    """(rows, cols) mean of the cells around, weighted by a Gaussian of `radius` metres: of a mask, its share.
 
     What lies outside the bounds is neither in the mask nor missing from it: it counts as the edge does.
     Cells not asked about have 0.
@@ -57,7 +65,7 @@ def blurred(
     sigma = radius / occupancy.protocol.cell
     far = int(3.0 * sigma + 0.5)
     weights = np.exp(-0.5 / sigma**2 * np.arange(-far, far + 1) ** 2)
-    shares: npt.NDArray[np.float32] = blur(mask, (weights / weights.sum())[far:], where)
+    shares: npt.NDArray[np.float32] = blur(cells, (weights / weights.sum())[far:], where)
     return shares
 
 

@@ -40,11 +40,21 @@ def distribution(occupancy: OccupancyMap, completion: Completion) -> str:
 
 
 def expectations(beside: npt.NDArray[np.floating[Any]], groups: float, occupancy: OccupancyMap) -> str:
-    """Step 1 in figures: what is to be expected beside known targets and away from them."""
+    """Step 1 in figures: what is to be expected beside targets and away from them."""
     area = float(beside.sum()) * occupancy.protocol.cell**2
     return (
-        f" Beside known targets {area:.1f} m² more are to be expected, "
+        f" Beside targets seen or glimpsed {area:.1f} m² more are to be expected, "
         f"and {groups:.2f} groups in ground not searched."
+    )
+
+
+def hinted(area: float, precision: float) -> str:
+    """Step 1: how many square metres of that are hints from beyond the reach, and how far believed."""
+    if area < 0.05:
+        return ""
+    return (
+        f" Of that {area:.1f} m² lie where targets were glimpsed beyond the reach; "
+        f"such hints are taken to come true to {precision:.0%}."
     )
 
 
