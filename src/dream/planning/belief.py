@@ -459,7 +459,8 @@ class BeliefPilot:
             # But places that the vehicle might yet get to may see more than that; only elsewhere it is asked.
             hopeful = within(places & ~occupancy.observed, protocol.reach, cell)
             hiding &= hopeful | that_would_show(occupancy, pose, self.size, hiding & ~hopeful)
-        hidden = float(hiding.sum()) * cell**2
+        unnoticed = None if glimpses is None else glimpses.unnoticed(self.size, occupancy)
+        hidden = float((hiding if unnoticed is None else unnoticed[hiding]).sum()) * cell**2
         searched = np.count_nonzero(occupancy.to_see) * cell**2 - hidden
         groups = Groups(planner.groups, planner.searched).after(len(completion.regions), searched)
         hull = self._expected_hull(occupancy, away_from_hull)

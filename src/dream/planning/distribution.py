@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 FloatArray = npt.NDArray[np.floating[Any]]
 Cells = BoolArray | Float32Array
 
-STEEPER = 1.7
+STEEPER = 2.5
 """Power of the odds of a risk at which they come true ..."""
-SCALE = 1.5
+SCALE = 10.0
 """... and what that is times. Both fitted on the reefs of the suite `dev` (`perf/stop.py`)."""
 
 
