@@ -8,7 +8,8 @@ Each world is flown once to the end of all doubt. At every fifth decision each c
 that was by the end, is a forecast, held against whether it was a target cell in the end. Beside known targets
 the forecast is the planner's kernel estimate. Anywhere else it is that of a cell in a group of the size that
 it searches for, whose middle lies where one could hide: 1 − exp(−λ A), with λ the groups to be expected per
-square metre and A the ground within that size where a middle could hide.
+square metre and A the ground within that size where a middle could hide. Hints from beyond the reach are left
+out, of which `perf/stop.py` tells how often they come true.
 """
 
 from __future__ import annotations
@@ -117,7 +118,7 @@ class _Watched:
     forecasts: list[_Forecast | None] = field(default_factory=list)
 
     def begin(self, mission: MissionBrief) -> _WatchedPilot:
-        return _WatchedPilot(Belief(risk=0.0), mission, forecasts=self.forecasts)
+        return _WatchedPilot(Belief(risk=0.0, glimpse=1.0), mission, forecasts=self.forecasts)
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,7 +32,7 @@ from dream.mapping import OccupancyMap, could_hide
 from dream.mapping.completion import Completion
 from dream.mission import explore
 from dream.planning import Belief
-from dream.planning.belief import BeliefPilot, _Expected
+from dream.planning.belief import LEAVE, BeliefPilot, _Expected
 from dream.planning.distribution import uncalibrated
 from dream.protocol import protocol_named
 from dream.robots import Teleport
@@ -57,13 +57,15 @@ class Mission:
 
     coverage: tuple[float, ...]
     closed: tuple[bool, ...]
-    """Were there regions, and all of them enclosed?"""
+    """Were there regions, all of them enclosed, and hardly any hints of targets left to look at?"""
     risk: tuple[float, ...]
     """As the planner believed it."""
     ended: bool
     """Whether it ended by itself in the end, whatever risk was left."""
     hidden: tuple[tuple[float, ...], ...]
     """Square metres where the middle of a group of each of `RADII` would not have been noticed."""
+    hints: tuple[float, float, float, float]
+    """Square metres: `came_true`, `hinted`, `foreseen` and `found` of the planner's `Glimpses` in the end."""
 
 
 @dataclass(slots=True)
@@ -78,7 +80,9 @@ class _WatchedPilot(BeliefPilot):
         away_from_hull: npt.NDArray[np.floating[Any]] | None,
     ) -> _Expected:
         expected = BeliefPilot._expected(self, occupancy, completion, pose, away_from_hull)
-        self.said.append((completion.complete and bool(completion.regions), expected.risk))
+        targets = np.count_nonzero(occupancy.target) * self.mission.protocol.cell**2
+        looked = expected.hinted <= LEAVE * (targets + expected.hinted)
+        self.said.append((completion.complete and bool(completion.regions) and bool(looked), expected.risk))
         return expected
 
 
@@ -87,9 +91,12 @@ class _Watched:
     """The planner, and what it believed at each decision: is all enclosed, and the risk."""
 
     said: list[tuple[bool, float]] = field(default_factory=list)
+    pilots: list[BeliefPilot] = field(default_factory=list)
 
     def begin(self, mission: MissionBrief) -> _WatchedPilot:
-        return _WatchedPilot(Belief(risk=0.0), mission, said=self.said)
+        pilot = _WatchedPilot(Belief(risk=0.0), mission, said=self.said)
+        self.pilots.append(pilot)
+        return pilot
 
 
 def fresh_reefs(of_each: int) -> list[Case]:
@@ -122,7 +129,10 @@ def flown(task: tuple[Case, str]) -> Mission:
         area = tuple(
             float(could_hide(step.occupancy, radius, nothing).sum()) * protocol.cell**2 for radius in RADII
         )
-    return Mission(tuple(coverage), tuple(closed), tuple(risk), step.ended == "done", tuple(hidden))
+    glimpses = planner.pilots[-1].glimpses
+    assert glimpses is not None
+    hints = (glimpses.came_true, glimpses.hinted, glimpses.foreseen, glimpses.found)
+    return Mission(tuple(coverage), tuple(closed), tuple(risk), step.ended == "done", tuple(hidden), hints)
 
 
 def intensity(area: npt.NDArray[np.float64], missed: npt.NDArray[np.bool_]) -> tuple[float, float]:
@@ -229,6 +239,13 @@ def main() -> int:
     for k, radius in enumerate(RADII):
         found, likelihood = intensity(areas[:, k], came)
         print(f"| {radius:g} m | {1000.0 * found:.2f} | {likelihood:.0f} |")
+    true, hinted, foreseen, found = np.array([mission.hints for mission in missions]).T
+    print(
+        f"\nOf hints of targets from beyond the reach {true.sum() / hinted.sum():.1%} came true ("
+        f"{(true / hinted).min():.1%} to {(true / hinted).max():.1%} by mission); of targets in ground that was "
+        f"glimpsed first {foreseen.sum() / found.sum():.1%} had been hinted at "
+        f"({(foreseen / found).min():.1%} to {(foreseen / found).max():.1%})"
+    )
     if options.bench is not None:
         print("\n| stop | missed 98.26 % | mean step | mean coverage | 98.26 % seen after |")
         print("|---|--:|--:|--:|--:|")
