@@ -240,12 +240,14 @@ def main() -> int:
         found, likelihood = intensity(areas[:, k], came)
         print(f"| {radius:g} m | {1000.0 * found:.2f} | {likelihood:.0f} |")
     true, hinted, foreseen, found = np.array([mission.hints for mission in missions]).T
-    print(
-        f"\nOf hints of targets from beyond the reach {true.sum() / hinted.sum():.1%} came true ("
-        f"{(true / hinted).min():.1%} to {(true / hinted).max():.1%} by mission); of targets in ground that was "
-        f"glimpsed first {foreseen.sum() / found.sum():.1%} had been hinted at "
-        f"({(foreseen / found).min():.1%} to {(foreseen / found).max():.1%})"
-    )
+    for what, part, whole in (
+        ("came true", true, hinted),
+        ("of targets were hinted at first", foreseen, found),
+    ):
+        shares = part / whole
+        print(
+            f"Hints: {part.sum() / whole.sum():.1%} {what}; {shares.min():.1%} to {shares.max():.1%} by mission"
+        )
     if options.bench is not None:
         print("\n| stop | missed 98.26 % | mean step | mean coverage | 98.26 % seen after |")
         print("|---|--:|--:|--:|--:|")
