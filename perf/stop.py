@@ -244,10 +244,8 @@ def main() -> int:
         ("came true", true, hinted),
         ("of targets were hinted at first", foreseen, found),
     ):
-        shares = part / whole
-        print(
-            f"Hints: {part.sum() / whole.sum():.1%} {what}; {shares.min():.1%} to {shares.max():.1%} by mission"
-        )
+        shares, all_of_them = part / whole, part.sum() / whole.sum()
+        print(f"Hints: {all_of_them:.1%} {what}; {shares.min():.1%} to {shares.max():.1%} by mission")
     if options.bench is not None:
         print("\n| stop | missed 98.26 % | mean step | mean coverage | 98.26 % seen after |")
         print("|---|--:|--:|--:|--:|")

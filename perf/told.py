@@ -57,6 +57,8 @@ BESIDE = 4.0
 """Metres from seen targets up to which `belief` expects more of them by what it saw."""
 PARTS = range(260_001, 260_017)
 """Seeds of the reefs of which parts are told; no suite has them."""
+UNTOLD = Belief(glimpse=1.0)
+"""Without hints from beyond the reach, which tell the usual planner much of the same."""
 NEAR_TOLD, FAR_TOLD = "told of what is near", "told of what is far"
 
 
@@ -171,7 +173,7 @@ class _Told:
     knows: dict[str, Any]
 
     def begin(self, mission: Mission) -> BeliefPilot:
-        return self.pilot(Belief(), mission, **self.knows)
+        return self.pilot(UNTOLD, mission, **self.knows)
 
 
 def fly(case: Case) -> tuple[Case, dict[str, tuple[int | None, float]]]:
@@ -190,7 +192,7 @@ def fly(case: Case) -> tuple[Case, dict[str, tuple[int | None, float]]]:
             name: _Told(_ToldOfReefPilot, {**knows, "way_round": way_round})
             for name, way_round in (("told", False), ("told, way round", True))
         }
-    for name, planner in {"belief": Belief(), **told}.items():
+    for name, planner in {"belief": UNTOLD, **told}.items():
         found[name] = _steps(world, planner, visibility, renderer, case.start)
     limits = known_bounds(DREAM_V1.name, case.world, case.seed, case.start, world_hash(world))
     if limits is None:
@@ -205,7 +207,7 @@ def fly_told_of_parts(case: Case) -> dict[str, int]:
     world = make_world(case.world, case.seed)
     visibility, renderer = Visibility(world, DREAM_V1), Renderer(world)
     planners: dict[str, AnyPlanner | _Told] = {
-        "belief": Belief(),
+        "belief": UNTOLD,
         NEAR_TOLD: _Told(_ToldOfPartPilot, {"visibility": visibility, "beside": True}),
         FAR_TOLD: _Told(_ToldOfPartPilot, {"visibility": visibility, "beside": False}),
     }
