@@ -33,7 +33,7 @@ from dream.mapping.completion import Completion
 from dream.mission import explore
 from dream.planning import Belief
 from dream.planning.belief import LEAVE, BeliefPilot, _Expected
-from dream.planning.distribution import uncalibrated
+from dream.planning.distribution import GLIMPSED
 from dream.protocol import protocol_named
 from dream.robots import Teleport
 from dream.sim.render import Renderer
@@ -158,7 +158,7 @@ def told_and_came(
     told, came, which = [], [], []
     for k, mission in enumerate(missions):
         closed = np.array(mission.closed)
-        told.append([uncalibrated(float(risk)) for risk in np.array(mission.risk)[closed]])
+        told.append([GLIMPSED.uncalibrated(float(risk)) for risk in np.array(mission.risk)[closed]])
         came.append(np.array(mission.coverage)[closed] < COMPLETE)
         which.append(np.full(np.count_nonzero(closed), k))
     return np.concatenate(told), np.concatenate(came), np.concatenate(which)
@@ -167,7 +167,7 @@ def told_and_came(
 def odds_that_came(
     told: npt.NDArray[np.float64], came: npt.NDArray[np.bool_], which: npt.NDArray[np.int64]
 ) -> tuple[float, float]:
-    """`SCALE` and `STEEPER` of `dream.planning.distribution` that are likeliest, every mission alike."""
+    """`Calibration` of `dream.planning.distribution` that is likeliest, every mission alike."""
     odds = logit(np.clip(told, 1e-6, 1.0 - 1e-6))
     weight = 1.0 / np.bincount(which)[which]
 
@@ -244,7 +244,7 @@ def main() -> int:
         ("came true", true, hinted),
         ("of targets were hinted at first", foreseen, found),
     ):
-        shares, all_of_them = part / whole, part.sum() / whole.sum()
+        shares, all_of_them = part[whole > 0.0] / whole[whole > 0.0], part.sum() / whole.sum()
         print(f"Hints: {all_of_them:.1%} {what}; {shares.min():.1%} to {shares.max():.1%} by mission")
     if options.bench is not None:
         print("\n| stop | missed 98.26 % | mean step | mean coverage | 98.26 % seen after |")

@@ -29,7 +29,7 @@ from dream.mapping import (
 from dream.mapping.prior import Prior
 from dream.planning import Belief, sentences
 from dream.planning.belief import GIVEN_UP, MOST_VISITS, BeliefPilot, Thought, _away_from_hull
-from dream.planning.distribution import Groups, calibrated, expectation
+from dream.planning.distribution import GLIMPSED, OBSERVED, Groups, expectation
 from dream.planning.hull import PATCH
 from dream.planning.lookahead import LookAhead, Plan, Prospect
 from dream.planning.travel import careful_travel, nearest_open, travel_from
@@ -525,6 +525,49 @@ def test_ground_that_cannot_be_seen_is_no_risk() -> None:
     assert "and 0.00 groups in ground not searched" in decision.reasoning.distribution
 
 
+def test_hints_that_no_place_can_see_do_not_keep_it_going() -> None:
+    observation = observed_at(-6.0, -4.0, 0.0)
+    for beyond, done in ((np.s_[:, 50:70, 60:80], True), (np.s_[:, 50:70, 20:30], False)):
+        pilot = Belief(risk=0.5).begin(MISSION)
+        assert pilot.glimpses is not None
+        pilot.glimpses._pixels[beyond] = 10
+        unseen = map_with(
+            solid=_behind_a_wall().solid,
+            explored=_behind_a_wall().explored & all_but(beyond[1:]),
+            target=_behind_a_wall().target,
+        )
+        assert pilot.decide(observation, unseen).done == done
+
+
+def test_the_risk_knows_what_was_glimpsed(over_the_reef: Flown) -> None:
+    planner, less = over_the_reef.planner, 0
+    size, square = planner.size * DREAM_V1.group_radius, DREAM_V1.cell**2
+    for observation, occupancy, _ in over_the_reef.asked[::3]:
+        pilot = planner.begin(MISSION)
+        said = pilot.decide(observation, occupancy).reasoning.completion
+        completion = check_completion(occupancy, observation.pose)
+        hiding = could_hide(occupancy, size, NOTHING)
+        if completion.complete:
+            hiding &= hiding_places(occupancy, observation.pose, size)
+        assert pilot.glimpses is not None
+        hidden = float(pilot.glimpses.unnoticed(size, occupancy)[hiding].sum()) * square
+        groups = Groups(planner.groups, planner.searched)
+        groups = groups.after(len(completion.regions), AREA.width * AREA.depth - hidden)
+        assert f"with a probability of {GLIMPSED.calibrated(groups.risk(hidden)):.2%};" in said
+        less += hidden < hiding.sum() * square
+    assert less
+
+
+def test_in_a_tank_and_with_a_survey_no_hints_are_taken() -> None:
+    tank = Mission(protocol_named("pool-v1"), Bounds(-3.0, -3.0, 3.0, 3.0), 100)
+    told = np.zeros((SIDE, SIDE), np.float32)
+    survey = replace(MISSION, prior=Prior(AREA, DREAM_V1.cell, told, NOTHING, years=1.0))
+    for mission in (tank, survey):
+        pilot = Belief().begin(mission)
+        assert pilot.glimpses is None
+        assert pilot.calibration is OBSERVED
+
+
 def test_while_a_region_is_open_no_group_is_expected_farther_than_any_view_reaches() -> None:
     occupancy, observation = _behind_a_wall(), observed_at(-6.0, -4.0, 0.0)
     explored = occupancy.explored.copy()
@@ -684,7 +727,7 @@ def test_it_says_the_risk_and_the_groups_that_its_model_gives(over_the_reef: Flo
             hiding &= hiding_places(occupancy, observation.pose, planner.size * DREAM_V1.group_radius)
         hidden, whole = hiding.sum() * DREAM_V1.cell**2, AREA.width * AREA.depth
         groups = prior.after(len(completion.regions), whole - hidden)
-        risk = calibrated(groups.risk(hidden))
+        risk = OBSERVED.calibrated(groups.risk(hidden))
         assert f"with a probability of {risk:.2%}; {planner.risk:.2%} is accepted" in said.completion
         expected = groups.intensity * hidden
         assert f"and {expected:.2f} groups in ground not searched" in said.distribution

@@ -14,13 +14,12 @@ from scipy.ndimage import gaussian_filter
 from dream.geometry import Bounds
 from dream.mapping import OccupancyMap, could_hide
 from dream.planning.distribution import (
-    SCALE,
-    STEEPER,
+    GLIMPSED,
+    OBSERVED,
+    Calibration,
     Groups,
     blurred,
-    calibrated,
     expectation,
-    uncalibrated,
 )
 from dream.protocol import DREAM_V1, POOL_V1, SurveyProtocol
 from dream.types import BoolArray
@@ -227,23 +226,30 @@ def test_the_risk_is_at_most_the_groups_that_are_expected(
     assert groups.risk(hidden) <= groups.intensity * hidden + 1e-9
 
 
+CALIBRATIONS = pytest.mark.parametrize("line", [OBSERVED, GLIMPSED, Calibration(0.5, 0.7)])
+
+
+@CALIBRATIONS
 @given(risk=st.floats(0.0, 1.0), more=st.floats(0.0, 1.0))
 def test_a_risk_that_is_calibrated_keeps_its_order_and_its_ends_and_can_be_taken_back(
-    risk: float, more: float
+    line: Calibration, risk: float, more: float
 ) -> None:
     less, more = sorted((risk, more))
-    assert 0.0 <= calibrated(less) <= calibrated(more) <= 1.0
-    assert calibrated(0.0) == uncalibrated(0.0) == 0.0
-    assert calibrated(1.0) == uncalibrated(1.0) == 1.0
-    assert uncalibrated(calibrated(risk)) == pytest.approx(risk, abs=1e-6)
-    assert calibrated(uncalibrated(risk)) == pytest.approx(risk, abs=1e-6)
+    assert 0.0 <= line.calibrated(less) <= line.calibrated(more) <= 1.0
+    assert line.calibrated(0.0) == line.uncalibrated(0.0) == 0.0
+    assert line.calibrated(1.0) == line.uncalibrated(1.0) == 1.0
+    assert line.uncalibrated(line.calibrated(risk)) == pytest.approx(risk, abs=1e-6)
+    assert line.calibrated(line.uncalibrated(risk)) == pytest.approx(risk, abs=1e-6)
 
 
+@CALIBRATIONS
 @pytest.mark.parametrize("risk", [0.001, 0.02, 0.3, 0.9])
-def test_the_odds_of_a_risk_are_calibrated_along_a_line_in_their_logarithm(risk: float) -> None:
-    came = calibrated(risk)
+def test_the_odds_of_a_risk_are_calibrated_along_a_line_in_their_logarithm(
+    line: Calibration, risk: float
+) -> None:
+    came = line.calibrated(risk)
     odds, odds_of_it = risk / (1.0 - risk), came / (1.0 - came)
-    assert math.log(odds_of_it) == pytest.approx(math.log(SCALE) + STEEPER * math.log(odds))
+    assert math.log(odds_of_it) == pytest.approx(math.log(line.scale) + line.power * math.log(odds))
 
 
 @pytest.mark.parametrize("name", ["shape", "area"])

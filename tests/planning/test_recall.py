@@ -18,7 +18,7 @@ from dream.mapping.layers import Evidence
 from dream.mapping.prior import Prior
 from dream.planning import Belief, sentences
 from dream.planning.belief import BeliefPilot, _Expected
-from dream.planning.distribution import uncalibrated
+from dream.planning.distribution import OBSERVED
 from dream.planning.recall import BELIEVED, LIKELY, LOOKS, Recall
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
@@ -179,7 +179,7 @@ def told_of(
     prior: Prior | None, target: BoolArray, believed: float = 1.0, arriving: float = 0.5
 ) -> _Expected:
     """What a pilot expects that has searched a part of the ground, and seen these targets."""
-    pilot = Belief(arriving=arriving).begin(Mission(DREAM_V1, AREA, 200, prior=prior))
+    pilot = Belief(glimpse=1.0, arriving=arriving).begin(Mission(DREAM_V1, AREA, 200, prior=prior))
     assert isinstance(pilot, BeliefPilot)
     occupancy = map_with(explored=patch(40, 40, 34), target=target)
     if pilot.recall is not None:
@@ -202,7 +202,7 @@ def test_the_less_a_survey_is_believed_the_more_the_risk_is_as_without() -> None
     without = told_of(None, was).risk
     risks = [told_of(survey(was), was, believed).risk for believed in (1.0, 0.5, 0.0)]
     assert risks[0] < risks[1] < risks[2] == pytest.approx(without)
-    models = [uncalibrated(risk) for risk in risks]
+    models = [OBSERVED.uncalibrated(risk) for risk in risks]
     assert models[1] == pytest.approx(0.5 * (models[0] + models[2]))
 
 
@@ -353,7 +353,7 @@ def test_a_survey_of_bare_ground_alone_lowers_no_risk() -> None:
     occupancy = map_with(explored=patch(40, 40, 20), target=patch(40, 40))
     thoughts = []
     for prior in (None, survey(NOWHERE)):
-        pilot = Belief().begin(Mission(DREAM_V1, AREA, 200, prior=prior))
+        pilot = Belief(glimpse=1.0).begin(Mission(DREAM_V1, AREA, 200, prior=prior))
         assert isinstance(pilot, BeliefPilot)
         thoughts.append(pilot.consider(observed_at(0.0, 0.0, 0.0), occupancy))
     assert thoughts[0].expected.risk == pytest.approx(thoughts[1].expected.risk)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from dream.geometry import SE2
 from dream.planning import sentences
-from dream.planning.distribution import Groups, calibrated, expectation, uncalibrated
+from dream.planning.distribution import GLIMPSED, OBSERVED, Calibration, Groups, expectation
 from dream.planning.glimpses import Glimpses
 from dream.planning.hull import PATCH, Hull
 from dream.planning.lookahead import NOTHING, LookAhead, Plan, Prospect
@@ -212,7 +212,8 @@ class BeliefPilot:
     recall: Recall | None = field(init=False)
     """None where there is no earlier survey."""
     glimpses: Glimpses | None = field(init=False)
-    """None where no frame is looked at beyond the reach."""
+    """None where no frame is looked at beyond the reach: nor is one in a tank, where a look around shows most
+    of what there is, nor with a survey, which tells more."""
     rounds: Rounds = field(default_factory=Rounds)
     visits: Counter[Pose] = field(default_factory=Counter)
     """How often a pose was returned to since anything was new."""
@@ -228,13 +229,19 @@ class BeliefPilot:
         self.patience = self.planner.patience
         self.recall = None if self.mission.prior is None else Recall(self.mission.prior, self.size)
         farthest = self.planner.glimpse * self.mission.protocol.reach
-        self.glimpses = Glimpses(self.mission, farthest) if self.planner.glimpse > 1.0 else None
+        hints = self.planner.glimpse > 1.0 and self.walk is None and self.recall is None
+        self.glimpses = Glimpses(self.mission, farthest) if hints else None
 
     @property
     def size(self) -> float:
         """Radius of the groups that are searched for, metres; a cell's where everything must be seen."""
         protocol = self.mission.protocol
         return 0.5 * protocol.cell if self.planner.certify else self.planner.size * protocol.group_radius
+
+    @property
+    def calibration(self) -> Calibration:
+        """How often what the model says of hidden groups comes true."""
+        return OBSERVED if self.glimpses is None else GLIMPSED
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         """All six steps."""
@@ -363,7 +370,12 @@ class BeliefPilot:
                 worth[needed & unseen] = 1.1 * leave
             if part > 1:
                 # Nor any that could hold one, where hardly any risk is accepted.
-                each = leave * square * intensity / max(0.5 * uncalibrated(self.planner.risk), 1e-9)
+                each = (
+                    leave
+                    * square
+                    * intensity
+                    / max(0.5 * self.calibration.uncalibrated(self.planner.risk), 1e-9)
+                )
                 hiding[unknown] = min(each, 1.1 * leave)
             ahead = replace(
                 prospect, ground=self.outlook.on_tiles(worth), hiding=self.outlook.on_tiles(hiding)
@@ -427,6 +439,7 @@ class BeliefPilot:
         if expected.away_from_hull is not None:
             area = PATCH**2 * float(expected.hull.sum())
             more += sentences.hull(area, expected.hull_left, self.planner.hull_left)
+        more += sentences.hints_left(expected.hinted)
         if self.planner.certify:
             unseen = float(expected.hiding.sum()) * self.mission.protocol.cell**2
             return sentences.certificate(completion, unseen) + more
@@ -448,10 +461,15 @@ class BeliefPilot:
         # Of a hull more is believed than hints tell; see `Hull`.
         glimpses = self.glimpses if away_from_hull is None else None
         beside, hinted = self._beside(occupancy, completion, glimpses), 0.0
+        places = self._places(occupancy, pose)
         if glimpses is not None:
             hoped_for = glimpses.hints(occupancy) & (self.vain.count < self.patience)
+            hoped_for &= within(places, protocol.reach, cell)
+            if completion.seen:
+                # Likewise to what is done with middles of groups below.
+                hopeful = within(places & ~occupancy.observed, protocol.reach, cell)
+                hoped_for &= hopeful | that_would_show(occupancy, pose, 0.5 * cell, hoped_for & ~hopeful)
             hinted = float(beside[hoped_for].sum()) * cell**2
-        places = self._places(occupancy, pose)
         hopeless = ~within(places, protocol.reach, cell) | (self.vain.count >= self.patience)
         hiding = could_hide(occupancy, self.size, hopeless)
         if completion.seen:
@@ -478,7 +496,7 @@ class BeliefPilot:
         return _Expected(
             beside,
             hiding,
-            calibrated(risk),
+            self.calibration.calibrated(risk),
             groups.intensity * hidden,
             hull,
             left / (self.hull.found + left) if left else 0.0,
@@ -580,7 +598,7 @@ class BeliefPilot:
         if not completion.regions and not expected.hiding.any():
             # Where no target was seen, all ground must be.
             row, col = completion.open_cells.T
-            ground[row, col] = planner.search * square
+            ground[row, col] = np.maximum(ground[row, col], planner.search * square)
         search = planner.search
         if expected.away_from_hull is not None:
             ground[expected.away_from_hull <= ADJOINING] *= BENEATH

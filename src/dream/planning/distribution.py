@@ -17,11 +17,6 @@ if TYPE_CHECKING:
 FloatArray = npt.NDArray[np.floating[Any]]
 Cells = BoolArray | Float32Array
 
-STEEPER = 2.5
-"""Power of the odds of a risk at which they come true ..."""
-SCALE = 10.0
-"""... and what that is times. Both fitted on the reefs of the suite `dev` (`perf/stop.py`)."""
-
 
 def expectation(
     occupancy: OccupancyMap,
@@ -100,7 +95,8 @@ class Groups:
         return float(1.0 - (self.area / (self.area + hidden)) ** self.shape)
 
 
-def calibrated(risk: float) -> float:
+@dataclass(frozen=True, slots=True)
+class Calibration:
     """How often more than a success may was missed where `Groups` gives a probability of a hidden group.
 
     Where little ground is left to search it comes in slivers, and a group that hid in one would mostly reach
@@ -108,12 +104,25 @@ def calibrated(risk: float) -> float:
 
     Reference: a line in log odds, as Platt (1999) calibrates scores.
     """
-    return _odds_times(risk, SCALE, STEEPER)
+
+    scale: float
+    """The odds of a risk come true this many times ..."""
+    power: float
+    """... to this power."""
+
+    def calibrated(self, risk: float) -> float:
+        """How often a risk by `Groups` comes true."""
+        return _odds_times(risk, self.scale, self.power)
+
+    def uncalibrated(self, risk: float) -> float:
+        """The probability by `Groups` of what comes true as often as that."""
+        return _odds_times(risk, self.scale ** (-1.0 / self.power), 1.0 / self.power)
 
 
-def uncalibrated(risk: float) -> float:
-    """The probability by `Groups` of what comes true as often as that."""
-    return _odds_times(risk, SCALE ** (-1.0 / STEEPER), 1.0 / STEEPER)
+OBSERVED = Calibration(1.5, 1.7)
+"""Where only what came within reach tells of hidden groups ..."""
+GLIMPSED = Calibration(10.0, 2.5)
+"""... and where hints do as well. Both fitted on the reefs of the suite `dev` (`perf/stop.py`)."""
 
 
 def _odds_times(probability: float, scale: float, power: float) -> float:

@@ -122,6 +122,11 @@ def nothing_left(given_up: float) -> str:
     return f"Nothing is left that any known way leads to a view of{but}: done."
 
 
+def hints_left(area: float) -> str:
+    """Step 3: square metres of hints that are still to be looked at."""
+    return f" Hints of {area:.1f} m² of targets are still to be looked at." if area >= 0.05 else ""
+
+
 def hull(area: float, share: float, accepted: float) -> str:
     """Step 3 of a hull: what is still to be expected of it, in square metres and as a share."""
     return (
