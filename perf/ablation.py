@@ -3,7 +3,7 @@
     python perf/ablation.py --out ablation          goes on where it was broken off; 50 minutes on two cores
     python perf/ablation.py --out ablation --only "greedy" "no-tour"
     python perf/ablation.py --out ablation --starts 0 1 2    from more places in the same worlds
-    python perf/ablation.py --out fresh --fresh 25 --only no-cost    on 225 reefs that no suite has
+    python perf/ablation.py --out fresh --fresh 25 --only no-discount    on 225 reefs that no suite has
     python perf/ablation.py --out wrecks --wrecks   the wrecks, by what is seen of them; half an hour
 
 What is not in it is flown as well: its certificate, lanes while no target was seen, and keeping to the last
@@ -133,11 +133,6 @@ VARIANTS: dict[str, tuple[str, AnyPlanner]] = {
     "narrow": ("eight sequences kept, not 48", replace(WHOLE, width=8)),
     "no-tour": ("sequences are judged by their own gain alone", replace(WHOLE, tour=0.0)),
     "no-discount": ("what is seen later is worth as much", replace(WHOLE, discount=1.0)),
-    "no-cost": ("a step costs nothing", replace(WHOLE, step_cost=0.0)),
-    "no-haste": (
-        "a step costs nothing, and what is seen later is worth as much",
-        replace(WHOLE, discount=1.0, step_cost=0.0),
-    ),
     "no-jump": ("never straight to one far view while the sequence shows anything", replace(WHOLE, jump=0.0)),
     "small-groups": ("groups of 1.5 m radius hide, as the protocol promises", replace(WHOLE, size=1.0)),
     "no-glimpses": ("what lies beyond the reach is not looked at", replace(WHOLE, glimpse=1.0)),
@@ -152,10 +147,7 @@ VARIANTS: dict[str, tuple[str, AnyPlanner]] = {
 ON_WRECKS: dict[str, tuple[str, AnyPlanner]] = {
     "belief": VARIANTS["belief"],
     "no-hull": ("no belief about the hull", WithoutHull()),
-    **{
-        name: VARIANTS[name]
-        for name in ("greedy", "short", "narrow", "no-tour", "no-discount", "no-cost", "no-jump")
-    },
+    **{name: VARIANTS[name] for name in ("greedy", "short", "narrow", "no-tour", "no-discount", "no-jump")},
 }
 
 

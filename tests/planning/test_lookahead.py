@@ -445,7 +445,7 @@ class Scene:
     known: BoolArray
 
     def plan(self, **parameters: float) -> Plan | None:
-        values = {"discount": 0.95, "step_cost": 0.001, "tour": 1.0, "keep": 0.01, "jump": 0.5} | parameters
+        values = {"discount": 0.95, "tour": 1.0, "keep": 0.01, "jump": 0.5} | parameters
         return LookAhead(32, 4, **values).plan(self.prospect, self.travel, self.moves, self.known)
 
 
@@ -547,8 +547,8 @@ def test_a_plan_says_how_much_of_what_it_is_after_it_shows() -> None:
 def test_a_plan_says_what_its_way_the_tour_after_it_and_the_best_view_were_worth() -> None:
     """By the slow twins of what is shown and of the tour."""
     scene = _scene((slice(20, 40), slice(30, 60), 1.0), FAR_OFF)
-    tour, discount, step_cost, keep = 0.7, 0.95, 0.001, 0.01
-    plan = scene.plan(jump=0.0, tour=tour, discount=discount, step_cost=step_cost, keep=keep)
+    tour, discount, keep = 0.7, 0.95, 0.01
+    plan = scene.plan(jump=0.0, tour=tour, discount=discount, keep=keep)
     assert plan is not None
     assert plan.choice is not None
     outlook, weights = scene.prospect.outlook, scene.prospect.weights.astype(np.float64)
@@ -578,7 +578,7 @@ def test_a_plan_says_what_its_way_the_tour_after_it_and_the_best_view_were_worth
     assert plan.later == pytest.approx(steps, rel=1e-4)
     assert steps > 4.0
     level = len(plan.path) - 1
-    after = tour * (discount**level * worth - step_cost * total * (level + steps))
+    after = tour * discount**level * worth
     assert plan.choice.after == pytest.approx(after, rel=1e-4)
     straight = scene.plan(jump=100.0)
     assert straight is not None
@@ -589,7 +589,7 @@ def test_a_plan_says_what_its_way_the_tour_after_it_and_the_best_view_were_worth
 def test_a_plan_says_among_how_many_sequences_it_was_chosen() -> None:
     scene = _scene((slice(20, 76), slice(30, 60), 1.0))
     for width in (1, 5):
-        values = {"discount": 0.95, "step_cost": 0.001, "tour": 1.0, "keep": 0.01, "jump": 0.0}
+        values = {"discount": 0.95, "tour": 1.0, "keep": 0.01, "jump": 0.0}
         plan = LookAhead(width, 4, **values).plan(scene.prospect, scene.travel, scene.moves, scene.known)
         assert plan is not None
         assert plan.choice is not None

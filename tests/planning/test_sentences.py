@@ -160,15 +160,15 @@ def test_ground_that_was_given_up_is_told_by_its_area_and_only_where_there_is_an
     ("between", "said"),
     [
         (
-            Choice(0.6, 48, shown=26.61, after=-1.557, rate=6.464, view=4.1),
-            "It is worth most of 48 sequences of actions, 26.6 weighted m² of targets on its way and -1.56 "
-            "by the tour after it less all steps; its best stretch gives 6.46 a step, at least 60% of the "
+            Choice(0.6, 48, shown=26.61, after=1.557, rate=6.464, view=4.1),
+            "It is worth most of 48 sequences of actions, 26.6 weighted m² of targets on its way and 1.56 "
+            "by the tour after it; its best stretch gives 6.46 a step, at least 60% of the "
             "best single view's 4.1.",
         ),
         (
             Choice(0.6, 3, shown=1.0, after=250.4, rate=0.5),
             "It is worth most of 3 sequences of actions, 1 weighted m² of targets on its way and 250 by "
-            "the tour after it less all steps; there is no single view to go to instead.",
+            "the tour after it; there is no single view to go to instead.",
         ),
         (
             Choice(0.6, 48, shown=0.2, after=0.1, rate=0.1, view=0.2),

@@ -113,8 +113,6 @@ class Belief:
     """Actions that it looks ahead."""
     discount: float = 0.98
     """What a target is worth that is seen a step later."""
-    step_cost: float = 0.004
-    """What a step costs, as a share of all that is expected."""
     tour: float = 1.0
     """What the tour over what is left counts, beside what the sequence itself shows."""
     jump: float = 0.6
@@ -140,7 +138,6 @@ class Belief:
         check_count("width", self.width, 1, 10_000)
         check_count("horizon", self.horizon, 1, 100)
         check_range("discount", self.discount, 0.5, 1.0)
-        check_range("step_cost", self.step_cost, 0.0, 1.0)
         check_range("tour", self.tour, 0.0, 10.0)
         check_range("jump", self.jump, 0.0, 1000.0)
 
@@ -632,7 +629,6 @@ class BeliefPilot:
             planner.width,
             planner.horizon,
             planner.discount,
-            planner.step_cost,
             planner.tour,
             keep=KEEP,
             jump=planner.jump,

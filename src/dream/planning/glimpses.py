@@ -133,12 +133,17 @@ class Glimpses:
     def weighed(self, beside: Float32Array, occupancy: OccupancyMap) -> Float32Array:
         """(rows, cols) probability of a target, of cells not observed, with what was glimpsed of the cell.
 
+        Where nothing was hinted at by Bayes' rule, bare ground being taken never to hint; a hint is worth
+        what hints are worth, or what lies around where that is more.
+
         Args:
             beside: (rows, cols) by what lies around.
             occupancy: What is known.
         """
-        missed = np.where(self.glimpsed(occupancy), 1.0 - self.sensitivity, 1.0) * beside
-        return np.where(self.hints(occupancy), self.precision, missed).astype(np.float32)
+        missed = (1.0 - self.sensitivity) * beside
+        unhinted = np.where(self.glimpsed(occupancy), missed / (missed + 1.0 - beside), beside)
+        hinted = np.maximum(self.precision, beside)
+        return np.where(self.hints(occupancy), hinted, unhinted).astype(np.float32)
 
     def unnoticed(self, radius: float, occupancy: OccupancyMap) -> Float32Array:
         """(rows, cols) probability that a group of that radius with its middle there was glimpsed and missed;

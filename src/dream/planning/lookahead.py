@@ -39,7 +39,7 @@ class Choice:
     shown: float = 0.0
     """Weight that the best of them shows, the later the less."""
     after: float = 0.0
-    """What the tour after it counts, with all of its steps and its own paid for."""
+    """What the tour after it counts, the later the less."""
     rate: float = 0.0
     """Weight that its best stretch shows a step, the discount taken out; 0 where it shows nothing."""
     view: float = 0.0
@@ -124,8 +124,8 @@ class LookAhead:
     """A beam search over the real actions, whose ends are judged by a tour over what they leave.
 
     What it does: keeps the sequences that show most, sooner rather than later; of those of the last level it
-    takes the one whose gain, with that of a greedy tour over the remaining areas, is greatest after the cost
-    of all steps. Where another view far off gains much more a step than the sequence, it goes there.
+    takes the one whose gain, with that of a greedy tour over the remaining areas, is greatest. Where another
+    view far off gains much more a step than the sequence, it goes there.
 
     Reference: beam search; the tour is a heuristic for orienteering with rewards that fade.
     """
@@ -136,8 +136,6 @@ class LookAhead:
     """Actions of a sequence."""
     discount: float
     """What a gain is worth a step later."""
-    step_cost: float
-    """What a step costs, as a share of all that is worth looking at."""
     tour: float
     """What the tour counts, with its steps, beside the sequence's own gain."""
     keep: float
@@ -222,10 +220,10 @@ class LookAhead:
         pose: npt.NDArray[np.int32],
         level: npt.NDArray[np.int32],
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """What a tour after each sequence is worth, all of its steps paid for; and the steps of the tour."""
+        """What a tour after each sequence is worth, and its steps."""
         from dream.planning._kernels import lookahead
 
-        protocol, total = travel.protocol, float(weights.sum())
+        protocol = travel.protocol
         worth, steps = lookahead.tours(
             weights,
             views,
@@ -238,9 +236,9 @@ class LookAhead:
             max(protocol.advances),
             0.5 * protocol.reach,
             self.discount,
-            self.keep * total,
+            self.keep * float(weights.sum()),
         )
-        return self.discount**level * worth - self.step_cost * total * (level + steps), steps
+        return self.discount**level * worth, steps
 
     def judge(self, prospect: Prospect, travel: Travel, paths: list[list[Pose]]) -> list[Judged]:
         """What given ways are worth, all by the measure by which a plan is chosen.
@@ -262,10 +260,8 @@ class LookAhead:
         ends = np.array([np.ravel_multi_index(path[-1], travel.steps.shape) for path in paths], np.int32)
         level = np.array([len(path) - 1 for path in paths], np.int32)
         worth, steps = self._later(prospect, weights, views, travel, seen, ends, level)
-        # A step later, all is worth less and one more step is paid for.
-        paid = self.step_cost * float(weights.sum())
-        gross = score[0] + worth[0] + paid * (level[0] + steps[0])
-        step = paid + (1.0 - self.discount) * gross
+        # What all loses by coming a step later.
+        step = (1.0 - self.discount) * (score[0] + worth[0])
         value = (score + self.tour * worth) / max(step, NOTHING)
         rates = score / np.maximum(level, 1)
         return [

@@ -185,7 +185,7 @@ def choice(between: Choice) -> str:
         return f"{best}; the best sequence of actions gives {rate} at most, less than {share} of that."
     best = (
         f"It is worth most of {between.sequences} sequences of actions, {_weight(between.shown)} weighted m² "
-        f"of targets on its way and {_weight(between.after)} by the tour after it less all steps"
+        f"of targets on its way and {_weight(between.after)} by the tour after it"
     )
     if between.view == 0.0:
         return f"{best}; there is no single view to go to instead."
