@@ -180,7 +180,8 @@ class PlainMap:
         level: npt.NDArray[Any] = (z <= cuts[0]).astype(int) + (z <= cuts[1])
         pixel: npt.NDArray[Any] = np.indices(z.shape)
         v, u = pixel
-        taken = valid & (v % (1 << level) == 0) & (u % (2 << level) == 0)
+        near_horizon = np.abs(R[2, 1] * ((v + 0.5 - camera.cy) / camera.fy) + R[2, 2]) <= 0.1
+        taken = valid & ((v % (1 << level) == 0) | near_horizon) & (u % (2 << level) == 0)
         # By levels, then in raster order.
         order = np.lexsort((u[taken], v[taken], level[taken]))
         v, u, z, level, label = (a[taken][order] for a in (v, u, z, level, labels))

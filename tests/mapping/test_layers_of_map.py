@@ -356,6 +356,36 @@ def test_an_overhang_under_which_the_ground_is_seen_stays_longer_than_a_pillar()
     assert (occupancy.solid & hull).sum() == hull.sum()
 
 
+@pytest.mark.parametrize("below", [0.1, 0.15, 0.2])
+def test_a_deck_at_the_height_of_the_camera_is_not_cleared_by_the_ground_seen_under_its_edge(
+    below: float,
+) -> None:
+    occupancy = empty_map()
+    edge = 6.0
+    east, north = occupancy.center_of(*np.indices(occupancy.shape))
+    front = (abs(east - edge - 0.5 * DREAM_V1.cell) < 0.01) & (abs(north) < 1.0)
+    marked = np.zeros_like(front)
+    for x in np.arange(2.5, 4.6, 0.25):
+        pose = camera_at(float(x), 0.0, 0.0)
+        depth, labels = render(pose)
+        # A level plate without thickness, from x = 6 to 9 m: a few rows of the image, or one.
+        u = (np.arange(CAMERA.width) + 0.5 - CAMERA.cx) / CAMERA.fx
+        v = (np.arange(CAMERA.height) + 0.5 - CAMERA.cy) / CAMERA.fy
+        rays = np.stack(np.broadcast_arrays(u[None, :], v[:, None], 1.0), axis=-1) @ pose.rotation.T
+        far = np.divide(-below, rays[..., 2], out=np.full(depth.shape, np.inf), where=rays[..., 2] < 0.0)
+        x_of, y_of = (far * rays[..., axis] + pose.translation[axis] for axis in (0, 1))
+        plate = (x_of >= edge) & (x_of <= edge + 3.0) & (abs(y_of) <= 2.0)
+        occupancy.integrate(
+            np.where(plate, far, depth).astype(np.float32),
+            np.where(plate, Label.TARGET, labels).astype(np.uint8),
+            CAMERA,
+            pose,
+        )
+        assert not (marked & front & ~occupancy.solid).any()
+        marked = occupancy.solid
+    assert marked[front].all()
+
+
 @pytest.mark.parametrize("offset", [0.6, 1.0, 1.7])
 def test_a_wall_seen_at_a_grazing_angle_is_neither_erased_nor_invented(offset: float) -> None:
     occupancy = empty_map()

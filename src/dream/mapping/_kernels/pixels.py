@@ -26,6 +26,9 @@ TWO, FOUR, EIGHT = np.uint64(2), np.uint64(4), np.uint64(8)
 LABEL_BITS = 8
 """A sample is its flat cell, shifted by so many bits, and its label."""
 LABEL_MASK = (1 << LABEL_BITS) - 1
+EDGE_ON = 0.1
+"""Rise of a row's ray below which the row is never left out: a deck at the camera's height, seen edge on, is
+a few rows high however near it is."""
 GROUND_STEP = 8
 """One sample in so many is enough for the mean height of the seabed."""
 
@@ -62,7 +65,7 @@ def project(
     """Window cell and world height of the pixels that count; seabed sums by post; farthest return by ray.
 
     Of what lies between `cuts[k]` and `cuts[k - 1]` every 2ᵏ-th row and 2ᵏ⁺¹-th column is taken:
-    enough to fill a cell.
+    enough to fill a cell. Near the horizon every row is, see `EDGE_ON`.
 
     Args:
         depth: (H, W) of `unit` metres.
@@ -123,8 +126,10 @@ def project(
             for axis in range(3):
                 columns[axis, k] = R[axis, 0] * a
         farther[:] = f32(0.0)
-        for v in range(0, height, step):
+        for v in range(height):
             b = (v + 0.5 - cy) / fy
+            if v % step > 0 and abs(R[2, 1] * b + R[2, 2]) > EDGE_ON:
+                continue
             ray = (f32(R[0, 1] * b + R[0, 2]), f32(R[1, 1] * b + R[1, 2]), f32(R[2, 1] * b + R[2, 2]))
             span = 0
             while True:
