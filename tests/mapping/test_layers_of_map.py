@@ -369,9 +369,7 @@ def test_a_deck_at_the_height_of_the_camera_is_not_cleared_by_the_ground_seen_un
         pose = camera_at(float(x), 0.0, 0.0)
         depth, labels = render(pose)
         # A level plate without thickness, from x = 6 to 9 m: a few rows of the image, or one.
-        u = (np.arange(CAMERA.width) + 0.5 - CAMERA.cx) / CAMERA.fx
-        v = (np.arange(CAMERA.height) + 0.5 - CAMERA.cy) / CAMERA.fy
-        rays = np.stack(np.broadcast_arrays(u[None, :], v[:, None], 1.0), axis=-1) @ pose.rotation.T
+        rays = CAMERA.back_project(np.ones_like(depth), pose) - pose.translation
         far = np.divide(-below, rays[..., 2], out=np.full(depth.shape, np.inf), where=rays[..., 2] < 0.0)
         x_of, y_of = (far * rays[..., axis] + pose.translation[axis] for axis in (0, 1))
         plate = (x_of >= edge) & (x_of <= edge + 3.0) & (abs(y_of) <= 2.0)

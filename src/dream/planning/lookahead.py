@@ -137,7 +137,7 @@ class LookAhead:
     discount: float
     """What a gain is worth a step later."""
     tour: float
-    """What the tour counts, with its steps, beside the sequence's own gain."""
+    """What the tour counts beside the sequence's own gain."""
     keep: float
     """Share of it that a tour may leave."""
     jump: float
