@@ -76,15 +76,15 @@ def test_pixels_fall_into_the_cells_that_a_point_by_point_projection_gives(
     x: float, y: float, yaw: float, far: float
 ) -> None:
     frame = _seen(x, y, yaw, REEF, Pillar(5.0, 5.0, 1.0, 1.5))
-    glimpses = Glimpses(MISSION, far)
-    glimpses.add(frame, _map())
+    glimpses, occupancy = Glimpses(MISSION, far), _map()
+    glimpses.add(frame, occupancy)
     points, away = CAMERA.back_project(frame.depth, frame.T_world_camera), _from(frame)
     depth_ok = (frame.depth >= DREAM_V1.min_depth) & (frame.depth <= DREAM_V1.max_depth)
     told = np.isin(frame.labels, (Label.TARGET, Label.SEABED)) & depth_ok & (away > REACH) & (away <= far)
-    slow = np.zeros((2, *_map().shape), int)
+    slow = np.zeros((2, *occupancy.shape), int)
     for point, label in zip(points[told], frame.labels[told], strict=True):
         if WIDE.contains(point[0], point[1]):
-            cell = _map().cell_of(point[0], point[1])
+            cell = occupancy.cell_of(point[0], point[1])
             slow[(1, *cell)] += 1
             slow[(0, *cell)] += label == Label.TARGET
     # In single precision a pixel at the very edge of a cell may fall into the next.
