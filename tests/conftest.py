@@ -14,6 +14,8 @@ from dream.evaluation.runner import simulate
 from dream.planning import SixSteps
 from dream.protocol import DREAM_V1
 from dream.sim.render import Renderer
+from dream.sim.render.ground import ground_map
+from dream.sim.render.scene import build_scene
 from dream.sim.visibility import Visibility
 from dream.sim.world import World
 from dream.sim.worlds import make_world
@@ -43,6 +45,27 @@ def worlds_are_prepared_once() -> Iterator[None]:
         patch.setattr("dream.evaluation.metrics.Renderer", prepared)
         patch.setattr("dream.evaluation.metrics.Visibility", lru_cache(maxsize=4)(Visibility))
         yield
+
+
+@pytest.fixture(scope="module")
+def worlds_are_made_once() -> Iterator[None]:
+    """For tests of commands, each of which makes its world and prepares what the camera shows of it.
+
+    Not for tests that ask whether the same name makes the same world.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        made = lru_cache(maxsize=8)(make_world)
+        patch.setattr("dream.sim.worlds.make_world", made)
+        patch.setattr("dream.evaluation.suites.make_world", made)
+        patch.setattr("dream.sim.render.rasterizer.build_scene", lru_cache(maxsize=4)(build_scene))
+        patch.setattr("dream.sim.render.shading.ground_map", lru_cache(maxsize=4)(ground_map))
+        yield
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The curves of a benchmark are left out, which take most of the time and say nothing in words."""
+    monkeypatch.setattr("dream.evaluation.figures.Picture._bytes", lambda *_, **__: b"<svg/>")
 
 
 @pytest.fixture(scope="session")

@@ -15,6 +15,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -38,10 +39,12 @@ from dream.recording import read_config, read_exchanges, read_steps, read_summar
 from dream.robots import Teleport
 from dream.robots.swimming import read_swimming
 from dream.sim.worlds import WORLDS, make_world
-from dream.types import Arrival, Observation, Setpoint
+from dream.types import LOOK_AROUND, Arrival, Observation, Setpoint
 from tests.engines import InProcess
 from tests.model_server import NAME, Answer, Request, Response, error, fitting, says, serving
 from tests.recorded_runs import Disk
+
+pytestmark = pytest.mark.usefixtures("worlds_are_made_once")
 
 SUMMARY_KEYS = {
     *("protocol", "world", "seed", "world_hash", "planner", "ended", "steps", "t_stop", "t_claimed"),
@@ -278,8 +281,9 @@ def test_a_short_run_prints_one_json_object_and_leaves_a_complete_folder(
 
 
 def test_a_run_with_a_sensor_that_errs_is_repeated_to_the_bit(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("dream.sim.worlds.make_world", make_world)  # The world is made again, too.
     options = ["--json", "--max-steps", "5", "--protocol", "dream-v1-noisy"]
     pictures = []
     for name in ("first", "again"):
@@ -508,9 +512,17 @@ def test_oracle_knows_the_bounds_of_a_protocol_with_noise_too(capsys: pytest.Cap
     assert noisy["best_tour"] is not None
 
 
+def search_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Searches of a suite need no process of their own."""
+    monkeypatch.setattr(
+        "dream.commands.oracle.ProcessPoolExecutor", lambda jobs, **_: ThreadPoolExecutor(jobs)
+    )
+
+
 def test_oracle_keeps_the_bounds_of_a_suite_and_checks_them(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    search_here(monkeypatch)
     monkeypatch.setitem(SUITES, "empty", (Case("flat/empty", 1), Case("flat/empty", 2)))
     out = tmp_path / "empty.jsonl"
     search = ["oracle", "empty", "--out", str(out), "--json", "--budget", "0"]
@@ -542,7 +554,9 @@ def test_oracle_names_the_worlds_of_a_suite_that_fail_and_searches_the_others(
     monkeypatch.setitem(SUITES, "empty", (Case("flat/empty", 1),))
     out = tmp_path / "new" / "empty.jsonl"
     search = ["oracle", "empty", "--out", str(out), "--json", "--budget", "0"]
-    assert run_command(search) == 0
+    with monkeypatch.context() as patch:
+        search_here(patch)
+        assert run_command(search) == 0
     (line,) = out.read_text().splitlines()
     wrong = json.dumps(json.loads(line) | MADE_UP)
     out.write_text(wrong + "\n")
@@ -702,7 +716,8 @@ def test_a_run_interrupted_after_that_names_its_folder(
 
 @pytest.mark.slow
 def test_an_interrupted_run_keeps_its_steps(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "dream.cli", "run", "--out", str(tmp_path), "--json"]
+    command = [sys.executable, "-m", "dream.cli", "run", "--world", "flat/empty", "--json"]
+    command += ["--out", str(tmp_path)]
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=os.environ)
     lines: list[str] = []
     try:
@@ -917,28 +932,29 @@ def test_an_interrupted_mission_goes_on_with_what_was_kept(
     go_to, moves = Teleport.go_to, itertools.count(1)
 
     def interrupted(self: Teleport, setpoint: Setpoint) -> Arrival:
-        if next(moves) == 5:
+        if next(moves) == LOOK_AROUND + 1:
             raise KeyboardInterrupt
         return go_to(self, setpoint)
 
     with serving(fitting) as server:
         model = ["--model", server.address, "--model-name", NAME, "--timeout", "20", "--record", kept]
         fly = ["run", "vanilla", "--world", "flat/empty", *model]
-        fly += ["--max-steps", "6", "--out", str(tmp_path / "runs")]
+        fly += ["--max-steps", str(LOOK_AROUND + 2), "--out", str(tmp_path / "runs")]
         monkeypatch.setattr(Teleport, "go_to", interrupted)
         assert run_command(fly) == 1
         hint = f"To go on without asking again, say the same with --replay-replies {kept}"
         assert capsys.readouterr().err.rstrip().endswith(hint)
+        assert len(server.asked) == 1
+        assert run_command([*fly, "--replay-replies", kept]) == 0
+        assert len(server.asked) == 2, "each question was asked once"
+        assert run_command([*fly, "--replay-replies", kept]) == 0
         assert len(server.asked) == 2
-        assert run_command([*fly, "--replay-replies", kept]) == 0
-        assert len(server.asked) == 3, "each question was asked once"
-        assert run_command([*fly, "--replay-replies", kept]) == 0
-        assert len(server.asked) == 3
         # Without it, all is asked anew.
         assert run_command(fly) == 0
-        assert len(server.asked) == 6
+        assert len(server.asked) == 4
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_benchmark_hands_its_model_to_those_that_ask_and_writes_it_down(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -964,6 +980,7 @@ def test_a_benchmark_hands_its_model_to_those_that_ask_and_writes_it_down(
     assert not [path for path in tmp_path.rglob("*.*") if b"sk-hush" in path.read_bytes()]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_folder_holds_one_planner_with_several_models(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -989,6 +1006,7 @@ def test_a_folder_holds_one_planner_with_several_models(
     assert kept == ["dream", "dream"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_folder_holds_one_planner_with_several_prompts_and_none_of_them_changes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -1023,9 +1041,11 @@ def test_a_label_is_for_those_that_ask_a_model_and_plain(
     assert "--planners: expected NAME+LABEL of one that asks a model" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_benchmark_says_of_each_mission_that_its_key_was_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("dream.evaluation.engines.Processes", InProcess)
     with serving(error(401)) as server:
         options = ["--model", server.address, "--model-name", NAME, "--max-steps", "5", "--jobs", "1"]
         fly = ["bench", "--world", "flat/empty", "--planners", "dream", *options, "--out", str(tmp_path)]
@@ -1035,6 +1055,7 @@ def test_a_benchmark_says_of_each_mission_that_its_key_was_refused(
     assert "HTTP 401. Is its name right, and its key in the environment, as DREAM_API_KEY?" in complaint
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_mission_without_its_model_is_not_kept_and_goes_on_without_paying_twice(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
