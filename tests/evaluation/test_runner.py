@@ -330,15 +330,22 @@ def test_a_plan_that_flies_nothing_is_refused(changes: dict[str, Any], complaint
         plan(**changes)
 
 
-def test_a_mission_that_fails_costs_only_itself(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def failing(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Ended]]:
+    """A benchmark of which only one mission in three ends, and how each of them did."""
+    folder = tmp_path_factory.mktemp("failing")
     planners = {"deadly": Deadly(), "broken": Broken(), "random": RandomWalk()}
-    ended = bench(plan(FLAT[:1], planners=planners), tmp_path, Processes(2))
+    return folder, bench(plan(FLAT[:1], planners=planners), folder, Processes(2))
+
+
+def test_a_mission_that_fails_costs_only_itself(failing: tuple[Path, list[Ended]]) -> None:
+    folder, ended = failing
     outcomes = {e.key[-1]: e.outcome for e in ended}
     assert outcomes["deadly"] == Failure("its worker died 3 times: killed by SIGKILL")
     assert outcomes["broken"] == Failure("RuntimeError: the planner burnt")
     assert isinstance(outcomes["random"], Flown)
-    assert [row.planner for row in read_results(tmp_path).rows] == ["random"]
-    assert read_manifest(tmp_path)["finished"] is None
+    assert [row.planner for row in read_results(folder).rows] == ["random"]
+    assert read_manifest(folder)["finished"] is None
 
 
 @pytest.mark.parametrize("keep_runs", [False, True])
@@ -375,15 +382,20 @@ def test_a_mission_whose_vehicle_is_lost_is_scored_by_what_it_had_seen(
         assert (run / "report.html").exists()
 
 
-def test_a_folder_is_finished_when_nothing_of_it_is_missing(tmp_path: Path) -> None:
-    both = {"random": PLANNERS["random"], "broken": Broken()}
-    bench(plan(FLAT[:1], planners=both), tmp_path, Processes(1))
-    told = read_manifest(tmp_path)
+def test_a_folder_is_finished_when_nothing_of_it_is_missing(
+    failing: tuple[Path, list[Ended]], tmp_path: Path
+) -> None:
+    folder = Path(shutil.copytree(failing[0], tmp_path / "bench"))
+    told = read_manifest(folder)
     assert told["finished"] is None
-    (failed,) = told["failed"]
-    assert failed == {**FLAT[0].as_dict(), "planner": "broken", "error": "RuntimeError: the planner burnt"}
-    bench(plan(FLAT[:1], planners={"random": PLANNERS["random"]}), tmp_path, Processes(1))
-    assert read_manifest(tmp_path)["finished"] is None, "the other planner's mission is still missing"
+    failed = sorted(told["failed"], key=lambda one: str(one["planner"]))
+    assert [one.pop("planner") for one in failed] == ["broken", "deadly"]
+    assert failed == [
+        {**FLAT[0].as_dict(), "error": "RuntimeError: the planner burnt"},
+        {**FLAT[0].as_dict(), "error": "its worker died 3 times: killed by SIGKILL"},
+    ]
+    bench(plan(FLAT[:1], planners={"random": PLANNERS["random"]}), folder)
+    assert read_manifest(folder)["finished"] is None, "the other planners' missions are still missing"
 
 
 def test_every_machine_that_flew_is_told(
@@ -441,6 +453,7 @@ def test_reaches_are_protocols_of_their_own() -> None:
     assert far.reach == 10.0
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_sweep_flies_the_same_missions_with_every_reach(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -456,6 +469,7 @@ def test_a_sweep_flies_the_same_missions_with_every_reach(
     assert near.instances < far.instances
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_failed_mission_makes_status_1_and_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
