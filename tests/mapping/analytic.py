@@ -65,11 +65,14 @@ def render(
     ahead = falling > 1e-9
     depth = np.where(ahead, (eye[2] - SEABED - slope * eye[0]) / np.where(ahead, falling, 1.0), np.inf)
     labels = np.where(ahead, Label.SEABED, Label.WATER)
+    reach_x, reach_y = depth * rays[..., 0], depth * rays[..., 1]
     for thing in things:
         away = eye[:2] - (thing.x, thing.y)
         if isinstance(thing, Disc):
-            at = away + depth[..., None] * rays[..., :2]
-            labels[ahead & (np.hypot(at[..., 0], at[..., 1]) <= thing.radius)] = Label.TARGET
+            at_x, at_y = away[0] + reach_x, away[1] + reach_y
+            near = np.nonzero((np.abs(at_x) <= thing.radius) & (np.abs(at_y) <= thing.radius) & ahead)
+            beneath = np.hypot(at_x[near], at_y[near]) <= thing.radius
+            labels[near[0][beneath], near[1][beneath]] = Label.TARGET
             continue
         a = rays[..., 0] ** 2 + rays[..., 1] ** 2
         b = rays[..., :2] @ away
@@ -82,6 +85,7 @@ def render(
         nearest = np.minimum(np.where(on_side, side, np.inf), np.where(on_top, top, np.inf))
         labels[nearest < depth] = thing.label
         depth = np.minimum(depth, nearest)
+        reach_x, reach_y = depth * rays[..., 0], depth * rays[..., 1]
     seen = depth < 60.0
     return (
         np.where(seen, depth, np.nan).astype(np.float32),
