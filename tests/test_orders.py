@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,9 @@ from dream.course import found_in
 from dream.evaluation.metrics import Scorer
 from dream.evaluation.runner import simulate
 from dream.geometry import Bounds
+from dream.learning.rollouts import Colourless
 from dream.mapping import OccupancyMap, check_completion
+from dream.mission import Planner
 from dream.orders import BESIDE, Flown, Leg, Orders, Outcome, Side, SideOf, Task, place, sentences, side_of
 from dream.planning import OFFLINE, PLANNERS, Belief
 from dream.planning.belief import BeliefPilot, _away_from_hull
@@ -46,6 +50,16 @@ class Listening:
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         return Decision(done=True) if self.done else Decision(turn=DREAM_V1.turn_angles[0] or 0.5)
+
+
+@cache
+def colourless(world: World) -> Colourless:
+    return Colourless(world)
+
+
+def flight(world: World, planner: Planner, **options: Any) -> Iterator[Step]:
+    """A mission whose colours, which nobody here looks at, are not drawn."""
+    return simulate(world, planner, DREAM_V1, renderer=colourless(world), **options)
 
 
 def decisions(steps: Iterator[Step]) -> list[tuple[Decision, str]]:
@@ -117,16 +131,16 @@ def test_orders_that_cannot_be_are_refused(
 
 def test_the_limit_of_the_orders_ends_a_mission_and_so_does_a_smaller_one(empty_world: World) -> None:
     orders = Orders((Leg(),), max_steps=6)
-    assert [s.ended for s in simulate(empty_world, Listening(), DREAM_V1, orders=orders)][-1] == "cap"
+    assert [s.ended for s in flight(empty_world, Listening(), orders=orders)][-1] == "cap"
     for max_steps, last in ((4, 4), (50, 6)):
-        *_, step = simulate(empty_world, Listening(), DREAM_V1, max_steps=max_steps, orders=orders)
+        *_, step = flight(empty_world, Listening(), max_steps=max_steps, orders=orders)
         assert step.index == last
 
 
 def test_each_leg_gets_a_fresh_pilot_and_the_look_around_comes_once(string_reef: World) -> None:
     planner = Listening(done=True)
     orders = Orders((Leg(Target.OYSTERS, Task.MAP, NEAR), Leg(Target.ANY, Task.FIND, NEAR)))
-    steps = list(simulate(string_reef, planner, DREAM_V1, orders=orders))
+    steps = list(flight(string_reef, planner, orders=orders))
     first, second = planner.missions[:2]
     assert (first.area, first.target, first.flown) == (NEAR, Target.OYSTERS, LOOK_AROUND)
     assert (second.area, second.target, second.flown) == (NEAR, Target.ANY, LOOK_AROUND + 1)
@@ -141,7 +155,7 @@ def test_a_pilot_is_told_of_the_steps_that_the_way_to_its_area_took(empty_world:
     x = bounds.x_min if start.x > 0.0 else bounds.x_max - 8.0
     far = Bounds(x, bounds.y_max - 8.0, x + 8.0, bounds.y_max)
     planner, orders = Listening(), Orders((Leg(area=far),))
-    steps = list(simulate(empty_world, planner, DREAM_V1, orders=orders, max_steps=30))
+    steps = list(flight(empty_world, planner, orders=orders, max_steps=30))
     way = sum("On the way" in step.decision.reasoning.action for step in steps)
     assert way > 0
     assert [mission.flown for mission in planner.missions] == [LOOK_AROUND, LOOK_AROUND + way]
@@ -155,7 +169,7 @@ def test_a_leg_beside_what_was_not_found_is_left_out(string_reef: World) -> None
     )
     orders = Orders(legs)
     scorer = Scorer(string_reef, DREAM_V1, orders=orders)
-    for step in simulate(string_reef, Listening(done=True), DREAM_V1, orders=orders):
+    for step in flight(string_reef, Listening(done=True), orders=orders):
         scorer.add(step)
     summary = scorer.summary()
     assert [leg["outcome"] for leg in summary["legs"]] == ["not found", "not flown", "mapped"]
@@ -164,7 +178,7 @@ def test_a_leg_beside_what_was_not_found_is_left_out(string_reef: World) -> None
 
 
 def test_without_orders_all_is_mapped_in_one_leg(empty_world: World) -> None:
-    *_, last = simulate(empty_world, Listening(), DREAM_V1, max_steps=5)
+    *_, last = flight(empty_world, Listening(), max_steps=5)
     assert last.leg == Flown(1, Leg(Target.OYSTERS), None)
 
 
@@ -174,7 +188,7 @@ def test_without_orders_all_is_mapped_in_one_leg(empty_world: World) -> None:
 @pytest.mark.parametrize("name", OFFLINE)
 def test_an_area_that_is_everything_is_flown_like_no_orders(name: str, string_reef: World) -> None:
     def flown(orders: Orders | None) -> list[tuple[Decision, str]]:
-        steps = simulate(string_reef, PLANNERS[name], DREAM_V1, max_steps=9, orders=orders)
+        steps = flight(string_reef, PLANNERS[name], max_steps=9, orders=orders)
         return decisions(steps)
 
     plain = flown(None)
@@ -192,7 +206,7 @@ def test_every_planner_spends_its_steps_on_the_area(name: str, string_reef: Worl
     # It starts in the north-west; this quarter is beyond its first view.
     orders = Orders((Leg(Target.OYSTERS, Task.MAP, SideOf(Side.NORTHEAST)),))
     scorer = Scorer(string_reef, DREAM_V1, orders=orders)
-    for step in simulate(string_reef, PLANNERS[name], DREAM_V1, orders=orders):
+    for step in flight(string_reef, PLANNERS[name], orders=orders):
         scorer.add(step)
     summary, occupancy = scorer.summary(), step.occupancy
     assert summary["ended"] == "done"
@@ -203,7 +217,7 @@ def test_every_planner_spends_its_steps_on_the_area(name: str, string_reef: Worl
     assert inside.mean() > (1.3 * outside.mean() if name == "belief" else 0.75)
     assert outside.mean() < 0.45, "nothing else is explored"
     # Within as many steps the same planner does not see all of the world.
-    *_, whole = simulate(string_reef, PLANNERS[name], DREAM_V1, max_steps=summary["steps"])
+    *_, whole = flight(string_reef, PLANNERS[name], max_steps=summary["steps"])
     assert whole.ended == "cap"
 
 
@@ -222,16 +236,22 @@ def test_the_share_counts_only_what_lies_in_the_areas_that_are_mapped(string_ree
 # ------------------------------------------------------------------------------------------- find, then map
 
 
-def test_the_side_of_a_wreck_is_where_the_hull_was_found(wreck: World) -> None:
+@pytest.fixture(scope="module")
+def round_a_wreck(wreck: World) -> list[Step]:
+    """`sixsteps` finds it, and then maps its north side."""
     orders = Orders((Leg(Target.WRECK, Task.FIND), Leg(Target.ANY, Task.MAP, SideOf(Side.NORTH, 1))))
-    steps = list(simulate(wreck, PLANNERS["sixsteps"], DREAM_V1, orders=orders))
+    return list(flight(wreck, PLANNERS["sixsteps"], orders=orders))
+
+
+def test_the_side_of_a_wreck_is_where_the_hull_was_found(wreck: World, round_a_wreck: list[Step]) -> None:
+    steps = round_a_wreck
     legs = [step.leg for step in steps if step.leg is not None]
     found = next(k for k, leg in enumerate(legs) if leg.outcome is Outcome.FOUND)
     assert {leg.number for leg in legs[: found + 1]} == {1}
     assert {leg.number for leg in legs[found + 1 :]} == {2}
     assert found < 40, "it need not be mapped to be found"
     assert (steps[-1].ended, legs[-1].outcome) == ("done", Outcome.MAPPED)
-    area, last = legs[-1].area, steps[-1].occupancy
+    area, last = legs[-1].area, steps[-1].occupancy.copy()
     assert area is not None
     assert last.area == area
     inside = last.to_see
@@ -248,10 +268,9 @@ def test_the_side_of_a_wreck_is_where_the_hull_was_found(wreck: World) -> None:
     assert area.x_min < west < east < area.x_max
 
 
-def test_the_area_follows_what_becomes_known_of_a_hull(wreck: World) -> None:
-    orders = Orders((Leg(Target.WRECK, Task.FIND), Leg(Target.ANY, Task.MAP, SideOf(Side.NORTH, 1))))
-    steps = list(simulate(wreck, PLANNERS["sixsteps"], DREAM_V1, orders=orders, max_steps=25))
-    widths = [step.leg.area.width for step in steps if step.leg is not None and step.leg.area is not None]
+def test_the_area_follows_what_becomes_known_of_a_hull(round_a_wreck: list[Step]) -> None:
+    legs = [step.leg for step in round_a_wreck[:26] if step.leg is not None]
+    widths = [leg.area.width for leg in legs if leg.area is not None]
     assert widths == sorted(widths)
     assert widths[-1] > widths[0] + 2.0
 
@@ -269,7 +288,7 @@ class Watched:
 
 def test_belief_expects_no_hull_outside_of_the_area(wreck: World) -> None:
     planner, orders = Watched(), Orders((Leg(area=SideOf(Side.NORTH)),))
-    *_, last = simulate(wreck, planner, DREAM_V1, orders=orders, max_steps=15)
+    *_, last = flight(wreck, planner, orders=orders, max_steps=15)
     pilot, occupancy = planner.pilots[-1], last.occupancy
     outside = pilot.hull.middles[:, 1] < -DREAM_V1.cell
     for area, expects in ((last.leg.area if last.leg else None, False), (None, True)):
@@ -299,7 +318,7 @@ class Spending:
 
 def test_each_leg_is_told_what_those_before_it_spent(string_reef: World) -> None:
     planner = Spending()
-    list(simulate(string_reef, planner, DREAM_V1, orders=Orders((Leg(area=NEAR),) * 6), max_steps=40))
+    list(flight(string_reef, planner, orders=Orders((Leg(area=NEAR),) * 6), max_steps=40))
     spent = [mission.asked for mission in planner.missions]
     assert spent[0] == Asked(0, 0.0)
     assert len(spent) == 6
