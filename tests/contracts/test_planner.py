@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import FrozenInstanceError, fields
+from dataclasses import FrozenInstanceError, fields, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from dream.mapping import OccupancyMap
 from dream.planning import OFFLINE, PLANNERS, AnyPlanner, Asking, UivNav
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
-from dream.types import Decision, Mission, Observation, Step
+from dream.types import LOOK_AROUND, Mission, Observation, Step
 from tests.model_server import Server, serving
 
 STEPS = 14
@@ -37,10 +37,19 @@ def flown(planner: AnyPlanner, string_reef: World) -> list[Step]:
     return list(simulate(string_reef, planner, DREAM_V1, max_steps=STEPS))
 
 
-def _looked_around(world: World) -> tuple[Observation, OccupancyMap]:
-    """An observation and a map after the look-around."""
-    *_, last = simulate(world, PLANNERS["random"], DREAM_V1, max_steps=3)
-    return last.observation, last.occupancy
+@pytest.fixture(scope="module")
+def looked_around(string_reef: World) -> Step:
+    """The last step of the look-around, in which nobody decides."""
+    *_, last = simulate(string_reef, PLANNERS["random"], DREAM_V1, max_steps=LOOK_AROUND)
+    return last
+
+
+@pytest.fixture
+def seen(looked_around: Step) -> tuple[Observation, OccupancyMap]:
+    """An observation and a map after the look-around, the test's own."""
+    observation = looked_around.observation
+    images = {name: getattr(observation, name).copy() for name in ("rgb", "depth", "labels")}
+    return replace(observation, **images), looked_around.occupancy.copy()
 
 
 def test_its_moves_are_moves_of_the_protocol(flown: list[Step]) -> None:
@@ -60,17 +69,17 @@ def test_it_gets_somewhere_without_contact(flown: list[Step]) -> None:
     assert not any(step.arrival.collided for step in flown)
 
 
-def test_the_same_mission_gets_the_same_decisions(planner: AnyPlanner, string_reef: World) -> None:
-    def decisions() -> list[Decision]:
-        return [step.decision for step in simulate(string_reef, planner, DREAM_V1, max_steps=8)]
-
-    assert decisions() == decisions()
+def test_the_same_mission_gets_the_same_decisions(
+    planner: AnyPlanner, flown: list[Step], string_reef: World
+) -> None:
+    again = simulate(string_reef, planner, DREAM_V1, max_steps=STEPS)
+    assert [step.decision for step in again] == [step.decision for step in flown]
 
 
 def test_deciding_changes_neither_the_observation_nor_the_map(
-    planner: AnyPlanner, string_reef: World
+    planner: AnyPlanner, seen: tuple[Observation, OccupancyMap]
 ) -> None:
-    observation, occupancy = _looked_around(string_reef)
+    observation, occupancy = seen
     before = occupancy.copy()
     images = observation.rgb.copy(), observation.depth.copy(), observation.labels.copy()
     planner.begin(Mission(DREAM_V1, occupancy.bounds, 200)).decide(observation, occupancy)
@@ -90,9 +99,9 @@ def test_deciding_changes_neither_the_observation_nor_the_map(
 
 
 def test_two_missions_of_one_planner_do_not_disturb_each_other(
-    planner: AnyPlanner, string_reef: World
+    planner: AnyPlanner, seen: tuple[Observation, OccupancyMap]
 ) -> None:
-    observation, occupancy = _looked_around(string_reef)
+    observation, occupancy = seen
     mission = Mission(DREAM_V1, occupancy.bounds, 200)
     alone = planner.begin(mission).decide(observation, occupancy)
     first, second = planner.begin(mission), planner.begin(mission)
