@@ -16,7 +16,7 @@ from dream.evaluation.metrics import Scorer
 from dream.evaluation.runner import simulate
 from dream.planning import PLANNERS
 from dream.protocol import protocol_named
-from dream.sim.worlds import make_world
+from tests.sim.made import made
 
 FOLDER = Path(__file__).parent
 STEPS = 30
@@ -32,7 +32,7 @@ MISSIONS = [
 
 def mission(planner: str, name: str, seed: int) -> dict[str, Any]:
     """Path, coverage and map of thirty steps."""
-    world = make_world(name, seed)
+    world = made(name, seed)
     protocol = protocol_named(world.protocol)
     scorer, path = Scorer(world, protocol), []
     for step in simulate(world, PLANNERS[planner], protocol, max_steps=STEPS):
