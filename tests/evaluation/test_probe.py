@@ -19,6 +19,7 @@ import numpy.typing as npt
 import pytest
 from PIL import Image
 from pydantic import ValidationError
+from scipy.spatial import cKDTree
 
 from dream.cli import run_command
 from dream.evaluation.probe import KINDS, QUESTIONS, MapQuestion, Reply, Score, make_questions
@@ -178,22 +179,15 @@ def test_the_cells_are_those_of_the_picture(questions: list[MapQuestion]) -> Non
 
 
 def cells_of(question: MapQuestion, *codes: int) -> npt.NDArray[np.float64]:
-    """(n, 2) middles of the cells of these colours, one by one."""
+    """(n, 2) middles of the cells of these colours."""
     return _cells_of(question.ground, codes)
 
 
 @cache
 def _cells_of(ground: Ground, codes: tuple[int, ...]) -> npt.NDArray[np.float64]:
-    found = [
-        (
-            ground.bounds.x_min + (col + 0.5) * ground.cell,
-            ground.bounds.y_min + (row + 0.5) * ground.cell,
-        )
-        for row, line in enumerate(ground.cells.tolist())
-        for col, code in enumerate(line)
-        if code in codes
-    ]
-    return np.array(found).reshape(-1, 2)
+    row, col = np.nonzero(np.isin(ground.cells, codes))
+    x = ground.bounds.x_min + (col + 0.5) * ground.cell
+    return np.stack([x, ground.bounds.y_min + (row + 0.5) * ground.cell], axis=-1)
 
 
 def away(points: npt.NDArray[np.float64], place: tuple[float, float]) -> npt.NDArray[np.float64]:
@@ -207,17 +201,9 @@ def touching(question: MapQuestion, *codes: int) -> npt.NDArray[np.float64]:
 
 @cache
 def _touching(ground: Ground, codes: tuple[int, ...]) -> npt.NDArray[np.float64]:
-    white = {(round(x / 0.125), round(y / 0.125)) for x, y in _cells_of(ground, (WHITE,)).tolist()}
-    targets = _cells_of(ground, codes).tolist()
-    found = [
-        (x, y)
-        for x, y in targets
-        if any(
-            (round((x + dx) / 0.125), round((y + dy) / 0.125)) in white
-            for dx, dy in ((0.25, 0.0), (-0.25, 0.0), (0.0, 0.25), (0.0, -0.25))
-        )
-    ]
-    return np.array(found).reshape(-1, 2)
+    some = _cells_of(ground, codes)
+    # Cells that share a corner alone are 1.4 cells apart.
+    return some[cKDTree(_cells_of(ground, (WHITE,))).query(some)[0] < 1.2 * ground.cell]
 
 
 def test_the_nearest_mark_is_nearer_by_a_margin(questions: list[MapQuestion]) -> None:
