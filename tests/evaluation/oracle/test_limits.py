@@ -383,7 +383,7 @@ def test_what_a_search_leaves_behind_is_true_and_helps_the_next(
 
 def test_a_search_goes_on_where_the_last_one_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     # The core of nine rays certifies 17 actions, and the rest are found one length after the other.
-    rays = 13
+    rays = 11
     graph = star(rays)
     best = solve(graph, 0)
     searched: list[int] = []
