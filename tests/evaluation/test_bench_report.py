@@ -24,7 +24,7 @@ from dream.cli import run_command
 from dream.commands import Bench
 from dream.commands.console import _Scores
 from dream.evaluation.comparison import compare, family
-from dream.evaluation.figures import Picture, shown_cases
+from dream.evaluation.figures import shown_cases
 from dream.evaluation.oracle.bounds import Bounds
 from dream.evaluation.report import repeating_command, sections, write_report, write_results
 from dream.evaluation.results import Results, read_results
@@ -93,12 +93,6 @@ def worlds_are_made_once() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("dream.sim.worlds.make_world", cache(make_world))
         yield
-
-
-@pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Curves are left out, which take most of the time and say nothing in words."""
-    monkeypatch.setattr(Picture, "_bytes", lambda *_, **__: b"<svg/>")
 
 
 @pytest.fixture(scope="module")
@@ -316,6 +310,7 @@ def test_a_benchmark_without_a_finished_mission_has_a_page(tmp_path: Path) -> No
     assert "nan" not in page.text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_what_a_stranger_wrote_is_shown_as_text(tmp_path: Path) -> None:
     folder = few(
         tmp_path,
@@ -342,6 +337,7 @@ def test_a_cap_that_is_none_is_refused(tmp_path: Path, cap: Any) -> None:
         write_report(folder)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_world_and_best_tour_are_drawn_only_where_the_world_is_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -398,6 +394,7 @@ def test_the_command_that_repeats_it(suite: str, commands: list[str]) -> None:
     assert repeating_command(made) == " && ".join(command + rest for command in commands)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_planners_that_no_command_knows_are_left_out_of_the_command_and_named(tmp_path: Path) -> None:
     planners = ["random", "nearby", "sixsteps"]
     missions = [flown(case, name, Made(60, 70)) for case in FEW[:2] for name in planners]
@@ -411,6 +408,7 @@ def test_planners_that_no_command_knows_are_left_out_of_the_command_and_named(tm
     assert "| other planners | nearby is flown by a script of its own |" in lines
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_benchmark_of_such_planners_alone_has_no_command(tmp_path: Path) -> None:
     planners = {"nearby": {"model": "mine"}, "far-off": {}}
     assert repeating_command(manifest(FEW, planners)) == ""

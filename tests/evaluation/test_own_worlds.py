@@ -55,8 +55,8 @@ def rows(folder: Path) -> list[dict[str, str]]:
 
 
 @pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In an empty folder, all missions in this process."""
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, undrawn: None) -> None:
+    """In an empty folder, all missions in this process; the curves are drawn in that of `changed` alone."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("dream.evaluation.engines.Processes", InProcess)
 
