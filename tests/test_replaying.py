@@ -20,15 +20,18 @@ from dream.planning.baselines.uivnav import SHIPPED
 from dream.recording import read_config, read_steps, read_summary
 from dream.robots.bluerov2.navigation import ESTIMATORS
 from dream.sim.worlds import make_world
+from dream.types import LOOK_AROUND
 from tests.robots.bluerov2.test_estimates import SECONDS, dived, true_pose
 
 STEPS = 7
-FLY = ["run", "--world", "pool/arc", "--max-steps", str(STEPS), "--json"]
+ASKED = LOOK_AROUND + 2
+"""Steps of a run whose planner asks a model twice."""
 
 
-def fly(out: Path, *words: str) -> Path:
+def fly(out: Path, *words: str, steps: int = STEPS) -> Path:
     """A run's folder."""
-    assert run_command([*FLY, "--out", str(out), *words]) == 0
+    command = ["run", "--world", "pool/arc", "--max-steps", str(steps), "--json", "--out", str(out)]
+    assert run_command([*command, *words]) == 0
     return (out / "latest").resolve()
 
 
@@ -223,12 +226,13 @@ def test_a_run_of_a_model_is_answered_from_what_was_kept(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     kept = tmp_path / "replies"
-    run = fly(tmp_path, "vanilla", "--model", "wire", "--record", str(kept), "--keep-observations")
+    asks = ["vanilla", "--model", "wire", "--record", str(kept)]
+    run = fly(tmp_path, *asks, "--keep-observations", steps=ASKED)
     files = {path: path.read_bytes() for path in kept.rglob("*.json")}
     assert files
-    assert replay(capsys, run, "--replay-replies", kept)[1]["agree"] == STEPS
+    assert replay(capsys, run, "--replay-replies", kept)[1]["agree"] == ASKED
     # The stand-in answers by rule, and is asked again.
-    assert replay(capsys, run)[1]["agree"] == STEPS
+    assert replay(capsys, run)[1]["agree"] == ASKED
     assert {path: path.read_bytes() for path in kept.rglob("*.json")} == files
     other = {"model": "openai:gpt-5", "record": None}
     change(run / "config.json", lambda config: config["planner_parameters"].update(other))
@@ -258,9 +262,10 @@ def test_another_prompt_under_the_same_name_is_refused(
 ) -> None:
     (own := tmp_path / "own").mkdir()
     (own / "dream.md").write_text("version: 2\n\n$mission $legend")
-    run = fly(tmp_path / "runs", "dream", "--model", "wire", "--prompts", str(own), "--keep-observations")
+    asks = ["dream", "--model", "wire", "--prompts", str(own)]
+    run = fly(tmp_path / "runs", *asks, "--keep-observations", steps=ASKED)
     kept = read_config(run).prompts_sha256
-    assert replay(capsys, run)[1]["agree"] == STEPS
+    assert replay(capsys, run)[1]["agree"] == ASKED
     (own / "dream.md").write_text("version: 2\n\n$mission Be quick. $legend")
     assert f"the dream.md of then, whose SHA-256 is {kept['dream'][:12]}..., got" in refused(
         capsys, "replay", run
