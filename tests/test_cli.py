@@ -1043,9 +1043,8 @@ def test_a_label_is_for_those_that_ask_a_model_and_plain(
 
 @pytest.mark.usefixtures("undrawn")
 def test_a_benchmark_says_of_each_mission_that_its_key_was_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("dream.evaluation.engines.Processes", InProcess)
     with serving(error(401)) as server:
         options = ["--model", server.address, "--model-name", NAME, "--max-steps", "5", "--jobs", "1"]
         fly = ["bench", "--world", "flat/empty", "--planners", "dream", *options, "--out", str(tmp_path)]
