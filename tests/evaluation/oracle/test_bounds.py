@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -343,29 +342,21 @@ def test_noise_changes_no_bounds() -> None:
         assert bounds.protocol == name
 
 
-@pytest.fixture(scope="module")
-def made() -> Callable[[str, int], World]:
-    """Worlds by name and seed, each made once for all the tests of this file."""
-    return cache(make_world)
-
-
 @pytest.mark.parametrize("suite", KNOWN)
-def test_bounds_that_come_with_the_package_are_of_the_worlds_of_today(
-    suite: str, made: Callable[[str, int], World]
-) -> None:
+def test_bounds_that_come_with_the_package_are_of_the_worlds_of_today(suite: str) -> None:
     cases = _bounded(suite)
     # The worlds take a while: of the many, one of each four.
     for case in cases if suite == "paper" else cases[::4]:
         bounds = every_known()["dream-v1", case.world, case.seed, case.start]
-        assert bounds.world_hash == world_hash(made(case.world, case.seed)), case
+        assert bounds.world_hash == world_hash(make_world(case.world, case.seed)), case
 
 
 @pytest.mark.parametrize("suite", KNOWN)
-def test_bounds_that_come_with_the_package_hold(suite: str, made: Callable[[str, int], World]) -> None:
+def test_bounds_that_come_with_the_package_hold(suite: str) -> None:
     cases = _bounded(suite)
     every = [every_known()["dream-v1", case.world, case.seed, case.start] for case in cases]
     # What was found fast is searched again fast. Of the others, the tours of a few are flown.
     cheap, *others = sorted(every, key=lambda bounds: bounds.cpu_s)
-    check(cheap, made(cheap.world, cheap.seed))
+    check(cheap, make_world(cheap.world, cheap.seed))
     for bounds in others[:: -(-len(others) // 3)]:
-        drive(bounds, made(bounds.world, bounds.seed))
+        drive(bounds, make_world(bounds.world, bounds.seed))
