@@ -12,7 +12,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict
-from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -47,6 +46,8 @@ from tests.evaluation.benches import (
     paper_missions,
     write_bench,
 )
+
+pytestmark = pytest.mark.usefixtures("worlds_are_made_once")
 
 FEW = (Case("reef/L", 1), Case("reef/L", 2), Case("reef/string", 1), Case("wreck/3", 1))
 HOSTILE = "</style><script>document.title='owned'</script><img src=x onerror=alert(1)> & {{style}} [a](b)|`c`"
@@ -85,14 +86,6 @@ class Page(HTMLParser):
 
     def handle_endtag(self, tag: str) -> None:
         self._inside = ""
-
-
-@pytest.fixture(scope="module", autouse=True)
-def worlds_are_made_once() -> Iterator[None]:
-    """The pages show the same few worlds again and again."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dream.sim.worlds.make_world", cache(make_world))
-        yield
 
 
 @pytest.fixture(scope="module")
