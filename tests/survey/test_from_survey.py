@@ -22,6 +22,8 @@ from dream.survey.archive import VARIABLE
 from dream.survey.site import Site, write_site
 from tests.survey.scenes import AREA, SITE, reef, wreck
 
+pytestmark = pytest.mark.usefixtures("worlds_are_made_once")
+
 STEPS = 6
 """Of each mission: the planner decides after the three of the look around."""
 BEFORE, LATER = "reef/mixed --start 3", "reef/mixed+1y1 --start 2"
