@@ -4,6 +4,7 @@
     python perf/ablation.py --out ablation --only "greedy" "no-tour"
     python perf/ablation.py --out ablation --starts 0 1 2    from more places in the same worlds
     python perf/ablation.py --out fresh --fresh 25 --only no-discount    on 225 reefs that no suite has
+    python perf/ablation.py --out near --without-hints --only short    looking within reach alone
     python perf/ablation.py --out wrecks --wrecks   the wrecks, by what is seen of them; half an hour
 
 What is not in it is flown as well: its certificate, lanes while no target was seen, and keeping to the last
@@ -118,7 +119,7 @@ class _Hesitant(BeliefPilot):
 
 
 WHOLE = Belief()
-VARIANTS: dict[str, tuple[str, AnyPlanner]] = {
+VARIANTS: dict[str, tuple[str, Belief]] = {
     "belief": ("all of it", WHOLE),
     "no-expectation": (
         "targets are expected in the cells next to known ones, not up to 4 m away",
@@ -144,7 +145,7 @@ VARIANTS: dict[str, tuple[str, AnyPlanner]] = {
     "hysteresis": ("keeps to its last way unless a new one is worth a step more", Hesitant()),
 }
 """Name → what is different, and the planner."""
-ON_WRECKS: dict[str, tuple[str, AnyPlanner]] = {
+ON_WRECKS: dict[str, tuple[str, Belief]] = {
     "belief": VARIANTS["belief"],
     "no-hull": ("no belief about the hull", WithoutHull()),
     **{name: VARIANTS[name] for name in ("greedy", "short", "narrow", "no-tour", "no-discount", "no-jump")},
@@ -179,6 +180,9 @@ def main() -> int:
     parser.add_argument(
         "--fresh", type=int, metavar="N", help="N reefs of each family that no suite has, not those of `dev`"
     )
+    parser.add_argument(
+        "--without-hints", action="store_true", help="none looks beyond the reach, the whole neither"
+    )
     parser.add_argument("--only", nargs="*", help="variants to fly; the whole always is")
     parser.add_argument("--starts", nargs="+", type=int, default=[0], help="of each world's four")
     options = parser.parse_args()
@@ -194,7 +198,11 @@ def main() -> int:
         worlds = fresh_reefs(options.fresh)
     suite = "dev" if options.fresh is None else "fresh"
     cases = tuple(replace(case, start=start) for start in sorted(set(options.starts)) for case in worlds)
-    plan = Plan(suite, cases, {name: variants[name][1] for name in names}, DREAM_V1)
+    planners: dict[str, AnyPlanner] = {}
+    for name in names:
+        planner = variants[name][1]
+        planners[name] = replace(planner, glimpse=1.0) if options.without_hints else planner
+    plan = Plan(suite, cases, planners, DREAM_V1)
     for done, ended in enumerate(fly_plan(plan, options.out, Processes(options.jobs)), start=1):
         if isinstance(ended.outcome, Failure):
             print(f"failed: {ended.key}: {ended.outcome}", file=sys.stderr)

@@ -145,6 +145,25 @@ def test_a_gain_is_the_weight_of_what_is_shown_and_was_not_seen(
         assert found == sum(puzzle.weights[list(shown - seen)])
 
 
+@given(seed=st.integers(0, 30), row=st.integers(0, 16), col=st.integers(0, 16), heading=st.integers(0, 11))
+def test_a_gain_is_the_same_to_the_last_bit_where_the_tiles_in_view_are_known(
+    seed: int, row: int, col: int, heading: int
+) -> None:
+    puzzle, pose = _puzzle(seed), (row, col, heading)
+    generator = np.random.default_rng(seed)
+    # Sums of these depend on their order.
+    weights = puzzle.weights * generator.random(len(puzzle.weights)).astype(np.float32) ** 9
+    seen = generator.integers(0, 2**64, (len(weights) + 63) // 64, np.uint64)
+    room = np.empty(int(np.diff(puzzle.views.first).max()), np.uint16)
+    tiles = room[: lookahead.clear_tiles(weights, puzzle.views, *pose, room)]
+    listed = puzzle.outlook.tiles * 2
+    in_list = puzzle.views.offset[puzzle.views.first[heading] + tiles.astype(int)]
+    shown = {e for e in shown_by(puzzle.views, *pose) if e < listed and weights[e] > 0.0}
+    assert set(puzzle.tile(row, col) + in_list) == shown
+    expected = lookahead.gain(weights, seen, puzzle.views, *pose)
+    assert lookahead.gain_of(tiles, weights, seen, puzzle.views, *pose) == expected
+
+
 def test_what_was_looked_at_gains_nothing_again() -> None:
     puzzle = _puzzle(1)
     seen = _bits(frozenset(), len(puzzle.weights))

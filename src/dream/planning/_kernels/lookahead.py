@@ -165,6 +165,12 @@ def gain(weights, seen, views, row, col, heading):
         weight = weights[element]
         if weight > 0.0 and views.far[k] <= views.depth[node, views.bearing[k]] and not is_in(seen, element):
             total += weight
+    return _with_listed(total, weights, seen, views, node, heading)
+
+
+@njit(cache=True, nogil=True)
+def _with_listed(total, weights, seen, views, node, heading):
+    """A weight, and that of the listed elements which a pose shows, without what was seen."""
     if views.listed[node] >= 0:
         pose = views.listed[node] * (len(views.first) - 1) + heading
         for k in range(views.listed_first[pose], views.listed_first[pose + 1]):
@@ -172,6 +178,34 @@ def gain(weights, seen, views, row, col, heading):
             if not is_in(seen, element):
                 total += weights[element]
     return total
+
+
+@njit(cache=True, nogil=True)
+def clear_tiles(weights, views, row, col, heading, into):
+    """Write which tiles of any weight a pose shows, by their places in its heading's list; how many."""
+    n = 0
+    node = row * views.cols + col
+    base = (row + views.pad) * views.stride + col + views.pad
+    start = views.first[heading]
+    for k in range(views.first[heading + 1] - start):
+        # Whether it counts is as good as random: to write it and go on is quicker than to ask first.
+        into[n] = k
+        is_clear = views.far[start + k] <= views.depth[node, views.bearing[start + k]]
+        n += (weights[base + views.offset[start + k]] > 0.0) & is_clear
+    return n
+
+
+@njit(cache=True, nogil=True)
+def gain_of(tiles, weights, seen, views, row, col, heading):
+    """What `gain` gives, to the last bit, of a pose whose `clear_tiles` are known."""
+    total = 0.0
+    base = (row + views.pad) * views.stride + col + views.pad
+    start = views.first[heading]
+    for k in tiles:
+        element = base + views.offset[start + k]
+        unseen = (~(seen[element >> 6] >> np.uint64(element & 63))) & np.uint64(1)
+        total += weights[element] * np.float64(unseen)
+    return _with_listed(total, weights, seen, views, row * views.cols + col, heading)
 
 
 @njit(cache=True, nogil=True)
@@ -354,7 +388,13 @@ def beam(weights, views, moves, offsets, turns, start, known, width, horizon, di
     first, past = 0, 1
     next_score = np.empty(width * branches)
     next_parent, next_pose = np.empty((2, width * branches), np.int32)
-    taken = np.zeros(rows * cols * headings, np.int32)
+    # Several sequences come to most poses: what shows from there is found once. Places in a list fit 16 bits,
+    # as distances in it fit eight. Memory that is not written costs nothing.
+    poses = rows * cols * headings
+    taken = np.zeros(poses, np.int32)
+    tiles_from, tiles_to = np.full(poses, -1, np.int64), np.empty(poses, np.int64)
+    tiles = np.empty(np.diff(views.first).max() * min(poses, width * branches * horizon), np.uint16)
+    written = 0
     for d in range(1, horizon + 1):
         n, factor = 0, discount**d
         for node in range(first, past):
@@ -375,9 +415,15 @@ def beam(weights, views, moves, offsets, turns, start, known, width, horizon, di
                             continue
                     elif turn == 0:
                         continue
-                    next_score[n] = score[node] + factor * gain(weights, seen[node], views, r_to, c_to, to)
-                    next_parent[n] = node
-                    next_pose[n] = (r_to * cols + c_to) * headings + to
+                    end = (r_to * cols + c_to) * headings + to
+                    if tiles_from[end] < 0:
+                        tiles_from[end] = written
+                        written += clear_tiles(weights, views, r_to, c_to, to, tiles[written:])
+                        tiles_to[end] = written
+                    shown = tiles[tiles_from[end] : tiles_to[end]]
+                    more = gain_of(shown, weights, seen[node], views, r_to, c_to, to)
+                    next_score[n] = score[node] + factor * more
+                    next_parent[n], next_pose[n] = node, end
                     n += 1
         if n == 0:
             break
