@@ -356,10 +356,23 @@ def _tour(
     """With 2 m a step, from 4 m away."""
     x, y = np.array(places, np.float64).reshape(-1, 2).T
     left = np.zeros(len(mass), np.int64)
-    worth, steps = lookahead.tour(
-        np.array(mass), x, y, np.array(service), *at, 2.0, 4.0, discount, keep, left
-    )
-    return float(worth), float(steps)
+    # All worked out on the way, then all beforehand.
+    every = range(len(mass))
+    ahead = [
+        [mass[m] / lookahead._time(x[k], y[k], x[m], y[m], service[m], 2.0, 4.0) for m in every]
+        for k in every
+    ]
+    found = [
+        lookahead.tour(
+            np.array(mass), x, y, np.array(service), *at, 2.0, 4.0, discount, keep, rates, alike, left
+        )
+        for rates, alike in (
+            (np.full((len(mass), len(mass)), np.nan), np.zeros(len(mass), np.bool_)),
+            (np.array(ahead).reshape(len(mass), len(mass)), np.ones(len(mass), np.bool_)),
+        )
+    ]
+    assert found[0] == found[1]
+    return float(found[0][0]), float(found[0][1])
 
 
 def test_a_tour_of_one_area_takes_the_way_there_and_its_service() -> None:

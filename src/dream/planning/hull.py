@@ -276,13 +276,15 @@ class Hull:
         low, past = np.maximum(low, 0), np.minimum(past, np.array(self._voxels.shape) // kernels.BLOCK)
         if (low >= past).any():
             return
-        rows, cols = np.mgrid[low[1] : past[1], low[2] : past[2]]
+        # Elsewhere no voxel counts.
+        near = self._near[low[0] : past[0], low[1] : past[1], low[2] : past[2]].any(axis=0)
+        rows, cols = np.nonzero(near)
         block = kernels.BLOCK * self._side
-        columns = self._corner[:2] + (np.stack([cols, rows], axis=-1).reshape(-1, 2) + 0.5) * block
-        ground = self._ground_at(columns).reshape(rows.shape) - self._corner[2]
-        lowest, highest = (
-            np.rint((ground + height) / self._side).astype(np.int64) for height in (0.0, self._top)
-        )
+        columns = self._corner[:2] + (np.stack([cols + low[2], rows + low[1]], axis=1) + 0.5) * block
+        ground = self._ground_at(columns) - self._corner[2]
+        lowest, highest = np.zeros((2, *near.shape), np.int64)
+        for levels, height in ((lowest, 0.0), (highest, self._top)):
+            levels[near] = np.rint((ground + height) / self._side)
         self._elements, voxel, weights = kernels.list_elements(
             self._voxels,
             self._near,

@@ -218,11 +218,12 @@ class Outlook:
         room = np.minimum(occupancy.distance_to_solid, edge + standoff - protocol.body_radius - protocol.cell)
         if foretold is not None and foretold.any():
             room = np.minimum(room, distance_transform_edt(~foretold, protocol.cell))
-        scale = protocol.lattice / protocol.cell
-        moves = np.zeros_like(known)
-        possible_moves(
-            room.astype(np.float32), standoff, *self._corner, scale, offsets_of(protocol), known, moves
-        )
+        scale, offsets = protocol.lattice / protocol.cell, offsets_of(protocol)
+        # Room changes by no more than the way, and a place by its cell's diagonal; rounding is less than that.
+        longest = protocol.lattice * float(np.hypot(*offsets.reshape(-1, 2).T).max())
+        plenty = standoff + longest + 1.5 * protocol.cell
+        moves = np.empty_like(known)
+        possible_moves(room.astype(np.float32), standoff, plenty, *self._corner, scale, offsets, known, moves)
         return moves
 
     def shown(self, pose: Pose) -> tuple[BoolArray, BoolArray]:

@@ -21,6 +21,9 @@ IntArray = npt.NDArray[np.signedinteger[Any]]
 Pose = tuple[int, int, int]
 """(row, col, heading) on the lattice of a `Travel`."""
 
+UNREACHED = int(np.iinfo(np.int32).max)
+"""Steps to where no way leads."""
+
 STANDOFF_CELLS = 1.5
 """Map cells that the body keeps from the middle of any solid one, where there is another way: the map is no
 finer than that."""
@@ -37,6 +40,8 @@ class Travel:
     """Lattice row 0 lies at y = south · lattice."""
     steps: IntArray
     """(rows, cols, headings); −1 where it cannot be reached."""
+    nearest: IntArray
+    """(rows, cols) fewest steps to each position with any heading; `UNREACHED` where no way leads."""
     parent: IntArray
     """(rows, cols, headings) flat index of the pose before; −1 at the start."""
     free: npt.NDArray[np.uint8]
@@ -55,12 +60,7 @@ class Travel:
     @property
     def reached(self) -> npt.NDArray[np.bool_]:
         """(rows, cols) which positions can be reached, with whatever heading."""
-        return np.asarray(self.steps.max(axis=2) >= 0)
-
-    @property
-    def nearest(self) -> IntArray:
-        """(rows, cols) fewest steps to each position with any heading; a huge number where unreachable."""
-        return np.asarray(np.where(self.steps >= 0, self.steps, np.iinfo(np.int32).max).min(axis=2))
+        return np.asarray(self.nearest < UNREACHED)
 
     def position(self, rows: npt.ArrayLike, cols: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """(N, 2) metres in the world of lattice nodes."""
@@ -78,7 +78,7 @@ class Travel:
 
     def path_to_position(self, row: int, col: int) -> list[Pose]:
         """A shortest way to a reachable position, arriving with whatever heading."""
-        steps = np.where(self.steps[row, col] >= 0, self.steps[row, col], np.iinfo(np.int32).max)
+        steps = np.where(self.steps[row, col] >= 0, self.steps[row, col], UNREACHED)
         return self.path((row, col, int(steps.argmin())))
 
     def move(self, before: Pose, after: Pose) -> tuple[float, float]:
@@ -115,7 +115,7 @@ def travel_from(pose: SE2, occupancy: OccupancyMap, *, standoff: float = 0.0) ->
         occupancy: What is known.
         standoff: Least distance of a position from the middle of a solid cell, metres.
     """
-    from dream.planning._kernels.search import search
+    from dream.planning._kernels.search import fewest, search
 
     protocol = occupancy.protocol
     bounds, spacing = occupancy.bounds, protocol.lattice
@@ -128,7 +128,7 @@ def travel_from(pose: SE2, occupancy: OccupancyMap, *, standoff: float = 0.0) ->
     allowed = occupancy.standable & (occupancy.distance_to_solid >= standoff)
     edges = _free_moves(pose, occupancy, allowed, offsets, (rows, cols), (south, west), (row, col))
     steps, parent = search(edges, offsets, turns, row, col, protocol.heading_index(pose.yaw))
-    return Travel(protocol, west, south, steps, parent, edges)
+    return Travel(protocol, west, south, steps, fewest(steps, UNREACHED), parent, edges)
 
 
 def careful_standoff(protocol: SurveyProtocol) -> float:

@@ -43,12 +43,11 @@ class VainLooks:
             occupancy: With it.
             promised: (rows, cols) cells that it was hoped to show, beside those of the map's view.
         """
-        from scipy.ndimage import binary_dilation
-
-        from dream.mapping import view
+        from dream.mapping import view, within
 
         changed = occupancy.observed & ~self.observed
-        self.count[binary_dilation(changed, np.ones((3, 3), np.bool_))] = 0
+        cell = self.mission.protocol.cell
+        self.count[within(changed, 1.5 * cell, cell)] = 0
         shown = view(occupancy, pose.x, pose.y, pose.yaw)
         if promised is not None:
             shown |= promised

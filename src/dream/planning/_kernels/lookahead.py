@@ -110,12 +110,13 @@ def sight_lines(solid, changed, x0, y0, scale, limit, depth, which):
 
 
 @njit(cache=True, nogil=True)
-def possible_moves(room, needed, x0, y0, scale, offsets, known, moves):
+def possible_moves(room, needed, plenty, x0, y0, scale, offsets, known, moves):
     """Write FREE for moves that are known to be, UNKNOWN for those that nothing solid is known to block.
 
     Args:
         room: (R, C) float32 metres between a cell and the nearest solid one or the bounds.
         needed: Metres of it.
+        plenty: Metres of it at the start of any move that leave as many as needed all along.
         x0: See `sight_lines`.
         y0: See `sight_lines`.
         scale: See `sight_lines`.
@@ -126,15 +127,20 @@ def possible_moves(room, needed, x0, y0, scale, offsets, known, moves):
     height, width = room.shape
     rows, cols, headings, advances = known.shape
     good = np.zeros((rows, cols), np.bool_)
+    at_ease = np.zeros((rows, cols), np.bool_)
     for r in range(rows):
         for c in range(cols):
             i, j = math.floor(y0 + r * scale), math.floor(x0 + c * scale)
-            good[r, c] = 0 <= i < height and 0 <= j < width and room[i, j] >= needed
+            if 0 <= i < height and 0 <= j < width:
+                good[r, c] = room[i, j] >= needed
+                at_ease[r, c] = room[i, j] >= plenty
     for r in range(rows):
         for c in range(cols):
             for h in range(headings):
                 for a in range(advances):
-                    moves[r, c, h, a] = known[r, c, h, a]
+                    moves[r, c, h, a] = FREE if known[r, c, h, a] else UNKNOWN if at_ease[r, c] else 0
+                    if at_ease[r, c]:
+                        continue
                     r_to, c_to = r + offsets[h, a, 1], c + offsets[h, a, 0]
                     outside = r_to < 0 or r_to >= rows or c_to < 0 or c_to >= cols
                     if known[r, c, h, a] or not good[r, c] or outside or not good[r_to, c_to]:
@@ -303,7 +309,13 @@ def best_gains(weights, views, rows, cols, steps):
 
 
 @njit(cache=True, nogil=True)
-def tour(mass, x_of, y_of, service, x, y, pace, standoff, discount, keep, left):
+def _time(x, y, x_to, y_to, service, pace, standoff):
+    """Steps to an area and to look at all of it."""
+    return max(math.hypot(x_to - x, y_to - y) - standoff, 0.0) / pace + service
+
+
+@njit(cache=True, nogil=True)
+def tour(mass, x_of, y_of, service, x, y, pace, standoff, discount, keep, rates, alike, left):
     """The yield of a tour over areas, and its steps: always on to the one of most mass for its time.
 
     Args:
@@ -317,6 +329,8 @@ def tour(mass, x_of, y_of, service, x, y, pace, standoff, discount, keep, left):
         standoff: Metres from which an area is looked at.
         discount: What a step later is worth.
         keep: Mass that may be left.
+        rates: (n, n) mass for its time of the second area from the first, where both are alike.
+        alike: (n,) bool, the areas for which that was worked out.
         left: (n,) int64 scratch.
 
     Returns:
@@ -328,20 +342,22 @@ def tour(mass, x_of, y_of, service, x, y, pace, standoff, discount, keep, left):
             left[n] = k
             n += 1
             remains += mass[k]
-    worth, steps = 0.0, 0.0
+    worth, steps, here = 0.0, 0.0, -1
     while remains > keep and n > 0:
-        best, best_rate, best_time = 0, -1.0, 0.0
+        best, best_rate = 0, -1.0
+        known = here >= 0 and alike[here]
         for i in range(n):
             k = left[i]
-            if mass[k] / service[k] <= best_rate:  # Not even if it were here.
+            if known and alike[k]:
+                rate = rates[here, k]
+            elif mass[k] / service[k] <= best_rate:  # Not even if it were here.
                 continue
-            away = math.hypot(x_of[k] - x, y_of[k] - y) - standoff
-            time = max(away, 0.0) / pace + service[k]
-            rate = mass[k] / time
+            else:
+                rate = mass[k] / _time(x, y, x_of[k], y_of[k], service[k], pace, standoff)
             if rate > best_rate:
-                best, best_rate, best_time = i, rate, time
-        k = left[best]
-        steps += best_time
+                best, best_rate = i, rate
+        here = k = left[best]
+        steps += _time(x, y, x_of[k], y_of[k], service[k], pace, standoff)
         worth += mass[k] * discount**steps
         remains -= mass[k]
         x, y = x_of[k], y_of[k]
@@ -517,11 +533,16 @@ def tours(
         differs[area_of[element]] |= is_in(by_any, element)
     mass, x, y, rest = np.zeros(areas), np.zeros(areas), np.zeros(areas), np.zeros(areas)
     add_up(weights, counted, by_any, x_of, y_of, area_of, service, np.ones_like(differs), mass, x, y, rest)
+    alike, rates = ~differs, np.empty((areas, areas))
+    nonempty = np.flatnonzero(alike & (mass > 0.0))
+    for k in nonempty:
+        for m in nonempty:
+            rates[k, m] = mass[m] / _time(x[k], y[k], x[m], y[m], rest[m], pace, standoff)
     counted = counted[differs[area_of[counted]]]
     for s in range(n):
         add_up(weights, counted, seen[s], x_of, y_of, area_of, service, differs, mass, x, y, rest)
         c, r = pose[s] // headings % views.cols, pose[s] // (headings * views.cols)
         worth[s], steps[s] = tour(
-            mass, x, y, rest, c * spacing, r * spacing, pace, standoff, discount, keep, left
+            mass, x, y, rest, c * spacing, r * spacing, pace, standoff, discount, keep, rates, alike, left
         )
     return worth, steps

@@ -87,3 +87,16 @@ def search(edges, offsets, turns, row, col, heading):
                         queue[tail] = (r_to * cols + c_to) * headings + to
                         tail += 1
     return steps, parent
+
+
+@njit(cache=True, nogil=True)
+def fewest(steps, unreached):
+    """(rows, cols) fewest steps to each position with any heading, a given number where none leads there."""
+    rows, cols, headings = steps.shape
+    least = np.full((rows, cols), unreached, np.int32)
+    for r in range(rows):
+        for c in range(cols):
+            for h in range(headings):
+                if 0 <= steps[r, c, h] < least[r, c]:
+                    least[r, c] = steps[r, c, h]
+    return least
