@@ -219,7 +219,7 @@ class Outlook:
         if foretold is not None and foretold.any():
             room = np.minimum(room, distance_transform_edt(~foretold, protocol.cell))
         scale, offsets = protocol.lattice / protocol.cell, offsets_of(protocol)
-        # Room changes by no more than the way, and a place by its cell's diagonal; rounding is less than that.
+        # Room changes by no more than the way, a place by its cell's diagonal; rounding is less than that.
         longest = protocol.lattice * float(np.hypot(*offsets.reshape(-1, 2).T).max())
         plenty = standoff + longest + 1.5 * protocol.cell
         moves = np.empty_like(known)
