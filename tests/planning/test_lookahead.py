@@ -355,24 +355,16 @@ def _tour(
 ) -> tuple[float, float]:
     """With 2 m a step, from 4 m away."""
     x, y = np.array(places, np.float64).reshape(-1, 2).T
-    left = np.zeros(len(mass), np.int64)
-    # All worked out on the way, then all beforehand.
-    every = range(len(mass))
-    ahead = [
-        [mass[m] / lookahead._time(x[k], y[k], x[m], y[m], service[m], 2.0, 4.0) for m in every]
-        for k in every
-    ]
-    found = [
-        lookahead.tour(
-            np.array(mass), x, y, np.array(service), *at, 2.0, 4.0, discount, keep, rates, alike, left
-        )
-        for rates, alike in (
-            (np.full((len(mass), len(mass)), np.nan), np.zeros(len(mass), np.bool_)),
-            (np.array(ahead).reshape(len(mass), len(mass)), np.ones(len(mass), np.bool_)),
-        )
-    ]
-    assert found[0] == found[1]
-    return float(found[0][0]), float(found[0][1])
+    areas, left = (np.array(mass), x, y, np.array(service)), np.zeros(len(mass), np.int64)
+    # With no rates worked out beforehand, and with all.
+    none, every = np.zeros(len(mass), np.bool_), np.ones(len(mass), np.bool_)
+    on_the_way, ahead = (
+        lookahead.tour(*areas, *at, 2.0, 4.0, discount, keep, rates, rated, left)
+        for rated in (none, every)
+        for rates in [lookahead.rates_between(*areas, rated, 2.0, 4.0)]
+    )
+    assert on_the_way == ahead
+    return float(ahead[0]), float(ahead[1])
 
 
 def test_a_tour_of_one_area_takes_the_way_there_and_its_service() -> None:

@@ -13,7 +13,7 @@ from dream.control import guard, setpoint
 from dream.geometry import SE2, Bounds
 from dream.mapping import OccupancyMap
 from dream.planning._kernels.search import keep_to, search
-from dream.planning.travel import Travel, offsets_of, travel_from
+from dream.planning.travel import UNREACHED, Travel, offsets_of, travel_from
 from dream.protocol import DREAM_V1
 from dream.types import Decision
 
@@ -76,7 +76,7 @@ def test_every_pose_is_reached_from_the_first_that_leads_there(seed: int) -> Non
     good[start[:2]] = seed % 2
     free = edges.astype(np.uint8)
     keep_to(free, offsets, good, *start[:2])
-    steps, parent = search(free, offsets, np.array(DREAM_V1.turns), *start)
+    steps, parent, nearest = search(free, offsets, np.array(DREAM_V1.turns), *start)
     came: dict[tuple[int, int, int], tuple[int, int, int] | None] = {start: None}
     queue = deque([start])
     while queue:
@@ -101,6 +101,8 @@ def test_every_pose_is_reached_from_the_first_that_leads_there(seed: int) -> Non
         assert parent[pose] == expected
         assert (steps[pose] >= 0) == (pose in came)
         assert before is None or steps[pose] == steps[before] + 1
+    np.testing.assert_array_equal(nearest, np.where(steps < 0, UNREACHED, steps).min(axis=2))
+    assert (nearest == UNREACHED).any()
 
 
 def test_following_a_path_by_its_moves_ends_where_it_says(travel: Travel) -> None:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from dream.planning.lookahead import Plan, Prospect
 from dream.planning.outlook import Outlook
-from dream.planning.travel import IntArray, Pose, Travel, offsets_of
+from dream.planning.travel import UNREACHED, IntArray, Pose, Travel, offsets_of
 from dream.planning.walk import rest_of
 from dream.types import BoolArray, Float32Array
 
@@ -79,7 +79,7 @@ class Rounds:
         views, shape = _listed(index, outlook.views()), travel.steps.shape
         found = [np.array([np.ravel_multi_index(pose, shape) for pose in rest])] if len(rest) > 1 else []
         offsets, turns = offsets_of(travel.protocol), np.array(travel.protocol.turns, np.int64)
-        reached = steps_to(moves, offsets, turns, *travel.start)[0].max(axis=2) >= 0
+        reached = steps_to(moves, offsets, turns, *travel.start)[2] < UNREACHED
         count = EACH_STEP if found else len(SEARCHES)
         for k in range(count):
             search = SEARCHES[(self.turn + k) % len(SEARCHES)]

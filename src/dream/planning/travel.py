@@ -78,8 +78,7 @@ class Travel:
 
     def path_to_position(self, row: int, col: int) -> list[Pose]:
         """A shortest way to a reachable position, arriving with whatever heading."""
-        steps = np.where(self.steps[row, col] >= 0, self.steps[row, col], UNREACHED)
-        return self.path((row, col, int(steps.argmin())))
+        return self.path((row, col, int(np.argmax(self.steps[row, col] == self.nearest[row, col]))))
 
     def move(self, before: Pose, after: Pose) -> tuple[float, float]:
         """Turn (radians) and nominal advance (metres) that lead from one pose of a path to the next."""
@@ -115,7 +114,7 @@ def travel_from(pose: SE2, occupancy: OccupancyMap, *, standoff: float = 0.0) ->
         occupancy: What is known.
         standoff: Least distance of a position from the middle of a solid cell, metres.
     """
-    from dream.planning._kernels.search import fewest, search
+    from dream.planning._kernels.search import search
 
     protocol = occupancy.protocol
     bounds, spacing = occupancy.bounds, protocol.lattice
@@ -127,8 +126,8 @@ def travel_from(pose: SE2, occupancy: OccupancyMap, *, standoff: float = 0.0) ->
     turns = np.array(protocol.turns, dtype=np.int64)
     allowed = occupancy.standable & (occupancy.distance_to_solid >= standoff)
     edges = _free_moves(pose, occupancy, allowed, offsets, (rows, cols), (south, west), (row, col))
-    steps, parent = search(edges, offsets, turns, row, col, protocol.heading_index(pose.yaw))
-    return Travel(protocol, west, south, steps, fewest(steps, UNREACHED), parent, edges)
+    steps, parent, nearest = search(edges, offsets, turns, row, col, protocol.heading_index(pose.yaw))
+    return Travel(protocol, west, south, steps, nearest, parent, edges)
 
 
 def careful_standoff(protocol: SurveyProtocol) -> float:

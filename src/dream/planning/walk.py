@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dream.planning.travel import IntArray, Pose, Travel, lattice_in, offsets_of
+from dream.planning.travel import UNREACHED, IntArray, Pose, Travel, lattice_in, offsets_of
 from dream.traversal import traversed
 from dream.types import BoolArray, Mission
 
@@ -103,8 +103,7 @@ class Walk:
         rest = rest_of(self.path, travel, moves)
         self.path = [travel.start]
         offsets, turns = offsets_of(protocol), np.array(protocol.turns, np.int64)
-        steps, _ = search(moves, offsets, turns, *travel.start)
-        reached = steps.max(axis=2) >= 0
+        reached = search(moves, offsets, turns, *travel.start)[2] < UNREACHED
         left = self._near(left, travel.position(*np.nonzero(reached)))
         if not len(left):
             return self.path

@@ -138,12 +138,15 @@ def possible_moves(room, needed, plenty, x0, y0, scale, offsets, known, moves):
         for c in range(cols):
             for h in range(headings):
                 for a in range(advances):
-                    moves[r, c, h, a] = FREE if known[r, c, h, a] else UNKNOWN if at_ease[r, c] else 0
+                    moves[r, c, h, a] = FREE if known[r, c, h, a] else 0
+                    if known[r, c, h, a] or not good[r, c]:
+                        continue
                     if at_ease[r, c]:
+                        moves[r, c, h, a] = UNKNOWN
                         continue
                     r_to, c_to = r + offsets[h, a, 1], c + offsets[h, a, 0]
                     outside = r_to < 0 or r_to >= rows or c_to < 0 or c_to >= cols
-                    if known[r, c, h, a] or not good[r, c] or outside or not good[r_to, c_to]:
+                    if outside or not good[r_to, c_to]:
                         continue
                     clear = True
                     for s in range(1, 4):
@@ -315,7 +318,28 @@ def _time(x, y, x_to, y_to, service, pace, standoff):
 
 
 @njit(cache=True, nogil=True)
-def tour(mass, x_of, y_of, service, x, y, pace, standoff, discount, keep, rates, alike, left):
+def rates_between(mass, x, y, service, which, pace, standoff):
+    """(n, n) mass of the second area for its time from the first, of some areas; see `tour`.
+
+    Args:
+        mass: See `tour`.
+        x: See `tour`.
+        y: See `tour`.
+        service: See `tour`.
+        which: (n,) bool, the areas to work it out for; of others, and where nothing is, it is not written.
+        pace: See `tour`.
+        standoff: See `tour`.
+    """
+    rates = np.empty((len(mass), len(mass)))
+    some = np.flatnonzero(which & (mass > 0.0))
+    for k in some:
+        for m in some:
+            rates[k, m] = mass[m] / _time(x[k], y[k], x[m], y[m], service[m], pace, standoff)
+    return rates
+
+
+@njit(cache=True, nogil=True)
+def tour(mass, x_of, y_of, service, x, y, pace, standoff, discount, keep, rates, rated, left):
     """The yield of a tour over areas, and its steps: always on to the one of most mass for its time.
 
     Args:
@@ -329,8 +353,8 @@ def tour(mass, x_of, y_of, service, x, y, pace, standoff, discount, keep, rates,
         standoff: Metres from which an area is looked at.
         discount: What a step later is worth.
         keep: Mass that may be left.
-        rates: (n, n) mass for its time of the second area from the first, where both are alike.
-        alike: (n,) bool, the areas for which that was worked out.
+        rates: What `rates_between` gives for some areas.
+        rated: (n,) bool, those areas.
         left: (n,) int64 scratch.
 
     Returns:
@@ -345,10 +369,10 @@ def tour(mass, x_of, y_of, service, x, y, pace, standoff, discount, keep, rates,
     worth, steps, here = 0.0, 0.0, -1
     while remains > keep and n > 0:
         best, best_rate = 0, -1.0
-        known = here >= 0 and alike[here]
+        known = here >= 0 and rated[here]
         for i in range(n):
             k = left[i]
-            if known and alike[k]:
+            if known and rated[k]:
                 rate = rates[here, k]
             elif mass[k] / service[k] <= best_rate:  # Not even if it were here.
                 continue
@@ -533,11 +557,8 @@ def tours(
         differs[area_of[element]] |= is_in(by_any, element)
     mass, x, y, rest = np.zeros(areas), np.zeros(areas), np.zeros(areas), np.zeros(areas)
     add_up(weights, counted, by_any, x_of, y_of, area_of, service, np.ones_like(differs), mass, x, y, rest)
-    alike, rates = ~differs, np.empty((areas, areas))
-    nonempty = np.flatnonzero(alike & (mass > 0.0))
-    for k in nonempty:
-        for m in nonempty:
-            rates[k, m] = mass[m] / _time(x[k], y[k], x[m], y[m], rest[m], pace, standoff)
+    alike = ~differs
+    rates = rates_between(mass, x, y, rest, alike, pace, standoff)
     counted = counted[differs[area_of[counted]]]
     for s in range(n):
         add_up(weights, counted, seen[s], x_of, y_of, area_of, service, differs, mass, x, y, rest)

@@ -7,6 +7,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from dream.planning.travel import UNREACHED
+
 
 @njit(cache=True, nogil=True)
 def keep_to(edges, offsets, good, row, col):
@@ -46,13 +48,15 @@ def search(edges, offsets, turns, row, col, heading):
     Returns:
         steps: (rows, cols, headings) int32, −1 where unreachable.
         parent: (rows, cols, headings) int32 flat index of the pose before, −1 at the start.
+        nearest: (rows, cols) int32 fewest steps with any heading, `UNREACHED` where no way leads.
     """
     rows, cols, headings, advances = edges.shape
     steps = np.full((rows, cols, headings), -1, np.int32)
     parent = np.full((rows, cols, headings), -1, np.int32)
+    nearest = np.full((rows, cols), UNREACHED, np.int32)
     queue = np.empty(rows * cols * headings, np.int32)
     queue[0] = (row * cols + col) * headings + heading
-    steps[row, col, heading] = 0
+    steps[row, col, heading] = nearest[row, col] = 0
     head, tail = 0, 1
     # Of each position the headings in which an advance was not tried yet: a second try finds nothing.
     untried = np.ones((rows, cols, headings), np.bool_)
@@ -86,17 +90,5 @@ def search(edges, offsets, turns, row, col, heading):
                         parent[r_to, c_to, to] = here
                         queue[tail] = (r_to * cols + c_to) * headings + to
                         tail += 1
-    return steps, parent
-
-
-@njit(cache=True, nogil=True)
-def fewest(steps, unreached):
-    """(rows, cols) fewest steps to each position with any heading, a given number where none leads there."""
-    rows, cols, headings = steps.shape
-    least = np.full((rows, cols), unreached, np.int32)
-    for r in range(rows):
-        for c in range(cols):
-            for h in range(headings):
-                if 0 <= steps[r, c, h] < least[r, c]:
-                    least[r, c] = steps[r, c, h]
-    return least
+                        nearest[r_to, c_to] = min(nearest[r_to, c_to], next_steps)
+    return steps, parent, nearest
