@@ -109,7 +109,7 @@ class Belief:
     """Looks in vain after which a cell is given up."""
     width: int = 48
     """Sequences of actions that the search keeps."""
-    horizon: int = 12
+    horizon: int = 6
     """Actions that it looks ahead."""
     discount: float = 0.98
     """What a target is worth that is seen a step later."""
