@@ -7,8 +7,8 @@
     python perf/ablation.py --out near --without-hints --only short    looking within reach alone
     python perf/ablation.py --out wrecks --wrecks   the wrecks, by what is seen of them; half an hour
 
-What is not in it is flown as well: its certificate, lanes while no target was seen, and keeping to the last
-way unless a new one is worth a step more.
+What is not in it is flown as well: its certificate, twice the look-ahead, lanes while no target was seen, and
+keeping to the last way unless a new one is worth a step more.
 
 Differences are over the same worlds from the same starts; intervals at 95 % resample worlds within families,
 of each world the mean over its starts.
@@ -130,7 +130,8 @@ VARIANTS: dict[str, tuple[str, Belief]] = {
         replace(WHOLE, eager=1.0),
     ),
     "greedy": ("one action ahead", replace(WHOLE, horizon=1)),
-    "short": ("six actions ahead", replace(WHOLE, horizon=6)),
+    "short": ("three actions ahead", replace(WHOLE, horizon=3)),
+    "long": ("twelve actions ahead", replace(WHOLE, horizon=12)),
     "narrow": ("eight sequences kept, not 48", replace(WHOLE, width=8)),
     "no-tour": ("sequences are judged by their own gain alone", replace(WHOLE, tour=0.0)),
     "no-discount": ("what is seen later is worth as much", replace(WHOLE, discount=1.0)),
@@ -148,7 +149,10 @@ VARIANTS: dict[str, tuple[str, Belief]] = {
 ON_WRECKS: dict[str, tuple[str, Belief]] = {
     "belief": VARIANTS["belief"],
     "no-hull": ("no belief about the hull", WithoutHull()),
-    **{name: VARIANTS[name] for name in ("greedy", "short", "narrow", "no-tour", "no-discount", "no-jump")},
+    **{
+        name: VARIANTS[name]
+        for name in ("greedy", "short", "long", "narrow", "no-tour", "no-discount", "no-jump")
+    },
 }
 
 
