@@ -2,6 +2,7 @@
 
     python perf/stop.py                          some 10 minutes on two cores
     python perf/stop.py --bench bench/dev        with the planners of a benchmark beside it
+    python perf/stop.py --starts 0 1 2 3         160 missions, from four places in each
     python perf/stop.py --fresh 25               225 reefs that no suite has, 25 of each family
 
 Until it ends a mission does not depend on the risk that is accepted. So each world is flown once, to the end
@@ -13,7 +14,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -188,11 +189,13 @@ def main() -> int:
     parser.add_argument(
         "--fresh", type=int, metavar="N", help="N reefs of each family that no suite has, not those of `dev`"
     )
+    parser.add_argument("--starts", type=int, nargs="+", default=[0], help="which starts of each world")
     options = parser.parse_args()
     protocol = protocol_named(options.protocol)
     cases = [case for case in suite_named("dev") if family_of(case.world) != "wreck"]
     if options.fresh is not None:
         cases = fresh_reefs(options.fresh)
+    cases = [replace(case, start=start) for start in options.starts for case in cases]
     missions: list[Mission] = []
     groups = [[(case, protocol.name)] for case in cases]
     for task, outcome in Processes(options.jobs).run(flown, groups):
