@@ -43,11 +43,11 @@ survey: setup ## Survey a reef, come back a year on, say what changed, and write
 	$(BIN)/dream survey compare 1 2 --out $$at/change; \
 	$(BIN)/dream survey export 2 --run $$at/after/latest --to $$at/products
 
-# Four at a time fill two cores, as some wait for programs that keep the time. A BLAS with threads of its own would
-# only wait on them.
+# Three at a time fill two cores: a BLAS with threads of its own would only wait on them, and with a fourth what
+# must be done within half a second is not.
 test: export OPENBLAS_NUM_THREADS := 1
 test: setup ## Run all tests
-	@$(BIN)/pytest -n 4 --dist loadscope
+	@$(BIN)/pytest -n 3 --dist loadscope
 
 test-ray: setup ## Run the tests that need Ray, an optional extra
 	@$(UV) sync --quiet --locked --inexact --extra ray
