@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numba import njit
 
 from dream.sim.sensors import Bursts, Outage, _kernels
 from dream.sim.sensors.outage import SENSORS, table
@@ -21,13 +22,21 @@ def test_an_outage_lasts_from_its_begin_to_its_end_for_its_sensor_alone() -> Non
     assert not _kernels.silent(table([]), _kernels.IMU, 1.0)
 
 
+@njit
+def silences(means: Any, dt: float, count: int, rng: np.random.Generator) -> Any:
+    """(count,) was it silent at each of these times?"""
+    chain, dark = np.array([1.0, 0.0]), np.zeros(count, np.bool_)
+    for k in range(count):
+        dark[k] = _kernels.burst(means, k * dt, chain, rng)
+    return dark
+
+
 @pytest.mark.parametrize(("share", "lasts"), [(0.3, 2.0), (0.1, 1.0), (0.6, 2.0)])
 def test_bursts_take_their_share_of_the_time_and_last_as_long_as_they_should(
     share: float, lasts: float
 ) -> None:
-    chain, rng, dt = np.array([1.0, 0.0]), np.random.default_rng(1), 0.05
-    means = Bursts(share, lasts).means
-    dark = np.array([_kernels.burst(means, k * dt, chain, rng) for k in range(400_000)])
+    dt = 0.05
+    dark = silences(Bursts(share, lasts).means, dt, 400_000, np.random.default_rng(1))
     assert not dark[0]
     assert dark.mean() == pytest.approx(share, rel=0.15)
     assert dark.sum() * dt / (np.diff(dark.astype(int)) == 1).sum() == pytest.approx(lasts, rel=0.15)
