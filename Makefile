@@ -43,8 +43,8 @@ survey: setup ## Survey a reef, come back a year on, say what changed, and write
 	$(BIN)/dream survey compare 1 2 --out $$at/change; \
 	$(BIN)/dream survey export 2 --run $$at/after/latest --to $$at/products
 
-# Three at a time fill two cores: a BLAS with threads of its own would only wait on them, and with a fourth what
-# must be done within half a second is not.
+# Three at a time fill two cores: a BLAS with threads of its own would only wait on them, and beside a fourth the
+# tests of what must happen within half a second can fail.
 test: export OPENBLAS_NUM_THREADS := 1
 test: setup ## Run all tests
 	@$(BIN)/pytest -n 3 --dist loadscope

@@ -39,7 +39,7 @@ from dream.planning.travel import Pose
 from dream.planning.walk import rest_of
 from dream.protocol import DREAM_V1
 from dream.types import Decision, Mission, Observation
-from stop import fresh_reefs
+from stop import fresh_reefs, from_starts
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,7 +201,7 @@ def main() -> int:
     if options.fresh is not None:
         worlds = fresh_reefs(options.fresh)
     suite = "dev" if options.fresh is None else "fresh"
-    cases = tuple(replace(case, start=start) for start in sorted(set(options.starts)) for case in worlds)
+    cases = tuple(from_starts(worlds, options.starts))
     planners: dict[str, AnyPlanner] = {}
     for name in names:
         planner = variants[name][1]

@@ -1,8 +1,8 @@
 """How often the stop of the planner `belief` is right, and how soon it comes: the reefs of the suite `dev`.
 
-    python perf/stop.py                          some 10 minutes on two cores
+    python perf/stop.py                          some three minutes on two cores
     python perf/stop.py --bench bench/dev        with the planners of a benchmark beside it
-    python perf/stop.py --starts 0 1 2 3         160 missions, from four places in each
+    python perf/stop.py --starts 0 1 2 3         160 missions, from four places in each; some ten minutes
     python perf/stop.py --fresh 25               225 reefs that no suite has, 25 of each family
 
 Until it ends a mission does not depend on the risk that is accepted. So each world is flown once, to the end
@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import sys
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -106,6 +107,11 @@ def fresh_reefs(of_each: int) -> list[Case]:
     return [Case(kind, FRESH + k) for kind in kinds for k in range(of_each)]
 
 
+def from_starts(cases: Iterable[Case], starts: Iterable[int]) -> list[Case]:
+    """Each of them from each of these starts."""
+    return [replace(case, start=start) for start in sorted(set(starts)) for case in cases]
+
+
 def flown(task: tuple[Case, str]) -> Mission:
     """Fly it."""
     case, name = task
@@ -189,13 +195,13 @@ def main() -> int:
     parser.add_argument(
         "--fresh", type=int, metavar="N", help="N reefs of each family that no suite has, not those of `dev`"
     )
-    parser.add_argument("--starts", type=int, nargs="+", default=[0], help="which starts of each world")
+    parser.add_argument("--starts", nargs="+", type=int, default=[0], help="of each world's four")
     options = parser.parse_args()
     protocol = protocol_named(options.protocol)
     cases = [case for case in suite_named("dev") if family_of(case.world) != "wreck"]
     if options.fresh is not None:
         cases = fresh_reefs(options.fresh)
-    cases = [replace(case, start=start) for start in options.starts for case in cases]
+    cases = from_starts(cases, options.starts)
     missions: list[Mission] = []
     groups = [[(case, protocol.name)] for case in cases]
     for task, outcome in Processes(options.jobs).run(flown, groups):
