@@ -3,6 +3,7 @@
 import os
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
@@ -16,7 +17,7 @@ from dream.commands.dive.console import KEYS, Operator, Reading, Will, _watch, p
 )
 def test_keys_say_what_the_operator_wants_and_an_end_is_for_good(keys: str, heard: list[Will]) -> None:
     wishes: list[Will] = []
-    operator = Operator(wishes.append, lambda: None)
+    operator = Operator(wishes.append, lambda idle: None)
     for key in keys:
         operator.press(key)
     assert wishes == heard
@@ -38,9 +39,10 @@ def test_an_operator_whose_terminal_is_gone_is_not_alive() -> None:
     ours, theirs = os.openpty()
     heard: list[Will] = []
     signs: list[float] = []
-    operator = Operator(heard.append, lambda: signs.append(time.monotonic()))
+    operator = Operator(heard.append, signs.append)
     over = threading.Event()
-    watching = threading.Thread(target=_watch, args=("dive", list, operator, theirs, over))
+    terminal = SimpleNamespace(idle=0.0)
+    watching = threading.Thread(target=_watch, args=("dive", list, operator, theirs, terminal, over))
     watching.start()
     try:
         os.write(ours, b"h\n")

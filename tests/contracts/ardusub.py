@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -16,11 +15,15 @@ from dream.geometry import wrap_angle
 from dream.measurements import Depth, Heading, Imu
 from dream.robots.bluerov2.mavlink import Link, Refused
 from dream.robots.bluerov2.motion import Order
+from dream.robots.bluerov2.sticks import Joystick
 from dream.robots.bluerov2.telemetry import Measurement
+from dream.robots.bluerov2.threads import REAL_TIME, Threads
 from dream.types import BodyVelocity
 
 TURN = 0.4
 """rad/s that are asked for."""
+CLIMB = 0.2
+"""m/s, likewise."""
 SILENT = 12.0
 """Seconds within which it is to act on a silent station: the link speaks on for 3 of them."""
 
@@ -37,22 +40,33 @@ class Subject:
     fails: bool
     """May it be left to its failsafes?"""
     has_position: bool
+    threads: Threads = REAL_TIME
+    """What it lives by: a simulated one may have a clock of its own."""
 
     def wait(self, seconds: float, order: Order | None = None) -> None:
         """Let time pass, alive, with an order renewed all the while."""
-        until = time.monotonic() + seconds
-        while (left := until - time.monotonic()) > 0.0:
+        now = self.threads.monotonic
+        until = now() + seconds
+        while (left := until - now()) > 0.0:
             self.link.operator_alive()
             if order is not None:
                 self.link.command(order, self.link._now() + min(0.2, left))
-            time.sleep(min(0.05, left))
+            self.threads.sleep(min(0.05, left))
 
     def until(self, true: Callable[[], bool], seconds: float) -> bool:
         """Let time pass, alive, until something is true; is it?"""
-        end = time.monotonic() + seconds
-        while not true() and time.monotonic() < end:
+        end = self.threads.monotonic() + seconds
+        while not true() and self.threads.monotonic() < end:
             self.wait(0.1)
         return true()
+
+    def climbs_to(self, depth: float, joystick: Joystick, seconds: float) -> bool:
+        """Go to a depth by rates of climb, and order nothing any more once it is there; is it?"""
+        end = self.threads.monotonic() + seconds
+        while abs(lacking := self.depth - depth) > 0.05 and self.threads.monotonic() < end:
+            rate = min(max(0.5 * lacking, -CLIMB), CLIMB)
+            self.wait(0.1, joystick.sticks(0.0, 0.0, climb_rate=rate))
+        return abs(lacking) <= 0.05
 
     @property
     def depth(self) -> float:
@@ -171,17 +185,36 @@ class Moves:
         assert side * swimming.turn_rate > 0.1
         assert swimming.until(lambda: abs(swimming.turn_rate) < 0.08, 3.0)
 
-    def test_it_goes_to_a_depth_and_stays(self, swimming: Subject) -> None:
+    def test_rates_of_climb_take_it_to_a_depth_where_it_stays_when_they_expire(
+        self, swimming: Subject
+    ) -> None:
+        joystick = swimming.link.joystick()
         swimming.wait(0.5)
-        target = swimming.depth + (0.3 if swimming.depth < 0.6 else -0.3)
+        start = swimming.depth
+        for depth in (start + (0.3 if start < 0.6 else -0.3), start):
+            assert swimming.climbs_to(depth, joystick, 15.0)
+            swimming.wait(3.0)
+            assert abs(swimming.depth - depth) < 0.15
+            before = swimming.depth
+            swimming.wait(2.0)
+            assert abs(swimming.depth - before) < 0.05
 
-        def there() -> bool:
-            swimming.link.depth_target(-target)
-            return abs(swimming.depth - target) < 0.1
-
-        assert swimming.until(there, 15.0)
-        swimming.wait(2.0)
-        assert abs(swimming.depth - target) < 0.15
+    def test_its_own_depth_moves_as_the_pressure_does_whatever_its_zero(self, swimming: Subject) -> None:
+        link, joystick = swimming.link, swimming.link.joystick()
+        swimming.wait(1.0)
+        told = link.telemetry
+        # By its position where it has one, which counts from elsewhere.
+        assert told.own_altitude_from == (
+            "LOCAL_POSITION_NED" if swimming.has_position else "GLOBAL_POSITION_INT"
+        )
+        assert told.own_altitude_age < 1.0
+        lay = told.own_altitude + told.depth
+        down = told.depth < 0.6
+        assert swimming.climbs_to(told.depth + (0.3 if down else -0.3), joystick, 15.0)
+        swimming.wait(1.0)
+        told = link.telemetry
+        assert abs(told.own_altitude + told.depth - lay) < 0.1
+        assert swimming.climbs_to(told.depth - (0.3 if down else -0.3), joystick, 15.0)
 
     def test_in_guided_a_turn_outlives_its_setpoints_but_not_our_stop(
         self, swimming: Subject, monkeypatch: pytest.MonkeyPatch
@@ -199,7 +232,7 @@ class Moves:
         # Ordered once more, and good for longer than it takes to say nothing more of it: as the last order
         # ran out, the link may have told the vehicle to stop.
         link.command(BodyVelocity(0.0, 0.0, 0.0, TURN), link._now() + 0.5)
-        time.sleep(0.2)
+        swimming.threads.sleep(0.2)
         with monkeypatch.context() as patched:
             patched.setattr(link, "_drive", only_sticks)
             # Longer than the 3 s after which a velocity is forgotten: a rate of turn never is.
@@ -213,8 +246,9 @@ class Moves:
             pytest.skip("it may not be left to its failsafes: DREAM_ARDUSUB_FAILSAFE=1 allows that")
         link = swimming.link
         swimming.wait(0.5)
-        end = time.monotonic() + SILENT
-        while link.telemetry.armed and time.monotonic() < end:
-            time.sleep(0.1)
+        threads = swimming.threads
+        end = threads.monotonic() + SILENT
+        while link.telemetry.armed and threads.monotonic() < end:
+            threads.sleep(0.1)
         assert not link.telemetry.armed
         assert "disarmed" in link.armed_by_other

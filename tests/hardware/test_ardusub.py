@@ -7,7 +7,7 @@ Checklist for a vehicle:
 * It floats free at the surface, in water of a metre or more, the tether slack, nobody near its thrusters.
 * No other ground station is connected; the address is one that BlueOS or SITL sends MAVLink to.
 * It is disarmed. Without more it stays so: a parameter is changed and put back, modes are changed.
-* DREAM_ARDUSUB_MOVE=1 lets it arm, turn by about 50° either way, and go 0.3 m down.
+* DREAM_ARDUSUB_MOVE=1 lets it arm, turn by about 50° either way, and go 0.3 m down and up again.
 * DREAM_ARDUSUB_FAILSAFE=1, with the former, lets the station fall silent: it has to disarm by itself.
 * A hand is at the switch of its power.
 """

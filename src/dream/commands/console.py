@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json as json_format
+import math
 import signal
 import sys
 import threading
@@ -195,16 +196,23 @@ class _Scores:
 
 
 @contextlib.contextmanager
-def kept_interrupts() -> Iterator[Callable[[], None]]:
+def kept_interrupts(again: Callable[[float], bool] = lambda since: True) -> Iterator[Callable[[], None]]:
     """A check to call between steps: it raises the KeyboardInterrupt that compiled code swallowed.
 
     An interrupt that comes while a kernel is compiled, or in a callback from C, is printed and forgotten; one
     that comes within a kernel may end as another error. Whatever fails after an interrupt was interrupted.
+
+    Args:
+        again: Whether an interrupt counts that comes so many seconds after the one before.
     """
-    came = False
+    came, last = False, -math.inf
 
     def note(number: int, frame: FrameType | None) -> None:
-        nonlocal came
+        nonlocal came, last
+        now = time.monotonic()
+        since, last = now - last, now
+        if came and not again(since):
+            return
         came = True
         signal.default_int_handler(number, frame)
 

@@ -6,7 +6,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ import pytest
 from dream.geometry import camera_mount
 from dream.robots.bluerov2.camera import (
     LATE,
+    Frames,
     LiveCamera,
     Picture,
     RtpVideo,
@@ -27,6 +28,7 @@ from dream.robots.bluerov2.camera import (
 )
 from dream.robots.bluerov2.rtp import AccessUnit
 from dream.robots.bluerov2.standin import h264
+from dream.robots.bluerov2.standin.lockstep import LockStep
 from dream.robots.bluerov2.standin.video import Faults, UInt8Array, VideoSource, packets
 
 WAIT = 8.0
@@ -328,6 +330,94 @@ def test_a_film_is_shown_once(tmp_path: Path) -> None:
     assert [number(picture.rgb) for picture in told if isinstance(picture, Picture)] == [0, 1, 2, 3]
 
 
+class Drawn:
+    """Pictures of a simulated camera, ten a second by its clock, but for some of them."""
+
+    def __init__(self, silent: range = range(0), *, breaks: int = -1) -> None:
+        self.clock = LockStep(100.0)
+        self.drawn = 0
+        self.silent, self.breaks = silent, breaks
+
+    def frames(self, closed: Callable[[], bool]) -> Iterator[tuple[float, UInt8Array]]:
+        while not closed():
+            self.clock.sleep(0.1)
+            k, self.drawn = self.drawn, self.drawn + 1
+            if k == self.breaks:
+                raise OSError("the light is out")
+            if k not in self.silent:
+                yield self.clock(), level(k)
+
+    def camera(self, latency: float = 0.0, told: list[Picture] | None = None) -> LiveCamera:
+        def tap(time: float, channel: str, sent: bool, picture: object) -> None:
+            if told is not None and isinstance(picture, Picture):
+                told.append(picture)
+
+        return LiveCamera(Frames(self.frames, latency), self.clock, tap, threads=self.clock)
+
+
+def test_a_camera_on_a_simulated_clock_waits_by_that_clock_alone() -> None:
+    drawn, told = Drawn(), list[Picture]()
+    with drawn.camera(0.05, told) as camera:
+        first = camera.after(100.0, 1.0)
+        assert (number(first.rgb), first.time, first.age) == pytest.approx((0, 100.05, 0.05))
+        late = camera.after(160.0, 100.0)
+        assert late.time == pytest.approx(160.05)
+        assert drawn.clock() == pytest.approx(160.1)
+        assert camera.counts.received == len(told) == 601
+    assert drawn.drawn == 602
+
+
+def test_the_same_pictures_come_at_the_same_times_every_time() -> None:
+    def course() -> list[tuple[float, float, float]]:
+        drawn, seen = Drawn(range(5, 30)), []
+        with drawn.camera() as camera:
+            for _ in range(8):
+                drawn.clock.sleep(0.47)
+                seen.append((drawn.clock(), camera.age, float(camera.connected)))
+        return seen
+
+    first = course()
+    assert first == course()
+    assert [bool(connected) for _, _, connected in first] == [True] * 3 + [False] * 3 + [True] * 2
+
+
+def test_a_picture_is_waited_for_as_long_as_the_simulated_clock_says() -> None:
+    drawn = Drawn(range(20))
+    with drawn.camera() as camera:
+        with pytest.raises(TimeoutError, match=r"no picture from 100\.00 s on within 1\.5 s"):
+            camera.after(100.0, 1.5)
+        assert drawn.clock() == pytest.approx(101.5)
+        assert "from a source of frames" in camera.problem
+        assert camera.after(100.0, 1.5).time == pytest.approx(102.1)
+
+
+def test_whoever_waits_is_let_go_when_a_camera_on_a_simulated_clock_is_closed() -> None:
+    drawn, ended = Drawn(range(10**6)), []
+    camera = drawn.camera()
+
+    def wait() -> None:
+        try:
+            camera.after(0.0, 1000.0)
+        except TimeoutError:
+            ended.append(drawn.clock())
+
+    waiting = drawn.clock.start(wait, "waits")
+    drawn.clock.sleep(5.0)
+    camera.close()
+    waiting.join()
+    assert ended == [pytest.approx(105.0)]
+    assert drawn.clock() < 105.2
+
+
+def test_a_simulated_source_that_breaks_is_asked_again() -> None:
+    drawn, told = Drawn(breaks=3), list[Picture]()
+    with drawn.camera(told=told) as camera:
+        drawn.clock.sleep(0.85)
+        assert camera.problem == ""
+    # It broke at 100.4 s, and is begun anew a tenth of a second later.
+    assert [picture.time for picture in told[:6]] == pytest.approx([100.1, 100.2, 100.3, 100.6, 100.7, 100.8])
+
+
 @pytest.mark.parametrize(
     ("source", "message"),
     [
@@ -369,6 +459,7 @@ def test_a_mounted_camera_looks_down_by_its_tilt() -> None:
         (lambda: RtspVideo("http://camera"), "url"),
         (lambda: VideoDevice(-1), "number"),
         (lambda: VideoFile(Path("x"), float("nan")), "latency"),
+        (lambda: Frames(lambda closed: iter(()), 11.0), "latency"),
     ],
 )
 def test_a_source_that_cannot_be_is_refused(make: Callable[[], Source], message: str) -> None:

@@ -10,10 +10,10 @@ from types import SimpleNamespace
 import pytest
 
 from dream.geometry import Bounds
-from dream.robots.bluerov2.bridge import Limits
 from dream.robots.bluerov2.check import LOGGED, Finding, Seen, findings
 from dream.robots.bluerov2.devices import DENSITY, Devices, dvl_at
 from dream.robots.bluerov2.dvl_a50 import SOUND_FRESH, Config, sound_in
+from dream.robots.bluerov2.limits import Limits
 from dream.robots.bluerov2.parameters import Check, rules
 from dream.robots.bluerov2.telemetry import Telemetry
 
@@ -28,11 +28,13 @@ LYING = Telemetry(
     mode="MANUAL",
     voltage=16.0,
     depth=0.4,
+    own_altitude=-0.3,
     version="4.5.6",
     heartbeat_age=0.5,
     imu_age=0.02,
     attitude_age=0.02,
     pressure_age=0.05,
+    own_altitude_age=0.1,
 )
 SEEN = Seen(frames=60, seconds=3.0, age=0.05)
 
@@ -108,9 +110,11 @@ def told(**changes: object) -> Callable[[Found], Found]:
     return lambda found: replace(found, telemetry=replace(found.telemetry, **changes))  # type: ignore[arg-type]
 
 
-def lying(depth: float, own_altitude: float) -> Callable[[Found], Found]:
+def lying(depth: float, own_altitude: float, *, zeroed_here: bool = True) -> Callable[[Found], Found]:
     return lambda found: replace(
-        found, telemetry=replace(found.telemetry, depth=depth, own_altitude=own_altitude), zeroed_here=True
+        found,
+        telemetry=replace(found.telemetry, depth=depth, own_altitude=own_altitude),
+        zeroed_here=zeroed_here,
     )
 
 
@@ -143,8 +147,10 @@ RIVAL = "another station uses our system id 255: HEARTBEAT from its component 19
         ("FS_PILOT_TIMEOUT", but(timeout=math.nan), "not there", "seconds until then"),
         ("inertial unit", told(imu_age=0.3), "sample 0.30 s old", "RAW_IMU and ATTITUDE at 50 Hz"),
         ("inertial unit", told(attitude_age=0.6), "attitude 0.60 s", "RAW_IMU and ATTITUDE at 50 Hz"),
-        ("depth", told(pressure_age=2.0), "0.40 m, 2.0 s old", "a Bar30 that was zeroed"),
-        ("depth", told(depth=math.nan), "nan m", "--surface-pressure"),
+        ("depth", told(pressure_age=2.0), "0.40 m, 2.0 s old", "a Bar30 that agrees with it"),
+        ("depth", lying(math.nan, -0.4), "nan m", "--surface-pressure"),
+        ("depth", told(own_altitude_age=1.5), "the autopilot does not tell its own", "GLOBAL_POSITION_INT"),
+        ("depth", lying(0.0, math.nan), "the autopilot does not tell its own", "GLOBAL_POSITION_INT"),
         ("battery", told(voltage=13.9), "13.9 V", "14 V or more"),
         ("battery", told(voltage=math.nan), "unknown", "14 V or more"),
         ("hull", told(leak=True), "water!", "a dry hull"),
@@ -169,6 +175,13 @@ RIVAL = "another station uses our system id 255: HEARTBEAT from its component 19
             "lay the v",
         ),
         ("depth", lying(0.0, own_altitude=0.4), "but -0.40 m by the autopilot", "--surface-pressure in hPa"),
+        (
+            "depth",
+            lying(0.0, own_altitude=-0.9, zeroed_here=False),
+            "0.00 m, 0.1 s old, but 0.90 m by the autopilot",
+            "SCALED_PRESSURE2 from outside the hull",
+        ),
+        ("depth", lying(-0.25, 0.25, zeroed_here=False), "-0.25 m", "a Bar30 that agrees with it"),
     ],
 )
 def test_what_is_not_well_says_what_was_found_and_what_is_wanted(
@@ -188,14 +201,12 @@ def test_what_is_not_well_says_what_was_found_and_what_is_wanted(
     assert others <= ({"DVL", "speed of sound"} if change(Found()).sonar.config is None else set())
 
 
-@pytest.mark.parametrize(
-    ("depth", "own_altitude", "zeroed_here"),
-    [(0.0, -0.2, True), (0.0, math.nan, True), (0.9, 0.0, False), (0.0, 0.9, False)],
-)
-def test_the_depth_is_well_where_it_is_about_the_autopilots_or_its_zero_was_told(
+@pytest.mark.parametrize("zeroed_here", [True, False])
+@pytest.mark.parametrize(("depth", "own_altitude"), [(0.0, -0.2), (0.9, -0.65), (-0.1, -0.05)])
+def test_the_depth_is_well_where_it_is_about_the_autopilots(
     depth: float, own_altitude: float, zeroed_here: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = replace(lying(depth, own_altitude)(Found()), zeroed_here=zeroed_here)
+    found = lying(depth, own_altitude, zeroed_here=zeroed_here)(Found())
     assert found.list(tmp_path, monkeypatch)["depth"].ok
 
 

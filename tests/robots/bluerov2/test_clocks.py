@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
@@ -153,3 +155,88 @@ def test_what_is_no_time_is_refused(bad: float) -> None:
 def test_parameters_are_checked(name: str) -> None:
     with pytest.raises(ValueError, match=name):
         DeviceClock(**{name: 0.0})
+
+
+ways = st.floats(0.0, 0.09)
+"""Seconds that half of a round trip takes, on a link that is not slow."""
+
+
+@given(
+    st.floats(0.3, 30.0),
+    st.sampled_from([-1.0, 1.0]),
+    st.lists(st.tuples(ways, ways), min_size=2, max_size=20),
+    st.floats(-100e-6, 100e-6),
+    st.floats(0.0, 0.9),
+    seeds,
+)
+def test_a_clock_that_is_set_by_03_s_is_told_at_the_next_round_trip(
+    slip: float,
+    side: float,
+    trips: list[tuple[float, float]],
+    drift: float,
+    before: float,
+    seed: int,
+) -> None:
+    clock, rng = DeviceClock(), np.random.default_rng(seed)
+
+    def ask(at: float, there: float, back: float, set_by: float) -> float:
+        clock.round_trip(at, 77.0 + (1.0 + drift) * (at + there) + set_by, at + there + back)
+        return at + there + back
+
+    for k, (there, back) in enumerate(trips[:-1]):
+        for late in sorted(rng.exponential(0.01, 10)):
+            clock.time(77.0 + (1.0 + drift) * (k - 0.1), k - 0.1 + late)
+        ask(float(k), there, back, 0.0)
+    assert (clock.jumps, clock.slipped) == (0, 0.0)
+    received = ask(len(trips) - before, *trips[-1], side * slip)
+    assert clock.jumps == 1
+    error = 0.5 * (sum(trips[-1]) + sum(trips[-2])) + 1e-3
+    assert clock.slipped == pytest.approx(side * slip, abs=error)
+    # From then on stamps are mapped as the new clock has them.
+    stamp = 77.0 + (1.0 + drift) * received + side * slip
+    assert clock.time(stamp, received + 0.01) == pytest.approx(received, abs=0.5 * sum(trips[-1]) + 0.011)
+
+
+@given(
+    st.lists(st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.1, 20.0)), max_size=30),
+    st.floats(-100e-6, 100e-6),
+    seeds,
+)
+def test_neither_jitter_nor_a_slow_link_is_taken_for_a_clock_that_was_set(
+    trips: list[tuple[float, float, float]], drift: float, seed: int
+) -> None:
+    clock, rng, truth = DeviceClock(), np.random.default_rng(seed), 0.0
+    came: list[tuple[float, Callable[[], object]]] = []
+
+    def stamp(at: float) -> float:
+        return 77.0 + (1.0 + drift) * at
+
+    for there, back, pause in trips:
+        begins, truth = truth, truth + pause
+        # Answers take up to two seconds; stamps come faster, but not evenly.
+        for at in np.arange(begins, truth, 0.1):
+            arrives = float(at + 0.45 * rng.random() ** 4)
+            came.append((arrives, partial(clock.time, stamp(float(at)), arrives)))
+        asked, answered = begins + there, begins + there + back
+        came.append((answered, partial(clock.round_trip, begins, stamp(asked), answered)))
+    for _, take in sorted(came, key=lambda entry: entry[0]):
+        take()
+    assert (clock.jumps, clock.slipped) == (0, 0.0)
+
+
+@pytest.mark.parametrize("step", [-3.0, 3.0])
+def test_a_first_round_trip_tells_a_clock_that_was_set_since_its_stamps(step: float) -> None:
+    clock = DeviceClock()
+    for k in range(20):
+        clock.time(50.0 + 0.05 * k, 0.05 * k + 0.01)
+    clock.round_trip(1.1, 51.12 + step, 1.2)
+    assert clock.jumps == 1
+    assert clock.time(51.2 + step, 1.21) == pytest.approx(1.2, abs=0.06)
+
+
+def test_how_far_a_clock_may_slip_unseen_is_what_both_round_trips_leave_open() -> None:
+    for slip, seen in ((0.24, False), (0.26, True)):
+        clock = DeviceClock()
+        clock.round_trip(0.0, 10.1, 0.1)  # read at its very end
+        clock.round_trip(1.0, 11.0 + slip, 1.1)  # and at its very beginning
+        assert (clock.jumps == 1) == seen

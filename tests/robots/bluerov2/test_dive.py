@@ -13,13 +13,13 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
 
 from dream.cli import _Telling, run_command
-from dream.commands.dive import Dive, _outlives_its_terminal
+from dream.commands.dive import Dive, _outlives_its_terminal, draw_flown
 from dream.commands.dive.console import tell
 from dream.commands.dive.flight import Flight
 from dream.commands.dive.options import mounting_told, repeating_command
@@ -38,22 +38,27 @@ from dream.planning.lookahead import Plan
 from dream.planning.rounds import Rounds
 from dream.protocol import POOL_V1
 from dream.recording import read_config, read_steps
-from dream.robots.bluerov2.bridge import SAG, LastResort, Limits
 from dream.robots.bluerov2.camera import RtpVideo
 from dream.robots.bluerov2.devices import PARAMETERS_BEFORE, Devices, source_of
-from dream.robots.bluerov2.leaving import LEAVING, leave
+from dream.robots.bluerov2.home import LEAVING, WayHome
+from dream.robots.bluerov2.limits import LastResort, Limits
 from dream.robots.bluerov2.log import dive_began, read_log, read_measurements, read_wire
 from dream.robots.bluerov2.navigation import Instruments
+from dream.robots.bluerov2.standin.lockstep import LockStep
+from dream.robots.bluerov2.standin.rig import Rig
 from dream.robots.replay import Replayed
 from dream.sim.worlds import make_world
 from dream.survey import files
 from dream.survey.site import Site, read_site, write_site
+from tests.robots.bluerov2 import rigged
 from tests.survey.scenes import reef
 
 STEPS = 50
-"""At most. Programs that run by the clock never make quite the same dive; it ends by itself after some 35."""
+"""At most. It ends by itself after some 35."""
 
 
+BEHIND = 0.25
+"""Seconds by which a simulated tank may fall behind for a dive in real time to be one."""
 SHOWN: list[tuple[Path, list[str]]] = []
 """Folders that a page began or ended to show, and what lay in them then."""
 
@@ -79,23 +84,32 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def dive(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a dive that ends by itself."""
-    out = tmp_path_factory.mktemp("dive")
-    fly = ["dive", "--stand-in", "--world", "pool/arc", "--max-steps", str(STEPS), "--site", str(site)]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dream.live.beside.check_installed", lambda: None)
-        patch.setattr("dream.live.beside.shown_live", shown_live)
-        assert run_command([*fly, "--live", "--json", "--out", str(out)]) == 0
-    return out / (out / "latest").readlink()
+    """The folder of a dive that ends by itself, on a simulated clock."""
+    folder = tmp_path_factory.mktemp("dive") / "2026-01-01T00-00-00_dive_belief"
+    folder.mkdir()
+    with Rig(folder, make_world("pool/arc", 1), pictures=10.0, width=320, depth=0.25) as rig:
+        dived = rigged.dive(rig, folder, max_steps=STEPS, ground=Ground(site=site))
+    assert dived.error is None
+    assert [finding for finding in dived.found if not finding.ok] == []
+    draw_flown(folder, quiet=True)
+    return folder
 
 
 @pytest.fixture(scope="module")
 def second(site: Path, dive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a short dive that plans with the survey of the first."""
+    """The folder of a short dive, in real time, that plans with the survey of the first."""
     out = tmp_path_factory.mktemp("second")
     fly = ["dive", "--stand-in", "--world", "pool/arc", "--max-steps", "5", "--json", "--out", str(out)]
-    assert run_command([*fly, "--site", str(site), "--from-survey", str(dive)]) == 0
-    return out / (out / "latest").readlink()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dream.live.beside.check_installed", lambda: None)
+        patch.setattr("dream.live.beside.shown_live", shown_live)
+        ended = run_command([*fly, "--live", "--site", str(site), "--from-survey", str(dive)])
+    folder = out / (out / "latest").readlink()
+    behind = summary_of(folder)["dive"]["behind_s"]
+    if ended != 0 and behind > BEHIND:
+        pytest.skip(f"this machine was too slow: the simulated tank fell behind by {behind} s")
+    assert ended == 0
+    return folder
 
 
 def summary_of(folder: Path) -> dict:  # type: ignore[type-arg]
@@ -109,15 +123,14 @@ def test_the_tank_is_explored(dive: Path) -> None:
     assert told["coverage"]["instances"] >= 0.95
     assert told["collisions"] == 0
     assert told["position_error_m"]["rmse"] < 0.1
-    assert told["dive"]["behind_s"] < 5.0
     assert told["dive"]["pictures_per_s"] > 8.0
     assert told["dive"]["log_lost"] == {}
 
 
 @pytest.mark.slow
-def test_a_page_shows_it_from_the_beginning_and_holds_up_nothing(dive: Path) -> None:
+def test_a_page_shows_it_from_the_beginning_and_holds_up_nothing(second: Path) -> None:
     (begun, before), (ended, after) = SHOWN
-    assert begun == ended == dive
+    assert begun == ended == second
     assert "steps.jsonl" not in before
     # What is made once the vehicle is let go is there before anybody has to close the page.
     assert {"steps.jsonl", "report.html", "log.mcap", "dive.svg"} <= set(after)
@@ -460,132 +473,105 @@ def test_without_an_operator_there_is_no_dive(tmp_path: Path, capsys: pytest.Cap
     assert "expected an operator at a terminal, got none. Say --unattended" in capsys.readouterr().err
 
 
-class Vehicle:
-    """One that comes up by itself once its mode is SURFACE, on a clock that runs when one sleeps."""
+class Home(WayHome):
+    """A way home that a test goes."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, **changes: object) -> None:
-        self.time, self.mode, self.engaged, self.yielding = 0.0, "ALT_HOLD", True, ""
-        # The dive began on the floor, three metres down, and took that for the surface.
-        self.depth, self.own_altitude = 0.0, -3.0
-        self.comes_up, self.alive, self.has = True, 0, False
-        self.voltage, self.leak, self.changed = 16.0, False, math.nan
-        self.happens: dict[str, tuple[float, object]] = {}
-        """What becomes of it when: name → seconds and value."""
-        self.telemetry = self
-        for name, value in changes.items():
-            setattr(self, name, value)
-        monkeypatch.setattr("dream.robots.bluerov2.leaving.time.sleep", self.sleep)
+    there = unheard = False
 
-    def sleep(self, seconds: float) -> None:
-        self.time += seconds
-        for name, (when, value) in self.happens.items():
-            if self.time >= when:
-                setattr(self, name, value)
-        if self.mode == "SURFACE" and self.comes_up:
-            self.own_altitude += 0.3 * seconds
-        if self.time > 300.0:
-            raise KeyboardInterrupt
+    def __init__(self, clock: LockStep, how: LastResort = LastResort.SURFACE) -> None:
+        limits = Limits(Bounds(-1.0, -1.0, 1.0, 1.0), last_resort=how)
+        telemetry = SimpleNamespace(own_altitude=math.nan, depth=math.nan, own_altitude_from="")
+        super().__init__(SimpleNamespace(telemetry=telemetry), limits, clock, threads=clock)  # type: ignore[arg-type]
+        self.begun: list[LastResort] = []
+        self.said: list[str] = []
+        self.closed = False
 
-    def set_mode(self, name: str) -> None:
-        self.mode, self.changed = name, self.time
+    def begin(self, how: LastResort) -> None:
+        self.how = how
+        self.begun.append(how)
 
-    def disarm(self) -> None:
-        self.engaged = False
-
-    def operator_alive(self) -> None:
-        self.alive += 1
-
-    def left(self, how: Literal["hold", "surface", "disarm"] = "surface") -> None:
-        devices = SimpleNamespace(now=lambda: self.time, link=self, station=self)
-        limits = Limits(Bounds(-1.0, -1.0, 1.0, 1.0), last_resort=LastResort(how))
-        leave(devices, limits, lambda line: None)  # type: ignore[arg-type]
-
-
-def test_in_the_end_the_vehicle_is_brought_up_and_disarmed(monkeypatch: pytest.MonkeyPatch) -> None:
-    vehicle = Vehicle(monkeypatch)
-    vehicle.left()
-    assert vehicle.own_altitude > -0.4
-    assert not vehicle.engaged
-    assert 8.0 < vehicle.time < 10.0
-    # Its own failsafe would stop it on the way, if nobody spoke to it.
-    assert vehicle.alive > 50
-
-
-def test_one_that_does_not_come_up_is_not_waited_for_forever(monkeypatch: pytest.MonkeyPatch) -> None:
-    vehicle = Vehicle(monkeypatch, comes_up=False)
-    vehicle.left()
-    assert vehicle.time == pytest.approx(LEAVING, abs=1.0)
-    assert not vehicle.engaged
-
-
-def test_one_that_is_to_be_disarmed_is_so_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    vehicle = Vehicle(monkeypatch)
-    vehicle.left("disarm")
-    assert (vehicle.time, vehicle.engaged, vehicle.mode) == (0.0, False, "ALT_HOLD")
-
-
-def test_one_that_is_to_hold_does_so_until_somebody_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    vehicle = Vehicle(monkeypatch)
-    vehicle.left("hold")
-    assert vehicle.time > 299.0
-    assert vehicle.engaged
-    assert vehicle.mode == "ALT_HOLD"
+    def close(self) -> None:
+        self.closed = True
 
 
 @pytest.mark.parametrize(
-    "name, value, at_most",
-    [("leak", True, 21.0), ("voltage", 13.9, 20.0 + SAG + 1.0)],
+    ("how", "said"),
+    [
+        (LastResort.SURFACE, "it comes to the surface"),
+        (LastResort.HOLD, "it holds its depth: take the sticks, or end with Ctrl-C"),
+        (LastResort.DISARM, "it is disarmed"),
+    ],
 )
-def test_one_that_holds_comes_up_before_water_or_a_flat_battery_end_it(
-    name: str, value: object, at_most: float, monkeypatch: pytest.MonkeyPatch
+def test_a_dive_ends_once_the_vehicle_is_home(how: LastResort, said: str) -> None:
+    clock = LockStep()
+    home = Home(clock, how)
+
+    def arrive() -> None:
+        clock.sleep(500.0)
+        home.there = True
+
+    clock.start(arrive, "arrives")
+    home.finish(home.said.append)
+    assert clock() == pytest.approx(500.0, abs=0.2)
+    assert (home.begun, home.closed, home.said) == ([how], True, [said])
+
+
+def test_a_vehicle_that_is_home_or_not_ours_is_left_without_a_word() -> None:
+    clock = LockStep()
+    home = Home(clock)
+    home.there = True
+    home.finish(home.said.append)
+    assert (clock(), home.begun, home.said) == (0.0, [], [])
+
+
+def test_one_that_stays_silent_is_waited_for_as_long_as_its_own_failsafe_may_take() -> None:
+    clock = LockStep()
+    home = Home(clock)
+
+    def silence() -> None:
+        for home.unheard in (True, False, True):
+            clock.sleep(0.9 * LEAVING)
+
+    clock.start(silence, "silence")
+    home.finish(home.said.append)
+    # Who is heard in between is waited for anew.
+    assert clock() == pytest.approx(2.8 * LEAVING, abs=0.3)
+    assert "left to its own failsafe" in home.said[-1]
+    assert home.closed
+
+
+@pytest.mark.parametrize(
+    ("how", "presses", "leaves"),
+    [
+        (LastResort.HOLD, [20.0], 20.0),
+        (LastResort.SURFACE, [20.0, 22.0], 22.0),
+        (LastResort.SURFACE, [20.0, 30.0, 31.0], 31.0),
+    ],
+)
+def test_ctrl_c_leaves_one_that_holds_and_one_that_comes_up_only_by_a_second(
+    how: LastResort, presses: list[float], leaves: float
 ) -> None:
-    vehicle = Vehicle(monkeypatch, happens={name: (20.0, value)})
-    vehicle.left("hold")
-    assert vehicle.mode == "SURFACE"
-    assert vehicle.own_altitude > -0.4
-    assert not vehicle.engaged
-    assert 20.0 <= vehicle.changed < at_most
+    clock = LockStep()
+    home = Home(clock, how)
+
+    def press() -> None:
+        for at in presses:
+            clock.sleep(at - clock())
+            clock.interrupt()
+
+    clock.start(press, "presses")
+    home.finish(home.said.append)
+    assert clock() == leaves
+    assert "left as it is: interrupted" in home.said[-1]
+    assert home.closed
 
 
-@pytest.mark.parametrize("volts", [math.nan, 13.9])
-def test_one_that_holds_rides_out_a_battery_that_sags_or_does_not_tell(
-    volts: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    vehicle = Vehicle(monkeypatch)
-    slept = vehicle.sleep
-
-    def sleep(seconds: float) -> None:
-        # Two seconds in every ten below the limit.
-        vehicle.voltage = volts if math.isnan(volts) or vehicle.time % 10.0 < 2.0 else 16.0
-        slept(seconds)
-
-    monkeypatch.setattr("dream.robots.bluerov2.leaving.time.sleep", sleep)
-    vehicle.left("hold")
-    assert (vehicle.mode, vehicle.engaged) == ("ALT_HOLD", True)
-
-
-@pytest.mark.parametrize("changes", [{"yielding": "somebody else drives"}, {"engaged": False}])
-def test_one_that_is_not_ours_is_left_as_it_is(
-    changes: dict[str, object], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    vehicle = Vehicle(monkeypatch, **changes)
-    vehicle.left()
-    assert (vehicle.time, vehicle.mode) == (0.0, "ALT_HOLD")
-    assert vehicle.engaged == (changes.get("engaged", True))
-
-
-def test_who_has_the_sticks_brings_it_home(monkeypatch: pytest.MonkeyPatch) -> None:
-    vehicle = Vehicle(monkeypatch, has=True)
-    vehicle.left()
-    assert vehicle.mode == "ALT_HOLD"
-    assert vehicle.time > 299.0
-
-
-def test_a_terminal_that_closes_does_not_end_the_program() -> None:
-    before = signal.getsignal(signal.SIGHUP)
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU])
+def test_a_terminal_neither_ends_the_program_by_closing_nor_stops_it(number: signal.Signals) -> None:
+    before = signal.getsignal(number)
     with _outlives_its_terminal():
-        signal.raise_signal(signal.SIGHUP)
-    assert signal.getsignal(signal.SIGHUP) == before
+        signal.raise_signal(number)
+    assert signal.getsignal(number) == before
 
 
 def test_a_warning_that_nobody_can_read_stops_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -624,6 +610,8 @@ def test_the_line_that_dives_again_says_what_was_told() -> None:
         ("--area -1 -1 1 1 --max-depth -3", "--max-depth: expected a limit above 0, got -3"),
         ("--area -1 -1 1 1 --minutes 0", "--minutes: expected a limit above 0, got 0"),
         ("--area -1 -1 1 1 --min-voltage -1", "--min-voltage: expected 0 or more, got -1"),
+        ("--area -1 -1 1 1 --min-altitude -0.1", "--min-altitude: expected 0 or more, got -0.1"),
+        ("--area -1 -1 1 1 --min-altitude 0.5", "--min-altitude: expected less than the 0.5 m of the A50"),
         ("--stand-in --area -1 -1 1 1", "--area: expected none with --stand-in"),
     ],
 )
@@ -724,8 +712,10 @@ def test_the_dvl_is_told_how_fast_sound_goes(tmp_path: Path, capsys: pytest.Capt
     (tmp_path / "check").mkdir()
     (tmp_path / "check/mine").write_text("kept")
     fly = ["dive", "--stand-in", "--check", "--json", "--speed-of-sound", "1482", "--out", str(tmp_path)]
-    assert run_command(fly) == 0
+    run_command(fly)
     said = {item["name"]: item for item in json.loads(capsys.readouterr().out)["findings"]}
+    # How many pictures come in is for the machine to say.
+    assert [name for name, item in said.items() if not item["ok"] and name != "camera"] == []
     assert said["sound"]["said"] == "told 1482 m/s, it had 1500"
     assert said["speed of sound"]["said"] == "1482 m/s"
     # No run, `latest` is what it was, and what lies there is left alone.

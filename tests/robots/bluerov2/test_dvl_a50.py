@@ -14,15 +14,25 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dream.geometry import SE2
 from dream.measurements import Dvl
 from dream.robots.bluerov2.dvl_a50 import (
+    FIRMWARE,
     MAX_LINE,
     BadLine,
     DvlA50,
+    Stream,
     VelocityReport,
     measurement,
     read_line,
 )
+from dream.robots.bluerov2.standin.a50 import A50, DvlFaults
+from dream.robots.bluerov2.standin.lockstep import LockStep
+from dream.robots.bluerov2.standin.memory import Pipe
+from dream.robots.bluerov2.standin.tank import BEAT, Tank
+from dream.sim.world import World
+from dream.sim.worlds import make_world
+from tests.robots.bluerov2.waiting import until
 
 SOON = 5.0
 """Seconds within which whatever a test waits for has come, also on a busy machine."""
@@ -355,18 +365,47 @@ def test_a_hot_device_says_so(opened: Opened) -> None:
     assert "too hot" in link.problem
 
 
-def test_another_protocol_is_named(opened: Opened) -> None:
-    cold = threading.Event()
+def old(*missing: str, **changes: Any) -> bytes:
+    """A report of the protocols before: without what came later."""
+    before = {name: value for name, value in said(**changes).items() if name not in missing}
+    return json.dumps(before).encode() + b"\n"
 
-    def tap(_time: float, _channel: str, sent: bool, payload: object) -> None:
-        if not sent and "json_v4" in str(payload):
-            cold.set()
 
-    link, _, server = opened(says(line(format="json_v4")), tap=tap)
-    assert cold.wait(SOON)
-    server.over.set()
-    link.close()
-    assert link.refused == {"velocity: format": 1}
+@pytest.mark.parametrize(
+    ("raw", "reason", "spoken", "remedy"),
+    [
+        (old("type", "covariance", format="json_v1"), "no type", "json_v1", "too old"),
+        (old("type", "covariance", "format", "status"), "no type", "a protocol without a name", "too old"),
+        (old("covariance", format="json_v2"), "velocity: format", "json_v2", "too old"),
+        (line(format="json_v4"), "velocity: format", "json_v4", "Is it one of those?"),
+        (line(format="json_v30"), "velocity: format", "json_v30", "Is it one of those?"),
+        (line(format="x" * 5000), "velocity: format", "another protocol", "Is it one of those?"),
+    ],
+)
+def test_another_protocol_is_named_and_what_firmware_is_needed(
+    opened: Opened, raw: bytes, reason: str, spoken: str, remedy: str
+) -> None:
+    refused = threading.Event()
+
+    def script(link: socket.socket) -> None:
+        while not refused.wait(0.01):
+            link.sendall(raw)
+
+    link, _, _ = opened(script)
+    assert until(lambda: link.refused)
+    problem = link.problem
+    refused.set()
+    assert set(link.refused) == {reason}
+    assert f"speaks {spoken}, expected json_v3" in problem
+    assert remedy in problem
+    assert FIRMWARE in problem
+    assert len(problem) < 250
+
+
+def test_what_has_no_type_and_is_no_velocity_is_no_old_protocol() -> None:
+    with pytest.raises(BadLine) as refused:
+        read_line(b'{"format": "json_v1", "x": 1.0}')
+    assert refused.value.spoken == ""
 
 
 def test_a_failing_receiver_does_not_end_the_link(opened: Opened) -> None:
@@ -496,3 +535,164 @@ def test_a_wrong_argument_is_never_sent(opened: Opened, speed: float) -> None:
         link.set_config(speed_of_sound=speed)
     with pytest.raises(ValueError, match="time zone"):
         link.set_time_manual(datetime(2026, 11, 22, 12, 0))  # noqa: DTZ001
+
+
+# On a clock of its own, without a network.
+
+
+class Rig:
+    """The link and a stand-in A50 whose time goes on only while both wait."""
+
+    def __init__(self, pool: World, **options: Any) -> None:
+        self.clock = LockStep()
+        self.tank = Tank(pool, start=SE2(0.0, 0.0, 0.3))
+        self.a50 = A50(self.tank, host=None)
+        self.got: list[tuple[float, Dvl]] = []
+        self.dialled: list[float] = []
+        self.lines = 0
+        self.unreachable = False
+        self._ending = self.clock.event()
+        self._beats = self.clock.start(self._beat, "a50")
+        self.link = DvlA50(
+            "rig",
+            now=self.clock,
+            deliver=lambda dvl: self.got.append((self.clock(), dvl)),
+            threads=self.clock,
+            dial=self._dial,
+            **options,
+        )
+
+    def _dial(self) -> Stream:
+        self.dialled.append(self.clock())
+        if self.unreachable:
+            raise ConnectionRefusedError(111, "Connection refused")
+        return self.a50.attach(self.clock)
+
+    def _beat(self) -> None:
+        while not self._ending.is_set():
+            self.tank.advance(np.zeros(8))
+            self.a50.beat()
+            self.clock.sleep(BEAT)
+
+    def __enter__(self) -> Rig:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.link.close()
+        self._ending.set()
+        self._beats.join()
+        self.a50.close()
+
+
+@pytest.fixture(scope="module")
+def pool() -> World:
+    return make_world("pool/arc", 1)
+
+
+def test_on_a_clock_of_its_own_it_connects_learns_the_settings_and_delivers(pool: World) -> None:
+    with Rig(pool) as rig:
+        assert rig.dialled == []
+        rig.clock.sleep(2.0)
+        assert rig.dialled == [0.0]
+        assert (rig.link.connected, rig.link.problem) == (True, "")
+        assert rig.link.config is not None
+        assert rig.link.config.speed_of_sound == 1500.0
+        # Fifteen times a second, half a metre above the ground.
+        assert len(rig.got) == pytest.approx(30, abs=2)
+        assert all(0.0 <= came - dvl.time < 0.03 for came, dvl in rig.got)
+        altitudes = [dvl.altitude for _, dvl in rig.got if dvl.valid]
+        assert len(altitudes) > 25
+        assert altitudes == pytest.approx([0.5] * len(altitudes), abs=0.02)
+        assert rig.link.age < 0.1
+        began = rig.clock()
+        rig.link.set_config(speed_of_sound=1480.0)
+        assert rig.clock() - began < 0.1
+        assert rig.a50.config["speed_of_sound"] == 1480.0
+    assert (rig.link.connected, rig.a50.clients) == (False, 0)
+
+
+def test_it_takes_the_same_course_every_time(pool: World) -> None:
+    def course() -> list[tuple[float, float, float]]:
+        with Rig(pool) as rig:
+            rig.clock.sleep(1.0)
+            return [(came, dvl.time, float(dvl.velocity[0])) for came, dvl in rig.got]
+
+    assert course() == course()
+
+
+def test_silence_is_told_and_after_it_the_connection_is_made_anew(pool: World) -> None:
+    with Rig(pool, quiet=1.0, pauses=(0.5, 4.0)) as rig:
+        rig.clock.sleep(2.0)
+        rig.a50.faults = DvlFaults(silent=True)
+        last = rig.clock()
+        rig.clock.sleep(0.5)
+        assert rig.link.problem == ""
+        assert rig.link.age == pytest.approx(0.5, abs=0.1)
+        rig.clock.sleep(7.5)
+        # A second of silence, then a pause that doubles: 0.5 s, and 1 s after a silence of another second.
+        assert np.diff(rig.dialled) == pytest.approx([last + 1.5, 2.0, 3.0], abs=0.1)
+        assert "no connection to the DVL at rig:16171 (nothing heard for 1 s)" in rig.link.problem
+        with pytest.raises(ConnectionError):
+            rig.link.ask("get_config")
+        rig.got.clear()
+        rig.a50.faults = DvlFaults()
+        rig.clock.sleep(4.0)
+        assert rig.link.problem == ""
+        assert rig.got
+        assert rig.link.age < 0.1
+
+
+def test_a_question_has_a_time_out_of_its_own_and_keeps_the_connection(pool: World) -> None:
+    with Rig(pool, quiet=1.0) as rig:
+        rig.clock.sleep(1.0)
+        rig.a50.faults = DvlFaults(silent=True)
+        began = rig.clock()
+        with pytest.raises(TimeoutError, match="get_config: expected a response of the DVL within 2 s"):
+            rig.link.ask("get_config", timeout=2.0)
+        assert rig.clock() - began == pytest.approx(2.0)
+        assert rig.dialled == [0.0]
+
+
+def test_where_nobody_answers_it_tries_again_after_pauses_that_grow(pool: World) -> None:
+    with Rig(pool, pauses=(0.25, 1.0)) as rig:
+        rig.unreachable = True
+        rig.clock.sleep(4.0)
+        assert rig.dialled == pytest.approx([0.0, 0.25, 0.75, 1.75, 2.75, 3.75])
+        assert "no connection to the DVL at rig:16171 (Connection refused)" in rig.link.problem
+        rig.unreachable = False
+        rig.clock.sleep(1.0)
+        assert rig.link.connected
+
+
+def test_cut_off_it_connects_anew_and_closed_it_waits_for_nothing(pool: World) -> None:
+    with Rig(pool, pauses=(0.25, 1.0)) as rig:
+        rig.clock.sleep(1.0)
+        rig.a50.disconnect()
+        rig.clock.sleep(1.0)
+        assert rig.dialled == pytest.approx([0.0, 1.25], abs=0.02)
+        assert rig.link.connected
+        began = rig.clock()
+        rig.link.close()
+        assert rig.clock() == began
+
+
+def test_both_ends_of_a_pipe_say_when_the_other_is_gone() -> None:
+    clock = LockStep()
+    pipe = Pipe(clock)
+    with pytest.raises(BlockingIOError):
+        pipe.far.recv(100)
+    with pytest.raises(TimeoutError):
+        pipe.receive(3.0)
+    assert clock() == 3.0
+    pipe.send(b"hello")
+    assert pipe.far.recv(2) == b"he"
+    assert pipe.far.send(b"you") == 3
+    pipe.far.close()
+    # What was sent before is still read.
+    assert pipe.far.recv(100) == b"llo"
+    assert pipe.receive(1.0) == b"you"
+    assert pipe.far.recv(100) == pipe.receive(1.0) == b""
+    with pytest.raises(ConnectionError):
+        pipe.send(b"?")
+    with pytest.raises(ConnectionError):
+        pipe.far.send(b"!")

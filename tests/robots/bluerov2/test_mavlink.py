@@ -19,16 +19,19 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from dream.geometry import wrap_angle
 from dream.measurements import Depth, Heading, Imu
-from dream.robots.bluerov2.mavlink import LIFELINE, LOST, PERIOD, RATES, Link, Refused, Restored
+from dream.robots.bluerov2.mavlink import LIFELINE, LOST, PERIOD, RATES, REASON, Link, Refused, Restored
 from dream.robots.bluerov2.motion import LONGEST, Motion
 from dream.robots.bluerov2.reports import GRAVITY, SEA
 from dream.robots.bluerov2.standin.ardusub import ArduSub
+from dream.robots.bluerov2.standin.lockstep import LockStep
 from dream.robots.bluerov2.standin.tank import Conditions, Tank
-from dream.robots.bluerov2.sticks import ALTITUDE_ONLY, GLOBAL_INT, NEUTRAL, STILL, Sticks
+from dream.robots.bluerov2.sticks import NEUTRAL, STILL, Sticks
+from dream.robots.bluerov2.telemetry import HEADING_SIGMA, LOCAL, SLIPPED
 from dream.robots.bluerov2.wire import Udp
 from dream.sim.worlds import make_world
 from dream.types import BodyVelocity
 from dream.vehicle import VECTORED_6DOF
+from tests.robots.bluerov2.diver import Diver, afloat
 from tests.robots.bluerov2.waiting import until
 
 AHEAD = Sticks(x=400, r=-100)
@@ -70,6 +73,7 @@ class Vehicle:
         self.sent: list[tuple[float, Any]] = []
         self.parameters = dict(PARAMETERS)
         self.mode, self.armed = 19, False
+        self.state = dialect.MAV_STATE_ACTIVE
         self.deaf = Counter[str]()
         self.results: dict[int, int] = {}
         self.why = ""
@@ -111,7 +115,7 @@ class Vehicle:
 
     def heartbeat(self) -> None:
         armed = dialect.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0
-        self.say(dialect.MAVLink_heartbeat_message(12, 3, 1 | armed, self.mode, 4, 3))
+        self.say(dialect.MAVLink_heartbeat_message(12, 3, 1 | armed, self.mode, self.state, 3))
 
     def attitude(self, yaw: float = 0.0, roll: float = 0.0, pitch: float = 0.0) -> None:
         self.say(dialect.MAVLink_attitude_message(self.boot_ms, roll, pitch, yaw, 0.0, 0.0, 0.0))
@@ -121,6 +125,10 @@ class Vehicle:
 
     def imu(self, acc: tuple[int, int, int], gyro: tuple[int, int, int] = (0, 0, 0)) -> None:
         self.say(dialect.MAVLink_raw_imu_message(1000 * self.boot_ms, *acc, *gyro, 0, 0, 0))
+
+    def status(self, volts: float = 15.8) -> None:
+        numbers = 0, 0, 0, 0, round(1000 * volts), -1, 62, 0, 0, 0, 0, 0, 0
+        self.say(dialect.MAVLink_sys_status_message(*numbers))
 
     def named(self, name: str, value: float) -> None:
         self.say(dialect.MAVLink_named_value_float_message(self.boot_ms, name.encode(), value))
@@ -489,19 +497,6 @@ def test_a_vehicle_that_is_not_heard_is_not_driven(dive: Dive) -> None:
     assert all(map(is_neutral, late))
 
 
-def test_depth_target_by_hand(dive: Dive) -> None:
-    with pytest.raises(RuntimeError, match="ALT_HOLD"):
-        dive.link.depth_target(-1.0)
-    dive.armed()
-    dive.link.depth_target(-1.5, surface=-0.25)
-    (message,) = dive.vehicle.heard("SET_POSITION_TARGET_GLOBAL_INT")
-    assert message.alt == -1.25
-    assert not message.type_mask & 4
-    assert message.type_mask & 3 == 3
-    with pytest.raises(ValueError, match="surface"):
-        dive.link.depth_target(0.2)
-
-
 # Signs of life
 
 
@@ -604,6 +599,59 @@ def test_on_its_way_up_the_vehicle_keeps_neutral_sticks(dive: Dive) -> None:
     dive.vehicle.sent.clear()
     dive.run(0.5)
     assert dive.vehicle.moves() == []
+
+
+@pytest.mark.parametrize(("up", "ours"), [(None, True), (-0.2, True), (-0.9, True), (-1.1, False)])
+def test_a_surface_that_becomes_alt_hold_is_the_autopilots_own_doing_near_the_top(
+    dive: Dive, up: float | None, ours: bool
+) -> None:
+    dive.armed()
+    dive.link.set_mode("SURFACE")
+    dive.run(20.0)  # it may take long
+    if up is not None:
+        dive.vehicle.say(own_altitude(up))
+    dive.vehicle.mode = 2
+    dive.run(0.5)
+    assert (dive.link.yielding == "") == ours
+    # It is once: what comes after it is somebody's.
+    dive.vehicle.mode = 9
+    dive.run(0.5)
+    assert "SURFACE instead of ALT_HOLD" in dive.link.yielding or not ours
+
+
+def test_a_surface_that_ends_before_it_ever_showed_is_ours_too(dive: Dive) -> None:
+    dive.armed("MANUAL")
+    obey = dive.vehicle.obey
+
+    def surfaced(message: Any) -> None:
+        message.param2 = 2.0 if message.param2 == 9.0 else message.param2
+        obey(message)
+
+    dive.vehicle.obey = surfaced  # type: ignore[method-assign]
+    dive.link.set_mode("SURFACE")
+    dive.run(1.0)
+    assert dive.link.telemetry.mode == "ALT_HOLD"
+    assert dive.link.yielding == ""
+
+
+def test_a_failsafe_that_brings_it_up_is_told_and_is_nobody_else(dive: Dive) -> None:
+    dive.armed()
+    dive.link.command(AHEAD, dive.clock() + 0.5)
+    dive.vehicle.say(dialect.MAVLink_statustext_message(2, b"Leak Detected"))
+    dive.vehicle.mode, dive.vehicle.state = 9, dialect.MAV_STATE_CRITICAL
+    dive.vehicle.heartbeat()
+    assert dive.link.yielding == ""
+    assert dive.link.engaged
+    assert 'a failsafe of the vehicle brings it up. It said: "Leak Detected"' in dive.link.surfacing
+    dive.vehicle.sent.clear()
+    dive.run(0.3)
+    assert dive.vehicle.moves()
+    assert all(map(is_neutral, dive.vehicle.moves()))
+    # At the top it ends by itself, and is still ours to disarm.
+    dive.vehicle.say(own_altitude(-0.1))
+    dive.vehicle.mode = 2
+    dive.run(0.5)
+    assert dive.link.yielding == ""
 
 
 def test_modes_that_we_ask_for_are_ours(dive: Dive) -> None:
@@ -743,7 +791,7 @@ def test_headings_agree_whichever_message_brings_them(yaw_ned: float, roll: floa
     assert isinstance(a, Heading)
     assert abs(wrap_angle(a.yaw - b.yaw)) < 1e-5
     assert abs(wrap_angle(a.yaw - (math.pi / 2 - yaw_ned))) < 1e-6
-    assert a.sigma == 0.05
+    assert a.sigma == HEADING_SIGMA
 
 
 def test_heading_by_hand(dive: Dive) -> None:
@@ -816,6 +864,25 @@ def test_round_trips_take_half_of_a_constant_way_out() -> None:
     assert lateness < 0.012
 
 
+@pytest.mark.parametrize("slip", [0.3, -0.3])
+def test_a_clock_of_the_autopilot_that_is_set_is_told_at_the_next_round_trip_and_for_a_while(
+    dive: Dive, slip: float
+) -> None:
+    dive.armed()
+    for _ in range(4):
+        dive.vehicle.attitude()
+        dive.run(1.0)
+    assert dive.link.telemetry.slipped == ""
+    dive.vehicle.booted -= slip
+    dive.run(1.1)
+    assert dive.link.telemetry.slipped == f"the autopilot's clock slipped by {slip:+.2f} s"
+    # What it measures now is of now.
+    dive.vehicle.attitude(yaw=0.2)
+    assert dive.delivered[-1].time == pytest.approx(dive.clock(), abs=0.01)
+    dive.run(SLIPPED)
+    assert dive.link.telemetry.slipped == ""
+
+
 def test_what_repeats_or_is_overtaken_is_delivered_once(dive: Dive) -> None:
     data = dive.vehicle.pack(dialect.MAVLink_attitude_message(10000, 0, 0, 0, 0, 0, 0))
     older = dive.vehicle.pack(dialect.MAVLink_attitude_message(9990, 0, 0, 0, 0, 0, 0))
@@ -859,6 +926,18 @@ def test_no_bytes_raise(data: bytes) -> None:
     assert len(dive.delivered) == 1
 
 
+def own_altitude(up: float) -> Any:
+    return dialect.MAVLink_global_position_int_message(1, 0, 0, 437_000, round(1000 * up), 0, 0, 0, 0)
+
+
+def own_place(up: float) -> Any:
+    return dialect.MAVLink_local_position_ned_message(1, 0.0, 0.0, -up, 0.0, 0.0, 0.0)
+
+
+def pulses(*driven: int, port: int = 0) -> Any:
+    return dialect.MAVLink_servo_output_raw_message(0, port, *driven, *[0] * (8 - len(driven)))
+
+
 def strange() -> list[tuple[str, Any]]:
     nan, huge = math.nan, 1e30
     d = dialect
@@ -870,8 +949,12 @@ def strange() -> list[tuple[str, Any]]:
         ("pressure", d.MAVLink_scaled_pressure2_message(1, nan, 0.0, 0)),
         ("pressure", d.MAVLink_scaled_pressure2_message(1, 0.0, 0.0, 0)),
         ("pressure", d.MAVLink_scaled_pressure2_message(1, huge, 0.0, 0)),
-        ("own altitude", d.MAVLink_vfr_hud_message(0.0, 0.0, 0, 0, nan, 0.0)),
-        ("own altitude", d.MAVLink_vfr_hud_message(0.0, 0.0, 0, 0, -huge, 0.0)),
+        ("own altitude", own_altitude(501.0)),
+        ("own altitude", own_altitude(-2e6)),
+        ("own altitude", own_place(nan)),
+        ("own altitude", own_place(-huge)),
+        ("servo output", pulses(1500, 2201)),
+        ("servo output", pulses(799)),
         ("imu: force", d.MAVLink_raw_imu_message(1, 32767, 0, 0, 0, 0, 0, 0, 0, 0)),
         ("imu: turn rate", d.MAVLink_raw_imu_message(1, 0, 0, -1000, 0, 0, 32767, 0, 0, 0)),
         ("camera tilt", d.MAVLink_mount_orientation_message(1, 0.0, nan, 0.0)),
@@ -897,7 +980,7 @@ def test_telemetry(dive: Dive) -> None:
     assert dive.link.telemetry.heartbeat_age == math.inf
     dive.armed()
     vehicle = dive.vehicle
-    vehicle.say(dialect.MAVLink_sys_status_message(0, 0, 0, 0, 15800, -1, 62, 0, 0, 0, 0, 0, 0))
+    vehicle.status()
     vehicle.named("PilotGain", 0.75)
     vehicle.named("InputHold", 1.0)
     vehicle.imu((0, 0, -1000))
@@ -919,11 +1002,67 @@ def test_the_autopilots_own_altitude_is_its_own(dive: Dive) -> None:
     dive.armed()
     assert math.isnan(dive.link.telemetry.own_altitude)
     assert dive.link.telemetry.own_altitude_age == math.inf
-    dive.vehicle.say(dialect.MAVLink_vfr_hud_message(0.0, 0.0, 0, 0, -1.25, 0.0))
+    # Heights above the sea are none: 0 for ever, or off by the altitude of the water.
+    dive.vehicle.say(dialect.MAVLink_vfr_hud_message(0.0, 0.0, 0, 0, 437.0, 0.0))
+    assert math.isnan(dive.link.telemetry.own_altitude)
+    dive.vehicle.say(own_altitude(-1.25))
     dive.clock.time += 0.3
     assert dive.link.telemetry.own_altitude == -1.25
     assert dive.link.telemetry.own_altitude_age == pytest.approx(0.3)
     assert math.isnan(dive.link.telemetry.depth)
+
+
+def test_its_position_tells_its_altitude_where_it_has_one_and_is_gone_after_a_second(dive: Dive) -> None:
+    dive.armed()
+
+    def told(message: Any) -> tuple[float, str]:
+        dive.vehicle.say(message)
+        telemetry = dive.link.telemetry
+        return telemetry.own_altitude, telemetry.own_altitude_from
+
+    assert told(own_altitude(-1.25)) == (-1.25, "GLOBAL_POSITION_INT")
+    # With a position, `relative_alt` counts from above the sea: both come, and one alone is gone by.
+    for _ in range(20):
+        assert told(own_place(-1.5)) == (-1.5, "LOCAL_POSITION_NED")
+        assert told(own_altitude(49.0)) == (-1.5, "LOCAL_POSITION_NED")
+        dive.clock.time += LOCAL - 0.05
+    assert told(own_altitude(49.0)) == (-1.5, "LOCAL_POSITION_NED")
+    # What does not count does not keep it fresh.
+    assert dive.link.telemetry.own_altitude_age == pytest.approx(LOCAL - 0.05)
+    dive.clock.time += 0.1
+    assert told(own_altitude(49.0)) == (49.0, "GLOBAL_POSITION_INT")
+    assert told(own_place(-1.5)) == (-1.5, "LOCAL_POSITION_NED")
+
+
+def test_an_autopilot_that_begins_anew_takes_its_zero_with_it(dive: Dive) -> None:
+    dive.armed()
+    boot = 500_000
+    dive.vehicle.say(dialect.MAVLink_local_position_ned_message(boot, 0.0, 0.0, 1.5, 0.0, 0.0, 0.0))
+    assert dive.link.telemetry.own_altitude == -1.5
+    # Once may be a packet that came late.
+    for k in range(2):
+        assert dive.link.telemetry.reboots == 0
+        dive.vehicle.say(dialect.MAVLink_attitude_message(10 + 20 * k, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    telemetry = dive.link.telemetry
+    assert telemetry.reboots == 1
+    assert math.isnan(telemetry.own_altitude)
+    assert telemetry.own_altitude_age == math.inf
+    # Nothing is left that would keep the other message out.
+    dive.vehicle.say(dialect.MAVLink_global_position_int_message(60, 0, 0, 0, -700, 0, 0, 0, 0))
+    telemetry = dive.link.telemetry
+    assert (telemetry.own_altitude, telemetry.own_altitude_from) == (-0.7, "GLOBAL_POSITION_INT")
+
+
+def test_its_thrust_is_that_of_the_hardest_working_thruster(dive: Dive) -> None:
+    dive.armed()
+    assert math.isnan(dive.link.telemetry.thrust)
+    dive.vehicle.say(pulses(1500, 1700, 1200, 1500, 1500, 1500))
+    # Lights and grippers are on the other port, or their channels say nothing.
+    dive.vehicle.say(pulses(1900, 1900, port=1))
+    assert dive.link.telemetry.thrust == 0.75
+    dive.vehicle.status()
+    dive.clock.time += 0.2
+    assert dive.link.telemetry.status_age == pytest.approx(0.2)
 
 
 def test_the_heartbeat_is_asked_for_at_5_hz_where_the_vehicle_allows_that() -> None:
@@ -950,17 +1089,6 @@ def test_the_stand_in_counts_altitude_from_a_zero_of_its_own(dive: Dive) -> None
     swim(2.0)
     truth = tank.state.position[2]
     assert dive.link.telemetry.own_altitude == pytest.approx(truth + 0.4, abs=0.05)
-    sub.hear(dive.vehicle.pack(dialect.MAVLink_set_mode_message(1, 1, 2), 255, 190))
-    sub.arm()
-    # What it is told is counted as what it says.
-    wanted = -0.8
-    message = dialect.MAVLink_set_position_target_global_int_message(
-        0, 1, 1, GLOBAL_INT, ALTITUDE_ONLY, 0, 0, wanted, *[0.0] * 8
-    )
-    sub.hear(dive.vehicle.pack(message, 255, 190))
-    swim(10.0)
-    assert dive.link.telemetry.own_altitude == pytest.approx(wanted, abs=0.05)
-    assert tank.state.position[2] == pytest.approx(wanted - 0.4, abs=0.08)
 
 
 def test_a_leak_shows_in_the_sensors_health_too(dive: Dive) -> None:
@@ -1207,6 +1335,75 @@ def test_the_camera_is_tilted_and_seen_to_be(dive: Dive) -> None:
         dive.link.tilt_camera(0.2, timeout=0.02)
     with pytest.raises(ValueError, match="60"):
         dive.link.tilt_camera(math.nan)
+
+
+# On a simulated clock, with threads
+
+
+@pytest.mark.parametrize(("after", "told"), [(0.0, True), (0.25, True), (0.4, False)])
+def test_a_reason_that_comes_a_moment_after_the_refusal_is_told_and_not_waited_for_longer(
+    after: float, told: bool
+) -> None:
+    diver = Diver(
+        LockStep(), refuses=Counter(SURFACE=1), why="Depth sensor is not connected", why_after=after
+    )
+    with afloat(diver) as link:
+        asked = diver.clock()
+        with pytest.raises(Refused, match="DO_SET_MODE: expected ACCEPTED, got FAILED") as refused:
+            link.set_mode("SURFACE")
+        assert ("Depth sensor is not connected" in str(refused.value)) == told
+        assert diver.clock() - asked == pytest.approx(min(after, REASON), abs=0.06)
+
+
+def moving(diver: Diver, since: float) -> list[Any]:
+    return [m for m in diver.heard("MANUAL_CONTROL", since) if not is_neutral(m)]
+
+
+def test_a_vehicle_is_ours_until_its_heartbeat_shows_that_it_is_disarmed() -> None:
+    diver = Diver(LockStep())
+    with afloat(diver) as link:
+        diver.heartbeats = False
+        began = diver.clock()
+        disarming = diver.clock.start(link.disarm, "disarms")
+        for _ in range(20):
+            # Whoever goes on to give orders moves nothing.
+            link.command(AHEAD, diver.clock() + 0.4)
+            diver.clock.sleep(0.1)
+            assert link.engaged
+        assert not diver.armed
+        assert diver.heard("MANUAL_CONTROL", began)
+        assert moving(diver, began) == []
+        diver.heartbeats = True
+        diver.clock.sleep(0.3)
+        assert not link.engaged
+        disarming.join(1.0)
+        assert not disarming.is_alive()
+        assert link.yielding == ""
+
+
+def test_one_that_does_not_let_itself_be_disarmed_is_still_ours_to_move() -> None:
+    diver = Diver(LockStep(), refuses=Counter(disarm=1))
+    with afloat(diver) as link:
+        with pytest.raises(Refused, match="COMPONENT_ARM_DISARM"):
+            link.disarm()
+        assert link.engaged
+        assert link.yielding == ""
+        refused = diver.clock()
+        link.command(AHEAD, refused + 0.4)
+        diver.clock.sleep(0.3)
+        assert moving(diver, refused)
+        link.disarm()
+        assert not link.engaged
+
+
+def test_a_question_is_asked_again_and_given_up_after_its_time() -> None:
+    diver = Diver(LockStep())
+    with afloat(diver) as link:
+        diver.deaf = lambda message: message.get_type() == "COMMAND_LONG"
+        asked = diver.clock()
+        with pytest.raises(TimeoutError, match="got none in 3 tries"):
+            link.set_mode("SURFACE")
+        assert diver.clock() - asked == pytest.approx(1.5, abs=0.1)
 
 
 # Over a real socket, with threads

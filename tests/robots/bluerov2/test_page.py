@@ -65,7 +65,7 @@ def test_the_list_on_the_page_ends_with_go() -> None:
     (shown,) = blocks("text")
     *found, verdict = shown.strip().splitlines()
     assert verdict == "go"
-    assert len(found) == 25
+    assert len(found) == 26
     assert all(line.startswith("  ok  ") or not line.startswith("  ") for line in found)
 
 

@@ -18,9 +18,10 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from dream.geometry import SE2, SE3, Bounds, wrap_angle
-from dream.robots.bluerov2.bridge import Bridge, LastResort, Limits, Stance
+from dream.robots.bluerov2.bridge import Bridge, Stance
 from dream.robots.bluerov2.devices import Addresses, Devices
 from dream.robots.bluerov2.drives import AltHold
+from dream.robots.bluerov2.limits import LastResort, Limits
 from dream.robots.bluerov2.log import read_wire
 from dream.robots.bluerov2.mavlink import LIFELINE, PERIOD, Link
 from dream.robots.bluerov2.navigation import Fix, Instruments
@@ -31,7 +32,8 @@ from dream.robots.bluerov2.sticks import NEUTRAL, Joystick, Sticks
 from dream.sim.worlds import make_world
 from dream.vehicle import VECTORED_6DOF
 from tests.robots.bluerov2.test_bridge import fix_at
-from tests.robots.bluerov2.test_mavlink import Dive, is_neutral
+from tests.robots.bluerov2.test_drives import Home
+from tests.robots.bluerov2.test_mavlink import Dive, is_neutral, own_altitude
 from tests.robots.bluerov2.waiting import until
 
 HERE, THERE = ("127.0.0.1", 40001), ("127.0.0.1", 40002)
@@ -115,7 +117,10 @@ class Scene:
         self.fix = fix_at()
         self.dive.armed()
         self.station.learn_buttons()
-        self.bridge = Bridge(self, AltHold(self.link, Joystick()), LIMITS, self.clock, pilot=self.station)  # type: ignore[arg-type]
+        self.home = Home()
+        drive = AltHold(self.link, Joystick(), self.home)  # type: ignore[arg-type]
+        self.vehicle.say(own_altitude(-0.9))
+        self.bridge = Bridge(self, drive, LIMITS, self.clock, pilot=self.station)  # type: ignore[arg-type]
         self.bridge.go(GOAL, 0.6)
         self.mission = True
         self.run(0.5)
@@ -134,8 +139,11 @@ class Scene:
             if step % 4 == 0 and bridge:
                 self.bridge.renew()
                 self.bridge.beat()
+            if step % 10 == 0:
+                self.vehicle.say(own_altitude(-0.9))
             if step % 20 == 0:
                 self.vehicle.heartbeat()
+                self.vehicle.status()
             self.link.beat()
             self.clock.time += 0.01
             step += 1
@@ -187,12 +195,14 @@ def test_any_stick_takes_over_within_one_period_of_sending(scene: Scene, sticks:
     assert "has the sticks" in scene.station.words
 
 
-def test_no_depth_is_asked_for_while_the_pilot_dives(scene: Scene) -> None:
-    scene.push(0.2, z=900)
+def test_no_climb_of_the_missions_mixes_with_the_pilots_dive(scene: Scene) -> None:
+    scene.bridge.go(GOAL, 0.9)  # 0.3 m up
+    scene.run(0.2)
+    assert scene.moved()[-1][1][2] > 500
+    scene.push(0.2, z=100)
     scene.vehicle.sent.clear()
     scene.run(5.0)
-    assert scene.vehicle.heard("SET_POSITION_TARGET_GLOBAL_INT") == []
-    assert {sent for _, sent in scene.moved()} == {(0, 0, 900, 0)}
+    assert {sent for _, sent in scene.moved()} == {(0, 0, 100, 0)}
 
 
 def test_within_the_dead_zone_is_neutral(scene: Scene) -> None:
@@ -250,7 +260,8 @@ def test_after_a_last_resort_the_pilot_may_still_steer() -> None:
     scene = Scene()
     scene.bridge.end("a wire came loose")
     scene.run(6.0)
-    assert scene.vehicle.mode == 9
+    assert set(scene.home.begun) == {LastResort.SURFACE}
+    scene.link.set_mode("SURFACE")
     scene.push()
     scene.vehicle.sent.clear()
     scene.run(1.0)
@@ -413,7 +424,9 @@ class Swim:
         self.swim(2.0)  # held still, while it finds its level
         self.asking(lambda: self.link.set_mode("ALT_HOLD"))
         self.asking(self.link.arm)
-        drive = AltHold(self.link, Joystick(thrusters=VECTORED_6DOF))
+        up = 0.01 * self.sub.parameters["PILOT_SPEED_UP"]
+        joystick = Joystick(thrusters=VECTORED_6DOF, climb=up, sink=up)
+        drive = AltHold(self.link, joystick, Home())  # type: ignore[arg-type]
         limits = Limits(area=self.tank.world.bounds, last_resort=LastResort.HOLD)
         self.bridge = Bridge(self, drive, limits, self.clock, pilot=self.station)  # type: ignore[arg-type]
 

@@ -9,13 +9,11 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from dream.robots.bluerov2.sticks import (
-    ALTITUDE_ONLY,
     NEUTRAL,
     STILL,
     VELOCITY_AND_YAW_RATE,
     Joystick,
     Sticks,
-    altitude_up,
     forward_right_down,
 )
 from dream.types import BodyVelocity
@@ -159,12 +157,30 @@ def test_climb_rate_round_trip(rate: float) -> None:
 
 
 def test_climb_rate_by_hand() -> None:
-    # z = 200, half gain: 1380 µs, read as 1000·250/770 = 324.7; the band begins at 480 − 100: 55.3/380·5 m/s.
-    assert Joystick().climb_rate(Sticks(z=200)) == pytest.approx(-5.0 * (380 - 324.675) / 380, abs=1e-4)
+    # z = 200, half gain: 1380 µs, read as 1000·250/770 = 324.7; the band begins at 480 − 50: 105.3/430·5 m/s.
+    assert Joystick().climb_rate(Sticks(z=200)) == pytest.approx(-5.0 * (430 - 324.675) / 430, abs=1e-4)
     assert Joystick().climb_rate(Sticks(z=560)) == 0.0
     assert Joystick().climb_rate(NEUTRAL) == 0.0
     assert Joystick().sticks(0.0, 0.0, climb_rate=9.0).z == 1000
     assert Joystick().sticks(0.0, 0.0, climb_rate=-9.0).z == 0
+
+
+@given(st.floats(0.1, 1.0), st.integers(0, 300))
+def test_the_dead_zone_of_z_shrinks_with_the_gain_so_that_sticks_leave_it_at_the_same_place(
+    gain: float, dead: int
+) -> None:
+    joystick = Joystick(gain=gain, throttle_dead_zone=dead)
+    # 0.8·gain µs a stick and 1000/770 a µs, against a band of dead·gain about 480 of 480.5.
+    edge = (dead * gain + 480.0 - 480.5195) / (0.8 * gain * 1000.0 / 770.0)
+    for z in range(500, 1001, 20):
+        if abs(z - 500 - edge) > 1e-3:
+            assert (joystick.climb_rate(Sticks(z=z)) > 0.0) == (z - 500 > edge)
+    # And no stick that asks for something is within it.
+    for rate in (0.05, -0.05):
+        asked = joystick.climb_rate(joystick.sticks(0.0, 0.0, climb_rate=rate))
+        assert math.copysign(1.0, asked) == math.copysign(1.0, rate)
+        one = joystick.climb * 0.8 * gain * (1000.0 / 770.0) / (1000.0 - 480.0 - dead * gain)
+        assert asked == pytest.approx(rate, abs=one)
 
 
 def test_parameters_of_a_vehicle() -> None:
@@ -182,17 +198,8 @@ def test_parameters_of_a_vehicle() -> None:
 
 def test_velocity_by_hand() -> None:
     assert forward_right_down(BodyVelocity(0.3, 0.1, 0.2, 0.5)) == (0.3, -0.1, -0.2, -0.5)
-    # Bits 0–2 position, 6–8 acceleration, 10 yaw: 7 + 448 + 1024; all bits but z for the altitude.
+    # Bits 0–2 position, 6–8 acceleration, 10 yaw: 7 + 448 + 1024.
     assert VELOCITY_AND_YAW_RATE == 7 + 448 + 1024
-    assert ALTITUDE_ONLY == 0xFFF - 4 - 512
-
-
-def test_altitude_by_hand() -> None:
-    assert altitude_up(-1.5) == -1.5
-    assert altitude_up(-1.5, surface=-0.25) == -1.25
-    for bad in (0.5, -1000.0, math.nan):
-        with pytest.raises(ValueError, match="z: expected a height"):
-            altitude_up(bad)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])

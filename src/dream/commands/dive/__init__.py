@@ -24,6 +24,7 @@ from dream.commands.dive.options import Sight, check_options, limits_told, sight
 from dream.commands.dive.predive import STILL, predive_list, print_findings
 from dream.commands.dive.ready import Ready, opened
 from dream.commands.dive.tank import Tank, rehearse_mission, rehearse_return
+from dream.commands.dive.terminal import Terminal
 from dream.commands.ground import Ground
 from dream.commands.run import planner_name
 from dream.geometry import Bounds
@@ -43,6 +44,11 @@ logger = logging.getLogger(__name__)
 
 LAST_CHECK = ".dream-check"
 """Name of the folder of the last check: made anew each time, so that it is one that nobody else has."""
+PRESSED = 2.0
+"""Seconds in which Ctrl-C pressed again is the same: who sees nothing happen presses it several times."""
+SEEN = 0.5
+"""Seconds since the terminal took something, within which a second Ctrl-C is obeyed: only who is told that
+the vehicle comes up can want that it does not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +107,8 @@ class Dive:
     """Of the dive, at most."""
     min_voltage: float = 14.0
     """Volts of the battery, at least."""
+    min_altitude: float = 0.2
+    """Metres of the A50 above the floor, at least."""
     last_resort: Literal["hold", "surface", "disarm"] = "surface"
     """What is done with the vehicle in the end, and when it must not go on."""
     water: Literal["fresh", "sea"] = "fresh"
@@ -154,10 +162,10 @@ class Dive:
             limits_told(self, Bounds(*self.area))
         # A file that cannot be read is told at a desk too, where no vehicle answers.
         sight, site = sight_told(self), self.ground.where()
-        with contextlib.ExitStack() as shown:
-            return self._dive(sight, site, shown)
+        with Terminal() as terminal, contextlib.ExitStack() as shown:
+            return self._dive(sight, site, shown, terminal)
 
-    def _dive(self, sight: Sight, site: Site | None, shown: contextlib.ExitStack) -> int:
+    def _dive(self, sight: Sight, site: Site | None, shown: contextlib.ExitStack, terminal: Terminal) -> int:
         """The same; a page that stays until it is closed is left to `shown`: the vehicle waits for none."""
         from dream import recording
 
@@ -166,14 +174,15 @@ class Dive:
         with contextlib.ExitStack() as stack:
             stack.enter_context(compiling_told())
             stack.enter_context(_outlives_its_terminal())
-            interrupted = stack.enter_context(kept_interrupts())
+            interrupted = stack.enter_context(
+                kept_interrupts(lambda since: since > PRESSED and terminal.idle < SEEN)
+            )
             tank = Tank(self.world, self.seed, self.drive) if self.stand_in else None
             known = self._known(site, protocol, tank)
-            if not self.check:
-                rehearse_mission(protocol, self.estimator)
-                if known.prior is not None:
-                    rehearse_return()
-                interrupted()
+            rehearse_mission(protocol, self.estimator)
+            if known.prior is not None:
+                rehearse_return()
+            interrupted()
             begun = datetime.datetime.now(datetime.UTC)
             where = "dive" if tank is None else tank.world.name
             if self.check:
@@ -201,7 +210,7 @@ class Dive:
             interrupted()
             if self.check or not all(finding.ok for finding in found):
                 return print_findings(found, as_json=self.json)
-            return Flight(ready, name).fly(interrupted)
+            return Flight(ready, name).fly(interrupted, terminal)
 
     def _known(self, site: Site | None, protocol: SurveyProtocol, tank: Tank | None) -> Known:
         """What is known of the ground, on the cells of the map that the dive will make."""
@@ -245,15 +254,17 @@ def draw_flown(folder: Path, *, quiet: bool) -> None:
 def _outlives_its_terminal() -> Iterator[None]:
     """A terminal that closes takes the operator with it, and not what has to bring the vehicle up.
 
-    Who asks the program to end has the dive ended in order, as by Ctrl-C.
+    Nor does it stop the program, by Ctrl-Z or for being used from the background. Who asks the program to end
+    has the dive ended in order, as by Ctrl-C.
     """
     if not hasattr(signal, "SIGHUP") or threading.current_thread() is not threading.main_thread():
         yield
         return
-    closed = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    ended = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    ignored = (signal.SIGHUP, signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU)
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in ignored}
+    before[signal.SIGTERM] = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
     finally:
-        signal.signal(signal.SIGHUP, closed)
-        signal.signal(signal.SIGTERM, ended)
+        for number, handler in before.items():
+            signal.signal(number, handler)

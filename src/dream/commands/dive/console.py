@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
+    from dream.commands.dive.terminal import Terminal
+
 SHOWN = 5.0
 """Times a second that the console is drawn."""
 KEYS = {
@@ -57,8 +59,8 @@ class Operator:
 
     willed: Callable[[Will], None]
     """Told at once of every wish, on the console's thread."""
-    alive: Callable[[], None]
-    """Called several times a second for as long as the terminal is there."""
+    alive: Callable[[float], None]
+    """Told several times a second how many seconds ago the terminal last took something."""
     will: Will = Will.GO
     _over: bool = field(default=False)
 
@@ -73,16 +75,19 @@ class Operator:
 
 
 @contextlib.contextmanager
-def console(title: str, read: Callable[[], list[Reading]], operator: Operator) -> Iterator[bool]:
+def console(
+    title: str, read: Callable[[], list[Reading]], operator: Operator, terminal: Terminal
+) -> Iterator[bool]:
     """Show the dive on standard error, and read keys, while the block lasts.
 
-    Without a terminal nothing is shown, and there is no operator: nobody calls `alive`. Yields whether there
-    is one.
+    Without a terminal nothing is shown, and there is no operator: nobody calls `alive`. One that takes
+    nothing is waited for by nobody, and its keys rule all the same. Yields whether there is one.
 
     Args:
         title: Above all.
         read: What to show, asked for again and again on another thread.
         operator: Who is told of keys.
+        terminal: Says whether what is shown arrives.
     """
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         yield False
@@ -92,19 +97,25 @@ def console(title: str, read: Callable[[], list[Reading]], operator: Operator) -
     import termios
     import tty
 
+    from rich.live import Live  # noqa: F401 - the operator is not kept waiting for it.
+
     keyboard = sys.stdin.fileno()
     before = termios.tcgetattr(keyboard)
     watching = threading.Thread(
-        target=_watch, args=(title, read, operator, keyboard, over), name="console", daemon=True
+        target=_watch, args=(title, read, operator, keyboard, terminal, over), name="console", daemon=True
     )
     try:
-        tty.setcbreak(keyboard)
+        # At once both times: to wait for what was written to be shown may last for ever.
+        tty.setcbreak(keyboard, termios.TCSANOW)
+        # From now on there has to be an operator, also if the thread shows none.
+        operator.alive(terminal.idle)
         watching.start()
         yield True
     finally:
         over.set()
         watching.join(timeout=1.0)
-        termios.tcsetattr(keyboard, termios.TCSADRAIN, before)
+        with contextlib.suppress(termios.error):  # The terminal may be gone.
+            termios.tcsetattr(keyboard, termios.TCSANOW, before)
 
 
 def _watch(
@@ -112,6 +123,7 @@ def _watch(
     read: Callable[[], list[Reading]],
     operator: Operator,
     keyboard: int,
+    terminal: Terminal,
     over: threading.Event,
 ) -> None:
     from rich.console import Console
@@ -130,8 +142,10 @@ def _watch(
                     return
                 for key in pressed:
                     operator.press(key)
-            operator.alive()
-            if time.monotonic() - drawn > 1.0 / SHOWN:
+            idle = terminal.idle
+            operator.alive(idle)
+            # What is not taken now would only be shown late.
+            if idle < 1.0 / SHOWN < time.monotonic() - drawn:
                 drawn = time.monotonic()
                 live.update(page(title, read(), operator.will), refresh=True)
 

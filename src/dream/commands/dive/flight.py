@@ -20,10 +20,13 @@ from dream.types import Setpoint
 
 if TYPE_CHECKING:
     from dream.commands.dive.ready import Ready
+    from dream.commands.dive.terminal import Terminal
     from dream.evaluation.metrics import Logbook
     from dream.robots.bluerov2.bridge import Bridge, Standing
+    from dream.robots.bluerov2.home import WayHome
     from dream.robots.bluerov2.navigation import Fix
     from dream.robots.bluerov2.rov import BlueRov2, Manners
+    from dream.robots.bluerov2.sight import Sight
     from dream.types import Step
 
 logger = logging.getLogger(__name__)
@@ -41,11 +44,12 @@ class Flight:
     last: Step | None = None
     """The last one that was made."""
 
-    def fly(self, interrupted: Callable[[], None]) -> int:
+    def fly(self, interrupted: Callable[[], None], terminal: Terminal) -> int:
         """Arm, dive, explore, and leave all of it on disk.
 
         Args:
             interrupted: Raises the KeyboardInterrupt that compiled code may have swallowed.
+            terminal: Where it is shown.
         """
         from dream import recording
         from dream.evaluation.metrics import Logbook, Scorer
@@ -53,8 +57,8 @@ class Flight:
         from dream.mission import explore
         from dream.robots.bluerov2.bridge import LEASE, Bridge
         from dream.robots.bluerov2.drives import AltHold, Guided
-        from dream.robots.bluerov2.leaving import leave
-        from dream.robots.bluerov2.rov import Sight
+        from dream.robots.bluerov2.home import WayHome
+        from dream.robots.bluerov2.sight import Sight
         from dream.robots.replay import Keeping
 
         ready, name = self.ready, self.name
@@ -63,7 +67,9 @@ class Flight:
         recording.write_config(ready.folder, config(ready, name))
         ready.known.keep(ready.folder)
         link = devices.link
-        drive = (Guided if told.drive == "guided" else AltHold)(link, link.joystick())
+        home = WayHome(link, ready.limits, devices.now, person=ready.steered, threads=devices.threads)
+        drive = (Guided if told.drive == "guided" else AltHold)(link, link.joystick(), home)
+        sight = Sight(devices.camera)
         bridge = Bridge(
             devices.navigator,
             drive,
@@ -73,14 +79,16 @@ class Flight:
             said=self._log_standing,
             fixed=self._log_fix,
             failing=devices.failing,
-            sight=Sight(devices.camera),
+            sight=sight,
             aimed=self._log_goal,
+            threads=devices.threads,
         )
         operator = Operator(
-            willed=lambda will: self._willed(bridge, will),
-            alive=lambda: bridge.renew_operator(LEASE),
+            willed=lambda will: self._willed(bridge, home, will),
+            # Who sees nothing any more is none, from the moment when the terminal last took something.
+            alive=lambda idle: None if told.unattended else bridge.renew_operator(LEASE - idle),
         )
-        vehicle, tank = self._robot(bridge, operator), ready.tank
+        vehicle, tank = self._robot(bridge, operator, sight), ready.tank
         logbook: Logbook = Logbook(protocol) if tank is None else Scorer(tank.world, protocol)
         stopped: BaseException | None = None
         try:
@@ -91,7 +99,7 @@ class Flight:
             link.arm()
             bridge.start()
             title = f"{name} · {ready.folder.name}"
-            with console(title, lambda: self._readings(bridge), operator) as shown:
+            with console(title, lambda: self._readings(bridge), operator, terminal) as shown:
                 start = ready.start
                 vehicle.go_to(Setpoint(start.x, start.y, start.yaw, protocol.altitude))
                 occupancy = OccupancyMap(ready.limits.area, protocol)
@@ -118,7 +126,7 @@ class Flight:
             try:
                 bridge.close()
             finally:
-                leave(devices, ready.limits, lambda line: tell(line, quiet=told.json))
+                home.finish(lambda line: tell(line, quiet=told.json))
         came = summary(ready, name, logbook, bridge, vehicle, time.perf_counter() - began)
         recording.write_summary(ready.folder, came)
         return self._end(came, stopped)
@@ -143,7 +151,7 @@ class Flight:
             raise MissionAborted(f"aborted: {what}; {came['steps']} steps are kept in {folder}")
         return 0
 
-    def _robot(self, bridge: Bridge, operator: Operator) -> BlueRov2:
+    def _robot(self, bridge: Bridge, operator: Operator, sight: Sight) -> BlueRov2:
         from dream.planning.vlm import Asking
         from dream.protocol import SHOWN
         from dream.robots.bluerov2.rov import BlueRov2
@@ -156,20 +164,27 @@ class Flight:
             ready.sight.perception,
             ready.protocol,
             ready.devices.now,
+            frozen=lambda: sight.frozen,
             T_base_camera=ready.mount,
             fineness=SHOWN if isinstance(planner, Asking) else 1,
             manners=_manners(planner),
             waits=lambda: operator.will is not Will.GO,
             holds=lambda: operator.will is Will.HOLD,
             truth=None if ready.tank is None else ready.tank.truth,
+            threads=ready.devices.threads,
         )
 
-    def _willed(self, bridge: Bridge, will: Will) -> None:
+    def _willed(self, bridge: Bridge, home: WayHome, will: Will) -> None:
         """The operator's word is the last: also where a joystick is broken, or its station gone."""
+        from dream.robots.bluerov2.limits import LastResort
+
         station = self.ready.devices.station
+        self._log("operator", {"wants": str(will)})
         if will in _ENDS:
             if station is not None:
                 station.dismiss()
+            if will is Will.SURFACE:
+                home.begin(LastResort.SURFACE)
             bridge.end(_ENDS[will])
         elif will is Will.GO and station is not None:
             station.release()

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from dream.commands.dive import Dive
     from dream.estimation import Mounting
     from dream.perception import Perception
-    from dream.robots.bluerov2.bridge import Limits
     from dream.robots.bluerov2.devices import Addresses
     from dream.robots.bluerov2.lens import Lens
+    from dream.robots.bluerov2.limits import Limits
 
 SLOWEST_SOUND, FASTEST_SOUND = 1400.0, 1600.0
 """m/s. Fresh water of 0 °C has 1402 (Del Grosso and Mader 1972), sea water of 30 °C 1545 (Mackenzie 1981)."""
@@ -57,7 +57,7 @@ def check_options(told: Dive) -> None:
         ValueError: An option is out of its range, or does not go with another.
     """
     from dream.mapping import OccupancyMap
-    from dream.robots.bluerov2.navigation import check_aboard
+    from dream.robots.bluerov2.navigation import DVL_AT, check_aboard
 
     places = {"--dvl-at": told.dvl_at, "--gauge-at": told.gauge_at, "--camera-at": told.camera_at}
     for name, place in places.items():
@@ -69,6 +69,12 @@ def check_options(told: Dive) -> None:
     if sound is not None and not SLOWEST_SOUND <= sound <= FASTEST_SOUND:
         raise ValueError(
             f"--speed-of-sound: expected {SLOWEST_SOUND:g} to {FASTEST_SOUND:g} m/s, got {sound:g}"
+        )
+    swims = protocol_named(told.protocol).altitude + (told.dvl_at or DVL_AT)[2]
+    if not told.min_altitude < swims:
+        raise ValueError(
+            f"--min-altitude: expected less than the {swims:g} m of the A50 above the floor under "
+            f"{told.protocol}, got {told.min_altitude:g}"
         )
     if told.lights is not None and not 0.0 <= told.lights <= 1.0:
         raise ValueError(f"--lights: expected a share from 0 to 1, got {told.lights:g}")
@@ -119,9 +125,14 @@ def waters_told(told: Dive) -> Waters:
 
 def limits_told(told: Dive, bounds: Bounds) -> Limits:
     """Where and how long the vehicle may be, by the options."""
-    from dream.robots.bluerov2.bridge import LastResort, Limits
+    from dream.robots.bluerov2.limits import LastResort, Limits
 
-    options = {"depth": "--max-depth", "minutes": "--minutes", "voltage": "--min-voltage"}
+    options = {
+        "depth": "--max-depth",
+        "minutes": "--minutes",
+        "voltage": "--min-voltage",
+        "altitude": "--min-altitude",
+    }
     try:
         return Limits(
             area=bounds,
@@ -129,6 +140,7 @@ def limits_told(told: Dive, bounds: Bounds) -> Limits:
             minutes=told.minutes,
             voltage=told.min_voltage,
             last_resort=LastResort(told.last_resort),
+            altitude=told.min_altitude,
         )
     except ValueError as error:
         name, _, wrong = str(error).partition(": ")

@@ -7,6 +7,8 @@ import time
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from dream.commands.console import print_json
 from dream.geometry import SE3
 
@@ -20,18 +22,27 @@ FIRST_REPORT = 5.0
 """Seconds that the connection to the DVL may take."""
 FIRST_FRAME = 15.0
 """Seconds that the first frame of the camera may take."""
+LOOKS = 10
+"""Pictures that are looked at to see whether the computer keeps its time."""
+MISSED = 0.05
+"""Share of the beats that may come late by a whole beat then."""
+LEASE_SPENT = 0.3
+"""Seconds by which none may: a command lives for 0.4."""
+LEAST_SURE = 0.005
+"""Mean confidence in a picture's labels and depth below which it is 0 %."""
 
 
 def predive_list(ready: Ready) -> list[Finding]:
     """The pre-dive list; the camera is pointed before, since its pictures are part of it."""
     link = ready.devices.link
     pointed, sounded = _pointed(ready), _sounded(ready)
-    began = time.monotonic()
-    while not ready.devices.camera.connected and time.monotonic() - began < FIRST_FRAME:
+    now, threads = ready.devices.now, ready.devices.threads
+    began = now()
+    while not ready.devices.camera.connected and now() - began < FIRST_FRAME:
         link.operator_alive()
-        time.sleep(0.1)
+        threads.sleep(0.1)
     found = ready.devices.findings(STILL, ready.start, ready.limits, ready.folder)
-    return [pointed, *sounded, *found, _floor(ready), _looked(ready)]
+    return [pointed, *sounded, *found, _floor(ready), _looked(ready), _in_time(ready)]
 
 
 def _floor(ready: Ready) -> Finding:
@@ -40,26 +51,30 @@ def _floor(ready: Ready) -> Finding:
     from dream.robots.bluerov2.navigation import NotReady
 
     altitude, deepest = ready.protocol.altitude, ready.limits.depth
-    wanted = f"a floor over which {altitude:g} m are at most {deepest:g} m deep: see --max-depth"
-    seabed, began = math.nan, time.monotonic()
+    wanted = f"a floor over which {altitude:g} m are under water, and {deepest:g} m deep at most: --max-depth"
+    seabed, problem, began = math.nan, "", ready.devices.now()
     try:
-        while math.isnan(seabed) and time.monotonic() - began < FIRST_REPORT:
-            seabed = ready.devices.navigator.update().seabed
-            time.sleep(0.05)
+        while math.isnan(seabed) and ready.devices.now() - began < FIRST_REPORT:
+            fix = ready.devices.navigator.update()
+            seabed, problem = fix.seabed, fix.altitude_problem
+            ready.devices.threads.sleep(0.05)
     except NotReady:
         return Finding("floor", ok=False, said="not known before navigation begins", wanted=wanted)
     if math.isnan(seabed):
-        return Finding("floor", ok=False, said="the DVL does not see it", wanted=wanted)
+        return Finding("floor", ok=False, said=problem or "the DVL does not see it", wanted=wanted)
     deep = -(seabed + altitude)
     said = f"{altitude:g} m above it is {deep:.1f} m deep, {deepest:g} m are allowed"
-    return Finding("floor", ok=deep <= deepest, said=said, wanted=wanted)
+    return Finding("floor", ok=0.0 < deep <= deepest, said=said, wanted=wanted)
 
 
 def _looked(ready: Ready) -> Finding:
     """Make of one picture what the map is made from: lens and models fit it, or the dive is none."""
     from dream.robots.bluerov2.check import Finding
 
-    wanted = "a picture that --calibration, --labels and --depth fit"
+    wanted = (
+        "a picture that --calibration, --labels and --depth fit: with the camera over a flat floor, depths "
+        "that agree with the vehicle's height above it. Is the model's sidecar right about its unit?"
+    )
     if ready.sight.lens is None and ready.tank is None:
         return Finding("pictures", ok=False, said="no --calibration was given", wanted=wanted)
     try:
@@ -67,12 +82,69 @@ def _looked(ready: Ready) -> Finding:
         picture = ready.devices.camera.newest(FIRST_FRAME)
         began, camera = time.perf_counter(), ready.protocol.camera
         rgb, seen = eye.view(picture, camera)
-        level = SE3.level(ready.start.x, ready.start.y, 0.0, ready.start.yaw)
-        perception.perceive(rgb, camera, level, ready.mount, ready.protocol.altitude)
+        T_world_base, altitude = _lies(ready)
+        depth, _, confidence = perception.perceive(rgb, camera, T_world_base, ready.mount, altitude)
     except (OSError, ValueError, RuntimeError) as error:
         return Finding("pictures", ok=False, said=str(error), wanted=wanted)
     ms = 1e3 * (time.perf_counter() - began)
-    return Finding("pictures", ok=True, said=f"{seen.mean():.0%} of the view, labelled in {ms:.0f} ms")
+    known = seen & np.isfinite(depth)
+    sure = float(confidence[known].mean()) if known.any() else 0.0
+    said = f"{seen.mean():.0%} of the view, labelled in {ms:.0f} ms, with a confidence of {sure:.0%}"
+    return Finding("pictures", ok=sure >= LEAST_SURE, said=said, wanted=wanted)
+
+
+def _lies(ready: Ready) -> tuple[SE3, float]:
+    """Where the vehicle lies, and metres above the floor; level and as high as it will dive where unknown."""
+    from dream.robots.bluerov2.navigation import NotReady
+
+    altitude = ready.protocol.altitude
+    try:
+        fix = ready.devices.navigator.update()
+    except NotReady:
+        return SE3.level(ready.start.x, ready.start.y, 0.0, ready.start.yaw), altitude
+    height = float(fix.T_world_base.translation[2]) - fix.seabed
+    return fix.T_world_base, height if math.isfinite(height) else altitude
+
+
+def _in_time(ready: Ready) -> Finding:
+    """Beat as the bridge does, while pictures are made labels and depth of: can this computer do both?"""
+    from dream.robots.bluerov2.bridge import BEATS
+    from dream.robots.bluerov2.check import Finding
+    from dream.robots.bluerov2.navigation import NotReady
+
+    devices, threads = ready.devices, ready.devices.threads
+    wanted = f"{BEATS:g} beats a second while it looks: smaller models, or a computer with nothing else to do"
+    late: list[float] = []
+    over = threads.event()
+
+    def beat() -> None:
+        due = devices.now()
+        while not over.is_set():
+            devices.navigator.update()
+            due += 1.0 / BEATS
+            over.wait(max(due - devices.now(), 0.0))
+            late.append(max(devices.now() - due, 0.0))
+            due = max(due, devices.now() - 1.0 / BEATS)
+
+    try:
+        devices.navigator.update()
+        picture, camera = devices.camera.newest(FIRST_FRAME), ready.protocol.camera
+        level = SE3.level(ready.start.x, ready.start.y, 0.0, ready.start.yaw)
+        beating = threads.start(beat, "beats")
+        for _ in range(LOOKS):
+            rgb, _ = ready.eye.view(picture, camera)
+            ready.sight.perception.perceive(rgb, camera, level, ready.mount, ready.protocol.altitude)
+            devices.link.operator_alive()
+            threads.sleep(0.1)
+        over.set()
+        beating.join(1.0)
+    except (NotReady, OSError, ValueError, RuntimeError) as error:
+        return Finding("computer", ok=False, said=f"not measured: {error}", wanted=wanted)
+    missed = sum(behind > 1.0 / BEATS for behind in late) / max(len(late), 1)
+    worst = max(late, default=math.inf)
+    # Beside a simulated tank that takes a core for itself, it is only told.
+    ok = (missed <= MISSED and worst < LEASE_SPENT) or ready.tank is not None
+    return Finding("computer", ok, f"{missed:.0%} of its beats late, the latest by {worst:.2f} s", wanted)
 
 
 def _sounded(ready: Ready) -> list[Finding]:

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from dream.commands.dive import Dive
     from dream.commands.dive.tank import Tank
     from dream.commands.ground import Known
-    from dream.robots.bluerov2.bridge import Limits
     from dream.robots.bluerov2.devices import Devices, LiveEye
+    from dream.robots.bluerov2.limits import Limits
 
 HEARTBEAT = 30.0
 """Seconds that the first heartbeat of the vehicle may take."""
@@ -42,6 +42,11 @@ class Ready:
     sight: Sight
     known: Known
     """Of the ground."""
+
+    def steered(self) -> bool:
+        """Has a person the sticks?"""
+        station = self.devices.station
+        return station is not None and station.has
 
     @cached_property
     def mount(self) -> SE3:

@@ -5,24 +5,43 @@ from __future__ import annotations
 import enum
 import logging
 import math
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 from dream.control.health import SLOW, Condition, Watch
-from dream.geometry import SE2, Bounds
-from dream.robots.bluerov2.navigation import Fix, Navigator
+from dream.geometry import SE2
+from dream.robots.bluerov2.limits import SAG, LastResort, Limits
+from dream.robots.bluerov2.navigation import GAUGE_DRIFTS, Fix, Navigator
+from dream.robots.bluerov2.threads import REAL_TIME, Thread, Threads
+from dream.robots.bluerov2.watches import Parted, Pressing
 
 logger = logging.getLogger(__name__)
 
+BEATS = 25.0
+"""A second."""
 LEASE = 0.4
 """Seconds after which a command that was not renewed is neutral: half a second, less what sending takes."""
 
 TOLERATED = 0.1
 """Metres that the way may lead below the greatest depth: what a floor undulates by."""
-SAG = 3.0
-"""Seconds that the battery may be below its limit."""
+ABOVE, ABOVE_FOR = 0.3, 1.0
+"""Metres above the surface that the estimate may be, and seconds: no vehicle flies."""
+DEPTHS_PART = 0.3
+"""Metres by which two depths may part that were alike."""
+UNTOLD = 5.0
+"""Seconds for which nothing may be known of battery and leak."""
+HEADLESS = 1.0
+"""Seconds for which nothing may be known of the heading."""
+DEPTHLESS = 1.0
+"""Seconds for which the autopilot's own depth may be unknown: it is held against the pressure."""
+VAGUEST = 0.1
+"""Share of the area's shorter side that the position may be uncertain by."""
+LOW = 1.0
+"""Seconds that the altitude may."""
+UNSOUNDED, UNBELIEVED = 1.0, 5.0
+"""Seconds without an altitude that is believed, after which the depth is held; and the same while there is
+bottom track, after which nothing is steered."""
 
 
 class Stance(enum.StrEnum):
@@ -36,16 +55,7 @@ class Stance(enum.StrEnum):
     YIELD = "yield"
     """Somebody else has the vehicle: nothing is sent that moves it."""
     OVER = "over"
-    """The dive cannot go on, even if its reason goes: neutral, then the last resort."""
-
-
-class LastResort(enum.StrEnum):
-    """What is done with a vehicle that must not go on."""
-
-    HOLD = "hold"
-    """Depth and heading, for the operator to take over."""
-    SURFACE = "surface"
-    DISARM = "disarm"
+    """The dive cannot go on, even if its reason goes: neutral, and the last resort at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,32 +71,6 @@ FINE = Standing(Stance.GO)
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
-    """Where and how long the vehicle may be."""
-
-    area: Bounds
-    """Of the map's frame."""
-    margin: float = 0.5
-    """Metres beyond the area at which the dive is over."""
-    depth: float = 10.0
-    """Metres below the surface, at most."""
-    minutes: float = 60.0
-    voltage: float = 14.0
-    """Volts, at least: four cells of 3.5 V."""
-    patience: float = 5.0
-    """Seconds in neutral after which the last resort is taken."""
-    last_resort: LastResort = LastResort.SURFACE
-
-    def __post_init__(self) -> None:
-        for name in ("depth", "minutes", "patience"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name}: expected a limit above 0, got {getattr(self, name)}")
-        for name in ("margin", "voltage"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name}: expected 0 or more, got {getattr(self, name)}")
-
-
-@dataclass(frozen=True, slots=True)
 class Craft:
     """What the vehicle itself reports."""
 
@@ -96,10 +80,24 @@ class Craft:
     voltage: float
     """NaN where it does not say."""
     depth: float
-    """Metres; NaN likewise."""
+    """Metres, by the pressure; NaN likewise."""
+    own_depth: float = math.nan
+    """Metres, by its autopilot's own reckoning, whose zero may be another."""
+    own_depth_from: str = ""
+    """What told that: each may have a zero of its own."""
+    own_depth_age: float = 0.0
+    """Seconds since it last told that."""
+    imu_heard: float = 0.0
+    """Seconds since an inertial sample came in, whenever it was taken."""
+    slipped: str = ""
+    """That its clock was set of late, in words."""
+    status_age: float = 0.0
+    """Seconds since it last told of battery and leak."""
     leak: bool = False
     taken: str = ""
     """Who else has it, and how that is known; empty where nobody."""
+    surfacing: str = ""
+    """Why it comes up by itself; empty where it does not."""
     lost: str = ""
     """Why it will not be moved any more: disarmed by somebody, or begun anew; empty where it may."""
 
@@ -120,10 +118,14 @@ class Drive(Protocol):
         """Send nothing any more that could move it: somebody else has it."""
 
     def resort(self, how: LastResort) -> None:
-        """Begin the last resort; returns at once."""
+        """Begin the last resort, or go on with it; returns at once."""
 
     def craft(self) -> Craft:
         """What the vehicle reports."""
+
+    @property
+    def effort(self) -> float:
+        """Share of what it may ask of the thrusters that it asks now."""
 
 
 class Pilot(Protocol):
@@ -160,12 +162,13 @@ class Bridge:
         *,
         watch: Watch | None = None,
         pilot: Pilot | None = None,
-        rate: float = 25.0,
+        rate: float = BEATS,
         said: Callable[[Standing], None] | None = None,
         fixed: Callable[[Fix], None] | None = None,
         failing: Callable[[], str] = lambda: "",
         sight: Callable[[Fix], str] = lambda fix: "",
         aimed: Callable[[SE2, float], None] | None = None,
+        threads: Threads = REAL_TIME,
     ) -> None:
         """On a vehicle whose navigator is aligned.
 
@@ -174,7 +177,7 @@ class Bridge:
             drive: How it is moved.
             limits: Where and how long it may be.
             now: The dive's clock.
-            watch: When the estimate is too old or too vague.
+            watch: When the estimate is too old or too vague; by the size of the area unless given.
             pilot: Outranks the goal, the limits and the last resort while they have the sticks.
             rate: Beats a second.
             said: Told of every change of what it does.
@@ -184,28 +187,35 @@ class Bridge:
             sight: Why the mission would not see what is before the vehicle, in words; empty where it would.
                 It goes slowly then, and whoever next looks for a picture ends the dive.
             aimed: Told of every new goal and its altitude.
+            threads: What it waits by.
         """
-        self._navigator, self._drive, self._limits, self._now = navigator, drive, limits, now
-        self._watch = watch or Watch()
+        self._navigator, self._drive, self._limits = navigator, drive, limits
+        self._now, self._threads = now, threads
+        # What may be vague in the sea is lost in a tank.
+        self._watch = watch or Watch(position_sigma=min(Watch().position_sigma, VAGUEST * limits.shorter))
         self._pilot = pilot
         self._period = 1.0 / rate
         self._said, self._fixed, self._aimed, self._failing = said, fixed, aimed, failing
         self._sight = sight
-        self._lock = threading.Lock()
+        self._lock = threads.lock()
         self._goal: tuple[SE2, float] | None = None
         self._asked = math.nan
         self._mission_until = self._operator_until = math.inf
         self._ended: str = ""
         self._over = ""
-        self._resorted = False
-        self._fed = now()
-        """When the battery last had its voltage, or did not say."""
+        self._resorted = self._lost = False
+        self._fed = self._under = now()
+        """When the battery last had its voltage, or did not say; when the estimate was last in the water."""
+        self._depths, self._own_depth_from = Parted(DEPTHS_PART), ""
+        self._pressing = Pressing()
+        self._low_since = math.inf
+        """When it came too near the seabed; inf where it is not."""
         self._standing = FINE
         self._neutral_since = math.nan
         self._began = self._last_beat = now()
-        self._wake = threading.Event()
-        self._stopping = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._wake = threads.event()
+        self._stopping = threads.event()
+        self._thread: Thread | None = None
         self.fix = navigator.update()
         self.lags: list[float] = []
         """Seconds from each new goal to the command that begins to follow it."""
@@ -215,8 +225,7 @@ class Bridge:
 
     def start(self) -> None:
         """Begin to beat, on a thread of its own."""
-        self._thread = threading.Thread(target=self._run, name="bridge", daemon=True)
-        self._thread.start()
+        self._thread = self._threads.start(self._run, "bridge")
 
     def close(self) -> None:
         """Neutral, and no beat any more."""
@@ -224,7 +233,7 @@ class Bridge:
         self._wake.set()
         if self._thread is not None:
             self._thread.join(timeout=2.0)
-        if self._standing.stance is not Stance.YIELD:
+        if self._standing.stance is not Stance.YIELD and not self._resorted:
             self._drive.neutral()
 
     def go(self, goal: SE2, altitude: float) -> None:
@@ -288,14 +297,15 @@ class Bridge:
     def _stay(self, standing: Standing, now: float) -> None:
         """Neutral, and the last resort where that lasts."""
         try:
-            self._drive.neutral()
+            if not self._resorted:
+                self._drive.neutral()
         finally:
             # Comes also where it could not be told to stay, and at the next beat where it could not begin.
-            if now - self._neutral_since >= self._limits.patience and not self._resorted:
-                self._over = standing.reason
+            late = now - self._neutral_since >= self._limits.patience
+            if (late or standing.stance is Stance.OVER) and not self._lost:
+                self._over = self._over or standing.reason
                 self._drive.resort(self._limits.last_resort)
                 self._resorted = True
-                logger.warning("%s; last resort: %s", standing.reason, self._limits.last_resort)
 
     def _fail(self, error: Exception) -> None:
         """End the dive by a beat that failed, and will perhaps fail every time."""
@@ -338,24 +348,30 @@ class Bridge:
             alive = min(self._mission_until, self._operator_until)
         if goal is None:
             self._drive.neutral()
+            self._pressing.forget()
             return
         pose, altitude = goal
         height = float(fix.T_world_base.translation[2])
-        z = fix.seabed + altitude if math.isfinite(fix.seabed) else height
+        sounded = math.isfinite(fix.seabed) and fix.altitude_age <= UNSOUNDED
+        z = fix.seabed + altitude if sounded else height
         if z < -self._limits.depth - TOLERATED:
             deepest = self._limits.depth
             self.end(f"{altitude:g} m above the floor is {-z:.1f} m deep, {deepest:g} m are allowed")
+        if wrong := self._pressing(self._now(), fix, pose, z, self._drive.effort):
+            self.end(wrong)
         self._drive.steer(fix, pose, z, dt, pace, min(self._now() + LEASE, alive))
         if not math.isnan(asked):
             self.lags.append(self._now() - asked)
 
     def _change(self, standing: Standing, now: float) -> None:
+        moves = (Stance.GO, Stance.SLOW)
+        if standing.stance not in moves:
+            self._pressing.forget()
         if standing.stance in (Stance.NEUTRAL, Stance.OVER):
             if math.isnan(self._neutral_since):
                 self._neutral_since = now
         else:
             self._neutral_since = math.nan
-            moves = (Stance.GO, Stance.SLOW)
             if standing.stance in moves and self._standing.stance not in moves:
                 self._drive.begin(self.fix)
         if standing != self._standing:
@@ -371,10 +387,11 @@ class Bridge:
             ended, mission, operator = self._ended, self._mission_until, self._operator_until
         if pilot is not None:
             ended = ended or pilot.ended
-        self._over = self._over or ended or self._broken_limit(fix, craft, now) or self._failing()
+        self._over = self._over or ended or craft.surfacing
+        self._over = self._over or self._broken_limit(fix, craft, now) or self._failing()
         if craft.lost:
             # Nothing is left to resort to: who disarmed it may arm it again, for something else.
-            self._over, self._resorted = self._over or craft.lost, True
+            self._over, self._lost = self._over or craft.lost, True
         elif craft.taken and not self._resorted:
             # Whatever is wrong, it is theirs to deal with; the mission ends, and nothing is sent.
             return Standing(Stance.YIELD, craft.taken)
@@ -390,6 +407,12 @@ class Bridge:
                 return Standing(Stance.NEUTRAL, f"no sign of life from {who}")
         if pilot is not None and pilot.gone:
             return Standing(Stance.YIELD, "the pilot is gone: waiting for neutral sticks, or the operator")
+        if fix.heading_age > HEADLESS:
+            return Standing(Stance.NEUTRAL, "no heading")
+        if craft.own_depth_age > DEPTHLESS:
+            return Standing(Stance.NEUTRAL, "the autopilot does not tell its depth")
+        if craft.status_age > UNTOLD:
+            return Standing(Stance.NEUTRAL, "the vehicle tells nothing of battery and leak")
         condition = self._watch.condition(
             imu_age=fix.imu_age,
             depth_age=fix.depth_age,
@@ -397,8 +420,13 @@ class Bridge:
             velocity_sigma=fix.velocity_sigma,
             position_sigma=fix.position_sigma,
         )
+        if fix.altitude_problem or not fix.altitude_age - fix.dvl_age <= UNBELIEVED:
+            return Standing(Stance.NEUTRAL, fix.altitude_problem or "no altitude of the DVL can be believed")
         if condition is Condition.BLIND:
             return Standing(Stance.SLOW, "no bottom track for a while")
+        if condition is Condition.STALE and fix.imu_age > self._watch.stale > craft.imu_heard:
+            late = f"inertial samples come {fix.imu_age:.1f} s late: a slow link, or a clock that was set"
+            return Standing(Stance.NEUTRAL, craft.slipped or late)
         if condition is not Condition.FINE:
             return Standing(Stance.NEUTRAL, _TROUBLE[condition])
         return Standing(Stance.SLOW, dim) if dim else FINE
@@ -412,8 +440,29 @@ class Bridge:
             return f"{beyond:.1f} m outside the area"
         if craft.depth > limits.depth + 0.5:
             return f"{craft.depth:.1f} m deep, {limits.depth:g} m are allowed"
+        if craft.own_depth_from != self._own_depth_from:
+            self._own_depth_from, self._depths = craft.own_depth_from, Parted(DEPTHS_PART)
+        if self._depths(now, craft.own_depth, craft.depth):
+            return (
+                f"the depths part: {craft.depth:.2f} m by the pressure, "
+                f"{craft.own_depth:.2f} m by the autopilot"
+            )
+        if abs(fix.drifts) > GAUGE_DRIFTS:
+            return (
+                f"gauge and DVL part: of late it climbed {fix.drifts:.1f} m more by the one than by the other"
+            )
+        if float(fix.T_world_base.translation[2]) < ABOVE:
+            self._under = now
+        elif now - self._under > ABOVE_FOR:
+            return f"the estimate is {fix.T_world_base.translation[2]:.1f} m above the surface"
         if now - self._began > 60.0 * limits.minutes:
             return f"the {limits.minutes:g} minutes of the dive are over"
+        if fix.altitude >= limits.altitude:
+            self._low_since = math.inf
+        elif fix.altitude < limits.altitude:
+            self._low_since = min(self._low_since, now)
+            if now - self._low_since > LOW:
+                return f"{fix.altitude:.1f} m above the floor, {limits.altitude:g} m are needed"
         # Thrusters make the voltage sag for a moment.
         if not craft.voltage < limits.voltage:
             self._fed = now

@@ -18,7 +18,6 @@ import io
 import os
 import queue
 import socket
-import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,6 +30,7 @@ import numpy.typing as npt
 
 from dream.geometry import SE3, camera_mount
 from dream.robots.bluerov2.rtp import CLOCK, PAYLOAD_TYPE, AccessUnit, Depacketizer
+from dream.robots.bluerov2.threads import REAL_TIME, Event, Threads
 from dream.robots.bluerov2.wire import taken
 
 UInt8Array = npt.NDArray[np.uint8]
@@ -115,7 +115,21 @@ class VideoDevice:
         _check_latency(self.latency)
 
 
-Source = RtpVideo | RtspVideo | VideoFile | VideoDevice
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """Pictures of whoever makes them, as a simulated camera does. The only source on a simulated clock."""
+
+    frames: Callable[[Callable[[], bool]], Iterator[tuple[float, UInt8Array]]]
+    """Was the camera closed? → arrival, seconds on the dive's clock, and picture, (H, W, 3) uint8 blue first,
+    one after the other. It waits by the camera's own `Threads`, for each picture and for whether to end."""
+    latency: float = 0.0
+    """Seconds from what was seen to the picture's arrival."""
+
+    def __post_init__(self) -> None:
+        _check_latency(self.latency)
+
+
+Source = RtpVideo | RtspVideo | VideoFile | VideoDevice | Frames
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,7 +194,13 @@ class LiveCamera:
     """
 
     def __init__(
-        self, source: Source, now: Callable[[], float], tap: Tap | None = None, *, frozen_after: float = 2.0
+        self,
+        source: Source,
+        now: Callable[[], float],
+        tap: Tap | None = None,
+        *,
+        frozen_after: float = 2.0,
+        threads: Threads = REAL_TIME,
     ) -> None:
         """Starts to read at once.
 
@@ -189,6 +209,7 @@ class LiveCamera:
             now: Seconds on the dive's clock.
             tap: Told of each picture as it came: an `AccessUnit` over RTP, else a `Picture`.
             frozen_after: Seconds of the same picture after which a moving vehicle's camera is frozen.
+            threads: What it waits by; a clock of one's own goes with `Frames` alone.
 
         Raises:
             ImportError: OpenCV is missing.
@@ -197,18 +218,17 @@ class LiveCamera:
         self.source = source
         self.port = 0
         """UDP port that is listened to; 0 while there is none."""
-        self._now, self._tap, self._frozen_after = now, tap, frozen_after
-        self._changed = threading.Condition()
-        self._closed = threading.Event()
+        self._now, self._tap, self._frozen_after, self._threads = now, tap, frozen_after, threads
+        self._changed = threads.condition()
+        self._closed = threads.event()
         self._newest: tuple[float, UInt8Array] | None = None
         self._same_since = 0.0
         self._received = self._late = self._undecoded = 0
         self._trouble = ""
         self._depacketizer: Depacketizer | None = None
         self._started = now()
-        self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
-        self._bound = threading.Event()
-        self._thread.start()
+        self._bound = threads.event()
+        self._thread = threads.start(self._run, "camera")
         self._bound.wait(1.0)
 
     def __enter__(self) -> LiveCamera:
@@ -243,7 +263,7 @@ class LiveCamera:
 
         Args:
             time: Seconds on the dive's clock.
-            patience: Real seconds that it is waited for.
+            patience: Seconds that it is waited for.
 
         Raises:
             TimeoutError: None came.
@@ -342,9 +362,14 @@ class LiveCamera:
 
     def _frames(self) -> Iterator[tuple[float, UInt8Array]]:
         """Arrival and picture, blue first, until the source ends or the camera is closed."""
-        if isinstance(self.source, RtpVideo):
-            return self._from_packets(self.source)
-        return self._from_capture(self.source)
+        match self.source:
+            case RtpVideo():
+                return self._from_packets(self.source)
+            case Frames(frames):
+                self._bound.set()
+                return frames(self._closed.is_set)
+            case _:
+                return self._from_capture(self.source)
 
     def _keep(self, time: float, bgr: UInt8Array) -> None:
         cv2 = opencv()
@@ -366,12 +391,9 @@ class LiveCamera:
             self._bound.set()
             packets = self._depacketizer = self._depacketizer or Depacketizer(source.payload_type)
             waiting: queue.SimpleQueue[AccessUnit | None] = queue.SimpleQueue()
-            stopped = threading.Event()
+            stopped = self._threads.event()
             # Received apart from decoding, so that the time of arrival is right even while that is behind.
-            reader = threading.Thread(
-                target=self._receive, args=(receiver, packets, waiting, stopped), name="video", daemon=True
-            )
-            reader.start()
+            reader = self._threads.start(lambda: self._receive(receiver, packets, waiting, stopped), "video")
             try:
                 yield from self._decoded(iter(waiting.get, None))
             finally:
@@ -383,7 +405,7 @@ class LiveCamera:
         receiver: socket.socket,
         packets: Depacketizer,
         waiting: queue.SimpleQueue[AccessUnit | None],
-        stopped: threading.Event,
+        stopped: Event,
     ) -> None:
         lateness = _Lateness()
         try:
@@ -583,6 +605,8 @@ def _described(source: Source, port: int) -> str:
             return str(source.path)
         case VideoDevice():
             return f"video device {source.number}"
+        case Frames():
+            return "a source of frames"
 
 
 def _check_latency(latency: float) -> None:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from dream.robots.bluerov2.bridge import Limits
 from dream.robots.bluerov2.dvl_a50 import Config
+from dream.robots.bluerov2.limits import Limits
 from dream.robots.bluerov2.parameters import Check
 from dream.robots.bluerov2.telemetry import Telemetry
 
@@ -18,6 +18,8 @@ LOGGED = 1.4e6
 """Bytes of log a second: a stream of 10 Mbit/s, and a tenth of that for all the rest."""
 DEPTHS_APART = 0.3
 """Metres by which the depth may differ from what the autopilot holds it to be: they sit apart."""
+HIGHEST = 0.2
+"""Metres above the surface that a depth may be at the launch, by what its gauge errs."""
 SOUND_OFF = 0.02
 """Share by which the DVL's speed of sound, and with it every velocity, may be off."""
 WORST_LOSS = 0.05
@@ -177,16 +179,21 @@ def findings(
 
 
 def _depth(telemetry: Telemetry, *, zeroed_here: bool) -> Finding:
-    own = -telemetry.own_altitude
-    under = zeroed_here and abs(own - telemetry.depth) > DEPTHS_APART
-    return Finding(
-        "depth",
-        telemetry.pressure_age < 1.0 and math.isfinite(telemetry.depth) and not under,
-        f"{telemetry.depth:.2f} m, {telemetry.pressure_age:.1f} s old"
-        + (f", but {own:.2f} m by the autopilot" if under else ""),
-        "a Bar30 that was zeroed at the surface: lay the vehicle there, or say --surface-pressure in hPa. "
-        "All depths, and the limit, count from where it lies now",
-    )
+    own, depth = -telemetry.own_altitude, telemetry.depth
+    known = telemetry.own_altitude_age < 1.0 and math.isfinite(own)
+    alike = known and abs(own - depth) <= DEPTHS_APART
+    said = f"{depth:.2f} m, {telemetry.pressure_age:.1f} s old"
+    if not known:
+        said += "; the autopilot does not tell its own"
+    elif not alike:
+        said += f", but {own:.2f} m by the autopilot"
+    wanted = "GLOBAL_POSITION_INT, and a Bar30 that agrees with it: SCALED_PRESSURE2 from outside the hull"
+    if zeroed_here and known:
+        wanted = (
+            "a Bar30 that was zeroed at the surface: lay the vehicle there, or say --surface-pressure in "
+            "hPa. All depths, and the limit, count from where it lies now"
+        )
+    return Finding("depth", telemetry.pressure_age < 1.0 and depth > -HIGHEST and alike, said, wanted)
 
 
 def _speed_of_sound(config: Config | None, sound: tuple[float, float]) -> Finding:

@@ -10,6 +10,8 @@ import numpy as np
 
 PATIENCE = 3.0
 """Seconds for which all stamps must come late before the device is believed to have changed its clock."""
+SLIP = 0.05
+"""Seconds beyond what round trips leave open, from which on a clock was set."""
 REMEMBERED = 128
 """Stamps that the jitter is told of."""
 
@@ -38,12 +40,16 @@ class DeviceClock:
     """Seconds. A greater step is a reboot or a clock that was set: all bounds are forgotten."""
     jumps: int = field(default=0, init=False)
     """How many there were."""
+    slipped: float = field(default=0.0, init=False)
+    """Seconds that the device's clock was set forward at the last jump that round trips prove."""
     newest: float = field(default=-math.inf, init=False)
     """The device's greatest stamp since the last of them, in its own seconds."""
     _above: deque[tuple[float, float]] = field(default_factory=deque, init=False)
     _below: deque[tuple[float, float]] = field(default_factory=deque, init=False)
     _late: deque[float] = field(default_factory=lambda: deque(maxlen=REMEMBERED), init=False)
     _straight: float = field(default=-math.inf, init=False)
+    _trip: tuple[float, float, float] | None = field(default=None, init=False)
+    """Of the last round trip: when, and least and greatest offset that it leaves open."""
 
     def __post_init__(self) -> None:
         for name in ("window", "drift", "jump"):
@@ -88,9 +94,23 @@ class DeviceClock:
         if not (math.isfinite(sent) and math.isfinite(stamp) and sent <= received < math.inf):
             raise ValueError(f"round trip: expected finite and rising times, got {sent}, {stamp}, {received}")
         self._forget(received)
-        if self._above and self._jumped(stamp, received - stamp, received):
-            self.restart()
-            self.jumps += 1
+        low, high = sent - stamp, received - stamp
+        if self._trip is not None:
+            when, lowest, highest = self._trip
+            may = self.drift * (received - when) + SLIP
+            if low > highest + may or high < lowest - may:
+                self.restart()
+                self.jumps += 1
+                self.slipped = 0.5 * (lowest + highest - low - high)
+        self._trip = received, low, high
+        if self._above:
+            # An answer that was held up on its way leaves more open, and is no sign that the clock was set.
+            above = self._above[0][1] + self.drift * received
+            if high < above - self.jump or low > above + self.jump:
+                self.restart()
+                self.jumps += 1
+            elif high <= above + self.jump:
+                self._straight = received
         _push(self._above, received, received - stamp - self.drift * received)
         _push(self._below, sent, -(sent - stamp) - self.drift * sent)
 

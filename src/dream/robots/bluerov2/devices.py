@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import threading
-import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -17,7 +15,6 @@ import numpy as np
 
 from dream.geometry import SE2, Camera
 from dream.measurements import Imu, Measurement
-from dream.robots.bluerov2.bridge import Limits
 from dream.robots.bluerov2.camera import (
     LiveCamera,
     RtpVideo,
@@ -28,14 +25,17 @@ from dream.robots.bluerov2.camera import (
     opencv,
 )
 from dream.robots.bluerov2.check import Finding, Seen, findings
-from dream.robots.bluerov2.dvl_a50 import PORT, DvlA50, sound_in
+from dream.robots.bluerov2.dvl_a50 import PORT, DvlA50, Stream, sound_in
 from dream.robots.bluerov2.lens import Lens, Rectifier
+from dream.robots.bluerov2.limits import Limits
 from dream.robots.bluerov2.log import DiveLog
 from dream.robots.bluerov2.mavlink import Link
 from dream.robots.bluerov2.navigation import Instruments, Navigator, NotReady, State
-from dream.robots.bluerov2.pilot import Station
+from dream.robots.bluerov2.pilot import Door, Station
 from dream.robots.bluerov2.reports import FRESH, SEA
 from dream.robots.bluerov2.rov import Picture
+from dream.robots.bluerov2.threads import REAL_TIME, Threads
+from dream.robots.bluerov2.wire import Pipe
 from dream.types import BoolArray, UInt8Array
 
 PARAMETERS_BEFORE = "parameters-before.json"
@@ -48,13 +48,13 @@ DENSITY = {"fresh": FRESH, "sea": SEA}
 class Addresses:
     """Where the devices are."""
 
-    vehicle: str
+    vehicle: str | Pipe
     """MAVLink, see `mavlink.Link`."""
-    dvl: str
-    """HOST or HOST:PORT."""
-    camera: str
+    dvl: str | Callable[[], Stream]
+    """HOST or HOST:PORT, or what dials it."""
+    camera: str | Source
     """rtp:PORT, rtp:HOST:PORT, an rtsp:// address, a file, or the number of a device."""
-    pilot: str | None = None
+    pilot: str | Door | None = None
     """udpin:HOST:PORT, where a ground station with a joystick may come; None for nowhere."""
 
 
@@ -103,6 +103,10 @@ class Devices:
     What it does: every measurement goes to the navigator and to the log, every packet, line and picture to
     the log. `listen` collects what the sensors say while the vehicle lies still, which is what the pre-dive
     list and the estimate begin with.
+
+    Assumes: handlers of logging that do not wait. The threads that steer the vehicle and speak to it log
+    under `dream.robots.bluerov2`, and one that waits for a terminal or a disk keeps the vehicle waiting.
+    `dream dive` sees to its own; any other program puts Python's `QueueHandler` before such a handler.
     """
 
     def __init__(
@@ -115,6 +119,7 @@ class Devices:
         density: float = DENSITY["fresh"],
         surface_pressure: float = math.nan,
         sound: float | None = None,
+        threads: Threads = REAL_TIME,
     ) -> None:
         """Open all of it. The dive's clock begins.
 
@@ -126,19 +131,22 @@ class Devices:
             density: kg/m³ of the water.
             surface_pressure: hPa at the surface; NaN where it has to be measured.
             sound: m/s at which sound goes in this water; by its density where None.
+            threads: What all of it waits by.
 
         Raises:
             ValueError: An address is none.
             OSError: The log cannot be written, or a port is taken.
         """
-        began = time.monotonic()
-        self.now: Callable[[], float] = lambda: time.monotonic() - began
+        self.threads = threads
+        began = threads.monotonic()
+        self.now: Callable[[], float] = lambda: threads.monotonic() - began
         self._density, self._sound = density, sound
         self._heard: list[Imu | Measurement] = []
-        self._listening = threading.Event()
+        self._listening = threads.event()
         self.station: Station | None = None
-        source = source_of(addresses.camera)
-        host, port = dvl_at(addresses.dvl)
+        source = source_of(addresses.camera) if isinstance(addresses.camera, str) else addresses.camera
+        dial = None if isinstance(addresses.dvl, str) else addresses.dvl
+        host, port = dvl_at(addresses.dvl) if isinstance(addresses.dvl, str) else ("aboard", PORT)
         with ExitStack() as stack:
             self.log = stack.enter_context(DiveLog(folder, epoch_ns=epoch_ns))
             mounting = instruments.mounting
@@ -162,12 +170,13 @@ class Devices:
                 density=density,
                 surface_pressure=surface_pressure,
                 keep=folder / PARAMETERS_BEFORE,
+                threads=threads,
             )
             stack.enter_context(self.link)
             if addresses.pilot is not None:
-                station = Station(addresses.pilot, self.link, now=self.now, tap=self.log.tap)
+                station = Station(addresses.pilot, self.link, now=self.now, tap=self.log.tap, threads=threads)
                 self.station = stack.enter_context(station)
-            self.camera = stack.enter_context(LiveCamera(source, self.now, self.log.tap))
+            self.camera = stack.enter_context(LiveCamera(source, self.now, self.log.tap, threads=threads))
             self.dvl = stack.enter_context(
                 DvlA50(
                     host,
@@ -175,6 +184,8 @@ class Devices:
                     now=self.now,
                     deliver=self._deliver,
                     tap=self.log.tap,
+                    threads=threads,
+                    dial=dial,
                 )
             )
             self._stack = stack.pop_all()
@@ -218,7 +229,7 @@ class Devices:
         began = self.now()
         while self.dvl.config is None and self.now() - began < timeout:
             self.link.operator_alive()
-            time.sleep(0.1)
+            self.threads.sleep(0.1)
         before = None if self.dvl.config is None else self.dvl.config.speed_of_sound
         if before != self._sound:
             self.dvl.set_config(speed_of_sound=self._sound)
@@ -254,7 +265,7 @@ class Devices:
         self._listening.set()
         while self.now() - began < seconds:
             self.link.operator_alive()
-            time.sleep(0.05)
+            self.threads.sleep(0.05)
         self._listening.clear()
         seen = Seen(
             self.camera.counts.received - before, self.now() - began, self.camera.age, self.camera.problem
@@ -323,11 +334,6 @@ class LiveEye:
             return self.camera.after(after + self.latency, timeout + self.latency)
         except TimeoutError:
             return None
-
-    @property
-    def unchanged(self) -> float:
-        """Seconds for which all pictures up to the newest are the same to the last bit."""
-        return self.camera.unchanged
 
     def view(self, picture: Picture, camera: Camera) -> tuple[UInt8Array, BoolArray]:
         """The picture as that camera would have taken it, and which of its pixels the lens saw."""

@@ -7,10 +7,11 @@ microseconds and degrees, which do not leave this module.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import math
-import queue
+import re
 import socket
 import threading
 from collections import Counter
@@ -25,6 +26,7 @@ from pydantic_core import from_json
 
 from dream.measurements import Dvl, Float64Array
 from dream.robots.bluerov2.clocks import DeviceClock
+from dream.robots.bluerov2.threads import REAL_TIME, Threads
 
 logger = logging.getLogger(__name__)
 
@@ -45,6 +47,9 @@ QUIET = 5.0
 also where there is no bottom lock."""
 PAUSES = (0.25, 5.0)
 """Seconds between attempts to connect: the first, and the longest."""
+FIRMWARE = "2.2.1"
+"""Oldest that will do (changelog of waterlinked/docs, docs/dvl). Up to 2.0.8 it speaks json_v2 or what was
+before; 2.1.0 speaks json_v3, but does not end its answers with a new line."""
 SLOWEST = 2.0
 """Seconds from validity to transmission that are believed; about 0.2 in the documentation's example."""
 
@@ -53,6 +58,12 @@ SOUND_FRESH, SOUND_SEA = (1481.0, 1481.0), (1500.0, 1530.0)
 salinity of 35 (Mackenzie 1981)."""
 SALTY = 1010.0
 """kg/m³ from which on water is taken for the sea's."""
+
+PROTOCOL = r"^json_v3(\.\d{1,4})?$"
+"""What `format` has to be."""
+
+NAMELESS = "a protocol without a name"
+"""Of the first firmwares, up to 1.6.0."""
 
 _FLU_FRD = np.diag([1.0, -1.0, -1.0])
 
@@ -69,12 +80,52 @@ class Clock(Protocol):
         ...
 
 
+class Stream(Protocol):
+    """A connection, as bytes. What is wrong with it is an OSError."""
+
+    def receive(self, timeout: float) -> bytes:
+        """What has come since, as soon as there is something; empty where the other side hung up.
+
+        Raises:
+            TimeoutError: Nothing came for so many seconds.
+        """
+
+    def send(self, data: bytes) -> None:
+        """All of it."""
+
+    def close(self) -> None:
+        """Hang up, from whatever thread: whoever receives is told that there is nothing more."""
+
+
+class Tcp:
+    """A connection over TCP."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = socket.create_connection((host, port), timeout=CONNECTING)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def receive(self, timeout: float) -> bytes:
+        """See `Stream`."""
+        self._socket.settimeout(timeout)
+        return self._socket.recv(1 << 14)
+
+    def send(self, data: bytes) -> None:
+        """See `Stream`."""
+        self._socket.sendall(data)
+
+    def close(self) -> None:
+        """See `Stream`."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+
+
 class _Heard(BaseModel):
     """Something that the A50 says. Fields that we do not know are ignored, numbers are finite."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False, strict=True)
 
-    format: str = Field(pattern=r"^json_v3(\.\d{1,4})?$")
+    format: str = Field(pattern=PROTOCOL)
     """A minor version may add fields; another major one may mean something else by the same name."""
 
 
@@ -127,6 +178,11 @@ class Config(BaseModel):
 class BadLine(ValueError):  # noqa: N818 - it names what was found.
     """A line that is not used; the message is the reason, short enough to be counted by."""
 
+    def __init__(self, reason: str, *, spoken: str = "") -> None:
+        super().__init__(reason)
+        self.spoken = spoken
+        """The other protocol that it is of; empty where that is not the reason."""
+
 
 def read_line(line: bytes) -> VelocityReport | Response | None:
     """What a line says; None where it is of no concern here, as `velocity_water` and `position_local` are.
@@ -146,14 +202,22 @@ def read_line(line: bytes) -> VelocityReport | Response | None:
     }
     kind = said.get("type")
     if not isinstance(kind, str):
-        raise BadLine("no type")
+        # The first firmwares gave their velocities no type.
+        raise BadLine("no type", spoken=_named(said.get("format", NAMELESS)) if "vx" in said else "")
     if kind not in kinds:
         return None
     try:
         return kinds[kind].model_validate(said)
     except ValidationError as error:
         field = str(error.errors(include_url=False)[0]["loc"][0])
-        raise BadLine(f"{kind}: {field}") from error
+        spoken = _named(said.get("format")) if field == "format" else ""
+        raise BadLine(f"{kind}: {field}", spoken=spoken) from error
+
+
+def _named(version: object) -> str:
+    """A protocol, as a line tells it, for a message."""
+    known = version == NAMELESS or re.fullmatch(r"json_v[\d.]{1,8}", str(version))
+    return str(version) if known else "another protocol"
 
 
 def measurement(report: VelocityReport, time: float) -> Dvl:
@@ -178,6 +242,13 @@ def _floored(covariance: Float64Array) -> Float64Array:
 def sound_in(density: float) -> tuple[float, float]:
     """From and to what m/s sound goes, by the kg/m³ of the water."""
     return SOUND_FRESH if density < SALTY else SOUND_SEA
+
+
+def _remedy(spoken: str) -> str:
+    """What to do about a device that speaks another protocol."""
+    if spoken == NAMELESS or re.match(r"json_v[0-2]\b", spoken):
+        return f"its firmware is too old. Update it to {FIRMWARE} or newer"
+    return f"as an A50 or A125 does, of firmware {FIRMWARE} or newer. Is it one of those?"
 
 
 class DvlA50:
@@ -209,6 +280,8 @@ class DvlA50:
         quiet: float = QUIET,
         pauses: tuple[float, float] = PAUSES,
         tap: Callable[[float, str, bool, object], None] | None = None,
+        threads: Threads = REAL_TIME,
+        dial: Callable[[], Stream] | None = None,
     ) -> None:
         """Begin to connect.
 
@@ -223,17 +296,22 @@ class DvlA50:
             quiet: Seconds without a byte after which to connect anew.
             pauses: Seconds before another attempt: first and longest.
             tap: Is told of every line, as it came or went.
+            threads: What it begins its thread and waits by.
+            dial: Makes a connection, or raises an OSError; over TCP to host and port unless given.
         """
         self._host, self._port = host, port
         self._now, self._deliver, self._tap = now, deliver, tap
         self._rotation_deg = rotation_deg
         self._clock: Clock = DeviceClock() if clock is None else clock
         self._quiet, self._pauses = quiet, pauses
-        self._lock = threading.Lock()
-        self._asking = threading.Lock()
-        self._closing = threading.Event()
-        self._socket: socket.socket | None = None
-        self._pending: dict[str, queue.SimpleQueue[Response]] = {}
+        self._dial: Callable[[], Stream] = (lambda: Tcp(host, port)) if dial is None else dial
+        self._lock = threads.lock()
+        self._asking = threads.lock()
+        self._closing = threads.event()
+        self._link: Stream | None = None
+        self._answering = threads.condition()
+        self._answers: dict[str, Response | None] = {}
+        """To the commands whose answers are waited for; None where none came yet."""
         self._lost = "not tried yet"
         self._version = ""
         self._config: Config | None = None
@@ -243,8 +321,9 @@ class DvlA50:
         self._last_stamp = -1
         self._last_time = -math.inf
         self._refused: Counter[str] = Counter()
-        self._thread = threading.Thread(target=self._run, name=f"a50 {host}:{port}", daemon=True)
-        self._thread.start()
+        self._own = 0
+        """Which thread is that of the link."""
+        self._thread = threads.start(self._run, f"a50 {host}:{port}")
 
     def __enter__(self) -> Self:
         return self
@@ -258,13 +337,13 @@ class DvlA50:
         """End the link; nothing is delivered afterwards."""
         self._closing.set()
         self._hang_up()
-        if threading.current_thread() is not self._thread:
+        if threading.get_ident() != self._own:
             self._thread.join(CONNECTING + 1.0)
 
     @property
     def connected(self) -> bool:
         """Is there a connection?"""
-        return self._socket is not None
+        return self._link is not None
 
     @property
     def age(self) -> float:
@@ -318,13 +397,21 @@ class DvlA50:
         if self.hot:
             return f"{where} is too hot and about to shut down. Is it out of the water?"
         if self._version:
-            return f"{where} speaks {self._version}, expected json_v3"
+            return f"{where} speaks {self._version}, expected json_v3: {_remedy(self._version)}"
         if self.misread:
             return self.misread
         silent = self._now() - self._heard
         if not self.age <= self._quiet:
-            return f"no velocity from {where}" + (f" for {self.age:.1f} s" if self.age < math.inf else "")
+            since = f" for {self.age:.1f} s" if self.age < math.inf else ""
+            return f"no velocity from {where}{since}{self._refusals}"
         return f"nothing heard of {where} for {silent:.1f} s" if silent > self._quiet else ""
+
+    @property
+    def _refusals(self) -> str:
+        """Why most of the lines are refused, to go on a sentence; empty where none is."""
+        with self._lock:
+            most = self._refused.most_common(1)
+        return "".join(f"; {count} lines were refused: {reason}" for reason, count in most)
 
     # Commands. Each waits for the answer; none may be called from `deliver`, which would wait for itself.
 
@@ -343,20 +430,19 @@ class DvlA50:
             said["parameters"] = dict(parameters)
         line = json.dumps(said, allow_nan=False)
         with self._asking:
-            answers: queue.SimpleQueue[Response] = queue.SimpleQueue()
-            with self._lock:
-                self._pending[command] = answers
+            with self._answering:
+                self._answers[command] = None
             try:
                 self._send(line)
-                answer = answers.get(timeout=timeout)
-            except queue.Empty:
-                raise TimeoutError(
-                    f"{command}: expected a response of the DVL within {timeout:g} s, got none. "
-                    f"{self.problem}"
-                ) from None
+                with self._answering:
+                    self._answering.wait_for(lambda: self._answers[command] is not None, timeout)
             finally:
-                with self._lock:
-                    self._pending.pop(command, None)
+                with self._answering:
+                    answer = self._answers.pop(command)
+        if answer is None:
+            raise TimeoutError(
+                f"{command}: expected a response of the DVL within {timeout:g} s, got none. {self.problem}"
+            )
         if not answer.success:
             raise ValueError(f"{command}: the DVL refuses: {answer.error_message or 'without a reason'}")
         return answer.result
@@ -430,37 +516,37 @@ class DvlA50:
     # The thread.
 
     def _run(self) -> None:
+        self._own = threading.get_ident()
         pause = self._pauses[0]
         while not self._closing.is_set():
             heard = self._heard
             try:
-                with socket.create_connection((self._host, self._port), timeout=CONNECTING) as link:
+                link = self._dial()
+                with contextlib.closing(link):
                     self._converse(link)
                 self._lost = "it hung up"
             except OSError as error:
                 self._lost = error.strerror or str(error) or type(error).__name__
             finally:
-                self._socket = None
+                self._link = None
             if self._heard != heard and not math.isnan(self._heard):
                 pause = self._pauses[0]
             if self._closing.wait(pause):
                 return
             pause = min(2.0 * pause, self._pauses[1])
 
-    def _converse(self, link: socket.socket) -> None:
-        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        link.settimeout(self._quiet)
+    def _converse(self, link: Stream) -> None:
         self._version = ""
-        self._socket = link
+        self._link = link
         if self._closing.is_set():
             return
         self._send(json.dumps({"command": "get_config"}))
         rest, skipping = bytearray(), False
         while not self._closing.is_set():
             try:
-                got = link.recv(1 << 14)
+                got = link.receive(self._quiet)
             except TimeoutError:
-                if self._pending:  # Whoever waits for an answer has a time-out of his own.
+                if self._answers:  # Whoever waits for an answer has a time-out of his own.
                     continue
                 raise TimeoutError(f"nothing heard for {self._quiet:g} s") from None
             if not got:
@@ -493,8 +579,8 @@ class DvlA50:
             elif isinstance(said, Response):
                 self._take_response(said)
         except BadLine as reason:
-            if str(reason).endswith(": format"):
-                self._version = "another protocol"
+            if reason.spoken:
+                self._version = reason.spoken
             with self._lock:
                 self._refused[str(reason)] += 1
             logger.debug("a line of the A50 is refused (%s): %.200r", reason, line)
@@ -522,11 +608,12 @@ class DvlA50:
         self._delivered = arrived
 
     def _take_response(self, response: Response) -> None:
-        with self._lock:
-            answers = self._pending.get(response.response_to)
-        if answers is not None:
-            answers.put(response)
-        elif response.response_to == "get_config" and response.success:
+        with self._answering:
+            awaited = response.response_to in self._answers
+            if awaited:
+                self._answers[response.response_to] = response
+                self._answering.notify_all()
+        if not awaited and response.response_to == "get_config" and response.success:
             self._take_config(response.result)
 
     def _take_config(self, result: object) -> None:
@@ -537,11 +624,11 @@ class DvlA50:
             logger.warning("settings of the DVL are not understood: %s", error.errors(include_url=False)[0])
 
     def _send(self, line: str) -> None:
-        link = self._socket
+        link = self._link
         if link is None:
             raise ConnectionError(self.problem)
         self._tell(self._now(), True, line)
-        link.sendall(line.encode() + b"\n")
+        link.send(line.encode() + b"\n")
 
     def _tell(self, time: float, sent: bool, line: str) -> None:
         if self._tap is not None:
@@ -551,9 +638,6 @@ class DvlA50:
                 logger.exception("a line of the A50 could not be logged")
 
     def _hang_up(self) -> None:
-        link = self._socket
+        link = self._link
         if link is not None:
-            try:
-                link.shutdown(socket.SHUT_RDWR)
-            except OSError:
-                logger.debug("the link to the A50 was down already")
+            link.close()

@@ -8,8 +8,6 @@ import json
 import logging
 import math
 import struct
-import threading
-import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -23,18 +21,16 @@ from dream.robots.bluerov2.motion import Motion, Order
 from dream.robots.bluerov2.parameters import JOYSTICK_PARAMETERS, STATION_ID, Check, rules
 from dream.robots.bluerov2.reports import FRESH, MOUNT_MESSAGES, NUMBERS, SURFACE_PRESSURES, Strange, text_of
 from dream.robots.bluerov2.sticks import (
-    ALTITUDE_ONLY,
     BODY_NED,
-    GLOBAL_INT,
     NEUTRAL,
     STILL,
     VELOCITY_AND_YAW_RATE,
     Joystick,
     Sticks,
-    altitude_up,
     forward_right_down,
 )
-from dream.robots.bluerov2.telemetry import Instruments, Measurement, Reports, Telemetry
+from dream.robots.bluerov2.telemetry import HEADING_SIGMA, Instruments, Measurement, Reports, Telemetry
+from dream.robots.bluerov2.threads import REAL_TIME, Thread, Threads
 from dream.robots.bluerov2.wire import Pipe, Tcp, Udp, open_pipe
 
 if TYPE_CHECKING:
@@ -58,21 +54,27 @@ RATES = MappingProxyType(
         "RAW_IMU": 50.0,
         "ATTITUDE": 50.0,
         "SCALED_PRESSURE2": 20.0,
-        "VFR_HUD": 10.0,
+        "GLOBAL_POSITION_INT": 10.0,
+        "LOCAL_POSITION_NED": 10.0,
+        "SERVO_OUTPUT_RAW": 5.0,
         "SYS_STATUS": 2.0,
-        "NAMED_VALUE_FLOAT": 2.0,
         "GIMBAL_DEVICE_ATTITUDE_STATUS": 5.0,
     }
 )
 """Hertz that are asked for; ArduSub's own loop for them has 50. A change of mode or arming shows in the
-heartbeat, which comes once a second unasked: so long would an order go on in a mode that is not ours."""
-OPTIONAL = ("HEARTBEAT", "VFR_HUD", "NAMED_VALUE_FLOAT", "GIMBAL_DEVICE_ATTITUDE_STATUS")
+heartbeat, which comes once a second unasked: so long would an order go on in a mode that is not ours.
+NAMED_VALUE_FLOAT has no interval and comes unasked."""
+OPTIONAL = ("HEARTBEAT", "LOCAL_POSITION_NED", "SERVO_OUTPUT_RAW", "GIMBAL_DEVICE_ATTITUDE_STATUS")
 """Of these, what some versions of ArduSub do not have an interval for."""
 BRIGHTER, DIMMER = 32, 33
 """BTNn_FUNCTION of the buttons for the lights. Lights are moved as a pilot does: DO_SET_SERVO is refused for
 the output function Lights1 that ArduSub has since 4.5.6, and before that MANUAL_CONTROL overrode it."""
 PRESS = 0.15
 """Seconds for which a button is held, and then let go."""
+UP = 1.0
+"""Metres of depth from which on it is somebody else who ends SURFACE: ArduSub does at 0.1 m."""
+REASON = 0.3
+"""Seconds that the reason of a refusal may come after it."""
 ECHOES = 512
 """Messages of ours that are remembered, to know them again when a router sends them back."""
 STATION_MESSAGES = (
@@ -134,13 +136,14 @@ class Link:
         component: int = 190,
         density: float = FRESH,
         surface_pressure: float = math.nan,
-        heading_sigma: float = 0.05,
+        heading_sigma: float = HEADING_SIGMA,
         depth_sigma: float = 0.02,
         imu_from: str = "RAW_IMU",
         heading_from: str = "ATTITUDE",
         rates: Mapping[str, float] = RATES,
         retry: float = 0.5,
         keep: Path | None = None,
+        threads: Threads = REAL_TIME,
     ) -> None:
         """Open the port; the threads begin in the with-block.
 
@@ -163,6 +166,7 @@ class Link:
             retry: Seconds to wait for an answer before asking again.
             keep: A file for the old values of parameters, as JSON, written before one is changed: to put
                 them back by hand where this program ends without doing so.
+            threads: What it waits by.
         """
         if not (1 <= vehicle <= 255 and 1 <= system <= 255 and vehicle != system):
             raise ValueError(
@@ -175,7 +179,7 @@ class Link:
                 "1 bar is 1000 hPa, 1 kPa is 10 hPa, 1 hPa is 100 Pa"
             )
         self._dialect = dialect()
-        self._now = now
+        self._now, self._threads = now, threads
         self._deliver = deliver
         self._tap = tap
         self.vehicle, self.system, self.component = vehicle, system, component
@@ -199,14 +203,16 @@ class Link:
         self.mode_changed_by_other = ""
         self.armed_by_other = ""
         """Arming or disarming that nobody here asked for; empty for none."""
+        self.surfacing = ""
+        """Why the vehicle comes up by itself; empty where it does not."""
         self.problem = ""
         """Why the port does not work; empty while it does."""
 
-        self._news = threading.Condition(threading.RLock())
-        self._out = threading.Lock()
-        self._wake = threading.Event()
+        self._news = threads.condition()
+        self._out = threads.lock()
+        self._wake = threads.event()
         self._closed = False
-        self._threads: list[threading.Thread] = []
+        self._working: list[Thread] = []
         self._reader = self._parser()
         self._writer = self._dialect.MAVLink(None, srcSystem=system, srcComponent=component)
         self._own: deque[bytes] = deque(maxlen=ECHOES)
@@ -214,7 +220,7 @@ class Link:
 
         self._motion = Motion()
         self._piloting = False
-        self._ours = False
+        self._ours = self._disarming = False
         self._expected_armed: tuple[bool, float] = (False, -math.inf)
         self._expected_mode: tuple[str, float] = ("", -math.inf)
         self._alive_until = -math.inf
@@ -232,9 +238,7 @@ class Link:
 
     def __enter__(self) -> Self:
         for work in (self._receiving, self._sending):
-            thread = threading.Thread(target=work, name=f"mavlink {work.__name__}", daemon=True)
-            self._threads.append(thread)
-            thread.start()
+            self._working.append(self._threads.start(work, f"mavlink {work.__name__}"))
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -247,7 +251,7 @@ class Link:
         self.stop()
         self._closed = True
         self._wake.set()
-        for thread in self._threads:
+        for thread in self._working:
             thread.join(2.0)
         self._pipe.close()
 
@@ -350,31 +354,6 @@ class Link:
             self.rival = self.mode_changed_by_other = self.armed_by_other = ""
             self._expected_mode = self._reports.values.get("mode", ""), self._now()
 
-    def depth_target(self, z: float, surface: float = 0.0) -> None:
-        """Have ALT_HOLD go to a height in the world, in metres, and hold it.
-
-        Args:
-            z: Metres, negative below the surface.
-            surface: Metres in the world where the autopilot's own altitude is 0.
-
-        Raises:
-            ValueError: Above the surface or deeper than a BlueROV2 bears.
-            RuntimeError: The vehicle is not armed by this link, not in ALT_HOLD, or left to somebody else.
-        """
-        altitude = altitude_up(z, surface)
-        with self._news:
-            mode = self._reports.values.get("mode")
-            if not self._ours or mode != "ALT_HOLD" or self.yielding:
-                raise RuntimeError(
-                    f"depth target: expected a vehicle in ALT_HOLD that this link armed, got mode {mode}, "
-                    f"{'armed' if self._ours else 'not armed'} by us. {self.yielding}"
-                )
-            self._send(
-                self._dialect.MAVLink_set_position_target_global_int_message(
-                    0, self.vehicle, 1, GLOBAL_INT, ALTITUDE_ONLY, 0, 0, altitude, *[0.0] * 8
-                )
-            )
-
     # Questions
 
     def connect(self, timeout: float = 30.0) -> Telemetry:
@@ -425,8 +404,10 @@ class Link:
                 raise TimeoutError(f"arm: expected an armed heartbeat within {EXPECTED} s, got none")
         except (TimeoutError, Refused):
             with self._news:
-                self._piloting = False
-                self._expected_armed = False, self._now() + EXPECTED
+                # One that says no and arms all the same, as without an origin, is ours to disarm.
+                self._piloting = self._ours
+                if not self._ours:
+                    self._expected_armed = False, self._now() + EXPECTED
             raise
 
     def disarm(self) -> None:
@@ -438,13 +419,17 @@ class Link:
         """
         self.stop()
         with self._news:
-            self._ours = False
+            self._disarming = True
             self._expected_armed = False, self._now() + EXPECTED + 3 * self._retry
-        self._command("COMPONENT_ARM_DISARM", 0.0)
-        if not self._wait(lambda: not self._reports.values.get("armed", True), EXPECTED):
-            raise TimeoutError(f"disarm: expected a disarmed heartbeat within {EXPECTED} s, got none")
-        with self._news:
-            self._piloting = False
+        try:
+            self._command("COMPONENT_ARM_DISARM", 0.0)
+            if not self._wait(lambda: not self._reports.values.get("armed", True), EXPECTED):
+                raise TimeoutError(f"disarm: expected a disarmed heartbeat within {EXPECTED} s, got none")
+            with self._news:
+                self._piloting = False
+        finally:
+            with self._news:
+                self._disarming = False
 
     def set_mode(self, name: str) -> None:
         """Change the mode, and stop: an order for one mode is none for the next.
@@ -462,7 +447,9 @@ class Link:
             self._expected_mode = name, self._now() + EXPECTED + 3 * self._retry
         try:
             self._command("DO_SET_MODE", self._dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, NUMBERS[name])
-            if not self._wait(lambda: self._reports.values.get("mode") == name, EXPECTED):
+            # One that is at the surface already is back in ALT_HOLD before SURFACE ever shows.
+            shows = (name, "ALT_HOLD") if name == "SURFACE" else (name,)
+            if not self._wait(lambda: self._reports.values.get("mode") in shows, EXPECTED):
                 raise TimeoutError(
                     f"mode: expected a heartbeat with {name} within {EXPECTED} s, "
                     f"got {self._reports.values.get('mode')}"
@@ -589,13 +576,13 @@ class Link:
         """What this vehicle makes of sticks, by its parameters and its present gain.
 
         Raises:
-            TimeoutError: FRAME_CONFIG has no answer; others that are missing keep their defaults.
+            TimeoutError: FRAME_CONFIG or PILOT_SPEED_UP has no answer; others keep their defaults.
             ValueError: The frame is neither of those that DREAM knows.
         """
-        values = {"FRAME_CONFIG": self.param("FRAME_CONFIG")}
-        for name in JOYSTICK_PARAMETERS[1:]:
+        values = {name: self.param(name) for name in ("FRAME_CONFIG", "PILOT_SPEED_UP")}
+        for name in JOYSTICK_PARAMETERS:
             with contextlib.suppress(TimeoutError):
-                values[name] = self.param(name)
+                values[name] = values.get(name) or self.param(name)
         gain = self.telemetry.pilot_gain
         return Joystick.of(values, gain=gain if math.isfinite(gain) else None)
 
@@ -788,7 +775,18 @@ class Link:
         """Look whether mode and arming are what was asked for here."""
         mode, armed = self._reports.values["mode"], self._reports.values["armed"]
         wanted_mode, until = self._expected_mode
-        if mode != before.get("mode", mode) and not (mode == wanted_mode and now <= until):
+        changed = mode != before.get("mode", mode)
+        values = self._reports.values
+        up = min(-values.get("own_altitude", 0.0), values.get("depth", math.inf)) < UP
+        surfaced = (mode, wanted_mode) == ("ALT_HOLD", "SURFACE") and up
+        if changed and surfaced and (before["mode"] == "SURFACE" or now <= until):
+            # ArduSub itself ends SURFACE at the surface, perhaps before it ever showed, and holds its depth.
+            self._expected_mode = mode, now
+        elif changed and mode == "SURFACE" and self._reports.values["failsafe"]:
+            self._motion.stop()
+            self._expected_mode = mode, now
+            self.surfacing = f"a failsafe of the vehicle brings it up{self._reports.last_words(now)}"
+        elif changed and not (mode == wanted_mode and now <= until):
             self._motion.stop()
             self.mode_changed_by_other = (
                 f"mode {mode} instead of {before['mode']}, which nobody here asked for"
@@ -843,7 +841,7 @@ class Link:
             return  # SURFACE needs a pilot's neutral, or the vehicle would disarm on its way up
         guided = mode == "GUIDED"
         sticks, velocity = NEUTRAL, STILL if guided and self._ours else None
-        if self._ours and self.connected and not self.yielding:
+        if self._ours and self.connected and not (self._disarming or self.yielding):
             sticks, velocity = self._motion.due(now, guided=guided)
         if velocity is not None:
             vx, vy, vz, yaw_rate = forward_right_down(velocity)
@@ -899,7 +897,9 @@ class Link:
         if reply.result != d.MAV_RESULT_ACCEPTED:
             result = d.enums["MAV_RESULT"].get(reply.result)
             word = result.name.removeprefix("MAV_RESULT_") if result else str(reply.result)
-            raise Refused(f"{name}: expected ACCEPTED, got {word}{self._words(asked + 2.0)}")
+            # ArduSub says no first, and why a moment later.
+            self._wait(lambda: bool(self._reports.words_since(asked)), REASON)
+            raise Refused(f"{name}: expected ACCEPTED, got {word}{self._words(asked + 1.0)}")
 
     def _long(self, name: str, *numbers: float, last: float = 0.0) -> Any:
         number = getattr(self._dialect, f"MAV_CMD_{name}")
@@ -939,11 +939,11 @@ class Link:
         )
 
     def _wait(self, true: Callable[[], bool], timeout: float) -> bool:
-        end = time.monotonic() + timeout
+        end = self._threads.monotonic() + timeout
         with self._news:
-            while not (true() or self._closed) and time.monotonic() < end:
+            while not (true() or self._closed) and self._threads.monotonic() < end:
                 self.operator_alive()
-                self._news.wait(min(0.5, max(0.0, end - time.monotonic())))
+                self._news.wait(min(0.5, max(0.0, end - self._threads.monotonic())))
             return true()
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import threading
 from bisect import bisect_left
@@ -16,6 +17,9 @@ import numpy.typing as npt
 from dream.estimation import Cipg, DeadReckoning, Ekf, InEkf, InertialErrors, Mounting, Start, Timeline
 from dream.geometry import SE2, SE3, wrap_angle
 from dream.measurements import Depth, Dvl, Heading, Imu, Measurement
+from dream.robots.bluerov2.seabed import Seabed
+
+logger = logging.getLogger(__name__)
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -23,10 +27,25 @@ KEPT = 3.0
 """Seconds of poses that can be asked for: a picture is not older than that."""
 MOST_WAITING = 4096
 """Messages that wait to be taken in; a loop that is so far behind is dead."""
+GAUGE_DRIFTS = 0.35
+"""Metres that gauge and DVL may have climbed differently within `CLIMBED`."""
+CLIMBED = 15.0
+"""Seconds over which that is forgotten again: both err a little all the time."""
+LEVELLED = 0.5
+"""Seconds over which the force that the accelerometers feel is smoothed, to tell by it how it is tilted."""
+PING_GAP = 0.6
+"""Seconds between two velocities of the DVL over which a climb is reckoned."""
+HEADING_JUMP, HEADING_MISSED = math.radians(1.5), 0.2
+"""Radians that a heading may change between two reports beyond what the gyroscopes felt, and radians more for
+each second in between."""
+SAME_VELOCITIES = 3
+"""Velocities of the DVL that may be the same to the last bit, one after the other."""
+GYRO_GAP = 0.2
+"""Seconds between two inertial samples in which it may have turned by anything."""
+HEADING_STUCK = 0.5
+"""Seconds for which a heading may stay the same to the last bit."""
 STILL_RATE = math.radians(2.0)
 """rad/s by which the gyroscopes may scatter in a vehicle that is held still."""
-SEABED_TIME = 2.0
-"""Seconds over which the height of the seabed is smoothed: what lies on it hardly lifts the vehicle."""
 
 
 class State(Protocol):
@@ -64,9 +83,15 @@ class Fix:
     """Since the last velocity with bottom lock."""
     heading_age: float
     altitude: float
-    """Metres above the seabed by the DVL's last report; NaN where none came back."""
+    """Metres of the DVL above the seabed by its last report; NaN where that has none, or is not believed."""
     seabed: float
-    """Metres: height of the seabed below the vehicle, smoothed; NaN where it was never measured."""
+    """Metres: height of the seabed below the vehicle, smoothed; NaN where it is not known."""
+    drifts: float = 0.0
+    """Metres that it climbed by its gauge of late, less those by the DVL's velocities."""
+    altitude_age: float = 0.0
+    """Seconds since the last altitude that is believed; inf where none was."""
+    altitude_problem: str = ""
+    """Why altitudes are not believed, in words that stay the same while it lasts; empty where they are."""
 
     @property
     def pose(self) -> SE3:
@@ -113,8 +138,12 @@ class Instruments:
     estimator: str = "inekf"
     """`inekf`, `ekf`, `cipg` or `dead-reckoning`."""
     mounting: Mounting = field(default_factory=mounting_of)
-    imu: InertialErrors = field(default_factory=lambda: InertialErrors(rate=50.0))
-    """At the rate of the link, not of the unit."""
+    imu: InertialErrors = field(
+        default_factory=lambda: InertialErrors(gyro_noise=2e-3, accelerometer_noise=2e-2, rate=50.0)
+    )
+    """As the link carries it: a sample in 20 ms, to a milliradian a second and a thousandth of g. What the
+    thrusters do between two samples is noise, some thirty times that of the unit: a heading is held by short
+    pushes."""
     start: Start = field(
         default_factory=lambda: Start(
             tilt=math.radians(2.0), yaw=math.radians(1.0), velocity=0.05, gyro_bias=math.radians(0.1)
@@ -176,10 +205,26 @@ class Navigator:
         self._last = dict.fromkeys((Imu, Dvl, Depth, Heading), -math.inf)
         self._heading_zero = 0.0
         self._bias = np.zeros(3)
-        self._altitude = self._seabed = math.nan
-        self._seabed_time = -math.inf
+        self._seabed = Seabed()
         self._past: deque[tuple[float, SE3]] = deque()
         self._overrun = False
+        self._heading: tuple[float, float] = (-math.inf, math.nan)
+        """When the heading was last heard, and what it was by the autopilot."""
+        self._heading_stuck_since = math.inf
+        self._felt = 0.0
+        """Radians that the gyroscopes felt it turn since then."""
+        self._imu_time = math.nan
+        self._velocity: tuple[Float64Array, int] = (np.full(3, math.nan), 0)
+        """The DVL's last valid one, and how often it was said."""
+        self._force = np.full(3, math.nan)
+        """m/s² in `base`, smoothed."""
+        self._drifts = 0.0
+        self._gauge = math.nan
+        """Metres of height that the gauge last told."""
+        self._climb: tuple[float, float, float] | None = None
+        """When the DVL last told a climb, which, in m/s, and the gauge's height then."""
+        self.new_zeros: list[tuple[float, float]] = []
+        """When the heading jumped though the vehicle did not turn, and by how many radians."""
         self.refused: dict[str, int] = {}
         """Messages that the estimate did not take, by source and reason."""
 
@@ -249,6 +294,8 @@ class Navigator:
         self._overrun = False
         for message in heard:
             self._note(message)
+            if isinstance(message, Dvl):
+                self._sound(message)
 
     def update(self) -> Fix:
         """Take in all that waits, and say where the vehicle is.
@@ -263,17 +310,29 @@ class Navigator:
                 f"navigation: expected messages to be taken in, got {MOST_WAITING} that wait; others are lost"
             )
         for message in self._drained():
-            self._note(message)
-            if isinstance(message, Heading):
+            if isinstance(message, Dvl):
+                if self._same_velocity(message):
+                    self._refuse("dvl: the same to the last bit")
+                    continue
+                self._sound(message)
+                self._note_climb(message)
+            elif isinstance(message, Depth):
+                self._gauge = message.z
+            elif isinstance(message, Heading):
+                if self._same_heading(message):
+                    self._refuse("heading: the same to the last bit")
+                    continue
                 message = replace(message, yaw=wrap_angle(message.yaw - self._heading_zero))
-            elif isinstance(message, Imu):
+            else:
+                self._feel(message)
                 message = replace(message, angular_velocity=message.angular_velocity - self._bias)
             if self._took is not None:
                 self._took(message)
             outcome = self._timeline.take(message)
-            if not outcome.verdict.taken:
-                key = f"{outcome.source}: {outcome.verdict}"
-                self.refused[key] = self.refused.get(key, 0) + 1
+            if outcome.verdict.taken:
+                self._note(message)
+            else:
+                self._refuse(f"{outcome.source}: {outcome.verdict}")
         state, now = self._timeline.state, self._now()
         if self._past and self._past[-1][0] >= state.time:
             self._past.pop()
@@ -293,8 +352,11 @@ class Navigator:
             depth_age=ages[Depth],
             dvl_age=ages[Dvl],
             heading_age=ages[Heading],
-            altitude=self._altitude,
-            seabed=self._seabed,
+            altitude=self._seabed.altitude,
+            seabed=self._seabed.height,
+            altitude_age=self._seabed.age(now),
+            altitude_problem=self._seabed.problem,
+            drifts=self._drifts,
         )
 
     def at(self, time: float) -> SE3:
@@ -324,26 +386,89 @@ class Navigator:
             self._waiting.clear()
         return messages
 
+    def _refuse(self, why: str) -> None:
+        self.refused[why] = self.refused.get(why, 0) + 1
+
     def _note(self, message: Imu | Measurement) -> None:
-        """When each sensor was last heard, and how deep the seabed lies."""
-        if isinstance(message, Dvl):
-            self._note_altitude(message)
-            if not message.valid:
-                return
+        """When each sensor last told something that the estimate took."""
+        if isinstance(message, Dvl) and not message.valid:
+            return
         self._last[type(message)] = max(self._last[type(message)], message.time)
 
-    def _note_altitude(self, dvl: Dvl) -> None:
-        self._altitude = dvl.altitude
-        if not (math.isfinite(dvl.altitude) and dvl.valid and self._timeline is not None):
+    def _feel(self, imu: Imu) -> None:
+        """How far the gyroscopes felt it turn; not a number where samples are missing."""
+        assert self._timeline is not None
+        dt = imu.time - self._imu_time
+        if dt > GYRO_GAP:
+            self._felt = math.nan
+        elif dt > 0.0:
+            bias = np.asarray(getattr(self._timeline.state, "gyro_bias", self._bias))
+            self._felt += float(imu.angular_velocity[2] - bias[2]) * dt
+        if np.isfinite(imu.specific_force).all():
+            share = -math.expm1(-dt / LEVELLED) if dt > 0.0 else 0.0
+            known = np.isfinite(self._force).all()
+            self._force = (
+                self._force + share * (imu.specific_force - self._force) if known else imu.specific_force
+            )
+        self._imu_time = imu.time
+
+    def _same_heading(self, heading: Heading) -> bool:
+        """Does the autopilot repeat itself? And a jump that the gyroscopes did not feel is a new zero.
+
+        An autopilot that learns the declination turns its heading by that at once, and nobody is turned.
+        """
+        before, yaw = self._heading
+        if heading.yaw == yaw:
+            self._heading_stuck_since = min(self._heading_stuck_since, before)
+            return heading.time - self._heading_stuck_since > HEADING_STUCK
+        self._heading_stuck_since = math.inf
+        jump = wrap_angle(heading.yaw - yaw - self._felt)
+        if abs(jump) > HEADING_JUMP + HEADING_MISSED * (heading.time - before):
+            self._heading_zero = wrap_angle(self._heading_zero + jump)
+            self.new_zeros.append((heading.time, jump))
+            logger.warning(
+                "heading: a jump of %+.1f° that the gyroscopes did not feel is a new zero", math.degrees(jump)
+            )
+        self._heading, self._felt = (heading.time, heading.yaw), 0.0
+        return False
+
+    def _same_velocity(self, dvl: Dvl) -> bool:
+        """Does the DVL repeat itself?"""
+        velocity, said = self._velocity
+        if not dvl.valid:
+            return False
+        self._velocity = dvl.velocity, said + 1 if np.array_equal(dvl.velocity, velocity) else 1
+        return self._velocity[1] > SAME_VELOCITIES
+
+    def _note_climb(self, dvl: Dvl) -> None:
+        """How far it climbed since the last ping, by the DVL.
+
+        Tilted as the accelerometers feel it: an estimate that is given both leans until they agree.
+        """
+        if not (dvl.valid and np.isfinite(self._force).all()):
+            self._climb = None
             return
-        pose = self._timeline.state.pose
-        sonar = pose @ np.asarray(self._instruments.mounting.T_base_dvl.translation)
-        seabed = float(sonar[2]) - dvl.altitude
-        if math.isnan(self._seabed):
-            self._seabed = seabed
-        share = min(max(dvl.time - self._seabed_time, 0.0) / SEABED_TIME, 1.0)
-        self._seabed += share * (seabed - self._seabed)
-        self._seabed_time = max(dvl.time, self._seabed_time)
+        rate = float(self._over_ground(dvl, _attitude(self._force, 0.0))[2])
+        if self._climb is not None and 0.0 < dvl.time - self._climb[0] < PING_GAP:
+            dt, gauge = dvl.time - self._climb[0], self._gauge - self._climb[2]
+            apart = gauge - 0.5 * dt * (rate + self._climb[1])
+            self._drifts = (self._drifts + apart) * math.exp(-dt / CLIMBED)
+        self._climb = (dvl.time, rate, self._gauge) if math.isfinite(self._gauge) else None
+
+    def _sound(self, dvl: Dvl) -> None:
+        """How deep the seabed lies."""
+        T_world_base = self._base_at(dvl.time)
+        if T_world_base is not None:
+            self._seabed.take(dvl, T_world_base @ self._instruments.mounting.T_base_dvl)
+
+    def _base_at(self, time: float) -> SE3 | None:
+        """Where the vehicle was at a time until now; None where that is not known any more."""
+        if self._timeline is None:
+            return None
+        if not self._past or time >= self._past[-1][0]:
+            newest: SE3 = self._timeline.state.pose
+            return newest
+        return self.at(time) if time >= self._past[0][0] else None
 
     def _over_ground(self, dvl: Dvl, rotation: Float64Array) -> Float64Array:
         mounting = self._instruments.mounting.T_base_dvl

@@ -7,7 +7,6 @@ import logging
 import math
 import socket
 import struct
-import threading
 from collections import Counter
 from collections.abc import Callable
 from types import MappingProxyType
@@ -15,6 +14,7 @@ from typing import Any, Protocol, Self
 
 from dream.robots.bluerov2.mavlink import Link, Refused, Tap, dialect
 from dream.robots.bluerov2.sticks import NEUTRAL, Sticks
+from dream.robots.bluerov2.threads import REAL_TIME, Thread, Threads
 from dream.robots.bluerov2.wire import taken
 
 logger = logging.getLogger(__name__)
@@ -215,6 +215,7 @@ class Station:
         now: Callable[[], float],
         tap: Tap | None = None,
         hands: Hands | None = None,
+        threads: Threads = REAL_TIME,
     ) -> None:
         """Open the port; the thread begins in the with-block.
 
@@ -224,12 +225,13 @@ class Station:
             now: The dive's clock.
             tap: Takes (time, "pilot", sent, message) for each message, and what becomes of the hands.
             hands: When a person has the vehicle.
+            threads: What it waits by.
 
         Raises:
             ValueError: Not an address.
             OSError: The port is taken.
         """
-        self._link, self._now, self._tap = link, now, tap
+        self._link, self._now, self._tap, self._threads = link, now, tap, threads
         self._door = UdpDoor(address) if isinstance(address, str) else address
         self._dialect = dialect()
         self._hands = hands or Hands()
@@ -237,7 +239,7 @@ class Station:
         """What came and was not obeyed, by reason."""
         self.ended = ""
         """Why the person ended the dive; empty where they did not."""
-        self._lock = threading.RLock()
+        self._lock = threads.lock()
         self._dismissed = False
         self._seat: Address | None = None
         self._heard = -math.inf
@@ -248,15 +250,14 @@ class Station:
         self._buttons = 0
         self._disarming_buttons: dict[int, int] = {}
         self._writer = self._dialect.MAVLink(None)
-        self._closed = threading.Event()
-        self._thread: threading.Thread | None = None
-        self._disarming: threading.Thread | None = None
+        self._closed = threads.event()
+        self._thread: Thread | None = None
+        self._disarming: Thread | None = None
 
     # Opening and closing
 
     def __enter__(self) -> Self:
-        self._thread = threading.Thread(target=self._run, name="pilot", daemon=True)
-        self._thread.start()
+        self._thread = self._threads.start(self._run, "pilot")
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -501,10 +502,7 @@ class Station:
             self.ended = "the pilot disarmed the vehicle"
             self.dismiss()
         self._note("the pilot disarms the vehicle")
-        self._disarming = threading.Thread(
-            target=self._disarmed, args=(command,), name="pilot disarms", daemon=True
-        )
-        self._disarming.start()
+        self._disarming = self._threads.start(lambda: self._disarmed(command), "pilot disarms")
 
     def _disarmed(self, command: Any) -> None:
         result = self._dialect.MAV_RESULT_ACCEPTED

@@ -43,6 +43,8 @@ PRESSURES = (500.0, 40_000.0)
 
 SURFACE_PRESSURES = (300.0, 1200.0)
 """hPa that the air over any water has, with some to spare."""
+PULSES = (800, 2200)
+"""Microseconds of a servo's pulse."""
 MOST_HEIGHT = 500.0
 """Metres from its own zero that a vehicle may say it is, either way."""
 
@@ -123,15 +125,33 @@ def depth_of(pressure: float, surface: float, density: float, time: float, sigma
 
 
 def own_altitude_of(message: Any) -> float:
-    """VFR_HUD: metres up by the autopilot's own reckoning, as SET_POSITION_TARGET_GLOBAL_INT takes them.
+    """LOCAL_POSITION_NED or GLOBAL_POSITION_INT: metres up by the autopilot's own reckoning.
+
+    The first comes where the autopilot has a position, and counts from the origin of its estimate. The second
+    comes always; its `relative_alt` counts from there without a position, and with one from a home, and is
+    then above sea level (`Sub::get_alt_rel`). VFR_HUD.alt and `alt` always are, or 0 without an origin.
 
     Raises:
         Strange: Not finite, or deeper or higher than a BlueROV2 gets.
     """
-    altitude = float(message.alt)
+    local = message.get_type() == "LOCAL_POSITION_NED"
+    altitude = -float(message.z) if local else float(message.relative_alt) / 1000.0
     if not abs(altitude) <= MOST_HEIGHT:
         raise Strange("own altitude: out of range")
     return altitude
+
+
+def thrust_of(message: Any) -> float:
+    """SERVO_OUTPUT_RAW: how far the hardest working of the first eight outputs is from neutral, 0 to 1.
+
+    Raises:
+        Strange: A pulse that is none.
+    """
+    pulses = [getattr(message, f"servo{k}_raw") for k in range(1, 9)]
+    driven = [pulse for pulse in pulses if pulse != 0]
+    if not all(PULSES[0] <= pulse <= PULSES[1] for pulse in driven):
+        raise Strange("servo output: out of range")
+    return max((abs(pulse - 1500) / 400.0 for pulse in driven), default=0.0)
 
 
 def tilt_of(message: Any) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -15,7 +14,8 @@ from dream.geometry import SE2, SE3, Camera, wrap_angle
 from dream.perception import Perception
 from dream.protocol import SurveyProtocol
 from dream.robots.bluerov2.bridge import Bridge, Stance
-from dream.robots.bluerov2.navigation import Fix, Navigator
+from dream.robots.bluerov2.navigation import Navigator
+from dream.robots.bluerov2.threads import REAL_TIME, Threads
 from dream.types import Arrival, BoolArray, Observation, Setpoint, UInt8Array
 
 POLL = 0.02
@@ -24,10 +24,6 @@ SOON = 3.0
 """Seconds that looking, and what the mission does with a step, may take each."""
 ASIDE = 0.15
 """Metres that the vehicle may be carried while it may not move itself, and yet go on to its goal."""
-STARES = 0.5
-"""Seconds that pictures may lag behind a move, and then some."""
-MOVED = 0.04
-"""Metres or radians of a move that no picture survives unchanged."""
 
 
 class Picture(Protocol):
@@ -44,10 +40,6 @@ class Eye(Protocol):
 
     def newest(self, after: float, timeout: float) -> Picture | None:
         """The first frame taken after a time, or None where none comes within the time-out."""
-
-    @property
-    def unchanged(self) -> float:
-        """Seconds for which all pictures up to the newest are the same to the last bit."""
 
     def view(self, picture: Picture, camera: Camera) -> tuple[UInt8Array, BoolArray]:
         """The picture as that camera would have taken it, and which of its pixels the lens really saw."""
@@ -81,49 +73,6 @@ class Manners:
                 raise ValueError(f"{name}: expected a number above 0, got {getattr(self, name)}")
 
 
-class Stream(Protocol):
-    """What is asked of a camera at every beat."""
-
-    @property
-    def connected(self) -> bool:
-        """Did a picture come of late?"""
-
-    @property
-    def unchanged(self) -> float:
-        """Seconds for which all pictures up to the newest are the same to the last bit."""
-
-
-class Sight:
-    """Says at every beat whether the camera shows what the vehicle sees now.
-
-    What it does: a camera of which nothing comes is told at once, one that is frozen as soon as the vehicle
-    has moved and its pictures have stayed the same for `STARES` seconds more. Until then nobody can tell: one
-    that sees the same shows the same.
-    Assumes: it is asked several times a second, by one thread.
-    """
-
-    def __init__(self, camera: Stream) -> None:
-        """Of a camera."""
-        self._camera = camera
-        self._unchanged, self._moved = 0.0, math.inf
-        """Seconds of the same pictures: at the last beat, and when the vehicle had moved."""
-        self._from: SE2 | None = None
-        """Where it was when they began to be the same."""
-
-    def __call__(self, fix: Fix) -> str:
-        """What is wrong, in words that stay the same while it lasts; empty where nothing is."""
-        unchanged, pose = self._camera.unchanged, fix.T_world_base.se2
-        if self._from is None or unchanged < self._unchanged or unchanged == 0.0:
-            self._from, self._moved = pose, math.inf
-        self._unchanged = unchanged
-        turn = abs(wrap_angle(pose.yaw - self._from.yaw))
-        if max(pose.distance(self._from), turn) > MOVED:
-            self._moved = min(self._moved, unchanged)
-        if not self._camera.connected:
-            return "camera: no pictures come"
-        return "camera: the same picture while it moves" if unchanged - self._moved > STARES else ""
-
-
 class BlueRov2:
     """Goes where it is sent, as far as it knows where it is, and looks.
 
@@ -145,12 +94,14 @@ class BlueRov2:
         protocol: SurveyProtocol,
         now: Callable[[], float],
         *,
+        frozen: Callable[[], bool],
         T_base_camera: SE3 | None = None,
         fineness: int = 1,
         manners: Manners | None = None,
         waits: Callable[[], bool] = lambda: False,
         holds: Callable[[], bool] = lambda: False,
         truth: Callable[[], tuple[SE3, int]] | None = None,
+        threads: Threads = REAL_TIME,
     ) -> None:
         """On its bridge.
 
@@ -161,23 +112,25 @@ class BlueRov2:
             perception: Makes depth and labels of its frames.
             protocol: By which rules it looks and moves.
             now: The dive's clock.
+            frozen: Does the camera show the same while the vehicle moves?
             T_base_camera: Where the camera looks; as the protocol says, unless given.
             fineness: Pixels of colour along each side of a pixel of depth and labels.
             manners: When a move counts as done.
             waits: Does the operator want no further move?
             holds: Does the operator want it to stay where it is, now?
             truth: Where the vehicle really is, and how often it has run into something, of a stand-in.
+            threads: What it waits by.
         """
         self._bridge, self._navigator, self._eye = bridge, navigator, eye
-        self._perception, self._protocol, self._now = perception, protocol, now
+        self._perception, self._protocol, self._now, self._threads = perception, protocol, now, threads
+        self._frozen = frozen
         self._T_base_camera = T_base_camera or protocol.T_base_camera
         self._fineness = fineness
         self._manners = manners or Manners()
         self._waits, self._holds = waits, holds
         self._truth = truth
         self._contacts = truth()[1] if truth is not None else 0
-        self._arrived = self._set_out = now()
-        self._moved = False
+        self._arrived = now()
         self.picture_ages: list[float] = []
         """Seconds from each frame that was used to its use."""
 
@@ -185,7 +138,7 @@ class BlueRov2:
         """One frame that was taken after the last move, with the pose that the vehicle had then.
 
         Raises:
-            MissionAborted: No frame comes.
+            MissionAborted: No frame comes, or the camera is frozen.
         """
         self._bridge.renew(self._manners.fresh + SOON)
         picture = self._eye.newest(self._arrived, self._manners.fresh)
@@ -193,10 +146,10 @@ class BlueRov2:
             raise MissionAborted(
                 f"camera: expected a frame within {self._manners.fresh:g} s, got none. Is the stream up?"
             )
-        if self._moved and self._eye.unchanged > self._arrived - self._set_out:
+        if self._frozen():
             raise MissionAborted(
-                "camera: expected pictures that change while the vehicle moves, got the same for "
-                f"{self._eye.unchanged:.1f} s. Is the stream frozen?"
+                "camera: expected pictures that change while the vehicle moves, got the same. "
+                "Is the stream frozen?"
             )
         self.picture_ages.append(self._now() - picture.time)
         T_world_base = self._navigator.at(picture.time)
@@ -230,19 +183,17 @@ class BlueRov2:
         while self._waits():
             self._check()
             bridge.renew()
-            time.sleep(POLL)
+            self._threads.sleep(POLL)
         goal = SE2(setpoint.x, setpoint.y, setpoint.yaw)
         here = bridge.fix.T_world_base.se2
-        turn = abs(wrap_angle(goal.yaw - here.yaw))
-        set_out = self._now()
-        deadline = set_out + self._allowed(here, goal)
+        deadline = self._now() + self._allowed(here, goal)
         bridge.renew()
         bridge.go(goal, setpoint.altitude)
         notes: list[str] = []
         way, still_since, last = 0.0, math.nan, here
         holding, stood = False, None
         while True:
-            time.sleep(POLL)
+            self._threads.sleep(POLL)
             self._check()
             bridge.renew()
             if self._holds() != holding:
@@ -287,8 +238,7 @@ class BlueRov2:
             if now > deadline:
                 notes.append("the move took too long and was broken off")
                 break
-        self._arrived, self._set_out = self._now(), set_out
-        self._moved = way > MOVED or turn > MOVED
+        self._arrived = self._now()
         bridge.renew(SOON)
         truth, collided = None, False
         if self._truth is not None:

@@ -28,16 +28,11 @@ FASTEST = 2.0
 """m/s. More than a BlueROV2 can swim is a mistake."""
 FASTEST_TURN = math.pi
 """rad/s, likewise."""
-DEEPEST = 300.0
-"""Metres, the rating of the deepest BlueROV2."""
 
 BODY_NED = 8
 """MAV_FRAME: forward, right, down, turned by the heading only."""
-GLOBAL_INT = 5
 VELOCITY_AND_YAW_RATE = 0x5C7
 """Type mask: position, acceleration and yaw are not meant."""
-ALTITUDE_ONLY = 0xDFB
-"""Type mask: only z is meant. In GUIDED a message with this mask does nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,23 +74,6 @@ def forward_right_down(velocity: BodyVelocity) -> tuple[float, float, float, flo
     return velocity.surge, 0.0 - velocity.sway, 0.0 - velocity.heave, 0.0 - velocity.yaw_rate
 
 
-def altitude_up(z: float, surface: float = 0.0) -> float:
-    """`alt` of SET_POSITION_TARGET_GLOBAL_INT for a height in the world: metres up, so negative in the water.
-
-    Args:
-        z: Metres in the world to go to.
-        surface: Metres in the world where the autopilot's altitude is 0.
-
-    Raises:
-        ValueError: That is above the surface, deeper than a BlueROV2 bears, or no number.
-    """
-    if not -DEEPEST <= z - surface <= 0.0:
-        raise ValueError(
-            f"z: expected a height from {-DEEPEST} m to the surface, got {z} (surface {surface})"
-        )
-    return z - surface
-
-
 @dataclass(frozen=True, slots=True)
 class Joystick:
     """What ArduSub makes of MANUAL_CONTROL, and the sticks for what one wants.
@@ -126,7 +104,7 @@ class Joystick:
     sink: float = 5.0
     """PILOT_SPEED_DN, in m/s."""
     throttle_dead_zone: int = 100
-    """THR_DZ, of the 1000 that the channel has."""
+    """THR_DZ, of the 1000 that the channel has. It shrinks with the gain as well (`Attitude.cpp`)."""
 
     def __post_init__(self) -> None:
         limits = {
@@ -257,8 +235,8 @@ class Joystick:
 
     @property
     def _throttle_band(self) -> tuple[float, float]:
-        middle = float(int(_throttle_reading(NEUTRAL_PWM)))
-        return middle - self.throttle_dead_zone, middle + self.throttle_dead_zone
+        middle, dead = float(int(_throttle_reading(NEUTRAL_PWM))), self.throttle_dead_zone * self.gain
+        return middle - dead, middle + dead
 
     def _horizontal(self, ahead: float, left: float) -> tuple[int, int]:
         """x and y: thrusters sit in pairs on the two diagonals, and each pair hears one sum of x and y."""

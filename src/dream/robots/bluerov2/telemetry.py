@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from dream.measurements import Depth, Heading, Imu
@@ -23,10 +23,19 @@ from dream.robots.bluerov2.reports import (
     own_altitude_of,
     pressure_of,
     text_of,
+    thrust_of,
     tilt_of,
 )
 
 Measurement = Imu | Heading | Depth
+
+HEADING_SIGMA = 0.4
+"""Radians of one of 50 headings a second. By what a compass errs, iron or an estimate that settles, lasts: a
+thousand readings know no more than one, and together count little against gyroscopes within a minute."""
+LOCAL = 1.0
+"""Seconds after which the autopilot's position counts as gone: another message tells its depth then."""
+SLIPPED = 10.0
+"""Seconds for which a clock that slipped is told."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +53,11 @@ class Telemetry:
     depth: float = math.nan
     """Metres below the surface; NaN until the pressure there is known."""
     own_altitude: float = math.nan
-    """Metres up by the autopilot's own reckoning, whose zero is where it took its pressure for the surface's:
-    not that of `depth`."""
+    """Metres up by the autopilot's own reckoning, whose zero is not that of `depth`."""
+    own_altitude_from: str = ""
+    """Which message told it: each may have a zero of its own."""
+    thrust: float = math.nan
+    """Of the hardest working thruster, 0 to 1."""
     attitude: Attitude | None = None
     pilot_gain: float = math.nan
     """What buttons have made of JS_GAIN_DEFAULT."""
@@ -61,14 +73,20 @@ class Telemetry:
     version: str = ""
     heartbeat_age: float = math.inf
     imu_age: float = math.inf
+    imu_heard: float = math.inf
+    """Since one came, though it may have been taken long before."""
     attitude_age: float = math.inf
     pressure_age: float = math.inf
     own_altitude_age: float = math.inf
+    status_age: float = math.inf
+    """Of what it says of battery and leak."""
     loss: float = 0.0
     """Share of the vehicle's packets that never came, by their numbers."""
     jitter: float = math.nan
     """Seconds, as `DeviceClock` tells it."""
     reboots: int = 0
+    slipped: str = ""
+    """That its clock was set a while ago, in words; empty where it was not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +99,7 @@ class Instruments:
     """Or ATTITUDE_QUATERNION."""
     density: float = FRESH
     """kg/m³ of the water."""
-    heading_sigma: float = 0.05
+    heading_sigma: float = HEADING_SIGMA
     """Radians."""
     depth_sigma: float = 0.02
     """Metres."""
@@ -102,7 +120,7 @@ class Reports:
         self.values: dict[str, Any] = {}
         """Fields of `Telemetry` that are known."""
         self.seen: dict[str, float] = {}
-        """When a kind of message last came: heartbeat, imu, attitude, pressure, own_altitude."""
+        """When a kind of message last came: heartbeat, imu, attitude, pressure, own_altitude and so on."""
         self.texts: deque[tuple[float, int, str]] = deque(maxlen=200)
         """(time, severity, text) of what the vehicle said; severity 0 is worst."""
         self.reboots = 0
@@ -115,6 +133,7 @@ class Reports:
         self._packets = self._missing = 0
         self._boot = -math.inf
         self._backwards = 0
+        self._slipped: tuple[str, float] = ("", -math.inf)
 
     def age(self, kind: str, now: float) -> float:
         """Seconds since such a message came; infinite before the first."""
@@ -128,17 +147,24 @@ class Reports:
             **self.values,
             heartbeat_age=self.age("heartbeat", now),
             imu_age=self.age("imu", now),
+            imu_heard=self.age("imu_heard", now),
             attitude_age=self.age("attitude", now),
             pressure_age=self.age("pressure", now),
             own_altitude_age=self.age("own_altitude", now),
+            status_age=self.age("status", now),
             loss=self._missing / received if received else 0.0,
             jitter=self._clocks["boot"].jitter,
             reboots=self.reboots,
+            slipped=self._slipped[0] if now < self._slipped[1] + SLIPPED else "",
         )
+
+    def words_since(self, since: float) -> list[str]:
+        """What the vehicle said that was more than a remark."""
+        return [text for when, severity, text in self.texts if when >= since and severity <= 4]
 
     def last_words(self, now: float) -> str:
         """What the vehicle said a moment ago: mostly, why."""
-        words = [text for when, severity, text in self.texts if when > now - 3.0 and severity <= 4]
+        words = self.words_since(now - 3.0)
         return f'. It said: "{"; ".join(words[-3:])}"' if words else ""
 
     def ask_time(self, now: float) -> int:
@@ -183,7 +209,10 @@ class Reports:
             self._heartbeat(message, now)
             self._last_heartbeat = place
         elif kind == told.imu_from:
-            imu = imu_of(message, self._time(message, kind, now))
+            imu = imu_of(message, now)
+            # Heard is also what is dated wrongly, but nothing that cannot be true.
+            self.seen["imu_heard"] = now
+            imu = replace(imu, time=self._time(message, kind, now))
             self.seen["imu"] = now
             return imu
         elif kind in ("ATTITUDE", "ATTITUDE_QUATERNION"):
@@ -203,11 +232,19 @@ class Reports:
                 values["depth"] = -depth.z
                 return depth
             raise Strange("depth: surface pressure not known yet")
-        elif kind == "VFR_HUD":
-            values["own_altitude"] = own_altitude_of(message)
-            self.seen["own_altitude"] = now
+        elif kind == "LOCAL_POSITION_NED":
+            values["own_altitude"], values["own_altitude_from"] = own_altitude_of(message), kind
+            self.seen["own_altitude"] = self.seen["local"] = now
+        elif kind == "GLOBAL_POSITION_INT":
+            altitude = own_altitude_of(message)
+            if self.age("local", now) > LOCAL:
+                values["own_altitude"], values["own_altitude_from"] = altitude, kind
+                self.seen["own_altitude"] = now
+        elif kind == "SERVO_OUTPUT_RAW" and message.port == 0:
+            values["thrust"] = thrust_of(message)
         elif kind == "SYS_STATUS":
             self._status(message)
+            self.seen["status"] = now
         elif kind == "NAMED_VALUE_FLOAT":
             self._named(text_of(message.name), float(message.value))
         elif kind == "STATUSTEXT":
@@ -259,9 +296,9 @@ class Reports:
                 return
             self.reboots += 1
             self._newest = self._last_heartbeat = -1
-            for forgotten in ("version", "own_altitude"):  # it may be another one, with another zero
+            for forgotten in ("version", "own_altitude", "local"):  # it may have another zero
                 self.values.pop(forgotten, None)
-            self.seen.pop("own_altitude", None)
+                self.seen.pop(forgotten, None)
             self.texts.append((now, 0, "the autopilot started anew"))
             self._boot = boot
         self._backwards = 0
@@ -303,4 +340,8 @@ class Reports:
         stamp = message.tc1 / 1e9
         for clock in self._clocks.values():
             if abs(clock.newest - stamp) < 10.0:  # not a clock that counts from elsewhere
+                jumps = clock.jumps
                 clock.round_trip(sent, stamp, now)
+                if clock.jumps != jumps:
+                    self._last_stamp.clear()
+                    self._slipped = f"the autopilot's clock slipped by {clock.slipped:+.2f} s", now

@@ -25,11 +25,12 @@ class Ground:
         world: World,
         *,
         start: SE2 = NORTH,
+        depth: float | None = None,
         conditions: Conditions | None = None,
         firmware: Firmware = STABLE,
         system: int = 1,
     ) -> None:
-        self.tank = Tank(world, start=start, conditions=conditions)
+        self.tank = Tank(world, start=start, depth=depth, conditions=conditions)
         self.heard: list[Message] = []
         self._parser = mav.MAVLink(None)
         self.sub = ArduSub(self.tank, self._take, firmware=firmware, system=system)
@@ -83,10 +84,11 @@ class Ground:
             self.sub.beat()
 
     def under_way(self, mode: int) -> None:
-        """Armed in a mode, after the second in which it is held still."""
+        """Armed in a mode, after the second in which it is held still; the motors begin to run."""
         self.run(2.0)
         assert self.mode(mode) == 0
         assert self.arm() == 0
+        self.run(0.51)
 
     def all(self, kind: str) -> list[Message]:
         """What it heard of a type."""

@@ -15,6 +15,7 @@ import pytest
 
 from dream.geometry import SE2
 from dream.robots.bluerov2.standin.a50 import A50, GARBAGE, HUGE, DvlFaults
+from dream.robots.bluerov2.standin.lockstep import LockStep
 from dream.robots.bluerov2.standin.tank import Conditions, Tank
 from dream.sim.sensors import DVL_A50
 from dream.sim.vehicle import Current
@@ -340,9 +341,109 @@ def test_garbage_comes_between_good_reports(dive: Dive, kind: str) -> None:
     assert kind != "huge" or max(map(len, bad)) > HUGE
 
 
-def test_an_unknown_kind_of_garbage_is_refused() -> None:
-    with pytest.raises(ValueError, match="expected one of"):
-        DvlFaults(garbage="junk")
+@pytest.mark.parametrize(
+    ("fault", "wrong"),
+    [
+        ({"garbage": "junk"}, "garbage: expected one of"),
+        ({"outliers": 1.1}, "outliers: expected a share"),
+        ({"false_share": -0.1}, "false_share: expected a share"),
+        ({"altitude_factor": 0.0}, "altitude_factor: expected a number above 0"),
+        ({"altitude_stuck": -1.0}, "altitude_stuck: expected a number above 0"),
+        ({"outlier_factor": math.inf}, "outlier_factor: expected a number above 0"),
+        ({"false_bottom": math.nan}, "false_bottom: expected a number above 0"),
+        ({"latency": -0.1}, "latency: expected 0 or more"),
+        ({"merit": math.nan}, "merit: expected 0 or more"),
+        ({"bottom_moves": (0.1, 0.0)}, "bottom_moves: expected three finite"),
+        ({"bottom_moves": (0.1, 0.0, math.nan)}, "bottom_moves: expected three finite"),
+    ],
+)
+def test_a_fault_that_cannot_be_is_refused(fault: Json, wrong: str) -> None:
+    with pytest.raises(ValueError, match=wrong):
+        DvlFaults(**fault)
+
+
+def test_altitudes_can_be_stuck_scaled_and_far_off_at_times(dive: Dive) -> None:
+    dive.dvl.faults = DvlFaults(altitude_stuck=5.0)
+    assert {r["altitude"] for r in dive.reports(0.5)} == {5.0}
+    dive.dvl.faults = DvlFaults(altitude_factor=2.0)
+    assert {round(r["altitude"], 1) for r in dive.reports(0.5)} == {1.0}
+    dive.dvl.faults = DvlFaults(outliers=0.3)
+    said = np.array([r["altitude"] for r in dive.reports(20.0)])
+    off = said > 2.0
+    np.testing.assert_allclose(said[off], 5.0, atol=0.2)
+    np.testing.assert_allclose(said[~off], 0.5, atol=0.02)
+    # Three hundred of them: within three sigma.
+    assert off.mean() == pytest.approx(0.3, abs=0.08)
+    dive.dvl.faults = DvlFaults()
+    assert {round(r["altitude"], 1) for r in dive.reports(0.5)} == {0.5}
+
+
+def test_a_false_bottom_lies_above_the_ground_and_comes_and_goes(dive: Dive) -> None:
+    dive.dvl.faults = DvlFaults(false_bottom=0.3, false_share=0.6)
+    said = np.array([r["altitude"] for r in dive.reports(20.0)])
+    near = said < 0.35
+    np.testing.assert_allclose(said[near], 0.2, atol=0.02)
+    np.testing.assert_allclose(said[~near], 0.5, atol=0.02)
+    assert near.mean() == pytest.approx(0.6, abs=0.08)
+    # Below it there is nothing.
+    dive.dvl.faults = DvlFaults(false_bottom=0.8, false_share=1.0)
+    assert {round(r["altitude"], 1) for r in dive.reports(0.5)} == {0.5}
+
+
+def test_a_frozen_velocity_keeps_its_value_with_new_stamps(dive: Dive) -> None:
+    dive.tank.release()
+    dive.commands = AHEAD
+    last = dive.reports(1.0)[-1]
+    dive.dvl.faults = DvlFaults(velocity_frozen=True)
+    dive.commands = -AHEAD
+    frozen = dive.reports(1.0)
+    assert {(r["vx"], r["vy"], r["vz"]) for r in frozen} == {(last["vx"], last["vy"], last["vz"])}
+    assert all(r["velocity_valid"] for r in frozen)
+    assert len({r["time_of_validity"] for r in frozen}) == len(frozen)
+    dive.dvl.faults = DvlFaults()
+    assert dive.reports(0.2)[-1]["vx"] < last["vx"] - 0.05
+
+
+def test_a_bottom_that_moves_is_told_as_the_opposite_of_the_vehicles_motion(pool: World) -> None:
+    # Heading north: a bottom that goes east goes to the right.
+    dive = Dive(pool, start=SE2(0.0, 0.0, 0.5 * math.pi))
+    plain = dive.reports(0.5)[-1]
+    dive.dvl.faults = DvlFaults(bottom_moves=(0.1, 0.0, 0.02))
+    report = dive.reports(0.5)[-1]
+    moved = [report[axis] - plain[axis] for axis in ("vx", "vy", "vz")]
+    np.testing.assert_allclose(moved, [0.0, -0.1, 0.02], atol=1e-3)
+    dive.close()
+
+
+def test_latency_is_not_in_the_stamps_and_a_figure_of_merit_is_said(dive: Dive) -> None:
+    before = dive.reports(0.5)[-1]
+    dive.dvl.faults = DvlFaults(latency=0.4, merit=0.7)
+    assert dive.reports(0.39) == []
+    report = dive.reports(0.1)[0]
+    assert report["fom"] == 0.7
+    late = 1e-6 * (report["time_of_transmission"] - before["time_of_transmission"])
+    assert late == pytest.approx(0.07, abs=0.03)
+    assert dive.dvl.clock - 1e-6 * report["time_of_transmission"] == pytest.approx(0.45, abs=0.06)
+
+
+def test_without_a_host_it_is_reached_in_memory_alone(pool: World) -> None:
+    clock = LockStep()
+    dvl = A50(Tank(pool), host=None)
+    assert dvl.address == ("", 0)
+    one, other = dvl.attach(clock), dvl.attach(clock)
+    one.send(b'{"command": "get_config"}\n')
+    for _ in range(20):
+        dvl.tank.advance(np.zeros(8))
+        dvl.beat()
+    mine, theirs = lines(one.receive(0.0)), lines(other.receive(0.0))
+    assert [r["type"] for r in mine if r["type"] == "response"] == ["response"]
+    assert [r for r in mine if r["type"] != "response"] == theirs
+    assert any(r["type"] == "velocity" for r in theirs)
+    other.close()
+    dvl.beat()
+    assert dvl.clients == 1
+    dvl.close()
+    assert one.receive(0.0) == b""
 
 
 def test_all_clients_hear_the_same_and_can_be_cut_off(dive: Dive) -> None:

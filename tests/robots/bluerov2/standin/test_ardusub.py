@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from dream.geometry import SE2, wrap_angle
 from dream.robots.bluerov2.standin.helm import ALT_HOLD, GUIDED, MANUAL, POSHOLD, STABILIZE, SURFACE
-from dream.robots.bluerov2.standin.parameters import NEXT
+from dream.robots.bluerov2.standin.parameters import NEXT, STABLE, Firmware
 from dream.robots.bluerov2.standin.tank import Conditions
 from dream.sim.vehicle import BLUEROV2
 from dream.sim.world import World
@@ -60,6 +60,7 @@ def test_it_beats_once_a_second_and_says_what_it_is(ground: Ground) -> None:
         assert not beat.base_mode & 128
         assert (beat.get_srcSystem(), beat.get_srcComponent()) == (1, 1)
     assert ground.mode(ALT_HOLD) == ACCEPTED
+    ground.run(0.01)
     assert ground.last("HEARTBEAT").custom_mode == ALT_HOLD
     assert ground.arm() == ACCEPTED
     ground.run(1.0)
@@ -93,6 +94,7 @@ def test_modes_without_a_position_are_taken(ground: Ground, mode: int) -> None:
 def test_modes_that_need_a_position_wait_for_one(ground: Ground, mode: int, name: str) -> None:
     assert ground.mode(mode) == FAILED
     assert ground.sub.mode == MANUAL
+    ground.run(0.01)
     assert f"Mode change failed: {name} requires position" in ground.texts
     ground.sub.fix = True
     assert ground.mode(mode) == ACCEPTED
@@ -124,6 +126,7 @@ def test_the_message_set_mode_works_too_and_unknown_modes_do_not(ground: Ground)
     ground.say(mav.MAVLink_set_mode_message(1, 1, ALT_HOLD))
     assert ground.sub.mode == ALT_HOLD
     assert ground.mode(77) == FAILED
+    ground.run(0.01)
     assert "No such mode 77" in ground.texts
     assert ground.command(mav.MAV_CMD_DO_SET_MODE, 0, MANUAL) == DENIED
     assert ground.sub.mode == ALT_HOLD
@@ -134,10 +137,12 @@ def test_it_does_not_arm_on_an_empty_battery_unless_forced(ground: Ground) -> No
     ground.tank.drain(13.5)
     assert ground.arm() == FAILED
     assert not armed(ground)
+    ground.run(0.01)
     assert any("below minimum arming voltage" in text for text in ground.texts)
     assert ground.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1, 2989) == ACCEPTED
     assert ground.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 0) == ACCEPTED
     assert not armed(ground)
+    ground.run(0.01)
     assert "Disarming motors" in ground.texts
 
 
@@ -179,9 +184,9 @@ def test_sticks_of_others_are_no_sticks(ground: Ground, stray: dict[str, int]) -
 
 def test_the_extensions_tilt_it(ground: Ground) -> None:
     ground.under_way(MANUAL)
-    ground.say(mav.MAVLink_manual_control_message(1, 0, 0, 500, 0, 0, 0, 3, 500, 1000))
+    ground.say(mav.MAVLink_manual_control_message(1, 0, 0, 500, 0, 0, 0, 3, 100, 200))
     ground.sub.beat()
-    # Pitch 0.25 and roll 0.5: motor 5 has +1 roll and −1 pitch.
+    # Pitch 0.25 and roll 0.5, whatever the gain: motor 5 has +1 roll and −1 pitch.
     assert ground.sub.pulses == [1500, 1500, 1500, 1500, 1600, 1200, 1800, 1400]
 
 
@@ -274,7 +279,8 @@ def test_alt_hold_comes_back_to_the_heading_that_a_yaw_stick_left(ground: Ground
     ground.run(0.1)
     assert heading(ground) == pytest.approx(left - 20.0, abs=3.0)
     ground.run(12.0)
-    assert heading(ground) == pytest.approx(left, abs=3.0)
+    # It hunts about that.
+    assert heading(ground) == pytest.approx(left, abs=6.0)
 
 
 def test_a_pull_in_alt_hold_is_answered(ground: Ground) -> None:
@@ -283,7 +289,7 @@ def test_a_pull_in_alt_hold_is_answered(ground: Ground) -> None:
     z = where(ground)[2]
     ground.tank.pull((0.0, 0.0, -15.0), 20.0)
     ground.run(10.0)
-    assert where(ground)[2] == pytest.approx(z, abs=0.03)
+    assert where(ground)[2] == pytest.approx(z, abs=0.06)
 
 
 def test_a_depth_target_moves_it_there_and_only_in_alt_hold(ground: Ground) -> None:
@@ -385,8 +391,8 @@ def test_a_velocity_that_is_not_repeated_ends_after_three_seconds_but_a_turn_doe
     # Seven seconds after the last setpoint it still turns, although neutral sticks are being sent.
     assert ground.tank.state.angular_velocity[2] == pytest.approx(-0.3, abs=0.05)
     ground.velocity(VELOCITY_AND_RATE)
-    ground.run(2.0)
-    assert abs(ground.tank.state.angular_velocity[2]) < 0.05
+    ground.run(3.0)
+    assert abs(ground.tank.state.angular_velocity[2]) < 0.15
 
 
 def test_a_yaw_stick_outdoes_the_setpoint_while_it_is_held(ground: Ground) -> None:
@@ -408,7 +414,7 @@ def test_a_change_of_mode_ends_the_turn(ground: Ground) -> None:
     ground.run(3.0)
     assert ground.mode(ALT_HOLD) == ACCEPTED
     ground.run(3.0)
-    assert abs(ground.tank.state.angular_velocity[2]) < 0.05
+    assert abs(ground.tank.state.angular_velocity[2]) < 0.15
 
 
 @pytest.mark.parametrize("mask", [0x407, 0x400, 0xFFF])
@@ -630,6 +636,7 @@ def test_the_station_it_listens_to_is_a_parameter_with_two_names(pool: World) ->
     ground.sticks = None
     ground.run(2.0)
     ground.arm()
+    ground.run(0.51)
     ground.stick(x=1000)
     ground.sub.beat()
     assert ground.sub.pulses == [1500] * 8
@@ -656,8 +663,8 @@ def test_streams_can_be_stopped_asked_for_once_and_not_all_are_known(ground: Gro
     assert rate(ground, "ATTITUDE", 2.0) == 0.0
     assert ground.command(mav.MAV_CMD_REQUEST_MESSAGE, 30) == ACCEPTED
     assert len(ground.all("ATTITUDE")) >= 1
-    # HIGHRES_IMU is not ArduPilot's.
-    assert ground.command(mav.MAV_CMD_SET_MESSAGE_INTERVAL, 105, 20000) == FAILED
+    assert ground.command(mav.MAV_CMD_SET_MESSAGE_INTERVAL, 9999, 20000) == DENIED
+    assert ground.command(mav.MAV_CMD_REQUEST_MESSAGE, 9999) == FAILED
     assert ground.command(mav.MAV_CMD_REQUEST_MESSAGE, 148) == ACCEPTED
     assert ground.last("AUTOPILOT_VERSION").flight_sw_version >> 8 == 0x040503
 
@@ -689,8 +696,9 @@ def test_what_it_measures_is_forward_right_down_in_its_units(pool: World) -> Non
     depth = -float(where(ground)[2])
     pressure = ground.last("SCALED_PRESSURE2")
     assert (pressure.press_abs - 1013.25) / 98.0665 == pytest.approx(depth, abs=0.04)
+    assert ground.last("GLOBAL_POSITION_INT").relative_alt == pytest.approx(-1000.0 * depth, abs=40.0)
     hud = ground.last("VFR_HUD")
-    assert hud.alt == pytest.approx(-depth, abs=0.04)
+    assert hud.alt == 0.0
     assert hud.heading == pytest.approx(60, abs=6)
 
 
@@ -719,10 +727,10 @@ def test_a_surge_is_felt_ahead_and_a_lean_is_seen_as_such(ground: Ground) -> Non
     for _ in range(20):
         ground.say(mav.MAVLink_manual_control_message(1, 0, 0, 500, 0, 0, 0, 3, 400, 400))
         ground.run(0.1)
-    # 400 · 0.2 µs of 400 is a fifth of the greatest lean, 45°.
+    # Both full are 45° together; what rights the vehicle takes some of it. A real one came to 28 and 29°.
     seen = ground.last("ATTITUDE")
-    assert math.degrees(seen.roll) == pytest.approx(9.0, abs=3.0)
-    assert math.degrees(seen.pitch) == pytest.approx(9.0, abs=3.0)
+    assert math.degrees(seen.roll) == pytest.approx(29.0, abs=9.0)
+    assert math.degrees(seen.pitch) == pytest.approx(29.0, abs=9.0)
     rotation = ground.tank.T_world_base.rotation
     assert rotation[2, 0] > 0.1  # The bow is up,
     assert rotation[2, 1] > 0.1  # and so is the left side.
@@ -792,3 +800,144 @@ def test_seven_thrusters_are_none_of_its_frames(pool: World) -> None:
     )
     with pytest.raises(ValueError, match="expected 6 or 8 thrusters"):
         Ground(pool, conditions=Conditions(vehicle=replace(BLUEROV2, thrusters=thrusters)), start=NORTH)
+
+
+# ---------------------------------------------------------------------------------------- origins and north
+def located(ground: Ground, lat: float, lon: float, alt: float) -> None:
+    for name, value in (("LAT", lat), ("LON", lon), ("ALT", alt)):
+        ground.say(mav.MAVLink_param_set_message(1, 1, f"ORIGIN_{name}".encode(), value, 9))
+
+
+def test_heights_above_the_sea_begin_with_an_origin_that_comes_with_arming(ground: Ground) -> None:
+    located(ground, 22.3, 114.2, 50.0)
+    ground.run(1.0)
+    assert ground.last("VFR_HUD").alt == 0.0
+    assert ground.last("GLOBAL_POSITION_INT").lat == 0
+    ground.under_way(ALT_HOLD)
+    ground.run(2.0)
+    z = where(ground)[2]
+    assert ground.last("VFR_HUD").alt == pytest.approx(50.0 + z, abs=0.04)
+    place = ground.last("GLOBAL_POSITION_INT")
+    assert place.alt == pytest.approx(1000.0 * (50.0 + z), abs=40.0)
+    assert place.relative_alt == pytest.approx(1000.0 * z, abs=40.0)
+    assert place.lat == pytest.approx(223_000_000, abs=20)
+    assert "Using backup location" in ground.texts
+    # Targets of depth have nothing to do with that.
+    target = z - 0.2
+    ground.say(
+        mav.MAVLink_set_position_target_global_int_message(
+            0, 1, 1, 5, 0xDFB, 0, 0, target, 0, 0, 0, 0, 0, 0, 0, 0
+        )
+    )
+    ground.run(6.0)
+    assert where(ground)[2] == pytest.approx(target, abs=0.05)
+
+
+def test_an_origin_is_taken_once_and_not_where_a_receiver_is_to_tell_it(ground: Ground) -> None:
+    def sent(altitude: float) -> None:
+        ground.say(
+            mav.MAVLink_set_gps_global_origin_message(1, 223_000_000, 1_142_000_000, round(1e3 * altitude))
+        )
+
+    ground.say(mav.MAVLink_param_set_message(1, 1, b"EK3_SRC1_POSXY", 3, 2))
+    sent(7.0)
+    assert ground.sub.altitude == 0.0
+    located(ground, 22.3, 114.2, 50.0)
+    ground.arm()
+    ground.run(0.1)
+    assert "Failed to set origin, check EK3_SRC parameters" in ground.texts
+    assert armed(ground)
+    ground.say(mav.MAVLink_param_set_message(1, 1, b"EK3_SRC1_POSXY", 0, 2))
+    sent(7.0)
+    sent(9.0)
+    assert ground.sub.altitude == pytest.approx(7.0 + where(ground)[2], abs=0.04)
+
+
+def test_a_position_makes_a_home_and_that_a_relative_height_above_the_sea(pool: World) -> None:
+    ground = Ground(pool, conditions=Conditions(altitude=300.0))
+    ground.sub.fix = True
+    ground.run(2.0)
+    z = where(ground)[2]
+    assert ground.last("GLOBAL_POSITION_INT").relative_alt == pytest.approx(1000.0 * (300.0 + z), abs=40.0)
+    assert ground.last("AHRS2").altitude == pytest.approx(300.0 + z, abs=0.04)
+    assert ground.last("LOCAL_POSITION_NED").z == pytest.approx(-z, abs=0.04)
+
+
+def test_its_heading_is_magnetic_until_it_knows_where_it_is(pool: World) -> None:
+    ground = Ground(pool, depth=0.3, conditions=Conditions(declination=math.radians(-15.0)))
+    located(ground, 45.0, -60.0, 0.0)
+    ground.command(mav.MAV_CMD_SET_MESSAGE_INTERVAL, 30, 50_000)
+
+    def off() -> float:
+        seen = math.degrees(ground.last("ATTITUDE").yaw)
+        return math.degrees(wrap_angle(math.radians(seen - heading(ground))))
+
+    ground.run(5.0)
+    assert off() == pytest.approx(15.0, abs=3.0)
+    ground.under_way(ALT_HOLD)
+    ground.run(5.0)
+    # It turns with it: what it takes for its heading is where it was.
+    assert 4.0 < off() < 10.0
+    assert heading(ground) > 3.0
+    ground.run(25.0)
+    assert -7.0 < off() < 0.0
+    ground.sticks = {"z": 100}
+    ground.run(2.5)
+    assert "EKF3 IMU0 MAG0 in-flight yaw alignment complete" in ground.texts
+    assert off() == pytest.approx(0.0, abs=3.0)
+
+
+def test_its_zero_rises_with_it(pool: World) -> None:
+    """It was switched on at a depth of 0.3 m, and comes up."""
+    ground = Ground(pool, conditions=Conditions(depth_zero=-0.3))
+    ground.under_way(SURFACE)
+    ground.run(6.0)
+    assert ground.last("GLOBAL_POSITION_INT").relative_alt < 20
+    assert where(ground)[2] > -0.2
+
+
+def test_pushed_at_the_bottom_it_stays_there_with_all_its_might_until_it_is_let_go_of(ground: Ground) -> None:
+    ground.under_way(ALT_HOLD)
+    ground.sticks = {"z": 0}
+    ground.run(12.0)
+    low = where(ground)[2]
+    assert min(ground.sub.pulses[4:]) > 1890
+    # While the throttle is at its end, what it is led to does not run away.
+    assert ground.last("NAV_CONTROLLER_OUTPUT").alt_error > -0.45
+    ground.sticks = {}
+    ground.run(0.6)
+    assert max(ground.sub.pulses[4:]) < 1750
+    assert where(ground)[2] == pytest.approx(low, abs=0.02)
+
+
+@pytest.mark.parametrize("firmware", [STABLE, NEXT])
+def test_its_parameters_are_those_of_a_vehicle(pool: World, firmware: Firmware) -> None:
+    parameters = Ground(pool, firmware=firmware).sub.parameters
+    expected = {
+        "ARMING_CHECK": 448,
+        "PILOT_SPEED_UP": 100,
+        "PILOT_ACCEL_Z": 100,
+        "WPNAV_SPEED_UP": 250,
+        "THR_DZ": 100,
+        "RC1_DZ": 30,
+        "RC4_DZ": 40,
+        "RC3_TRIM": 1500,
+        "ORIGIN_LAT": 0,
+        "ORIGIN_ALT": 0,
+        "SURFACE_DEPTH": -10,
+        "JS_GAIN_DEFAULT": 0.5,
+    }
+    assert {name: parameters[name] for name in expected} == expected
+
+
+def test_why_it_refuses_is_told_after_that_it_does(ground: Ground) -> None:
+    ground.run(0.5)
+    mark = len(ground.heard)
+    assert ground.mode(GUIDED) == FAILED
+    assert ground.command(mav.MAV_CMD_SET_MESSAGE_INTERVAL, 251, 500_000) == DENIED
+    ground.run(0.02)
+    order = [m.get_type() for m in ground.heard[mark:] if m.get_type() in ("COMMAND_ACK", "STATUSTEXT")]
+    assert order == ["COMMAND_ACK", "COMMAND_ACK", "STATUSTEXT", "STATUSTEXT"]
+    assert ground.texts[-1] == "No ap_message for mavlink id (251)"
+    ground.run(1.0)
+    assert ground.all("NAMED_VALUE_FLOAT")

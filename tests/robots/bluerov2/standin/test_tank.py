@@ -127,3 +127,10 @@ def test_walls_of_the_pool_hold_it(pool: World) -> None:
 def test_commands_that_do_not_fit_are_refused(pool: World, bad: np.ndarray) -> None:
     with pytest.raises(ValueError, match="expected 8 finite numbers"):
         Tank(pool).advance(bad)
+
+
+def test_it_starts_at_a_depth_that_is_in_the_water(pool: World) -> None:
+    assert Tank(pool, depth=0.25).state.position[2] == pytest.approx(-0.25)
+    for depth in (-0.1, 30.0):
+        with pytest.raises(ValueError, match="depth: expected 0 to"):
+            Tank(pool, depth=depth)

@@ -72,14 +72,17 @@ def test_a_unit_that_fits_goes_whole(size: int) -> None:
 def test_pictures_come_with_numbers_and_stamps_that_count_on() -> None:
     with listening() as receiver:
         drawn = grey()
-        with VideoSource(lambda: next(drawn), receiver.getsockname(), fps=50.0):
+        with VideoSource(lambda: next(drawn), receiver.getsockname(), fps=50.0) as source:
             pictures = [picture(receiver) for _ in range(4)]
     heads = [struct.unpack(">BBHII", packet[:12]) for one in pictures for packet in one]
     numbers = np.array([head[2] for head in heads])
     assert np.all(np.diff(numbers) % 65536 == 1)
     assert len({head[4] for head in heads}) == 1
     stamps = np.array([struct.unpack(">I", one[0][4:8])[0] for one in pictures])
-    assert np.all(np.diff(stamps) % (1 << 32) >= 0.3 * 90_000 / 50.0)
+    taken = (stamps - source._first_stamp) % (1 << 32)
+    # Each is stamped when it was taken: after the one before, and never before its turn.
+    assert np.all(np.diff(taken) > 0)
+    assert np.all(taken + 1 >= np.arange(4) * 90_000 / 50.0)
 
 
 def test_a_frozen_source_sends_the_same_again() -> None:

@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from dream.robots.bluerov2.standin import LinkFaults, StandIn, Wire
+from dream.robots.bluerov2.standin import LinkFaults, StandIn, Tank, Wire
+from dream.robots.bluerov2.standin.ardusub import Send
+from dream.robots.bluerov2.standin.wire import Address
 from dream.sim.world import World
 from dream.sim.worlds import make_world
 
@@ -115,6 +117,38 @@ def test_the_same_steps_are_the_same_dive(pool: World) -> None:
             return standin.tank.state.vector
 
     np.testing.assert_array_equal(dive(), dive())
+
+
+class Echo:
+    """An autopilot that says what it hears."""
+
+    def __init__(self, tank: Tank, send: Send) -> None:
+        self._send, self.closed = send, False
+        self.commands, self.tilt = np.full(tank.vehicle.thrusters.count, 0.1), 0.2
+
+    def hear(self, data: bytes, sender: Address | None = None) -> None:
+        self._send(data, sender)
+
+    def beat(self) -> None:
+        self._send(b"beat", None)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_another_autopilot_can_be_put_in(pool: World, station: socket.socket) -> None:
+    station.settimeout(5.0)
+    with StandIn(pool, ground=station.getsockname(), depth=0.25, autopilot=Echo) as standin:
+        echo = standin.autopilot
+        assert isinstance(echo, Echo)
+        station.sendto(b"heard", standin.ardusub_address)
+        standin.beat()
+        assert {station.recv(100), station.recv(100)} == {b"heard", b"beat"}
+        assert standin.tank.state.position[2] == pytest.approx(-0.25)
+        assert standin.T_base_camera.rotation[2, 2] == pytest.approx(np.sin(0.2))
+        with pytest.raises(TypeError, match="expected our own ArduSub"):
+            _ = standin.ardusub
+    assert echo.closed
 
 
 def test_watchers_see_each_beat_and_the_camera_is_where_it_is_tilted(pool: World) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import math
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -44,6 +45,11 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument(
         "--position", action="store_true", help="the autopilot knows where it is, as GUIDED needs"
     )
+    parser.add_argument("--depth", type=float, help="metres where it starts; the protocol's altitude without")
+    parser.add_argument("--declination", type=float, default=0.0, help="degrees of the compass, to the east")
+    parser.add_argument(
+        "--origin", type=float, nargs=3, metavar=("LAT", "LON", "ALT"), help="that it takes when it is armed"
+    )
     parser.add_argument("--loss", type=float, default=0.0, help="share of MAVLink datagrams that are lost")
     parser.add_argument("--delay", type=float, default=0.0, help="seconds that they take")
     parser.add_argument("--jitter", type=float, default=0.0, help="seconds on top, at most")
@@ -55,6 +61,7 @@ def main(arguments: list[str] | None = None) -> None:
         vehicle=BLUEROV2_HEAVY if told.vehicle == "heavy" else BLUEROV2,
         spread=Spread() if told.vary else None,
         current=Current(mean=(*told.current, 0.0), gust=told.gust),
+        declination=math.radians(told.declination),
     )
     standin = StandIn(
         world,
@@ -63,10 +70,13 @@ def main(arguments: list[str] | None = None) -> None:
         host=told.host,
         a50_port=told.a50_port,
         conditions=conditions,
+        depth=told.depth,
         system=told.system,
         firmware=STABLE if told.firmware == "stable" else NEXT,
     )
     standin.ardusub.fix = told.position
+    for name, value in zip(("LAT", "LON", "ALT"), told.origin or (), strict=False):
+        standin.ardusub.parameters.change(f"ORIGIN_{name}", value)
     standin.wire.faults = LinkFaults(told.loss, told.delay, told.jitter)
     with contextlib.ExitStack() as stack:
         stack.enter_context(standin)
@@ -108,7 +118,7 @@ def _answer(question: dict[str, Any], standin: StandIn, source: VideoSource | No
                 "rotation": pose.rotation.ravel().tolist(),
                 "position": pose.translation.tolist(),
                 "collisions": standin.tank.collisions,
-                "behind": standin.dropped,
+                "behind": standin.behind,
                 "problem": standin.problem,
             }
     if question["ask"] == "fault":

@@ -10,13 +10,15 @@ import socket
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import wrap_angle
+from dream.robots.bluerov2.standin.memory import Pipe
 from dream.robots.bluerov2.standin.tank import Tank
+from dream.robots.bluerov2.threads import Threads
 from dream.sim.sensors import RANGE_MODES, Ping
 
 Float64Array = npt.NDArray[np.float64]
@@ -66,10 +68,43 @@ class DvlFaults:
     """About to shut down: bit 0 of the status."""
     lost: bool = False
     """No ping has bottom lock."""
+    altitude_stuck: float | None = None
+    """Metres that it says, whatever the altitude is."""
+    altitude_factor: float = 1.0
+    """By which every altitude is multiplied."""
+    outliers: float = 0.0
+    """Share of the pings whose altitude is multiplied by `outlier_factor`."""
+    outlier_factor: float = 10.0
+    false_bottom: float | None = None
+    """Metres above the ground of something that sends the echo back instead; it is not there for a vehicle
+    that is lower."""
+    false_share: float = 0.5
+    """Share of the pings that it sends back."""
+    velocity_frozen: bool = False
+    """Every velocity is the last one before, with new stamps, and valid."""
+    bottom_moves: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """m/s in the world at which that moves which sends the echoes back."""
+    latency: float = 0.0
+    """Seconds that reports take beyond what their stamps tell."""
+    merit: float | None = None
+    """m/s that it says as figure of merit, whatever it is."""
 
     def __post_init__(self) -> None:
         if self.garbage not in ("", "all", *GARBAGE):
             raise ValueError(f"faults.garbage: expected one of {('all', *GARBAGE)}, got {self.garbage!r}")
+        for name in ("outliers", "false_share"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"faults.{name}: expected a share, got {getattr(self, name)}")
+        for name in ("altitude_stuck", "altitude_factor", "outlier_factor", "false_bottom"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < math.inf:
+                raise ValueError(f"faults.{name}: expected a number above 0, got {value}")
+        for name in ("latency", "merit"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 <= value < math.inf:
+                raise ValueError(f"faults.{name}: expected 0 or more, got {value}")
+        if len(self.bottom_moves) != 3 or not np.isfinite(self.bottom_moves).all():
+            raise ValueError(f"faults.bottom_moves: expected three finite m/s, got {self.bottom_moves}")
 
 
 class A50:
@@ -87,12 +122,14 @@ class A50:
     Its own dead reckoning integrates its own velocities with the true attitude and a yaw that drifts.
     """
 
-    def __init__(self, tank: Tank, *, host: str = "127.0.0.1", port: int = 0, booted: float = 49.0) -> None:
+    def __init__(
+        self, tank: Tank, *, host: str | None = "127.0.0.1", port: int = 0, booted: float = 49.0
+    ) -> None:
         """Listen.
 
         Args:
             tank: Whose pings.
-            host: Where it listens.
+            host: Where it listens; None for nowhere: then `attach` is the only way in.
             port: Likewise; 0 for any free one.
             booted: Seconds since it started, at the tank's start: its clock is arbitrary until it is set.
         """
@@ -106,9 +143,17 @@ class A50:
             "range_mode": "auto",
             "periodic_cycling_enabled": True,
         }
-        self._server = socket.create_server((host, port))
-        self._server.setblocking(False)
-        self.address: tuple[str, int] = self._server.getsockname()[:2]
+        self._server: socket.socket | None = None
+        self.address: tuple[str, int] = ("", 0)
+        """Where it listens; nowhere, without a host."""
+        if host is not None:
+            self._server = socket.create_server((host, port))
+            self._server.setblocking(False)
+            self.address = self._server.getsockname()[:2]
+        self._luck = np.random.default_rng(0)
+        """Of the faults, apart from that of the pings."""
+        self._valid: tuple[Float64Array, Float64Array] | None = None
+        """The last valid velocity and its covariance, as they were reported."""
         self._clients: list[_Client] = []
         self._offset = booted - tank.time
         self._ntp = ""
@@ -138,6 +183,16 @@ class A50:
         """Its clock leaps."""
         self._offset += seconds
 
+    def attach(self, threads: Threads) -> Pipe:
+        """A connection without a network, as if one had connected: what a dive `dial`s on a rig.
+
+        Args:
+            threads: What the dive waits by. One that lets one thread run at a time: clients are not locked.
+        """
+        pipe = Pipe(threads)
+        self._clients.append(_Client(pipe.far))
+        return pipe
+
     def disconnect(self) -> None:
         """Cut all clients off."""
         for client in self._clients:
@@ -147,7 +202,8 @@ class A50:
     def close(self) -> None:
         """Stop listening."""
         self.disconnect()
-        self._server.close()
+        if self._server is not None:
+            self._server.close()
 
     def beat(self) -> None:
         """After each beat of the tank: ping, report, answer."""
@@ -195,18 +251,46 @@ class A50:
         return next((rate for top, rate in modes if altitude <= top), modes[-1][1])
 
     def _report(self, ping: Ping) -> None:
+        faults = self.faults
         within = ping.dvl.altitude <= _modes(self.config["range_mode"])[-1][0]
-        valid = ping.dvl.valid and within and not self.faults.lost
+        valid = ping.dvl.valid and within and not faults.lost
         velocity, covariance = np.zeros(3), np.zeros((3, 3))
         if valid:
             factor = self.config["speed_of_sound"] / self.tank.conditions.dvl.sound_speed
             c, s = _turn(math.radians(self.config["mounting_rotation_offset"]))
             turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) * FLIP
-            velocity = factor * (turn @ ping.dvl.velocity)
+            velocity = factor * (turn @ (ping.dvl.velocity - self._in_dvl(faults.bottom_moves)))
             covariance = factor * factor * (turn @ ping.dvl.covariance @ turn.T)
+        if faults.velocity_frozen and self._valid is not None:
+            valid, (velocity, covariance) = True, self._valid
+        if valid:
+            self._valid = (velocity, covariance)
             self._reckon(ping.dvl.time, velocity, covariance)
         self._garble()
-        self._tell(self._velocity_report(ping, velocity, covariance, valid, "velocity", "bottom"))
+        report = self._velocity_report(ping, velocity, covariance, valid, "velocity", "bottom")
+        report["altitude"] = self._echo(report["altitude"])
+        if faults.merit is not None:
+            report["fom"] = faults.merit
+        if faults.latency > 0.0:
+            self._at(self.tank.time + faults.latency, lambda: self._tell(report))
+        else:
+            self._tell(report)
+
+    def _echo(self, altitude: float) -> float:
+        """Metres that it says for an altitude."""
+        faults = self.faults
+        above = -1.0 if faults.false_bottom is None else altitude - faults.false_bottom
+        if above > 0.0 and self._luck.random() < faults.false_share:
+            altitude = above
+        if faults.outliers > 0.0 and self._luck.random() < faults.outliers:
+            altitude *= faults.outlier_factor
+        altitude *= faults.altitude_factor
+        return altitude if faults.altitude_stuck is None else faults.altitude_stuck
+
+    def _in_dvl(self, velocity: npt.ArrayLike) -> Float64Array:
+        """A velocity (3,) of the world in the DVL's axes, forward-left-up."""
+        world = self.tank.T_world_base.rotation @ self.tank.conditions.dvl.T_base_dvl.rotation
+        return np.asarray(world.T @ np.asarray(velocity, np.float64), np.float64)
 
     def _velocity_report(
         self, ping: Ping, velocity: Float64Array, covariance: Float64Array, valid: bool, kind: str, mode: str
@@ -253,8 +337,7 @@ class A50:
             self._altitude = ping.dvl.altitude
         velocity, covariance = np.zeros(3), np.zeros((3, 3))
         if valid:
-            mean = np.array(self.tank.conditions.current.mean)
-            water = self.tank.conditions.dvl.T_base_dvl.rotation.T @ self.tank.T_world_base.rotation.T @ mean
+            water = self._in_dvl(self.tank.conditions.current.mean)
             velocity, covariance = FLIP * (ping.dvl.velocity - water), np.diag([1e-3, 1e-3, 1e-3])
         return self._velocity_report(ping, velocity, covariance, valid, "velocity_water", "water")
 
@@ -410,11 +493,13 @@ class A50:
         heapq.heappush(self._later, (time, self._count, what))
 
     def _accept(self) -> None:
-        while len(self._clients) < MOST_CLIENTS:
+        while self._server is not None and len(self._clients) < MOST_CLIENTS:
             try:
                 connection, _ = self._server.accept()
             except OSError:
                 return
+            connection.setblocking(False)
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._clients.append(_Client(connection))
 
     def _tell(self, report: Json) -> None:
@@ -434,15 +519,21 @@ class A50:
             self._raw(_garbage_line(kind))
 
 
+class _Connection(Protocol):
+    """As a socket that does not block."""
+
+    def recv(self, most: int, /) -> bytes: ...
+    def send(self, data: bytearray, /) -> int: ...
+    def close(self) -> None: ...
+
+
 class _Client:
     """A connection: what it has sent so far, and what it has not read yet."""
 
     __slots__ = ("_connection", "_heard", "_unsent", "open")
 
-    def __init__(self, connection: socket.socket) -> None:
+    def __init__(self, connection: _Connection) -> None:
         self._connection = connection
-        connection.setblocking(False)
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._heard, self._unsent = bytearray(), bytearray()
         self.open = True
 

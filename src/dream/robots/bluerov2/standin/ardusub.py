@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,14 @@ Float64Array = npt.NDArray[np.float64]
 Message = Any
 """A message of pymavlink, which has no types."""
 
+SPOOLED = 0.5
+"""Seconds after it is armed in which its motors do not run yet."""
+TRUED = 0.13
+"""Share a second by which a heading that turns out to be magnetic goes to where it then ends."""
+OVERTRUED = 0.27
+"""Share of the declination by which that is beyond true north."""
+DIVED = 0.5
+"""Metres below where it was armed at which it aligns its heading anew, once."""
 AIDED = 1.0
 """Seconds for which a report of external navigation counts."""
 FASTEST = 50.0
@@ -43,10 +51,28 @@ MOST_TEXT = 50
 """Bytes of a STATUSTEXT."""
 LIGHTS_CHANNEL = 13
 """Output of the lights on a Navigator."""
+HERE = (223_000_000, 1_142_000_000)
+"""Degrees of latitude and longitude, times 1e7, that a receiver has."""
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
 """MAV_RESULT."""
 
+BATTERY_CHECK = 0x1 | 0x100
+"""Bits of ARMING_CHECK, for all and for this."""
+UNASKED = (mav.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT,)
+"""Messages that come, but not when they are asked for."""
+
 Send = Callable[[bytes, "Address | None"], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where its estimate has its zero."""
+
+    lat: int
+    """Degrees, times 1e7."""
+    lon: int
+    alt: float
+    """Metres above the sea, as somebody believes."""
 
 
 class Frame(enum.IntEnum):
@@ -75,7 +101,10 @@ class ArduSub:
     Reference: ArduSub 4.5 to 4.7 (`GCS_MAVLink_Sub.cpp`, `failsafe.cpp`, `mode_*.cpp`), behaviour only. Kept
     faithfully, because they bite: a yaw rate of GUIDED outlives the time-out of its velocity; what is not
     understood is ignored without a word; pilot input that was never there does not disarm; sticks stay where
-    they were last put until a failsafe neutralises them.
+    they were last put until a failsafe neutralises them; why it refuses is told after that it does; its
+    altitude above the sea is 0 until it has an origin, and then what that says; its heading is magnetic until
+    then, true some ten seconds later, and leaps where it first dives; a depth target is cut to what it could
+    stop for.
 
     Simplified: the modes `MODES` only, no missions, no fences, no crash check, no input hold (buttons do
     nothing); GUIDED without any yaw holds its heading, where ArduSub turns to the last one it was told.
@@ -84,6 +113,8 @@ class ArduSub:
     """
 
     _pulses: list[int]
+    _home: bool
+    """Has it had a position, and by that a home?"""
     _asker: Address | None
     """Who is answered."""
 
@@ -115,10 +146,12 @@ class ArduSub:
         self._mav = mav.MAVLink(None, srcSystem=system, srcComponent=mav.MAV_COMP_ID_AUTOPILOT1)
         self._parser = mav.MAVLink(None)
         self._parser.robust_parsing = True
+        self._zero = self._switched_on_at = tank.conditions.depth_zero
         self.ahrs = Ahrs(tank.imu, tank.heading, self._own_depth)
-        """What it knows of its attitude and depth, which counts from `Conditions.depth_zero`."""
+        """What it knows of its attitude and depth, which counts from `Conditions.depth_zero`, or from where
+        it has since been higher."""
         self.fix = False
-        """Has it a position, whatever it is fed? A field for tests."""
+        """Has it a receiver, and by that a position and an origin? A field for tests."""
         self.refused: dict[str, int] = {}
         """How often what was refused without a word, by reason."""
         self._booted_at, self._offset = tank.time, booted
@@ -165,7 +198,25 @@ class ArduSub:
     def position_ok(self) -> bool:
         """Has it a position? By `fix`, or by external navigation with an origin (ArduSub: `position_ok`)."""
         chosen = self.parameters["VISO_TYPE"] >= 1.0 and self.parameters["EK3_SRC1_POSXY"] == 6.0
-        return self.fix or (chosen and self._origin and self._now - self._aided < AIDED)
+        return self.fix or (chosen and self._origin is not None and self._now - self._aided < AIDED)
+
+    @property
+    def origin(self) -> Origin | None:
+        """Of its estimate; None as long as nobody has told it any."""
+        if self.fix:
+            return Origin(*HERE, self.tank.conditions.altitude + self._switched_on_at)
+        return self._origin
+
+    @property
+    def altitude(self) -> float:
+        """Metres above the sea, as far as it knows; 0 without an origin."""
+        origin = self.origin
+        return 0.0 if origin is None else self.ahrs.z + origin.alt
+
+    @property
+    def relative_altitude(self) -> float:
+        """Metres above its home; once that is set, it is given as if the sea were the home (as in 4.7)."""
+        return self.altitude if self.fix or self._home else self.ahrs.z
 
     @property
     def clock(self) -> float:
@@ -212,12 +263,19 @@ class ArduSub:
         if tank.heading.time == tank.time:
             ahrs.face(tank.heading)
         if tank.depth.time == tank.time:
+            # It is never in the air: what is above its zero is its zero.
+            self._zero = max(self._zero, tank.depth.z)
             ahrs.sink(self._own_depth)
         if self._asleep:
             return
+        self._home = self._home or self.position_ok
+        self._orient()
         self.failsafes.check()
         self._steer()
         self._report()
+
+    def close(self) -> None:
+        """It holds nothing."""
 
     def set_mode(self, mode: int) -> bool:
         """Change the mode, where it may be; does it hold now?"""
@@ -230,7 +288,7 @@ class ArduSub:
             self.say(mav.MAV_SEVERITY_WARNING, f"Mode change failed: {MODES[mode]} requires position")
             return False
         self.helm.enter(mode)
-        self._tell(telemetry.heartbeat(self))
+        self._later.append(telemetry.heartbeat(self))
         return True
 
     def arm(self, *, force: bool = False) -> bool:
@@ -238,13 +296,17 @@ class ArduSub:
         if self._armed:
             return True
         lowest = self.parameters["BATT_ARM_VOLT"]
-        if not force and self.parameters["ARMING_CHECK"] != 0.0 and self.tank.voltage < lowest:
+        checks = int(self.parameters["ARMING_CHECK"]) & BATTERY_CHECK
+        if not force and checks and self.tank.voltage < lowest:
             self.say(mav.MAV_SEVERITY_CRITICAL, "Arm: Battery 1 below minimum arming voltage")
             return False
         self.say(mav.MAV_SEVERITY_INFO, "Arming motors")
-        self._armed = True
+        self._armed, self._armed_at = True, self._now
         self.tank.release()
         self.helm.relax()
+        self._dives_from = self.ahrs.z
+        if self.origin is None:
+            self._locate()
         return True
 
     def disarm(self) -> None:
@@ -265,7 +327,7 @@ class ArduSub:
     def _own_depth(self) -> Depth:
         """The gauge's height from the zero of its own."""
         depth = self.tank.depth
-        return replace(depth, z=depth.z - self.tank.conditions.depth_zero)
+        return replace(depth, z=depth.z - self._zero)
 
     def _ready(self, count: int) -> None:
         config = {6: 1, 8: 2}.get(count)
@@ -279,11 +341,15 @@ class ArduSub:
         name, table = motors.FRAMES.get(config, motors.FRAMES[2])
         self._table = np.array(table)
         self._pulses = [NEUTRAL_PWM] * self.tank.vehicle.thrusters.count
-        self._armed = False
+        self._armed, self._armed_at = False, -math.inf
         self.helm = Helm(self.tank, self.ahrs, self.parameters)
         """Mode, sticks and targets."""
         self.failsafes = Failsafes(self, at)
-        self._origin, self._aided = False, -math.inf
+        self._origin: Origin | None = None
+        self._home, self._aided = False, -math.inf
+        self._dives_from = -math.inf
+        self.ahrs.deviate(self.tank.conditions.declination)
+        self._later: list[Message] = []
         self._tilt_deg = 0.0
         self.servos = {LIGHTS_CHANNEL: 1100}
         """Microseconds of the outputs that are no motors, by channel."""
@@ -297,11 +363,44 @@ class ArduSub:
         self.say(mav.MAV_SEVERITY_INFO, f"ArduSub V{version} (stand-in)")
         self.say(mav.MAV_SEVERITY_INFO, f"Frame: {name}")
 
+    def _locate(self) -> None:
+        """Take the origin of its parameters, where they have one."""
+        lat, lon, alt = (self.parameters[f"ORIGIN_{name}"] for name in ("LAT", "LON", "ALT"))
+        if lat == 0.0 or lon == 0.0:
+            self.say(mav.MAV_SEVERITY_WARNING, "Backup location parameters are missing or zero")
+        elif self._begins_at(Origin(round(1e7 * lat), round(1e7 * lon), alt)):
+            self.say(mav.MAV_SEVERITY_INFO, "Using backup location")
+            return
+        else:
+            self.say(mav.MAV_SEVERITY_WARNING, "Failed to set origin, check EK3_SRC parameters")
+        self.say(mav.MAV_SEVERITY_WARNING, "Compass performance degraded")
+
+    def _begins_at(self, origin: Origin) -> bool:
+        """Take an origin, once; not where a receiver is to tell it."""
+        if self.origin is not None or self.parameters["EK3_SRC1_POSXY"] == 3.0:
+            return False
+        self._origin = origin
+        self.say(mav.MAV_SEVERITY_INFO, "EKF3 IMU0 origin set")
+        return True
+
+    def _orient(self) -> None:
+        """With an origin it knows its declination, and goes to true north, and beyond; a dive aligns it."""
+        ahrs, declination = self.ahrs, self.tank.conditions.declination
+        if self.origin is not None and ahrs.deviation != 0.0:
+            ends = -OVERTRUED * declination
+            ahrs.deviate(ahrs.deviation + TRUED * BEAT * (ends - ahrs.deviation))
+        if self._armed and ahrs.z < self._dives_from - DIVED:
+            self._dives_from = -math.inf
+            leapt = ahrs.deviate(declination if self.origin is None else 0.0)
+            self.helm.swung(-leapt - ahrs.align(self.tank.heading))
+            self.say(mav.MAV_SEVERITY_INFO, "EKF3 IMU0 MAG0 in-flight yaw alignment complete")
+
     def _steer(self) -> None:
-        if not self._armed:
+        if not self._armed or self._now < self._armed_at + SPOOLED:
             self.helm.relax()
             self._pulses = [NEUTRAL_PWM] * len(self._pulses)
             return
+        self.helm.look()
         if self.mode == SURFACE and self.helm.surfaced:
             self.set_mode(ALT_HOLD)
         table = self._table[: len(self._pulses)]
@@ -352,7 +451,7 @@ class ArduSub:
         )
         extra = message.enabled_extensions
         s, t = message.s if extra & 1 else 0, message.t if extra & 2 else 0
-        self.helm.sticks = sticks.tilted(s, t, gain=self.helm.gain)
+        self.helm.sticks = sticks.tilted(s, t)
         self.failsafes.piloted()
 
     def _on_rc_channels_override(self, message: Message) -> None:
@@ -433,7 +532,8 @@ class ArduSub:
             self.helm.drift(velocity)
 
     def _on_set_gps_global_origin(self, message: Message) -> None:
-        self._origin = True
+        if not self._begins_at(Origin(message.latitude, message.longitude, 1e-3 * message.altitude)):
+            self._refuse("SET_GPS_GLOBAL_ORIGIN where it has one, or a receiver")
 
     def _aid(self, message: Message) -> None:
         self._aided = self._now
@@ -501,8 +601,9 @@ class ArduSub:
 
     def _do_interval(self, values: tuple[float, ...]) -> int:
         kind, interval = _whole(values[0]), values[1]
-        if kind not in telemetry.BUILDERS or not math.isfinite(interval):
-            return FAILED
+        if kind not in telemetry.BUILDERS or kind in UNASKED or not math.isfinite(interval):
+            self.say(mav.MAV_SEVERITY_INFO, f"No ap_message for mavlink id ({kind})")
+            return DENIED
         if interval < 0.0:
             self._intervals.pop(kind, None)
         elif interval == 0.0:
@@ -523,8 +624,9 @@ class ArduSub:
         return ACCEPTED
 
     def _do_message(self, values: tuple[float, ...]) -> int:
-        build = telemetry.BUILDERS.get(_whole(values[0]))
-        if build is None:
+        kind = _whole(values[0])
+        build = telemetry.BUILDERS.get(kind)
+        if build is None or kind in UNASKED:
             return FAILED
         self._answer(build(self))
         return ACCEPTED
@@ -580,8 +682,8 @@ class ArduSub:
         self._send(data, to)
 
     def say(self, severity: int, text: str) -> None:
-        """A STATUSTEXT."""
-        self._tell(mav.MAVLink_statustext_message(severity, text.encode()[:MOST_TEXT]))
+        """A STATUSTEXT, with the next beat: after the answer to what is heard now."""
+        self._later.append(mav.MAVLink_statustext_message(severity, text.encode()[:MOST_TEXT]))
 
     def _acknowledge(self, command: int, result: int, to: Message) -> None:
         source, component = to.get_srcSystem(), to.get_srcComponent()
@@ -589,6 +691,9 @@ class ArduSub:
 
     def _report(self) -> None:
         now = self._now
+        for message in self._later:
+            self._tell(message)
+        self._later.clear()
         for kind, interval in self._intervals.items():
             if now >= self._due[kind] - 1e-9:
                 self._due[kind] = max(self._due[kind] + interval, now)

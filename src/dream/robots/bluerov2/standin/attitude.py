@@ -31,10 +31,12 @@ class Ahrs:
     ArduSub's EKF3; its errors are of the same kind.
     """
 
-    __slots__ = ("_lift_bias", "_still", "bias", "climb", "q", "rates", "z")
+    __slots__ = ("_lift_bias", "_still", "bias", "climb", "deviation", "lift", "q", "rates", "z")
 
     def __init__(self, imu: Imu, heading: Heading, depth: Depth) -> None:
         """Begin at the attitude that the first readings say."""
+        self.deviation = 0.0
+        """Radians to the left by which it takes its compass to be wrong, and is wrong itself."""
         x, y, z = imu.specific_force.tolist()
         pitch, roll = math.atan2(-x, math.hypot(y, z)), math.atan2(y, z)
         self.q = quaternion(roll, pitch, heading.yaw)
@@ -44,6 +46,8 @@ class Ahrs:
         """rad/s in `base`, less the bias."""
         self.z, self.climb = depth.z, 0.0
         """Metres in the world, and m/s upwards."""
+        self.lift = 0.0
+        """m/s² upwards."""
         self._lift_bias = 0.0
         self._still: list[tuple[float, float, float, float]] = []
 
@@ -94,14 +98,32 @@ class Ahrs:
         self.q = (w / length, x / length, y / length, z / length)
         if calibrating:
             return
-        self.climb += (ux * fx + uy * fy + uz * fz - GRAVITY - self._lift_bias) * dt
+        self.lift = ux * fx + uy * fy + uz * fz - GRAVITY - self._lift_bias
+        self.climb += self.lift * dt
         self.z += self.climb * dt
 
     def face(self, heading: Heading) -> None:
         """A reading of the compass."""
-        off = wrap_angle(heading.yaw - self.euler[2])
-        half = 0.5 * TURNING * off
-        c, s = math.cos(half), math.sin(half)
+        self._turn(TURNING * self._off(heading))
+
+    def deviate(self, deviation: float) -> float:
+        """Take the compass to be wrong by so much; by how much is its own heading another?"""
+        turned = wrap_angle(deviation - self.deviation)
+        self.deviation = deviation
+        self._turn(turned)
+        return turned
+
+    def align(self, heading: Heading) -> float:
+        """Take a reading of the compass for the heading; by how much is it another?"""
+        turned = self._off(heading)
+        self._turn(turned)
+        return turned
+
+    def _off(self, heading: Heading) -> float:
+        return wrap_angle(heading.yaw + self.deviation - self.euler[2])
+
+    def _turn(self, angle: float) -> None:
+        c, s = math.cos(0.5 * angle), math.sin(0.5 * angle)
         w, x, y, z = self.q
         self.q = (c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w)
 

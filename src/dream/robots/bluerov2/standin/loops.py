@@ -1,7 +1,8 @@
 """Attitude and depth, and what is wanted of them → what ArduSub asks of its motors.
 
-Cascades of proportional and integral terms on the stand-in's own attitude filter: they hold what ArduSub's
-do, not how. Axes are forward-right-down, outputs in [−1, 1] as `motors.mixed` takes them.
+Cascades of proportional and integral terms on the stand-in's own attitude filter. Gains that ArduSub has a
+parameter for are its defaults; how they act was fitted to what a real one did in the same tank
+(`tests/recorded/ardusub`). Axes are forward-right-down, outputs in [−1, 1] as `motors.mixed` takes them.
 """
 
 from __future__ import annotations
@@ -11,98 +12,146 @@ import math
 from dream.geometry import wrap_angle
 from dream.robots.bluerov2.standin.attitude import Ahrs
 
-ANGLE = 5.0
-"""rad/s for a radian of attitude error."""
-HEADING = 3.0
-"""rad/s for a radian of heading error."""
-MOST_TURN = 1.0
-"""rad/s that a heading error may ask for."""
-TURN = ((0.25, 0.5), (0.25, 0.5), (0.4, 0.3))
-"""Output for an error of one rad/s, and by how much it grows a second, in roll, pitch and yaw."""
-DEAD, DEAD_WIDTH = 0.06, 0.03
-"""Output that little turning is lifted by, over the dead band of the thrusters, and where it is little."""
-RISE = 1.2
-"""m/s for a metre of depth error."""
-CLIMB = (1.2, 1.2)
-"""Output for an error of one m/s, and growth."""
-LEASH = 1.0
-"""Metres that the depth target may run ahead of the vehicle."""
-WAY = 0.7
-"""m/s for a metre of position error."""
-SPEED = (1.5, 1.0)
-"""Output for an error of one m/s over ground, and growth."""
-WAY_ACCELERATION = 0.15
-"""m/s² by which a velocity target is approached: a step of 0.3 m/s makes 1.3 m in 6 s."""
+ANGLE = 6.0
+"""rad/s for a radian of attitude error (ATC_ANG_*_P)."""
+TURN = ((0.135, 0.09, 0.444), (0.135, 0.09, 0.444), (0.18, 0.018, 0.222))
+"""Output for an error of one rad/s, by how much it grows a second, and the most that grows to, in roll, pitch
+and yaw (ATC_RAT_*)."""
+YAW_LAG = 1.0 / (2.0 * math.pi * 5.0)
+"""Seconds by which the rate that yaw is asked for lags (ATC_RAT_YAW_FLTT)."""
+EASE = 0.1
+"""Seconds in which the heading that is steered at takes up a rate (ATC_INPUT_TC)."""
+SLEW = math.radians(60.0)
+"""rad/s at most with which it goes to another heading (ATC_SLEW_YAW)."""
+AHEAD = math.radians(30.0)
+"""Radians at most that it is ahead of the vehicle."""
+RISE = 3.0
+"""m/s for a metre of depth error (PSC_POSZ_P)."""
+CLIMB = 8.0
+"""m/s² for an error of one m/s (PSC_VELZ_P)."""
+CLIMB_LAG = 1.0 / (2.0 * math.pi * 5.0)
+"""Seconds by which that error is smoothed (PSC_VELZ_FLTE)."""
+LIFT = (0.1, 0.02, 1.0)
+"""Output for an error of one m/s², by how much it grows a second, and the most that grows to (PSC_ACCZ_*; the
+most is more than PSC_ACCZ_IMAX says)."""
+LIFT_LAG = 1.0 / (2.0 * math.pi * 20.0)
+"""Seconds by which that error is smoothed (PSC_ACCZ_FLTE)."""
+WAY = 1.0
+"""m/s for a metre of position error (PSC_POSXY_P)."""
+SPEED = (0.78, 0.065)
+"""Output for an error of one m/s over ground, and growth (PSC_VELXY_*, as a lean of 45° is all there is)."""
+SPEED_LAG = 1.0 / (2.0 * math.pi * 5.0)
+"""Seconds by which that error is smoothed (PSC_VELXY_FLTE)."""
 
 
 class Loops:
     """The integrators, and the targets that move by themselves."""
 
-    __slots__ = ("_climb", "_rate", "_speed", "_turn", "velocity", "z")
+    __slots__ = (
+        "_climb",
+        "_force",
+        "_lift",
+        "_rate",
+        "_slow",
+        "_speed",
+        "_spent",
+        "_swing",
+        "_throttle",
+        "_turn",
+        "_yaw",
+        "aim",
+        "z",
+    )
 
-    def __init__(self, z: float) -> None:
-        """Begin at rest at a height."""
-        self.relax(z)
+    def __init__(self, z: float, yaw: float) -> None:
+        """Begin at rest at a height and a heading."""
+        self.relax(z, yaw)
 
-    def relax(self, z: float) -> None:
-        """Forget all errors, and hold this height."""
+    def relax(self, z: float, yaw: float) -> None:
+        """Forget all errors, and hold these."""
+        self.aim = yaw
+        """Radians clockwise from north that it steers at."""
+        self._swing = self._yaw = 0.0
+        self._turn = [0.0, 0.0, 0.0]
+        self._throttle = 0.0
+        self.hold(z, 0.0)
+
+    def hold(self, z: float, climb: float) -> None:
+        """Hold this height, coming to it at this speed, with no jump of the throttle; forget the way."""
         self.z = z
         """Metres in the world that it holds."""
-        self.velocity = [0.0, 0.0]
-        """m/s north and east that it steers at now."""
-        self._turn = [0.0, 0.0, 0.0]
-        self._climb = self._rate = 0.0
+        self._rate = climb
+        self._climb = self._force = self._spent = 0.0
+        self._lift = _bounded(self._throttle, LIFT[2])
+        self._slow = [0.0, 0.0]
         self._speed = [0.0, 0.0]
+
+    def head(self, yaw: float, heading: float | None, turn: float, dt: float) -> float:
+        """The rate of turn, clockwise, that leads to a heading, or turns at a rate where there is none."""
+        if heading is not None:
+            turn = _bounded(wrap_angle(heading - self.aim) / EASE, SLEW)
+        self._swing += (turn - self._swing) * dt / (EASE + dt)
+        off = _bounded(wrap_angle(self.aim - yaw) + self._swing * dt, AHEAD)
+        self.aim = wrap_angle(yaw + off)
+        return ANGLE * off + self._swing
 
     def attitude(
         self, ahrs: Ahrs, roll: float, pitch: float, turn: float, dt: float
     ) -> tuple[float, float, float]:
         """Roll, pitch and yaw outputs for these angles and this rate of turn, clockwise."""
         r, p, _ = ahrs.euler
-        wanted = (ANGLE * (roll - r), ANGLE * (pitch + p), turn)
+        self._yaw += (turn - self._yaw) * dt / (YAW_LAG + dt)
+        wanted = (ANGLE * (roll - r), ANGLE * (pitch + p), self._yaw)
         rates = (ahrs.rates[0], -ahrs.rates[1], -ahrs.rates[2])
-        yaw = self._axis(2, wanted, rates, dt)
-        return (
-            self._axis(0, wanted, rates, dt),
-            self._axis(1, wanted, rates, dt),
-            _bounded(yaw + DEAD * math.tanh(yaw / DEAD_WIDTH), 1.0),
-        )
+        out = []
+        for k, (gain, growth, most) in enumerate(TURN):
+            error = wanted[k] - rates[k]
+            self._turn[k] = _bounded(self._turn[k] + growth * error * dt, most)
+            out.append(_bounded(gain * error + self._turn[k], 1.0))
+        return out[0], out[1], out[2]
 
-    def depth(self, ahrs: Ahrs, climb: float, acceleration: float, ceiling: float, dt: float) -> float:
-        """Throttle that follows a climb rate and holds depth where it is zero; never above the ceiling."""
-        self._rate += min(max(climb - self._rate, -acceleration * dt), acceleration * dt)
-        self.z += self._rate * dt
-        self.z = min(max(self.z, ahrs.z - LEASH), ahrs.z + LEASH, ceiling)
-        error = RISE * (self.z - ahrs.z) + self._rate - ahrs.climb
-        self._climb = _bounded(self._climb + CLIMB[1] * error * dt, 0.6)
-        return _bounded(CLIMB[0] * error + self._climb, 1.0)
+    def depth(
+        self, ahrs: Ahrs, climb: float, fastest: float, acceleration: float, most: float, dt: float
+    ) -> float:
+        """Throttle, at most so much, that follows a climb rate and holds depth where it is zero.
+
+        The target stays where the vehicle, at its fastest, could still stop for it, and does not run on while
+        the throttle is at its end.
+        """
+        self._rate += _bounded(climb - self._rate, acceleration * dt)
+        if self._rate * self._spent <= 0.0:
+            self.z += self._rate * dt
+        near = acceleration / RISE**2
+        leash = 0.5 * near + 0.5 * fastest**2 / acceleration
+        self.z = min(max(self.z, ahrs.z - leash), ahrs.z + leash)
+        off = self.z - ahrs.z
+        fast = RISE * off
+        if abs(off) > near:
+            fast = math.copysign(math.sqrt(2.0 * acceleration * (abs(off) - 0.5 * near)), off)
+        self._climb += (fast + self._rate - ahrs.climb - self._climb) * dt / (CLIMB_LAG + dt)
+        self._force += (CLIMB * self._climb - ahrs.lift - self._force) * dt / (LIFT_LAG + dt)
+        gain, growth, bound = LIFT
+        grown = _bounded(self._lift + growth * self._force * dt, bound)
+        free = gain * self._force + grown
+        self._throttle = min(max(free, -1.0), most)
+        self._spent = free - self._throttle
+        # What the output cannot follow makes it grow no further.
+        if self._spent == 0.0 or abs(grown) < abs(self._lift):
+            self._lift = grown
+        return self._throttle
 
     def ground(
         self, velocity: tuple[float, float], wanted: tuple[float, float], yaw: float, dt: float
     ) -> tuple[float, float]:
         """Forward and lateral output for velocities over ground, north and east, at this heading."""
-        for k in range(2):
-            step = WAY_ACCELERATION * dt
-            self.velocity[k] += min(max(wanted[k] - self.velocity[k], -step), step)
         c, s = math.cos(yaw), math.sin(yaw)
-        north, east = self.velocity[0] - velocity[0], self.velocity[1] - velocity[1]
+        north, east = wanted[0] - velocity[0], wanted[1] - velocity[1]
         out = []
         for k, error in enumerate((c * north + s * east, c * east - s * north)):
-            self._speed[k] = _bounded(self._speed[k] + SPEED[1] * error * dt, 0.7)
-            out.append(_bounded(SPEED[0] * error + self._speed[k], 1.0))
+            self._slow[k] += (error - self._slow[k]) * dt / (SPEED_LAG + dt)
+            self._speed[k] = _bounded(self._speed[k] + SPEED[1] * self._slow[k] * dt, 1.0)
+            out.append(_bounded(SPEED[0] * self._slow[k] + self._speed[k], 1.0))
         return out[0], out[1]
-
-    def _axis(
-        self, k: int, wanted: tuple[float, float, float], rates: tuple[float, float, float], dt: float
-    ) -> float:
-        error = wanted[k] - rates[k]
-        self._turn[k] = _bounded(self._turn[k] + TURN[k][1] * error * dt, 0.5)
-        return _bounded(TURN[k][0] * error + self._turn[k], 1.0)
-
-
-def towards(heading: float, yaw: float) -> float:
-    """The rate of turn that takes a yaw to a heading, both clockwise from north."""
-    return _bounded(HEADING * wrap_angle(heading - yaw), MOST_TURN)
 
 
 def _bounded(value: float, most: float) -> float:

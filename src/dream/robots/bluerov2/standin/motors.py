@@ -62,9 +62,9 @@ class Sticks:
             lateral=_pulse(turn * y),
         )
 
-    def tilted(self, s: int, t: int, *, gain: float) -> Sticks:
-        """With the extension axes of MANUAL_CONTROL: pitch s and roll t in [−1000, 1000]."""
-        return replace(self, pitch=_pulse(0.4 * gain * s), roll=_pulse(0.4 * gain * t))
+    def tilted(self, s: int, t: int) -> Sticks:
+        """With the extension axes of MANUAL_CONTROL, pitch s and roll t: microseconds, whatever the gain."""
+        return replace(self, pitch=_pulse(s), roll=_pulse(t))
 
 
 def _pulse(away: float) -> int:

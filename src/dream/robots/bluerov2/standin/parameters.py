@@ -25,11 +25,12 @@ STABLE = Firmware((4, 5, 3), "SYSID_THISMAV", "SYSID_MYGCS")
 NEXT = Firmware((4, 7, 0), "MAV_SYSID", "MAV_GCS_SYSID")
 """The release that renamed them."""
 
+_RANGE = (("MIN", 1100), ("MAX", 1900), ("TRIM", 1500))
 DEFAULTS: tuple[tuple[str, float, int], ...] = (
     ("ACRO_YAW_P", 3.375, REAL32),
     ("AHRS_EKF_TYPE", 3, INT8),
     ("ANGLE_MAX", 4500, INT16),
-    ("ARMING_CHECK", 1, INT32),
+    ("ARMING_CHECK", 448, INT32),
     ("BARO_SPEC_GRAV", 1.0, REAL32),
     ("BATT_ARM_VOLT", 0, REAL32),
     ("BATT_CAPACITY", 18000, INT32),
@@ -40,7 +41,7 @@ DEFAULTS: tuple[tuple[str, float, int], ...] = (
     ("BATT_LOW_VOLT", 0, REAL32),
     ("BATT_MONITOR", 4, INT8),
     ("EK3_ENABLE", 1, INT8),
-    ("EK3_SRC1_POSXY", 3, INT8),
+    ("EK3_SRC1_POSXY", 0, INT8),
     ("EK3_SRC1_POSZ", 1, INT8),
     ("EK3_SRC1_VELXY", 3, INT8),
     ("EK3_SRC1_YAW", 1, INT8),
@@ -62,27 +63,34 @@ DEFAULTS: tuple[tuple[str, float, int], ...] = (
     ("JS_GAIN_STEPS", 4, INT8),
     ("JS_THR_GAIN", 1.0, REAL32),
     ("MNT1_DEFLT_MODE", 3, INT8),
-    ("MNT1_PITCH_MAX", 45, REAL32),
-    ("MNT1_PITCH_MIN", -45, REAL32),
+    ("MNT1_PITCH_MAX", 45, INT16),
+    ("MNT1_PITCH_MIN", -45, INT16),
     ("MNT1_TYPE", 1, INT8),
     *((f"MOT_{motor}_DIRECTION", 1.0, INT8) for motor in range(1, 9)),
+    ("ORIGIN_ALT", 0, REAL32),
+    ("ORIGIN_LAT", 0, REAL32),
+    ("ORIGIN_LON", 0, REAL32),
     ("PILOT_ACCEL_Z", 100, INT16),
+    ("PILOT_SPEED", 200, INT16),
     ("PILOT_SPEED_DN", 0, INT16),
-    ("PILOT_SPEED_UP", 500, INT16),
+    ("PILOT_SPEED_UP", 100, INT16),
     ("PILOT_THR_FILT", 0, REAL32),
+    *((f"RC{n}_DZ", dead, INT16) for n, dead in enumerate((30, 30, 30, 40, 30, 30, 0, 0), 1)),
+    *((f"RC{n}_{name}", pwm, INT16) for n in range(1, 9) for name, pwm in _RANGE),
     ("RC_OVERRIDE_TIME", 3, REAL32),
-    ("RNGFND1_TYPE", 0, INT8),
-    ("SERVO13_FUNCTION", 59, INT16),
+    ("RNGFND1_TYPE", 10, INT8),
+    ("SERVO13_FUNCTION", 181, INT16),
     ("SERVO16_FUNCTION", 7, INT16),
     ("SURFACE_DEPTH", -10, REAL32),
     ("SURFACE_MAX_THR", 0.1, REAL32),
     ("THR_DZ", 100, INT16),
     ("VISO_TYPE", 0, INT8),
     ("WPNAV_SPEED", 100, REAL32),
-    ("WPNAV_SPEED_UP", 150, REAL32),
+    ("WPNAV_SPEED_DN", 150, REAL32),
+    ("WPNAV_SPEED_UP", 250, REAL32),
 )
-"""Name, value and type. Values are those of ArduSub and of Blue Robotics' set for a Navigator, as far as the
-stand-in has a use for them; centimetres and microseconds are ArduSub's."""
+"""Name, value and type, as read from an ArduSub 4.7-dev with Blue Robotics' set for a Heavy and a Navigator,
+as far as somebody here asks for them; centimetres and microseconds are ArduSub's."""
 
 
 class Parameters:

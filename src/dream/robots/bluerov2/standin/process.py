@@ -30,7 +30,7 @@ class Truth:
     T_world_base: SE3
     collisions: int
     behind: float
-    """Seconds of real time that it had to drop since the start; 0 where it kept up."""
+    """Seconds that it was behind real time, at most."""
 
 
 class StandInProcess:

@@ -74,6 +74,10 @@ class Conditions:
     depth_zero: float = 0.0
     """Metres in the world where the autopilot takes its own altitude for 0: where it was switched on in the
     water, or in other weather."""
+    declination: float = 0.0
+    """Radians by which the compass points to the right of true north there, which `compass` is about."""
+    altitude: float = 0.0
+    """Metres of the water's surface above the sea, as a receiver says."""
 
     def __post_init__(self) -> None:
         for name, rate in (("gauge", self.gauge.rate), ("compass", self.compass.rate)):
@@ -105,11 +109,12 @@ class Tank:
     What it does: each `advance` is a hundredth of a second of `dream.sim.vehicle` and of the sensors of
     `dream.sim.sensors`, as `dream.robots.Simulated` flies them, with all randomness drawn from one seed. The
     pings of the DVL have a generator of their own, so that nobody's listening changes how the vehicle swims.
-    The vehicle starts at a start pose of its world, at the protocol's altitude, and is **held there until
-    `release`**, which the stand-in for ArduSub calls when it is first armed; after that a vehicle without
+    The vehicle starts at a start pose of its world, at the protocol's altitude or a depth, and is **held
+    there until `release`**, which the autopilot calls when it is first armed; after that a vehicle without
     thrust floats up.
 
-    Faults are fields: `pulls` at the tether, `leak`, and `drain` for the battery.
+    Faults are fields: `pulls` at the tether, `leak`, those of gauge and thrusters, and `drain` for the
+    battery.
 
     Assumes: one thread advances. What others may read at any time (`state`, `T_world_base`, `imu`, `depth`,
     `heading`, `voltage`) is replaced as a whole after each beat.
@@ -123,6 +128,7 @@ class Tank:
         seed: int = 1,
         conditions: Conditions | None = None,
         start: SE2 | None = None,
+        depth: float | None = None,
         solids: Solids | None = None,
     ) -> None:
         """Put the vehicle into the world, at its first start pose unless told otherwise.
@@ -133,6 +139,7 @@ class Tank:
             seed: Of everything that is drawn.
             conditions: What swims; a BlueROV2 Heavy in still water unless given.
             start: Where.
+            depth: Metres below the surface; at the protocol's altitude unless given.
             solids: Of this world, where they are made already.
         """
         self.world = world
@@ -144,9 +151,12 @@ class Tank:
         if not world.bounds.contains(pose.x, pose.y):
             raise ValueError(f"start: expected a pose inside {world.bounds}, got ({pose.x}, {pose.y})")
         seabed = float(world.terrain.height(pose.x, pose.y))
+        z = seabed + self.protocol.altitude if depth is None else -depth
+        if not seabed < z <= 0.0:
+            raise ValueError(f"depth: expected 0 to {-seabed:.2f} m, the seabed, got {depth}")
         vehicle, spread = conditions.vehicle, conditions.spread
         self.vehicle = vehicle if spread is None else spread.draw(vehicle, self._rng)
-        at_rest = self.vehicle.at_rest(SE3.level(pose.x, pose.y, seabed + self.protocol.altitude, pose.yaw))
+        at_rest = self.vehicle.at_rest(SE3.level(pose.x, pose.y, z, pose.yaw))
 
         thrusters = replace(self.vehicle.thrusters, voltage=TABLE_VOLTAGE)
         self._body = replace(self.vehicle, thrusters=thrusters).body
@@ -174,6 +184,13 @@ class Tank:
         """Is it still held at the launch?"""
         self.pulls: tuple[Pull, ...] = ()
         self.leak = False
+        self.gauge_drift = 0.0
+        """m/s upwards by which its pressure gauge drifts."""
+        self.gauge_stuck = False
+        """Does it say the same for ever?"""
+        self.thrust = np.ones(len(self._commands))
+        """(n,) share of its command that each thruster follows: 0 for a dead one, -1 for a reversed one."""
+        self._drifted = 0.0
         self.voltage = conditions.battery.full
         """Volts under load."""
         self.amperes = conditions.battery.idle
@@ -247,7 +264,8 @@ class Tank:
             for one in self.pulls:
                 if one.start <= self.time < one.end:
                     pull += one.force
-            if not water.advance(self._body, self._flow, self._gust, pull, given, BEAT, self._x):
+            turning = given * self.thrust
+            if not water.advance(self._body, self._flow, self._gust, pull, turning, BEAT, self._x):
                 raise Diverged(
                     f"motion: expected a finite state at {self.time:.2f} s, got {self._x.tolist()}"
                 )
@@ -296,7 +314,9 @@ class Tank:
             z = sensors.pressure(
                 self._pressure, self._x, self._depth_every * BEAT, self._gauge_error, self._rng
             )
-            self.depth = Depth(now, z, self.conditions.gauge.sigma)
+            self._drifted += self.gauge_drift * self._depth_every * BEAT
+            told = self.depth.z if self.gauge_stuck and not first else z + self._drifted
+            self.depth = Depth(now, told, self.conditions.gauge.sigma)
         if first or self._beats % self._heading_every == 0:
             yaw = sensors.heading(
                 self._magnetic, self._x, self._heading_every * BEAT, self._compass_error, self._rng

@@ -27,6 +27,8 @@ AIR_PRESSURE, WATER_PRESSURE = 1013.25, 98.0665
 """hPa at the surface, and per metre of fresh water."""
 FIELD = (180.0, 420.0)
 """Milligauss of the Earth's field, horizontally and down."""
+EARTH = 6_378_137.0
+"""Metres of its radius."""
 TILT_CHANNEL = 16
 """Output of the camera's servo on a Navigator."""
 SENSORS = 0x1 | 0x2 | 0x4 | 0x8 | 0x400 | 0x800 | 0x1000 | 0x8000 | 0x200000
@@ -96,11 +98,41 @@ def scaled_pressure2(sub: ArduSub) -> Message:
 
 
 def vfr_hud(sub: ArduSub) -> Message:
-    """Depth as a height, and heading."""
+    """Height above the sea, as far as it knows, and heading."""
     speed = math.hypot(*sub.helm.over_ground) if sub.position_ok else 0.0
     heading = int(math.degrees(sub.helm.yaw) % 360.0)
     thrust = int(50.0 + 50.0 * motors.share(sub.helm.sticks.throttle)) if sub.armed else 0
-    return mav.MAVLink_vfr_hud_message(0.0, speed, heading, thrust, sub.ahrs.z, sub.ahrs.climb)
+    return mav.MAVLink_vfr_hud_message(0.0, speed, heading, thrust, sub.altitude, sub.ahrs.climb)
+
+
+def global_position_int(sub: ArduSub) -> Message:
+    """Where it is on the globe, and how high: `alt` above the sea, `relative_alt` by rules of its own."""
+    origin, (north, east) = sub.origin, sub.helm.here if sub.position_ok else (0.0, 0.0)
+    lat = lon = 0
+    if origin is not None:
+        lat = origin.lat + round(1e7 * math.degrees(north / EARTH))
+        lon = origin.lon + round(1e7 * math.degrees(east / EARTH / math.cos(math.radians(1e-7 * lat))))
+    vn, ve = sub.helm.over_ground if sub.position_ok else (0.0, 0.0)
+    speeds = [round(100.0 * speed) for speed in (vn, ve, -sub.ahrs.climb)]
+    heights = round(1000.0 * sub.altitude), round(1000.0 * sub.relative_altitude)
+    heading = round(100.0 * math.degrees(sub.helm.yaw)) % 36000
+    return mav.MAVLink_global_position_int_message(sub.boot_ms, lat, lon, *heights, *speeds, heading)
+
+
+def ahrs2(sub: ArduSub) -> Message:
+    """By its second filter: the same attitude, and the height that is relative, rounded."""
+    roll, pitch, _ = sub.ahrs.euler
+    height = round(sub.relative_altitude, 2)
+    return mav.MAVLink_ahrs2_message(roll, -pitch, sub.helm.yaw, height, 0, 0)
+
+
+def nav_controller_output(sub: ArduSub) -> Message:
+    """What it steers at: heading, and height above where it is."""
+    loops = sub.helm.loops
+    off = loops.z - sub.ahrs.z if sub.armed else 0.0
+    return mav.MAVLink_nav_controller_output_message(
+        0.0, 0.0, int(math.degrees(loops.aim)), 0, 0, off, 0.0, 0.0
+    )
 
 
 def sys_status(sub: ArduSub) -> Message:
@@ -146,9 +178,10 @@ def servo_output_raw(sub: ArduSub) -> Message:
 
 def ekf_status_report(sub: ArduSub) -> Message:
     """What it has an estimate of."""
-    flags = mav.EKF_ATTITUDE | mav.EKF_VELOCITY_VERT | mav.EKF_POS_VERT_ABS
+    flags = mav.EKF_ATTITUDE | mav.EKF_VELOCITY_HORIZ | mav.EKF_VELOCITY_VERT | mav.EKF_POS_VERT_ABS
     if sub.position_ok:
-        flags |= mav.EKF_VELOCITY_HORIZ | mav.EKF_POS_HORIZ_REL | mav.EKF_POS_HORIZ_ABS
+        flags |= mav.EKF_POS_HORIZ_REL | mav.EKF_POS_HORIZ_ABS
+        flags |= mav.EKF_PRED_POS_HORIZ_REL | mav.EKF_PRED_POS_HORIZ_ABS
     else:
         flags |= mav.EKF_CONST_POS_MODE
     return mav.MAVLink_ekf_status_report_message(flags, 0.05, 0.05, 0.02, 0.05, 0.0)
@@ -178,6 +211,9 @@ BUILDERS: dict[int, Callable[[ArduSub], Message]] = {
     mav.MAVLINK_MSG_ID_SCALED_IMU2: scaled_imu2,
     mav.MAVLINK_MSG_ID_SCALED_PRESSURE2: scaled_pressure2,
     mav.MAVLINK_MSG_ID_VFR_HUD: vfr_hud,
+    mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: global_position_int,
+    mav.MAVLINK_MSG_ID_AHRS2: ahrs2,
+    mav.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: nav_controller_output,
     mav.MAVLINK_MSG_ID_SYS_STATUS: sys_status,
     mav.MAVLINK_MSG_ID_SYSTEM_TIME: system_time,
     mav.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS: gimbal,
@@ -196,6 +232,9 @@ DEFAULT_INTERVALS = {
     mav.MAVLINK_MSG_ID_SCALED_IMU2: 0.5,
     mav.MAVLINK_MSG_ID_SCALED_PRESSURE2: 0.5,
     mav.MAVLINK_MSG_ID_VFR_HUD: 0.25,
+    mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 0.33,
+    mav.MAVLINK_MSG_ID_AHRS2: 0.25,
+    mav.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: 0.5,
     mav.MAVLINK_MSG_ID_SYS_STATUS: 0.5,
     mav.MAVLINK_MSG_ID_SYSTEM_TIME: 0.5,
     mav.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS: 0.5,

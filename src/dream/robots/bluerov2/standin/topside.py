@@ -18,9 +18,11 @@ from typing import Any, Self
 from dream.control.health import Watch
 from dream.geometry import SE2
 from dream.measurements import Dvl, Imu
-from dream.robots.bluerov2.bridge import LEASE, Bridge, LastResort, Limits, Standing
+from dream.robots.bluerov2.bridge import LEASE, Bridge, Standing
 from dream.robots.bluerov2.drives import AltHold, Guided
 from dream.robots.bluerov2.dvl_a50 import DvlA50
+from dream.robots.bluerov2.home import WayHome
+from dream.robots.bluerov2.limits import LastResort, Limits
 from dream.robots.bluerov2.log import DiveLog
 from dream.robots.bluerov2.mavlink import Link
 from dream.robots.bluerov2.navigation import Fix, Instruments, Navigator
@@ -117,7 +119,9 @@ class Topside:
         link.arm()
         self.bridge = Bridge(
             self.navigator,
-            (Guided if self._guided else AltHold)(link, link.joystick()),
+            (Guided if self._guided else AltHold)(
+                link, link.joystick(), WayHome(link, self.limits, self.now)
+            ),
             self.limits,
             self.now,
             watch=self.watch,

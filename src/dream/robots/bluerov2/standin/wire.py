@@ -5,12 +5,21 @@ from __future__ import annotations
 import heapq
 import math
 import socket
+from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
-Address = tuple[str, int]
+from dream.robots.bluerov2.threads import Threads
+from dream.robots.bluerov2.wire import QUIET
 
+Address = tuple[str, int]
+Change = Callable[[bytes], "bytes | None"]
+
+SURFACE: Address = ("surface", 14550)
+"""Where the surface computer is at the other end of a `Cable`."""
 MOST_BYTES = 2048
 """Of a datagram that is read."""
 MOST_AT_ONCE = 256
@@ -37,6 +46,75 @@ class LinkFaults:
             raise ValueError(f"faults: expected seconds of 0 or more, got {self.delay} and {self.jitter}")
 
 
+class Datagrams(Protocol):
+    """What is used of a socket that does not block."""
+
+    def recvfrom(self, most: int, /) -> tuple[bytes, Address]: ...  # noqa: D102
+    def sendto(self, data: bytes, to: Address, /) -> int: ...  # noqa: D102
+    def getsockname(self) -> Address: ...  # noqa: D102
+    def close(self) -> None: ...  # noqa: D102
+
+
+class Cable:
+    """A tether in memory, between the vehicle and a surface computer that waits by a clock of its own.
+
+    What it does: to the link of a dive it is a `wire.Pipe`, to the stand-in the socket of a `Wire`. Datagrams
+    come in the order in which they were sent.
+
+    Faults: `up` and `down` say what becomes of a datagram on its way; None where it is lost.
+    """
+
+    def __init__(self, threads: Threads) -> None:
+        """Nothing is on its way."""
+        self.up: Change = _as_it_is
+        self.down: Change = _as_it_is
+        self._news = threads.condition()
+        self._up: deque[bytes] = deque()
+        self._down: deque[bytes] = deque()
+
+    # The surface computer's end
+
+    def send(self, data: bytes) -> bool:
+        """As `wire.Pipe` says."""
+        changed = self.down(data)
+        if changed is not None:
+            self._down.append(changed)
+        return True
+
+    def receive(self) -> bytes:
+        """As `wire.Pipe` says."""
+        with self._news:
+            self._news.wait_for(lambda: bool(self._up), QUIET)
+            return self._up.popleft() if self._up else b""
+
+    def answered(self, lost: float) -> None:
+        """As `wire.Pipe` says."""
+
+    # The vehicle's end
+
+    def recvfrom(self, most: int, /) -> tuple[bytes, Address]:
+        """What came, and a BlockingIOError where nothing did."""
+        if not self._down:
+            raise BlockingIOError
+        return self._down.popleft()[:most], SURFACE
+
+    def sendto(self, data: bytes, to: Address, /) -> int:
+        """To whomever: there is but one."""
+        changed = self.up(data)
+        with self._news:
+            if changed is not None:
+                self._up.append(changed)
+            self._news.notify_all()
+        return len(data)
+
+    def getsockname(self) -> Address:
+        """The vehicle's own."""
+        return "vehicle", 0
+
+    def close(self) -> None:
+        """Either end."""
+
+
 class Wire:
     """A UDP socket of the vehicle's own, as BlueOS's UDP client endpoint has one.
 
@@ -45,14 +123,19 @@ class Wire:
     asked are told anything.
     """
 
-    def __init__(self, ground: Address | None, *, host: str = "127.0.0.1", seed: int = 1) -> None:
-        """Bind to a free port."""
+    def __init__(
+        self,
+        ground: Address | None,
+        *,
+        host: str = "127.0.0.1",
+        seed: int = 1,
+        datagrams: Datagrams | None = None,
+    ) -> None:
+        """Bind to a free port, unless there is something else that carries `datagrams`."""
         self.ground = ground
         self.faults = LinkFaults()
         self._rng = np.random.default_rng(seed)
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind((host, 0))
-        self._socket.setblocking(False)
+        self._socket = datagrams or _bound(host)
         self.address: Address = self._socket.getsockname()
         self._count = 0
         self._out: list[tuple[float, int, bytes, Address]] = []
@@ -105,3 +188,15 @@ class Wire:
             late += faults.jitter * float(self._rng.random())
         self._count += 1
         heapq.heappush(queue, (now + late, self._count, data, at))
+
+
+def _as_it_is(data: bytes) -> bytes:
+    return data
+
+
+def _bound(host: str) -> Datagrams:
+    """A socket at a free port."""
+    free = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    free.bind((host, 0))
+    free.setblocking(False)
+    return free

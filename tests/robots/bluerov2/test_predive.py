@@ -1,0 +1,107 @@
+"""The pre-dive list believes no picture that its own models do not."""
+
+import json
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dream.commands.dive.predive import _looked
+from dream.geometry import SE2, SE3, Camera
+from dream.perception import FlatFloor, LearnedDepth, Perception, Shells
+from dream.perception.flat_floor import floor_depth, rays
+from dream.protocol import POOL_V1
+from dream.robots.bluerov2.check import Finding
+from dream.robots.bluerov2.navigation import Fix, NotReady
+from dream.sim.render import Renderer
+from dream.sim.worlds import make_world
+from dream.types import BoolArray, UInt8Array
+from tests.perception.models import constant
+from tests.robots.bluerov2.test_bridge import fix_at
+
+MOUNT = POOL_V1.T_base_camera
+CAMERA = Camera.from_fov(32, 24, POOL_V1.camera.horizontal_fov)
+"""Of the models: they answer for 24 × 32 pixels."""
+
+
+@dataclass
+class Tank:
+    """A vehicle in it, as the list sees it."""
+
+    rgb: UInt8Array
+    fix: Fix | None = field(default_factory=fix_at)
+    unseen: bool = False
+
+    def looked(self, perception: Perception) -> Finding:
+        ready: Any = SimpleNamespace(
+            sight=SimpleNamespace(lens=None, perception=perception),
+            tank=object(),
+            eye=self,
+            devices=SimpleNamespace(camera=self, navigator=self),
+            protocol=POOL_V1,
+            start=SE2(0.0, 0.0, 0.0),
+            mount=MOUNT,
+        )
+        return _looked(ready)
+
+    def newest(self, max_age: float) -> object:
+        return SimpleNamespace(rgb=self.rgb)
+
+    def view(self, picture: object, camera: Camera) -> tuple[UInt8Array, BoolArray]:
+        return self.rgb, np.full((camera.height, camera.width), not self.unseen)
+
+    def update(self) -> Fix:
+        if self.fix is None:
+            raise NotReady("it does not lie still")
+        return self.fix
+
+
+def metric(path: Path, times: float, height: float) -> LearnedDepth:
+    """A network that says of every picture what a flat floor so far below looks like, times a factor."""
+    level = SE3.level(0.0, 0.0, 0.0, 0.0)
+    floor = floor_depth(rays(CAMERA, height, level, MOUNT), 200.0)
+    path.with_suffix(".json").write_text(json.dumps({"output": "metric_depth"}))
+    return LearnedDepth(constant(path, times * np.nan_to_num(floor, nan=100.0)))
+
+
+@pytest.fixture(scope="module")
+def rgb() -> UInt8Array:
+    """What the camera sees in the tank."""
+    T_world_base = SE3.level(-0.25, -0.75, -0.92, 1.05)
+    return Renderer(make_world("pool/arc", 1)).render(POOL_V1.camera, T_world_base @ MOUNT).rgb
+
+
+def test_depth_and_labels_that_need_no_model_are_ok(rgb: UInt8Array) -> None:
+    found = Tank(rgb).looked(Perception(Shells(), FlatFloor()))
+    assert found.ok
+    assert "with a confidence of " in found.said
+    assert "confidence of 0%" not in found.said
+
+
+def test_metres_that_are_three_times_too_far_are_no_go(rgb: UInt8Array, tmp_path: Path) -> None:
+    wrong = Tank(rgb).looked(Perception(Shells(), metric(tmp_path / "m.onnx", 3.0, 0.6)))
+    assert not wrong.ok
+    assert "with a confidence of 0%" in wrong.said
+    assert "sidecar" in wrong.wanted
+    right = Tank(rgb).looked(Perception(Shells(), metric(tmp_path / "n.onnx", 1.0, 0.6)))
+    assert right.ok
+    assert "with a confidence of 0%" not in right.said
+
+
+def test_metres_are_judged_at_the_height_that_the_vehicle_lies_at(rgb: UInt8Array, tmp_path: Path) -> None:
+    """Before a dive it floats at the surface, and not as high above the floor as it will dive."""
+    perception = Perception(Shells(), metric(tmp_path / "m.onnx", 1.0, 1.4))
+    afloat = replace(fix_at(), T_world_base=SE3.level(0.0, 0.0, -0.1, 0.0))
+    assert Tank(rgb, afloat).looked(perception).ok
+    # Where nobody knows the height, it is that of the dive.
+    for unknown in (None, replace(afloat, seabed=np.nan)):
+        assert not Tank(rgb, unknown).looked(perception).ok
+
+
+def test_a_view_without_any_depth_is_no_go(rgb: UInt8Array) -> None:
+    found = Tank(rgb, unseen=True).looked(Perception(Shells(), FlatFloor()))
+    assert not found.ok
+    assert "0% of the view" in found.said
