@@ -114,7 +114,7 @@ class _Way:
     def close(self, until: float) -> int:
         """Give what waits until a time of the monotonic clock; returns how many lines are lost.
 
-        The descriptors lead to the old place again where that takes something now, else nowhere.
+        The descriptors lead to the old place again where that takes something by then, else nowhere.
         """
         nowhere = os.open(os.devnull, os.O_WRONLY)
         for descriptor in self.descriptors:
@@ -131,7 +131,8 @@ class _Way:
             lost = self._lost + self._waiting.count(b"\n")
         if self._giving.is_alive():
             return lost  # It may be in the midst of writing; what it holds is left to it.
-        if not self._gone and self._takes(0.0):
+        # A pipe takes nothing more until the last of what it was given is read.
+        if not self._gone and self._takes(max(0.0, until - time.monotonic())):
             for descriptor in self.descriptors:
                 os.dup2(self._place, descriptor)
         os.close(self._place)
