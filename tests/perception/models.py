@@ -21,15 +21,20 @@ def save(
     *,
     metadata: Mapping[str, str] | None = None,
     kind: int = TensorProto.FLOAT,
+    out: int = TensorProto.FLOAT,
     opset: int = OPSET,
 ) -> Path:
-    """Write a model with the input `images`."""
+    """Write a model with the input `images`; weights that are no whole numbers become float32."""
+    tensors = [
+        numpy_helper.from_array(value if value.dtype.kind == "i" else value.astype(np.float32), name)
+        for name, value in weights.items()
+    ]
     graph = helper.make_graph(
         nodes,
         "tiny",
         [helper.make_tensor_value_info("images", kind, shape)],
-        [helper.make_tensor_value_info(name, TensorProto.FLOAT, size) for name, size in outputs.items()],
-        [numpy_helper.from_array(value.astype(np.float32), name) for name, value in weights.items()],
+        [helper.make_tensor_value_info(name, out, size) for name, size in outputs.items()],
+        tensors,
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=8)
     helper.set_model_props(model, dict(metadata or {}))
@@ -62,6 +67,34 @@ def redness_last(path: Path) -> Path:
     weights = {tensor.name: numpy_helper.to_array(tensor) for tensor in model.graph.initializer}
     size: list[int | str] = [1, 24, 32, 3]
     return save(path, [before, conv, after], weights, size, {"scores": size})
+
+
+def ending(
+    path: Path,
+    scores: np.ndarray,
+    *ends: onnx.NodeProto,
+    weights: Mapping[str, np.ndarray] | None = None,
+    kind: int = TensorProto.FLOAT,
+    out: int = TensorProto.FLOAT,
+    metadata: Mapping[str, str] | None = None,
+) -> Path:
+    """Scores of red, green, blue and one (C, 4) for each class, and whatever ends make `out` of `scores`.
+
+    For a picture of 24 × 32.
+    """
+    nodes = [
+        helper.make_node("Cast", ["images"], ["floats"], to=TensorProto.FLOAT),
+        helper.make_node("Conv", ["floats", "weights", "bias"], ["scores"]),
+        *(ends or [helper.make_node("Identity", ["scores"], ["out"])]),
+    ]
+    own = {"weights": scores[:, :3, None, None], "bias": scores[:, 3], **(weights or {})}
+    size: list[int | str] = [1, 3, 24, 32]
+    graph = save(path, nodes, own, size, {"out": []}, metadata=metadata, kind=kind, out=out)
+    model = onnx.load(graph)
+    # Exporters leave open what they do not know; so is the shape here.
+    model.graph.output[0].type.tensor_type.ClearField("shape")
+    path.write_bytes(model.SerializeToString())
+    return path
 
 
 def constant(path: Path, value: np.ndarray) -> Path:

@@ -12,7 +12,7 @@ import pytest
 from dream.geometry import SE3, Camera, camera_mount
 from dream.perception import FlatFloor, LearnedDepth, LearnedLabels, Perception, Sidecar, read_sidecar
 from dream.perception.flat_floor import floor_depth, rays
-from dream.perception.learned import placed, resampled
+from dream.perception.placing import placed, resampled
 from dream.perception.scaling import fit_to_floor
 from dream.types import Float32Array, Label, UInt8Array
 from tests.perception.models import constant, instances, redness, redness_last
@@ -219,7 +219,7 @@ def test_a_sidecar_for_another_model_is_refused(tmp_path: Path) -> None:
         ({"layout": "NHWC"}, "expected 3 channels in NHWC"),
         ({"width": 640}, "width: the model takes 32, but its sidecar says 640"),
         ({"name": "depth"}, "name: expected one of scores, got 'depth'"),
-        ({"output": "metric_depth"}, "output: expected logits or instances"),
+        ({"output": "metric_depth"}, "output: expected logits, probabilities, classes, instances for labels"),
         ({"output": "instances"}, "instances: expected boxes in 3"),
     ):
         with pytest.raises(ValueError, match=reason):
@@ -279,6 +279,68 @@ def test_metric_depth_stays_and_is_doubted_as_far_as_it_leaves_the_floor(tmp_pat
     depth, confidence = depth_of(constant(tmp_path / "b.onnx", 1.5 * truth), "metric_depth", labels)
     np.testing.assert_allclose(depth, 1.5 * truth, rtol=1e-5)
     assert (confidence == 0.0).all()
+
+
+@pytest.mark.parametrize("wrong", [lambda z: 3.0 * z, lambda z: 0.3 * z, lambda z: np.full_like(z, 2.5)])
+def test_metres_that_the_floor_contradicts_are_not_believed(tmp_path: Path, wrong: object) -> None:
+    """Also where they agree by chance on a few pixels, as a depth that is the same everywhere does."""
+    assert callable(wrong)
+    truth, labels = seen()
+    depth, confidence = depth_of(constant(tmp_path / "m.onnx", wrong(truth)), "metric_depth", labels)
+    assert np.isfinite(depth[24:]).any()
+    assert (confidence == 0.0).all()
+
+
+def test_metres_of_which_no_floor_tells_are_half_believed(tmp_path: Path) -> None:
+    truth, labels = seen()
+    labels[:] = Label.OBSTACLE
+    _, confidence = depth_of(constant(tmp_path / "m.onnx", truth), "metric_depth", labels)
+    np.testing.assert_allclose(confidence, 0.5)
+
+
+@pytest.mark.parametrize("number", [np.inf, -np.inf, np.nan])
+@pytest.mark.parametrize(
+    ("output", "raw"),
+    [
+        ("metric_depth", lambda z: z),
+        ("relative_depth", lambda z: 7.0 * z),
+        ("inverse_depth", lambda z: 40.0 / z - 9.0),
+    ],
+)
+def test_a_depth_that_is_not_finite_costs_its_pixel(
+    tmp_path: Path, number: float, output: str, raw: object
+) -> None:
+    assert callable(raw)
+    truth, labels = seen()
+    spoilt = np.array(raw(truth))
+    spoilt[30, 40] = number
+    depth, confidence = depth_of(constant(tmp_path / "m.onnx", spoilt), output, labels)
+    lost = np.isnan(depth)
+    assert lost[30, 40]
+    assert lost.sum() == 1
+    np.testing.assert_allclose(depth[~lost], truth[~lost], rtol=1e-3)
+    assert confidence[~lost].min() > 0.99
+
+
+def test_a_depth_of_which_most_is_not_finite_is_not_used(tmp_path: Path) -> None:
+    truth, labels = seen()
+    spoilt = truth.copy()
+    spoilt[:25] = np.inf
+    depth, confidence = depth_of(constant(tmp_path / "m.onnx", spoilt), "metric_depth", labels)
+    assert np.isnan(depth).all()
+    assert (confidence == 0.0).all()
+
+
+def test_a_depth_that_is_the_same_for_other_pictures_is_not_believed(tmp_path: Path) -> None:
+    """Even where it is that of the floor, which looks the same everywhere from one height."""
+    truth, labels = seen()
+    sidecar = Sidecar.model_validate({"output": "metric_depth"})
+    model = LearnedDepth(constant(tmp_path / "m.onnx", truth), sidecar=sidecar)
+    rgb = np.zeros((48, 64, 3), np.uint8)
+    sure = [
+        float(model.estimate(rgb + np.uint8(n), labels, CAMERA, 0.6, LEVEL, MOUNT)[1].max()) for n in range(5)
+    ]
+    np.testing.assert_allclose(sure, [1.0, 1.0, 1.0, 0.0, 0.0])
 
 
 def test_a_third_of_wrong_pixels_does_not_move_the_scale() -> None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,71 +13,48 @@ from dream.geometry import SE3, Camera
 from dream.perception.depth import Segmenter
 from dream.perception.flat_floor import floor_depth, rays
 from dream.perception.onnx import Network, input_side
-from dream.perception.scaling import Fit, fit_to_floor, judged
-from dream.perception.sidecar import Sidecar, read_sidecar, sidecar_beside, ultralytics
+from dream.perception.outputs import HALF, MOST_LOST, ROUGH, UNTOLD, Answer, form_of, labelled, unbelieved
+from dream.perception.placing import Frame, picture, placed, resampled
+from dream.perception.scaling import FEWEST, Fit, fit_to_floor, judged
+from dream.perception.sidecar import (
+    LABELLING,
+    Sidecar,
+    check_names,
+    read_sidecar,
+    sidecar_beside,
+    ultralytics,
+)
 from dream.types import Float32Array, Label, UInt8Array
 
-GREY = 114
-"""Around a picture that keeps its proportions; what Ultralytics trains with."""
 MOST_INSTANCES = 100
 """The best of a picture."""
-HALF = 0.5
-"""Probability from which a pixel belongs to an instance."""
+LEAST_AGREEMENT = 0.1
+"""Share of the floor's pixels on which network and floor have to agree, or the network is not believed."""
+REPEATS = 3
+"""Different pictures in a row after which one and the same answer is none."""
 
 
-@dataclass(frozen=True, slots=True)
-class Frame:
-    """Where a picture lies in a network's input."""
+class Repeats:
+    """Whether a network answers the same whatever it is shown.
 
-    height: int
-    width: int
-    rows: tuple[float, float]
-    """First row and number of rows, in pixels of the input."""
-    cols: tuple[float, float]
+    Numbers that are the same everywhere tell nothing: so may open water be answered to for long. Nor do whole
+    ones: those of a view that stays the same may well be the same.
+    """
 
+    def __init__(self) -> None:
+        """Nothing was shown yet."""
+        self._picture: UInt8Array | None = None
+        self._answer: npt.NDArray[Any] | None = None
+        self._count = 0
 
-def placed(shape: tuple[int, ...], height: int, width: int, *, letterbox: bool) -> Frame:
-    """A picture of (H, W) in an input of that size: stretched, or in its middle with its proportions."""
-    if not letterbox:
-        return Frame(height, width, (0.0, float(height)), (0.0, float(width)))
-    factor = min(height / shape[0], width / shape[1])
-    rows, cols = round(shape[0] * factor), round(shape[1] * factor)
-    return Frame(height, width, (float((height - rows) // 2), rows), (float((width - cols) // 2), cols))
-
-
-def picture(rgb: UInt8Array, frame: Frame, sidecar: Sidecar) -> Float32Array:
-    """(1, 3, h, w), or (1, h, w, 3): a picture as the network wants it."""
-    from PIL import Image
-
-    size = (round(frame.cols[1]), round(frame.rows[1]))
-    small = np.asarray(Image.fromarray(rgb).resize(size, Image.Resampling.BILINEAR))
-    whole = np.full((frame.height, frame.width, 3), GREY, np.uint8)
-    row, col = int(frame.rows[0]), int(frame.cols[0])
-    whole[row : row + size[1], col : col + size[0]] = small
-    if sidecar.colours == "BGR":
-        whole = whole[..., ::-1]
-    x = (whole * np.float32(sidecar.scale) - np.array(sidecar.mean, np.float32)) / np.array(
-        sidecar.std, np.float32
-    )
-    if sidecar.layout == "NCHW":
-        x = x.transpose(2, 0, 1)
-    return np.ascontiguousarray(x[None], np.float32)
-
-
-def resampled(maps: Float32Array, frame: Frame, shape: tuple[int, ...]) -> Float32Array:
-    """(C, H, W): maps (C, h, w) over the whole input, bilinear at the picture's own pixels."""
-    out = maps
-    for axis, (side, (first, length), count) in enumerate(
-        zip((frame.height, frame.width), (frame.rows, frame.cols), shape[:2], strict=True), 1
-    ):
-        cells = maps.shape[axis]
-        at = (first + (np.arange(count) + 0.5) * length / count) * cells / side - 0.5
-        at = np.clip(at, 0.0, cells - 1.0)
-        low = np.minimum(at.astype(np.intp), max(cells - 2, 0))
-        share = (at - low).astype(np.float32).reshape((-1, 1) if axis == 1 else (1, -1))
-        upper = np.minimum(low + 1, cells - 1)
-        out = out.take(low, axis) * (1.0 - share) + out.take(upper, axis) * share
-    return out
+    def told(self, rgb: UInt8Array, answer: npt.NDArray[Any]) -> bool:
+        """Take in a picture and what was answered; has it been the same for `REPEATS` pictures more?"""
+        if self._picture is None or not np.array_equal(rgb, self._picture):
+            same = self._answer is not None and np.array_equal(answer, self._answer, equal_nan=True)
+            tells = answer.dtype.kind == "f" and answer.size > 0 and answer.min() != answer.max()
+            self._count = self._count + 1 if same and tells else 0
+            self._picture, self._answer = rgb.copy(), answer
+        return self._count >= REPEATS
 
 
 def _opened(
@@ -90,19 +67,27 @@ def _opened(
     shape = network.input_shape
     channels, height, width = shape[1:] if sidecar.layout == "NCHW" else (shape[3], shape[1], shape[2])
     if channels not in (3, None):
-        raise ValueError(f"model: expected 3 channels in {sidecar.layout}, got an input of {shape}")
+        other = "NHWC" if sidecar.layout == "NCHW" else "NCHW"
+        turned = f'. Write "layout": "{other}"' if shape[3 if other == "NHWC" else 1] == 3 else ""
+        raise ValueError(f"model: expected 3 channels in {sidecar.layout}, got an input of {shape}{turned}")
+    if network.kind == np.uint8 and sidecar.model_fields_set & {"scale", "mean", "std"}:
+        raise ValueError("scale: the model takes the bytes of a picture. Leave out scale, mean and std")
     size = input_side(height, sidecar.height, "height"), input_side(width, sidecar.width, "width")
     if sidecar.name is not None and sidecar.name not in network.outputs:
-        raise ValueError(f"name: expected one of {', '.join(network.outputs)}, got {sidecar.name!r}")
+        raise ValueError(f"name: expected one of {', '.join(network.outputs)[:200]}, got {sidecar.name!r}")
+    check_names(sidecar, network.metadata)
     return network, sidecar, size
 
 
 class LearnedLabels:
     """Labels from a network in an ONNX file.
 
-    What it does: class scores per pixel go through a softmax, and the best class gives label and confidence.
-    Instances, as Ultralytics exports them, are drawn from their boxes and masks, no matter whether they
-    overlap; what belongs to none is left to another segmenter.
+    What it does: scores of classes per pixel go through a softmax, or through a sigmoid where each class is
+    told by itself, unless that is in the model already; the best class gives label and confidence. Numbers of
+    classes and masks give labels, with a confidence of a half. Instances, as Ultralytics exports them, are
+    drawn from their boxes and masks, no matter whether they overlap. What belongs to none of the classes is
+    left to another segmenter. Where the output is not finite, or the same for one picture after the other,
+    there is no answer: water, with a confidence of 0.
 
     Assumes: the network was trained on pictures such as these. Its scores are taken for probabilities.
 
@@ -132,11 +117,19 @@ class LearnedLabels:
             ValueError: The model or its sidecar is refused, or the two do not fit.
         """
         self._network, self._sidecar, self._size = _opened(path, sidecar, classes, threads)
-        if self._sidecar.output not in ("logits", "instances"):
-            raise ValueError(f"output: expected logits or instances for labels, got {self._sidecar.output}")
-        self._under = under
+        if self._sidecar.output not in LABELLING:
+            raise ValueError(
+                f"output: expected {', '.join(LABELLING)} for labels, got {self._sidecar.output}"
+            )
+        self._under, self._repeats = under, Repeats()
         self._labels = np.array(self._sidecar.labels, np.uint8)
-        self._own(np.zeros((16, 16, 3), np.uint8))
+        tests = _test_pictures(*self._size)
+        if self._sidecar.output == "instances":
+            self._from_instances(self._answers(tests[0]), self._frame(tests[0]), tests[0].shape)
+            return
+        (name,) = self._names
+        answers = [answer for rgb in tests for answer in self._answers(rgb)]
+        self._form = form_of(self._sidecar, self._network.operator(name), answers)
 
     def segment(self, rgb: UInt8Array) -> tuple[UInt8Array, Float32Array]:
         """See `Segmenter.segment`.
@@ -150,38 +143,36 @@ class LearnedLabels:
         below, sure = self._under.segment(rgb)
         return np.where(found, labels, below), np.where(found, confidence, np.minimum(sure, confidence))
 
-    def _own(self, rgb: UInt8Array) -> tuple[UInt8Array, Float32Array, npt.NDArray[np.bool_]]:
-        frame = placed(rgb.shape, *self._size, letterbox=self._sidecar.letterbox)
-        x = picture(rgb, frame, self._sidecar)
-        if self._sidecar.output == "logits":
-            name = self._sidecar.name or next(iter(self._network.outputs))
-            (scores,) = self._network.run(x, [name])
-            return self._from_logits(scores, frame, rgb.shape)
-        answers = self._network.run(x, list(self._network.outputs))
-        return self._from_instances(answers, frame, rgb.shape)
+    @property
+    def _names(self) -> list[str]:
+        """Of the outputs that are asked for."""
+        if self._sidecar.output == "instances":
+            return list(self._network.outputs)
+        return [self._sidecar.name or next(iter(self._network.outputs))]
 
-    def _from_logits(
-        self, scores: Float32Array, frame: Frame, shape: tuple[int, ...]
-    ) -> tuple[UInt8Array, Float32Array, npt.NDArray[np.bool_]]:
-        count, classes = len(self._labels), 1 if self._sidecar.layout == "NCHW" else 3
-        if scores.ndim != 4 or scores.shape[0] != 1 or scores.shape[classes] != count or scores.size == 0:
-            expected = f"(1, {count}, h, w)" if classes == 1 else f"(1, h, w, {count})"
-            raise ValueError(f"logits: expected {expected}, a score for each class, got {scores.shape}")
-        maps = scores[0] if classes == 1 else scores[0].transpose(2, 0, 1)
-        fine = resampled(maps, frame, shape)
-        share = np.exp(fine - fine.max(axis=0))
-        share /= share.sum(axis=0)
-        # Classes with the same label stand together.
-        by_label = np.stack([share[self._labels == label].sum(axis=0) for label in Label])
-        best = by_label.argmax(axis=0)
-        confidence = np.take_along_axis(by_label, best[None], axis=0)[0]
-        found = np.ones(best.shape, np.bool_)
-        return best.astype(np.uint8), np.clip(confidence, 0.0, 1.0).astype(np.float32), found
+    def _frame(self, rgb: UInt8Array) -> Frame:
+        return placed(rgb.shape, *self._size, letterbox=self._sidecar.letterbox)
+
+    def _answers(self, rgb: UInt8Array) -> list[npt.NDArray[Any]]:
+        x = picture(rgb, self._frame(rgb), self._sidecar, self._network.kind)
+        return self._network.run(x, self._names)
+
+    def _own(self, rgb: UInt8Array) -> Answer:
+        answers, frame = self._answers(rgb), self._frame(rgb)
+        if self._sidecar.output == "instances":
+            labels, confidence, found = self._from_instances(answers, frame, rgb.shape)
+        else:
+            labels, confidence, found = labelled(answers[0], self._form, self._sidecar, frame, rgb.shape)
+        if self._repeats.told(rgb, answers[0]):
+            return unbelieved(labels, confidence, found, np.ones_like(found))
+        return labels, confidence, found
 
     def _from_instances(
-        self, answers: list[Float32Array], frame: Frame, shape: tuple[int, ...]
-    ) -> tuple[UInt8Array, Float32Array, npt.NDArray[np.bool_]]:
+        self, answers: list[npt.NDArray[Any]], frame: Frame, shape: tuple[int, ...]
+    ) -> Answer:
         boxes, scores, kinds, weights, masks = _instances(answers, len(self._labels))
+        lost = ~np.isfinite(masks).all(axis=0)
+        masks = np.where(lost, np.float32(0.0), masks)
         best = np.argsort(-scores)[:MOST_INSTANCES]
         best = best[scores[best] >= self._sidecar.least_score]
         by_label = np.zeros((len(Label), *masks.shape[1:]), np.float32)
@@ -194,18 +185,23 @@ class LearnedLabels:
             likely = np.where(inside, 1.0 / (1.0 + np.exp(-shown)), 0.0)
             label = by_label[self._labels[kinds[n]]]
             np.maximum(label, np.where(likely >= HALF, scores[n] * likely, 0.0), out=label)
+        by_label[:, lost] = np.nan
         fine = resampled(by_label, frame, shape)
-        winner, score = fine.argmax(axis=0), fine.max(axis=0)
+        lost = np.asarray(np.isnan(fine).any(axis=0))
+        winner, score = fine.argmax(axis=0), np.where(lost, np.float32(0.0), fine.max(axis=0))
         found = score >= HALF * self._sidecar.least_score
         labels = np.where(found, winner, int(Label.SEABED)).astype(np.uint8)
         confidence = np.where(found, score, 1.0 - score)
-        return labels, np.clip(confidence, 0.0, 1.0).astype(np.float32), found
+        return unbelieved(labels, confidence, found, lost)
 
 
 def _instances(
-    answers: list[Float32Array], classes: int
+    answers: list[npt.NDArray[Any]], classes: int
 ) -> tuple[Float32Array, Float32Array, npt.NDArray[np.intp], Float32Array, Float32Array]:
     """Boxes (N, 4) as x0, y0, x1, y1 in the input, scores, classes, mask weights (N, m) and masks (m, h, w).
+
+    An instance of which a number is not finite, or the score no probability, is left out; a mask may hold
+    what is not finite.
 
     Two layouts are in use: (1, 4 + classes + m, N) with middle and size of a box and a score for each class,
     and (1, N, 6 + m) with corners, score and class, where the network has thinned them out itself.
@@ -217,7 +213,8 @@ def _instances(
             "instances: expected boxes in 3 and masks in 4 dimensions, of one picture, got "
             + ", ".join(str(answer.shape) for answer in answers)
         )
-    masks, table = prototypes[0][0], flat[0][0]
+    with np.errstate(over="ignore"):
+        masks, table = (part[0].astype(np.float32) for part in (prototypes[0], flat[0]))
     count = len(masks)
     if masks.size == 0:
         raise ValueError(f"instances: expected prototype masks, got {prototypes[0].shape}")
@@ -226,19 +223,32 @@ def _instances(
         middle, size = rows[:, :2], rows[:, 2:4]
         boxes = np.concatenate([middle - 0.5 * size, middle + 0.5 * size], axis=1)
         each = rows[:, 4 : 4 + classes]
-        kinds = each.argmax(axis=1)
-        return boxes, each[np.arange(len(each)), kinds], kinds, rows[:, 4 + classes :], masks
-    if table.shape[1] == 6 + count:
-        kinds = np.rint(table[:, 5]).astype(np.intp)
+        kinds, weights = each.argmax(axis=1), rows[:, 4 + classes :]
+        scores = each[np.arange(len(each)), kinds]
+    elif table.shape[1] == 6 + count:
+        rows = table
+        boxes, scores, weights = table[:, :4], table[:, 4], table[:, 6:]
+        numbers = np.where(np.isfinite(table[:, 5]), table[:, 5], 0.0)
+        kinds = np.rint(numbers).astype(np.intp)
         if len(kinds) and not (kinds.min() >= 0 and kinds.max() < classes):
             raise ValueError(
-                f"instances: expected classes 0 to {classes - 1}, got {kinds.min()} to {kinds.max()}"
+                f"instances: expected classes 0 to {classes - 1}, got {kinds.min()} to {kinds.max()}. "
+                'Write a class for each into "classes"'
             )
-        return table[:, :4], table[:, 4], kinds, table[:, 6:], masks
-    raise ValueError(
-        f"instances: expected (1, {4 + classes + count}, N) or (1, N, {6 + count}) for {classes} classes and "
-        f"{count} masks, got {flat[0].shape}"
-    )
+    else:
+        raise ValueError(
+            f"instances: expected (1, {4 + classes + count}, N) or (1, N, {6 + count}) for {classes} classes "
+            f"and {count} masks, got {flat[0].shape}"
+        )
+    good = np.isfinite(rows).all(axis=1) & (scores >= 0.0) & (scores <= 1.0 + ROUGH)
+    return boxes[good], np.minimum(scores[good], 1.0), kinds[good], weights[good], masks
+
+
+def _test_pictures(height: int, width: int) -> list[UInt8Array]:
+    """Black, white and noise, (H, W, 3): what they are answered shows what an output is."""
+    shape = height, width, 3
+    noise = np.random.default_rng(0).integers(0, 256, shape, np.uint8)
+    return [np.zeros(shape, np.uint8), np.full(shape, 255, np.uint8), noise]
 
 
 class LearnedDepth:
@@ -246,14 +256,17 @@ class LearnedDepth:
 
     What it does: a relative depth gets its scale, and a relative inverse depth its scale and shift, from the
     pixels that are labelled seabed or target, whose depth altitude and attitude tell. A metric depth stays as
-    it is. The confidence is the share of those pixels on which network and floor agree to a tenth.
+    it is. The confidence is the share of those pixels on which network and floor agree to a tenth: 0 where
+    that is less than `LEAST_AGREEMENT`, as floor and network then contradict each other, and where the
+    network has answered the same for one picture after the other. Pixels without a finite answer have no
+    depth.
 
     Reference: the affine invariance of inverse depth is that of MiDaS (Ranftl et al., *TPAMI*, 2022).
 
     Assumes: a flat floor in view.
 
     Fails when: too little floor is seen: then there is no depth, but for a metric one, of which nothing
-    vouches.
+    vouches, with a confidence of a half.
     """
 
     def __init__(
@@ -278,7 +291,7 @@ class LearnedDepth:
         self._network, self._sidecar, self._size = _opened(path, sidecar, None, threads)
         if not self._sidecar.output.endswith("_depth"):
             raise ValueError(f"output: expected a depth, got {self._sidecar.output}")
-        self._max_depth = max_depth
+        self._max_depth, self._repeats = max_depth, Repeats()
         self._raw(np.zeros((16, 16, 3), np.uint8))
 
     def estimate(
@@ -305,21 +318,29 @@ class LearnedDepth:
             fit = judged(Fit(1.0, 0.0, False, 0.0, 0.0), raw, floor, on_floor)
         else:
             fit = fit_to_floor(raw, floor, on_floor, inverse=self._sidecar.output == "inverse_depth")
+        repeats = self._repeats.told(rgb, raw)
         if fit is None:
             return np.full(raw.shape, np.nan, np.float32), np.zeros(raw.shape, np.float32)
         depth = fit.depth(raw)
         known = (depth <= self._max_depth) & (labels != Label.WATER)
+        confidence = fit.agreement if np.count_nonzero(on_floor) >= FEWEST else UNTOLD
+        if confidence < LEAST_AGREEMENT or repeats:
+            confidence = 0.0
         return (
             np.where(known, depth, np.float32(np.nan)),
-            np.where(known, np.float32(fit.agreement), np.float32(0.0)),
+            np.where(known, np.float32(confidence), np.float32(0.0)),
         )
 
     def _raw(self, rgb: UInt8Array) -> Float32Array:
         frame = placed(rgb.shape, *self._size, letterbox=self._sidecar.letterbox)
         name = self._sidecar.name or next(iter(self._network.outputs))
-        (answer,) = self._network.run(picture(rgb, frame, self._sidecar), [name])
+        (answer,) = self._network.run(picture(rgb, frame, self._sidecar, self._network.kind), [name])
         maps = np.squeeze(answer)
-        if maps.ndim != 2 or min(maps.shape) < 2:
-            raise ValueError(f"depth: expected one number a pixel, got {answer.shape}")
+        if maps.ndim != 2 or min(maps.shape) < 2 or maps.dtype.kind == "b":
+            raise ValueError(f"depth: expected one number a pixel, got {answer.shape} of {answer.dtype}")
+        with np.errstate(over="ignore"):
+            maps = maps.astype(np.float32)
         raw: Float32Array = resampled(maps[None], frame, rgb.shape)[0]
-        return raw
+        finite = np.isfinite(raw)
+        # A frame of which most is not finite shows nothing.
+        return np.where(finite & (finite.mean() >= MOST_LOST), raw, np.float32(np.nan))

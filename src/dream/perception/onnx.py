@@ -17,8 +17,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dream.types import Float32Array
-
 EXTRA = 'models in ONNX need onnxruntime: pip install "dream-auv[rov]"'
 MOST_BYTES = 256 << 20
 """Of a file. The large segmentation and depth models for one frame a second have 100 to 200 MB."""
@@ -34,6 +32,20 @@ MOST_SIDE = 2048
 """Pixels along a side of a network's input."""
 MOST_VALUES = 1 << 28
 """Numbers in one output."""
+MOST_NAME = 200
+"""Bytes of a name in the file that are looked at."""
+KINDS: dict[str, npt.DTypeLike] = {
+    "tensor(float)": np.float32,
+    "tensor(float16)": np.float16,
+    "tensor(double)": np.float64,
+    "tensor(uint8)": np.uint8,
+}
+"""Types that a picture may be wanted in."""
+PASSING = frozenset(
+    {"Cast", "CastLike", "DequantizeLinear", "Dropout", "Flatten", "Identity", "QuantizeLinear", "Reshape"}
+    | {"Resize", "Slice", "Squeeze", "Transpose", "Unsqueeze", "Upsample"}
+)
+"""Operators that change nothing of what an output's numbers mean."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +57,20 @@ class Contents:
     external: int
     """Tensors whose numbers lie in other files."""
     nodes: int
+    makers: Mapping[str, tuple[str, str]]
+    """By what the nodes of the graph put out: operator, and the first thing it takes in."""
+
+    def operator(self, output: str) -> str:
+        """The operator whose numbers an output holds, seen through those that change nothing of them.
+
+        Empty where no node of the graph makes it.
+        """
+        operator = ""
+        for _ in range(len(self.makers)):
+            operator, output = self.makers.get(output, ("", ""))
+            if operator not in PASSING:
+                break
+        return operator
 
 
 # The messages that lead to a tensor, and the numbers of the fields that do (onnx.proto, IR version 10).
@@ -67,6 +93,7 @@ def contents(model: bytes) -> Contents:
     """
     opsets: dict[str, int] = {}
     counts = {"external": 0, "nodes": 0, "fields": 0, "graphs": 0}
+    makers: dict[str, tuple[str, str]] = {}
 
     def look(part: memoryview, kind: str, depth: int) -> None:
         if depth > 4 * DEEPEST:
@@ -74,6 +101,7 @@ def contents(model: bytes) -> Contents:
         counts["nodes"] += kind == "node"
         counts["graphs"] += kind == "graph"
         domain, version, elsewhere = "", 0, False
+        taken, made, operator = "", [], ""
         for number, value in _fields(part, counts):
             inside = _INSIDE.get(kind, {}).get(number)
             if inside is not None:
@@ -84,19 +112,33 @@ def contents(model: bytes) -> Contents:
                 look(value, inside, depth + 1)
             elif kind == "opset":
                 if number == 1 and isinstance(value, memoryview):
-                    domain = bytes(value[:200]).decode("utf-8", "replace")
+                    domain = _name(value)
                 elif number == 2 and isinstance(value, int):
                     version = value
+            elif kind == "node" and isinstance(value, memoryview):
+                if number == 1:
+                    taken = taken or _name(value)
+                elif number == 2:
+                    made.append(_name(value))
+                elif number == 4:
+                    operator = _name(value)
             elif kind == "tensor" and (number == 13 or (number == 14 and value == 1)):
                 elsewhere = True
         counts["external"] += elsewhere
+        if kind == "node":
+            # The names of inner graphs and functions are no outputs of the model.
+            makers.update((name, (operator, taken)) for name in made if depth == 2)
         if kind == "opset":
             opsets["" if domain == "ai.onnx" else domain] = version
 
     look(memoryview(model), "model", 0)
     if counts["graphs"] == 0 or not opsets:
         raise ValueError("model: expected a graph and its opset, found none. Is it an ONNX file?")
-    return Contents(opsets, counts["external"], counts["nodes"])
+    return Contents(opsets, counts["external"], counts["nodes"], makers)
+
+
+def _name(value: memoryview) -> str:
+    return bytes(value[:MOST_NAME]).decode("utf-8", "replace")
 
 
 def _fields(part: memoryview, counts: dict[str, int]) -> Iterator[tuple[int, int | memoryview]]:
@@ -140,8 +182,10 @@ def _varint(part: memoryview, at: int) -> tuple[int, int]:
     raise ValueError("model: a number has more than 10 bytes. Is it an ONNX file?")
 
 
-def checked_bytes(path: str | Path, *, most: int | None = None, sha256: str | None = None) -> bytes:
-    """The file's bytes, if it is a model that may be run.
+def checked_bytes(
+    path: str | Path, *, most: int | None = None, sha256: str | None = None
+) -> tuple[bytes, Contents]:
+    """The file's bytes and what they hold, if it is a model that may be run.
 
     Args:
         path: Of the model.
@@ -180,13 +224,13 @@ def checked_bytes(path: str | Path, *, most: int | None = None, sha256: str | No
     version = found.opsets.get("", OPSETS[0])
     if not OPSETS[0] <= version <= OPSETS[1]:
         raise ValueError(f"model: expected opset {OPSETS[0]} to {OPSETS[1]}, got {version}. Export it again")
-    return model
+    return model, found
 
 
 class Network:
     """One input picture, some output arrays.
 
-    Assumes: float32 in and out, a batch of one.
+    Assumes: a batch of one.
     """
 
     def __init__(
@@ -212,7 +256,7 @@ class Network:
         """
         if not 1 <= threads <= 8:
             raise ValueError(f"threads: expected 1 to 8, got {threads}")
-        model = checked_bytes(path, most=most, sha256=sha256)
+        model, self._contents = checked_bytes(path, most=most, sha256=sha256)
         try:
             import onnxruntime
         except ImportError as error:
@@ -227,10 +271,15 @@ class Network:
             raise ValueError(f"model: ONNX Runtime refuses {path}: {_first_line(error)}") from error
         self.path = str(path)
         inputs = self._session.get_inputs()
-        if len(inputs) != 1 or inputs[0].type != "tensor(float)":
-            got = ", ".join(f"{i.name}: {i.type}" for i in inputs[:4])
-            raise ValueError(f"model: expected one input of tensor(float), got {got or 'none'}")
+        if len(inputs) != 1 or inputs[0].type not in KINDS:
+            got = ", ".join(f"{i.name[:MOST_NAME]}: {i.type}" for i in inputs[:4])
+            raise ValueError(
+                f"model: expected one input of {', '.join(KINDS)}, got {got or 'none'}. "
+                "Export it with a single picture as its input"
+            )
         self._name = inputs[0].name
+        self.kind = np.dtype(KINDS[inputs[0].type])
+        """Of the numbers of a picture."""
         self.input_shape: tuple[int | None, ...] = _shape(inputs[0].shape)
         """None where any length will do."""
         if len(self.input_shape) != 4 or self.input_shape[0] not in (1, None):
@@ -244,28 +293,38 @@ class Network:
         self.metadata: dict[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
         """What the file's maker wrote into it."""
 
-    def run(self, picture: Float32Array, names: list[str]) -> list[Float32Array]:
-        """Outputs for one picture.
+    def operator(self, output: str) -> str:
+        """The operator whose numbers an output holds; see `Contents.operator`."""
+        return self._contents.operator(output)
+
+    def run(self, picture: npt.NDArray[Any], names: list[str]) -> list[npt.NDArray[Any]]:
+        """Outputs for one picture, as they come: whole numbers, booleans or floats, finite or not.
 
         Args:
-            picture: As the input's shape asks.
+            picture: As the input's shape asks; float32, or uint8 where the input is.
             names: Of the outputs.
 
         Raises:
-            ValueError: ONNX Runtime fails, or an output is not of finite float numbers.
+            ValueError: The picture's numbers are of another kind, ONNX Runtime fails, or an output is no
+                array of numbers.
         """
+        if not np.can_cast(picture.dtype, self.kind, "same_kind"):
+            raise ValueError(f"model: {self.path} takes a tensor of {self.kind}, got one of {picture.dtype}")
+        with np.errstate(over="ignore"):  # Of half precision: an inf comes out as one, and is told there.
+            fed = picture.astype(self.kind, copy=False)
         try:
-            answers: list[npt.NDArray[Any]] = self._session.run(names, {self._name: picture})
+            answers: list[npt.NDArray[Any]] = self._session.run(names, {self._name: fed})
         except Exception as error:
             raise ValueError(f"model: {self.path} fails on {picture.shape}: {_first_line(error)}") from error
         for name, answer in zip(names, answers, strict=True):
-            if not isinstance(answer, np.ndarray) or not np.issubdtype(answer.dtype, np.floating):
+            if not isinstance(answer, np.ndarray) or answer.dtype.kind not in "biuf":
+                got = getattr(answer, "dtype", "no array")
+                raise ValueError(f"model: expected numbers in {name[:MOST_NAME]}, got {got}")
+            if answer.size > MOST_VALUES:
                 raise ValueError(
-                    f"model: expected floats in {name}, got {getattr(answer, 'dtype', 'no array')}"
+                    f"model: expected at most {MOST_VALUES} numbers in {name[:MOST_NAME]}, got {answer.size}"
                 )
-            if not answer.size <= MOST_VALUES or not np.isfinite(answer).all():
-                raise ValueError(f"model: expected finite numbers in {name} of {self.path}, got others")
-        return [answer.astype(np.float32, copy=False) for answer in answers]
+        return answers
 
 
 def _shape(shape: list[Any]) -> tuple[int | None, ...]:

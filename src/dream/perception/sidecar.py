@@ -5,10 +5,11 @@ from __future__ import annotations
 import ast
 import json
 import math
+import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
@@ -18,6 +19,8 @@ from dream.types import Label
 MOST_TEXT = 1 << 18
 """Bytes of a sidecar, and of one entry of a model's metadata."""
 MOST_CLASSES = 1000
+MOST_SHOWN = 8
+"""Names of a list that a message shows."""
 
 LABELS = {label.name.lower(): label for label in Label}
 WORDS = {
@@ -27,6 +30,14 @@ WORDS = {
     Label.WATER: "background surface open_water",
 }
 """Class names that say themselves which label they are, but for an s at the end."""
+NAMED = ("names", "id2label", "classes", "class_names", "labels")
+"""Entries of a model's metadata in which exporters write its classes: Ultralytics the first, Hugging Face the
+second."""
+NOT_NAMED = re.compile(r"(label|class)?[ _-]?\d+")
+"""Names that an exporter makes up where it knows none."""
+
+LABELLING = ("logits", "probabilities", "classes", "instances")
+"""Outputs that labels are made of."""
 
 Side = Annotated[int, Field(ge=8, le=MOST_SIDE)]
 Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e6, le=1e6)]
@@ -42,11 +53,17 @@ class Sidecar(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    output: Literal["logits", "instances", "metric_depth", "relative_depth", "inverse_depth"]
-    """Class scores per pixel; boxes and prototype masks as Ultralytics exports them; metres along the optical
-    axis; the same up to a factor; a reciprocal of it up to a factor and an offset."""
+    output: Literal[
+        "logits", "probabilities", "classes", "instances", "metric_depth", "relative_depth", "inverse_depth"
+    ]
+    """Scores of the classes per pixel, before a softmax or sigmoid; the same after it; the number of a class
+    per pixel, or masks; boxes and prototype masks as Ultralytics exports them; metres along the optical axis;
+    the same up to a factor; a reciprocal of it up to a factor and an offset."""
+    exclusive: bool = True
+    """Whether each pixel is of one of several classes (softmax); else each class is told by itself (sigmoid),
+    as a single one always is, and a pixel may be of none."""
     layout: Literal["NCHW", "NHWC"] = "NCHW"
-    """Of the input, and of logits."""
+    """Of the input, and of scores where both could be."""
     width: Side | None = None
     """Of the input in pixels, where the model leaves it open."""
     height: Side | None = None
@@ -59,6 +76,9 @@ class Sidecar(BaseModel):
     """Whether the picture keeps its proportions, on grey; else it is stretched."""
     classes: dict[Annotated[str, Field(max_length=100)], LabelName] = Field({}, max_length=MOST_CLASSES)
     """Label by class name, in the order of the network's classes."""
+    names_from: Literal["both", "sidecar"] = "both"
+    """Whether the model's own metadata, where they name its classes, must say the same as `classes`; with
+    `sidecar` they are wrong, and are not looked at."""
     name: Annotated[str, Field(max_length=200)] | None = None
     """Of the output; the first where None."""
     least_score: Annotated[float, Field(ge=0.0, le=1.0)] = 0.25
@@ -66,10 +86,12 @@ class Sidecar(BaseModel):
 
     @model_validator(mode="after")
     def _classes_where_labels(self) -> Sidecar:
-        if self.output in ("logits", "instances") and not self.classes:
+        if self.output in LABELLING and not self.classes:
             raise ValueError(
                 f'classes: expected names and labels, like {{"oyster": "target"}}, for {self.output}'
             )
+        if not self.exclusive and self.output not in ("logits", "probabilities"):
+            raise ValueError(f"exclusive: expected only with logits or probabilities, got {self.output}")
         return self
 
     @field_validator("std")
@@ -100,13 +122,23 @@ def read_sidecar(path: str | Path) -> Sidecar:
     if len(raw) > MOST_TEXT:
         raise ValueError(f"sidecar: expected at most {MOST_TEXT} bytes, got more in {path}")
     try:
-        text = raw.decode()
-        content = tomllib.loads(text) if path.suffix == ".toml" else json.loads(text)
+        text = raw.decode("utf-8-sig")
+        toml = path.suffix == ".toml"
+        content = tomllib.loads(text) if toml else json.loads(text, object_pairs_hook=_each_once)
         return Sidecar.model_validate(content)
     except ValidationError as error:
         raise ValueError(f"sidecar {path}: {_reasons(error)}") from error
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"sidecar {path}: expected JSON or TOML ({error})") from error
+        raise ValueError(f"sidecar {path}: expected JSON or TOML ({str(error)[:200]})") from error
+
+
+def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of JSON; of two equal names the standard reader keeps one, and a class would be lost."""
+    content = dict(pairs)
+    if len(content) != len(pairs):
+        twice = next(name for n, (name, _) in enumerate(pairs) if name in dict(pairs[:n]))
+        raise ValueError(f"expected each name once, got {twice[:100]!r} twice")
+    return content
 
 
 def sidecar_beside(model: str | Path) -> Path | None:
@@ -148,7 +180,14 @@ def ultralytics(metadata: Mapping[str, str], classes: Mapping[str, str] | None =
         size = [size, size]
     if not isinstance(size, list) or len(size) != 2:
         raise ValueError(f"imgsz: expected height and width, got {str(size)[:100]}")
-    known = {name: label_of(str(name), classes or {}) for _, name in sorted(names.items())}
+    try:
+        known = {name: label_of(str(name), classes or {}) for _, name in sorted(names.items())}
+    except ValueError as error:
+        wanted = _table({str(name): "?" for _, name in sorted(names.items())[:MOST_SHOWN]})
+        raise ValueError(
+            f'{error} or in a file beside the model: {{"output": "instances", "letterbox": true, '
+            f'"classes": {wanted}}}'
+        ) from error
     if len(known) != len(names):
         raise ValueError("names: expected a different name for each class")
     try:
@@ -165,6 +204,88 @@ def ultralytics(metadata: Mapping[str, str], classes: Mapping[str, str] | None =
         raise ValueError(f"model's metadata: {_reasons(error)}") from error
 
 
+def named(metadata: Mapping[str, str]) -> tuple[str, list[str]] | None:
+    """The entry of a model's metadata that names its classes, and the names in their order.
+
+    None where there is no such entry, it cannot be read, or its names are made up by the exporter.
+    """
+    for entry in NAMED:
+        names = _listed(metadata.get(entry, ""))
+        if names and not all(NOT_NAMED.fullmatch(name.strip().lower()) for name in names):
+            return entry, names
+    return None
+
+
+def _listed(text: str) -> list[str] | None:
+    """Names in a list, or in a table from their numbers, of JSON or Python; else between commas or lines."""
+    if not 0 < len(text) <= MOST_TEXT:
+        return None
+    try:
+        value: object = json.loads(text)
+    except (ValueError, RecursionError):
+        try:
+            value = ast.literal_eval(text)
+        except (ValueError, SyntaxError, MemoryError, RecursionError):
+            # A sentence names nothing, and what looks like a table or a call is no list of names.
+            value = re.split(r"[,\n]", text.strip()) if not re.search(r"[\[\]{}()]", text) else None
+            value = None if value is not None and len(value) < 2 else value
+    if isinstance(value, dict):
+        try:
+            by_number = {int(number): name for number, name in value.items()}
+        except (ValueError, TypeError):
+            return None
+        if len(by_number) != len(value) or sorted(by_number) != list(range(len(by_number))):
+            return None
+        value = [by_number[number] for number in range(len(by_number))]
+    if not isinstance(value, list | tuple) or not 0 < len(value) <= MOST_CLASSES:
+        return None
+    names = [name.strip() for name in value if isinstance(name, str)]
+    return names if len(names) == len(value) else None
+
+
+def check_names(sidecar: Sidecar, metadata: Mapping[str, str]) -> None:
+    """Refuse a sidecar whose classes are not those that the model itself names, or in another order.
+
+    Raises:
+        ValueError: The message has both lists, and what to write for either to be right.
+    """
+    own = named(metadata)
+    if own is None or sidecar.names_from == "sidecar" or sidecar.output not in LABELLING:
+        return
+    entry, names = own
+    said = list(sidecar.classes)
+    if [_plain(name) for name in said] == [_plain(name) for name in names]:
+        return
+    label_by = {_plain(name): label for name, label in sidecar.classes.items()}
+    mended = {name: label_by.get(_plain(name), "?") for name in names[:MOST_SHOWN]}
+    more = ", ..." if len(names) > MOST_SHOWN else ""
+    raise ValueError(
+        f"classes: the sidecar says {shown(said)}, but the model's own {entry!r} say {shown(names)}. "
+        f'Where the model is right, write "classes": {_table(mended)}{more}; '
+        'where the sidecar is, add "names_from": "sidecar"'
+    )
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[ _-]+", " ", name.strip().lower())
+
+
+def _table(names: Mapping[str, str]) -> str:
+    short = {_cut(name): label for name, label in names.items()}
+    return json.dumps(short, ensure_ascii=False)
+
+
+def _cut(text: str, most: int = 40) -> str:
+    return text if len(text) <= most else text[: most - 3] + "..."
+
+
+def shown(names: Iterable[str]) -> str:
+    """A list of names for a message, of which no length is known."""
+    names = list(names)
+    few = ", ".join(_cut(name) for name in names[:MOST_SHOWN])
+    return f"[{few}, ... {len(names)} in all]" if len(names) > MOST_SHOWN else f"[{few}]"
+
+
 def label_of(name: str, classes: Mapping[str, str]) -> Label:
     """The label that a class is.
 
@@ -179,8 +300,8 @@ def label_of(name: str, classes: Mapping[str, str]) -> Label:
             if word in words.split():
                 return label
     raise ValueError(
-        f"class {name!r}: expected to know whether it is {', '.join(LABELS)}. "
-        f'Say so in `classes`, like {{{name!r}: "target"}}'
+        f"class {_cut(name)!r}: expected to know whether it is {', '.join(LABELS)}. "
+        f'Say so in `classes`, like {{"{_cut(name)}": "target"}}'
     )
 
 
@@ -199,5 +320,6 @@ def _literal(metadata: Mapping[str, str], name: str) -> object:
 
 def _reasons(error: ValidationError) -> str:
     return "; ".join(
-        f"{'.'.join(map(str, item['loc'])) or 'all of it'}: {item['msg']}" for item in error.errors()[:4]
+        f"{_cut('.'.join(map(str, item['loc'])), 100) or 'all of it'}: {item['msg'][:300]}"
+        for item in error.errors()[:4]
     )

@@ -154,7 +154,11 @@ class Policy:
                 f"weights: expected (n, {len(TURNS_DEG)}) logits, one for each turn, got {scores.shape} from "
                 f"{self._network.path}"
             )
-        logits: Float32Array = scores[0]
+        logits: Float32Array = scores[0].astype(np.float32)
+        if not np.isfinite(logits).all():
+            raise ValueError(
+                f"weights: expected finite numbers in logits of {self._network.path}, got others"
+            )
         return logits
 
 
