@@ -179,11 +179,12 @@ def judge(
         views(world, protocol, count, conditions, rng), 1
     ):
         start = time.process_time()
-        depth, labels, confidence = perception.perceive(rgb, camera, told, mount, altitude)
+        shows = perception.perceive(rgb, camera, told, mount, altitude)
+        depth, labels, confidence = shows.depth, shows.labels, shows.confidence
         tally.seconds.append(time.process_time() - start)
         _, sure = perception.segmenter.segment(rgb)
         add_pixels(tally, frame, (depth, labels, sure, confidence), truth @ mount, protocol)
-        told_map.integrate(depth, labels, camera, told @ mount)
+        told_map.integrate(depth, labels, camera, told @ mount, confidence)
         true_map.integrate(frame.depth, frame.labels, camera, truth @ mount)
         if n % frames_a_map == 0:
             tally.maps.append(compared(told_map, true_map))

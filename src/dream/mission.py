@@ -140,4 +140,10 @@ def _look_around() -> Decision:
 
 
 def _integrate(occupancy: OccupancyMap, observation: Observation) -> None:
-    occupancy.integrate(observation.depth, observation.labels, observation.camera, observation.T_world_camera)
+    occupancy.integrate(
+        observation.depth,
+        observation.labels,
+        observation.camera,
+        observation.T_world_camera,
+        observation.confidence,
+    )

@@ -57,11 +57,17 @@ class Observation:
     camera: Camera
     T_world_base: SE3
     T_base_camera: SE3
+    confidence: Float32Array | None = None
+    """(H, W) probability that depth and label are right; None where all are taken for right."""
 
     def __post_init__(self) -> None:
         self.camera.scaled(max(1, len(self.rgb) // self.camera.height)).check(self.rgb, "rgb")
         self.camera.check(self.depth, "depth")
         self.camera.check(self.labels, "labels")
+        if self.confidence is not None:
+            self.camera.check(self.confidence, "confidence")
+            if not (self.confidence.min() >= 0.0 and self.confidence.max() <= 1.0):
+                raise ValueError("confidence: expected probabilities in [0, 1], got others")
 
     @property
     def T_world_camera(self) -> SE3:

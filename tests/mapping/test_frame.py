@@ -159,7 +159,12 @@ class PlainMap:
         return height
 
     def integrate(
-        self, depth: npt.NDArray[Any], labels: npt.NDArray[Any], camera: Camera, T_world_camera: SE3
+        self,
+        depth: npt.NDArray[Any],
+        labels: npt.NDArray[Any],
+        camera: Camera,
+        T_world_camera: SE3,
+        confidence: npt.NDArray[Any] | None = None,
     ) -> None:
         protocol, evidence, cell = self.protocol, self.evidence, self.protocol.cell
         R, t = T_world_camera.rotation, T_world_camera.translation
@@ -175,8 +180,9 @@ class PlainMap:
         thin = cell * min(camera.fx, camera.fy) / 4
         cuts = [f32(thin / 2), f32(thin / 4)]
         valid = (z > f32(protocol.min_depth)) & (z <= f32(protocol.max_depth))
+        sixteenths = np.rint((np.ones(z.shape, f32) if confidence is None else confidence) * 16).astype(int)
         if not soft:
-            valid &= labels != Label.WATER
+            valid &= (labels != Label.WATER) & (sixteenths > 0)
         level: npt.NDArray[Any] = (z <= cuts[0]).astype(int) + (z <= cuts[1])
         pixel: npt.NDArray[Any] = np.indices(z.shape)
         v, u = pixel
@@ -184,7 +190,7 @@ class PlainMap:
         taken = valid & ((v % (1 << level) == 0) | near_horizon) & (u % (2 << level) == 0)
         # By levels, then in raster order.
         order = np.lexsort((u[taken], v[taken], level[taken]))
-        v, u, z, level, label = (a[taken][order] for a in (v, u, z, level, labels))
+        v, u, z, level, label, sure = (a[taken][order] for a in (v, u, z, level, labels, sixteenths))
         a, b = (u + 0.5 - camera.cx) / camera.fx, (v + 0.5 - camera.cy) / camera.fy
         part = [(R[k, 0] * a).astype(f32) + (R[k, 1] * b + R[k, 2]).astype(f32) for k in range(3)]
         x, y, up = (z * of for of in part)
@@ -209,7 +215,7 @@ class PlainMap:
         near = x * x + y * y <= f32(protocol.reach**2)
         row, col = np.where(near, row, 0), np.where(near, col, 0)
         near &= self.inside[row, col]
-        row, col, height, u, level, label = (a[near] for a in (row, col, height, u, level, label))
+        row, col, height, u, level, label, sure = (a[near] for a in (row, col, height, u, level, label, sure))
 
         # ---- the seabed
         total, count = np.zeros(self.ground_sum.shape), np.zeros(self.ground_sum.shape)
@@ -221,8 +227,8 @@ class PlainMap:
             seabed = (byte < 128) & (np.abs(height - prior) <= protocol.band[0])
             weight = np.rint(byte / 255 * 16).astype(int)
         else:
-            seabed = label == Label.SEABED
-            weight = np.where(label == Label.TARGET, 16, 0)
+            seabed = (label == Label.SEABED) & (sure >= 8)
+            weight = np.where(label == Label.TARGET, sure, 0)
         seabed &= (u // (2 << level)) % 8 == 0
         np.add.at(total, (row[seabed] // self.post, col[seabed] // self.post), height[seabed])
         np.add.at(count, (row[seabed] // self.post, col[seabed] // self.post), 1)
@@ -238,13 +244,17 @@ class PlainMap:
         np.add.at(shown, (row, col, field), 1)
         targets = np.zeros(self.flags.shape, int)
         np.add.at(targets, (row, col), weight)
+        whole = np.zeros(self.flags.shape, int)
+        np.add.at(whole, (row, col), sure)
 
         eye = (float(t[1]) - self.y0) / cell - self.low[0], (float(t[0]) - self.x0) / cell - self.low[1]
         sector = Sector(protocol, camera, T_world_camera)
         odds, said = self.log_odds.astype(int), np.zeros(self.flags.shape, np.uint8)
         vote = np.zeros(self.flags.shape, int)
         for i, j in np.argwhere(shown.any(axis=2)):
-            change = self.change(shown, int(i), int(j), eye, sector)
+            pixels = shown[i, j].sum()
+            trust = whole[i, j] / (16 * pixels)
+            change = self.change(shown, int(i), int(j), eye, sector, trust)
             odds[i, j] = min(max(odds[i, j] + change, LOWEST), 70)
             said[i, j] |= RETURNED
             if shown[i, j, 0]:
@@ -253,12 +263,12 @@ class PlainMap:
                 said[i, j] |= SEABED
             if change > 0 and shown[i, j, 1]:
                 said[i, j] |= GROUNDED
-            pixels = shown[i, j].sum()
             band = shown[i, j, 1:3].sum()
-            if pixels - (band if band < evidence.min_pixels else 0) >= evidence.vote_pixels:
-                if targets[i, j] >= evidence.vote_share * 16 * pixels:
+            enough = pixels - (band if band < evidence.min_pixels else 0) >= evidence.vote_pixels
+            if enough and trust >= 0.5:
+                if targets[i, j] >= evidence.vote_share * whole[i, j]:
                     vote[i, j] = 1
-                elif targets[i, j] <= evidence.against_share * 16 * pixels:
+                elif targets[i, j] <= evidence.against_share * whole[i, j]:
                     vote[i, j] = 2
         returned: npt.NDArray[np.bool_] = np.asarray(shown.any(axis=2))
         self.cast(sector, eye, farthest, returned, odds, said)
@@ -285,9 +295,10 @@ class PlainMap:
                 self.ground_sum[i, j], self.ground_count[i, j] = mean * points, points
 
     def change(
-        self, shown: npt.NDArray[Any], i: int, j: int, here: tuple[float, float], sector: Sector
+        self, shown: npt.NDArray[Any], i: int, j: int, here: tuple[float, float], sector: Sector, trust: float
     ) -> int:
-        """Twentieths of log-odds from a cell's own pixels: 12 a hit, −12 or −3 a miss, −6 mere scatter."""
+        """Twentieths of log-odds from a cell's own pixels: 12 a hit, −12 or −3 a miss, −6 mere scatter; as
+        far as its pixels are sure, but one at least."""
         evidence = self.evidence
         band, below, pixels = shown[i, j, 1:3].sum(), shown[i, j, 0], shown[i, j].sum()
         away = np.array([i + 0.5 - here[0], j + 0.5 - here[1]])
@@ -299,15 +310,15 @@ class PlainMap:
                 return 0
             around = np.s_[i - 1 : i + 2, j - 1 : j + 2]
             grounded = (self.log_odds[around] > 0) & (self.flags[around] & GROUNDED > 0)
-            return -12 if self.log_odds[i, j] <= 0 or grounded.any() else -3
+            return -max(round(trust * (12 if self.log_odds[i, j] <= 0 or grounded.any() else 3)), 1)
         scatter = evidence.range_noise * (distance * self.protocol.cell) ** 2 / self.protocol.cell
         most = band
         for k in range(1, math.ceil(2 * scatter - 0.3) + 1):
             behind = np.floor(np.array([i, j]) + 0.5 + k * away / distance).astype(int)
             most = max(most, shown[behind[0], behind[1], 1:3].sum())
         if band < evidence.peak_share * most:
-            return -6
-        return max(round(12 * min(1.0, 0.5 / max(scatter, 1e-9))), 1)
+            return -max(round(trust * 6), 1)
+        return max(round(12 * (trust * min(1.0, 0.5 / max(scatter, 1e-9)))), 1)
 
     def cast(
         self,
@@ -440,20 +451,21 @@ PROTOCOLS = {"shallow": SHALLOW, "coarse": COARSE}
     lens=st.sampled_from(list(CAMERAS)),
     scale=st.sampled_from(list(PROTOCOLS)),
     whole=st.booleans(),
-    soft=st.booleans(),
+    told=st.sampled_from(["labels", "labels, unsure", "probabilities"]),
     bounded=st.booleans(),
     far=st.sampled_from([(0.0, 0.0), (-3.3, 7.1), (FAR, -FAR)]),
 )
 # What is cleared in a frame does not depend on which cell comes first.
-@example(2055518068, "scene", "narrow", "coarse", True, False, False, (-3.3, 7.1))
-@example(911820706, "scene", "off centre", "coarse", False, True, True, (FAR, -FAR))
+@example(2055518068, "scene", "narrow", "coarse", True, "labels", False, (-3.3, 7.1))
+@example(911820706, "scene", "off centre", "coarse", False, "probabilities", True, (FAR, -FAR))
+@example(17, "scene", "wide", "coarse", False, "labels, unsure", False, (0.0, 0.0))
 def test_frame_after_frame_the_map_is_that_of_the_plain_rule(
     seed: int,
     kind: str,
     lens: str,
     scale: str,
     whole: bool,
-    soft: bool,
+    told: str,
     bounded: bool,
     far: tuple[float, float],
 ) -> None:
@@ -465,9 +477,11 @@ def test_frame_after_frame_the_map_is_that_of_the_plain_rule(
     occupancy, plain = OccupancyMap(bounds, protocol), PlainMap(bounds, protocol, *far)
     for _ in range(int(rng.integers(1, 6))):
         depth, labels, pose = random_frame(rng, protocol, camera, far, kind)
+        soft, unsure = told == "probabilities", told == "labels, unsure"
         frame = (millimetres(depth) if whole else depth, probabilities(rng, labels) if soft else labels)
-        occupancy.integrate(*frame, camera, pose)
-        plain.integrate(*frame, camera, pose)
+        confidence = rng.random(depth.shape).astype(f32) ** rng.uniform(0.0, 3.0) if unsure else None
+        occupancy.integrate(*frame, camera, pose, confidence)
+        plain.integrate(*frame, camera, pose, confidence)
     plain.check(occupancy)
 
 

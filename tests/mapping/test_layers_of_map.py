@@ -754,3 +754,62 @@ def test_poses_a_thousand_kilometres_away_make_the_same_map() -> None:
         np.testing.assert_array_equal(
             near._store.read(name, (0, 0), (96, 96)), far._store.read(name, (0, 0), (96, 96)), err_msg=name
         )
+
+
+@pytest.mark.parametrize(("confidence", "units"), [(1.0, 12), (0.5, 6), (0.25, 3), (0.05, 1), (0.02, 0)])
+def test_a_hit_counts_as_far_as_it_is_sure(confidence: float, units: int) -> None:
+    pose = camera_at(0.0, 0.0, 0.0)
+    depth, labels = render(pose, wall(3.0))
+    sure, unsure = empty_map(), empty_map()
+    sure.integrate(depth, labels, CAMERA, pose)
+    unsure.integrate(depth, labels, CAMERA, pose, np.full(depth.shape, confidence))
+    whole = sure._wide("log_odds") == 12
+    assert whole.sum() > 10
+    assert (unsure._wide("log_odds")[whole] == units).all()
+
+
+def test_what_is_unsure_clears_slowly() -> None:
+    pose = camera_at(0.0, 0.0, 0.0)
+    depth, labels = render(pose, wall(3.0))
+    ground = render(pose)
+    left = []
+    for confidence in (1.0, 0.5, 0.1):
+        occupancy = empty_map()
+        for _ in range(4):
+            occupancy.integrate(depth, labels, CAMERA, pose)
+        stood = int(occupancy.solid.sum())
+        for _ in range(5):
+            occupancy.integrate(*ground, CAMERA, pose, np.full(depth.shape, confidence))
+        left.append(int(occupancy.solid.sum()) / stood)
+    assert left[0] < 0.3
+    assert left[0] < left[1] <= left[2]
+    assert left[2] > 0.9
+
+
+def test_unsure_labels_have_no_vote_and_surer_ones_outvote_others() -> None:
+    pose = camera_at(0.0, 0.0, 0.0)
+    depth, _ = render(pose)
+    target = np.full(depth.shape, Label.TARGET, np.uint8)
+    for confidence, expected in ((0.9, 1), (0.5, 1), (0.4, 0), (0.1, 0)):
+        occupancy = empty_map()
+        before = occupancy.target_probability
+        occupancy.integrate(depth, target, CAMERA, pose, np.full(depth.shape, confidence))
+        after = occupancy.target_probability
+        assert (np.sign(after - before)[occupancy.seabed_seen] == expected).all()
+
+
+@pytest.mark.parametrize(
+    ("confidence", "wrong"),
+    [
+        (np.full((2, 2), 0.5), "confidence: expected"),
+        (np.full((CAMERA.height, CAMERA.width), 1.5), "confidence: expected probabilities"),
+        (np.full((CAMERA.height, CAMERA.width), np.nan), "confidence: expected probabilities"),
+    ],
+)
+def test_a_confidence_that_is_none_is_refused(confidence: npt.NDArray[Any], wrong: str) -> None:
+    pose = camera_at(0.0, 0.0, 0.0)
+    depth, labels = render(pose)
+    with pytest.raises(ValueError, match=wrong):
+        empty_map().integrate(depth, labels, CAMERA, pose, confidence)
+    with pytest.raises(ValueError, match="expected none beside probabilities"):
+        empty_map().integrate(depth, np.zeros(depth.shape), CAMERA, pose, np.ones(depth.shape))

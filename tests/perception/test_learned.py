@@ -281,12 +281,14 @@ def test_metric_depth_stays_and_is_doubted_as_far_as_it_leaves_the_floor(tmp_pat
     assert (confidence == 0.0).all()
 
 
-@pytest.mark.parametrize("wrong", [lambda z: 3.0 * z, lambda z: 0.3 * z, lambda z: np.full_like(z, 2.5)])
+@pytest.mark.parametrize("wrong", [lambda z: 3.0 * z, lambda z: 0.3 * z, lambda z: 1.5 * z - 0.2])
 def test_metres_that_the_floor_contradicts_are_not_believed(tmp_path: Path, wrong: object) -> None:
-    """Also where they agree by chance on a few pixels, as a depth that is the same everywhere does."""
+    """Also where they agree by chance on a few pixels."""
     assert callable(wrong)
     truth, labels = seen()
-    depth, confidence = depth_of(constant(tmp_path / "m.onnx", wrong(truth)), "metric_depth", labels)
+    by_chance = np.random.default_rng(2).random(truth.shape) < 0.05
+    raw = np.where(by_chance, truth, wrong(truth))
+    depth, confidence = depth_of(constant(tmp_path / "m.onnx", raw), "metric_depth", labels)
     assert np.isfinite(depth[24:]).any()
     assert (confidence == 0.0).all()
 
@@ -379,7 +381,7 @@ def test_networks_make_a_perception(tmp_path: Path) -> None:
         constant(tmp_path / "d.onnx", truth), sidecar=Sidecar.model_validate({"output": "metric_depth"})
     )
     perception = Perception(segmenter, depth_model)
-    depth, labels, confidence = perception.perceive(scene(), CAMERA, LEVEL, MOUNT, 0.6)
-    assert (labels == expected()).mean() > 0.98
-    assert np.isfinite(depth).all()
-    assert ((confidence >= 0.0) & (confidence <= 1.0)).all()
+    shows = perception.perceive(scene(), CAMERA, LEVEL, MOUNT, 0.6)
+    assert (shows.labels == expected()).mean() > 0.98
+    assert np.isfinite(shows.depth).all()
+    assert ((shows.confidence >= 0.0) & (shows.confidence <= 1.0)).all()

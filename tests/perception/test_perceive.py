@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
@@ -26,12 +27,72 @@ class Bright:
 
 def test_confidence_is_the_lesser_of_the_two() -> None:
     perception = Perception(Bright(), FlatFloor())
-    depth, labels, confidence = perception.perceive(np.zeros((6, 8, 3), np.uint8), CAMERA, LEVEL, MOUNT, 2.0)
+    shows = perception.perceive(np.zeros((6, 8, 3), np.uint8), CAMERA, LEVEL, MOUNT, 2.0)
+    depth, labels, confidence = shows.depth, shows.labels, shows.confidence
     assert depth.shape == labels.shape == confidence.shape == (6, 8)
     assert depth.dtype == confidence.dtype == np.float32
     assert confidence.max() <= np.float32(0.8)
     assert (confidence[np.isnan(depth)] == 0.0).all()
     assert np.isnan(depth).any()
+
+
+LARGE = Camera.from_fov(32, 24, math.radians(90.0))
+
+
+class Far:
+    """The flat floor, so many times as far; and how sure of it."""
+
+    def __init__(self, times: float, sure: float) -> None:
+        self.times, self.sure = times, sure
+
+    def estimate(
+        self,
+        rgb: UInt8Array,
+        labels: UInt8Array,
+        camera: Camera,
+        altitude: float,
+        T_world_base: SE3,
+        T_base_camera: SE3,
+    ) -> tuple[Float32Array, Float32Array]:
+        floor, _ = FlatFloor().estimate(rgb, labels, camera, altitude, T_world_base, T_base_camera)
+        return self.times * floor, np.where(np.isnan(floor), 0.0, self.sure).astype(np.float32)
+
+
+@pytest.mark.parametrize("times", [3.0, 0.3, 1.3])
+def test_depth_of_which_nobody_is_sure_is_none_and_it_is_said_how_far_off_it_is(times: float) -> None:
+    black = np.zeros((24, 32, 3), np.uint8)
+    shows = Perception(Bright(), Far(times, 0.0)).perceive(black, LARGE, LEVEL, MOUNT, 2.0)
+    assert np.isnan(shows.depth).all()
+    assert (shows.confidence == 0.0).all()
+    assert shows.account.beside_floor == pytest.approx(times)
+    assert shows.account.agreement == 0.0
+    assert shows.account.no_depth == 24 * 32
+    assert f"depth: {times:.1f} times as far as the floor" in shows.account.doubt
+    unsure = Perception(Bright(), Far(times, 0.2)).perceive(black, LARGE, LEVEL, MOUNT, 2.0)
+    assert np.isfinite(unsure.depth).any()
+    assert unsure.account.confidence == pytest.approx(0.2)
+
+
+def test_what_the_lens_did_not_see_counts_for_nothing() -> None:
+    seen = np.zeros((24, 32), np.bool_)
+    seen[12:] = True
+    black = np.zeros((24, 32, 3), np.uint8)
+    shows = Perception(Bright(), FlatFloor()).perceive(black, LARGE, LEVEL, MOUNT, 2.0, seen)
+    assert np.isnan(shows.depth[:12]).all()
+    assert np.isfinite(shows.depth[12:]).all()
+    assert shows.account.shares == (0.0, 1.0, 0.0, 0.0)
+    assert shows.account.beside_floor == pytest.approx(1.0)
+    assert (shows.account.lost, shows.account.no_depth, shows.account.doubt) == (0, 0, "")
+
+
+def test_an_account_goes_into_json() -> None:
+    tiny = Perception(Bright(), FlatFloor()).perceive(
+        np.zeros((6, 8, 3), np.uint8), CAMERA, LEVEL, MOUNT, 2.0
+    )
+    said = json.loads(json.dumps(tiny.account.said(), allow_nan=False))
+    # Too few pixels show the floor.
+    assert said["depth_beside_floor"] is None
+    assert said["label_shares"] == {"water": 0.0, "seabed": 1.0, "target": 0.0, "obstacle": 0.0}
 
 
 def test_a_finer_picture_is_averaged_over_the_cameras_pixels() -> None:

@@ -189,10 +189,10 @@ def test_the_map_from_colour_alone_is_nearly_that_of_true_depth(views: list[tupl
     told, true = (OccupancyMap(Bounds(-3.0, -3.0, 3.0, 3.0), POOL_V1) for _ in range(2))
     perception, camera = Perception(Shells(), FlatFloor()), POOL_V1.camera
     for frame, pose in views:
-        depth, labels, _ = perception.perceive(
+        shows = perception.perceive(
             compressed(frame.rgb), camera, pose, POOL_V1.T_base_camera, POOL_V1.altitude
         )
-        told.integrate(depth, labels, camera, pose @ POOL_V1.T_base_camera)
+        told.integrate(shows.depth, shows.labels, camera, pose @ POOL_V1.T_base_camera, shows.confidence)
         true.integrate(frame.depth, frame.labels, camera, pose @ POOL_V1.T_base_camera)
     free = true.known & ~true.solid
     assert true.solid.sum() > 50

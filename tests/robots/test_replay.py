@@ -249,6 +249,17 @@ def test_nothing_half_written_stays(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_how_sure_it_was_comes_back_to_the_last_bit(flown: tuple[list[Step], Path], tmp_path: Path) -> None:
+    seen = flown[0][0].observation
+    sure = np.random.default_rng(0).random(seen.depth.shape).astype(np.float32)
+    for confidence in (None, sure, np.zeros_like(sure)):
+        path = tmp_path / "0000.npz"
+        write(path, Kept(None, replace(seen, confidence=confidence)))
+        np.testing.assert_array_equal(read(path).observation.confidence, confidence)
+    with pytest.raises(ValueError, match=r"confidence: expected probabilities in \[0, 1\]"):
+        replace(seen, confidence=2.0 * sure)
+
+
 def test_every_field_of_an_arrival_comes_back(flown: tuple[list[Step], Path], tmp_path: Path) -> None:
     arrival = Arrival(
         SE2(1 / 3, -2 / 7, 0.1),

@@ -16,7 +16,7 @@ from dream.mapping.blocks import BlockStore
 from dream.mapping.layers import BLOCK, LEVELS, QUANTUM, Evidence, post_bits
 from dream.mapping.visibility import RAYS
 from dream.protocol import SurveyProtocol
-from dream.types import Float32Array, IntArray, Label
+from dream.types import Float32Array, IntArray, Label, UInt8Array
 
 PIXELS_ACROSS = 4
 """Pixels that are looked at along the side of a cell that faces the camera; what is nearer is thinned."""
@@ -27,6 +27,8 @@ MARGIN = 2
 """Cells around what a camera can see."""
 LOWER_PART = 0.25
 """Share of the height band that is its lower part."""
+LABEL_BITS = 2
+"""Of a pixel's byte: its label. What is not sure about it is in the bits above."""
 
 
 class FrameWindow:
@@ -71,7 +73,7 @@ class FrameWindow:
         self._scratch = (
             np.empty(cells, np.float32),
             np.empty(cells, np.uint64),
-            np.empty(cells, np.int32),
+            np.empty(cells, np.int64),
             np.empty(cells, np.uint8),
             np.empty(cells, np.uint8),
             np.empty((LEVELS + 1, 3, most_posts, most_posts)),
@@ -371,9 +373,28 @@ def _overlook(camera: Camera, rotation: list[list[float]], reach: float, row: fl
     )
 
 
-_KIND_OF_LABEL = np.full(256, flags.THING, np.uint8)
-_KIND_OF_LABEL[Label.SEABED] = flags.GROUND
-_WEIGHT_OF_LABEL = np.zeros(256, np.int32)
-_WEIGHT_OF_LABEL[Label.TARGET] = 16
+def unsure(labels: UInt8Array, confidence: Float32Array) -> UInt8Array:
+    """(H, W) labels, and in the bits above what is not sure about them, in sixteenths.
+
+    What is not even half a sixteenth sure is water: no return.
+    """
+    trust = np.rint(confidence * flags.WEIGHT).astype(np.uint8)
+    gone = (labels == Label.WATER) | (trust == 0)
+    return np.where(gone, np.uint8(Label.WATER), labels | (flags.WEIGHT - trust) << LABEL_BITS).astype(
+        np.uint8
+    )
+
+
+def _kinds_of_labels() -> tuple[UInt8Array, npt.NDArray[np.int64]]:
+    """(256,) what a label is, and what it weighs, for every label with its doubt."""
+    doubt, label = np.divmod(np.arange(256), 1 << LABEL_BITS)
+    # Seabed that is likelier not there tells nothing of the seabed's height.
+    ground = (label == Label.SEABED) & (2 * doubt <= flags.WEIGHT)
+    target = np.where(label == Label.TARGET, np.maximum(flags.WEIGHT - doubt, 0), 0)
+    weight = target + (doubt << flags.DOUBT_BITS)
+    return np.where(ground, flags.GROUND, flags.THING).astype(np.uint8), weight.astype(np.int64)
+
+
+_KIND_OF_LABEL, _WEIGHT_OF_LABEL = _kinds_of_labels()
 _KIND_OF_PROBABILITY = np.where(np.arange(256) < 128, flags.UNSURE, flags.THING).astype(np.uint8)
-_WEIGHT_OF_PROBABILITY = np.rint(np.arange(256) / 255.0 * 16.0).astype(np.int32)
+_WEIGHT_OF_PROBABILITY = np.rint(np.arange(256) / 255.0 * 16.0).astype(np.int64)

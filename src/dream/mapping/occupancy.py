@@ -20,7 +20,7 @@ from dream.mapping._kernels import flags
 from dream.mapping._rectangles import Rectangle
 from dream.mapping.blocks import BlockStore
 from dream.mapping.edges import Edges
-from dream.mapping.frame import FrameWindow
+from dream.mapping.frame import FrameWindow, unsure
 from dream.mapping.layers import (
     BLOCK,
     CELLS,
@@ -195,6 +195,7 @@ class OccupancyMap(Layers):
         labels: npt.NDArray[Any],
         camera: Camera,
         T_world_camera: SE3,
+        confidence: npt.NDArray[Any] | None = None,
     ) -> None:
         """Add one frame. The inputs are not changed.
 
@@ -210,6 +211,9 @@ class OccupancyMap(Layers):
                 [0, 1] that the pixel shows target, whose seabed is then told by its height.
             camera: Intrinsics of both images.
             T_world_camera: Where the optical frame was.
+            confidence: (H, W) float, the probability in [0, 1] that depth and label of a pixel are right: by
+                so much it counts, in sixteenths, and not at all where it is 0. All are sure where None. With
+                labels of integers only, since probabilities have their own.
 
         Raises:
             ValueError: The images do not fit the camera, labels are not labels, or the camera is farther away
@@ -217,6 +221,8 @@ class OccupancyMap(Layers):
         """
         depth, labels = np.asarray(depth), np.asarray(labels)
         _check_frame(depth, labels, camera)
+        if confidence is not None:
+            labels = unsure(labels.astype(np.uint8), _checked_confidence(confidence, labels, camera))
         depth, labels, camera = _thinned(depth, labels, camera)
         if self._frame is None or self._frame.pixels < depth.size:
             self._frame = FrameWindow(self.protocol, self.evidence, depth.size)
@@ -511,6 +517,18 @@ def _thinned(
     depth = np.ascontiguousarray(depth, np.uint16 if depth.dtype == np.uint16 else np.float32)
     soft = np.issubdtype(labels.dtype, np.floating)
     return depth, np.ascontiguousarray(labels, np.float32 if soft else np.uint8), camera
+
+
+def _checked_confidence(
+    confidence: npt.NDArray[Any], labels: npt.NDArray[Any], camera: Camera
+) -> npt.NDArray[np.float32]:
+    confidence = np.asarray(confidence, np.float32)
+    camera.check(confidence, "confidence")
+    if np.issubdtype(labels.dtype, np.floating):
+        raise ValueError("confidence: expected none beside probabilities, which tell it themselves")
+    if confidence.size and not (confidence.min() >= 0.0 and confidence.max() <= 1.0):
+        raise ValueError("confidence: expected probabilities in [0, 1], got others")
+    return confidence
 
 
 def _check_frame(depth: npt.NDArray[Any], labels: npt.NDArray[Any], camera: Camera) -> None:

@@ -1,6 +1,6 @@
 """Pixels → Observation."""
 
-from dream.perception.depth import DepthModel, Perception, Segmenter
+from dream.perception.depth import Account, DepthModel, Perceived, Perception, Segmenter
 from dream.perception.flat_floor import FlatFloor
 from dream.perception.learned import LearnedDepth, LearnedLabels
 from dream.perception.points import (
@@ -16,10 +16,12 @@ from dream.perception.shells import Shells
 from dream.perception.sidecar import Sidecar, read_sidecar
 
 __all__ = [
+    "Account",
     "DepthModel",
     "FlatFloor",
     "LearnedDepth",
     "LearnedLabels",
+    "Perceived",
     "Perception",
     "PointSets",
     "Segmenter",

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from dream.geometry import SE3, Camera
-from dream.types import Float32Array, UInt8Array
+from dream.types import BoolArray, Float32Array, Label, UInt8Array
+
+LEAST_BELIEVED = 1.0 / 32.0
+"""Confidence below which a depth is none: half of the least weight that a map knows."""
+FEWEST = 100
+"""Pixels of floor that a fit, or a share, is made of."""
+NEAR_ENOUGH = 0.1
+"""Share of the floor's depth within which a pixel agrees with it."""
 
 
 class Segmenter(Protocol):
@@ -21,7 +29,8 @@ class Segmenter(Protocol):
             rgb: (H, W, 3).
 
         Returns:
-            (H, W) values of `Label`, and (H, W) float32 in [0, 1]: the probability that each is right.
+            (H, W) values of `Label`, and (H, W) float32 in [0, 1]: the probability that each is right, 0
+            where nothing tells what a pixel shows; that is called water.
         """
 
 
@@ -54,11 +63,71 @@ class DepthModel(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class Account:
+    """How far a frame's labels and depth can be believed."""
+
+    confidence: float
+    """Mean over the pixels that have a depth; 0 without any."""
+    labels: float
+    """Mean confidence in the labels."""
+    beside_floor: float
+    """Median of depth over that of the flat floor that altitude and attitude tell, over what is labelled
+    seabed or target, believed or not; NaN where too little of it is seen."""
+    agreement: float
+    """Share of those pixels that lie within a tenth of the floor's depth; NaN likewise."""
+    lost: int
+    """Pixels that have no label, since the network gave none that could be one."""
+    no_depth: int
+    """Pixels that show something, by their label, and have no depth that is believed."""
+    shares: tuple[float, ...]
+    """Of all pixels, for each label."""
+    floating: float
+    """Share of what is above the horizon that is labelled seabed, as a slope may be, and as walls and water
+    are by a network that knows of neither; NaN where too little is above."""
+    doubt: str
+    """What speaks against all of it, in words that stay the same while it lasts; empty where nothing does."""
+
+    def said(self) -> dict[str, object]:
+        """For a log, in JSON."""
+        beside, agreement, floating = (
+            round(value, 3) if math.isfinite(value) else None
+            for value in (self.beside_floor, self.agreement, self.floating)
+        )
+        return {
+            "confidence": round(self.confidence, 3),
+            "labels_confidence": round(self.labels, 3),
+            "depth_beside_floor": beside,
+            "depth_agreement": agreement,
+            "pixels_without_label": self.lost,
+            "pixels_without_depth": self.no_depth,
+            "label_shares": {
+                label.name.lower(): round(share, 3) for label, share in zip(Label, self.shares, strict=True)
+            },
+            "seabed_above_horizon": floating,
+            "doubt": self.doubt,
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Perceived:
+    """What a picture shows."""
+
+    depth: Float32Array
+    """(H, W) metres along the optical axis, NaN where unknown or not believed."""
+    labels: UInt8Array
+    """(H, W) values of `Label`."""
+    confidence: Float32Array
+    """(H, W) in both, the lesser of the two; 0 where there is no depth."""
+    account: Account
+
+
+@dataclass(frozen=True, slots=True)
 class Perception:
     """Depth and labels of a real camera's picture, for the map.
 
     What it does: labels first, then depth, which may follow from the labels. Colour may be finer than the
-    camera for mapping by a whole factor; it is averaged.
+    camera for mapping by a whole factor; it is averaged. Depth that is not believed is none, so that nothing
+    of it is mapped.
 
     Assumes: a picture without lens distortion, that belongs to the pose.
     """
@@ -67,8 +136,14 @@ class Perception:
     depth: DepthModel
 
     def perceive(
-        self, rgb: UInt8Array, camera: Camera, T_world_base: SE3, T_base_camera: SE3, altitude: float
-    ) -> tuple[Float32Array, UInt8Array, Float32Array]:
+        self,
+        rgb: UInt8Array,
+        camera: Camera,
+        T_world_base: SE3,
+        T_base_camera: SE3,
+        altitude: float,
+        seen: BoolArray | None = None,
+    ) -> Perceived:
         """What a picture shows.
 
         Args:
@@ -77,10 +152,7 @@ class Perception:
             T_world_base: Only its attitude counts.
             T_base_camera: Where the camera sits.
             altitude: Metres of `base` above the floor, along the vertical.
-
-        Returns:
-            (H, W) float32 depth, metres along the optical axis, NaN where unknown; (H, W) uint8 labels; and
-            (H, W) float32 confidence in both, the lesser of the two.
+            seen: (H, W) pixels that the lens saw; the others have no depth. All where None.
 
         Raises:
             ValueError: The picture does not fit the camera, or the altitude is not a number above 0.
@@ -90,7 +162,71 @@ class Perception:
         camera.check(labels, "labels")
         depth, near = self.depth.estimate(coarse, labels, camera, altitude, T_world_base, T_base_camera)
         camera.check(depth, "depth")
-        return depth, labels, np.minimum(sure, near)
+        seen = np.ones(labels.shape, np.bool_) if seen is None else seen
+        confidence = np.minimum(sure, near)
+        believed = seen & np.isfinite(depth) & (confidence >= LEAST_BELIEVED)
+        kept = np.where(believed, depth, np.float32(np.nan))
+        confidence = np.where(believed, confidence, np.float32(0.0))
+        floor, above = _floor(camera, altitude, T_world_base, T_base_camera)
+        account = _account(labels, sure, depth, confidence, seen, floor, above)
+        return Perceived(kept, labels, confidence, account)
+
+
+def _floor(
+    camera: Camera, altitude: float, T_world_base: SE3, T_base_camera: SE3
+) -> tuple[Float32Array, BoolArray]:
+    """(H, W) metres to the flat floor, however far, and the pixels that look above the horizon."""
+    from dream.perception.flat_floor import floor_depth, rays
+
+    looks = rays(camera, altitude, T_world_base, T_base_camera)
+    return floor_depth(looks, math.inf), looks.down <= 0.0
+
+
+def _account(
+    labels: UInt8Array,
+    sure: Float32Array,
+    depth: Float32Array,
+    confidence: Float32Array,
+    seen: BoolArray,
+    floor: Float32Array,
+    above: BoolArray,
+) -> Account:
+    """See `Account`; depth is that of the model, confidence 0 where it is not believed."""
+    believed, lost = confidence > 0.0, seen & (sure <= 0.0)
+    on_floor = seen & ((labels == Label.SEABED) | (labels == Label.TARGET)) & np.isfinite(floor)
+    on_floor &= np.isfinite(depth)
+    beside = agreement = math.nan
+    if np.count_nonzero(on_floor) >= FEWEST:
+        times = depth[on_floor] / floor[on_floor]
+        beside, agreement = float(np.median(times)), float((np.abs(times - 1.0) <= NEAR_ENOUGH).mean())
+    total = max(int(np.count_nonzero(seen)), 1)
+    shares = tuple(np.count_nonzero(seen & (labels == label)) / total for label in Label)
+    high = seen & above
+    floating = math.nan
+    if np.count_nonzero(high) >= FEWEST:
+        floating = np.count_nonzero(high & (labels == Label.SEABED)) / np.count_nonzero(high)
+    doubts = []
+    if np.count_nonzero(lost) == total:
+        doubts.append("labels: the network gives none that can be believed")
+    if shares[Label.TARGET] == 1.0:
+        doubts.append("labels: every pixel is target")
+    if shares[Label.WATER] < 1.0 and not believed.any():
+        doubts.append(
+            f"depth: {beside:.1f} times as far as the floor by the DVL and the attitude, and not mapped"
+            if abs(beside - 1.0) > NEAR_ENOUGH
+            else "depth: nothing that is seen has one that can be believed"
+        )
+    return Account(
+        float(confidence[believed].mean()) if believed.any() else 0.0,
+        float(sure[seen].mean()) if seen.any() else 0.0,
+        beside,
+        agreement,
+        int(np.count_nonzero(lost)),
+        int(np.count_nonzero(seen & (labels != Label.WATER) & ~believed)),
+        shares,
+        floating,
+        "; ".join(doubts),
+    )
 
 
 def averaged(rgb: UInt8Array, camera: Camera) -> UInt8Array:

@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import SE3, Camera
-from dream.perception.depth import Segmenter
+from dream.perception.depth import FEWEST, Segmenter
 from dream.perception.flat_floor import floor_depth, rays
 from dream.perception.onnx import Network, input_side
 from dream.perception.outputs import HALF, MOST_LOST, ROUGH, UNTOLD, Answer, form_of, labelled, unbelieved
 from dream.perception.placing import Frame, picture, placed, resampled
-from dream.perception.scaling import FEWEST, Fit, fit_to_floor, judged
+from dream.perception.scaling import Fit, fit_to_floor, judged
 from dream.perception.sidecar import (
     LABELLING,
     Sidecar,

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from dream.geometry import FloatArray
+from dream.perception.depth import FEWEST, NEAR_ENOUGH
 from dream.types import BoolArray, Float32Array
 
-FEWEST = 100
-"""Pixels of floor for a fit."""
 TRIES = 100
 """With half of the pixels right, one pair in four is; among so many some surely are."""
 MOST_ROWS = 2000
@@ -18,8 +17,6 @@ MOST_ROWS = 2000
 ROUNDS = 8
 TUKEY = 4.685
 """Standard deviations beyond which a pixel has no weight: 95 % efficient where errors are normal."""
-NEAR_ENOUGH = 0.1
-"""Share of the floor's depth within which a pixel agrees with it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -217,6 +217,8 @@ def write(path: Path, kept: Kept) -> None:
         "T_world_base": _matrix(seen.T_world_base),
         "T_base_camera": _matrix(seen.T_base_camera),
     }
+    if seen.confidence is not None:
+        arrays["confidence"] = seen.confidence
     if kept.move is not None:
         to, arrival = kept.move.setpoint, kept.move.arrival
         arrays |= {
@@ -260,6 +262,7 @@ def _kept(arrays: Arrays) -> Kept:
         camera=Camera(int(width), int(height), *lens),
         T_world_base=_transform(arrays, "T_world_base"),
         T_base_camera=_transform(arrays, "T_base_camera"),
+        confidence=_typed(arrays, "confidence", np.float32) if "confidence" in arrays else None,
     )
     if "setpoint" not in arrays:
         return Kept(None, seen)
@@ -308,7 +311,14 @@ def _png(rgb: UInt8Array) -> bytes:
 
 
 def _copied(seen: Observation) -> Observation:
-    return replace(seen, rgb=seen.rgb.copy(), depth=seen.depth.copy(), labels=seen.labels.copy())
+    confidence = None if seen.confidence is None else seen.confidence.copy()
+    return replace(
+        seen,
+        rgb=seen.rgb.copy(),
+        depth=seen.depth.copy(),
+        labels=seen.labels.copy(),
+        confidence=confidence,
+    )
 
 
 def _same(one: Setpoint, other: Setpoint) -> bool:

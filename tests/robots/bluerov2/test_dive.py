@@ -24,7 +24,7 @@ from dream.commands.dive.console import tell
 from dream.commands.dive.flight import Flight
 from dream.commands.dive.options import mounting_told, repeating_command
 from dream.commands.dive.ready import Ready, how_to_restore
-from dream.commands.dive.records import config
+from dream.commands.dive.records import _perception, config
 from dream.commands.dive.tank import rehearse_return
 from dream.commands.ground import Ground, Known
 from dream.errors import MissionAborted
@@ -33,6 +33,7 @@ from dream.evaluation.dive_figure import read_dive
 from dream.geometry import SE2, Bounds
 from dream.mapping import OccupancyMap
 from dream.mission import explore
+from dream.perception import Account
 from dream.planning.belief import Belief
 from dream.planning.lookahead import Plan
 from dream.planning.rounds import Rounds
@@ -50,6 +51,7 @@ from dream.robots.replay import Replayed
 from dream.sim.worlds import make_world
 from dream.survey import files
 from dream.survey.site import Site, read_site, write_site
+from dream.types import Decision
 from tests.robots.bluerov2 import rigged
 from tests.survey.scenes import reef
 
@@ -193,6 +195,22 @@ def test_the_log_holds_all_that_the_estimate_was_made_of(dive: Path) -> None:
         made.add(tuple(timeline.state.position.tolist()))
     assert len(estimates) > 500
     assert sum((place.x, place.y, place.z) in made for place in estimates) == len(estimates)
+
+
+@pytest.mark.slow
+def test_how_far_its_pictures_could_be_believed_is_in_its_steps_log_and_summary(dive: Path) -> None:
+    logged = [json.loads(entry.message.data) for entry in read_log(dive / "log.mcap", ["/perception"])]
+    steps = [step.model_extra for step in read_steps(dive)]
+    assert [said["step"] for said in logged] == list(range(len(steps)))
+    for said, extra in zip(logged, steps, strict=True):
+        assert extra is not None
+        assert {"step": said["step"], **extra["perception"]} == said
+        assert 0.5 < said["confidence"] <= 1.0
+        assert said["doubt"] == ""
+    told = summary_of(dive)["dive"]["perception"]
+    assert told["frames"] == len(steps)
+    assert told["confidence"] == pytest.approx(np.mean([said["confidence"] for said in logged]), abs=0.002)
+    assert (told["frames_doubted"], told["pixels_without_label"]) == (0, 0)
 
 
 @pytest.mark.slow
@@ -677,6 +695,50 @@ def test_a_dive_that_ends_before_its_first_step_says_why_and_what_the_log_lost(
     ):
         Flight(ready, "belief")._end({"steps": 0}, MissionAborted("48.2 m outside the area"))
     assert "messages are lost: 3 of mavlink, 2 of camera. Was the disk full?" in caplog.text
+
+
+def test_a_step_whose_depth_is_not_believed_says_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    told: list[tuple[str, Any]] = []
+    devices = SimpleNamespace(
+        log=SimpleNamespace(tap=lambda at, channel, sent, said: told.append((channel, said))), now=lambda: 7.0
+    )
+    limits, start = Limits(Bounds(-1.0, -1.0, 1.0, 1.0)), SE2(0.0, 0.0, 0.0)
+    ready = Ready(Dive(), POOL_V1, devices, limits, start, tmp_path, None, None, Known())  # type: ignore[arg-type]
+    flight = Flight(ready, "belief")
+    far = "depth: 3.0 times as far as the floor by the DVL and the attitude, and not mapped"
+    accounts = [
+        Account(
+            sure, 0.9, beside, 0.0, lost=2, no_depth=5, shares=(0.0, 1.0, 0.0, 0.0), floating=0.1, doubt=doubt
+        )
+        for sure, beside, doubt in ((0.8, 1.0, ""), (0.0, 3.0, far), (0.0, math.nan, far), (0.4, 1.0, ""))
+    ]
+    vehicle = SimpleNamespace(accounts=[])
+
+    def steps() -> Iterator[Any]:
+        for index, account in enumerate(accounts):
+            vehicle.accounts.append(account)
+            yield SimpleNamespace(
+                index=index,
+                decision=Decision(),
+                guarded=SimpleNamespace(note=""),
+                arrival=SimpleNamespace(note=""),
+            )
+
+    logbook = SimpleNamespace(note=lambda step: None)
+    noted = [
+        flight._annotated(step, logbook, vehicle)["perception"]  # type: ignore[arg-type]
+        for step in flight._logged(steps(), vehicle)  # type: ignore[arg-type]
+    ]
+    assert [said["doubt"] for said in noted] == ["", far, far, ""]
+    assert [said["depth_beside_floor"] for said in noted] == [1.0, 3.0, None, 1.0]
+    assert noted[1]["pixels_without_label"] == 2
+    assert [said["doubt"] for channel, said in told if channel == "perception"] == ["", far, far, ""]
+    # It is told once, as long as it stays the same.
+    assert caplog.text.count(f"step 1: {far}") == 1
+    assert caplog.text.count(far) == 1
+    counted = _perception(accounts)
+    assert (counted["frames"], counted["frames_doubted"], counted["frames_without_depth"]) == (4, 2, 2)
+    assert (counted["pixels_without_label"], counted["pixels_without_depth"]) == (8, 20)
 
 
 def test_who_could_not_be_left_as_it_was_is_told_with_the_file_to_restore_it_from(tmp_path: Path) -> None:

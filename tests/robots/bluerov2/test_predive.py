@@ -18,7 +18,7 @@ from dream.robots.bluerov2.check import Finding
 from dream.robots.bluerov2.navigation import Fix, NotReady
 from dream.sim.render import Renderer
 from dream.sim.worlds import make_world
-from dream.types import BoolArray, UInt8Array
+from dream.types import BoolArray, Float32Array, Label, UInt8Array
 from tests.perception.models import constant
 from tests.robots.bluerov2.test_bridge import fix_at
 
@@ -89,6 +89,55 @@ def test_metres_that_are_three_times_too_far_are_no_go(rgb: UInt8Array, tmp_path
     right = Tank(rgb).looked(Perception(Shells(), metric(tmp_path / "n.onnx", 1.0, 0.6)))
     assert right.ok
     assert "with a confidence of 0%" not in right.said
+
+
+def test_labels_that_call_seabed_what_is_above_the_horizon_are_told(rgb: UInt8Array) -> None:
+    """A network that knows nothing but shells is well over sand, and sees no wall."""
+    found = Tank(rgb).looked(Perception(Says(Label.SEABED), FlatFloor()))
+    assert found.ok
+    assert "100% of what is above the horizon is seabed" in found.said
+    assert "above the horizon" not in Tank(rgb).looked(Perception(Shells(), FlatFloor())).said
+
+
+@pytest.mark.parametrize("times", [2.0, 0.4, 1.2])
+def test_depth_that_the_height_contradicts_is_no_go_with_how_far_it_is_off(
+    rgb: UInt8Array, tmp_path: Path, times: float
+) -> None:
+    found = Tank(rgb).looked(Perception(Shells(), metric(tmp_path / "m.onnx", times, 0.6)))
+    assert not found.ok
+    assert f"depth {times:.2f} times the floor's, 0% of it agrees" in found.said
+    assert 'With "output": "relative_depth" the floor gives the scale' in found.wanted
+
+
+@dataclass
+class Says:
+    """The same of every pixel; the first rows have no label."""
+
+    label: Label
+    sure: float = 0.9
+    lost: float = 0.0
+
+    def segment(self, rgb: UInt8Array) -> tuple[UInt8Array, Float32Array]:
+        labels = np.full(rgb.shape[:2], self.label, np.uint8)
+        sure = np.full(labels.shape, self.sure, np.float32)
+        rows = round(self.lost * len(labels))
+        labels[:rows], sure[:rows] = Label.WATER, 0.0
+        return labels, sure
+
+
+@pytest.mark.parametrize(
+    ("says", "said"),
+    [
+        (Says(Label.TARGET), "labels: every pixel is target"),
+        (Says(Label.OBSTACLE, lost=0.2), "20% without a label"),
+        (Says(Label.OBSTACLE, lost=1.0), "labels: the network gives none that can be believed"),
+        (Says(Label.OBSTACLE, sure=0.05), "with a confidence of 5%: 100% obstacle"),
+    ],
+)
+def test_labels_that_cannot_be_believed_are_no_go(rgb: UInt8Array, says: Says, said: str) -> None:
+    found = Tank(rgb).looked(Perception(says, FlatFloor()))
+    assert not found.ok
+    assert said in found.said
 
 
 def test_metres_are_judged_at_the_height_that_the_vehicle_lies_at(rgb: UInt8Array, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from dream.errors import MissionAborted
 from dream.geometry import SE2, SE3, Camera
+from dream.perception import Perception
 from dream.protocol import POOL_V1
 from dream.robots.bluerov2 import rov
 from dream.robots.bluerov2.bridge import FINE, Stance, Standing
@@ -40,6 +41,8 @@ class Scene:
     frozen: bool = False
     will: str = "go"
     asked_after: float = 0.0
+    sure: float = 0.75
+    depth: float = 1.0
     each: object = None
     over: str = ""
 
@@ -49,7 +52,7 @@ class Scene:
             self,  # type: ignore[arg-type]
             self,  # type: ignore[arg-type]
             self,
-            self,  # type: ignore[arg-type]
+            Perception(self, self),
             POOL_V1,
             lambda: self.now,
             frozen=lambda: self.frozen,
@@ -88,12 +91,15 @@ class Scene:
         seen[:, :10] = False
         return np.zeros((camera.height, camera.width, 3), np.uint8), seen
 
-    def perceive(
-        self, rgb: UInt8Array, camera: Camera, T_world_base: SE3, T_base_camera: SE3, altitude: float
-    ) -> tuple[Float32Array, UInt8Array, Float32Array]:
+    def segment(self, rgb: UInt8Array) -> tuple[UInt8Array, Float32Array]:
+        shape = rgb.shape[:2]
+        return np.full(shape, Label.SEABED, np.uint8), np.full(shape, self.sure, np.float32)
+
+    def estimate(
+        self, rgb: UInt8Array, labels: UInt8Array, camera: Camera, altitude: float, *_: object
+    ) -> tuple[Float32Array, Float32Array]:
         assert altitude == pytest.approx(0.6)
-        shape = (camera.height, camera.width)
-        return np.ones(shape, np.float32), np.full(shape, Label.SEABED, np.uint8), np.ones(shape, np.float32)
+        return np.full(labels.shape, self.depth, np.float32), np.ones(labels.shape, np.float32)
 
 
 def test_it_arrives_and_looks_after_that(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -110,6 +116,21 @@ def test_it_arrives_and_looks_after_that(monkeypatch: pytest.MonkeyPatch) -> Non
     # What the lens did not see is no depth.
     assert np.isnan(observation.depth[:, :10]).all()
     assert np.isfinite(observation.depth[:, 10:]).all()
+
+
+def test_how_sure_it_is_goes_with_what_it_saw(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene()
+    robot = scene.robot(monkeypatch)
+    for sure, counts in ((0.75, True), (0.3, True), (0.0, False)):
+        scene.sure = sure
+        observation = robot.observe()
+        assert observation.confidence is not None
+        np.testing.assert_allclose(observation.confidence[:, 10:], sure)
+        # What the lens did not see is nothing to be sure of.
+        assert (observation.confidence[:, :10] == 0.0).all()
+        assert np.isfinite(observation.depth[:, 10:]).all() == counts
+    assert [account.confidence for account in robot.accounts] == pytest.approx([0.75, 0.3, 0.0])
+    assert robot.accounts[-1].lost == 240 * 310
 
 
 def test_it_shows_that_the_mission_lives(monkeypatch: pytest.MonkeyPatch) -> None:

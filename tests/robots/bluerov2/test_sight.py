@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from dream.errors import MissionAborted
-from dream.geometry import SE2, SE3, Camera
+from dream.geometry import SE2, SE3
+from dream.perception import Perception
 from dream.protocol import POOL_V1
 from dream.robots.bluerov2.camera import Frames, LiveCamera
 from dream.robots.bluerov2.devices import LiveEye
@@ -300,11 +301,11 @@ class Aboard:
     def at(self, time: float) -> SE3:
         return SE3.level(0.0, 0.0, -0.9, 0.0)
 
-    def perceive(
-        self, rgb: UInt8Array, camera: Camera, *_: object
-    ) -> tuple[Float32Array, UInt8Array, Float32Array]:
-        shape = (camera.height, camera.width)
-        return np.ones(shape, np.float32), np.full(shape, Label.SEABED, np.uint8), np.ones(shape, np.float32)
+    def segment(self, rgb: UInt8Array) -> tuple[UInt8Array, Float32Array]:
+        return np.full(rgb.shape[:2], Label.SEABED, np.uint8), np.ones(rgb.shape[:2], np.float32)
+
+    def estimate(self, rgb: UInt8Array, labels: UInt8Array, *_: object) -> tuple[Float32Array, Float32Array]:
+        return np.ones(labels.shape, np.float32), np.ones(labels.shape, np.float32)
 
 
 @pytest.mark.parametrize("frozen", [False, True])
@@ -318,7 +319,7 @@ def test_a_mission_ends_at_its_next_look_with_a_camera_that_froze(frozen: bool) 
             aboard,  # type: ignore[arg-type]
             aboard,  # type: ignore[arg-type]
             LiveEye(camera),
-            aboard,  # type: ignore[arg-type]
+            Perception(aboard, aboard),
             POOL_V1,
             clock,
             frozen=lambda: sight.frozen,

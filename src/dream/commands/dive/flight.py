@@ -112,9 +112,9 @@ class Flight:
                     prior=ready.known.prior,
                 )
                 recorded = recording.record(
-                    self._logged(steps),
+                    self._logged(steps, vehicle),
                     ready.folder,
-                    annotate=lambda step: self._annotated(step, logbook),
+                    annotate=lambda step: self._annotated(step, logbook, vehicle),
                 )
                 with contextlib.closing(recorded):
                     total = told.max_steps or protocol.cap
@@ -189,9 +189,15 @@ class Flight:
         elif will is Will.GO and station is not None:
             station.release()
 
-    def _logged(self, steps: Iterator[Step]) -> Iterator[Step]:
-        """Tell the log of each decision."""
+    def _logged(self, steps: Iterator[Step], vehicle: BlueRov2) -> Iterator[Step]:
+        """Tell the log of each decision, and how far what was then seen can be believed."""
+        doubt = ""
         for step in steps:
+            account = vehicle.accounts[-1]
+            self._log("perception", {"step": step.index, **account.said()})
+            if account.doubt and account.doubt != doubt:
+                logger.warning("step %d: %s", step.index, account.doubt)
+            doubt = account.doubt
             self.last, decision = step, step.decision
             told = {
                 "step": step.index,
@@ -205,13 +211,14 @@ class Flight:
             self._log("decision", told)
             yield step
 
-    def _annotated(self, step: Step, logbook: Logbook) -> Mapping[str, Any]:
+    def _annotated(self, step: Step, logbook: Logbook, vehicle: BlueRov2) -> Mapping[str, Any]:
         from dream.evaluation.metrics import Scorer
 
+        perception = {"perception": vehicle.accounts[-1].said()}
         if isinstance(logbook, Scorer):
-            return {"coverage": logbook.add(step).as_dict()}
+            return {"coverage": logbook.add(step).as_dict(), **perception}
         logbook.note(step)
-        return {}
+        return perception
 
     def _log(self, channel: str, told: Mapping[str, Any]) -> None:
         """What DREAM itself decides, as of now."""

@@ -11,9 +11,11 @@ import numpy as np
 
 from dream.commands.console import print_json
 from dream.geometry import SE3
+from dream.types import Label
 
 if TYPE_CHECKING:
     from dream.commands.dive.ready import Ready
+    from dream.perception import Account
     from dream.robots.bluerov2.check import Finding
 
 STILL = 4.0
@@ -28,8 +30,12 @@ MISSED = 0.05
 """Share of the beats that may come late by a whole beat then."""
 LEASE_SPENT = 0.3
 """Seconds by which none may: a command lives for 0.4."""
-LEAST_SURE = 0.005
-"""Mean confidence in a picture's labels and depth below which it is 0 %."""
+LEAST_SURE = 0.1
+"""Mean confidence in a picture's labels and depth below which a dive is none."""
+FLOATING = 0.5
+"""Share of what is above the horizon that is told where it is labelled seabed."""
+MOST_LOST = 0.1
+"""Share of the view that may have no label."""
 
 
 def predive_list(ready: Ready) -> list[Finding]:
@@ -73,7 +79,8 @@ def _looked(ready: Ready) -> Finding:
 
     wanted = (
         "a picture that --calibration, --labels and --depth fit: with the camera over a flat floor, depths "
-        "that agree with the vehicle's height above it. Is the model's sidecar right about its unit?"
+        "that agree with the vehicle's height above it. Is the model's sidecar right about its unit? With "
+        '"output": "relative_depth" the floor gives the scale'
     )
     if ready.sight.lens is None and ready.tank is None:
         return Finding("pictures", ok=False, said="no --calibration was given", wanted=wanted)
@@ -83,14 +90,31 @@ def _looked(ready: Ready) -> Finding:
         began, camera = time.perf_counter(), ready.protocol.camera
         rgb, seen = eye.view(picture, camera)
         T_world_base, altitude = _lies(ready)
-        depth, _, confidence = perception.perceive(rgb, camera, T_world_base, ready.mount, altitude)
+        account = perception.perceive(rgb, camera, T_world_base, ready.mount, altitude, seen).account
     except (OSError, ValueError, RuntimeError) as error:
         return Finding("pictures", ok=False, said=str(error), wanted=wanted)
     ms = 1e3 * (time.perf_counter() - began)
-    known = seen & np.isfinite(depth)
-    sure = float(confidence[known].mean()) if known.any() else 0.0
-    said = f"{seen.mean():.0%} of the view, labelled in {ms:.0f} ms, with a confidence of {sure:.0%}"
-    return Finding("pictures", ok=sure >= LEAST_SURE, said=said, wanted=wanted)
+    lost = account.lost / max(int(np.count_nonzero(seen)), 1)
+    said = (
+        f"{seen.mean():.0%} of the view, labelled in {ms:.0f} ms, with a confidence of "
+        f"{account.confidence:.0%}: {_shared(account)}"
+    )
+    if math.isfinite(account.beside_floor):
+        said += f"; depth {account.beside_floor:.2f} times the floor's, {account.agreement:.0%} of it agrees"
+    if account.floating > FLOATING:
+        said += f"; {account.floating:.0%} of what is above the horizon is seabed: do the labels know walls?"
+    if account.lost:
+        said += f"; {lost:.0%} without a label"
+    if account.doubt:
+        said += f"; {account.doubt}"
+    ok = account.confidence >= LEAST_SURE and lost <= MOST_LOST and not account.doubt
+    return Finding("pictures", ok=ok, said=said, wanted=wanted)
+
+
+def _shared(account: Account) -> str:
+    """How much of the view has which label."""
+    each = sorted(zip(account.shares, Label, strict=True), reverse=True)
+    return ", ".join(f"{share:.0%} {label.name.lower()}" for share, label in each if share >= 0.005)
 
 
 def _lies(ready: Ready) -> tuple[SE3, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +19,7 @@ from dream.versions import commit
 if TYPE_CHECKING:
     from dream.commands.dive.ready import Ready
     from dream.evaluation.metrics import Logbook
+    from dream.perception import Account
     from dream.robots.bluerov2.bridge import Bridge
     from dream.robots.bluerov2.rov import BlueRov2
 
@@ -76,6 +77,7 @@ def summary(
             "command_lag_ms": {f"p{p}": round(float(np.percentile(lags, p)), 1) for p in (50, 99)},
             "late_beats": bridge.late_beats,
             "picture_age_ms": {f"p{p}": round(float(np.percentile(ages, p)), 1) for p in (50, 99)},
+            "perception": _perception(robot.accounts),
             "pictures": counts.received,
             "pictures_per_s": round(counts.received / seconds, 2),
             "packets_lost": counts.lost,
@@ -85,6 +87,18 @@ def summary(
             "log_lost": devices.log.lost,
             "behind_s": None if tank is None else round(tank.running.truth().behind, 3),
         },
+    }
+
+
+def _perception(accounts: Sequence[Account]) -> dict[str, Any]:
+    """How far the frames of a mission could be believed."""
+    return {
+        "frames": len(accounts),
+        "confidence": round(float(np.mean([one.confidence for one in accounts])), 3) if accounts else None,
+        "frames_doubted": sum(bool(one.doubt) for one in accounts),
+        "frames_without_depth": sum(one.confidence == 0.0 for one in accounts),
+        "pixels_without_label": sum(one.lost for one in accounts),
+        "pixels_without_depth": sum(one.no_depth for one in accounts),
     }
 
 

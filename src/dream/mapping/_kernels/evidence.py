@@ -9,7 +9,17 @@ import math
 import numpy as np
 from numba import njit
 
-from dream.mapping._kernels.flags import BARE, CROSSED, EXPLORED, GROUNDED, KNOWN, RETURNED, SEABED
+from dream.mapping._kernels.flags import (
+    BARE,
+    CROSSED,
+    DOUBT_BITS,
+    EXPLORED,
+    GROUNDED,
+    KNOWN,
+    RETURNED,
+    SEABED,
+    WEIGHT,
+)
 from dream.mapping._kernels.pixels import LABEL_BITS, LABEL_MASK
 from dream.mapping._kernels.sight import RAY_MASK, SECTOR_SLACK
 
@@ -20,8 +30,7 @@ FIELD_BITS = 16
 """A cell's counts are four fields of so many bits: pixels below the height band, in its lower part, in its
 upper part, and above it."""
 FIELD_MASK = (1 << FIELD_BITS) - 1
-WEIGHT = 16
-"""What a pixel that surely shows target adds to its cell's target count."""
+TARGET_MASK = (1 << DOUBT_BITS) - 1
 SUM, COUNT, MEAN = 0, 1, 2
 """What is known of the seabed at a post."""
 ONE = 2.0**52
@@ -158,7 +167,7 @@ def count_returns(count, samples, heights, ground, band, weight_of, above, shift
         samples, heights: See `project`.
         ground: (side²) height of the seabed.
         band: Three heights, which part the fields.
-        weight_of: (256,) target weight of every label.
+        weight_of: (256,) int64, target weight and doubt of every label; see `DOUBT_BITS`.
         above, shifts: (n or more) float32 and (n) int32, scratch for n samples at a time.
         counts, targets: (side²), added to.
     """
@@ -236,7 +245,7 @@ def weigh(
 
     Args:
         counts: (side²) uint64, see `FIELD_BITS`.
-        targets: (side²) int32, in parts of `WEIGHT`.
+        targets: (side²) int64, in parts of `WEIGHT`, and the doubt; see `DOUBT_BITS`.
         side: Cells along the window.
         camera_row, camera_col: The camera, in cells.
         sector: See `read_frame`.
@@ -268,12 +277,15 @@ def weigh(
             below, low_band = field_of(counts[c], 0), field_of(counts[c], 1)
             band = low_band + field_of(counts[c], 2)
             total = below + band + field_of(counts[c], 3)
-            bits[c] = RETURNED | (BARE | SEABED if below > 0 else 0) | (SEABED if targets[c] > 0 else 0)
-            # Too few for a hit are errors.
-            if total - (band if band < hit_pixels else 0) >= vote_pixels:
-                if targets[c] >= vote_share * WEIGHT * total:
+            target, sum_sure = targets[c] & TARGET_MASK, WEIGHT * total - (targets[c] >> DOUBT_BITS)
+            # Its pixels' mean confidence, which all that they say counts by.
+            trust = sum_sure / (WEIGHT * total)
+            bits[c] = RETURNED | (BARE | SEABED if below > 0 else 0) | (SEABED if target > 0 else 0)
+            # Too few for a hit are errors. A vote is a whole one, or none.
+            if total - (band if band < hit_pixels else 0) >= vote_pixels and trust >= 0.5:
+                if target >= vote_share * sum_sure:
                     votes[c] = 1
-                elif targets[c] <= against_share * WEIGHT * total:
+                elif target <= against_share * sum_sure:
                     votes[c] = 2
             if band >= hit_pixels and band >= hit_share * total:
                 up, right = i + 0.5 - camera_row, j + 0.5 - camera_col
@@ -288,10 +300,10 @@ def weigh(
                         peak = max(peak, field_of(counts[beyond], 1) + field_of(counts[beyond], 2))
                 if band < peak_share * peak:
                     # What scatters to this side of a surface passed through here more often than it ended.
-                    log_odds[c] = max(log_odds[c] - step // 2, low)
+                    log_odds[c] = max(log_odds[c] - part(step // 2, trust), low)
                     continue
-                sure = min(1.0, 0.5 / max(scatter, 1e-9))
-                log_odds[c] = min(log_odds[c] + min(max(round(step * sure), 1), step), high)
+                sure = trust * min(1.0, 0.5 / max(scatter, 1e-9))
+                log_odds[c] = min(log_odds[c] + part(step, sure), high)
                 if low_band > 0:
                     bits[c] |= GROUNDED
             elif band < hit_share * total and below >= miss_pixels:
@@ -301,7 +313,13 @@ def weigh(
                 if right * forward_x + up * forward_y < distance * cos_half - SECTOR_SLACK:
                     continue
                 down = log_odds[c] <= 0 or reaches_down(flags, side, i, j)
-                log_odds[c] = max(log_odds[c] - (step if down else doubt), low)
+                log_odds[c] = max(log_odds[c] - part(step if down else doubt, trust), low)
+
+
+@njit(cache=True, nogil=True)
+def part(step, trust):
+    """A step of log-odds, as far as it is trusted; some of it always."""
+    return min(max(round(step * trust), 1), step)
 
 
 @njit(cache=True, nogil=True)
@@ -642,7 +660,7 @@ def read_frame(
         side: Cells along the window.
         post_bits: A post is 2 to this many cells wide.
         band: Three heights; see `count_returns`.
-        weight_of: (256,) target weight of every label.
+        weight_of: (256,) int64, target weight and doubt of every label; see `DOUBT_BITS`.
         camera: (x, y) in cells of the window.
         size: Metres a cell.
         rule: (steps, clamp, least, noise); see `weigh`.

@@ -22,3 +22,9 @@ KNOWN = EXPLORED | BARE | CROSSED | RETURNED
 
 GROUND, THING, UNSURE = 0, 1, 2
 """What a pixel is by its label: seabed, anything else, or seabed if its height agrees."""
+
+WEIGHT = 16
+"""What a pixel that surely shows target adds to its cell's target count, and one that is not believed at all
+to its doubt."""
+DOUBT_BITS = 32
+"""A cell's doubt is in the bits above so many, its target count in those below."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from dream.errors import MissionAborted
 from dream.geometry import SE2, SE3, Camera, wrap_angle
-from dream.perception import Perception
+from dream.perception import Account, Perception
 from dream.protocol import SurveyProtocol
 from dream.robots.bluerov2.bridge import Bridge, Stance
 from dream.robots.bluerov2.navigation import Navigator
@@ -133,6 +133,8 @@ class BlueRov2:
         self._arrived = now()
         self.picture_ages: list[float] = []
         """Seconds from each frame that was used to its use."""
+        self.accounts: list[Account] = []
+        """How far each of them can be believed."""
 
     def observe(self) -> Observation:
         """One frame that was taken after the last move, with the pose that the vehicle had then.
@@ -159,18 +161,19 @@ class BlueRov2:
         altitude = float(T_world_base.translation[2]) - self._bridge.fix.seabed
         if not math.isfinite(altitude):
             altitude = self._protocol.altitude
-        depth, labels, _ = self._perception.perceive(rgb, camera, T_world_base, self._T_base_camera, altitude)
-        depth = np.where(seen, depth, np.nan).astype(np.float32)
+        shows = self._perception.perceive(rgb, camera, T_world_base, self._T_base_camera, altitude, seen)
+        self.accounts.append(shows.account)
         shown = rgb if fine is camera else self._eye.view(picture, fine)[0]
         self._bridge.renew(self._manners.thinking)
         return Observation(
             time=picture.time,
             rgb=shown,
-            depth=depth,
-            labels=labels,
+            depth=shows.depth,
+            labels=shows.labels,
             camera=camera,
             T_world_base=T_world_base,
             T_base_camera=self._T_base_camera,
+            confidence=shows.confidence,
         )
 
     def go_to(self, setpoint: Setpoint) -> Arrival:
