@@ -164,6 +164,10 @@ def test_a_class_whose_label_nobody_knows_is_refused_until_told(tmp_path: Path) 
     path = instances(tmp_path / "m.onnx", *table_and_masks(), strange)
     with pytest.raises(ValueError, match="class 'Crassostrea': expected to know whether it is water, seabed"):
         LearnedLabels(path)
+    with pytest.raises(
+        ValueError, match=r'"output": "instances", .*"classes": {"Crassostrea": "\?", "pipes"'
+    ):
+        LearnedLabels(path)
     labels, _ = LearnedLabels(path, classes={"Crassostrea": "target"}).segment(
         np.zeros((64, 64, 3), np.uint8)
     )
@@ -367,6 +371,28 @@ def test_a_depth_that_says_nothing_of_the_floor_has_no_scale(tmp_path: Path) -> 
     only_wall = np.full((48, 64), Label.OBSTACLE, np.uint8)
     depth, _ = depth_of(constant(tmp_path / "n.onnx", truth), "relative_depth", only_wall)
     assert np.isnan(depth).all()
+
+
+def test_whatever_a_network_says_of_depth_is_metres_or_nothing(tmp_path: Path) -> None:
+    rng = np.random.default_rng(39)
+    truth, labels = seen()
+    believed = 0
+    for n in range(40):
+        raw = truth * 10.0 ** rng.integers(-1, 3) * rng.choice([1.0, -1.0], p=[0.9, 0.1])
+        raw += rng.normal(0.0, 0.02, raw.shape) * raw
+        output = ("metric_depth", "relative_depth", "inverse_depth")[n % 3]
+        raw = 1.0 / raw if output == "inverse_depth" else raw
+        spoilt = rng.random(raw.shape) < rng.choice([0.0, 0.01, 0.4, 0.9])
+        raw[spoilt] = rng.choice([np.nan, np.inf, -np.inf, 0.0, 3e38, -1.0], int(spoilt.sum()))
+        path = constant(tmp_path / "m.onnx", raw)
+        depth, confidence = depth_of(path, output, np.where(rng.random(raw.shape) < 0.1, 0, labels))
+        known = np.isfinite(depth)
+        assert np.isnan(depth[~known]).all()
+        assert ((depth[known] > 0.0) & (depth[known] <= 20.0)).all()
+        assert ((confidence >= 0.0) & (confidence <= 1.0)).all()
+        assert (confidence[~known] == 0.0).all()
+        believed += bool((confidence > 0.5).any())
+    assert 10 <= believed < 40
 
 
 def test_an_output_that_is_no_map_is_refused(tmp_path: Path) -> None:

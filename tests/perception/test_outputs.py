@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -336,11 +336,8 @@ def test_a_frame_of_which_most_is_not_finite_is_not_used(tmp_path: Path) -> None
 def test_an_instance_or_a_mask_that_is_not_finite_costs_what_it_covers(tmp_path: Path) -> None:
     masks = np.full((1, 16, 16), 8.0)
     masks[0, 2, 3] = np.inf
-    found, holed_box, no_score = (16.0, 24.0, 0.9), (8.0, np.nan, 0.9), (8.0, 8.0, 7.0)
-    rows = [
-        (x, 32.0, *rest, 1.0)
-        for x, rest in zip((16.0, 48.0, 40.0), (found, holed_box, no_score), strict=True)
-    ]
+    there, holed_box, no_score = (16.0, 24.0, 0.9), (8.0, np.nan, 0.9), (8.0, 8.0, 7.0)
+    rows = [(16.0, 32.0, *there, 1.0)] * 3 + [(48.0, 32.0, *holed_box, 1.0), (40.0, 32.0, *no_score, 1.0)]
     table = np.array(rows).T
     path = instances(tmp_path / "m.onnx", table, masks, {})
     sidecar = Sidecar.model_validate({"output": "instances", "classes": {"oyster": "target"}})
@@ -349,6 +346,23 @@ def test_an_instance_or_a_mask_that_is_not_finite_costs_what_it_covers(tmp_path:
     assert (labels[:, 28:] == Label.SEABED).all()
     assert confidence[10, 14] == 0.0
     assert 16 <= (confidence == 0.0).sum() <= 64
+
+
+@pytest.mark.parametrize("spoil", [lambda row: row * np.nan, lambda row: row + np.inf, lambda row: row - 3.0])
+@pytest.mark.parametrize("masks_of", ["usual", "thinned"])
+def test_instances_of_which_most_are_none_do_not_make_all_of_it_seabed(
+    tmp_path: Path, spoil: Callable[[np.ndarray], np.ndarray], masks_of: str
+) -> None:
+    """A network without its sigmoid, or that overflows."""
+    rows = np.array([[16.0, 32.0, 16.0, 24.0, 0.9, 1.0]] * 5)
+    if masks_of == "thinned":
+        rows = np.insert(rows, 5, 0.0, axis=1)
+    rows[:4, 4] = spoil(rows[:4, 4])
+    table = rows if masks_of == "thinned" else rows.T
+    path = instances(tmp_path / "m.onnx", table, np.full((1, 16, 16), 8.0), {})
+    sidecar = Sidecar.model_validate({"output": "instances", "classes": {"oyster": "target"}})
+    with pytest.raises(ValueError, match="scores of 0 to 1, got mostly others"):
+        LearnedLabels(path, sidecar=sidecar)
 
 
 def test_the_same_answer_to_other_pictures_is_none(tmp_path: Path) -> None:

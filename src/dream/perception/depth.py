@@ -197,7 +197,8 @@ def _account(
     on_floor &= np.isfinite(depth)
     beside = agreement = math.nan
     if np.count_nonzero(on_floor) >= FEWEST:
-        times = depth[on_floor] / floor[on_floor]
+        # Not in single precision, which a depth that is far off may leave.
+        times = depth[on_floor].astype(np.float64) / floor[on_floor]
         beside, agreement = float(np.median(times)), float((np.abs(times - 1.0) <= NEAR_ENOUGH).mean())
     total = max(int(np.count_nonzero(seen)), 1)
     shares = tuple(np.count_nonzero(seen & (labels == label)) / total for label in Label)

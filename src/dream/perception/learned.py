@@ -125,7 +125,14 @@ class LearnedLabels:
         self._labels = np.array(self._sidecar.labels, np.uint8)
         tests = _test_pictures(*self._size)
         if self._sidecar.output == "instances":
-            self._from_instances(self._answers(tests[0]), self._frame(tests[0]), tests[0].shape)
+            _, confidence, _ = self._from_instances(
+                self._answers(tests[0]), self._frame(tests[0]), tests[0].shape
+            )
+            if not confidence.any():
+                raise ValueError(
+                    "instances: expected finite numbers, and scores of 0 to 1, got mostly others. "
+                    "Export the model with its sigmoid inside"
+                )
             return
         (name,) = self._names
         answers = [answer for rgb in tests for answer in self._answers(rgb)]
@@ -200,8 +207,8 @@ def _instances(
 ) -> tuple[Float32Array, Float32Array, npt.NDArray[np.intp], Float32Array, Float32Array]:
     """Boxes (N, 4) as x0, y0, x1, y1 in the input, scores, classes, mask weights (N, m) and masks (m, h, w).
 
-    An instance of which a number is not finite, or the score no probability, is left out; a mask may hold
-    what is not finite.
+    An instance of which a number is not finite, or the score no probability, is left out; where most are
+    such, the masks are not finite either, as some of them may be by themselves.
 
     Two layouts are in use: (1, 4 + classes + m, N) with middle and size of a box and a score for each class,
     and (1, N, 6 + m) with corners, score and class, where the network has thinned them out itself.
@@ -241,6 +248,8 @@ def _instances(
             f"and {count} masks, got {flat[0].shape}"
         )
     good = np.isfinite(rows).all(axis=1) & (scores >= 0.0) & (scores <= 1.0 + ROUGH)
+    if len(good) and 1.0 - good.mean() > MOST_LOST:
+        masks[:] = np.nan
     return boxes[good], np.minimum(scores[good], 1.0), kinds[good], weights[good], masks
 
 

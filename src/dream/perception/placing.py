@@ -78,7 +78,7 @@ def resampled(maps: Float32Array, frame: Frame, shape: tuple[int, ...]) -> Float
         # Nothing of a cell counts where its share is 0, not even a NaN.
         upper = np.minimum(low + (share > 0.0), maps.shape[axis] - 1)
         share = share.reshape((-1, 1) if axis == 1 else (1, -1))
-        with np.errstate(invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):
             out = out.take(low, axis) * (1.0 - share) + out.take(upper, axis) * share
     return out
 

@@ -33,9 +33,9 @@ class Fit:
 
     def depth(self, raw: FloatArray) -> Float32Array:
         """Metres; NaN where the raw output stands for no positive depth."""
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             z = 1.0 / (self.scale * raw + self.shift) if self.inverse else self.scale * raw
-        return np.where(np.isfinite(z) & (z > 0.0), z, np.nan).astype(np.float32)
+            return np.where(np.isfinite(z) & (z > 0.0), z, np.nan).astype(np.float32)
 
 
 def fit_to_floor(raw: FloatArray, floor: FloatArray, on_floor: BoolArray, *, inverse: bool) -> Fit | None:
@@ -67,7 +67,7 @@ def fit_to_floor(raw: FloatArray, floor: FloatArray, on_floor: BoolArray, *, inv
 
 def judged(fit: Fit, raw: FloatArray, floor: FloatArray, on_floor: BoolArray) -> Fit:
     """A fit with its error over the floor. A pixel without a depth agrees with nothing."""
-    with np.errstate(invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         error = np.abs(fit.depth(raw[on_floor]) / floor[on_floor] - 1.0)
     error = np.where(np.isnan(error), np.inf, error)
     if len(error) == 0:
