@@ -43,17 +43,17 @@ class Repeats:
 
     def __init__(self) -> None:
         """Nothing was shown yet."""
-        self._picture: UInt8Array | None = None
+        self._picture: npt.NDArray[Any] | None = None
         self._answer: npt.NDArray[Any] | None = None
         self._count = 0
 
-    def told(self, rgb: UInt8Array, answer: npt.NDArray[Any]) -> bool:
-        """Take in a picture and what was answered; has it been the same for `REPEATS` pictures more?"""
-        if self._picture is None or not np.array_equal(rgb, self._picture):
+    def told(self, x: npt.NDArray[Any], answer: npt.NDArray[Any]) -> bool:
+        """Take in what went in and came out; has it been the same for `REPEATS` more that were different?"""
+        if self._picture is None or not np.array_equal(x, self._picture):
             same = self._answer is not None and np.array_equal(answer, self._answer, equal_nan=True)
             tells = answer.dtype.kind == "f" and answer.size > 0 and answer.min() != answer.max()
             self._count = self._count + 1 if same and tells else 0
-            self._picture, self._answer = rgb.copy(), answer
+            self._picture, self._answer = x, answer
         return self._count >= REPEATS
 
 
@@ -123,10 +123,16 @@ class LearnedLabels:
             )
         self._under, self._repeats = under, Repeats()
         self._labels = np.array(self._sidecar.labels, np.uint8)
+        self._try()
+        # What was shown for a test says nothing of what a camera will show.
+        self._repeats = Repeats()
+
+    def _try(self) -> None:
+        """Show it the test pictures: is the output what the sidecar says?"""
         tests = _test_pictures(*self._size)
         if self._sidecar.output == "instances":
             _, confidence, _ = self._from_instances(
-                self._answers(tests[0]), self._frame(tests[0]), tests[0].shape
+                self._answers(tests[0])[0], self._frame(tests[0]), tests[0].shape
             )
             if not confidence.any():
                 raise ValueError(
@@ -135,7 +141,7 @@ class LearnedLabels:
                 )
             return
         (name,) = self._names
-        answers = [answer for rgb in tests for answer in self._answers(rgb)]
+        answers = [answer for rgb in tests for answer in self._answers(rgb)[0]]
         self._form = form_of(self._sidecar, self._network.operator(name), answers)
 
     def segment(self, rgb: UInt8Array) -> tuple[UInt8Array, Float32Array]:
@@ -160,17 +166,19 @@ class LearnedLabels:
     def _frame(self, rgb: UInt8Array) -> Frame:
         return placed(rgb.shape, *self._size, letterbox=self._sidecar.letterbox)
 
-    def _answers(self, rgb: UInt8Array) -> list[npt.NDArray[Any]]:
+    def _answers(self, rgb: UInt8Array) -> tuple[list[npt.NDArray[Any]], bool]:
+        """What the network answers, and whether that is what it answers to other pictures."""
         x = picture(rgb, self._frame(rgb), self._sidecar, self._network.kind)
-        return self._network.run(x, self._names)
+        answers = self._network.run(x, self._names)
+        return answers, self._repeats.told(x, answers[0])
 
     def _own(self, rgb: UInt8Array) -> Answer:
-        answers, frame = self._answers(rgb), self._frame(rgb)
+        (answers, repeats), frame = self._answers(rgb), self._frame(rgb)
         if self._sidecar.output == "instances":
             labels, confidence, found = self._from_instances(answers, frame, rgb.shape)
         else:
             labels, confidence, found = labelled(answers[0], self._form, self._sidecar, frame, rgb.shape)
-        if self._repeats.told(rgb, answers[0]):
+        if repeats:
             return unbelieved(labels, confidence, found, np.ones_like(found))
         return labels, confidence, found
 
@@ -302,6 +310,7 @@ class LearnedDepth:
             raise ValueError(f"output: expected a depth, got {self._sidecar.output}")
         self._max_depth, self._repeats = max_depth, Repeats()
         self._raw(np.zeros((16, 16, 3), np.uint8))
+        self._repeats = Repeats()
 
     def estimate(
         self,
@@ -319,7 +328,7 @@ class LearnedDepth:
         """
         camera.check(rgb, "rgb")
         camera.check(labels, "labels")
-        raw = self._raw(rgb)
+        raw, repeats = self._raw(rgb)
         floor = floor_depth(rays(camera, altitude, T_world_base, T_base_camera), self._max_depth)
         on_floor = ((labels == Label.SEABED) | (labels == Label.TARGET)) & np.isfinite(floor)
         fit: Fit | None
@@ -327,7 +336,6 @@ class LearnedDepth:
             fit = judged(Fit(1.0, 0.0, False, 0.0, 0.0), raw, floor, on_floor)
         else:
             fit = fit_to_floor(raw, floor, on_floor, inverse=self._sidecar.output == "inverse_depth")
-        repeats = self._repeats.told(rgb, raw)
         if fit is None:
             return np.full(raw.shape, np.nan, np.float32), np.zeros(raw.shape, np.float32)
         depth = fit.depth(raw)
@@ -340,10 +348,12 @@ class LearnedDepth:
             np.where(known, np.float32(confidence), np.float32(0.0)),
         )
 
-    def _raw(self, rgb: UInt8Array) -> Float32Array:
+    def _raw(self, rgb: UInt8Array) -> tuple[Float32Array, bool]:
+        """(H, W) what the network answers, and whether that is what it answers to other pictures."""
         frame = placed(rgb.shape, *self._size, letterbox=self._sidecar.letterbox)
         name = self._sidecar.name or next(iter(self._network.outputs))
-        (answer,) = self._network.run(picture(rgb, frame, self._sidecar, self._network.kind), [name])
+        x = picture(rgb, frame, self._sidecar, self._network.kind)
+        (answer,) = self._network.run(x, [name])
         maps = np.squeeze(answer)
         if maps.ndim != 2 or min(maps.shape) < 2 or maps.dtype.kind == "b":
             raise ValueError(f"depth: expected one number a pixel, got {answer.shape} of {answer.dtype}")
@@ -352,4 +362,5 @@ class LearnedDepth:
         raw: Float32Array = resampled(maps[None], frame, rgb.shape)[0]
         finite = np.isfinite(raw)
         # A frame of which most is not finite shows nothing.
-        return np.where(finite & (finite.mean() >= MOST_LOST), raw, np.float32(np.nan))
+        kept = np.where(finite & (finite.mean() >= MOST_LOST), raw, np.float32(np.nan))
+        return kept, self._repeats.told(x, answer)
