@@ -415,8 +415,8 @@ def test_a_full_disk_ends_a_run_with_what_is_kept_and_how_to_go_on(
     printed = capsys.readouterr()
     what, kept = ("step 3", 2) if full_at else (str(folder / "summary.json"), 4)
     assert printed.err.splitlines()[-1] == (
-        f"dream: aborted: could not write {what} (No space left on device); {kept} steps are kept in "
-        f"{folder}. Once there is room: dream report {folder}"
+        f"dream: aborted: the disk is full: could not write {what} (No space left on device); {kept} "
+        f"steps are kept in {folder}. Once there is room: dream report {folder}"
     )
     assert json.loads(printed.out)["world"] == "reef/string"
     assert not [path for path in folder.iterdir() if "partial" in path.name]

@@ -7,7 +7,7 @@ import dream
 
 ROOT = Path(dream.__file__).parent
 LAYERS = [
-    {"compiling", "errors", "files", "geometry", "names", "standin", "versions"},
+    {"compiling", "ending", "errors", "files", "geometry", "names", "standin", "versions"},
     {"protocol"},
     {"types", "measurements", "traversal", "vehicle"},
     {"orders"},

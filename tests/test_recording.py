@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import errno
 import itertools
 import json
@@ -7,12 +8,14 @@ import logging
 import math
 import os
 import signal
+import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
 from datetime import UTC, datetime
 from io import FileIO
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -20,17 +23,21 @@ import pytest
 from PIL import Image
 
 from dream import recording
+from dream.ending import WORDS, reason
+from dream.errors import MissionAborted
 from dream.mapping import OccupancyMap
 from dream.recording import (
     MAX_EXCHANGE_BYTES,
     MAX_LINE_BYTES,
     MAX_SHOWN_BYTES,
+    ROOM_KEPT,
     new_run_folder,
     read_config,
     read_exchanges,
     read_steps,
     read_summary,
     record,
+    room_kept,
     write_config,
     write_summary,
 )
@@ -136,13 +143,144 @@ def test_a_failure_passes_through_and_nothing_before_it_is_lost(
     assert (tmp_path / "map.npz").exists()
 
 
-def interrupt_at(step: int, monkeypatch: pytest.MonkeyPatch) -> None:
+ABORTED = {**SUMMARY, "ended": "aborted", "why": "dive: water in the hull", "success": False, "t_stop": None}
+
+
+@pytest.mark.parametrize(
+    "why", ["interrupted", 'camera: "the same picture"; \u2028 0 \\ {}', "no bottom track for long; " * 20]
+)
+def test_the_last_line_is_told_why_no_other_follows_and_is_the_same_else(why: str, tmp_path: Path) -> None:
+    steps = record(painted_mission(5), tmp_path)
+    list(itertools.islice(steps, 3))
+    steps.close()
+    before = (tmp_path / "steps.jsonl").read_bytes()
+    for _ in range(2):  # Nor is it told twice.
+        write_summary(tmp_path, {**ABORTED, "why": why})
+    assert (tmp_path / "steps.jsonl").read_bytes()[: len(before) - 2] == before[:-2]
+    recorded, lines = read_steps(tmp_path), (tmp_path / "steps.jsonl").read_text().splitlines()
+    assert [step.why for step in recorded] == ["", "", why]
+    # Nothing that an older reader knows has changed: it keeps fields that it does not know.
+    assert [step.ended for step in recorded] == ["", "", ""]
+    assert ['"why"' in line for line in lines] == [False, False, True]
+    summary = read_summary(tmp_path)
+    assert summary is not None
+    assert summary.why == why
+
+
+@pytest.mark.parametrize("name", ["map.npz", "observations/0005.npz", "log.mcap"])
+def test_why_it_ended_does_not_tell_where_the_folder_lay(name: str, tmp_path: Path) -> None:
+    write_summary(tmp_path, {**ABORTED, "why": f"the disk is full: could not write {tmp_path / name} (none)"})
+    summary = read_summary(tmp_path)
+    assert summary is not None
+    assert summary.why == f"the disk is full: could not write {name} (none)"
+
+
+def test_a_mission_that_ends_by_itself_says_why_in_its_last_line_at_once(
+    run: tuple[Path, list[Step]],
+) -> None:
+    folder, steps = run
+    assert [step.why for step in read_steps(folder)] == [*[""] * (len(steps) - 1), WORDS["done"]]
+
+
+def test_a_summary_of_before_there_were_reasons_is_read(tmp_path: Path) -> None:
+    (tmp_path / "summary.json").write_text(json.dumps(SUMMARY))
+    summary = read_summary(tmp_path)
+    assert summary is not None
+    assert summary.why == ""
+
+
+def test_without_room_for_the_reason_the_last_line_stays_and_the_summary_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps = record(painted_mission(5), tmp_path)
+    list(itertools.islice(steps, 3))
+    steps.close()
+    before = (tmp_path / "steps.jsonl").read_bytes()
+    opened = Path.open
+
+    class Full(FileIO):
+        def write(self, data: Any) -> int:
+            if len(data) > 2:
+                if len(data) > 8:
+                    return super().write(data[:8])
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            return super().write(data)
+
+    def full(path: Path, mode: str = "r", *arguments: Any, **options: Any) -> Any:
+        return Full(path, mode) if mode == "r+b" else opened(path, mode, *arguments, **options)
+
+    monkeypatch.setattr(Path, "open", full)
+    write_summary(tmp_path, {**ABORTED, "why": "interrupted by an eel"})
+    assert (tmp_path / "steps.jsonl").read_bytes() == before
+    summary = read_summary(tmp_path)
+    assert summary is not None
+    assert summary.why == "interrupted by an eel"
+
+
+@pytest.mark.parametrize("stop", [MissionAborted("water in the hull"), RuntimeError("thruster lost")])
+def test_a_map_that_cannot_be_saved_takes_nothing_from_why_the_mission_stopped(
+    stop: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = Disk(monkeypatch)
+
+    def stopping() -> Iterator[Step]:
+        yield from painted_mission(2)
+        disk.full = True
+        raise stop
+
+    with pytest.raises(type(stop)) as caught:
+        list(record(stopping(), tmp_path))
+    said = reason(caught.value)
+    assert said.startswith(f"{stop}; could not write")
+    assert said.endswith("map.npz (the disk is full)")
+
+
+def test_an_interrupt_stays_one_though_the_map_cannot_be_saved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    disk, steps = Disk(monkeypatch), record(painted_mission(5), tmp_path)
+
+    def interrupted() -> None:
+        with contextlib.closing(steps):
+            for _ in steps:
+                disk.full = True
+                raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert "map.npz (No space left on device)" in caplog.text
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_room_for_a_summary_is_kept_without_a_trace_until_it_is_given_free(
+    full: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[Any] = []
+
+    class Full(FileIO):
+        def write(self, data: Any) -> int:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def making(**options: Any) -> Any:
+        made.append(Full(os.devnull, "r+") if full else TemporaryFile(**options))  # noqa: SIM115 - see there.
+        return made[0]
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", making)
+    with room_kept(tmp_path) as give_free:
+        assert list(tmp_path.iterdir()) == []
+        assert full or os.fstat(made[0].fileno()).st_size == ROOM_KEPT
+        give_free()
+        assert made[0].closed
+    assert list(tmp_path.iterdir()) == []
+
+
+def interrupt_at(step: int, monkeypatch: pytest.MonkeyPatch, number: signal.Signals = signal.SIGINT) -> None:
     """Ctrl-C while the pictures of that step are about to be written."""
     write = recording._write_pictures
 
     def interrupted(now: Step, trail: list[tuple[float, float]], folder: Path) -> None:
         if now.index == step:
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(number)
         write(now, trail, folder)
 
     monkeypatch.setattr(recording, "_write_pictures", interrupted)
@@ -181,16 +319,17 @@ def test_an_interrupt_while_annotating_keeps_the_step_too(tmp_path: Path) -> Non
     assert [line.step for line in read_steps(tmp_path)] == [0, 1]
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_handler_of_the_callers_own_hears_of_the_interrupt_when_the_step_is_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    number: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    interrupt_at(1, monkeypatch)
+    interrupt_at(1, monkeypatch, number)
     heard: list[int] = []
-    before = signal.signal(signal.SIGINT, lambda *_: heard.append(len(read_steps(tmp_path))))
+    before = signal.signal(number, lambda *_: heard.append(len(read_steps(tmp_path))))
     try:
         steps = list(record(painted_mission(3), tmp_path))
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(number, before)
     assert heard == [2]
     assert len(steps) == 3
 

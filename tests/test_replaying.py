@@ -356,6 +356,18 @@ class TestDives:
         (run / "log.mcap").write_bytes(b"SQLite format 3")
         assert "expected an MCAP file" in refused(capsys, "replay", run)
 
+    @pytest.mark.parametrize("kept", [0, 300, 20_000])
+    def test_a_log_that_is_torn_costs_no_more_than_its_estimates(
+        self, kept: int, run: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+    ) -> None:
+        as_dive(run)
+        whole = dived(run).read_bytes()
+        (run / "log.mcap").write_bytes(whole[:kept].ljust(len(whole), b"\0"))
+        status, told = replay(capsys, run)
+        assert (status, told["agree"]) == (0, STEPS)
+        assert (told["estimates"] is None) == ("no estimate is made again" in caplog.text)
+        assert "is read as far as it goes" in caplog.text
+
     def test_a_dive_in_real_water(
         self, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
 import logging
 import math
 import os
 import re
 import signal
+import tempfile
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
@@ -27,6 +29,7 @@ from PIL import Image
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import from_json
 
+from dream.ending import WORDS
 from dream.files import whole_or_nothing
 from dream.geometry import SE2
 from dream.types import Exchange, Float32Array, Label, Step, UInt8Array
@@ -49,6 +52,9 @@ MAX_EXCHANGE_BYTES = 16 << 20
 """A larger file of what a model answered is refused: one reply is at most 1 MiB."""
 MAX_SHOWN_BYTES = 8 << 20
 """A larger picture of what a model was shown is left out."""
+
+ROOM_KEPT = 64 << 10
+"""Bytes that are kept free for `summary.json` while others fill the disk."""
 
 # Pictures are written while the robot waits: little compression, done quickly.
 _PNG_LEVEL = 1
@@ -159,6 +165,9 @@ class RecordedStep(_Recorded):
     """Square metres of each layer."""
     open_region: str
     ended: str = Field(pattern="^(done|cap)?$")
+    why: str = ""
+    """Why the mission ended with this step, in words (`dream.ending`); only in the last line, and empty where
+    the program was killed."""
     planner_ms: float
     waited_s: float = 0.0
     """That the vehicle stood still for an answer, on the mission's clock."""
@@ -234,6 +243,8 @@ class RunSummary(_Recorded):
     """Empty where there was no simulator."""
     planner: str
     ended: Literal["done", "cap", "aborted"]
+    why: str = ""
+    """Why it ended, in words (`dream.ending`); empty in older files."""
     steps: int
     t_stop: int | None
     t_claimed: int | None
@@ -326,7 +337,7 @@ def _recording(
 ) -> Generator[Step, None, None]:
     trail: list[tuple[float, float]] = []
     step = None
-    full = False
+    stopped: BaseException | None = None
     try:
         with (folder / "steps.jsonl").open("ab", buffering=0) as lines:
             for step in steps:
@@ -338,20 +349,27 @@ def _recording(
                         _write_exchanges(step, folder)
                         _append(lines, f"{line}\n".encode())
                     except OSError as error:
-                        full = True
                         _remove_files(step.index, folder)
                         raise OSError(
                             f"could not write step {step.index} ({error.strerror or error})"
                         ) from error
                 yield step
+    except BaseException as error:
+        stopped = error
+        raise
     finally:
         if step is not None:
             try:
                 with whole_or_nothing(folder / "map.npz") as partial:
                     step.occupancy.save(partial)
-            except OSError:
-                if not full:  # Else the step is told of.
+            except OSError as full:
+                if stopped is None:
                     raise
+                # What stopped the mission is told, not what came of it.
+                if isinstance(stopped, GeneratorExit):
+                    logger.warning("%s", full)
+                elif not isinstance(stopped, OSError):
+                    stopped.add_note(str(full))
 
 
 def _append(lines: FileIO, line: bytes) -> None:
@@ -374,19 +392,26 @@ def _remove_files(step: int, folder: Path) -> None:
 
 @contextlib.contextmanager
 def _interrupt_held() -> Iterator[None]:
-    """Let Ctrl-C wait until the block is done. Other threads than the main one never hear it."""
-    handler = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(handler):
+    """Let Ctrl-C, and a SIGTERM that somebody handles, wait until the block is done.
+
+    Other threads than the main one never hear them.
+    """
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
-    held: list[FrameType | None] = []
-    signal.signal(signal.SIGINT, lambda _, frame: held.append(frame))
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    handled = {number: handler for number, handler in handlers.items() if callable(handler)}
+    held: list[tuple[int, FrameType | None]] = []
+    for number in handled:
+        signal.signal(number, lambda came, frame: held.append((came, frame)))
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, handler)
+        for number, handler in handled.items():
+            signal.signal(number, handler)
     if held:
-        handler(signal.SIGINT, held[0])
+        came, frame = held[0]
+        handled[signal.Signals(came)](came, frame)
 
 
 def _line(step: Step, annotations: Mapping[str, Any]) -> str:
@@ -420,6 +445,7 @@ def _line(step: Step, annotations: Mapping[str, Any]) -> str:
         map=step.occupancy.areas(),
         open_region=step.open_region,
         ended=step.ended,
+        why=WORDS.get(step.ended, ""),
         planner_ms=1000.0 * step.planner_s,
         waited_s=step.decision.waited,
         asked=_asked(step.decision.exchanges),
@@ -427,7 +453,7 @@ def _line(step: Step, annotations: Mapping[str, Any]) -> str:
         truth=None if step.arrival.truth is None else _pose(step.arrival.truth.se2),
         **annotations,
     )
-    return recorded.model_dump_json(fallback=_plain)
+    return recorded.model_dump_json(fallback=_plain, exclude=None if recorded.why else {"why"})
 
 
 def _pose(pose: SE2) -> RecordedPose:
@@ -640,8 +666,61 @@ def write_config(folder: Path, config: Mapping[str, Any]) -> None:
 
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
-    """Check and write `summary.json`: whole or not at all."""
-    _replace(folder / "summary.json", _checked(RunSummary, summary, "summary"))
+    """Check and write `summary.json`: whole or not at all.
+
+    Where the mission was aborted, the last line of `steps.jsonl` is told why before, if there is room.
+    """
+    # The folder may be given to others, who need not know where it lay.
+    told = str(summary.get("why", "")).replace(f"{folder}{os.sep}", "")
+    checked = _checked(RunSummary, {**summary, "why": told}, "summary")
+    if checked.ended == "aborted" and checked.why:
+        try:
+            _tell_last_step(folder / "steps.jsonl", checked.why)
+        except OSError as error:
+            logger.debug("steps.jsonl does not say why the mission ended: %s", error)
+    _replace(folder / "summary.json", checked)
+
+
+def _tell_last_step(path: Path, why: str) -> None:
+    """Add to the last line why no other follows; the line stays as it was where that cannot be written.
+
+    In place: the line is in the file since its step was made, and is there whatever happens now.
+    """
+    if not path.is_file():
+        return
+    with path.open("r+b", buffering=0) as lines:
+        size = lines.seek(0, os.SEEK_END)
+        lines.seek(max(0, size - MAX_LINE_BYTES))
+        last = lines.read(MAX_LINE_BYTES).rpartition(b"}\n")[0].rpartition(b"\n")[2]
+        if not last or RecordedStep.model_validate_json(last + b"}").why:
+            return
+        end = f',"why":{json.dumps(why)}}}\n'.encode()
+        at = lines.seek(size - len(b"}\n"))
+        try:
+            while end:
+                end = end[lines.write(end) :]
+        except OSError:
+            lines.seek(at)
+            lines.write(b"}\n")
+            lines.truncate(size)
+            raise
+
+
+@contextlib.contextmanager
+def room_kept(folder: Path) -> Iterator[Callable[[], None]]:
+    """Keep room on the disk for `summary.json`, until it is asked for: others fill it meanwhile.
+
+    It is taken by a file without a name, which no end of the program leaves behind. Where there is no room
+    to keep, none is kept.
+
+    Yields:
+        What gives it free, at once before the summary is written.
+    """
+    with tempfile.TemporaryFile(dir=folder, buffering=0) as kept:
+        with contextlib.suppress(OSError):
+            # Not zeros, which some disks do not keep.
+            kept.write(os.urandom(ROOM_KEPT))
+        yield kept.close
 
 
 def _replace(path: Path, content: BaseModel) -> None:

@@ -95,6 +95,7 @@ def flown(
         "vlm_waited_s": None,
         "mission_s": 10.0 * steps,
         "vlm_questions": None,
+        "why": None,
         "success": done and marks["t98"] is not None and not collided.any(),
         "wall_s": 1.5,
     }

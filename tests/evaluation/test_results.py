@@ -69,6 +69,7 @@ ROW = Row(
     vlm_waited_s=48.0,
     mission_s=52.5,
     vlm_questions=4,
+    why="the planner held the mission to be complete and its map agreed",
     success=False,
     wall_s=9.5,
 )
@@ -95,6 +96,7 @@ BARE = replace(
     vlm_waited_s=None,
     mission_s=None,
     vlm_questions=None,
+    why=None,
     success=True,
 )
 MANIFEST: dict[str, Any] = {
@@ -152,7 +154,7 @@ def test_the_table_has_the_published_columns_and_words(folder: Path) -> None:
         "protocol,world,seed,start,world_hash,planner,ended,steps,t_stop,t_claimed,t90,t95,t98,t100,instances,"
         "clusters,area,visible,countable,collisions,distance_m,turns,guarded,min_clearance_m,planner_ms_p50,"
         "planner_ms_p99,c50,c100,c137,c200,auc,vlm_calls,vlm_tokens,vlm_cost_usd,vlm_fallbacks,vlm_waited_s,"
-        "mission_s,vlm_questions,success,wall_s"
+        "mission_s,vlm_questions,why,success,wall_s"
     )
     assert lines[1].startswith(
         "dream-v1,reef/L,3,1,ab12,sweep-and-graze,done,2,2,,0,1,,,0.97,0.0,1.0,0.333333"
@@ -325,7 +327,7 @@ def test_a_share_that_was_rounded_to_a_mark_may_have_been_either_side_of_it(t98:
     [
         ("world_hash", "hash", "line 1: expected the columns"),
         (",done,2,", ",done,two,", "line 2: row: steps"),
-        (",done,2,", ",done,2,7,", "line 2: expected 40 cells, got 41"),
+        (",done,2,", ",done,2,7,", "line 2: expected 41 cells, got 42"),
         (",random,", ",sweep-and-graze,", "line 3: expected each mission once"),
         (",true,", ",perhaps,", "line 3: row: success"),
         ("0.5,0,48.0", "inf,0,48.0", "line 2: row: vlm_cost_usd"),

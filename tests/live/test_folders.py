@@ -12,8 +12,9 @@ import pytest
 from dream.live import folders
 from dream.live.folders import Watched, WatchedRun
 from dream.protocol import DREAM_V1
-from dream.recording import MAX_LINE_BYTES
+from dream.recording import MAX_LINE_BYTES, write_summary
 from tests.live.runs import STEPS, Growing
+from tests.recorded_runs import SUMMARY
 
 Make = Callable[..., Growing]
 
@@ -40,6 +41,20 @@ def test_steps_come_as_they_are_written_and_none_twice(growing: Make) -> None:
         assert numbers(only(watched)) == list(range(count))
         made.write()
     assert numbers(only(watched)) == list(range(STEPS))
+
+
+@pytest.mark.parametrize("count", [1, 2, STEPS - 1])
+def test_the_last_line_is_read_again_once_it_says_why_no_other_follows(count: int, growing: Make) -> None:
+    made = growing().write(count)
+    run = only(Watched([made.folder]))
+    write_summary(made.folder, {**SUMMARY, "ended": "aborted", "why": "water in the hull"})
+    run.look()
+    assert numbers(run) == list(range(count))
+    assert (run.problem, run.steps[-1].whole["why"]) == ("", "water in the hull")
+    assert run.summary is not None
+    assert run.summary.why == "water in the hull"
+    run.look()
+    assert numbers(run) == list(range(count))
 
 
 def test_a_line_counts_once_it_is_whole(growing: Make) -> None:

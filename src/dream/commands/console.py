@@ -15,6 +15,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from dream.ending import TERMINATED
 from dream.errors import MissionAborted
 
 if TYPE_CHECKING:
@@ -199,31 +200,36 @@ class _Scores:
 def kept_interrupts(again: Callable[[float], bool] = lambda since: True) -> Iterator[Callable[[], None]]:
     """A check to call between steps: it raises the KeyboardInterrupt that compiled code swallowed.
 
+    A SIGTERM that nobody else handles counts as an interrupt, too.
+
     An interrupt that comes while a kernel is compiled, or in a callback from C, is printed and forgotten; one
     that comes within a kernel may end as another error. Whatever fails after an interrupt was interrupted.
 
     Args:
         again: Whether an interrupt counts that comes so many seconds after the one before.
     """
-    came, last = False, -math.inf
+    came: KeyboardInterrupt | None = None
+    last = -math.inf
 
     def note(number: int, frame: FrameType | None) -> None:
         nonlocal came, last
         now = time.monotonic()
         since, last = now - last, now
-        if came and not again(since):
+        if came is not None and not again(since):
             return
-        came = True
-        signal.default_int_handler(number, frame)
+        came = came or KeyboardInterrupt(*([TERMINATED] if number == signal.SIGTERM else []))
+        raise KeyboardInterrupt(*came.args)
 
     def check() -> None:
-        if came:
-            raise KeyboardInterrupt
+        if came is not None:
+            raise KeyboardInterrupt(*came.args)
 
     if threading.current_thread() is not threading.main_thread():
         yield check  # Only the main thread is ever interrupted, and only it may say what happens then.
         return
-    before = signal.signal(signal.SIGINT, note)
+    before = {signal.SIGINT: signal.signal(signal.SIGINT, note)}
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        before[signal.SIGTERM] = signal.signal(signal.SIGTERM, note)
     try:
         yield check
     except MissionAborted:
@@ -232,7 +238,8 @@ def kept_interrupts(again: Callable[[float], bool] = lambda since: True) -> Iter
         check()
         raise
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextlib.contextmanager

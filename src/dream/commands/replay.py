@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import datetime
 import importlib.util
+import logging
 import math
 import shlex
 import shutil
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
     from dream.evaluation.metrics import Logbook
     from dream.sim.world import World
     from dream.types import Step
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +93,7 @@ class Replay:
             check()
             told, page = self._fly(record, planner, world)
             check()
-            told["estimates"] = None if log is None else self._reckon(record, log)
+            told["estimates"] = None if log is None else self._reckoned(record, log)
         told = {
             "run": str(self.run),
             "planner": planner_name(planner),
@@ -125,6 +128,7 @@ class Replay:
     def _log(self, record: Record) -> Path | None:
         """The log to make estimates from; None where there is none, or none are wanted."""
         from dream.robots.bluerov2.log import NAME
+        from dream.robots.bluerov2.mcap import McapFile
 
         log = record.folder / NAME
         if self.estimator == "none" or (self.estimator == "all" and not log.is_file()):
@@ -136,6 +140,7 @@ class Replay:
                 'replay: expected rosbags to read the log, got none. Say: pip install "dream-auv[rov]", '
                 "or --estimator none"
             )
+        McapFile(log)  # Something else is refused; one that is torn is read as far as it goes.
         return log
 
     def _fly(
@@ -169,6 +174,16 @@ class Replay:
             return told, None
         recording.write_summary(folder, _summary(record, planner, logbook, time.perf_counter() - began))
         return told, write_report(folder)
+
+    def _reckoned(self, record: Record, log: Path) -> dict[str, Any] | None:
+        """The same; None where all were wanted and the log is torn so far that it tells of none."""
+        try:
+            return self._reckon(record, log)
+        except ValueError as error:
+            if self.estimator != "all":
+                raise
+            logger.warning("no estimate is made again: %s", error)
+            return None
 
     def _reckon(self, record: Record, log: Path) -> dict[str, Any]:
         """How far the estimators are from the estimate of the dive, and from the truth where it is known."""

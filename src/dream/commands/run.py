@@ -27,6 +27,7 @@ from dream.commands.console import (
 from dream.commands.ground import Ground
 from dream.commands.mission import confirmed, draw_orders, given
 from dream.commands.swim import Swim
+from dream.ending import also, reason
 from dream.errors import MissionAborted
 from dream.planning import PLANNERS, AnyPlanner
 from dream.planning.vlm import WIRE_TEST, Asking, Ranked, stands_in
@@ -162,7 +163,7 @@ class Run:
                 total = min(total, orders.max_steps)
             stopped = _fly(recorded, f"{name} · {world.name} {world.seed}", total)
         tell_lost(getattr(self.planner, "record", None))
-        summary = summarize(world, name, protocol, scorer, working_time() - began)
+        summary = summarize(world, name, protocol, scorer, working_time() - began, stopped)
         page = None
         try:
             recording.write_summary(folder, summary)
@@ -170,7 +171,7 @@ class Run:
         except KeyboardInterrupt as interrupt:
             raise _aborted(interrupt, folder) from interrupt
         except OSError as full:
-            stopped = stopped or full
+            stopped = also(stopped, full)
         if self.json:
             print_json(summary)
         else:
@@ -247,9 +248,8 @@ def _warned(step: Step) -> bool:
 def _aborted(why: BaseException, folder: Path, record: str | None = None) -> MissionAborted:
     from dream.recording import read_steps
 
-    what = "interrupted" if isinstance(why, KeyboardInterrupt) else str(why)
     kept = read_steps(folder)
-    said = f"aborted: {what}; {kept[-1].step if kept else 0} steps are kept in {folder}"
+    said = f"aborted: {reason(why)}; {kept[-1].step if kept else 0} steps are kept in {folder}"
     if isinstance(why, OSError) and not (folder / "report.html").exists():
         said += f". Once there is room: dream report {folder}"
     if isinstance(why, KeyboardInterrupt) and record is not None:
@@ -276,6 +276,8 @@ def _print_outcome(
     )
     print(f"{summary['world']} {summary['seed']} · {summary['planner']} · {summary['protocol']}")
     print(f"  {ended} after {summary['steps']} steps" + (", a success" if summary["success"] else ""))
+    if summary["ended"] == "aborted":
+        print(f"  why: {summary['why']}")
     if steps:
         # What it holds to be complete, and with which risk; some planners only say what they do.
         reasoning = steps[-1].reasoning

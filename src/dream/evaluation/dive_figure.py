@@ -18,7 +18,7 @@ from dream.files import write_whole
 from dream.mapping import OccupancyMap
 from dream.mapping.drawing import SOLID_TARGET, TARGET, TRAVERSED
 from dream.recording import read_steps
-from dream.robots.bluerov2.log import NAME, read_log
+from dream.robots.bluerov2.log import NAME, doubting, read_log
 from dream.robots.bluerov2.navigation import Instruments
 
 if TYPE_CHECKING:
@@ -93,22 +93,23 @@ def read_dive(folder: Path) -> Flown:
     velocities: list[tuple[float, ...]] = []
     stances: list[tuple[float, str]] = []
     for logged in read_log(folder / NAME, _TOPICS):
-        message, rows = logged.message, told[logged.topic]
-        if logged.topic == "/estimate":
-            rows.append((logged.time, *_estimate(message)))
-        elif logged.topic == "/goal":
-            said = json.loads(message.data)["said"]
-            rows.append((logged.time, *(float(said[name]) for name in ("x", "y", "yaw", "altitude"))))
-        elif logged.topic == "/standing":
-            stances.append((logged.time, str(json.loads(message.data)["said"]["stance"])))
-        elif logged.topic == "/mavlink/sent":
-            for sent in parser.parse_buffer(message.data.tobytes()) or ():
-                if sent.get_type() == "MANUAL_CONTROL":
-                    rows.append((logged.time, sent.x / 1000.0, -sent.y / 1000.0, -sent.r / 1000.0))
-                elif sent.get_type() == "SET_POSITION_TARGET_LOCAL_NED":
-                    velocities.append((logged.time, sent.vx, -sent.vy, -sent.yaw_rate))
-        else:
-            rows.append((logged.time, _metres(message)))
+        with doubting(logged):
+            message, rows = logged.message, told[logged.topic]
+            if logged.topic == "/estimate":
+                rows.append((logged.time, *_estimate(message)))
+            elif logged.topic == "/goal":
+                said = json.loads(message.data)["said"]
+                rows.append((logged.time, *(float(said[name]) for name in ("x", "y", "yaw", "altitude"))))
+            elif logged.topic == "/standing":
+                stances.append((logged.time, str(json.loads(message.data)["said"]["stance"])))
+            elif logged.topic == "/mavlink/sent":
+                for sent in parser.parse_buffer(message.data.tobytes()) or ():
+                    if sent.get_type() == "MANUAL_CONTROL":
+                        rows.append((logged.time, sent.x / 1000.0, -sent.y / 1000.0, -sent.r / 1000.0))
+                    elif sent.get_type() == "SET_POSITION_TARGET_LOCAL_NED":
+                        velocities.append((logged.time, sent.vx, -sent.vy, -sent.yaw_rate))
+            else:
+                rows.append((logged.time, _metres(message)))
     estimate = _rows(told["/estimate"], 8)
     if len(estimate) == 0:
         raise ValueError(f"{folder / NAME}: expected estimates of the pose, got none. Did the dive begin?")

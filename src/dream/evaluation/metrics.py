@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dream.ending import why
 from dream.geometry import SE3, Bounds, Camera
 from dream.orders import Flown, Leg, Orders, Outcome, Task, place
 from dream.protocol import SurveyProtocol
@@ -126,6 +127,7 @@ class Logbook:
         distance = sum(entry.distance for entry in moves)
         return {
             "ended": ended or "aborted",
+            "why": why(ended, None),
             "steps": steps,
             "t_stop": steps if ended == "done" else None,
             "t_claimed": claims[0] if claims else None,

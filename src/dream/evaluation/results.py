@@ -24,6 +24,7 @@ import numpy.typing as npt
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import from_json
 
+from dream.ending import MOST
 from dream.evaluation.metrics import MILESTONES, curve
 from dream.evaluation.suites import WORLD_NAME
 from dream.files import write_whole
@@ -55,6 +56,7 @@ def _world_name(text: str) -> str:
 
 _Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]{0,99}$")]
 _WorldName = Annotated[str, AfterValidator(_world_name)]
+_Line = Annotated[str, Field(min_length=1, max_length=2 * MOST, pattern=r"^[^\x00-\x1f\x7f]*$")]
 _Count = Annotated[int, Field(ge=0)]
 _Step = Annotated[int, Field(ge=0, le=MAX_STEPS)]
 _Share = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -119,6 +121,8 @@ class Row:
     """On the mission's clock, waiting included; None where it was flown before that was written down."""
     vlm_questions: _Count | None
     """What a model was asked, likewise."""
+    why: _Line | None
+    """Why it ended, in words (`dream.ending`); None where that was not written down yet."""
     success: bool
     wall_s: _Amount
 
@@ -136,7 +140,11 @@ class Row:
 COLUMNS: tuple[str, ...] = tuple(field.name for field in fields(Row))
 TIMES: tuple[str, ...] = ("planner_ms_p50", "planner_ms_p99", "wall_s")
 """Columns that depend on the machine; all others are the same each time a mission is flown."""
-LATER: tuple[tuple[str, ...], ...] = (("vlm_waited_s", "mission_s"), ("vlm_questions",))
+LATER: tuple[tuple[str, ...], ...] = (
+    ("vlm_waited_s", "mission_s"),
+    ("vlm_questions",),
+    ("why",),
+)
 """Columns that files may lack which were written before there were any: each time some came, these."""
 TRACE_COLUMNS: tuple[str, ...] = (
     *("protocol", "world", "seed", "start", "planner", "step"),

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from dream import __version__, recording
+from dream.ending import why
 from dream.errors import MissionAborted
 from dream.evaluation import machine
 from dream.evaluation.engines import Engine, Failure
@@ -128,16 +129,32 @@ def labelled_in(world: World) -> Target:
 
 
 def summarize(
-    world: World, planner_name: str, protocol: SurveyProtocol, scorer: Scorer, wall_s: float
+    world: World,
+    planner_name: str,
+    protocol: SurveyProtocol,
+    scorer: Scorer,
+    wall_s: float,
+    stopped: BaseException | None = None,
 ) -> dict[str, Any]:
-    """The object that `--json` prints and `summary.json` holds."""
+    """The object that `--json` prints and `summary.json` holds.
+
+    Args:
+        world: Where it was flown.
+        planner_name: By whom.
+        protocol: By which rules.
+        scorer: That was given all of its steps.
+        wall_s: Seconds that it took.
+        stopped: What stopped it, or went wrong after its end; None where it ended by itself.
+    """
+    scored = scorer.summary()
     return {
         "protocol": protocol.name,
         "world": world.name,
         "seed": world.seed,
         "world_hash": world_hash(world),
         "planner": planner_name,
-        **scorer.summary(),
+        **scored,
+        "why": why("" if scored["ended"] == "aborted" else scored["ended"], stopped),
         "wall_s": round(wall_s, 3),
     }
 
@@ -256,17 +273,20 @@ def fly(flight: Flight) -> Flown:
         poses.append((x, y, yaw, round(coverage.instances, 6), step.arrival.collided))
         return {"coverage": coverage.as_dict()}
 
-    def outcome() -> dict[str, Any]:
+    def outcome(stopped: MissionAborted | None) -> dict[str, Any]:
         wall_s = time.perf_counter() - began
-        return summarize(stage.world, flight.planner_name, protocol, scorer, wall_s)
+        return summarize(stage.world, flight.planner_name, protocol, scorer, wall_s, stopped)
 
+    stopped: MissionAborted | None = None
     if flight.record_to is None:
-        with contextlib.suppress(MissionAborted):
+        try:
             for step in steps:
                 score(step)
+        except MissionAborted as aborted:
+            stopped = aborted
     else:
-        _record(flight, stage.world, protocol, steps, score, outcome)
-    return _flown(outcome(), poses, flight.case.start, protocol.cap)
+        stopped = _record(flight, stage.world, protocol, steps, score, outcome)
+    return _flown(outcome(stopped), poses, flight.case.start, protocol.cap)
 
 
 def _record(
@@ -275,9 +295,12 @@ def _record(
     protocol: SurveyProtocol,
     steps: Iterator[Step],
     score: Callable[[Step], Mapping[str, Any]],
-    outcome: Callable[[], Mapping[str, Any]],
-) -> None:
-    """Fly a mission and leave its run folder, in place of what a broken-off try may have left."""
+    outcome: Callable[[MissionAborted | None], Mapping[str, Any]],
+) -> MissionAborted | None:
+    """Fly a mission and leave its run folder, in place of what a broken-off try may have left.
+
+    Returns what aborted it, if anything did.
+    """
     from dream.report import write_report
 
     folder = flight.record_to
@@ -296,11 +319,16 @@ def _record(
     )
     recording.write_config(folder, {**config, "began": datetime.datetime.now(datetime.UTC)})
     recorded = recording.record(steps, folder, annotate=score)
-    with contextlib.suppress(MissionAborted), contextlib.closing(recorded):
-        for _ in recorded:
-            pass
-    recording.write_summary(folder, outcome())
+    stopped: MissionAborted | None = None
+    try:
+        with contextlib.closing(recorded):
+            for _ in recorded:
+                pass
+    except MissionAborted as aborted:
+        stopped = aborted
+    recording.write_summary(folder, outcome(stopped))
     write_report(folder)
+    return stopped
 
 
 def _flown(
@@ -312,7 +340,7 @@ def _flown(
     same = (
         *("protocol", "world", "seed", "world_hash", "planner", "ended", "steps", "t_stop", "t_claimed"),
         *("t90", "t95", "t98", "t100", "countable", "collisions", "distance_m", "turns", "guarded"),
-        *("min_clearance_m", "mission_s", "success", "wall_s"),
+        *("min_clearance_m", "mission_s", "success", "wall_s", "why"),
     )
     values: dict[str, Any] = {
         "start": start,

@@ -81,6 +81,8 @@ class WatchedRun:
     _numbers: dict[int, int] = field(default_factory=dict)
     _last: RecordedStep | None = None
     _offset: int = 0
+    _before: int = 0
+    """Where the last line that was read begins."""
     _written: float = 0.0
     _damaged: bool = False
 
@@ -132,14 +134,20 @@ class WatchedRun:
         if size < self._offset:
             raise ValueError(f"steps.jsonl: expected {self._offset} bytes or more, got {size}. Another run?")
         with path.open("rb") as lines:
-            lines.seek(self._offset)
+            lines.seek(max(0, self._offset - 1))
+            if self._offset and lines.read(1) != b"\n":
+                # The last line was told why no other follows (`recording.write_summary`): it is read again.
+                self._offset = self._before
+                del self._numbers[self.steps.pop().number]
+                self._last = None
+                lines.seek(self._offset)
             read = lines.read(READ_BYTES)
         *whole, torn = read.split(b"\n")
         for line in whole:
             where = f"steps.jsonl, line {len(self.steps) + 1}"
             self._check_length(line, where)
             step = read_step(line, where, self._last)
-            self._last = step
+            self._last, self._before = step, self._offset
             self._offset += len(line) + 1
             self._numbers[step.step] = len(self.steps)
             self.steps.append(ShownStep(step.step, {**step.model_dump(), "spent": self._spent(step)}))

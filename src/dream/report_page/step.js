@@ -32,6 +32,7 @@ function carried(step, real) {
   if (step.arrival_note) rows.push(...row("On the way", step.arrival_note, "warn"));
   if (step.waited_s > 0) rows.push(...row("Waited", `${minutes(step.waited_s)} for the model`));
   if (step.collided) rows.push(...row("Contact", "Touched something and stopped", "bad"));
+  if (!step.ended && step.why) rows.push(...row("Ended", step.why, "bad"));
   if (step.ended) rows.push(...row("Ended", step.ended === "done" ? "The planner is done and the map agrees" : "Out of steps", step.ended === "done" ? "good" : "warn"));
   return rows;
 }

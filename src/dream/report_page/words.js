@@ -32,10 +32,13 @@ const guardChanged = ({ decision, guarded }) =>
 function outcome(run) {
   const { summary, steps } = run;
   const last = steps.at(-1);
+  // Older files do not say why; a program that was killed could not.
+  const because = (why) => (why ? `: ${why}` : "");
   if (!summary) {
-    if (!last) return { badge: "Aborted", tone: "bad", text: "It was aborted before its first step; nothing was recorded." };
-    if (last.ended) return { badge: "Not scored", tone: "", text: `It ended after step ${last.step}, but left no summary.` };
-    return { badge: "Aborted", tone: "bad", text: `It was aborted after step ${last.step}. Everything recorded until then is shown.` };
+    if (last?.ended) return { badge: "Not scored", tone: "", text: `It ended after step ${last.step}, but left no summary.` };
+    const when = last ? `after step ${last.step}` : "before its first step";
+    const silent = last?.why ? "" : " It left no word why: the program was killed, or the power failed, or it is still under way.";
+    return { badge: "Aborted", tone: "bad", text: `It was aborted ${when}${because(last?.why)}.${silent} ${last ? "Everything recorded until then is shown." : "Nothing was recorded."}` };
   }
   const where = run.config.orders ? "of the targets in the ordered area seen" : "of the targets seen";
   // Of a real dive nobody knows what there was to see, nor whether it touched anything.
@@ -49,5 +52,5 @@ function outcome(run) {
   }
   if (summary.ended === "cap")
     return { badge: "Out of steps", tone: "warn", text: `It used all ${summary.steps} steps without calling the mission complete${came}.` };
-  return { badge: "Aborted", tone: "bad", text: `It was aborted after ${plural(summary.steps, "step")}${came}.` };
+  return { badge: "Aborted", tone: "bad", text: `It was aborted after ${plural(summary.steps, "step")}${came}${because(summary.why)}.` };
 }

@@ -357,6 +357,26 @@ def test_depths_that_part_end_the_dive_after_a_second(apart: float) -> None:
     assert f"0.90 m by the pressure, {0.7 + apart:.2f} m by the autopilot" in scene.bridge.over
 
 
+@pytest.mark.parametrize(
+    "in_the_hull",
+    [lambda depth: 0.0, lambda depth: 0.1 * depth, lambda depth: 0.2 - 0.3 * depth],
+    ids=["sealed", "soft", "cooling"],
+)
+def test_a_barometer_within_the_hull_ends_the_dive_on_its_way_down(
+    in_the_hull: Callable[[float], float],
+) -> None:
+    # At the surface it agrees with the one outside.
+    scene = Scene(reports=replace(WELL, own_depth=0.05, depth=in_the_hull(0.05)))
+    scene.bridge.go(GOAL, 0.6)
+    depth = 0.05
+    while not scene.bridge.over and depth < 2.0:
+        assert set(scene.beats(0.2)) <= {"steer", "neutral", "resort"}
+        depth += 0.03
+        scene.reports = replace(WELL, own_depth=depth, depth=in_the_hull(depth))
+    assert depth < 0.7
+    assert "the depths part" in scene.bridge.over
+
+
 def test_an_estimate_that_flies_ends_the_dive_after_a_second() -> None:
     scene = under_way()
     scene.fix = fix_at(T_world_base=SE3.level(0.0, 0.0, 0.31, 0.0))

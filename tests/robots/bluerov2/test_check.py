@@ -182,6 +182,25 @@ RIVAL = "another station uses our system id 255: HEARTBEAT from its component 19
             "SCALED_PRESSURE2 from outside the hull",
         ),
         ("depth", lying(-0.25, 0.25, zeroed_here=False), "-0.25 m", "a Bar30 that agrees with it"),
+        # The barometer of an autopilot that is SCALED_PRESSURE2, within the hull: sealed, soft, and warm.
+        (
+            "depth",
+            lying(0.0, -0.92, zeroed_here=False),
+            "0.00 m, 0.1 s old, but 0.92 m",
+            "from outside the hull",
+        ),
+        (
+            "depth",
+            lying(0.1, -1.2, zeroed_here=False),
+            "0.10 m, 0.1 s old, but 1.20 m",
+            "from outside the hull",
+        ),
+        (
+            "depth",
+            lying(0.3, -0.62, zeroed_here=False),
+            "0.30 m, 0.1 s old, but 0.62 m",
+            "from outside the hull",
+        ),
     ],
 )
 def test_what_is_not_well_says_what_was_found_and_what_is_wanted(

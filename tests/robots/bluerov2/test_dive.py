@@ -1,23 +1,29 @@
 """`dream dive --stand-in`: the paper's tank trial, end to end, over the real protocols."""
 
 import contextlib
+import copy
 import csv
+import errno
 import importlib.util
 import json
 import logging
 import math
+import os
 import signal
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
+from io import FileIO
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
+from dream import recording
 from dream.cli import _Telling, run_command
 from dream.commands.dive import Dive, _outlives_its_terminal, draw_flown
 from dream.commands.dive.console import tell
@@ -27,6 +33,7 @@ from dream.commands.dive.ready import Ready, how_to_restore
 from dream.commands.dive.records import _perception, config
 from dream.commands.dive.tank import rehearse_return
 from dream.commands.ground import Ground, Known
+from dream.ending import why
 from dream.errors import MissionAborted
 from dream.estimation import InEkf, InEkfState, Timeline
 from dream.evaluation.dive_figure import read_dive
@@ -44,6 +51,7 @@ from dream.robots.bluerov2.devices import PARAMETERS_BEFORE, Devices, source_of
 from dream.robots.bluerov2.home import LEAVING, WayHome
 from dream.robots.bluerov2.limits import LastResort, Limits
 from dream.robots.bluerov2.log import dive_began, read_log, read_measurements, read_wire
+from dream.robots.bluerov2.mcap import McapWriter
 from dream.robots.bluerov2.navigation import Instruments
 from dream.robots.bluerov2.standin.lockstep import LockStep
 from dream.robots.bluerov2.standin.rig import Rig
@@ -52,6 +60,7 @@ from dream.sim.worlds import make_world
 from dream.survey import files
 from dream.survey.site import Site, read_site, write_site
 from dream.types import Decision
+from tests.recorded_runs import CONFIG, SUMMARY, painted_mission
 from tests.robots.bluerov2 import rigged
 from tests.survey.scenes import reef
 
@@ -741,6 +750,126 @@ def test_a_step_whose_depth_is_not_believed_says_so(tmp_path: Path, caplog: pyte
     counted = _perception(accounts)
     assert (counted["frames"], counted["frames_doubted"], counted["frames_without_depth"]) == (4, 2, 2)
     assert (counted["pixels_without_label"], counted["pixels_without_depth"]) == (8, 20)
+
+
+def flight(folder: Path) -> Flight:
+    """A dive that is over, with nothing lost of its log."""
+    limits, start = Limits(Bounds(-1.0, -1.0, 1.0, 1.0)), SE2(0.0, 0.0, 0.0)
+    devices = SimpleNamespace(log=SimpleNamespace(lost={}))
+    ready = Ready(Dive(json=True), POOL_V1, devices, limits, start, folder, None, None, Known())  # type: ignore[arg-type]
+    return Flight(ready, "belief")
+
+
+@pytest.mark.parametrize(
+    ("stopped", "said"),
+    [
+        (MissionAborted("dive: Lost manual control"), "dive: Lost manual control; could not write .*"),
+        (KeyboardInterrupt(), "interrupted; could not write .*"),
+        (None, "the disk is full: could not write .*"),
+        (OSError("could not write step 3 (No space left on device)"), "the disk is full: .* step 3 .*"),
+    ],
+)
+@pytest.mark.parametrize("takes", ["summary.json", "report.html"])
+def test_a_full_disk_takes_nothing_from_why_a_dive_ended_nor_from_the_exit_status(
+    stopped: BaseException | None,
+    said: str,
+    takes: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    stopped = copy.copy(stopped)  # It is told of what follows it.
+    recording.write_config(tmp_path, CONFIG)
+    list(recording.record(painted_mission(1), tmp_path))
+    came = {
+        **SUMMARY,
+        "ended": "aborted",
+        "why": why("", stopped),
+        "success": False,
+    }
+    write_text = Path.write_text
+
+    def full(path: Path, *arguments: Any, **options: Any) -> int:
+        if takes in path.name:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write_text(path, *arguments, **options)
+
+    monkeypatch.setattr(Path, "write_text", full)
+    over = flight(tmp_path)
+    kept = "[0-9]+ steps are kept in .*"
+    # Exit status 1, as of any other abort.
+    with pytest.raises(MissionAborted, match=f"^aborted: {said}; {kept}"):
+        over._end(came, over._summed_up(came, stopped))
+    assert json.loads(capsys.readouterr().out)["why"] == came["why"]
+    assert (tmp_path / "summary.json").exists() == (takes != "summary.json")
+
+
+class Filling:
+    """A disk that is full for whatever lies in a place, from the time on when step 1 is written."""
+
+    def __init__(self, place: str, then: Callable[[], None], monkeypatch: pytest.MonkeyPatch) -> None:
+        self.place, self.then = place, then
+        self.full = False
+        self.refused: set[str] = set()
+        for owner, name in ((Image.Image, "save"), (Path, "write_text"), (OccupancyMap, "save")):
+            monkeypatch.setattr(owner, name, self._until_full(getattr(owner, name)))
+        monkeypatch.setattr(np, "savez_compressed", self._until_full(np.savez_compressed))
+        monkeypatch.setattr(McapWriter, "_append", self._until_full(McapWriter._append))
+        monkeypatch.setattr(recording, "_append", self._until_full(self._step))
+
+    def _step(self, lines: FileIO, line: bytes) -> None:
+        append(lines, line)
+        if b'"step":1,' in line:
+            self.full = True
+            self.then()
+
+    def _until_full(self, write: Callable[..., Any]) -> Callable[..., Any]:
+        def writes(*arguments: Any, **options: Any) -> Any:
+            names = {_written_to(one) for one in arguments[:2]} - {""}
+            if self.full and any(self.place in name for name in names):
+                self.refused |= names
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            return write(*arguments, **options)
+
+        return writes
+
+
+append = recording._append
+
+
+def _written_to(target: object) -> str:
+    """The path of what is written to, be it open or not; empty of anything else."""
+    target = target._file if isinstance(target, McapWriter) else target
+    return str(target if isinstance(target, Path) else getattr(target, "name", ""))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("place", "leaks", "said"),
+    [
+        ("frames", False, "the disk is full: could not write step 2"),
+        ("observations", False, "the disk is full: could not write"),
+        ("log.mcap", True, "dive: water in the hull"),
+        ("", True, "dive: water in the hull; could not write"),
+    ],
+)
+def test_wherever_there_is_no_more_room_the_vehicle_is_brought_home_and_the_reason_kept(
+    place: str, leaks: bool, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Rig(tmp_path, make_world("pool/arc", 1), pictures=5.0) as rig:
+        disk = Filling(place, lambda: setattr(rig.standin.tank, "leak", leaks), monkeypatch)
+        dived = rigged.dive(rig, tmp_path, max_steps=4)
+        assert not rig.link.telemetry.armed
+        assert isinstance(dived.error, MissionAborted)
+        assert f"aborted: {said}" in str(dived.error)
+    assert disk.refused
+    summary = recording.read_summary(tmp_path)
+    if place:
+        assert summary is not None
+        assert summary.why.startswith(said)
+        assert read_steps(tmp_path)[-1].why == summary.why
+    else:
+        assert "Once there is room: dream report" in str(dived.error)
 
 
 def test_who_could_not_be_left_as_it_was_is_told_with_the_file_to_restore_it_from(tmp_path: Path) -> None:

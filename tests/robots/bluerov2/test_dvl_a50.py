@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import queue
@@ -23,6 +24,8 @@ from dream.robots.bluerov2.dvl_a50 import (
     DvlA50,
     Stream,
     VelocityReport,
+    WaterReport,
+    apart,
     measurement,
     read_line,
 )
@@ -153,9 +156,12 @@ class TestReading:
         with pytest.raises(BadLine, match=f"^{reason}$"):
             read_line(raw)
 
-    @pytest.mark.parametrize("kind", ["velocity_water", "position_local", "something_new"])
+    @pytest.mark.parametrize("kind", ["position_local", "something_new"])
     def test_other_reports_are_of_no_concern(self, kind: str) -> None:
         assert read_line(line(type=kind)) is None
+
+    def test_a_velocity_through_the_water_is_none_over_ground(self) -> None:
+        assert isinstance(read_line(line(type="velocity_water", vx="unheard")), WaterReport)
 
 
 class Server:
@@ -406,6 +412,162 @@ def test_what_has_no_type_and_is_no_velocity_is_no_old_protocol() -> None:
     with pytest.raises(BadLine) as refused:
         read_line(b'{"format": "json_v1", "x": 1.0}')
     assert refused.value.spoken == ""
+
+
+def config_answer(**changes: Any) -> bytes:
+    """The answer to `get_config`, without a new line."""
+    result = {"speed_of_sound": 1480, "mounting_rotation_offset": 0, "acoustic_enabled": True, **changes}
+    told = {"response_to": "get_config", "success": True, "error_message": "", "result": result}
+    return json.dumps({**told, "format": "json_v3", "type": "response"}).encode()
+
+
+PD6 = b":SA, +0.00, +0.00,  0.00\r\n:TS,22020812061800, 0.0, +0.0, 0.0,1475.0, 0\r\n:BI,+123,-420,+0,+0,A\r\n"
+PD4 = b"\x7d\x00\x2d\x00\xa3" + bytes(range(11, 53))
+"""47 bytes without a new line."""
+
+
+class Saying:
+    """A DVL that says a thing again and again, to a link on a clock of its own."""
+
+    def __init__(self, *pieces: bytes, hangs_up: bool = False, port: int = 16171) -> None:
+        self.clock = LockStep()
+        self.got: list[Dvl] = []
+        self._pieces, self._hangs_up = pieces, hangs_up
+        self._ending = self.clock.event()
+        self._threads: list[Any] = []
+        self.link = DvlA50(
+            "rig", port, now=self.clock, deliver=self.got.append, threads=self.clock, dial=self._dial
+        )
+
+    def _dial(self) -> Stream:
+        pipe = Pipe(self.clock)
+
+        def say() -> None:
+            for number in itertools.count():
+                for piece in self._pieces:
+                    if self._ending.is_set() or not pipe.open:
+                        return
+                    report = stamped(1.0 + 0.1 * number).strip()
+                    pipe.far.send(bytearray(piece.replace(b"REPORT", report)))
+                    self.clock.sleep(0.05)
+                if self._hangs_up:
+                    pipe.far.close()
+                    return
+
+        self._threads.append(self.clock.start(say, "says"))
+        return pipe
+
+    def __enter__(self) -> Saying:
+        self.clock.sleep(4.0)  # As long as the list listens.
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ending.set()
+        self.link.close()
+        for thread in self._threads:
+            thread.join()
+
+
+@pytest.mark.parametrize(
+    ("pieces", "spoken"),
+    [
+        ((PD6,), "PD6"),
+        ((b":WI,    +0,    +0,    +0,    +0,V\r\n",), "PD6"),
+        ((PD4,), "PD4"),
+        ((PD4[:3], PD4[3:] + PD4), "PD4"),
+        ((b"\n".join([PD4, PD4]),), "PD4"),
+        ((b"\x7f\x7f\x0a\x01\x00\x06" + bytes(200),), "PD0"),
+        ((b"wrz,0.1,-0.2,0.0,y,1.3,0.003,1e-7;0;0,7,14,123,0*2f\r\n",), "its serial protocol"),
+        ((b"$DVPDL,1574,0,0.1,0.2*00\r\n",), "NMEA 0183"),
+        ((old("type", "covariance", "format", "status"),), "a protocol without a name"),
+    ],
+)
+@pytest.mark.parametrize("port", [16171, 1037])
+def test_an_output_that_is_no_json_is_named_with_what_to_do(
+    pieces: tuple[bytes, ...], spoken: str, port: int
+) -> None:
+    with Saying(*pieces, port=port) as dvl:
+        problem = dvl.link.problem
+        assert f"the DVL at rig:{port} speaks {spoken}, expected json_v3" in problem
+        if spoken != "a protocol without a name":
+            assert "its JSON comes on port 16171" in problem
+            assert ("Say --dvl HOST:16171" in problem) == (port != 16171)
+        with pytest.raises(TimeoutError, match=f"speaks {spoken}"):
+            dvl.link.ask("get_config", timeout=0.2)
+        assert dvl.got == []
+
+
+def test_one_that_answers_nonsense_and_hangs_up_is_named_as_well() -> None:
+    with Saying(b"HTTP/1.1 400 Bad Request\r\n", hangs_up=True, port=80) as dvl:
+        assert not dvl.link.connected
+        assert "the DVL at rig:80 speaks HTTP, expected json_v3" in dvl.link.problem
+        assert "Say --dvl HOST:16171" in dvl.link.problem
+
+
+def test_another_protocol_is_forgotten_once_a_velocity_comes() -> None:
+    with Saying(PD6, b"REPORT\n") as dvl:
+        assert dvl.got
+        dvl.clock.sleep(0.05)
+        problems = set()
+        for _ in range(4):
+            dvl.clock.sleep(0.05)
+            problems.add(dvl.link.problem)
+        assert "" in problems
+
+
+@pytest.mark.parametrize(
+    "pieces",
+    [
+        (line(type="velocity_water", tracking_mode="water"),),
+        (stamped(10.0, tracking_mode="water"),),
+        (line(type="velocity_water", velocity_valid=False), line(type="position_local")),
+        (config_answer() + b"\n", line(type="velocity_water")),
+    ],
+)
+def test_a_dvl_that_tracks_the_water_only_is_told(pieces: tuple[bytes, ...]) -> None:
+    with Saying(*pieces) as dvl:
+        assert "through the water only" in dvl.link.problem
+        assert "Set its range_mode to auto" in dvl.link.problem
+        assert dvl.got == []
+
+
+@pytest.mark.parametrize(
+    "pieces",
+    [
+        (config_answer() + b"REPORT\r\n",),
+        (config_answer()[:40], config_answer()[40:] + b"REPORT\r", b"\n"),
+        (config_answer(), b"REPORT\n"),
+        (config_answer() + b"  " + config_answer() + b"REPORT\n", b"REPORT\n"),
+    ],
+)
+def test_an_answer_glued_to_the_next_report_is_read_and_told(pieces: tuple[bytes, ...]) -> None:
+    with Saying(*pieces) as dvl:
+        assert dvl.got
+        assert dvl.link.config is not None
+        assert dvl.link.config.speed_of_sound == 1480.0
+        assert "does not end its answers with a new line" in dvl.link.problem
+        assert f"Update it to {FIRMWARE}" in dvl.link.problem
+        assert not dvl.link.misread  # Under way it ends nothing: all of it is read.
+
+
+def test_reports_in_one_line_are_read_and_a_new_line_after_an_answer_is_no_problem() -> None:
+    with Saying(config_answer() + b"\r\n", b"REPORT" + line(type="position_local")) as dvl:
+        assert dvl.link.problem == ""
+        assert len(dvl.got) > 10
+
+
+@pytest.mark.parametrize(
+    ("raw", "pieces"),
+    [
+        (b'{"a": 1}{"b": {"c": 2}}', [b'{"a": 1}', b'{"b": {"c": 2}}']),
+        (b'{"a": "}{"}', [b'{"a": "}{"}']),
+        (b'{"a": [{"b": 1}, {"b": 2}]}', [b'{"a": [{"b": 1}, {"b": 2}]}']),
+        (b'{"a": 1}\t {"torn": ', [b'{"a": 1}', b'{"torn": ']),
+        (b"no JSON", [b"no JSON"]),
+    ],
+)
+def test_a_line_is_taken_apart_only_between_objects(raw: bytes, pieces: list[bytes]) -> None:
+    assert apart(raw) == pieces
 
 
 def test_a_failing_receiver_does_not_end_the_link(opened: Opened) -> None:

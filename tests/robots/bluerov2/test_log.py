@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import io
 import json
+import logging
 import math
 import os
 import signal
+import struct
 import subprocess
 import sys
 import textwrap
 import threading
+from collections import Counter
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from io import FileIO
 from pathlib import Path
 from typing import Any
@@ -25,11 +30,15 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import dream
 from dream.estimation import Ekf, InEkf, Timeline
+from dream.evaluation.dive_figure import read_dive
 from dream.geometry import SE3
 from dream.measurements import Depth, Dvl, Heading, Imu, Measurement
+from dream.robots.bluerov2 import devices, mcap
 from dream.robots.bluerov2 import log as log_module
+from dream.robots.bluerov2.estimates import estimates
 from dream.robots.bluerov2.log import (
     DiveLog,
+    dive_began,
     read_log,
     read_measurements,
     read_wire,
@@ -298,6 +307,67 @@ class TestExactness:
             np.testing.assert_allclose(made, rotation, atol=1e-12)
 
 
+PAGE = 4096
+
+
+@pytest.fixture
+def chunked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A log of many chunks, whose types are told again after every fourth."""
+    monkeypatch.setattr(log_module, "CHUNK", 4000)
+    monkeypatch.setattr(mcap, "REPEATED", 4)
+    with DiveLog(tmp_path, epoch_ns=EPOCH) as log:
+        for said in motion(4.0):
+            log.tap(said.time, "navigation", False, said)
+    return log.path
+
+
+def without_first_imus(said: list[Imu | Measurement], count: int) -> list[str]:
+    """As text, but for the first of them."""
+    dropped = [one for one in said if isinstance(one, Imu)][:count]
+    return [measurement_text(one) for one in said if not any(one is other for other in dropped)]
+
+
+def short_dive(folder: Path) -> Path:
+    """Half a second of all that is read of a log again."""
+    begun = Ekf().begin(0.0, SE3.level(0.0, 0.0, -2.0, 0.0), (0.0, 0.0, 0.0))
+    with DiveLog(folder, epoch_ns=EPOCH) as log:
+        log.tap(0.0, "mounting", False, {"dvl": [-0.15, 0.0, -0.1], "gauge": [-0.2, 0.0, 0.0]})
+        log.tap(0.0, "begun", False, devices._plain(begun))
+        for said in motion(0.5):
+            log.tap(said.time, "measurement", False, said)
+            log.tap(said.time, "estimate", False, replace(begun, time=said.time))
+        log.tap(0.4, "standing", True, {"stance": "go", "reason": ""})
+        log.tap(0.4, "goal", True, {"x": 1.0, "y": 0.0, "yaw": 0.1, "altitude": 0.6})
+        log.tap(0.4, "a50", False, '{"type":"velocity"}')
+        log.tap(0.4, "mavlink", True, Packet(b"\xfe\x01\x00"))
+    return log.path
+
+
+def spoilt(raw: bytes, rng: np.random.Generator) -> bytes:
+    """As disks, power cuts and copies leave files: up to three damages of some kinds."""
+    bad = bytearray(raw)
+    for kind in rng.integers(0, 7, rng.integers(1, 4)):
+        at = int(rng.integers(0, max(len(bad), 1)))
+        if kind == 0:
+            del bad[at:]
+        elif kind == 1:
+            page = slice(at // PAGE * PAGE, at // PAGE * PAGE + PAGE)
+            bad[page] = bytes(len(bad[page]))
+        elif kind == 2:
+            sector = at // 512 * 512
+            bad[sector:] = bytes(len(bad) - sector)
+        elif kind == 3:
+            some = slice(at, at + int(rng.integers(1, 600)))
+            bad[some] = rng.bytes(len(bad[some]))
+        elif kind == 4:
+            del bad[at : at + int(rng.integers(1, 5000))]
+        elif kind == 5 and bad:
+            bad[at] ^= int(rng.integers(1, 256))
+        else:
+            bad[at:at] = rng.bytes(int(rng.integers(1, 100)))
+    return bytes(bad)
+
+
 class TestTornFiles:
     def test_every_truncation_reads_a_beginning_of_it(self, told: Path, tmp_path: Path) -> None:
         raw, whole = told.read_bytes(), [tuple(m) for m in McapFile(told).messages()]
@@ -356,6 +426,170 @@ class TestTornFiles:
             bad.write_bytes(changed)
             with suppress(ValueError):  # It may seem to be compressed.
                 assert set(McapFile(bad).messages()) <= whole
+
+    @pytest.mark.parametrize("place", [0.0, 0.2, 0.45, 0.7, 0.97])
+    def test_a_page_of_zeros_costs_what_lay_there(
+        self, place: float, chunked: Path, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        whole = [(one.time, one.topic) for one in read_log(chunked)]
+        raw = bytearray(chunked.read_bytes())
+        page = int(place * len(raw)) // PAGE * PAGE
+        raw[page : page + PAGE] = bytes(len(raw[page : page + PAGE]))
+        chunked.write_bytes(raw)
+        left = [(one.time, one.topic) for one in read_log(chunked)]
+        assert set(left) <= set(whole)
+        assert len(left) > 0.6 * len(whole)
+        assert f"of its {len(raw)} bytes are left out" in caplog.text
+        assert recover(chunked, chunked.with_name("mended.mcap")) == len(left)
+
+    @pytest.mark.parametrize("place", [0.3, 0.6, 0.9])
+    def test_zeros_to_the_end_as_a_power_cut_leaves_them_end_it(self, place: float, chunked: Path) -> None:
+        whole = [(one.time, one.topic) for one in read_log(chunked)]
+        raw = chunked.read_bytes()
+        kept = int(place * len(raw)) // PAGE * PAGE
+        chunked.write_bytes(raw[:kept].ljust(len(raw), b"\0"))
+        left = [(one.time, one.topic) for one in read_log(chunked)]
+        assert left == whole[: len(left)]
+        assert len(left) > (place - 0.2) * len(whole)
+
+    @pytest.mark.parametrize("place", [0.1, 0.3, 0.5])
+    def test_of_a_torn_end_nothing_counts_from_a_sector_on_that_was_never_written(
+        self, place: float, told: Path
+    ) -> None:
+        whole, raw = list(McapFile(told).messages()), bytearray(told.read_bytes())
+        sector = int(place * len(raw)) // 512 * 512
+        raw[sector : sector + 512] = bytes(512)
+        told.write_bytes(raw[: int(0.7 * len(raw))])
+        left = list(McapFile(told).messages())
+        assert left == whole[: len(left)]
+
+    def test_what_a_torn_end_says_may_be_anything_and_is_passed_over(self, told: Path) -> None:
+        raw = told.read_bytes()
+        told.write_bytes(raw[: int(0.7 * len(raw))])
+        whole = list(read_measurements(told))
+        told.write_bytes(raw[: int(0.7 * len(raw))].replace(b'"kind":"imu"', b'"kind":"eel"', 3))
+        assert [measurement_text(one) for one in read_measurements(told)] == without_first_imus(whole, 3)
+
+    def test_where_the_chunk_that_told_the_types_is_lost_the_end_tells_them(
+        self, chunked: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    ) -> None:
+        monkeypatch.setattr(mcap, "REPEATED", 1 << 30)
+        (folder := tmp_path / "told once").mkdir()
+        with DiveLog(folder, epoch_ns=EPOCH) as log:
+            for said in motion(1.0):
+                log.tap(said.time, "navigation", False, said)
+        whole, raw = list(McapFile(log.path).messages()), bytearray(log.path.read_bytes())
+        first = next(at for at, kind, *_ in McapFile(log.path)._records() if kind == 6)
+        raw[first + 60] ^= 0xFF
+        log.path.write_bytes(raw)
+        left = list(McapFile(log.path).messages())
+        assert left == whole[len(whole) - len(left) :]
+        assert len(left) > 0.3 * len(whole)
+
+    @pytest.mark.parametrize("garbage", [b"\x06" * 3000, b"\xff" * 5000, b"GET / HTTP/1.1\r\n" * 99, b"\x00"])
+    def test_after_garbage_in_the_middle_it_goes_on(self, garbage: bytes, chunked: Path) -> None:
+        whole = list(McapFile(chunked).messages())
+        raw = chunked.read_bytes()
+        middle = len(raw) // 2
+        chunked.write_bytes(raw[:middle] + garbage + raw[middle:])
+        file = McapFile(chunked)
+        left = list(file.messages())
+        assert set(left) <= set(whole)
+        assert (left[0], left[-1]) == (whole[0], whole[-1])
+        assert len(left) > 0.8 * len(whole)
+        assert len(garbage) <= file.left_out < len(garbage) + 20_000
+
+    def test_a_wrong_length_hides_nothing_that_comes_after(self, chunked: Path) -> None:
+        whole = list(McapFile(chunked).messages())
+        raw = bytearray(chunked.read_bytes())
+        chunks = [at for at, kind, *_ in McapFile(chunked)._records() if kind == 6]
+        raw[chunks[3] + 4] = 0x20  # Half a gigabyte.
+        chunked.write_bytes(raw)
+        left = list(McapFile(chunked).messages())
+        assert left[-1] == whole[-1]
+        assert len(whole) - len(left) < 0.3 * len(whole)
+
+    @pytest.mark.parametrize("ended", [True, False])
+    def test_where_the_beginning_is_lost_types_and_the_time_are_told_again(
+        self, ended: bool, chunked: Path
+    ) -> None:
+        whole = {(one.time, one.topic) for one in read_log(chunked)}
+        raw = bytearray(chunked.read_bytes())
+        raw[: 3 * PAGE] = bytes(3 * PAGE)
+        chunked.write_bytes(raw if ended else raw[: int(0.9 * len(raw))])
+        left = {(one.time, one.topic) for one in read_log(chunked)}
+        assert left <= whole
+        assert len(left) > 0.5 * len(whole)
+        assert dive_began(chunked.parent) == datetime.fromtimestamp(EPOCH / 1e9, UTC)
+
+    @pytest.mark.parametrize("content", [b"", bytes(8), bytes(3 * 4096)])
+    def test_a_log_that_never_reached_the_disk_is_empty(
+        self, content: bytes, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        log = tmp_path / "log.mcap"
+        log.write_bytes(content)
+        assert [*read_log(log), *read_measurements(log)] == []
+        assert dive_began(tmp_path) is None
+        assert "is read as far as it goes" in caplog.text
+
+    def test_a_file_made_to_be_looked_through_again_and_again_is_not(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(mcap, "MOST_BYTES", 1 << 20)
+        size, count = 60_000, 1000
+        begin = b"".join(struct.pack("<BQQQQIIQ", 6, size + 40, 0, 1, size, 1, 0, size) for _ in range(count))
+        log = tmp_path / "log.mcap"
+        log.write_bytes(mcap.MAGIC + begin + bytes(size))
+        looked: list[int] = []
+
+        def judged(body: bytes) -> str:
+            looked.append(len(body))
+            return judge(body)
+
+        judge = mcap._wrong_with
+        monkeypatch.setattr(mcap, "_wrong_with", judged)
+        file = McapFile(log)
+        assert list(file.messages()) == []
+        assert len(file.damage) <= mcap.MOST_TOLD
+        assert 1 < len(looked) < 50
+
+    def test_no_damage_is_more_than_a_warning_to_whoever_reads(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(log_module, "CHUNK", 6000)
+        monkeypatch.setattr(mcap, "REPEATED", 4)
+        logging.disable(logging.WARNING)
+        raw = short_dive(tmp_path).read_bytes()
+        bad, mended = tmp_path / "log.mcap", tmp_path / "mended.mcap"
+        readers: dict[str, Callable[[], object]] = {
+            "log": lambda: list(read_log(bad)),
+            "measurements": lambda: list(read_measurements(bad)),
+            "wire": lambda: list(read_wire(bad, "a50")),
+            "began": lambda: dive_began(tmp_path),
+            "estimates": lambda: list(estimates(bad, ("dead-reckoning",))),
+            "figure": lambda: read_dive(tmp_path),
+            "recover": lambda: recover(bad, mended),
+        }
+        came: Counter[str] = Counter()
+        refused: set[str] = set()
+        for seed in range(45):
+            bad.write_bytes(spoilt(raw, np.random.default_rng(seed)))
+            for name, read in readers.items():
+                try:
+                    read()
+                    came[name] += 1
+                except ValueError as error:
+                    refused.add(str(error).removeprefix(f"{bad}: "))
+            mended.unlink(missing_ok=True)
+        logging.disable(logging.NOTSET)
+        assert min(came.values()) > 20
+        # Of one that tells nothing of what is asked for.
+        assert refused <= {
+            "expected estimates of the pose, got none. Did the dive begin?",
+            "expected where the estimate of the dive began, got no /begun in it",
+            "expected the log of a dive, got one without its epoch",
+            "expected an MCAP file, got another beginning",
+        }
 
     def test_something_else_is_refused(self, tmp_path: Path) -> None:
         other = tmp_path / "other.mcap"

@@ -663,6 +663,27 @@ def test_modes_that_we_ask_for_are_ours(dive: Dive) -> None:
         assert dive.link.telemetry.mode == mode
 
 
+@pytest.mark.parametrize(
+    ("words", "ours"),
+    [
+        (b"Lost manual control", True),
+        (b"MYGCS: 255, heartbeat lost", True),
+        (b"MYGCS: 7, heartbeat lost", True),
+        (b"Leak Detected", False),
+        (b"Internal pressure critical", False),
+    ],
+)
+def test_a_vehicle_that_hears_nothing_of_us_is_told_in_words_for_its_owner(
+    words: bytes, ours: bool, dive: Dive
+) -> None:
+    dive.armed()
+    dive.vehicle.say(dialect.MAVLink_statustext_message(2, words))
+    dive.vehicle.armed = False
+    dive.vehicle.heartbeat()
+    assert f'It said: "{words.decode()}"' in dive.link.armed_by_other
+    assert dive.link.armed_by_other.endswith("this computer, or the link, did not keep up") == ours
+
+
 def test_a_disarm_that_nobody_asked_for_ends_it(dive: Dive) -> None:
     dive.armed()
     dive.vehicle.say(dialect.MAVLink_statustext_message(2, b"Lost manual control"))

@@ -27,6 +27,7 @@ from dream.commands.dive.tank import Tank, rehearse_mission, rehearse_return
 from dream.commands.dive.terminal import Terminal
 from dream.commands.ground import Ground
 from dream.commands.run import planner_name
+from dream.ending import asked_to_end
 from dream.geometry import Bounds
 from dream.planning import PLANNERS, AnyPlanner
 from dream.protocol import protocol_named
@@ -262,7 +263,7 @@ def _outlives_its_terminal() -> Iterator[None]:
         return
     ignored = (signal.SIGHUP, signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU)
     before = {number: signal.signal(number, signal.SIG_IGN) for number in ignored}
-    before[signal.SIGTERM] = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    before[signal.SIGTERM] = signal.signal(signal.SIGTERM, asked_to_end)
     try:
         yield
     finally:

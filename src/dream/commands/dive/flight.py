@@ -8,11 +8,13 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dream.commands.console import print_json, with_progress
 from dream.commands.dive.console import Operator, Reading, Will, console, tell
 from dream.commands.dive.records import config, print_outcome, summary
+from dream.ending import also, reason
 from dream.errors import MissionAborted
 from dream.geometry import SE2
 from dream.planning import AnyPlanner
@@ -50,7 +52,21 @@ class Flight:
         Args:
             interrupted: Raises the KeyboardInterrupt that compiled code may have swallowed.
             terminal: Where it is shown.
+
+        Returns:
+            Exit status 0.
+
+        Raises:
+            MissionAborted: The mission did not end by itself; it says why, and what is kept.
         """
+        from dream.recording import room_kept
+
+        # The log goes on while the vehicle comes home, and would fill what is left of a disk.
+        with room_kept(self.ready.folder) as give_free:
+            return self._fly(interrupted, terminal, give_free)
+
+    def _fly(self, interrupted: Callable[[], None], terminal: Terminal, give_free: Callable[[], None]) -> int:
+        """The same, with room for the summary until it is given free."""
         from dream import recording
         from dream.evaluation.metrics import Logbook, Scorer
         from dream.mapping import OccupancyMap
@@ -127,9 +143,19 @@ class Flight:
                 bridge.close()
             finally:
                 home.finish(lambda line: tell(line, quiet=told.json))
-        came = summary(ready, name, logbook, bridge, vehicle, time.perf_counter() - began)
-        recording.write_summary(ready.folder, came)
-        return self._end(came, stopped)
+        came = summary(ready, name, logbook, bridge, vehicle, time.perf_counter() - began, stopped)
+        give_free()
+        return self._end(came, self._summed_up(came, stopped))
+
+    def _summed_up(self, came: Mapping[str, Any], stopped: BaseException | None) -> BaseException | None:
+        """Write the summary. A disk that is full takes nothing from the reason of an abort: it joins it."""
+        from dream.recording import write_summary
+
+        try:
+            write_summary(self.ready.folder, came)
+        except OSError as full:
+            return also(stopped, full)
+        return stopped
 
     def _end(self, came: Mapping[str, Any], stopped: BaseException | None) -> int:
         """Tell what came of it and leave the page: exit status 0, or a MissionAborted by what stopped it."""
@@ -139,16 +165,21 @@ class Flight:
         if lost := {name: count for name, count in self.ready.devices.log.lost.items() if count}:
             which = ", ".join(f"{count} of {name}" for name, count in lost.items())
             logger.warning("the log is not whole, messages are lost: %s. Was the disk full?", which)
-        what = "interrupted" if isinstance(stopped, KeyboardInterrupt) else str(stopped)
         if stopped is not None and not (folder / "steps.jsonl").is_file():
+            what = reason(stopped)
             raise MissionAborted(f"aborted: {what}; no step was made. The log is kept in {folder}")
-        page = write_report(folder)
+        page: Path | None = None
+        try:
+            page = write_report(folder)
+        except OSError as full:
+            stopped = also(stopped, full)
         if self.ready.told.json:
             print_json(came)
         else:
             print_outcome(came, page)
         if stopped is not None:
-            raise MissionAborted(f"aborted: {what}; {came['steps']} steps are kept in {folder}")
+            said = f"aborted: {reason(stopped)}; {came['steps']} steps are kept in {folder}"
+            raise MissionAborted(said if page else f"{said}. Once there is room: dream report {folder}")
         return 0
 
     def _robot(self, bridge: Bridge, operator: Operator, sight: Sight) -> BlueRov2:

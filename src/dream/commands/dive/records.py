@@ -12,12 +12,14 @@ import numpy as np
 
 from dream import __version__
 from dream.commands.dive.options import mounting_told, repeating_command
+from dream.ending import why
 from dream.planning import PLANNERS
 from dream.planning.identity import identity
 from dream.versions import commit
 
 if TYPE_CHECKING:
     from dream.commands.dive.ready import Ready
+    from dream.commands.dive.tank import Tank
     from dream.evaluation.metrics import Logbook
     from dream.perception import Account
     from dream.robots.bluerov2.bridge import Bridge
@@ -51,10 +53,18 @@ def config(ready: Ready, name: str) -> dict[str, Any]:
 
 
 def summary(
-    ready: Ready, name: str, logbook: Logbook, bridge: Bridge, robot: BlueRov2, wall_s: float
+    ready: Ready,
+    name: str,
+    logbook: Logbook,
+    bridge: Bridge,
+    robot: BlueRov2,
+    wall_s: float,
+    stopped: BaseException | None,
 ) -> dict[str, Any]:
-    """`summary.json`: of the mission, and of the devices."""
+    """`summary.json`: of the mission, what stopped it, and of the devices."""
     from dream.sim.files import world_hash
+
+    flown = logbook.summary()
 
     devices = ready.devices
     lags = [1e3 * lag for lag in bridge.lags] or [0.0]
@@ -67,7 +77,8 @@ def summary(
         "seed": ready.told.seed,
         "world_hash": "" if tank is None else world_hash(tank.world),
         "planner": name,
-        **logbook.summary(),
+        **flown,
+        "why": why("" if flown["ended"] == "aborted" else flown["ended"], stopped),
         # Nobody feels a touch but a simulator.
         **({"collisions": None} if tank is None else {}),
         "wall_s": round(wall_s, 3),
@@ -85,7 +96,7 @@ def summary(
             "refused": {**devices.link.refused, **devices.dvl.refused, **devices.navigator.refused},
             "pilot_refused": None if devices.station is None else dict(devices.station.refused),
             "log_lost": devices.log.lost,
-            "behind_s": None if tank is None else round(tank.running.truth().behind, 3),
+            "behind_s": None if tank is None else _behind(tank),
         },
     }
 
@@ -102,11 +113,21 @@ def _perception(accounts: Sequence[Account]) -> dict[str, Any]:
     }
 
 
-def print_outcome(summary: Mapping[str, Any], page: Path) -> None:
+def _behind(tank: Tank) -> float | None:
+    """Seconds by which the stand-in is late; None where it is gone."""
+    try:
+        return round(tank.running.truth().behind, 3)
+    except OSError:
+        return None
+
+
+def print_outcome(summary: Mapping[str, Any], page: Path | None) -> None:
     """The summary in a few lines."""
     ended = {"done": "done", "cap": "out of steps", "aborted": "aborted"}[summary["ended"]]
     print(f"{summary['world']} {summary['seed']} · {summary['planner']} · {summary['protocol']}")
     print(f"  {ended} after {summary['steps']} steps and {summary['distance_m']:.1f} m")
+    if summary["ended"] == "aborted":
+        print(f"  why: {summary['why']}")
     if summary["coverage"]["instances"] is not None:
         error = summary["position_error_m"]
         print(
@@ -118,4 +139,5 @@ def print_outcome(summary: Mapping[str, Any], page: Path) -> None:
         f"  {dive['pictures_per_s']:.1f} pictures a second; from goal to command "
         f"{dive['command_lag_ms']['p50']:.0f} ms, at most {dive['command_lag_ms']['p99']:.0f} ms in 99 of 100"
     )
-    print(f"  report: {page}")
+    if page is not None:
+        print(f"  report: {page}")

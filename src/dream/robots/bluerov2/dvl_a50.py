@@ -1,6 +1,7 @@
 """The link to a Water Linked A50: lines of JSON over TCP → velocity over ground.
 
-Protocol: json_v3.x of waterlinked/docs, docs/dvl/dvl-json-protocol.md (firmware 2.7.2). Its reports are in
+Protocol: json_v3.x of waterlinked/docs, docs/dvl/dvl-json-protocol.md (firmware 2.7.2). What else comes from
+its ports: dvl-pd-formats.md (PD6 on TCP 1037, PD4 on 1038) and dvl-serial-protocol.md there. Reports are in
 the DVL's frame, forward-right-down; here everything is forward-left-up. Devices and clocks of it are in
 microseconds and degrees, which do not leave this module.
 """
@@ -64,6 +65,20 @@ PROTOCOL = r"^json_v3(\.\d{1,4})?$"
 
 NAMELESS = "a protocol without a name"
 """Of the first firmwares, up to 1.6.0."""
+
+OTHERS: Mapping[str, bytes] = {
+    "PD4": rb"\}\x00[\x2d-\x2f]\x00",
+    "PD5": rb"\}\x01[\x00-\xff]\x00",
+    "PD0": rb"\x7f\x7f",
+    "PD6": rb"\A\s*:(?:SA|TS|[WB][ISED]),",
+    "its serial protocol": rb"\A\s*wr[a-z],",
+    "NMEA 0183": rb"\A\s*\$[A-Z]{4,6},",
+    "HTTP": rb"\A\s*HTTP/",
+}
+"""What other protocols of a DVL are known by: binary records anywhere, for they have no lines, the others at
+the beginning of one."""
+_LOOKED_AT = 512
+"""Bytes of what is no line of JSON in which another protocol is looked for."""
 
 _FLU_FRD = np.diag([1.0, -1.0, -1.0])
 
@@ -152,6 +167,12 @@ class VelocityReport(_Heard):
     time_of_transmission: _Microseconds
 
 
+class WaterReport(_Heard):
+    """`velocity_water`: through the water. It tells nothing of the ground, but how the device is set."""
+
+    type: Literal["velocity_water"]
+
+
 class Response(_Heard):
     """`response` to a command."""
 
@@ -184,8 +205,8 @@ class BadLine(ValueError):  # noqa: N818 - it names what was found.
         """The other protocol that it is of; empty where that is not the reason."""
 
 
-def read_line(line: bytes) -> VelocityReport | Response | None:
-    """What a line says; None where it is of no concern here, as `velocity_water` and `position_local` are.
+def read_line(line: bytes) -> VelocityReport | WaterReport | Response | None:
+    """What a line says; None where it is of no concern here, as `position_local` is.
 
     Raises:
         BadLine: It is not JSON, or not what the protocol says.
@@ -193,11 +214,12 @@ def read_line(line: bytes) -> VelocityReport | Response | None:
     try:
         said = from_json(line, allow_inf_nan=False)
     except ValueError as error:
-        raise BadLine("not JSON") from error
+        raise BadLine("not JSON", spoken=other_protocol(line)) from error
     if not isinstance(said, dict):
         raise BadLine("not a JSON object")
-    kinds: Mapping[Any, type[VelocityReport] | type[Response]] = {
+    kinds: Mapping[Any, type[VelocityReport] | type[WaterReport] | type[Response]] = {
         "velocity": VelocityReport,
+        "velocity_water": WaterReport,
         "response": Response,
     }
     kind = said.get("type")
@@ -212,6 +234,27 @@ def read_line(line: bytes) -> VelocityReport | Response | None:
         field = str(error.errors(include_url=False)[0]["loc"][0])
         spoken = _named(said.get("format")) if field == "format" else ""
         raise BadLine(f"{kind}: {field}", spoken=spoken) from error
+
+
+def apart(line: bytes) -> list[bytes]:
+    """The objects of a line, of which one is meant to hold one.
+
+    Firmware 2.1.0 ends its answers without a new line, so that each is glued to the next report.
+    """
+    pieces = re.split(rb"(?<=\})\s*(?=\{)", line)
+    if len(pieces) > 1:
+        with contextlib.suppress(ValueError):  # One whose text holds such a seam is whole.
+            from_json(line)
+            return [line]
+    return pieces
+
+
+def other_protocol(data: bytes) -> str:
+    """Which of a DVL's other protocols it is that some bytes begin with; empty where none is known."""
+    data = data[:_LOOKED_AT]
+    if data.lstrip().startswith(b"{"):
+        return ""
+    return next((name for name, pattern in OTHERS.items() if re.search(pattern, data)), "")
 
 
 def _named(version: object) -> str:
@@ -244,8 +287,12 @@ def sound_in(density: float) -> tuple[float, float]:
     return SOUND_FRESH if density < SALTY else SOUND_SEA
 
 
-def _remedy(spoken: str) -> str:
-    """What to do about a device that speaks another protocol."""
+def _remedy(spoken: str, port: int) -> str:
+    """What to do about a device that speaks another protocol on a port."""
+    if spoken in OTHERS:
+        if port != PORT:
+            return f"its JSON comes on port {PORT}. Say --dvl HOST:{PORT}"
+        return f"its JSON comes on port {PORT}. Free that port on the page of the DVL; or is it no A50?"
     if spoken == NAMELESS or re.match(r"json_v[0-2]\b", spoken):
         return f"its firmware is too old. Update it to {FIRMWARE} or newer"
     return f"as an A50 or A125 does, of firmware {FIRMWARE} or newer. Is it one of those?"
@@ -314,6 +361,11 @@ class DvlA50:
         """To the commands whose answers are waited for; None where none came yet."""
         self._lost = "not tried yet"
         self._version = ""
+        """Which other protocol it speaks; empty where it speaks ours."""
+        self._glued = False
+        """Was its last answer glued to a report?"""
+        self._watered = -math.inf
+        """When it last told a velocity through the water."""
         self._config: Config | None = None
         self._heard = math.nan
         self._delivered = math.nan
@@ -389,6 +441,10 @@ class DvlA50:
     def problem(self) -> str:
         """What is wrong, in a line; empty where nothing is."""
         where = f"the DVL at {self._host}:{self._port}"
+        if self._version:
+            # Said also where it hung up, as one does that takes our words for nonsense.
+            speaks = f"{where} speaks {self._version}, expected json_v3"
+            return f"{speaks}: {_remedy(self._version, self._port)}"
         if not self.connected:
             hot = (
                 " It was too hot: is it out of the water?" if self.hot else " Is it powered, and on this net?"
@@ -396,13 +452,21 @@ class DvlA50:
             return f"no connection to {where} ({self._lost}).{hot}"
         if self.hot:
             return f"{where} is too hot and about to shut down. Is it out of the water?"
-        if self._version:
-            return f"{where} speaks {self._version}, expected json_v3: {_remedy(self._version)}"
         if self.misread:
             return self.misread
+        if self._glued:
+            return (
+                f"{where} does not end its answers with a new line, as firmware 2.1.0 does: it is too old. "
+                f"Update it to {FIRMWARE} or newer"
+            )
         silent = self._now() - self._heard
         if not self.age <= self._quiet:
             since = f" for {self.age:.1f} s" if self.age < math.inf else ""
+            if self._now() - self._watered <= self._quiet:
+                return (
+                    f"{where} tells its velocity through the water only, and none over ground{since}. "
+                    "Set its range_mode to auto"
+                )
             return f"no velocity from {where}{since}{self._refusals}"
         return f"nothing heard of {where} for {silent:.1f} s" if silent > self._quiet else ""
 
@@ -536,7 +600,6 @@ class DvlA50:
             pause = min(2.0 * pause, self._pauses[1])
 
     def _converse(self, link: Stream) -> None:
-        self._version = ""
         self._link = link
         if self._closing.is_set():
             return
@@ -559,6 +622,8 @@ class DvlA50:
                 if not skipping:
                     self._take_line(bytes(line), arrived)
                 skipping = False
+            if spoken := other_protocol(bytes(rest[:_LOOKED_AT])):
+                self._version = spoken  # It may have no lines at all.
             if len(rest) > MAX_LINE:
                 if not skipping:
                     self._take_line(bytes(rest), arrived)
@@ -570,24 +635,34 @@ class DvlA50:
             return
         self._heard = arrived
         self._tell(arrived, False, line[:MAX_LINE].decode("utf-8", "backslashreplace"))
-        try:
-            if len(line) > MAX_LINE:
-                raise BadLine("longer than a report")
-            said = read_line(line)
-            if isinstance(said, VelocityReport):
-                self._take_velocity(said, arrived)
-            elif isinstance(said, Response):
-                self._take_response(said)
-        except BadLine as reason:
-            if reason.spoken:
-                self._version = reason.spoken
-            with self._lock:
-                self._refused[str(reason)] += 1
-            logger.debug("a line of the A50 is refused (%s): %.200r", reason, line)
+        if len(line) > MAX_LINE:
+            self._refuse(BadLine("longer than a report"), line)
+            return
+        pieces = apart(line)
+        for number, piece in enumerate(pieces, start=1):
+            try:
+                said = read_line(piece)
+                if isinstance(said, VelocityReport):
+                    self._take_velocity(said, arrived)
+                elif isinstance(said, Response):
+                    self._glued = number < len(pieces)
+                    self._take_response(said)
+                elif isinstance(said, WaterReport):
+                    self._version, self._watered = "", arrived
+            except BadLine as reason:
+                self._refuse(reason, piece)
+
+    def _refuse(self, reason: BadLine, line: bytes) -> None:
+        if reason.spoken:
+            self._version = reason.spoken
+        with self._lock:
+            self._refused[str(reason)] += 1
+        logger.debug("a line of the A50 is refused (%s): %.200r", reason, line)
 
     def _take_velocity(self, report: VelocityReport, arrived: float) -> None:
         self._version, self._status = "", report.status
         if report.tracking_mode != "bottom":
+            self._watered = arrived
             raise BadLine("does not track the ground")
         if report.time_of_validity == self._last_stamp:
             raise BadLine("said before")

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from dream.estimation import Mounting, Timeline
 from dream.geometry import SE2, SE3, wrap_angle
 from dream.measurements import Imu
-from dream.robots.bluerov2.log import read_log
+from dream.robots.bluerov2.log import doubting, read_log
 from dream.robots.bluerov2.messages import read_measurement
 from dream.robots.bluerov2.navigation import ESTIMATORS, Instruments, mounting_of
 
@@ -88,32 +88,33 @@ def estimates(path: Path, estimators: Sequence[str] = ESTIMATORS) -> Iterator[Es
     unbiased: set[str] = set()
     mounting = mounting_of()
     for logged in read_log(path, TOPICS):
-        if logged.topic == "/mounting":
-            mounting = _mounting(logged.message.data)
-        elif logged.topic == "/begun":
-            begun = _begun(logged.message.data)
-            timelines, unbiased, bias = {}, set(), begun.gyro_bias
-            for name in estimators:
-                estimator: Any = Instruments(name, mounting).filter
-                state = estimator.begin(begun.time, begun.T_world_base, begun.velocity)
-                if hasattr(state, "gyro_bias"):
-                    state = replace(state, gyro_bias=bias)
-                else:
-                    unbiased.add(name)
-                timelines[name] = Timeline(estimator, state)
-        elif logged.topic == "/measurements":
-            message = read_measurement(logged.message.data)
-            for name, timeline in timelines.items():
-                if name in unbiased and isinstance(message, Imu):
-                    plain = replace(message, angular_velocity=message.angular_velocity - bias)
-                    timeline.take(plain)
-                else:
-                    timeline.take(message)
-        elif logged.topic == "/estimate" and timelines:
-            again = {name: timeline.state.pose for name, timeline in timelines.items()}
-            yield Estimated(logged.time, _pose(logged.message.pose.pose), again)
-        elif logged.topic == "/log":
-            _tell_lost(path, logged.message.data)
+        with doubting(logged):
+            if logged.topic == "/mounting":
+                mounting = _mounting(logged.message.data)
+            elif logged.topic == "/begun":
+                begun = _begun(logged.message.data)
+                timelines, unbiased, bias = {}, set(), begun.gyro_bias
+                for name in estimators:
+                    estimator: Any = Instruments(name, mounting).filter
+                    state = estimator.begin(begun.time, begun.T_world_base, begun.velocity)
+                    if hasattr(state, "gyro_bias"):
+                        state = replace(state, gyro_bias=bias)
+                    else:
+                        unbiased.add(name)
+                    timelines[name] = Timeline(estimator, state)
+            elif logged.topic == "/measurements":
+                message = read_measurement(logged.message.data)
+                for name, timeline in timelines.items():
+                    if name in unbiased and isinstance(message, Imu):
+                        plain = replace(message, angular_velocity=message.angular_velocity - bias)
+                        timeline.take(plain)
+                    else:
+                        timeline.take(message)
+            elif logged.topic == "/estimate" and timelines:
+                again = {name: timeline.state.pose for name, timeline in timelines.items()}
+                yield Estimated(logged.time, _pose(logged.message.pose.pose), again)
+            elif logged.topic == "/log":
+                _tell_lost(path, logged.message.data)
     if not timelines:
         raise ValueError(f"{path}: expected where the estimate of the dive began, got no /begun in it")
 

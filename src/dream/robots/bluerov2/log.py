@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import math
@@ -305,6 +306,8 @@ class Logged:
     type: str
     message: Any
     """As `rosbags` makes it of the bytes."""
+    checked: bool = True
+    """Whether it lay in a chunk whose checksum is right; elsewhere, as in a torn end, it may be anything."""
 
 
 def dive_began(run: Path) -> datetime | None:
@@ -313,7 +316,7 @@ def dive_began(run: Path) -> datetime | None:
         return None
     try:
         file = McapFile(run / NAME)
-        next(file.messages(), None)  # By then the metadata is known, which stands first.
+        file.read_metadata()
         return datetime.fromtimestamp(int(file.metadata["dream"]["epoch_ns"]) / 1e9, UTC)
     except (KeyError, ValueError, OverflowError, OSError):
         return None
@@ -331,27 +334,52 @@ def read_log(path: Path, topics: Collection[str] = ()) -> Iterator[Logged]:
         ValueError: It is no log of a dive.
     """
     file = McapFile(path)
+    file.read_metadata()
     store = messages.typestore()
     epoch_ns: int | None = None
+    strange = 0
     for message in file.messages():
         if epoch_ns is None:
             try:
                 epoch_ns = int(file.metadata["dream"]["epoch_ns"])
             except (KeyError, ValueError) as error:
                 raise ValueError(f"{path}: expected the log of a dive, got one without its epoch") from error
-        if not topics or message.topic in topics:
+        if topics and message.topic not in topics:
+            continue
+        try:
             read = store.deserialize_cdr(message.data, message.schema)
-            yield Logged(1e-9 * (message.time - epoch_ns), message.topic, message.schema, read)
-    _warn(file)
-
-
-def _warn(file: McapFile) -> None:
-    if file.damage:
-        logger.warning(
-            "%s is read as far as it goes (%s); `recover` writes that into a whole one",
-            file.path,
-            "; ".join(file.damage),
+        except Exception:  # noqa: BLE001 - it fails on bytes that it did not write in many ways.
+            strange += 1
+            continue
+        yield Logged(
+            1e-9 * (message.time - epoch_ns), message.topic, message.schema, read, checked=file.checked
         )
+    _warn(file, strange)
+
+
+@contextlib.contextmanager
+def doubting(logged: Logged) -> Iterator[None]:
+    """Pass over what is not what its topic holds, where nothing says that it is as it was written."""
+    try:
+        yield
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
+        if logged.checked:
+            raise
+        logger.debug("a message on %s is left out: %s", logged.topic, error)
+
+
+def _warn(file: McapFile, strange: int = 0) -> None:
+    """Say what is missing of a file that was read to its end, and of how many messages the bytes are none."""
+    if not (file.damage or strange):
+        return
+    size = max(file.path.stat().st_size, 1)
+    left = f"{file.left_out} of its {size} bytes are left out" if file.left_out else "nothing is left out"
+    words = [left, *file.damage, *([f"{strange} messages are none"] if strange else [])]
+    logger.warning(
+        "%s is read as far as it goes (%s); `recover` writes that into a whole one",
+        file.path,
+        "; ".join(words),
+    )
 
 
 def read_measurements(path: Path) -> Iterator[Imu | Measurement]:
@@ -361,15 +389,18 @@ def read_measurements(path: Path) -> Iterator[Imu | Measurement]:
     Raises as `read_log` does.
     """
     for logged in read_log(path, ("/measurements",)):
-        yield messages.read_measurement(logged.message.data)
+        with doubting(logged):
+            yield messages.read_measurement(logged.message.data)
 
 
 def read_wire(path: Path, channel: str) -> Iterator[tuple[float, bool, bytes]]:
     """What came and went on a link: when, whether it was sent, and its bytes. Raises as `read_log` does."""
     received, sent = (f"/{_word(channel)}/{way}" for way in ("received", "sent"))
     for logged in read_log(path, (received, sent)):
-        data = logged.message.data
-        yield logged.time, logged.topic == sent, data.encode() if isinstance(data, str) else data.tobytes()
+        with doubting(logged):
+            data = logged.message.data
+            raw = data.encode() if isinstance(data, str) else data.tobytes()
+            yield logged.time, logged.topic == sent, raw
 
 
 def recover(path: Path, to: Path) -> int:
@@ -385,15 +416,20 @@ def recover(path: Path, to: Path) -> int:
         OSError: The new one exists, or cannot be written.
     """
     file = McapFile(path)
+    file.read_metadata()
     found = file.messages()
-    message = next(found, None)  # By then the metadata is known, which stands first.
+    message = next(found, None)
     store = messages.typestore()
     writer = McapWriter(to, library=f"dream {__version__}", metadata=file.metadata)
     schemas: dict[str, int] = {}
     channels: dict[str, int] = {}
-    count = 0
+    count = strange = 0
     try:
         while message is not None:
+            if message.schema not in store.types:
+                strange += 1
+                message = next(found, None)
+                continue
             if message.topic not in channels:
                 if message.schema not in schemas:
                     text, _ = store.generate_msgdef(message.schema, ros_version=2)
@@ -409,5 +445,5 @@ def recover(path: Path, to: Path) -> int:
         to.unlink(missing_ok=True)
         raise
     writer.close()
-    _warn(file)
+    _warn(file, strange)
     return count

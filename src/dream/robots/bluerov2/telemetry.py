@@ -37,6 +37,10 @@ LOCAL = 1.0
 SLIPPED = 10.0
 """Seconds for which a clock that slipped is told."""
 
+UNHEARD = ("Lost manual control", "heartbeat lost")
+"""What ArduSub says where it hears nothing of us: `failsafe_pilot_input_check` and `failsafe_gcs_check`, in
+ArduSub/failsafe.cpp."""
+
 
 @dataclass(frozen=True, slots=True)
 class Telemetry:
@@ -164,8 +168,14 @@ class Reports:
 
     def last_words(self, now: float) -> str:
         """What the vehicle said a moment ago: mostly, why."""
-        words = self.words_since(now - 3.0)
-        return f'. It said: "{"; ".join(words[-3:])}"' if words else ""
+        words = self.words_since(now - 3.0)[-3:]
+        if not words:
+            return ""
+        unheard = any(text in word for text in UNHEARD for word in words)
+        meant = (
+            ", as it missed what it is sent: this computer, or the link, did not keep up" if unheard else ""
+        )
+        return f'. It said: "{"; ".join(words)}"{meant}'
 
     def ask_time(self, now: float) -> int:
         """The number to send in TIMESYNC, by which the answer is known again."""
