@@ -85,9 +85,16 @@ class Response:
 Answer = Callable[[Request], Response]
 
 
-def says(content: str | None, *, refusal: str | None = None, finish: str = "stop", **fields: Any) -> Response:
-    """A reply of that text, or one that would be but for some fields."""
-    message = {"role": "assistant", "content": content, "refusal": refusal}
+def says(
+    content: str | None,
+    *,
+    refusal: str | None = None,
+    finish: str = "stop",
+    beside: Mapping[str, Any] | None = None,
+    **fields: Any,
+) -> Response:
+    """A reply of that text, or one that would be but for some fields, and with some beside its text."""
+    message = {"role": "assistant", "content": content, "refusal": refusal, **(beside or {})}
     reply = {
         "id": "1",
         "object": "chat.completion",
@@ -99,9 +106,9 @@ def says(content: str | None, *, refusal: str | None = None, finish: str = "stop
     return Response(json.dumps({**reply, **fields}).encode())
 
 
-def error(status: int, **headers: str) -> Response:
+def error(status: int, words: str = "denied to key", **headers: str) -> Response:
     """An error, as such servers say it: with what no one should repeat in it."""
-    body = {"error": {"message": f"denied to key {SECRET}", "type": "error", "code": None}}
+    body = {"error": {"message": f"{words} {SECRET}", "type": "error", "code": None}}
     named = {name.replace("_", "-"): value for name, value in headers.items()}
     return Response(json.dumps(body).encode(), status, named)
 

@@ -168,9 +168,12 @@ def asking_mission(count: int, *, said: str = "") -> Iterator[Step]:
         outcome = "followed" if step.index % 2 else overruled
         asked = exchange(pictures=painted_pictures(step), replies=(good,), outcome=outcome)
         if step.index % 5 == 0:
-            why = "invalid: no reply that fits, asked twice"
+            lacks = ("no JSON object", "step_m: Field required; up" + said)
+            why = f"invalid: {lacks[-1]}, asked twice"
             bad = ("I would turn left. " + said, '{"direction": "up"}')
-            asked = replace(asked, replies=bad, fallback=why, outcome="", requests=2, cost_usd=None)
+            asked = replace(
+                asked, replies=bad, lacks=lacks, fallback=why, outcome="", requests=2, cost_usd=None
+            )
         decision = replace(step.decision, exchanges=(asked,), waited=12.0 * asked.requests)
         yield replace(step, decision=decision)
 

@@ -868,10 +868,67 @@ def test_the_first_answer_that_does_not_count_is_told_at_once_and_whose_word_the
     assert ask([fitting, error(418)], tmp_path)[0] == 0
     (told,) = caplog.messages
     assert told.startswith(f"step 5: {NAME} at http://127.0.0.1:")
-    assert told.endswith("(server: HTTP 418); belief decides there and wherever none comes")
+    assert "(server: HTTP 418: denied to key ...); belief decides there and wherever none comes" in told
     printed = capsys.readouterr().out
     assert "  2 of 3 questions were decided by belief (server 2); its answers: 1 followed\n" in printed
     assert "  belief's last word: " in printed
+
+
+def test_a_run_of_which_no_answer_counted_says_so_wherever_it_is_told_and_fails(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    half = says('Left, I think: {"direction": "left", "turn_deg": 30, "done": false}')
+    assert ask([half], tmp_path, "--json")[0] == 1
+    printed = capsys.readouterr()
+    lacked = "step_m: Field required"
+    (told,) = [line for line in printed.err.splitlines() if "no answer of" in line]
+    assert told.startswith(f"dream: no answer of {NAME} at http://127.0.0.1")
+    assert "counted: belief decided all 3 questions, so that nothing here shows what the model can" in told
+    assert told.endswith(f"The last had none because of invalid: {lacked}, asked twice")
+    summary = json.loads(printed.out)
+    assert summary["vlm"]["last_fallback"] == f"invalid: {lacked}, asked twice"
+    assert (summary["vlm"]["fallbacks"], summary["success"]) == (3, False)
+    folder = tmp_path / "latest"
+    assert json.loads((folder / "replies" / "0004.json").read_text())["lacks"] == [lacked, lacked]
+    page = (folder / "report.html").read_text()
+    assert page.count(f'"lacks":["{lacked}","{lacked}"]') == 3
+    assert "No answer of the model counted" in page
+
+
+def test_a_server_that_takes_no_pictures_ends_the_run_at_its_first_question_in_its_own_words(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    blind = "image input is not supported - hint: if this is unexpected, you may need to provide the mmproj"
+    status, asked = ask([error(500, blind)], tmp_path)
+    assert (status, len(asked)) == (1, 1)
+    assert f"got rejected: HTTP 500: {blind} .... Does the model take pictures" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["run", "vanilla", "--model", "wire"],
+        ["run", "ranked", "--model", "openai:gpt-5", "--mission", "look around", "--yes"],
+        ["mission", "look around", "--model", "wire", "--yes"],
+    ],
+    ids=lambda command: " ".join(command[:2]),
+)
+def test_a_client_that_is_not_installed_is_told_before_anything_compiles(
+    command: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def compiles(*_: Any) -> None:
+        raise AssertionError("the world was opened")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "pydantic_ai", None)
+    monkeypatch.setattr("dream.commands.run.open_world", compiles)
+    monkeypatch.setattr("dream.commands.mission.open_world", compiles)
+    assert run_command(command) == 2
+    assert 'needs pydantic-ai: pip install "dream-auv[vlm]"' in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()
 
 
 def test_a_planner_that_had_nothing_to_ask_says_so(

@@ -15,6 +15,7 @@ from PIL import Image
 
 from dream.cli import run_command
 from dream.commands.mission import draw_orders
+from dream.errors import MissionAborted
 from dream.geometry import SE2, Bounds
 from dream.mapping import OccupancyMap
 from dream.mapping.drawing import OUTLINE
@@ -146,7 +147,8 @@ def test_a_model_that_never_answers_well_is_told_of_and_nothing_is_flown(
     model: Server, answer: dict[str, Any] | str
 ) -> None:
     will_say(model, answer)
-    with pytest.raises(ValueError, match=r"mission: expected orders from scripted at .*, got none") as told:
+    expected = r"mission: expected orders from scripted at .*, got none"
+    with pytest.raises(MissionAborted, match=expected) as told:
         understood(model, WESTERN)
     assert "rm -rf" not in str(told.value)
     assert str(told.value).endswith("Say it in other words, or ask another model")
@@ -155,7 +157,7 @@ def test_a_model_that_never_answers_well_is_told_of_and_nothing_is_flown(
 
 def test_other_words_are_asked_for_only_where_the_words_may_be_the_matter(model: Server) -> None:
     model.script = [error(500, retry_after="0")]
-    with pytest.raises(ValueError, match=r"\(server: HTTP 500\)\. Try again, or ask another model"):
+    with pytest.raises(MissionAborted, match=r"\(server: HTTP 500: .*\)\. Try again, or ask another model"):
         understood(model, WESTERN)
 
 

@@ -571,7 +571,7 @@ def test_a_line_says_in_short_what_was_asked(tmp_path: Path) -> None:
     assert lines[5].asked is not None
     assert lines[5].asked.model_dump() == {
         "prompt": "dream 1, legend 1, oysters 1",
-        "fallback": "invalid: no reply that fits, asked twice",
+        "fallback": "invalid: step_m: Field required; up, asked twice",
         "requests": 2,
     }
 

@@ -402,8 +402,9 @@ def test_the_page_holds_what_a_model_was_shown_to_the_byte(asked: Path) -> None:
             assert base64.b64decode(content) == (asked / f"replies/{step:04d}_{name}.png").read_bytes()
     (told,) = json.loads(page.scripts["asked-5"])
     assert told["replies"][0] == "I would turn left. " + HOSTILE
+    assert told["lacks"] == ["no JSON object", "step_m: Field required; up" + HOSTILE]
     assert (told["fallback"], told["requests"], told["cost_usd"]) == (
-        "invalid: no reply that fits, asked twice",
+        f"invalid: step_m: Field required; up{HOSTILE}, asked twice",
         2,
         None,
     )
@@ -461,7 +462,10 @@ def test_a_browser_shows_what_a_model_saw_and_said(asked: Path, tmp_path: Path) 
     assert panel.count("<img") == 4
     assert panel.count('src="data:image/png;base64,') == 4
     assert "No reply used" in panel
-    assert "invalid: no reply that fits, asked twice. The offline planner decided." in panel
+    assert "asked twice. The offline planner decided." in panel
+    assert '<p class="lacks">Lacks: no JSON object.</p>' in panel
+    assert '<p class="lacks">Lacks: step_m: Field required; up&lt;/script &gt;' in panel
+    assert re.search(r'<p class="outcome" id="without-answer" hidden="">', dom)
     assert "I would turn left. &lt;/script &gt;" in panel
     assert '{\n  "direction": "up"\n}' in panel
     assert "24 s on the mission's clock" in panel
@@ -469,8 +473,16 @@ def test_a_browser_shows_what_a_model_saw_and_said(asked: Path, tmp_path: Path) 
 
 
 @pytest.mark.slow
-def test_a_browser_shows_why_a_reply_was_not_followed(asked: Path, tmp_path: Path) -> None:
-    dom = browse(asked / "report.html", 4, tmp_path / "profile", "--dump-dom").stdout
+def test_a_browser_shows_why_a_reply_was_not_followed_and_at_its_head_that_none_counted(
+    asked: Path, tmp_path: Path
+) -> None:
+    folder = Path(shutil.copytree(asked, tmp_path / "copy"))
+    silent = {**VLM, "fallbacks": VLM["questions"], "last_fallback": f"invalid: {HOSTILE}"}
+    write_summary(folder, {**SUMMARY, "vlm": silent})
+    dom = browse(write_report(folder), 4, tmp_path / "profile", "--dump-dom").stdout
+    told = dom[dom.index('id="without-answer"') :].partition("</p>")[0]
+    assert told.startswith('id="without-answer"><strong class="badge warn">No answer of the model counted<')
+    assert "The last had none because of invalid: &lt;/script &gt;" in told
     panel = re.sub(r"<script.*?</script>", "", dom, flags=re.S)
     panel = panel[panel.index('id="asked-panel"') : panel.index('id="curve-title"')]
     assert '<strong class="badge warn">Overruled</strong> place 7, which costs 5.2 steps, 2.0 are ' in panel

@@ -2,4 +2,4 @@
 
 
 class MissionAborted(Exception):  # noqa: N818 - it names what happened, as KeyboardInterrupt does.
-    """A mission or a probe ended before its time; the message says what of it is kept."""
+    """A mission or a probe ended before its time, or came to nothing; the message says what of it is kept."""

@@ -142,6 +142,7 @@ class RecordedExchange(_Recorded):
     seconds: float = Field(ge=0.0)
     answered_by: str = ""
     outcome: str = ""
+    lacks: tuple[str, ...] = Field(default=(), max_length=16)
 
 
 class RecordedStep(_Recorded):
@@ -505,6 +506,7 @@ def _write_exchanges(step: Step, folder: Path) -> None:
             seconds=exchange.seconds,
             answered_by=exchange.answered_by,
             outcome=exchange.outcome,
+            lacks=exchange.lacks,
         )
         path = _exchange_path(folder, step.index, number)
         path.parent.mkdir(exist_ok=True)
@@ -611,6 +613,7 @@ def read_exchanges(folder: Path, step: int) -> list[Exchange]:
                 seconds=recorded.seconds,
                 answered_by=recorded.answered_by,
                 outcome=recorded.outcome,
+                lacks=recorded.lacks,
             )
         )
     return exchanges

@@ -179,6 +179,7 @@ def asked_at(folder: Path, step: int) -> list[dict[str, Any]]:
             "cost_usd": exchange.cost_usd,
             "seconds": exchange.seconds,
             "outcome": exchange.outcome,
+            "lacks": exchange.lacks,
         }
         for exchange in read_exchanges(folder, step)
     ]

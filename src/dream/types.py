@@ -171,6 +171,8 @@ class Exchange:
     outcome: str = ""
     """What came of a reply that fits: `followed`, `as the offline planner would`, `overruled` or `not heard`;
     then a colon and why, where there is more to say. Empty where none fits, and where no mission is flown."""
+    lacks: tuple[str, ...] = ()
+    """What each reply lacked to be an answer, in a line; empty for one that is."""
 
 
 @dataclass(frozen=True, slots=True)

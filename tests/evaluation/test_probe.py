@@ -446,8 +446,12 @@ def test_garbage_is_no_answer_and_is_told(
 ) -> None:
     monkeypatch.setattr("dream.evaluation.probe.make_questions", lambda count, own: iter(questions[:count]))
     with serving(says("<b>hm</b>")) as server:
-        assert run_command(probe(server.address, "--questions", "24", "--out", str(tmp_path / "out"))) == 0
-    summary = json.loads(capsys.readouterr().out)
+        assert run_command(probe(server.address, "--questions", "24", "--out", str(tmp_path / "out"))) == 1
+    printed = capsys.readouterr()
+    (told,) = printed.err.splitlines()
+    assert told.startswith(f"dream: no answer of scripted at {server.address} counted in 24 questions")
+    assert told.endswith("because of invalid: no JSON object, asked twice")
+    summary = json.loads(printed.out)
     assert (summary["right"], summary["asked"], summary["unanswered"]) == (0, 24, 24)
     assert sum(summary["no_answer"].values()) == 24
     assert summary["verdict"] == "gave no answer at all"

@@ -397,6 +397,7 @@ def test_what_was_asked_of_a_model_is_summed_up() -> None:
         "cost_usd": 0.015,
         "fallbacks": 1,
         "reasons": {"timeout": 1},
+        "last_fallback": "timeout: none within 9 s",
         "outcomes": {},
         "waited_s": 36.0,
         "latency_s": {"p50": 6.25, "p99": 9.19},

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 from rich.console import Console
 
+from dream.commands.bench import Outcome
+from dream.errors import MissionAborted
 from dream.evaluation import tables
 from dream.evaluation.cells import ASKING, NONE, Table, escape_markdown
 from dream.evaluation.comparison import (
@@ -27,8 +31,11 @@ from dream.evaluation.oracle.bounds import Bounds
 from dream.evaluation.paper_tables import UNMEASURED, paper_tables, published_tables
 from dream.evaluation.report import warnings
 from dream.evaluation.results import Flown, Results
+from dream.evaluation.runner import Plan
 from dream.evaluation.suites import Case
 from dream.evaluation.summary import print_summary
+from dream.planning import PLANNERS
+from dream.protocol import DREAM_V1
 from tests.evaluation.benches import (
     ASKED,
     GPT,
@@ -591,7 +598,8 @@ def test_rows_that_belief_flew_much_of_are_marked_wherever_they_stand(
         replace(each, vlm_fallbacks=fallbacks) if each.planner == "dream" else each for each in made.rows
     )
     found = compare(replace(made, rows=rows))
-    name = "dream (openai:gpt; partly belief)" if marked else "dream (openai:gpt)"
+    how_much = "all" if fallbacks == 50 else "partly"
+    name = f"dream (openai:gpt; {how_much} belief)" if marked else "dream (openai:gpt)"
     assert set(found.planners) == {name, "sixsteps"}
     line = row(tables.headline(found, (L1, L2)), name)
     assert line["by belief, %"] == str(2 * fallbacks)
@@ -601,6 +609,22 @@ def test_rows_that_belief_flew_much_of_are_marked_wherever_they_stand(
     assert (said in " ".join(tables.headline(found, (L1, L2)).notes)) == marked
     assert (said in " ".join(warnings(found))) == marked
     assert (said in printed) == marked
+
+
+@pytest.mark.parametrize(("first", "second", "fails"), [(50, 50, True), (50, 49, False), (0, 0, False)])
+def test_a_benchmark_fails_where_belief_flew_all_of_a_planner_that_asked(
+    first: int, second: int, *, fails: bool, tmp_path: Path
+) -> None:
+    rows = asking({}).rows
+    rows = (replace(rows[0], vlm_fallbacks=first), replace(rows[1], vlm_fallbacks=second), *rows[2:])
+    plan = Plan("made", (L1, L2), {"dream": PLANNERS["dream"], "sixsteps": PLANNERS["sixsteps"]}, DREAM_V1)
+    outcome = Outcome(plan, tmp_path, rows, (), None)
+    assert outcome.as_dict()["without_answer"] == (["dream"] if fails else [])
+    told = pytest.raises(
+        MissionAborted, match="no answer of its model counted in any mission of dream: belief"
+    )
+    with told if fails else contextlib.nullcontext():
+        outcome.check()
 
 
 @pytest.mark.parametrize(("fallbacks", "marked"), [(2, False), (25, False), (26, True)])

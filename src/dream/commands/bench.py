@@ -126,7 +126,7 @@ class Bench(Flying):
     swim: Swim = field(default_factory=Swim)
 
     def __call__(self) -> int:
-        """Exit status 0; a MissionAborted where a mission failed."""
+        """Exit status 0; a MissionAborted where a mission failed or no answer of a model counted."""
         from dream.evaluation.runner import Plan
 
         planners, engine = self.chosen_planners(), self.chosen_engine()
@@ -197,8 +197,16 @@ class Outcome:
                 {**case.as_dict(), "planner": planner, "error": error}
                 for case, planner, error in self.failures
             ],
+            "without_answer": self.without_answer,
             "report": str(self.report) if self.report else None,
         }
+
+    @property
+    def without_answer(self) -> list[str]:
+        """Planners that asked a model in these missions, and of whose model no answer counted."""
+        from dream.evaluation.comparison import share_unanswered
+
+        return [planner for planner, share in share_unanswered(self.rows).items() if share == 1.0]
 
     def print(self) -> None:
         """A table, what failed, and where all of it lies."""
@@ -216,12 +224,18 @@ class Outcome:
         console.print(str(self.report or self.folder), markup=False, highlight=False, soft_wrap=True)
 
     def check(self) -> None:
-        """Raise a MissionAborted where a mission failed."""
+        """Raise a MissionAborted where a mission failed, or all of a planner's are `belief`'s."""
         if self.failures:
             case, planner, error = self.failures[0]
             raise MissionAborted(
                 f"{len(self.failures)} of {len(self.plan)} missions failed, first {planner} in {case.world} "
                 f"{case.seed}: {error}. The others are kept in {self.folder}; the same command flies the rest"
+            )
+        if self.without_answer:
+            raise MissionAborted(
+                f"no answer of its model counted in any mission of {' and '.join(self.without_answer)}: "
+                f"belief flew them all, and their rows in {self.folder} do not show what the model can do. "
+                "--keep-runs keeps in replies what each reply lacked"
             )
 
 

@@ -260,6 +260,20 @@ def tell_lost(record: str | None) -> None:
         print(f"dream: {record}: {count} exchanges in all were not kept", file=sys.stderr)
 
 
+def told_without_answer(told: str) -> int:
+    """Say on standard error that no answer of a model counted, where it is so.
+
+    Args:
+        told: What `dream.evaluation.metrics.without_answer` says; empty where an answer counted.
+
+    Returns:
+        Exit status, 1 where none did.
+    """
+    if told:
+        print(f"dream: {told}", file=sys.stderr)
+    return 1 if told else 0
+
+
 def print_json(record: Mapping[str, Any]) -> None:
     """Print exactly one JSON object, at once: whoever reads it may be waiting for it."""
     print(json_format.dumps(record, allow_nan=False), flush=True)

@@ -48,7 +48,7 @@ class Mission:
     """Print the orders as one JSON object and nothing else."""
 
     def __call__(self) -> int:
-        """Exit status 0; a MissionAborted where the operator says no."""
+        """Exit status 0; a MissionAborted where the operator says no, or no answer counted."""
         from dream.orders import written
         from dream.planning.vlm.asking import Asking
         from dream.planning.vlm.orders import write_mission
@@ -56,9 +56,10 @@ class Mission:
         if self.out.is_dir():
             raise ValueError(f"--out: expected a file, got the folder {self.out}")
         check_writable(self.out.parent)
+        asking = Asking(self.model, self.model_name, prompts=self.prompts)
+        asking.line()  # What is missing to ask a model is told before anything compiles.
         world = open_world(self.world, self.seed)
         protocol = protocol_named(self.protocol or world.protocol)
-        asking = Asking(self.model, self.model_name, prompts=self.prompts)
         picture = self.out.with_suffix(".png")
         told = sys.stderr if self.json else sys.stdout
         wanted = None if self.yes else ("Keep these orders?", picture.with_suffix(".draft.png"))
@@ -94,14 +95,13 @@ def confirmed(
 
     Raises:
         ValueError: It cannot be flown, or nobody is there to agree.
-        MissionAborted: The operator does not agree.
+        MissionAborted: The operator does not agree, or no answer of the model counted.
     """
     from dream.evaluation.runner import labelled_in
     from dream.orders import sentences
     from dream.planning.vlm.orders import ask_orders
 
     if wanted is not None and not sys.stdin.isatty():
-        asking.line()  # What is wrong with the model would stay wrong with --yes, so it is told first.
         raise ValueError(
             "--yes: expected it where no terminal is there to confirm the mission at, got none. "
             "With it, what the model understood is taken as it is"

@@ -13,7 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from dream.commands.console import check_writable, print_json, tell_lost, with_progress
+from dream.commands.console import (
+    check_writable,
+    print_json,
+    tell_lost,
+    told_without_answer,
+    with_progress,
+)
 from dream.errors import MissionAborted
 from dream.planning.vlm.asking import Asking
 
@@ -67,7 +73,7 @@ class Probe:
     """Print one JSON object and nothing else."""
 
     def __call__(self) -> int:
-        """Exit status 0 where all questions were asked, whatever the answers; else 1.
+        """Exit status 0 where all questions were asked and an answer counted, whatever it was; else 1.
 
         A MissionAborted where it was interrupted.
         """
@@ -117,6 +123,11 @@ class Probe:
                 f"interrupted: {answered} of {self.questions} questions are answered; "
                 + (f"they are kept in {kept}, and the same command goes on" if kept else "none are kept")
                 + ("" if kept else ". With --record DIR they would be, and the same command would go on")
+            )
+        if score.complete and score.silent:
+            return told_without_answer(
+                f"no answer of {self.asking.label} counted in {score.whole.asked} questions, so that nothing "
+                f"here shows how it reads the map. Most had none because of {next(iter(score.failures))}"
             )
         return 0 if score.complete else 1
 

@@ -22,6 +22,7 @@ from dream.commands.console import (
     price,
     print_json,
     tell_lost,
+    told_without_answer,
     with_progress,
 )
 from dream.commands.ground import Ground
@@ -80,7 +81,10 @@ class Run:
     swim: Swim = field(default_factory=Swim)
 
     def __call__(self) -> int:
-        """Exit status 0; a MissionAborted where the mission did not end by itself."""
+        """Exit status 0, or 1 where no answer of its model counted.
+
+        A MissionAborted where the mission did not end by itself.
+        """
         if self.live:
             from dream.live.beside import check_installed
 
@@ -92,7 +96,7 @@ class Run:
         """The same; what has to stay until the outcome is told is left to `shown`."""
         from dream import recording
         from dream.compiling import working_time
-        from dream.evaluation.metrics import Scorer
+        from dream.evaluation.metrics import Scorer, without_answer
         from dream.evaluation.runner import run_config, simulate, summarize
         from dream.planning.vlm.orders import write_mission
         from dream.report import write_report
@@ -101,6 +105,8 @@ class Run:
         from dream.sim.visibility import Visibility
 
         site = self.ground.where()
+        if isinstance(self.planner, Asking):
+            self.planner.line()  # What is missing to ask a model is told before anything compiles.
         began = working_time()
         with compiling_told():
             with kept_interrupts() as check:
@@ -181,7 +187,7 @@ class Run:
             _print_outcome(summary, self.planner, flown, page, replayed=replayed)
         if stopped is not None:
             raise _aborted(stopped, folder, getattr(self.planner, "record", None)) from stopped
-        return 0
+        return told_without_answer(without_answer(summary["vlm"]))
 
 
 def planner_name(planner: AnyPlanner) -> str:

@@ -191,7 +191,8 @@ def compare(results: Results) -> Comparison:
     unanswered = share_unanswered(results.rows)
     by_belief = _by_belief(results.rows, unanswered)
     titles = {
-        name: title(name, parameters, by_belief=name in by_belief) for name, parameters in given.items()
+        name: title(name, parameters, by_belief=_how_much(unanswered[name]) if name in by_belief else "")
+        for name, parameters in given.items()
     }
     rows: dict[tuple[Case, str], Row] = {}
     bounds: dict[Case, Bounds] = {}
@@ -264,13 +265,17 @@ def _by_belief(rows: Iterable[Row], unanswered: Mapping[str, float]) -> dict[str
     }
 
 
-def title(planner: str, parameters: Mapping[str, Any], *, by_belief: bool) -> str:
+def _how_much(unanswered: float) -> str:
+    return "all belief" if unanswered == 1.0 else "partly belief"
+
+
+def title(planner: str, parameters: Mapping[str, Any], *, by_belief: str) -> str:
     """What a planner is called in tables: one that asks a model together with that model.
 
     Args:
         planner: Its name.
         parameters: Of it.
-        by_belief: Was it `belief` that decided much of it?
+        by_belief: How much of it `belief` decided, in words; empty where that is little.
     """
     model = str(parameters.get("model_name") or parameters.get("model") or "")
     told = [
@@ -278,7 +283,7 @@ def title(planner: str, parameters: Mapping[str, Any], *, by_belief: bool) -> st
         "another network" if parameters.get("weights") else "",
         "wire test" if is_wire_test(parameters) else model,
         "own prompts" if parameters.get("prompts") else "",
-        "partly belief" if by_belief else "",
+        by_belief,
     ]
     said = "; ".join(filter(None, told))
     return f"{planner} ({said})" if said else planner

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -59,8 +59,8 @@ class _Asked:
     tokens_out: int
     cost_usd: float | None
     seconds: float
-    reason: str
-    """In a word, why no reply counted; empty where one did."""
+    fallback: str
+    """Why no reply counted; empty where one did."""
     outcome: str
     """In a word, what came of one that did."""
 
@@ -164,7 +164,8 @@ class Logbook:
         seconds = [question.seconds for question in asked]
         tokens_in = sum(question.tokens_in for question in asked)
         tokens_out = sum(question.tokens_out for question in asked)
-        reasons = Counter(question.reason for question in asked if question.reason)
+        silent = [question.fallback for question in asked if question.fallback]
+        reasons = Counter(fallback.partition(":")[0] for fallback in silent)
         return {
             "model": ", ".join(dict.fromkeys(question.model for question in asked)),
             "answered_by": list(dict.fromkeys(filter(None, (question.answered_by for question in asked)))),
@@ -178,8 +179,9 @@ class Logbook:
             "outcomes": dict(
                 Counter(question.outcome for question in asked if question.outcome).most_common()
             ),
-            "fallbacks": reasons.total(),
+            "fallbacks": len(silent),
             "reasons": dict(sorted(reasons.items())),
+            "last_fallback": silent[-1] if silent else "",
             "waited_s": round(self._waited(), 3),
             "latency_s": {f"p{p}": round(float(np.percentile(seconds, p)), 3) for p in (50, 99)},
         }
@@ -310,8 +312,6 @@ class Scorer(Logbook):
         """The scores of the finished mission, as in `summary.json`."""
         coverage, told = self._coverage(), super().summary()
         vlm, distance = told["vlm"], sum(entry.distance for entry in self._log[1:])
-        # A model that never gave an answer has flown nothing.
-        silent = vlm is not None and vlm["fallbacks"] == vlm["questions"]
         missed = any(leg.outcome is Outcome.NOT_FOUND for leg in self._legs.values())
         success = (
             told["ended"] == "done"
@@ -319,7 +319,7 @@ class Scorer(Logbook):
             and coverage.instances >= COMPLETE
             and told["collisions"] == 0
             and not missed
-            and not silent
+            and not without_answer(vlm)
         )
         return {
             **told,
@@ -342,6 +342,19 @@ class Scorer(Logbook):
         return next((index for index, reached in shares if reached >= share - 1e-12), None)
 
 
+def without_answer(vlm: Mapping[str, Any] | None) -> str:
+    """What must be said of a mission in whose summary no answer of its model counts; empty of any other.
+
+    A model that never gave an answer has flown nothing.
+    """
+    if vlm is None or vlm["fallbacks"] < vlm["questions"]:
+        return ""
+    return (
+        f"no answer of {vlm['model']} counted: belief decided all {vlm['questions']} questions, so that "
+        f"nothing here shows what the model can do. The last had none because of {vlm['last_fallback']}"
+    )
+
+
 def _digest(exchange: Exchange) -> _Asked:
     return _Asked(
         model=exchange.model,
@@ -352,7 +365,7 @@ def _digest(exchange: Exchange) -> _Asked:
         tokens_out=exchange.tokens_out,
         cost_usd=exchange.cost_usd,
         seconds=exchange.seconds,
-        reason=exchange.fallback.partition(":")[0],
+        fallback=exchange.fallback,
         outcome=exchange.outcome.partition(":")[0],
     )
 

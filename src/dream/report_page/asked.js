@@ -37,6 +37,9 @@ function verdictOf({ fallback, outcome }) {
   return [heeded ? "good" : "warn", kind.charAt(0).toUpperCase() + kind.slice(1), why.length ? `${why.join(": ")}.` : ""];
 }
 
+// A mission under a model's name in which only the offline planner decided.
+const withoutAnswer = (vlm) => known(vlm?.questions) && vlm.questions > 0 && vlm.fallbacks === vlm.questions;
+
 function notAsked({ config, summary }) {
   const { model, model_name: name } = config.planner_parameters ?? {};
   if (!model || !summary || summary.ended === "aborted") return "";
@@ -110,7 +113,9 @@ class Asked {
     exchange.replies.forEach((reply, number) => {
       const counted = number === exchange.replies.length - 1;
       const title = exchange.replies.length === 1 ? "Reply" : counted ? "Last reply" : `Reply ${number + 1}, which did not fit`;
-      said.append(element("h3", { textContent: title }), element("pre", { textContent: laidOut(reply) || "(empty)", tabIndex: 0 }));
+      said.append(element("h3", { textContent: title }));
+      if (exchange.lacks?.[number]) said.append(element("p", { className: "lacks", textContent: `Lacks: ${exchange.lacks[number]}.` }));
+      said.append(element("pre", { textContent: laidOut(reply) || "(empty)", tabIndex: 0 }));
     });
     if (exchange.replies.length === 0) said.append(element("p", { className: "none", textContent: "Nothing came back." }));
     const shown = element("div", { className: "shown" }, ...Object.entries(exchange.pictures).map(([name, source]) => this.picture(name, source)));

@@ -22,6 +22,8 @@ at("orders").hidden = config.understood.length === 0;
 
 const inAll = askedInAll(run);
 at("asked-total").textContent = askedSentence(run);
+at("without-answer").hidden = !withoutAnswer(summary?.vlm);
+at("without-answer-why").textContent = summary?.vlm?.last_fallback ? `The last had none because of ${summary.vlm.last_fallback}.` : "";
 at("asked-panel").hidden = inAll === null;
 
 function figure(title, value, unit = "") {

@@ -113,7 +113,7 @@ def test_without_an_answer_the_offline_planner_decides_that_step(string_reef: Wo
     for step, decision in zip(steps, alone(), strict=True):
         assert (step.decision.turn, step.decision.advance) == (decision.turn, decision.advance)
         assert step.decision.reasoning == decision.reasoning
-        assert step.decision.exchanges[0].fallback == "server: HTTP 418"
+        assert step.decision.exchanges[0].fallback == "server: HTTP 418: denied to key ..."
         assert step.decision.exchanges[0].outcome == ""
 
 

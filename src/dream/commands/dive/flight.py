@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dream.commands.console import print_json, with_progress
+from dream.commands.console import print_json, told_without_answer, with_progress
 from dream.commands.dive.console import Operator, Reading, Will, console, tell
 from dream.commands.dive.records import config, print_outcome, summary
 from dream.ending import also, reason
@@ -54,7 +54,7 @@ class Flight:
             terminal: Where it is shown.
 
         Returns:
-            Exit status 0.
+            Exit status 0, or 1 where no answer of its model counted.
 
         Raises:
             MissionAborted: The mission did not end by itself; it says why, and what is kept.
@@ -158,7 +158,15 @@ class Flight:
         return stopped
 
     def _end(self, came: Mapping[str, Any], stopped: BaseException | None) -> int:
-        """Tell what came of it and leave the page: exit status 0, or a MissionAborted by what stopped it."""
+        """Tell what came of it and leave the page.
+
+        Returns:
+            Exit status 0, or 1 where no answer of its model counted.
+
+        Raises:
+            MissionAborted: By what stopped it.
+        """
+        from dream.evaluation.metrics import without_answer
         from dream.report import write_report
 
         folder = self.ready.folder
@@ -180,7 +188,7 @@ class Flight:
         if stopped is not None:
             said = f"aborted: {reason(stopped)}; {came['steps']} steps are kept in {folder}"
             raise MissionAborted(said if page else f"{said}. Once there is room: dream report {folder}")
-        return 0
+        return told_without_answer(without_answer(came["vlm"]))
 
     def _robot(self, bridge: Bridge, operator: Operator, sight: Sight) -> BlueRov2:
         from dream.planning.vlm import Asking

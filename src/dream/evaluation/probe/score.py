@@ -21,6 +21,8 @@ LEAST_ASKED = 10
 """Questions of a kind without which nothing is said about it."""
 
 READ, IN_PART, BLIND = "reads it", "in part", "no better than chance"
+MOST_REASONS = 5
+"""Reasons for no answer that are told in full."""
 SILENT, TOO_FEW = "no answer", "too few to tell"
 
 
@@ -60,6 +62,7 @@ class Reply:
             "reason": self.reason,
             "no_answer": exchange.fallback,
             "replies": list(exchange.replies),
+            "lacks": list(exchange.lacks),
             "seconds": exchange.seconds,
         }
 
@@ -157,10 +160,15 @@ class Score:
         return "yes" if self.whole.interval.low > READS else "in part"
 
     @property
+    def silent(self) -> bool:
+        """Was it asked, and no answer counted?"""
+        return 0 < self.whole.asked == self.whole.unanswered
+
+    @property
     def verdict(self) -> str:
         """In words."""
-        whole, kinds = self.whole, self.kinds.items()
-        if whole.asked and whole.unanswered == whole.asked:
+        kinds = self.kinds.items()
+        if self.silent:
             return "gave no answer at all"
         blind = [KINDS[kind].title for kind, tally in kinds if tally.verdict in (BLIND, SILENT)]
         weak = [KINDS[kind].title for kind, tally in kinds if tally.verdict != READ]
@@ -174,9 +182,12 @@ class Score:
 
     @property
     def failures(self) -> dict[str, int]:
-        """Why there was no answer, the most frequent reason first."""
-        missing = (reply for reply in self.replies if reply.given is None and reply.asked)
-        return dict(Counter(reply.exchange.fallback for reply in missing).most_common())
+        """Why there was no answer, the most frequent reason first; rare ones in a word."""
+        missing = [reply.exchange.fallback for reply in self.replies if reply.given is None and reply.asked]
+        whole = Counter(missing)
+        often = {reason for reason, _ in whole.most_common(MOST_REASONS)}
+        told = Counter(reason if reason in often else reason.partition(":")[0] for reason in missing)
+        return dict(told.most_common())
 
     @property
     def spent(self) -> str:

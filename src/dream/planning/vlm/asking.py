@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import difflib
 import ipaddress
+import json
 import logging
 import os
 import re
@@ -25,7 +27,32 @@ from pydantic import BaseModel, ValidationError
 from dream.planning.parameters import check_count, check_range
 from dream.planning.vlm import cassette
 from dream.planning.vlm.cassette import Outcome
+from dream.planning.vlm.finding import answer_in, fits, lacking
 from dream.planning.vlm.prompts import Own, own_prompts
+from dream.planning.vlm.refusals import (
+    BOUNDS,
+    DENIED,
+    LIMITS,
+    QUOTA,
+    REJECTED,
+    ErrorInReplyError,
+    NoReplyError,
+    other_bound,
+    refusal_in,
+)
+from dream.planning.vlm.telling import (
+    ADDRESS,
+    CONTEXT,
+    FORMAT,
+    MODEL,
+    MOST_SAID,
+    NO_SUCH_REQUEST,
+    TOO_MANY,
+    never,
+    one_line,
+    plain,
+    said,
+)
 from dream.types import UNASKED, Asked, Exchange
 
 if TYPE_CHECKING:
@@ -55,30 +82,27 @@ MOST_TRIES = 3
 """Requests for one message, where the server is busy or the connection breaks."""
 KEY = "DREAM_API_KEY"
 """Environment variable with the key for a server that is given by its address. No other key is sent there."""
-LEAST_KEY = 8
-"""Characters of a key that is looked for in what a model writes."""
-DENIED = "denied"
-"""How the reason begins where a model cannot be asked at all."""
 UNREACHED = "connection: nothing answers"
 """How it begins where nobody listens at the model's address."""
-QUOTA = "quota"
-"""How it begins where nothing is left to spend."""
-REJECTED = "rejected"
-"""How it begins where the server takes no such request."""
+WHOLE = "whole"
+"""Where a reply is kept as it came, beside its answer."""
+CUT, WITHHELD = "length", "content_filter"
+"""How the client calls it where a reply broke off, or was withheld."""
+INVALID = "invalid"
+"""How it begins where no reply fits."""
 BUDGET = "budget"
 """How it begins where the limits of this project allow no further call."""
 GONE = (DENIED, UNREACHED, QUOTA)
 """How it begins where the next question will have no answer either."""
 WHERE_KEPT = ("record", "replay_replies")
 """Options that say where exchanges are kept, on which no answer depends."""
-NO_SUCH_REQUEST = (400, 413, 422)
-"""HTTP statuses of a request that the server does not take, whoever sends it and whenever."""
-TOO_MANY = 429
-"""HTTP status of a request that comes too soon; the client waits as long as it is told, and asks again."""
-LONG_WORD = 16
-"""Characters of a word with digits in it that may be part of a key."""
-MOST_SAID = 200
-"""Characters of what a server says is wrong with a request."""
+THINKING = 16_384
+"""Tokens that a model may think before it answers. Of more than 21 000 in all, Anthropic's client asks to be
+streamed."""
+BESIDE = 1024
+"""Tokens of an answer beside its sentences: names of fields, numbers, braces."""
+TOKEN = 2
+"""Characters of a sentence that make a token at least, in languages that models know well."""
 PASSED_ON = frozenset(
     ("accept", "accept-encoding", "authorization", "connection", "content-length", "content-type", "host")
 )
@@ -191,16 +215,19 @@ class Asking:
         """What to look at."""
         if fallback.startswith(QUOTA):
             return "Is there a plan with something left, or another key?"
+        about = never(fallback)
         if fallback.startswith(REJECTED):
+            if about == CONTEXT:
+                return "Does its context hold the question, its pictures and an answer?"
             return "Does the model take pictures, as many and as large as these?"
         if "://" not in self.model:
             network = fallback.startswith(UNREACHED)
             return "Is there a network?" if network else "Is its name right, and its key in the environment?"
         if fallback.startswith(UNREACHED):
             return "Is the server running, and its address right?"
-        if not fallback.endswith("404"):
+        if "HTTP 404" not in fallback and about not in (ADDRESS, MODEL):
             return f"Is its name right, and its key in the environment, as {KEY}?"
-        if urlsplit(self.model).path.rstrip("/").endswith("/v1"):
+        if about == MODEL or urlsplit(self.model).path.rstrip("/").endswith("/v1"):
             return "Does the server have a model of that name?"
         return f"Is the address whole? Most end in /v1: {self.model.rstrip('/')}/v1"
 
@@ -223,6 +250,12 @@ class Question(Generic[R]):
         """All that is sent as text."""
         shown = "".join(f"[{name}]\n" for name in self.pictures)
         return f"{self.instructions}\n\n{shown}\n{self.text}"
+
+    @property
+    def most_tokens(self) -> int:
+        """Tokens of a reply at most: enough to think, and to fill every field."""
+        sentences = re.findall(r'"maxLength": (\d+)', json.dumps(self.reply.model_json_schema()))
+        return THINKING + BESIDE + sum(map(int, sentences)) // TOKEN
 
     def key(self, model: str) -> str:
         """Hash of all that an answer may depend on."""
@@ -280,6 +313,8 @@ class Line:
     """How a reply can be asked for, the strictest first."""
     _form: int = 0
     """The strictest that the server took."""
+    _bound: int = 0
+    """Of `BOUNDS`, what the server took."""
     _sent: int = 0
     """Requests, counted before they are sent."""
     _played: int = 0
@@ -299,9 +334,14 @@ class Line:
             if model.profile.get("supports_json_schema_output"):
                 self._forms = (_Form(model, schema=True), *self._forms)
             if given:
-                # Some servers take no format at all.
-                plain = _connect(self.asking.model, self.asking.model_name, formats=False)
-                self._forms += (_Form(plain, schema=False),)
+                # Some servers know no limits in schemas, and some take no format at all.
+                limited = _connect(self.asking.model, self.asking.model_name, limits=True)
+                wordy = _connect(self.asking.model, self.asking.model_name, formats=False)
+                self._forms = (
+                    _Form(limited, schema=True, limits=True),
+                    *self._forms,
+                    _Form(wordy, schema=False),
+                )
             # Which price list a known model stands in shows only with its first reply.
             if self.asking.max_usd is not None and given and not _has_price(model):
                 raise ValueError(
@@ -356,12 +396,15 @@ class Line:
     def receive(self, question: Question[R], outcome: Outcome) -> Answer[R]:
         """Check what came, and count it."""
         reply, fallback = None, outcome.fallback
+        lacks = tuple(lacking(text, question.reply) for text in outcome.replies)
         if not fallback:
             try:
-                reply = question.reply.model_validate_json(_unfenced(outcome.replies[-1]))
+                reply = question.reply.model_validate_json(answer_in(outcome.replies[-1], question.reply))
                 self._answered = True
-            except ValidationError as error:
-                fallback = f"invalid: {_first(error)}"
+            except (ValidationError, IndexError):
+                fallback = INVALID
+        if fallback.startswith(INVALID) and lacks and lacks[-1]:
+            fallback = f"{INVALID}: {lacks[-1]}" + (", asked twice" if len(lacks) > 1 else "")
         exchange = Exchange(
             prompt=question.prompt,
             model=self.asking.label,
@@ -375,6 +418,7 @@ class Line:
             cost_usd=outcome.cost_usd,
             seconds=outcome.seconds,
             answered_by=outcome.answered_by,
+            lacks=lacks,
         )
         self.spent += exchange
         self._dearest = max(self._dearest, exchange.cost_usd or 0.0)
@@ -432,19 +476,29 @@ class Line:
 
     async def _in_some_form(self, question: Question[R], messages: list[Any]) -> None:
         """Ask; where the server turns the form away, in a looser one. What was said joins the messages."""
-        from pydantic_ai.exceptions import ModelHTTPError
-
-        for form in range(self._form, len(self._forms)):
+        form, bound = self._form, self._bound
+        while True:
             try:
-                await self._run(question, messages, self._forms[form])
-            except ModelHTTPError as error:
-                if error.status_code not in NO_SUCH_REQUEST or form + 1 == len(self._forms):
+                await self._run(question, messages, self._forms[form], BOUNDS[bound])
+            except Exception as error:
+                refused = refusal_in(error)
+                if refused is None or not refused.lasting:
                     raise
+                if bound + 1 < len(BOUNDS) and (renamed := other_bound(refused.words, bound)):
+                    bound = renamed
+                    continue
+                looser = form + 1
+                # Without their limits the same schemas may do; else those who take none would be asked twice.
+                if self._forms[form].limits and not LIMITS.search(refused.words):
+                    looser += 1
+                if looser >= len(self._forms) or refused.about not in ("", FORMAT):
+                    raise
+                form = looser
             else:
-                self._form = max(self._form, form)
+                self._form, self._bound = max(self._form, form), max(self._bound, bound)
                 return
 
-    async def _run(self, question: Question[R], messages: list[Any], form: _Form) -> None:
+    async def _run(self, question: Question[R], messages: list[Any], form: _Form, bound: str) -> None:
         from pydantic_ai import BinaryContent, capture_run_messages
         from pydantic_ai.settings import ModelSettings
 
@@ -452,20 +506,24 @@ class Line:
         for name, png in question.pictures.items():
             parts += [f"[{name}]", BinaryContent(png, media_type="image/png")]
         settings = ModelSettings(max_retries=MOST_TRIES - 1, timeout=self.asking.timeout)
+        if bound == BOUNDS[0]:  # The client calls it as known models do.
+            settings["max_tokens"] = question.most_tokens
+        elif bound:
+            settings["extra_body"] = {bound: question.most_tokens}
         if self.asking.temperature is not None:
             settings["temperature"] = self.asking.temperature
-        with capture_run_messages() as said:
+        with capture_run_messages() as exchanged:
             try:
                 await self._agent(question, form).run([*parts, question.text], model_settings=settings)
             finally:
-                messages += said
+                messages += exchanged
 
     def _agent(self, question: Question[R], form: _Form) -> Agent[None, R]:
         from pydantic_ai import Agent, NativeOutput, PromptedOutput
 
         reply = question.reply
         wanted = NativeOutput(reply, strict=True) if form.schema else PromptedOutput(reply)
-        model = _metered(form.model, self._count)
+        model = _metered(form.model, self._count, reply)
         return Agent(model, output_type=wanted, instructions=question.instructions, retries=1)
 
     def _count(self) -> None:
@@ -484,24 +542,13 @@ class _Form:
     model: Model
     schema: bool
     """By the schema itself, which the server holds the model to; in words where not."""
+    limits: bool = False
+    """The schema holds the limits on lengths too, which OpenAI's strict ones may not."""
 
 
 def stands_in(model: str) -> bool:
     """Is it the stand-in? See `WIRE_TEST`."""
     return model.partition(":")[0] == WIRE
-
-
-def _unfenced(text: str) -> str:
-    """A reply without the fence that some models put around JSON, and the words that they put around that."""
-    if text.lstrip().startswith("{"):
-        return text
-    fenced = re.search(r"```\w*\s*(\{.*?\})\s*(?:```|\Z)", text, re.DOTALL)
-    return fenced[1] if fenced else text
-
-
-def _first(error: ValidationError) -> str:
-    first = error.errors(include_url=False, include_input=False)[0]
-    return f"{'.'.join(map(str, first['loc'])) or 'the whole'}: {first['msg']}"
 
 
 def _reason(error: Exception, timeout: float, messages: int) -> str:
@@ -526,11 +573,10 @@ def _reason(error: Exception, timeout: float, messages: int) -> str:
         return f"{QUOTA}: nothing is left to spend there"
     if isinstance(error, exceptions.ModelRateLimitError):
         return "rate limit: the server asks to wait"
-    if isinstance(error, exceptions.ModelHTTPError):
-        if error.status_code in NO_SUCH_REQUEST:
-            return f"{REJECTED}: HTTP {error.status_code}{_said(error.body)}"
-        kind = DENIED if error.status_code in (401, 403, 404) else "server"
-        return f"{kind}: HTTP {error.status_code}"
+    if (refused := refusal_in(error)) is not None:
+        return refused.reason
+    if isinstance(error, NoReplyError):
+        return str(error)
     if isinstance(error, exceptions.ModelConnectionError | OSError):
         return "connection: it broke"
     if isinstance(error, exceptions.ContentFilterError):
@@ -539,21 +585,8 @@ def _reason(error: Exception, timeout: float, messages: int) -> str:
         return "truncated: the reply broke off"
     # A request, its reply, and the same once more.
     if isinstance(error, exceptions.UnexpectedModelBehavior) and messages >= 4:
-        return "invalid: no reply that fits, asked twice"
+        return INVALID
     return "server: what it sent is no reply"
-
-
-def _said(body: object) -> str:
-    """What a server says is wrong with a request: one short line, without what may be part of a key."""
-    told = body
-    for name in ("error", "message", "detail"):
-        if isinstance(told, Mapping) and told.get(name):
-            told = told[name]
-    if not isinstance(told, str):
-        return ""
-    words = _one_line(told).split()
-    line = " ".join("..." if len(word) >= LONG_WORD and re.search(r"\d", word) else word for word in words)
-    return f": {line[:MOST_SAID]}" if line else ""
 
 
 def _outcome(messages: list[Any], fallback: str) -> Outcome:
@@ -567,14 +600,41 @@ def _outcome(messages: list[Any], fallback: str) -> Outcome:
     # What was sent and not answered may cost all the same.
     costs += [None] * (requests - len(responses))
     return Outcome(
-        replies=tuple(_plain(response.text or "") for response in responses),
+        replies=tuple(plain(_written(response)) for response in responses),
         fallback=fallback,
         requests=requests,
         tokens_in=sum(response.usage.input_tokens for response in responses),
         tokens_out=sum(response.usage.output_tokens for response in responses),
         cost_usd=None if None in costs else float(sum(cost for cost in costs if cost is not None)),
-        answered_by=_one_line(responses[-1].model_name or "")[:MOST_SAID] if responses else "",
+        answered_by=one_line(responses[-1].model_name or "")[:MOST_SAID] if responses else "",
     )
+
+
+def _written(response: Any) -> str:
+    """What a model wrote for others to read; where that is nothing, what it thought or called a tool with."""
+    from pydantic_ai.messages import ThinkingPart, ToolCallPart
+
+    if response.metadata and isinstance(whole := response.metadata.get(WHOLE), str):
+        return whole
+    if (text := response.text or "").strip() or response.finish_reason == CUT:
+        return str(text)
+    thought = [part.content for part in response.parts if isinstance(part, ThinkingPart)]
+    called = [part.args for part in response.parts if isinstance(part, ToolCallPart)]
+    return "\n".join([*thought, *(args for args in called if isinstance(args, str))]) or str(text)
+
+
+def _answering(response: Any, reply: type[BaseModel]) -> Any:
+    """The reply with its answer alone, so that it is checked, and kept as it came beside it."""
+    from pydantic_ai.messages import TextPart
+
+    whole = _written(response)
+    answer = answer_in(whole, reply, cut=response.finish_reason == CUT)
+    # Without any text the client tells that it is so; else it asks again, which ends in the same way.
+    ended = response.finish_reason in (CUT, WITHHELD) and not fits(answer, reply)
+    if answer == response.text and not ended:
+        return response
+    parts = [TextPart(answer)] if answer and not ended else []
+    return replace(response, parts=parts, metadata={**(response.metadata or {}), WHOLE: whole})
 
 
 def _cost(response: Any) -> float | None:
@@ -598,26 +658,6 @@ def _has_price(model: Model) -> bool:
         provider_url=model.base_url,
     )
     return _cost(answer) is not None
-
-
-def _plain(text: str) -> str:
-    """What a model wrote, without keys, and without halves of surrogate pairs, which no file could hold."""
-    for name, value in os.environ.items():
-        if name.endswith("_KEY") and len(value.strip()) >= LEAST_KEY:
-            text = _spelt(value.strip()).sub("[key]", text)
-    return text.encode(errors="replace").decode()
-
-
-def _one_line(text: str) -> str:
-    """The same without what cannot be printed."""
-    return "".join(c if c.isprintable() else " " for c in _plain(text))
-
-
-@cache
-def _spelt(key: str) -> re.Pattern[str]:
-    """A key in all the ways in which JSON may spell it."""
-    ways = (rf"(?:\\?{re.escape(c)}|\\u(?i:{ord(c):04x}))" for c in key)
-    return re.compile("".join(ways))
 
 
 # ------------------------------------------------------------------------------------------- the way there
@@ -678,6 +718,14 @@ def _http(*, address: bool, near: bool) -> httpx2.AsyncClient:
             raise _TooLongError("a reply that is packed, of unknown length")
         assert isinstance(response.stream, httpx2.AsyncByteStream)
         response.stream = Bounded(response.stream)
+        # The clients try again whatever is said with 500, also what will never be taken.
+        if response.status_code >= 500:
+            await response.aread()
+            body: object = response.text
+            with contextlib.suppress(ValueError, RecursionError):
+                body = json.loads(response.content)
+            if response.status_code in NO_SUCH_REQUEST or never(said(body)):
+                response.headers["x-should-retry"] = "false"
 
     async def only_its_own(request: httpx2.Request) -> None:
         for name in [name for name in request.headers if name.lower() not in PASSED_ON]:
@@ -692,25 +740,27 @@ def _http(*, address: bool, near: bool) -> httpx2.AsyncClient:
     )
 
 
-def _metered(model: Model, count: Callable[[], None]) -> Model:
-    """The model, with every request counted before it is sent."""
+def _metered(model: Model, count: Callable[[], None], reply: type[BaseModel]) -> Model:
+    """The model, with every request counted before it is sent, and every reply searched for its answer."""
     from pydantic_ai.models.wrapper import WrapperModel
 
     class Metered(WrapperModel):
         async def request(self, *arguments: Any, **options: Any) -> Any:
             count()
-            return await super().request(*arguments, **options)
+            return _answering(await super().request(*arguments, **options), reply)
 
     return Metered(model)
 
 
-def _connect(model: str, name: str, *, formats: bool = True) -> Model:
+def _connect(model: str, name: str, *, formats: bool = True, limits: bool = False) -> Model:
     """The model, ready to be asked.
 
     Args:
         model: See `Asking.model`.
         name: See `Asking.model_name`.
         formats: Whether a server that is given by its address may be asked for a format.
+        limits: Whether it gets limits on lengths in a schema. Servers that hold a model to a grammar keep to
+            them; OpenAI's own refuses some, and so the client makes words of them unless told otherwise.
     """
     try:
         import pydantic_ai
@@ -737,7 +787,17 @@ def _connect(model: str, name: str, *, formats: bool = True) -> Model:
         raise ValueError(f"model: expected PROVIDER:NAME, an address or wire, got {model}{_meant(model)}")
 
     class Lenient(OpenAIChatModel):
-        """Takes tokens that no model counts for none that were counted: they must not cost a good answer."""
+        """Takes tokens that no model counts for none that were counted: they must not cost a good answer.
+
+        An error in a reply of status 200, where OpenRouter, LM Studio and others put it, is one.
+        """
+
+        def _process_response(self, response: Any, **options: Any) -> Any:
+            if error := _error_in(response):
+                raise ErrorInReplyError(error)
+            if not getattr(response, "choices", None):
+                raise NoReplyError("server: what it sent holds no reply")
+            return super()._process_response(response, **options)
 
         def _validate_completion(self, response: ChatCompletion) -> Any:
             if not _counted(response.usage):
@@ -754,7 +814,13 @@ def _connect(model: str, name: str, *, formats: bool = True) -> Model:
         server = OpenAICompatibleProvider(
             "server", base_url=model, api_key=_key(), http_client=_http(address=True, near=near)
         )
-        profile: Any = {"supports_json_schema_output": formats, "supports_json_object_output": formats}
+        profile: Any = {
+            "supports_json_schema_output": formats,
+            "supports_json_object_output": formats,
+            "openai_chat_supports_max_completion_tokens": False,
+        }
+        if limits:
+            profile["json_schema_transformer"] = None
         return Lenient(name, provider=server, profile=profile)
     if name:
         raise ValueError(f"model_name: expected only beside an address, got {name} with {model}")
@@ -802,6 +868,19 @@ def _meant(model: str) -> str:
     elif near:
         guess = near[0] + (f":{rest}" if rest else "")
     return f". Did you mean {guess}?" if guess not in ("", model) else ""
+
+
+def _error_in(response: Any) -> object:
+    """The error in a reply that holds no answer; None where there is none."""
+    choices = getattr(response, "choices", None)
+    first: Any = choices[0] if isinstance(choices, list) and choices else None
+    if getattr(getattr(first, "message", None), "content", None):
+        return None
+    for place in (response, first):
+        if error := getattr(place, "error", None):
+            return error
+    # An older way of vLLM and others.
+    return response.model_dump(warnings=False) if getattr(response, "object", "") == "error" else None
 
 
 def _counted(usage: Any) -> bool:

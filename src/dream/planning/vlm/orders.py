@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, Field, ValidationError, create_model, model_validator
 
+from dream.errors import MissionAborted
 from dream.geometry import Bounds
 from dream.orders import MOST_LEGS, Area, Leg, Orders, Side, SideOf, Task, written
 from dream.planning.vlm.asking import Asking, Question
@@ -143,7 +144,9 @@ def ask_orders(
         labelled: The kind of target that the labels show there.
 
     Raises:
-        ValueError: The words are too long or none, no answer came, or the mission cannot be flown here.
+        ValueError: The words are too long or none, the model cannot be asked, or the mission cannot be
+            flown here.
+        MissionAborted: No answer counted.
     """
     if not text.strip():
         raise ValueError("mission: expected the mission in words, got none")
@@ -163,7 +166,7 @@ def ask_orders(
     question = Question(prompt.label, instructions, said, {}, orders_reply(bounds))
     answer = line.insist(line.ask(question).answer())
     if answer.reply is None:
-        raise ValueError(
+        raise MissionAborted(
             f"mission: expected orders from {asking.label}, got none ({answer.exchange.fallback}). "
             f"{_advice(answer.exchange.fallback)}, or ask another model"
         )

@@ -96,9 +96,14 @@ def ranked_reply(numbers: Sequence[int]) -> type[Ranking]:
             raise ValueError(f"expected each of the numbers {', '.join(map(str, allowed))} once")
         return ranking
 
-    # Servers that hold to a schema know enumerations, but not every limit on lists.
+    # Servers that hold a model to a schema know enumerations and lengths, but not that each comes once.
     number: Any = Literal[tuple(allowed)]
-    kind = Annotated[list[number], AfterValidator(check), Field(description="all numbers, the best first")]
+    count = {"minItems": len(allowed), "maxItems": len(allowed)}
+    kind = Annotated[
+        list[number],
+        AfterValidator(check),
+        Field(description="all numbers, the best first", json_schema_extra=count),
+    ]
     return create_model("RankedPlaces", __base__=Ranking, ranking=(kind, ...))
 
 

@@ -1,0 +1,103 @@
+"""What may be told of a server's and a model's words: one short line, without keys and control characters."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from functools import cache
+
+LEAST_KEY = 8
+"""Characters of a key that is looked for in what a model writes."""
+LONG_WORD = 16
+"""Characters of a word with digits in it that may be part of a key."""
+MOST_SAID = 200
+"""Characters of what a server says is wrong with a request."""
+NO_SUCH_REQUEST = (400, 413, 415, 422, 501)
+"""HTTP statuses of a request that the server does not take, whoever sends it and whenever."""
+TOO_MANY = 429
+"""HTTP status of a request that comes too soon; the client waits as long as it is told, and asks again."""
+
+PICTURE, CONTEXT, FORMAT, MODEL, ADDRESS = "picture", "context", "format", "model", "address"
+"""What a server will never take, as far as its words tell."""
+
+# Servers word it each in its own way, and some send it with a status of their own faults: llama.cpp says
+# "image input is not supported" with 500 (llama.cpp issue 13566), LM Studio answers an address that is none
+# with 200 (lmstudio-bug-tracker issue 618). A subject alone is not enough: it must also be said to fail.
+_FAILS = re.compile(
+    r"not (?:be |been |yet )?(?:\w+ )?(?:support|accept|allow|permit|implement|compil|configur|available)"
+    r"|n[o']t (?:support|accept|allow|have|exist|handle|process)|unsupported|no support"
+    r"|only (?:be )?supported"
+    r"|cannot|can't|unable|fail\w* to (?:parse|initiali[sz]e|compile)|error parsing|sane defaults"
+    r"|invalid|unknown|unrecogni[sz]ed|missing|not found|at most|exceed|too (?:long|large|many|complex)"
+    r"|is not an? |no (?:vision|image|multimodal|mmproj)",
+    re.IGNORECASE,
+)
+_SUBJECTS = {
+    PICTURE: r"\bimages?\b|image_url|\bpictures?\b|\bvision\b|\bvisual\b|multi-?modal|mmproj",
+    FORMAT: r"response_format|json_schema|json_object|\bschemas?\b|\bgrammars?\b|structured[ _-]outputs?"
+    r"|guided|repetitions?\b|max_(?:completion_)?tokens|\btemperature\b",
+}
+_WHOLE = {
+    CONTEXT: r"context[ _](?:length|size|window)|(?:prompt|input) is too long|reduce the length"
+    r"|too many (?:input |prompt )?tokens",
+    MODEL: r"\bmodel\b.{0,120}?(?:not found|not exist|n't exist|not loaded|is not served)"
+    r"|(?:no such|unknown|no) model\b|model_not_found|no models? (?:is |are )?loaded",
+    ADDRESS: r"unexpected endpoint|no such (?:endpoint|path|route)",
+}
+_NEVER = {kind: re.compile(pattern, re.IGNORECASE) for kind, pattern in {**_WHOLE, **_SUBJECTS}.items()}
+_PASSES = re.compile(
+    r"overload|busy|try again|retry|temporar|loading|time[sd]?[ -]?out|over capacity|rate limit|unavailable"
+    r"|out of memory|shutting down|starting|currently|at (?:this time|the moment)",
+    re.IGNORECASE,
+)
+
+
+def never(words: str) -> str:
+    """What the server will not take another time either, by its words; empty where they do not say so.
+
+    Args:
+        words: As `said` gives them.
+    """
+    if _PASSES.search(words):
+        return ""
+    for kind, pattern in _NEVER.items():
+        if pattern.search(words) and (kind in _WHOLE or _FAILS.search(words)):
+            return kind
+    return ""
+
+
+def said(body: object) -> str:
+    """What a server says is wrong: one short line, without what may be part of a key. Empty where nothing."""
+    told = body
+    # As deep as such bodies go; deeper ones tell nothing.
+    for name in ("error", "message", "detail", "msg"):
+        if isinstance(told, list) and told:
+            told = told[0]
+        if isinstance(told, Mapping) and told.get(name):
+            told = told[name]
+    if not isinstance(told, str) or told.lstrip().startswith("<"):
+        return ""
+    words = one_line(told[: 20 * MOST_SAID]).split()
+    line = " ".join("..." if len(word) >= LONG_WORD and re.search(r"\d", word) else word for word in words)
+    return line[:MOST_SAID]
+
+
+def plain(text: str) -> str:
+    """What a model wrote, without keys, and without halves of surrogate pairs, which no file could hold."""
+    for name, value in os.environ.items():
+        if name.endswith("_KEY") and len(value.strip()) >= LEAST_KEY:
+            text = _spelt(value.strip()).sub("[key]", text)
+    return text.encode(errors="replace").decode()
+
+
+def one_line(text: str) -> str:
+    """The same without what cannot be printed."""
+    return "".join(c if c.isprintable() else " " for c in plain(text))
+
+
+@cache
+def _spelt(key: str) -> re.Pattern[str]:
+    """A key in all the ways in which JSON may spell it."""
+    ways = (rf"(?:\\?{re.escape(c)}|\\u(?i:{ord(c):04x}))" for c in key)
+    return re.compile("".join(ways))
