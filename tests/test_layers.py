@@ -7,7 +7,7 @@ import dream
 
 ROOT = Path(dream.__file__).parent
 LAYERS = [
-    {"compiling", "ending", "errors", "files", "geometry", "names", "standin", "versions"},
+    {"arrays", "compiling", "ending", "errors", "files", "geometry", "names", "standin", "telling", "versions"},
     {"protocol"},
     {"types", "measurements", "traversal", "vehicle"},
     {"orders"},

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from dream.errors import MissionAborted
 from dream.names import look_up
+from dream.telling import clean_streams, in_lines, one_line
 
 if TYPE_CHECKING:
     from tyro.constructors import ConstructorRegistry
@@ -56,7 +57,7 @@ class _Telling(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Write a line; where the terminal is gone, nobody reads it, and whoever logs has to go on."""
         with contextlib.suppress(OSError, ValueError):
-            print(self.format(record), file=sys.stderr)
+            print(in_lines(self.format(record)), file=sys.stderr)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -115,7 +116,8 @@ def _dispatch(name: str, arguments: list[str]) -> int:
                 _check_planner(complaint, arguments)
             return _fail(complaint, BAD_INPUT)
         return 0
-    status: int = command()
+    with clean_streams():
+        status: int = command()
     return status
 
 
@@ -183,7 +185,7 @@ def _check_planner(complaint: str, arguments: Sequence[str]) -> None:
 
 
 def _fail(message: str, status: int) -> int:
-    print("dream: " + " ".join(message.split()), file=sys.stderr)
+    print(one_line(f"dream: {message}"), file=sys.stderr)
     return status
 
 

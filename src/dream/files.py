@@ -35,6 +35,34 @@ def whole_or_nothing(path: Path) -> Iterator[Path]:
             partial.unlink(missing_ok=True)
 
 
+@contextlib.contextmanager
+def first_or_nothing(path: Path) -> Iterator[Path]:
+    """A path to write to, whose file is put at `path` once the block is done, unless there is one by then.
+
+    For a file that others may be adding to as soon as it is there, so that none may take its place.
+
+    Raises:
+        OSError: It could not be put there; the message names it. One of the block is passed on.
+    """
+    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
+    try:
+        yield partial
+        try:
+            os.link(partial, path)
+        except FileExistsError:
+            pass
+        except OSError as error:
+            # Not every file system has links. There the one that comes between these two is replaced.
+            if not path.exists():
+                try:
+                    partial.replace(path)
+                except OSError:
+                    raise OSError(f"could not write {path} ({error.strerror or error})") from error
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file whole or not at all; it survives a loss of power once this returns.
 

@@ -6,6 +6,7 @@ import io
 import itertools
 import json
 import math
+import tracemalloc
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -109,6 +110,45 @@ def test_a_map_without_an_end_holds_the_same_inside_the_bounds_as_one_with() -> 
     ]
     assert [size for size, _ in found[0]] == [size for size, _ in found[1]]
     np.testing.assert_allclose([at for _, at in found[0]], [at for _, at in found[1]], atol=1e-9)
+
+
+@pytest.mark.parametrize("far", [(10_000.0, 0.0), (10_000.0, 10_000.0), (-60_000.0, 9_000.0), (3.0, 2e7)])
+def test_areas_of_a_map_without_an_end_take_what_was_seen_and_not_the_box_around_it(
+    far: tuple[float, float],
+) -> None:
+    alone, both = endless_map(), endless_map()
+    for occupancy in (alone, both):
+        occupancy.clear_launch(0.0, 0.0)
+        survey(occupancy)
+    # Of one place the sums are those of the layers.
+    assert alone.areas() == Layers.areas(alone)
+    here = alone.areas()
+    survey(both, *far)
+    tracemalloc.start()
+    areas = both.areas()
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 16 << 20
+    for name, area in here.items():
+        assert 1.9 * area <= areas[name] <= 2.1 * area + 1.0
+
+
+@pytest.mark.parametrize("far", [(10_000.0, 10_000.0), (-60_000.0, 9_000.0), (500.0, 2e7)])
+def test_a_box_of_too_many_cells_is_not_read_at_once(far: tuple[float, float]) -> None:
+    occupancy = endless_map()
+    for x, y in ((0.0, 0.0), far):
+        look(occupancy, x, y, 0.0)
+    for layer in ("state", "solid", "room", "ground", "distance_to_bounds"):
+        with pytest.raises(
+            ValueError, match=r"at most 67108864 cells to be read at a time, got .* with over"
+        ):
+            getattr(occupancy, layer)
+    with pytest.raises(ValueError, match="cells to be read at a time"):
+        occupancy.over(occupancy.bounds)
+    x, y = far
+    assert occupancy.over(Bounds(x - 10.0, y - 10.0, x + 10.0, y + 10.0)).explored.any()
+    with pytest.raises(ValueError, match="cells to be read at a time"):
+        _ = OccupancyMap(Bounds(0.0, 0.0, 100_000.0, 1_000.0), DREAM_V1).explored
 
 
 def test_nothing_is_ever_known_outside_the_bounds() -> None:

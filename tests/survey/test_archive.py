@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import itertools
 import json
 import os
 import random
@@ -24,7 +25,7 @@ import numpy as np
 import pytest
 
 from dream.survey import Survey, files
-from dream.survey.archive import open_archive, schema
+from dream.survey.archive import open_archive, schema, strangers
 from dream.survey.archive.geopackage import GeoPackageArchive
 from dream.survey.archive.postgis import PostgisArchive
 from dream.survey.archive.rows import Row, rows
@@ -731,16 +732,212 @@ def test_other_files_are_refused_and_left_alone(tmp_path: Path) -> None:
         open_archive(str(tmp_path / "nowhere" / "new.gpkg"), begin=True)
 
 
-def test_a_file_of_a_stranger_calls_no_function_of_ours(kept: Path) -> None:
-    with sqlite3.connect(kept) as database:
-        database.execute("CREATE TRIGGER sly AFTER INSERT ON surveys BEGIN SELECT harm(); END")
-    database.close()
-    harmed: list[str] = []
+ENDLESS = (
+    "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT i AS id, 'd' AS digest, "
+    "'x' AS name, 's' AS site, '2026-01-01' AS began, 't' AS target, 'p' AS protocol, "
+    "1 AS steps, 1 AS patches, 1 AS individuals FROM n"
+)
+STRANGERS = {
+    "an endless view": (
+        f"ALTER TABLE surveys RENAME TO others; CREATE VIEW surveys AS {ENDLESS}",
+        "the view surveys",
+    ),
+    "a view of another name": ("CREATE VIEW fish AS SELECT * FROM surveys", "the view fish"),
+    "a trigger that ignores": (
+        "CREATE TRIGGER sly BEFORE INSERT ON surveys BEGIN SELECT RAISE(IGNORE); END",
+        "the trigger sly",
+    ),
+    "a trigger that spoils": (
+        "CREATE TRIGGER sly AFTER INSERT ON documents BEGIN UPDATE documents SET body = x'00'; END",
+        "the trigger sly",
+    ),
+    "a trigger on what tells of layers": (
+        "CREATE TRIGGER sly AFTER UPDATE ON gpkg_contents BEGIN DELETE FROM surveys; END",
+        "the trigger sly",
+    ),
+    "a virtual table": (
+        "DROP TABLE decisions; CREATE VIRTUAL TABLE decisions USING fts5(survey_id, note)",
+        "the virtual table decisions",
+    ),
+    "a column that is made up": (
+        "ALTER TABLE surveys ADD COLUMN more TEXT GENERATED ALWAYS AS (hex(zeroblob(9)))",
+        "surveys: expected columns that hold values, got more",
+    ),
+    "a column that is made up in the list of layers": (
+        "ALTER TABLE gpkg_contents ADD COLUMN more INTEGER AS (min_x + 1) VIRTUAL",
+        "gpkg_contents: expected columns that hold values, got more",
+    ),
+    "an index over what is computed": (
+        "CREATE INDEX sly ON measures (hex(note))",
+        "measures: expected indices over columns, got sly",
+    ),
+    "a table that is not there": ("DROP TABLE measures", "expected the table measures, got none"),
+    "another table of that name": (
+        "DROP TABLE tracks; CREATE TABLE tracks (fish TEXT)",
+        "tracks: expected the column id, got none",
+    ),
+    "versions from a view": (
+        f"DROP TABLE dream_versions; CREATE VIEW dream_versions AS SELECT i AS version FROM ({ENDLESS})",
+        "the view dream_versions",
+    ),
+    "a version that is none": (
+        "DROP TABLE dream_versions; CREATE TABLE dream_versions (version, made); "
+        "INSERT INTO dream_versions VALUES ('x', '')",
+        "expected the version of an archive",
+    ),
+    "too many tables": ("".join(f"CREATE TABLE t{n} (x);" for n in range(1000)), "more than 1000 tables"),
+}
+
+
+@pytest.mark.parametrize("kind", STRANGERS)
+def test_what_a_strangers_file_is_beside_tables_is_refused_by_name_before_it_is_asked(
+    kind: str, kept: Path
+) -> None:
+    script, complaint = STRANGERS[kind]
+    with contextlib.closing(sqlite3.connect(kept)) as database:
+        database.executescript("BEGIN;" + script + ";COMMIT")
+    before = kept.read_bytes()
+    for begin in (False, True):
+        with pytest.raises(ValueError, match=complaint):
+            open_archive(str(kept), begin=begin)
+    assert kept.read_bytes() == before
+
+
+REPLACING = {
+    # What ON CONFLICT of a table says happens without a word.
+    "ignored": ("documents", "UNIQUE (survey_id) ON CONFLICT IGNORE", "documents"),
+    "thinned": ("measures", "UNIQUE (survey_id) ON CONFLICT REPLACE", "measures"),
+    "swallowed": ("individuals", "UNIQUE (hits) ON CONFLICT IGNORE", "individuals"),
+}
+
+
+@pytest.mark.parametrize("kind", REPLACING)
+def test_what_is_added_is_read_back_and_is_missed_where_it_is_not_there(kind: str, kept: Path) -> None:
+    table, rule, told = REPLACING[kind]
+    with contextlib.closing(sqlite3.connect(kept)) as database:
+        (sql,) = database.execute("SELECT sql FROM sqlite_master WHERE name = ?", (table,)).fetchone()
+        if table == "documents":
+            # Full already of what a survey is to have.
+            sql += "; INSERT INTO documents VALUES (2, x'00')"
+        head, *rest = sql.replace("PRIMARY KEY NOT NULL", "NOT NULL", 1).split(";")
+        columns = head[head.index("(") :].rstrip(")")
+        database.executescript(
+            f"DROP TABLE {table}; CREATE TABLE {table} {columns}, {rule});" + ";".join(rest)
+        )
+    before = counts(str(kept))
+    with open_archive(str(kept)) as archive:
+        with pytest.raises(ValueError, match=f"survey that was just written, got other rows of {told}"):
+            archive.add(replace(wreck(), individuals=reef().individuals))
+        assert len(archive.entries()) == 1
+    assert counts(str(kept)) == before
+
+
+WRONG_ROWS = {
+    "steps": "UPDATE surveys SET steps = 'many'",
+    "began": "UPDATE surveys SET began = 'once upon a time'",
+    "site": "UPDATE surveys SET site = x'1b5b'",
+    "value": "UPDATE measures SET value = 'x' WHERE patch IS NULL",
+    "note": "UPDATE measures SET note = printf('%.30000c', 'x') WHERE patch IS NULL",
+}
+
+
+@pytest.mark.parametrize("column", WRONG_ROWS)
+def test_a_row_that_holds_something_else_is_told_of(column: str, kept: Path) -> None:
+    with contextlib.closing(sqlite3.connect(kept)) as database:
+        database.execute(WRONG_ROWS[column])
+        database.commit()
+    with open_archive(str(kept)) as archive:
+        with pytest.raises(ValueError, match=rf"surveys\.gpkg: {column} of a row: expected") as caught:
+            archive.entries()
+        assert len(str(caught.value)) < 500
+
+
+FOR_EVER = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT count(*) FROM n"
+
+
+def test_what_takes_longer_than_it_may_is_given_up(kept: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a clock that each look at it sets on."""
+    now = itertools.count(0.0)
     with GeoPackageArchive(kept) as archive:
-        archive._connection.create_function("harm", 0, lambda: harmed.append("harmed"))
-        with pytest.raises(ValueError, match="unsafe use of harm"):
-            archive.add(replace(reef(), name="another"))
-    assert harmed == []
+        monkeypatch.setattr(time, "monotonic", lambda: next(now))
+        with pytest.raises(TimeoutError, match="one that takes longer than 60 s"), archive._told(60.0):
+            archive._connection.execute(FOR_EVER).fetchall()
+        assert len(archive.entries()) == 1
+
+
+def test_an_interrupt_is_heard_while_an_archive_is_asked(kept: Path) -> None:
+    with GeoPackageArchive(kept) as archive:
+        seen: list[int] = []
+        late = archive._is_late
+
+        def interrupted() -> bool:
+            seen.append(1)
+            if len(seen) == 3:
+                signal.raise_signal(signal.SIGINT)
+            return late()
+
+        archive._connection.set_progress_handler(interrupted, 1000)
+        with pytest.raises(KeyboardInterrupt), archive._told(60.0):
+            archive._connection.execute(FOR_EVER).fetchall()
+
+
+def test_a_table_of_a_stranger_is_held_to_the_size_of_a_survey(
+    kept: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with contextlib.closing(sqlite3.connect(kept)) as database:
+        database.execute("UPDATE documents SET body = zeroblob(3000000)")
+        database.commit()
+    monkeypatch.setitem(strangers.LIMITS, sqlite3.SQLITE_LIMIT_LENGTH, 1 << 20)
+    with (
+        open_archive(str(kept)) as archive,
+        pytest.raises(OSError, match="larger than a row may be"),
+    ):
+        archive.get(1)
+
+
+@pytest.mark.parametrize("name", [":memory:", "file:reef.gpkg?mode=memory", "a reef.gpkg"])
+def test_an_archive_of_any_name_is_a_file(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with open_archive(name, begin=True) as archive:
+        archive.add(reef())
+    with open_archive(name) as archive:
+        assert len(archive.entries()) == 1
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_a_killed_beginning_leaves_nothing_or_an_archive(tmp_path: Path) -> None:
+    """Killed at each of its steps: in a child, at the n-th statement."""
+    script = (
+        "import os, sqlite3, sys\n"
+        "from dream.survey.archive.geopackage import GeoPackageArchive\n"
+        "steps = [int(n) for n in sys.argv[2].split(',')]\n"
+        "for n in steps:\n"
+        "    if os.fork() == 0:\n"
+        "        left = [n]\n"
+        "        def count(*_):\n"
+        "            left[0] -= 1\n"
+        "            if left[0] < 0: os._exit(9)\n"
+        "            return 0\n"
+        "        hook = lambda name, _: count() if name.startswith(('sqlite3', 'os.', 'open')) else None\n"
+        "        sys.addaudithook(hook)\n"
+        "        connect = sqlite3.connect\n"
+        "        def traced(*a, **k):\n"
+        "            made = connect(*a, **k)\n"
+        "            made.set_trace_callback(count)\n"
+        "            return made\n"
+        "        sqlite3.connect = traced\n"
+        "        GeoPackageArchive(__import__('pathlib').Path(sys.argv[1], f'{n}.gpkg'), begin=True)\n"
+        "        os._exit(0)\n"
+        "    os.wait()\n"
+    )
+    steps = ",".join(str(n) for n in (0, 1, 2, 3, 5, 8, 13, 21, 34, 45, 50, 55, 60, 65, 70, 400))
+    subprocess.run([sys.executable, "-c", script, str(tmp_path), steps], check=True)
+    made = sorted(tmp_path.glob("*.gpkg"))
+    assert tmp_path / "400.gpkg" in made
+    assert 1 <= len(made) < 16
+    for path in made:
+        with open_archive(str(path)) as archive:
+            assert archive.entries() == []
 
 
 def test_damage_is_told_of_and_never_handed_out(kept: Path) -> None:

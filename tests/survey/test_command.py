@@ -214,7 +214,7 @@ def test_the_archive_is_the_one_that_is_named_else_that_of_the_environment(
         ("survey show nothing", "nothing: expected the number of a survey in the archive, its file, or the"),
         ("survey show first.survey.npz --site none.json", "none.json: expected a site file"),
         ("survey add nowhere.survey.npz", "run without origin"),
-        ("survey add damaged.survey.npz", "damaged.survey.npz: expected the file of a survey, got damaged"),
+        ("survey add damaged.survey.npz", "damaged.survey.npz: expected the file of a survey, got a damaged"),
         ("survey add .", "expected a run folder, got no config.json"),
         ("survey add first.survey.npz --archive damaged.survey.npz", "got a damaged or foreign file"),
         ("survey compare first.survey.npz elsewhere.survey.npz", "expected two surveys of one site"),

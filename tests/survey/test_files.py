@@ -201,7 +201,7 @@ def test_no_file_and_a_foreign_one_are_told_of(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="expected the file of a survey, got no file"):
         files.read(tmp_path / "none.npz")
     (tmp_path / "text").write_text("a reef")
-    with pytest.raises(ValueError, match=r"text: expected the file of a survey, got damaged content"):
+    with pytest.raises(ValueError, match=r"text: expected the file of a survey, got a damaged or foreign"):
         files.read(tmp_path / "text")
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
     with pytest.raises(ValueError, match="entries that are missing or foreign"):
@@ -258,10 +258,10 @@ def _header(**changes: Any) -> bytes:
 @pytest.mark.parametrize(
     "entry, content, complaint",
     [
-        ("layers.relief.npy", _npy(np.array([None]), pickles=True), "layers.relief: expected an array of"),
+        ("layers.relief.npy", _npy(np.array([None]), pickles=True), "layers.relief.npy: expected plain"),
         ("layers.relief.npy", _npy(np.zeros((64, 80))), "layers.relief: expected an array of float32"),
         ("layers.relief.npy", _npy(np.zeros((80, 64), np.float32)), "layers.relief: expected shape"),
-        ("layers.relief.npy", _npy(np.zeros((64, 80), np.float32))[:-4], "layers.relief: expected an array"),
+        ("layers.relief.npy", _npy(np.zeros((64, 80), np.float32))[:-4], "layers.relief.npy: claims"),
         ("individuals.sigma.npy", _npy(np.zeros((60, 1))), "individuals.sigma: expected shape"),
         (
             "individuals.clear.npy",

@@ -211,7 +211,7 @@ def test_how_the_two_frames_were_brought_together_is_told(
             "",
             "nothing: expected the number of a survey in the archive, its file, or the folder of",
         ),
-        ("damaged.survey.npz", "", "damaged.survey.npz: expected the file of a survey, got damaged"),
+        ("damaged.survey.npz", "", "damaged.survey.npz: expected the file of a survey, got a damaged"),
         (".", "", "expected a run folder, got no config.json"),
         ("wreck.survey.npz", "", "expected a survey of oysters, got one of wreck"),
     ],

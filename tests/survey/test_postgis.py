@@ -350,3 +350,46 @@ def test_a_document_that_was_changed_in_the_database_is_not_handed_out(postgres:
             connection.execute("DROP TABLE dream.documents")
         with pytest.raises(ValueError, match="expected an archive of surveys"):
             archive.get(1)
+
+
+@pytest.mark.parametrize(
+    "sql, complaint",
+    [
+        (
+            "ALTER TABLE dream.measures RENAME TO others; "
+            "CREATE VIEW dream.measures AS SELECT * FROM dream.others",
+            "dream.measures, which is another thing",
+        ),
+        (
+            "CREATE RULE sly AS ON INSERT TO dream.tracks DO INSTEAD NOTHING",
+            "dream.tracks, which is another thing",
+        ),
+    ],
+)
+def test_what_is_no_table_of_an_archive_is_refused_by_name(
+    postgres: Server, sql: str, complaint: str
+) -> None:
+    url = postgres.emptied()
+    with open_archive(url, begin=True):
+        pass
+    with psycopg.connect(url, autocommit=True) as connection:
+        for one in sql.split("; "):
+            connection.execute(one.encode())
+    with pytest.raises(ValueError, match=complaint):
+        open_archive(url)
+
+
+def test_what_a_trigger_of_the_server_takes_away_is_missed(postgres: Server) -> None:
+    url = postgres.emptied()
+    with open_archive(url, begin=True) as archive:
+        with psycopg.connect(url, autocommit=True) as connection:
+            connection.execute(
+                "CREATE FUNCTION dream.sly() RETURNS trigger LANGUAGE plpgsql AS 'BEGIN RETURN NULL; END'"
+            )
+            connection.execute(
+                "CREATE TRIGGER sly BEFORE INSERT ON dream.decisions FOR EACH ROW "
+                "EXECUTE FUNCTION dream.sly()"
+            )
+        with pytest.raises(ValueError, match="just written, got other rows of decisions"):
+            archive.add(reef())
+        assert archive.entries() == []

@@ -17,6 +17,7 @@ from dream.errors import MissionAborted
 from dream.names import look_up
 from dream.planning import LABELLED, OFFLINE, PLANNERS, AnyPlanner, Asking
 from dream.protocol import protocol_named
+from dream.telling import rich_console
 
 if TYPE_CHECKING:
     from dream.evaluation.engines import Engine
@@ -210,12 +211,10 @@ class Outcome:
 
     def print(self) -> None:
         """A table, what failed, and where all of it lies."""
-        from rich.console import Console
-
         from dream.evaluation.results import read_results
         from dream.evaluation.summary import print_summary
 
-        console = Console(width=None if sys.stdout.isatty() else 120)
+        console = rich_console(width=None if sys.stdout.isatty() else 120)
         if self.rows:
             print_summary(read_results(self.folder), console)
         for case, planner, error in self.failures:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from dream.ending import TERMINATED
 from dream.errors import MissionAborted
+from dream.telling import rich_console
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -73,10 +74,9 @@ def check_max_steps(max_steps: int | None, protocol: SurveyProtocol) -> None:
 
 def with_progress(items: Iterator[T], title: str, total: int) -> Iterator[T]:
     """Pass items on, with a progress bar on standard error where that is a terminal."""
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    console = Console(stderr=True)
+    console = rich_console(stderr=True)
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),
@@ -95,10 +95,9 @@ def with_scores(missions: Iterable[Ended], plan: Plan) -> Iterator[Ended]:
 
     A live table on a terminal, else a line every so often.
     """
-    from rich.console import Console
     from rich.live import Live
 
-    console = Console(stderr=True)
+    console = rich_console(stderr=True)
     scores = _Scores(plan)
     if console.is_terminal:
         with Live(get_renderable=scores.table, console=console, transient=True):

@@ -16,6 +16,7 @@ import tyro
 from dream.commands.console import open_world, print_json, with_progress
 from dream.errors import MissionAborted
 from dream.protocol import SurveyProtocol, protocol_named
+from dream.telling import rich_console
 
 if TYPE_CHECKING:
     from dream.evaluation.oracle.bounds import Bounds
@@ -288,15 +289,16 @@ def _last(states: Iterator[Bounds]) -> tuple[Bounds, bool]:
 
     Only where that is a terminal.
     """
-    from rich.console import Console
+    from rich.text import Text
 
-    console = Console(stderr=True)
+    console = rich_console(stderr=True)
     found = next(states)
-    with console.status(_line(found)) if console.is_terminal else contextlib.nullcontext() as status:
+    # As a text: of a mere string a status reads what stands in brackets.
+    with console.status(Text(_line(found))) if console.is_terminal else contextlib.nullcontext() as status:
         try:
             for found in states:
                 if status is not None:
-                    status.update(_line(found))
+                    status.update(Text(_line(found)))
         except KeyboardInterrupt:
             return found, True
     return found, False
@@ -329,7 +331,6 @@ def _print_one(bounds: Bounds, picture: Path | None) -> None:
 def _print_table(found: Sequence[Bounds]) -> None:
     import sys
 
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(title="steps, the look-around counted")
@@ -342,7 +343,7 @@ def _print_table(found: Sequence[Bounds]) -> None:
             for number in (limit.lower_bound, limit.best_tour)
         ]
         table.add_row(bounds.world, str(bounds.seed), *ends, f"{bounds.cpu_s:.0f}")
-    Console(width=None if sys.stdout.isatty() else 120).print(table)
+    rich_console(width=None if sys.stdout.isatty() else 120).print(table)
 
 
 def _check_picture(path: Path | None) -> None:

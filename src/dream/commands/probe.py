@@ -22,6 +22,7 @@ from dream.commands.console import (
 )
 from dream.errors import MissionAborted
 from dream.planning.vlm.asking import Asking
+from dream.telling import rich_console
 
 if TYPE_CHECKING:
     from dream.evaluation.probe import MapQuestion, Reply, Score
@@ -183,7 +184,6 @@ def _reply(question: MapQuestion, answer: Answer[Choice]) -> Reply:
 
 
 def _print(score: Score, summary: Mapping[str, Any], page: Path | None) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     from dream.evaluation.probe import KINDS
@@ -203,7 +203,7 @@ def _print(score: Score, summary: Mapping[str, Any], page: Path | None) -> None:
             verdict,
             end_section=title == list(rows)[-1],
         )
-    Console(width=None if sys.stdout.isatty() else 120).print(table)
+    rich_console(width=None if sys.stdout.isatty() else 120).print(table)
     print(f"verdict: {score.verdict}")
     if missing := score.questions - score.whole.asked:
         print(f"  {missing} of {score.questions} questions were not asked")

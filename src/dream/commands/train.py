@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from dream.commands.console import LINE_EVERY, check_writable, print_json
 from dream.errors import MissionAborted
 from dream.protocol import DREAM_V1
+from dream.telling import rich_console
 
 if TYPE_CHECKING:
     from dream.learning.curriculum import Progress
@@ -103,11 +104,10 @@ class Train:
 
 def _shown(work: Iterator[Progress]) -> Iterator[Progress]:
     """Pass the work on, with a bar for each part of it on standard error, or a line every so often."""
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bars
 
-    console = Console(stderr=True)
+    console = rich_console(stderr=True)
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),
@@ -132,7 +132,6 @@ def _shown(work: Iterator[Progress]) -> Iterator[Progress]:
 
 def _print(card: dict[str, Any], model: Path) -> None:
     """The trials as a table, and what came of them."""
-    from rich.console import Console
     from rich.table import Table
 
     trials = card["trials"]
@@ -141,6 +140,6 @@ def _print(card: dict[str, Any], model: Path) -> None:
         table.add_column(heading, justify="right" if heading else "left")
     for name, row in trials["rows"].items():
         table.add_row(name, f"{row['share']:.1%}", f"{row['targets_per_metre']:.2f}", f"{row['metres']:.1f}")
-    console = Console(width=None if sys.stdout.isatty() else 120)
+    console = rich_console(width=None if sys.stdout.isatty() else 120)
     console.print(table)
     console.print(f"{model}: {card['chosen']}", markup=False, highlight=False, soft_wrap=True)

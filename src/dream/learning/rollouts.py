@@ -10,7 +10,6 @@ import hashlib
 import io
 import json
 import math
-import zipfile
 from collections.abc import Generator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
@@ -19,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dream import arrays
 from dream.evaluation.engines import Engine, Failure
 from dream.evaluation.runner import simulate
 from dream.evaluation.suites import LETTERS, REEF_FAMILIES, Case
@@ -233,12 +233,11 @@ def write(path: Path, frames: Frames) -> None:
 def read(path: Path) -> Frames | None:
     """The frames in a file; None where there is none, or a damaged one."""
     try:
-        # Opened here, since np.load leaves a damaged file open.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
+        with arrays.opened(path, "the frames of a lesson") as content:
             images, odds = content["images"], content["odds"]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except (OSError, ValueError):
         return None
-    count = len(images)
+    count = len(images) if images.ndim else -1
     right = images.shape == (count, 2, HEIGHT, WIDTH) and images.dtype == np.uint8
     right &= odds.shape == (count, len(TURNS)) and odds.dtype == np.float32
     return Frames(images, odds) if right and math.isfinite(float(odds.sum())) else None

@@ -7,7 +7,7 @@ import ipaddress
 import re
 import secrets
 import socket
-from collections.abc import Iterable, MutableMapping
+from collections.abc import Callable, Iterable, MutableMapping
 from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
 from typing import TYPE_CHECKING, Any
@@ -105,9 +105,10 @@ def _address(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 class Doorkeeper:
     """Lets requests through to an application, or answers them itself with a line of text."""
 
-    def __init__(self, app: ASGIApp, doors: Doors) -> None:
+    def __init__(self, app: ASGIApp, doors: Doors, admit: Callable[[Any], bool]) -> None:
         self._app = app
         self._doors = doors
+        self._admit = admit
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """One request."""
@@ -115,10 +116,14 @@ class Doorkeeper:
             return
         headers = _headers(scope["headers"])
         refused = self._refused(scope, headers)
+        if refused is None and not self._admit(scope.get("client")):
+            refused = 503, "Too many are connected already; close a page.\n", {"retry-after": "5"}
         if refused is None:
             await self._app(scope, receive, _with_headers(send))
             return
         status, text, extra = refused
+        if status >= 400:
+            extra = {**extra, "connection": "close"}  # Nobody who was refused keeps a place.
         body = text.encode()
         await send({"type": "http.response.start", "status": status, "headers": [
             (b"content-type", b"text/plain; charset=utf-8"), (b"cache-control", b"no-store"),

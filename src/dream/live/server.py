@@ -15,7 +15,7 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 from urllib.parse import quote
 
 from PIL import Image
@@ -56,6 +56,7 @@ LIFE_S = 600.0
 MAX_PAGES = 8
 """Open at a time."""
 MAX_CONNECTIONS = 64
+"""Of those who passed the door."""
 
 _PICTURES = {
     "rgb": "frames/{:04d}_rgb.png",
@@ -94,8 +95,14 @@ class Pages:
             self._looked, self._looking = time.monotonic(), None
 
 
-def application(pages: Pages, doors: Doors) -> ASGIApp:
-    """The server without its socket."""
+def application(pages: Pages, doors: Doors, admit: Callable[[Any], bool] = lambda client: True) -> ASGIApp:
+    """The server without its socket.
+
+    Args:
+        pages: That are open.
+        doors: Who may look.
+        admit: Whether there is a place for one who may, by where it comes from.
+    """
     from fastapi import FastAPI
     from fastapi.responses import PlainTextResponse, Response
 
@@ -128,7 +135,7 @@ def application(pages: Pages, doors: Doors) -> ASGIApp:
     app.add_route("/page.js", fixed(script, "text/javascript"))
     app.add_route("/events", events)
     app.add_route("/runs/{key}/{step}/{what}", of_run)
-    return Doorkeeper(app, doors)
+    return Doorkeeper(app, doors, admit)
 
 
 def _page() -> tuple[str, str, str]:
@@ -289,18 +296,21 @@ def serve(places: list[Path], doors: Doors, listening: socket.socket, over: Call
     """
     import uvicorn
 
-    pages = Pages(Watched(places))
+    from dream.live.guests import MOST_AT_ONCE, MOST_HEAD, House, guests_of
+
+    pages, house = Pages(Watched(places)), House(MAX_CONNECTIONS)
     server = uvicorn.Server(
         uvicorn.Config(
-            application(pages, doors),
-            http="h11",
+            application(pages, doors, house.admit),
+            http=cast("type[asyncio.Protocol]", guests_of(house)),
             ws="none",
             lifespan="off",
             log_level="error",
             access_log=False,  # An address may hold the token.
             server_header=False,
             proxy_headers=False,
-            limit_concurrency=MAX_CONNECTIONS,
+            h11_max_incomplete_event_size=MOST_HEAD,
+            backlog=MOST_AT_ONCE,
             timeout_graceful_shutdown=1,
         )
     )

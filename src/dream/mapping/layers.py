@@ -31,6 +31,8 @@ LEVELS = 3
 """Coarser grids that fill the gaps between posts."""
 BLOCK = 64
 """Cells along a block."""
+MOST_CELLS = 1 << 26
+"""Of a window whose layers are read, each a byte or more; a map without an end may reach farther."""
 EDGE = 1e-9
 """Cells: a position on the edge of two is in the upper one, whatever its rounding."""
 QUANTUM = 0.05
@@ -256,6 +258,12 @@ class Layers:
 
     def _layer(self, name: str, compute: Callable[[], npt.NDArray[Any]]) -> npt.NDArray[Any]:
         if name not in self._layers:
+            rows, cols = self._shape
+            if rows * cols > MOST_CELLS:
+                raise ValueError(
+                    f"window: expected at most {MOST_CELLS} cells to be read at a time, got {rows} x {cols}. "
+                    "Read parts of the map with over"
+                )
             layer = compute()
             layer.flags.writeable = False
             self._layers[name] = layer
@@ -441,6 +449,9 @@ class Layers:
     @property
     def distance_to_bounds(self) -> npt.NDArray[np.float64]:
         """(rows, cols) metres between each cell's centre and the nearest side of the bounds."""
+        return self._layer("distance_to_bounds", self._distance_to_bounds)
+
+    def _distance_to_bounds(self) -> npt.NDArray[Any]:
         rows, cols = np.indices(self.shape, sparse=True)
         x, y = self.center_of(rows, cols)
         bounds = self.bounds

@@ -5,16 +5,14 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import tokenize
-import zipfile
-import zlib
 from pathlib import Path
-from typing import Annotated, Any, BinaryIO, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
+from dream import arrays
 from dream.geometry import SE3, Bounds, Camera
 from dream.mapping._kernels import flags
 from dream.mapping._rectangles import Rectangle
@@ -32,6 +30,7 @@ from dream.mapping.layers import (
     cells_of,
     cells_within,
     post_bits,
+    probability_of_votes,
 )
 from dream.mapping.progress import Progress
 from dream.protocol import SurveyProtocol
@@ -50,21 +49,6 @@ MOST_SIDE = 8192
 """Likewise of images with a longer side. Within both no cell's counts overflow."""
 MOST_CELLS = 1400
 """Of the reach and of the lengths around the vehicle: a window's cells and labels then fit 32 bits."""
-DAMAGED = (
-    zipfile.BadZipFile,
-    zlib.error,
-    tokenize.TokenError,
-    EOFError,
-    KeyError,
-    MemoryError,
-    OSError,
-    RuntimeError,
-    SyntaxError,
-    TypeError,
-    ValueError,
-    ArithmeticError,
-)
-"""What reading a damaged file may raise."""
 MARGIN_BLOCKS = 1 + MOST_CELLS // BLOCK
 """Around the bounds, made for inflation at most."""
 MOST_PENDING = 8
@@ -332,6 +316,21 @@ class OccupancyMap(Layers):
         layers._layer("ground", layers._smooth_ground)
         return layers
 
+    def areas(self) -> dict[str, float]:
+        """Square metres explored, target, solid and of seabed really seen; of what was written alone, however
+        far apart that lies."""
+        if self._bounded:
+            return super().areas()
+        used = 1 + len(self._store)
+        marks, odds, votes = (self._store.pools[name][1:used] for name in ("flags", "log_odds", "votes"))
+        square = self.protocol.cell**2
+        return {
+            "explored": float(np.count_nonzero(marks & flags.EXPLORED)) * square,
+            "target": float(np.count_nonzero((probability_of_votes(self.evidence) > 0.5)[votes])) * square,
+            "solid": float(np.count_nonzero(odds > 0)) * square,
+            "seabed_seen": float(np.count_nonzero(marks & flags.SEABED)) * square,
+        }
+
     def _window(self, low: tuple[int, int], shape: tuple[int, int]) -> Bounds:
         cell, (x, y) = self.protocol.cell, self._origin
         return Bounds(
@@ -388,12 +387,12 @@ class OccupancyMap(Layers):
         self._renew_edges()
         store, used = self._store, 1 + len(self._store)
         keys = np.array(list(store.slot_of), np.int64).reshape(-1, 2)
-        arrays: dict[str, Any] = {
+        held: dict[str, Any] = {
             name: store.pools[name][1:used] for name in (*cells_of(self.protocol), *POSTS)
         }
-        arrays |= {"about": np.array(json.dumps(about)), "blocks": keys, "stamps": store.stamps[1:used]}
+        held |= {"about": np.array(json.dumps(about)), "blocks": keys, "stamps": store.stamps[1:used]}
         with Path(path).open("wb") as file:
-            np.savez_compressed(file, **arrays)
+            np.savez_compressed(file, **held)
 
     @staticmethod
     def load(path: str | Path) -> OccupancyMap:
@@ -403,14 +402,11 @@ class OccupancyMap(Layers):
             FileNotFoundError: There is no such file.
             ValueError: It is damaged, or no map; the message says what was expected and what was found.
         """
-        try:
-            return _read(Path(path))
-        except FileNotFoundError:
-            raise
-        except DAMAGED as error:
-            raise ValueError(
-                f"{path}: expected a map written by save, got a damaged or foreign file ({error})"
-            ) from error
+        with arrays.opened(Path(path), "a map written by save") as content:
+            try:
+                return _read(content)
+            except (ArithmeticError, MemoryError) as error:  # Of lengths that no map has.
+                raise ValueError(f"about: {error}") from error
 
 
 class _About(BaseModel):
@@ -427,43 +423,43 @@ class _About(BaseModel):
     datum: Annotated[float, Field(allow_inf_nan=False)] | None
 
 
-def _read(path: Path) -> OccupancyMap:
-    names = {"about", "blocks", "stamps", *CELLS, *POSTS}
-    with path.open("rb") as opened:
-        headers = _headers(opened, names, {TRAVERSED})
-        shape, dtype = headers.pop("about")
-        if shape != () or dtype.kind != "U" or dtype.itemsize > MOST_TEXT:
-            raise ValueError(f"about: expected a text, got {shape} {dtype}")
-        with np.load(opened, allow_pickle=False) as content:
-            about = _About.model_validate_json(str(content["about"]))
-            if (TRAVERSED in headers) != (about.protocol.traversal is not None):
-                raise ValueError(f"{TRAVERSED}: expected where the protocol has a traversal, and only there")
-            occupancy = OccupancyMap(about.bounds, about.protocol, about.evidence)
-            store, count = occupancy._store, headers["blocks"][0][0] if headers["blocks"][0] else 0
-            expected = {name: (dtype, (count, *shape)) for name, (dtype, shape) in store.layers.items()}
-            whole = np.dtype(np.int64)
-            for name, (dtype, shape) in {
-                **expected,
-                "blocks": (whole, (count, 2)),
-                "stamps": (whole, (count,)),
-            }.items():
-                if headers[name] != (shape, dtype):
-                    raise ValueError(f"{name}: expected {shape} {dtype}, got {headers[name]}")
-            keys, stamps = content["blocks"], content["stamps"]
-            low, past = np.full(2, -FARTHEST // BLOCK), np.full(2, FARTHEST // BLOCK)
-            if about.bounds is not None:
-                low = np.full(2, -MARGIN_BLOCKS)
-                past = np.array([-(-side // BLOCK) + MARGIN_BLOCKS for side in occupancy.shape])
-            if len(np.unique(keys, axis=0)) != count or ((keys < low) | (keys >= past)).any():
-                raise ValueError("blocks: expected different blocks of the map, got others")
-            if ((stamps < 0) | (stamps > about.stamp)).any():
-                raise ValueError(f"stamps: expected 0 to {about.stamp}, got others")
-            store.make((int(row), int(col)) for row, col in keys)
-            for name in expected:
-                cells = content[name]
-                if not np.isfinite(cells).all():
-                    raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
-                store.pools[name][1 : 1 + count] = cells
+def _read(content: arrays.Npz) -> OccupancyMap:
+    names, headers = {"about", "blocks", "stamps", *CELLS, *POSTS}, content.headers
+    # Those that are traversed may be missing.
+    if set(headers) - {TRAVERSED} != names or len(content.entries) != len(headers):
+        raise ValueError(f"expected the arrays {', '.join(sorted(names))}, got others")
+    shape, dtype = headers["about"][:2]
+    if shape != () or dtype.kind != "U" or dtype.itemsize > MOST_TEXT:
+        raise ValueError(f"about: expected a text, got {shape} {dtype}")
+    about = _About.model_validate_json(str(content["about"]))
+    if (TRAVERSED in headers) != (about.protocol.traversal is not None):
+        raise ValueError(f"{TRAVERSED}: expected where the protocol has a traversal, and only there")
+    occupancy = OccupancyMap(about.bounds, about.protocol, about.evidence)
+    store, count = occupancy._store, headers["blocks"].shape[0] if headers["blocks"].shape else 0
+    expected = {name: (dtype, (count, *shape)) for name, (dtype, shape) in store.layers.items()}
+    whole = np.dtype(np.int64)
+    for name, (dtype, shape) in {
+        **expected,
+        "blocks": (whole, (count, 2)),
+        "stamps": (whole, (count,)),
+    }.items():
+        if headers[name][:2] != (shape, dtype):
+            raise ValueError(f"{name}: expected {shape} {dtype}, got {headers[name][:2]}")
+    keys, stamps = content["blocks"], content["stamps"]
+    low, past = np.full(2, -FARTHEST // BLOCK), np.full(2, FARTHEST // BLOCK)
+    if about.bounds is not None:
+        low = np.full(2, -MARGIN_BLOCKS)
+        past = np.array([-(-side // BLOCK) + MARGIN_BLOCKS for side in occupancy.shape])
+    if len(np.unique(keys, axis=0)) != count or ((keys < low) | (keys >= past)).any():
+        raise ValueError("blocks: expected different blocks of the map, got others")
+    if ((stamps < 0) | (stamps > about.stamp)).any():
+        raise ValueError(f"stamps: expected 0 to {about.stamp}, got others")
+    store.make((int(row), int(col)) for row, col in keys)
+    for name in expected:
+        cells = content[name]
+        if not np.isfinite(cells).all():
+            raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
+        store.pools[name][1 : 1 + count] = cells
     store.stamps[1 : 1 + count] = stamps
     occupancy._stamp = about.stamp
     occupancy._datum = math.nan if about.datum is None else about.datum
@@ -475,31 +471,6 @@ def _read(path: Path) -> OccupancyMap:
         first, last = written.min(axis=0), written.max(axis=0)
         occupancy._extend((int(first[0]), int(first[1])), (int(last[0]) + 1, int(last[1]) + 1))
     return occupancy
-
-
-def _headers(
-    opened: BinaryIO, names: set[str], optional: set[str]
-) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
-    """Shape and type of each array of an .npz file, which must be these, read without unpacking them.
-
-    Those that are optional may be missing.
-    """
-    headers = {}
-    with zipfile.ZipFile(opened) as file:
-        members = {member.filename.removesuffix(".npy"): member for member in file.infolist()}
-        if set(members) - optional != names or len(members) != len(file.infolist()):
-            raise ValueError(f"expected the arrays {', '.join(sorted(names))}, got others")
-        for name, member in members.items():
-            with file.open(member) as stream:
-                version = np.lib.format.read_magic(stream)
-                if version != (1, 0):
-                    raise ValueError(f"{name}: expected version 1.0 of .npy, got {version}")
-                shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
-                if math.prod(shape) * dtype.itemsize > member.file_size:
-                    raise ValueError(f"{name} claims {shape} {dtype} in {member.file_size} bytes")
-            headers[name] = (shape, dtype)
-    opened.seek(0)
-    return headers
 
 
 def _thinned(

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from dream import arrays
 from dream.geometry import Bounds
 from dream.types import BoolArray, Float32Array
 
@@ -86,14 +86,15 @@ class Prior:
             FileNotFoundError: There is no such file.
             ValueError: It is damaged, or of another map.
         """
-        try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as cells:
-                target, solid = cells["target"].astype(np.float32), cells["solid"].astype(np.bool_)
-            sigma, years, source = float(about["sigma"]), float(about["years"]), str(about["source"])
-        except FileNotFoundError:
-            raise
-        except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
-            raise ValueError(
-                f"{path}: expected what a mission was told of an earlier survey, got {error}"
-            ) from error
-        return Prior(bounds, cell, target, solid, sigma, years, source)
+        shape = round(bounds.depth / cell), round(bounds.width / cell)
+        with arrays.opened(path, "what a mission was told of an earlier survey") as cells:
+            for name, kinds in (("target", "f"), ("solid", "biu")):
+                header = cells.headers.get(name)
+                if header is None or header.shape != shape or header.dtype.kind not in kinds:
+                    raise ValueError(f"{name}: expected {shape} cells, got {header and header[:2]}")
+            target, solid = cells["target"].astype(np.float32), cells["solid"].astype(np.bool_)
+            try:
+                sigma, years, source = float(about["sigma"]), float(about["years"]), str(about["source"])
+            except (KeyError, TypeError, OverflowError) as error:
+                raise ValueError(f"what is recorded of it lacks {error}") from error
+            return Prior(bounds, cell, target, solid, sigma, years, source)

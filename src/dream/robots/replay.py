@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import io
 import math
-import zipfile
+import struct
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,8 +18,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
+from dream import arrays as reading
 from dream.control import setpoint
 from dream.files import whole_or_nothing
 from dream.geometry import SE2, SE3, Camera, wrap_angle
@@ -33,6 +35,8 @@ SAME = 1e-6
 """Metres and radians between setpoints that are the same: another machine may round otherwise."""
 MOST_BYTES = 64 << 20
 """Of a file; a larger one is refused."""
+MOST_UNPACKED = 512 << 20
+"""Bytes of all arrays of a file."""
 
 Arrays = Mapping[str, npt.NDArray[Any]]
 
@@ -243,17 +247,13 @@ def read(path: Path) -> Kept:
     """
     if path.stat().st_size > MOST_BYTES:
         raise ValueError(f"{path}: expected at most {MOST_BYTES} bytes, got more")
-    raw = path.read_bytes()
-    try:
-        with np.load(io.BytesIO(raw), allow_pickle=False) as arrays:
-            return _kept(arrays)
-    except (KeyError, TypeError, ValueError, EOFError, UnidentifiedImageError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path}: expected what was seen and done, got a damaged file ({error})") from error
+    with reading.opened(path, "what was seen and done", MOST_UNPACKED) as arrays:
+        return _kept(arrays)
 
 
 def _kept(arrays: Arrays) -> Kept:
     width, height, *lens = _numbers(arrays, "camera", (6,)).tolist()
-    rgb = np.array(Image.open(io.BytesIO(arrays["rgb_png"].tobytes())).convert("RGB"))
+    rgb = _picture(arrays["rgb_png"].tobytes())
     seen = Observation(
         time=float(_numbers(arrays, "time", ())),
         rgb=rgb,
@@ -269,7 +269,7 @@ def _kept(arrays: Arrays) -> Kept:
     distance, clearance, sigma = _numbers(arrays, "travelled", (3,), inf=True).tolist()
     arrival = Arrival(
         pose=SE2(*_numbers(arrays, "arrival", (3,)).tolist()),
-        collided=bool(arrays["collided"]),
+        collided=bool(_numbers(arrays, "collided", ())),
         distance=distance,
         clearance=clearance,
         note=arrays["note"].tobytes().decode(),
@@ -279,10 +279,21 @@ def _kept(arrays: Arrays) -> Kept:
     return Kept(Move(Setpoint(*_numbers(arrays, "setpoint", (4,)).tolist()), arrival), seen)
 
 
+def _picture(content: bytes) -> UInt8Array:
+    """(H, W, 3) of a PNG file."""
+    try:
+        with Image.open(io.BytesIO(content), formats=["PNG"]) as image:
+            if 3 * image.width * image.height > MOST_UNPACKED:
+                raise ValueError(f"rgb_png: expected at most {MOST_UNPACKED} bytes, got {image.size} pixels")
+            return np.array(image.convert("RGB"))
+    except (OSError, SyntaxError, Image.DecompressionBombError, zlib.error, struct.error) as error:
+        raise ValueError(f"rgb_png: expected a picture, got {error}") from error
+
+
 def _numbers(arrays: Arrays, name: str, shape: tuple[int, ...], *, inf: bool = False) -> npt.NDArray[Any]:
     array = arrays[name]
     good: Callable[[Any], Any] = (lambda values: ~np.isnan(values)) if inf else np.isfinite
-    if array.shape != shape or not good(array).all():
+    if array.shape != shape or array.dtype.kind not in "biuf" or not good(array).all():
         raise ValueError(f"{name}: expected finite numbers {shape}, got {array.shape}")
     return array
 

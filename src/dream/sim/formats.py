@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dream import arrays
 from dream.sim.sampling import FACTOR, MILLIMETRE, QUATERNION, quantised
 from dream.sim.world import Instances, Mesh
 
@@ -45,16 +46,7 @@ def text(path: Path) -> str:
 
 def read_heights(path: Path, shape: tuple[int, int]) -> npt.NDArray[np.float32]:
     """The float32 array of that shape."""
-    expected = f"a float32 array {shape} as world.json says"
-    try:
-        # Mapped, so that a header that promises more than the file holds allocates nothing.
-        mapped = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, OSError, EOFError) as error:
-        raise ValueError(f"{path.name}: expected {expected}, got a damaged file ({error})") from None
-    if not isinstance(mapped, np.ndarray) or mapped.shape != shape or mapped.dtype != np.float32:
-        got = f"{mapped.dtype} {mapped.shape}" if isinstance(mapped, np.ndarray) else "an archive"
-        raise ValueError(f"{path.name}: expected {expected}, got {got}")
-    return np.array(mapped, np.float32)
+    return arrays.read(path, f"a float32 array {shape} as world.json says", shape, np.float32)
 
 
 def obj(meshes: tuple[Mesh, ...]) -> str:

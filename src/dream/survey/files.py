@@ -12,7 +12,6 @@ import io
 import json
 import math
 import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -21,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
 
+from dream import arrays as reading
 from dream.files import whole_or_nothing
 from dream.geometry import Bounds
 from dream.survey.patches import signed_area
@@ -74,8 +74,6 @@ VERSION: Final = 2
 _SINCE = {"individuals.clear": 2}
 """The version from which on files hold an array, where it is not the first."""
 _HEADER = "header.json"
-_BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, OSError)
-"""What a damaged archive of arrays raises, by where the damage is."""
 
 Text = Annotated[str, Field(max_length=20_000)]
 Word = Annotated[str, Field(max_length=200)]
@@ -254,16 +252,9 @@ def loaded(data: bytes, where: str) -> Survey:
         ValueError: They are damaged or hold no survey.
     """
     try:
-        contents = _contents(data)
-    except _BROKEN as error:
-        raise ValueError(f"{where}: expected the file of a survey, got damaged content ({error})") from error
-    try:
-        header = _Header.model_validate_json(contents[_HEADER])
-        if {*contents} != _entries(header.version):
-            raise ValueError(f"version: expected the arrays of {header.version}, got those of another")
-        arrays = {name: _array(contents[f"{name}.npy"], name) for name in _TYPES if f"{name}.npy" in contents}
+        header, arrays = _unpacked(data)
     except ValueError as error:
-        raise ValueError(f"{where}: {_first(error)}") from error
+        raise ValueError(f"{where}: {error}") from error
     if "individuals.clear" not in arrays:
         # It does not say whose sizes are their own.
         arrays["individuals.clear"] = np.zeros(len(arrays["individuals.sigma"]), np.bool_)
@@ -277,40 +268,32 @@ def _put(file: zipfile.ZipFile, name: str, content: bytes) -> None:
     file.writestr(entry, content, compress_type=zipfile.ZIP_DEFLATED, compresslevel=6)
 
 
-def _contents(data: bytes) -> dict[str, bytes]:
-    with zipfile.ZipFile(io.BytesIO(data)) as file:
-        entries = file.infolist()
-        names = [entry.filename for entry in entries]
+def _unpacked(data: bytes) -> tuple[_Header, dict[str, Array]]:
+    """Header and arrays of a file; whether they fit each other is not looked at."""
+    with reading.opened(data, "the file of a survey", 4 * MOST_BYTES) as file:
         # Of the version that it is most like.
-        wrong = min((_entries(k).symmetric_difference(names) for k in range(VERSION, 0, -1)), key=len)
-        if wrong or len(set(names)) < len(names):
-            told = ", ".join(sorted(wrong)) or "an entry twice"
-            raise ValueError(f"entries that are missing or foreign: {told[:200]}")
-        # A packed entry unpacks to what its directory says, so this bounds what is unpacked.
-        total = sum(entry.file_size for entry in entries)
-        if total > 4 * MOST_BYTES or file.getinfo(_HEADER).file_size > MOST_HEADER:
-            raise ValueError(f"{total} bytes unpacked, which is too much")
-        return {entry.filename: file.read(entry) for entry in entries}
+        wrong = min((_entries(k) ^ file.entries for k in range(VERSION, 0, -1)), key=len)
+        if wrong:
+            raise ValueError(f"entries that are missing or foreign: {', '.join(sorted(wrong))[:200]}")
+        content = file.content(_HEADER, MOST_HEADER)
+        try:
+            header = _Header.model_validate_json(content)
+        except ValueError as error:
+            raise ValueError(_first(error)) from error
+        if file.entries != _entries(header.version):
+            raise ValueError(f"version: expected the arrays of {header.version}, got those of another")
+        arrays = {}
+        for name in file:
+            kind, (shape, found, fortran, _) = np.dtype(_TYPES[name]), file.headers[name]
+            if fortran or found != kind:
+                raise ValueError(f"{name}: expected an array of {kind}, got {found} {shape}")
+            arrays[name] = file[name]
+        return header, arrays
 
 
 def _entries(version: int) -> set[str]:
     """Of a file of such a version."""
     return {_HEADER, *(f"{name}.npy" for name in _TYPES if _SINCE.get(name, 1) <= version)}
-
-
-def _array(content: bytes, name: str) -> Array:
-    kind = np.dtype(_TYPES[name])
-    try:
-        stream = io.BytesIO(content)
-        if np.lib.format.read_magic(stream) != (1, 0):
-            raise ValueError("another version of the format of arrays")
-        shape, fortran, found = np.lib.format.read_array_header_1_0(stream)
-        left = len(content) - stream.tell()
-        if fortran or found != kind or left != kind.itemsize * math.prod(shape):
-            raise ValueError(f"{found} {shape} with {left} bytes")
-    except ValueError as error:
-        raise ValueError(f"{name}: expected an array of {kind}, got {error}") from None
-    return np.frombuffer(content, kind, offset=len(content) - left).reshape(shape).copy()
 
 
 def _first(error: ValueError) -> str:

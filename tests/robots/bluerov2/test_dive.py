@@ -348,7 +348,7 @@ CHECK = ["dive", "--area", "0", "0", "20", "16", "--at", "1", "1", "0", "--proto
         ("--from-survey 1 --archive there.gpkg", "there.gpkg: expected an archive of surveys, got no file"),
         (
             "--from-survey damaged.survey.npz",
-            "damaged.survey.npz: expected the file of a survey, got damaged",
+            "damaged.survey.npz: expected the file of a survey, got a damaged",
         ),
         ("--site other.json --from-survey reef.survey.npz", "got one of 'Inner reef'"),
         ("--from-survey beside.survey.npz", "expected a survey of this area, got"),

@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from dream.telling import rich_console
+
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
@@ -126,10 +128,9 @@ def _watch(
     terminal: Terminal,
     over: threading.Event,
 ) -> None:
-    from rich.console import Console
     from rich.live import Live
 
-    with Live(console=Console(stderr=True), auto_refresh=False, transient=True) as live:
+    with Live(console=rich_console(stderr=True), auto_refresh=False, transient=True) as live:
         drawn = 0.0
         while not over.is_set():
             ready, _, _ = select.select([keyboard], [], [], 0.05)

@@ -13,11 +13,13 @@ import tyro
 
 from dream.commands.console import check_writable, compiling_told, print_json
 from dream.commands.survey.sources import found
-from dream.commands.survey.words import plain, slim_table
+from dream.commands.survey.words import slim_table
+from dream.telling import one_line, rich_console
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     from dream.survey.comparison import Comparison
 
@@ -81,20 +83,21 @@ def _made_only_to_last(folder: Path) -> Iterator[None]:
 
 
 def _print(comparison: Comparison, files: tuple[Path, ...]) -> None:
-    from rich.console import Console
+    from rich.text import Text
 
     from dream.survey.change_map import PAGE
     from dream.survey.change_words import difference_cells, patch_rows, summary
     from dream.survey.numbers import p_value
     from dream.survey.sizes import size_bin
 
-    console, told = Console(), comparison.as_dict()
-    console.print(f"[bold]{plain(comparison.a.name)}[/bold] → [bold]{plain(comparison.b.name)}[/bold]")
+    console, told = rich_console(), comparison.as_dict()
+    names = [(one_line(one.name), "bold") for one in (comparison.a, comparison.b)]
+    console.print(Text.assemble(names[0], " → ", names[1]))
     if comparison.withheld:
         console.print("\n\n".join(summary(comparison)), highlight=False)
     else:
         _print_laid(console, told)
-    for title, differences in (
+    for heading, differences in (
         ("what each tells of all that it saw itself", comparison.measures),
         ("all that both saw", () if comparison.withheld else comparison.differences),
     ):
@@ -103,13 +106,15 @@ def _print(comparison: Comparison, files: tuple[Path, ...]) -> None:
         if shown:
             rows = [(one.name, difference_cells(one), one.p) for one in shown]
             console.print()
-            console.print(_table(title, rows))
+            console.print(_table(heading, rows))
     for k, patch in enumerate(() if comparison.withheld else comparison.patches, start=1):
         colour = {"gain": "green", "loss": "red", "mixed": "magenta"}.get(patch.verdict, "default")
         # The verdict is the patch's, not each figure's.
-        verdict = f"[{colour}]{patch.verdict}[/]"
-        verdict += "" if patch.p is None else f" (p {p_value(patch.p)})"
-        title = f"patch {k}{'' if patch.before is not None else ', new'}: {verdict}"
+        title = Text.assemble(
+            f"patch {k}{'' if patch.before is not None else ', new'}: ",
+            (patch.verdict, colour),
+            "" if patch.p is None else f" (p {p_value(patch.p)})",
+        )
         rows = list(patch_rows(patch))
         console.print()
         console.print(_table(title, rows) if rows else title)
@@ -129,7 +134,7 @@ def _print_laid(console: Console, told: dict[str, Any]) -> None:
         highlight=False,
     )
     if laid["note"]:
-        console.print(plain(laid["note"]), highlight=False)
+        console.print(one_line(laid["note"]), highlight=False)
     console.print(
         f"individuals found: {fates['there']} there in both, {fates['lost']} only before, "
         f"{fates['new']} only after, {fates['hidden_before']} and {fates['hidden_after']} not found again on "
@@ -138,7 +143,7 @@ def _print_laid(console: Console, told: dict[str, Any]) -> None:
     )
 
 
-def _table(title: str, rows: Iterable[tuple[str, tuple[str, str, str], float]]) -> Table:
+def _table(title: str | Text, rows: Iterable[tuple[str, tuple[str, str, str], float]]) -> Table:
     """Of figures, each with its name, cells and p; all tables have the same columns."""
     from dream.survey.numbers import named, p_value
 

@@ -6,7 +6,8 @@ from dataclasses import asdict, dataclass
 
 from dream.commands.console import print_json
 from dream.commands.survey.sources import archive_at
-from dream.commands.survey.words import plain, slim_table
+from dream.commands.survey.words import slim_table
+from dream.telling import one_line, rich_console
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +48,9 @@ class List:
             ]
             print_json({"archive": where, "surveys": surveys})
             return 0
-        from rich.console import Console
-
         from dream.types import Target
 
-        table = slim_table(f"Surveys in {plain(where)}")
+        table = slim_table(f"Surveys in {one_line(where)}")
         table.add_column("no", justify="right", no_wrap=True)
         table.add_column("site, when it began, and survey", overflow="fold")
         for heading in ("patches", "count", "area", "density"):
@@ -61,7 +60,7 @@ class List:
             area = figures.get("reef_area") or figures.get("outline_area")
             table.add_row(
                 str(entry.number),
-                f"{plain(entry.site)}, {entry.began:%Y-%m-%d %H:%M}\n{plain(entry.name)}",
+                f"{one_line(entry.site)}, {entry.began:%Y-%m-%d %H:%M}\n{one_line(entry.name)}",
                 "" if entry.target == Target.WRECK else str(entry.patches),
                 ""
                 if (all_of := figures.get("count")) is None or all_of.value is None
@@ -71,5 +70,5 @@ class List:
                 if (one := figures.get("density")) is None or one.value is None
                 else f"{one.value:.1f} /m²",
             )
-        Console().print(table)
+        rich_console().print(table)
         return 0

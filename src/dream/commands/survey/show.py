@@ -10,7 +10,8 @@ import tyro
 
 from dream.commands.console import compiling_told, print_json
 from dream.commands.survey.sources import found
-from dream.commands.survey.words import measure_row, plain, slim_table
+from dream.commands.survey.words import measure_row, slim_table
+from dream.telling import one_line, rich_console
 
 if TYPE_CHECKING:
     from dream.survey import Survey
@@ -65,26 +66,27 @@ def _told(survey: Survey) -> dict[str, Any]:
 
 
 def _print(survey: Survey) -> None:
-    from rich.console import Console
+    from rich.text import Text
 
     from dream.survey.calibration import doubt
     from dream.survey.numbers import named
     from dream.types import Target
 
-    console = Console()
+    console = rich_console()
     # The hull is one, what lies around it are others.
     part, parts = ("piece", "pieces") if survey.target is Target.WRECK else ("patch", "patches")
-    where = "no origin" if survey.site is None else plain(survey.site.name)
-    console.print(f"[bold]{plain(survey.name)}[/bold]  {where}, {survey.began:%Y-%m-%d %H:%M:%S %Z}")
+    where = "no origin" if survey.site is None else one_line(survey.site.name)
+    began = f"{survey.began:%Y-%m-%d %H:%M:%S %Z}"
+    console.print(Text.assemble((one_line(survey.name), "bold"), f"  {where}, {began}"))
     console.print(
-        f"{survey.target} by {plain(survey.protocol)}, {len(survey.decisions)} decisions"
+        f"{survey.target} by {one_line(survey.protocol)}, {len(survey.decisions)} decisions"
         # A wreck has neither.
         + f", {len(survey.individuals)} individuals found (count tells how many there are)"
         * any(measure.name == "count" for measure in survey.measures)
         + f", {parts}: {len(survey.patches)}" * bool(survey.patches)
     )
     if doubtful := doubt(survey.protocol, survey.target):
-        console.print(f"\n{plain(doubtful)}", highlight=False)
+        console.print(f"\n{one_line(doubtful)}", highlight=False)
     table = slim_table()
     for heading in ("measure", "value", "95 % interval"):
         table.add_column(heading, no_wrap=True)

@@ -10,6 +10,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dream.telling import rich_console
+
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
@@ -106,12 +108,12 @@ def warn_of_date(survey: Survey, what: str) -> None:
 
 def _measured(run: Path) -> Survey:
     """A run's survey, with progress on standard error where that is a terminal."""
-    from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import BarColumn, Progress, TextColumn
 
     from dream.survey.measuring import measure
 
-    console = Console(stderr=True)
-    with Progress(console=console, disable=not console.is_terminal, transient=True) as bar:
+    console = rich_console(stderr=True)
+    columns = TextColumn("{task.description}", markup=False), BarColumn()
+    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
         task = bar.add_task(f"measuring {run.name}", total=None)
         return measure(run, told=lambda done, of: bar.update(task, completed=done, total=of))

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from dream.telling import one_line
+
 if TYPE_CHECKING:
     from rich.table import Table
+    from rich.text import Text
 
     from dream.survey import Measure
 
 
-def plain(text: str) -> str:
-    """Words that came from a file, as a terminal may print them: on one line, and no commands to it."""
-    from rich.markup import escape
-
-    return escape("".join(letter if letter.isprintable() else " " for letter in text))
-
-
-def slim_table(title: str | None = None) -> Table:
+def slim_table(title: str | Text | None = None) -> Table:
     """A table without columns yet, whose lines leave its figures the width of a small terminal."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
@@ -34,8 +30,8 @@ def measure_row(measure: Measure) -> tuple[str, str, str, str]:
     name = named(measure.name) if ends is None else f"{ends[0]} to {ends[1]} cm wide"
     unit = UNITS.get(measure.unit, measure.unit)
     if measure.value is None:
-        return name, "not measured", "", plain(measure.note)
+        return name, "not measured", "", one_line(measure.note)
     interval = ""
     if measure.low is not None and measure.high is not None:
         interval = f"{number(measure.low)} to {number(measure.high)}"
-    return name, f"{number(measure.value)} {unit}".strip(), interval, plain(measure.note)
+    return name, f"{number(measure.value)} {unit}".strip(), interval, one_line(measure.note)

@@ -11,13 +11,16 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import sqlite3
 import struct
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from dream.files import first_or_nothing
 from dream.survey import files
 from dream.survey.archive import entries as told
 from dream.survey.archive import wkb
@@ -25,6 +28,7 @@ from dream.survey.archive.entries import Entry
 from dream.survey.archive.keeping import OF_ITS_RUN, Keeping, missing
 from dream.survey.archive.rows import Row, digest
 from dream.survey.archive.schema import MIGRATIONS, VERSIONS, WGS84, Column, Table, order, parts
+from dream.survey.archive.strangers import check_tables, confine
 from dream.survey.survey import Survey
 
 APPLICATION = 0x47504B47
@@ -35,6 +39,10 @@ HEADER = 8
 """Bytes of a geometry before its envelope (clause 2.1.3)."""
 PATIENCE = 30.0
 """Seconds to wait for another writer."""
+READING, CHANGING, MIGRATION = 60.0, 600.0, 3600.0
+"""Seconds that asking an archive, changing it, and bringing it up to date may take."""
+STEPS = 10_000
+"""Of SQLite's machine, between two looks at the clock."""
 
 _KINDS = {"id": "INTEGER", "integer": "INTEGER", "real": "DOUBLE", "text": "TEXT", "time": "DATETIME"}
 _KINDS |= {"blob": "BLOB"}
@@ -70,6 +78,14 @@ _SYSTEMS = (
 )
 
 
+_COLUMNS = {
+    "gpkg_contents": ("table_name", "last_change", "min_x", "min_y", "max_x", "max_y", "srs_id"),
+    "gpkg_geometry_columns": ("table_name", "column_name", "geometry_type_name", "srs_id"),
+    "gpkg_spatial_ref_sys": ("srs_id",),
+}
+"""Of a GeoPackage's own tables, what is asked or written here."""
+
+
 class GeoPackageArchive(Keeping):
     """Surveys in a GeoPackage. Use it as a context, or close it."""
 
@@ -91,10 +107,14 @@ class GeoPackageArchive(Keeping):
                 f"{path}: expected an archive of surveys, got no file. Begin one with dream survey add, or "
                 "name another with --archive"
             )
-        with self._told():
-            self._connection = sqlite3.connect(path, timeout=PATIENCE, isolation_level=None)
+        self._until = math.inf
+        if begin:
+            self._begin_file()
+        with self._told(MIGRATION):
+            # As a path, also where a name means something else to SQLite, as ":memory:" does.
+            self._connection = sqlite3.connect(path.absolute(), timeout=PATIENCE, isolation_level=None)
         try:
-            with self._told():
+            with self._told(MIGRATION):
                 self._set_up()
                 try:
                     self._migrate(begin=begin)
@@ -107,8 +127,9 @@ class GeoPackageArchive(Keeping):
             raise
 
     def _set_up(self) -> None:
-        # The file may be a stranger's: its views and triggers call no function that could do harm.
-        self._connection.execute("PRAGMA trusted_schema = OFF")
+        # What it is asked may last for ever, and SQLite does not hear Ctrl-C meanwhile.
+        self._connection.set_progress_handler(self._is_late, STEPS)
+        confine(self._connection)
         # What was reported as kept is on the disk, also where the power fails.
         self._connection.execute("PRAGMA synchronous = FULL")
         self._connection.execute("PRAGMA foreign_keys = ON")
@@ -118,7 +139,7 @@ class GeoPackageArchive(Keeping):
         # Without a name it goes to a file of SQLite's own where it is large, which is gone when it is closed.
         with contextlib.ExitStack() as stack:
             copy = stack.enter_context(contextlib.closing(sqlite3.connect("", isolation_level=None)))
-            self._connection.backup(copy)
+            self._connection.backup(copy, pages=STEPS, progress=self._go_on)
             stack.pop_all()
         self._connection.close()
         self._connection = copy
@@ -126,6 +147,26 @@ class GeoPackageArchive(Keeping):
         self._migrate(begin=False)
         # What is kept there would be lost.
         self._connection.execute("PRAGMA query_only = ON")
+
+    def _is_late(self) -> bool:
+        return time.monotonic() > self._until
+
+    def _go_on(self, status: int, remaining: int, total: int) -> None:
+        """Called between parts of a copy, where Ctrl-C is heard too."""
+        if self._is_late():
+            raise TimeoutError(f"{self._path}: expected to copy it within {MIGRATION:g} s, gave up")
+
+    def _begin_file(self) -> None:
+        """Make an archive where there is none: it is there whole or not at all, whatever dies meanwhile."""
+        if self._path.exists() or not self._path.parent.is_dir():
+            return
+        with first_or_nothing(self._path) as partial:
+            self._connection = sqlite3.connect(partial, isolation_level=None)
+            with contextlib.closing(self._connection), self._told(MIGRATION):
+                # What is left of one that was killed is one file, and of no use to anybody.
+                self._connection.execute("PRAGMA journal_mode = MEMORY")
+                self._set_up()
+                self._migrate(begin=True)
 
     def __enter__(self) -> GeoPackageArchive:
         return self
@@ -146,12 +187,12 @@ class GeoPackageArchive(Keeping):
 
     def entries(self) -> list[Entry]:
         """What is there, by number."""
-        with self._told(), self._transaction("DEFERRED"):
+        with self._told(READING), self._transaction("DEFERRED"):
             return self._entries()
 
     def get(self, number: int) -> Survey:
         """The survey of that number."""
-        with self._told():
+        with self._told(READING):
             found = self._connection.execute(
                 "SELECT digest, body FROM surveys JOIN documents ON survey_id = id WHERE id = ?", (number,)
             ).fetchone()
@@ -165,7 +206,7 @@ class GeoPackageArchive(Keeping):
         measures = self._connection.execute(
             f"SELECT {', '.join(told.MEASURES)} FROM measures WHERE patch IS NULL ORDER BY id"
         )
-        return told.entries(surveys.fetchall(), measures.fetchall())
+        return told.entries(surveys.fetchall(), measures.fetchall(), self.name)
 
     def _of_its_run(self, head: Row) -> list[tuple[int, str, str]]:
         return self._connection.execute(
@@ -189,6 +230,19 @@ class GeoPackageArchive(Keeping):
         for table, rows_of in others.items():
             for row in rows_of:
                 insert(self._connection, table, {"survey_id": number, **row})
+
+    def _read_back(self, number: int) -> tuple[str, bytes, dict[str, int]]:
+        found = self._connection.execute(
+            "SELECT digest, body FROM surveys JOIN documents ON survey_id = id WHERE id = ?", (number,)
+        ).fetchone()
+        counts = {
+            table: self._connection.execute(
+                f"SELECT count(*) FROM {table} WHERE survey_id = ?", (number,)
+            ).fetchone()[0]
+            for table in parts()
+        }
+        digest, body = found or ("", b"")
+        return str(digest), bytes(body), counts
 
     def _empty(self, number: int) -> None:
         """Take out what belongs to a survey."""
@@ -240,23 +294,32 @@ class GeoPackageArchive(Keeping):
         Raises:
             ValueError: It is no archive, or of a later version.
         """
+        check_tables(self._connection, {VERSIONS: ("version", "made")}, self.name)
         tables = {name for (name,) in self._connection.execute("SELECT name FROM sqlite_master")}
         if not tables:
             return 0
         if VERSIONS not in tables:
             raise ValueError(f"{self._path}: expected an archive of surveys, got another database")
-        version = int(self._connection.execute(f"SELECT max(version) FROM {VERSIONS}").fetchone()[0])
+        version = self._connection.execute(f"SELECT max(version) FROM {VERSIONS}").fetchone()[0]
+        if not isinstance(version, int) or version < 1:
+            raise ValueError(f"{self._path}: expected the version of an archive, got {str(version)[:80]!r}")
         if version > len(MIGRATIONS):
             raise ValueError(
                 f"{self._path}: expected an archive of version {len(MIGRATIONS)} at most, got {version}. "
                 "Open it with a later dream"
             )
+        known = order(MIGRATIONS[:version]).values()
+        missing = [table.name for table in known if table.name not in tables]
+        if missing:
+            raise ValueError(f"{self._path}: expected the table {missing[0]}, got none of that name")
+        columns = {table.name: [column.name for column in table.columns] for table in known}
+        check_tables(self._connection, {**columns, **_COLUMNS}, self.name)
         return version
 
     @contextlib.contextmanager
     def _changing(self) -> Iterator[None]:
         """A transaction in a file that is whole."""
-        with self._told(), self._transaction():
+        with self._told(CHANGING), self._transaction():
             found = self._connection.execute("PRAGMA quick_check(1)").fetchone()[0]
             if found != "ok":
                 raise sqlite3.DatabaseError(found)
@@ -275,8 +338,10 @@ class GeoPackageArchive(Keeping):
             raise
 
     @contextlib.contextmanager
-    def _told(self) -> Iterator[None]:
-        """Say what SQLite complains of in words of the archive."""
+    def _told(self, seconds: float) -> Iterator[None]:
+        """Say what SQLite complains of in words of the archive, and that it took longer than it may."""
+        outer = self._until
+        self._until = min(outer, time.monotonic() + seconds) if outer == math.inf else outer
         try:
             yield
         # Of a complaint that quotes what is damaged, or of a geometry that is none.
@@ -284,11 +349,21 @@ class GeoPackageArchive(Keeping):
             raise ValueError(f"{self._path}: expected an archive of surveys, got a damaged file") from error
         except sqlite3.DatabaseError as error:
             code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
+            if code == sqlite3.SQLITE_INTERRUPT:
+                # It was stopped in time: by Ctrl-C, which a callback from C does not hand on.
+                if not self._is_late():
+                    raise KeyboardInterrupt from None
+                raise TimeoutError(
+                    f"{self._path}: expected an archive of surveys, got one that takes longer than "
+                    f"{seconds:g} s. Nothing was changed"
+                ) from error
             if code in _FAILED:
                 raise OSError(f"{self._path}: {_FAILED[code]} ({error}). Nothing was changed") from error
             raise ValueError(
                 f"{self._path}: expected an archive of surveys, got a damaged or foreign file ({error})"
             ) from error
+        finally:
+            self._until = outer
 
 
 _FAILED = {

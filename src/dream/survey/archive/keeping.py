@@ -9,6 +9,7 @@ from contextlib import AbstractContextManager
 import numpy as np
 
 from dream.survey import files
+from dream.survey.archive import entries as told
 from dream.survey.archive.entries import Entry
 from dream.survey.archive.rows import Row, digest, rows
 from dream.survey.survey import Survey
@@ -31,6 +32,7 @@ class Keeping(ABC):
             _check_first_of_its_run(head, there)
             number = self._begin_survey(head)
             self._fill(number, others)
+            self._confirm(number, head, others)
             self._register_change()
         return number, True
 
@@ -46,6 +48,7 @@ class Keeping(ABC):
             self._empty(number)
             self._renew_survey(number, head)
             self._fill(number, others)
+            self._confirm(number, head, others)
             self._register_change()
         return True
 
@@ -72,6 +75,32 @@ class Keeping(ABC):
             if head["digest"] == kept or head["digest"] == digest(files.dumped(self.get(number))):
                 return number
         return None
+
+    def _confirm(self, number: int, head: Row, others: Mapping[str, list[Row]]) -> None:
+        """Raise a ValueError unless the database holds what was just written to it.
+
+        A table of a stranger may ignore or replace what it is given.
+        """
+        wrote = told.entries(
+            [(number, *(head[name] for name in told.COLUMNS[1:]))],
+            [
+                (number, *(row[name] for name in told.MEASURES[1:]))
+                for row in others["measures"]
+                if row["patch"] is None
+            ],
+            self.name,
+        )
+        found, body, counts = self._read_back(number)
+        what = next((table for table, rows_of in others.items() if counts[table] != len(rows_of)), "")
+        if not what and (found, body) != (head["digest"], others["documents"][0]["body"]):
+            what = "documents"
+        if not what and [entry for entry in self._entries() if entry.number == number] != wrote:
+            what = "surveys"
+        if what:
+            raise ValueError(
+                f"{self.name}: expected the survey that was just written, got other rows of {what}. "
+                "Nothing was changed. Does the archive have rules of its own? Begin a new one"
+            )
 
     @property
     @abstractmethod
@@ -109,6 +138,10 @@ class Keeping(ABC):
     @abstractmethod
     def _fill(self, number: int, others: Mapping[str, list[Row]]) -> None:
         """Put in what belongs to a survey."""
+
+    @abstractmethod
+    def _read_back(self, number: int) -> tuple[str, bytes, dict[str, int]]:
+        """Digest and body of a survey as the database holds them, and its rows in each table."""
 
     @abstractmethod
     def _empty(self, number: int) -> None:

@@ -129,7 +129,7 @@ class PostgisArchive(Keeping):
         measures = self._connection.execute(
             f"SELECT {', '.join(told.MEASURES)} FROM {SCHEMA}.measures WHERE patch IS NULL ORDER BY id"
         )
-        return told.entries(surveys.fetchall(), measures.fetchall())
+        return told.entries(surveys.fetchall(), measures.fetchall(), self.name)
 
     def _of_its_run(self, head: Row) -> list[tuple[int, str, str]]:
         found: list[tuple[int, str, str]] = self._connection.execute(
@@ -163,6 +163,21 @@ class PostgisArchive(Keeping):
                 if rows_of:
                     full = [{"survey_id": number, **row} for row in rows_of]
                     cursor.executemany(_insert(table, full[0]), [list(row.values()) for row in full])
+
+    def _read_back(self, number: int) -> tuple[str, bytes, dict[str, int]]:
+        found = self._connection.execute(
+            f"SELECT digest, body FROM {SCHEMA}.surveys JOIN {SCHEMA}.documents ON survey_id = id "
+            "WHERE id = %s",
+            (number,),
+        ).fetchone()
+        counts = {}
+        for table in parts():
+            (count,) = self._connection.execute(
+                f"SELECT count(*) FROM {SCHEMA}.{table} WHERE survey_id = %s", (number,)
+            ).fetchone() or (0,)
+            counts[table] = int(count)
+        digest, body = found or ("", b"")
+        return str(digest), bytes(body), counts
 
     def _empty(self, number: int) -> None:
         """Take out what belongs to a survey."""
@@ -282,6 +297,18 @@ class PostgisArchive(Keeping):
         )
         if there.fetchone() is None:
             return 0
+        # A view of that name, or a rule on a table, may be anybody's program.
+        names = [VERSIONS, *order(MIGRATIONS)]
+        other = self._connection.execute(
+            "SELECT relname FROM pg_catalog.pg_class WHERE relnamespace = %s::regnamespace "
+            "AND relname = ANY(%s) AND (relkind NOT IN ('r', 'p') OR relhasrules) ORDER BY relname LIMIT 1",
+            (SCHEMA, names),
+        ).fetchone()
+        if other is not None:
+            raise ValueError(
+                f"{self._name}: expected an archive of surveys, which is made of tables without rules, got "
+                f"{SCHEMA}.{other[0]}, which is another thing"
+            )
         found = self._connection.execute(f"SELECT max(version) FROM {SCHEMA}.{VERSIONS}").fetchone()
         version = int((found and found[0]) or 0)
         if version > len(MIGRATIONS):

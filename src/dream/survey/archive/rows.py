@@ -6,6 +6,7 @@ import hashlib
 import math
 from collections.abc import Iterator
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy.typing as npt
 from dream.survey import files, globe
 from dream.survey.archive import wkb
 from dream.survey.archive.schema import FROM_NOWHERE
+from dream.survey.boxes import held, outline
 from dream.survey.site import Site
 from dream.survey.survey import Measure, Survey
 
@@ -31,7 +33,14 @@ def rows(survey: Survey) -> tuple[Row, dict[str, list[Row]]]:
         raise ValueError(f"{survey.name}: {FROM_NOWHERE}")
     body = files.dumped(survey)
     box = survey.area
-    corners = [(box.x_min, box.y_min), (box.x_max, box.y_min), (box.x_max, box.y_max), (box.x_min, box.y_max)]
+    # Of all that the other tables have places of, beside the area.
+    holds = held(
+        np.array([(box.x_min, box.y_min), (box.x_max, box.y_max)]),
+        survey.individuals.position,
+        survey.track.position,
+        np.array([(one.x, one.y) for one in survey.decisions]).reshape(-1, 2),
+        *(ring for patch in survey.patches for ring in patch.rings),
+    )
     head = {
         "digest": digest(body),
         "name": _text(survey.name),
@@ -47,7 +56,7 @@ def rows(survey: Survey) -> tuple[Row, dict[str, list[Row]]]:
         "heading_deg": site.heading_deg,
         "datum": _text(site.datum),
         "datum_offset_m": site.datum_offset,
-        "geom": wkb.polygon([_places(site, np.array([*corners, corners[0]]))]),
+        "geom": wkb.polygon([outline(partial(globe.degrees, site), holds)]),
         "uncertainty_m": site.uncertainty,
         "run": None if survey.run is None else _text(survey.run),
     }

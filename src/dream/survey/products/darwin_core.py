@@ -33,7 +33,9 @@ from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
+from dream.survey.boxes import box, held
 from dream.survey.products.ground import Ground, site_of
+from dream.survey.products.sheet import corners_of
 from dream.survey.products.tables import harmless
 from dream.survey.products.words import warning
 from dream.survey.site import Site
@@ -325,18 +327,17 @@ def _meta(columns: Sequence[str], *, described: bool) -> str:
 def _eml(survey: Survey, species: Species, author: Author) -> str:
     """What the data set is (Ecological Metadata Language 2.2)."""
     ground = Ground(site_of(survey))
-    box = survey.area
-    west, south, east, north = ground.box(
-        [box.x_min, box.x_max, box.x_max, box.x_min], [box.y_min, box.y_min, box.y_max, box.y_max]
-    )
+    # Of the area, of all that was found, and of the origin, which stands for the whole in a row.
+    holds = held(corners_of(survey.area), survey.individuals.position, np.zeros((1, 2)))
+    west, south, east, north = box(ground.globe, holds)
     day = survey.began.astimezone(UTC).strftime("%Y-%m-%d")
     email = f"<electronicMailAddress>{escape(author.email)}</electronicMailAddress>" if author.email else ""
     party = f"<individualName><surName>{escape(author.name)}</surName></individualName>{email}"
     edges = (
-        f"<westBoundingCoordinate>{west:.7f}</westBoundingCoordinate>"
-        f"<eastBoundingCoordinate>{east:.7f}</eastBoundingCoordinate>"
-        f"<northBoundingCoordinate>{north:.7f}</northBoundingCoordinate>"
-        f"<southBoundingCoordinate>{south:.7f}</southBoundingCoordinate>"
+        f"<westBoundingCoordinate>{_down(west)}</westBoundingCoordinate>"
+        f"<eastBoundingCoordinate>{_up(east)}</eastBoundingCoordinate>"
+        f"<northBoundingCoordinate>{_up(north)}</northBoundingCoordinate>"
+        f"<southBoundingCoordinate>{_down(south)}</southBoundingCoordinate>"
     )
     told = warning(survey)
     made_up = "SIMULATED: " if told else ""
@@ -359,3 +360,13 @@ def _eml(survey: Survey, species: Species, author: Author) -> str:
         f"<temporalCoverage><singleDateTime><calendarDate>{day}</calendarDate></singleDateTime></temporalCoverage>"
         f"</coverage><contact>{party}</contact></dataset></eml:eml>\n"
     )
+
+
+def _down(degrees: float) -> str:
+    """With as many digits as places have, and not above."""
+    return f"{math.floor(degrees * 1e7) / 1e7:.7f}"
+
+
+def _up(degrees: float) -> str:
+    """The same, not below."""
+    return f"{math.ceil(degrees * 1e7) / 1e7:.7f}"

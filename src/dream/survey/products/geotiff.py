@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from dream.geometry import Bounds
 from dream.survey.products.ground import Ground, site_of
 from dream.survey.products.sheet import corners_of
 from dream.survey.products.styles import (
@@ -45,6 +46,8 @@ FINER = 4
 MOST_CELLS = 100_000_000
 """A larger raster is refused."""
 BLOCK = 256
+ALONG = 32
+"""Points of each side of a box that are followed on the map sheet."""
 NAMES = ("habitat.tif", "target_probability.tif", "relief.tif", "times_seen.tif")
 
 
@@ -65,6 +68,12 @@ class Sheet:
         shape = (self.rows, self.cols)
         return np.broadcast_to(easting, shape), np.broadcast_to(northing[:, None], shape)
 
+    @property
+    def bounds(self) -> Bounds:
+        """Metres on the map sheet, to the outer edges of its cells."""
+        south, east = self.north - self.rows * self.cell, self.west + self.cols * self.cell
+        return Bounds(self.west, south, east, self.north)
+
     def axes(self) -> tuple[Float64Array, Float64Array]:
         """(cols,) easting and (rows,) northing of the middles of its columns and rows."""
         easting = self.west + self.cell * (np.arange(self.cols, dtype=np.float64) + 0.5)
@@ -73,12 +82,19 @@ class Sheet:
 
 
 def sheet_around(ground: Ground, corners: Float64Array, cell: float) -> Sheet:
-    """The least raster that holds (N, 2) points of the world; its edges lie on whole multiples of `cell`.
+    """The least raster that holds a convex polygon of the world; its edges lie on whole multiples of `cell`.
+
+    Args:
+        ground: Of the site.
+        corners: (N, 2) metres; sides between them are straight in the world, and bend on the sheet.
+        cell: Metres.
 
     Raises:
         ValueError: It would be larger than any survey is.
     """
-    easting, northing = ground.sheet(corners[:, 0], corners[:, 1])
+    share = np.linspace(0.0, 1.0, ALONG, endpoint=False)[:, None, None]
+    sides = ((1.0 - share) * corners + share * np.roll(corners, -1, axis=0)).reshape(-1, 2)
+    easting, northing = ground.sheet(sides[:, 0], sides[:, 1])
     west, south = (math.floor(values.min() / cell + 1e-6) for values in (easting, northing))
     east, north = (math.ceil(values.max() / cell - 1e-6) for values in (easting, northing))
     if (east - west) * (north - south) > MOST_CELLS:

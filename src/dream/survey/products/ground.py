@@ -110,16 +110,12 @@ class Ground:
         longitude, latitude = self._to_globe.transform(east, north)
         return np.asarray(longitude, np.float64), np.asarray(latitude, np.float64)
 
-    def box(self, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[float, float, float, float]:
-        """West, south, east and north of points of the world, in degrees.
-
-        Where they lie on both sides of the date line, west is the larger number: so ACDD 1.3 has it of
-        `geospatial_lon_min`, and RFC 7946 of every box.
-        """
-        longitude, latitude = self.globe(x, y)
-        away = np.mod(longitude - self.site.longitude + 180.0, 360.0)
-        west, east = longitude.flat[away.argmin()], longitude.flat[away.argmax()]
-        return float(west), float(latitude.min()), float(east), float(latitude.max())
+    def from_sheet(
+        self, easting: npt.ArrayLike, northing: npt.ArrayLike
+    ) -> tuple[Float64Array, Float64Array]:
+        """Longitude and latitude in degrees of points of the map sheet."""
+        longitude, latitude = self._to_sheet.transform(easting, northing, direction="INVERSE")
+        return np.asarray(longitude, np.float64), np.asarray(latitude, np.float64)
 
     def sheet(self, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[Float64Array, Float64Array]:
         """Easting and northing in metres on the map sheet of points of the world."""
@@ -128,7 +124,7 @@ class Ground:
 
     def world(self, easting: npt.ArrayLike, northing: npt.ArrayLike) -> tuple[Float64Array, Float64Array]:
         """Points of the world under points of the map sheet: the inverse of `sheet`."""
-        globe = self._to_sheet.transform(easting, northing, direction="INVERSE")
+        globe = self.from_sheet(easting, northing)
         east, north = map(np.asarray, self._to_globe.transform(*globe, direction="INVERSE"))
         bearing = math.radians(self.site.heading_deg)
         c, s = math.cos(bearing), math.sin(bearing)

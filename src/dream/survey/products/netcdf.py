@@ -26,6 +26,7 @@ import numpy.typing as npt
 
 from dream.geometry import SE2
 from dream.survey import globe
+from dream.survey.boxes import box
 from dream.survey.products import areas, words
 from dream.survey.products.geotiff import Laid, Sheet, laid_on, sheet_around
 from dream.survey.products.ground import Ground, site_of
@@ -81,7 +82,7 @@ def write(survey: Survey, path: Path, others: Sequence[Survey] = ()) -> None:
     # Made in memory: SciPy cannot be told to give up where the disk is full.
     content = io.BytesIO()
     with netcdf_file(content, "w", version=2) as file:
-        _describe(file, survey, surveys, ground)
+        _describe(file, survey, surveys, ground, sheet)
         file.createDimension("time", len(surveys))
         file.createDimension("side", 2)
         file.createDimension("name_length", max(len(survey.name.encode()) for survey in surveys))
@@ -111,9 +112,10 @@ def write(survey: Survey, path: Path, others: Sequence[Survey] = ()) -> None:
         path.write_bytes(content.getvalue())
 
 
-def _describe(file: Any, survey: Survey, surveys: Sequence[Survey], ground: Ground) -> None:
+def _describe(file: Any, survey: Survey, surveys: Sequence[Survey], ground: Ground, sheet: Sheet) -> None:
     site, first, last = ground.site, surveys[0], surveys[-1]
-    west, south, east, north = ground.box(*corners_of(survey.layers.bounds).T)
+    # Of all cells that have a latitude and a longitude here, whether anything is known of them or not.
+    west, south, east, north = box(ground.from_sheet, sheet.bounds)
     versions = dict.fromkeys(str(one.made_by.get("version", "unknown")) for one in surveys)
     made_up = [f"{one.name}: {told}" for one in surveys if (told := words.warning(one))]
     attributes = {
