@@ -103,6 +103,40 @@ def test_poses_refuse_nan() -> None:
         SE3(np.eye(2), np.zeros(3))
 
 
+TURNED = (SE3.level(0.0, 0.0, 0.0, 0.7) @ camera_mount(0.3)).rotation
+
+
+@pytest.mark.parametrize(
+    ("matrix", "told"),
+    [
+        (TURNED @ np.diag([1.0, 1.0, -1.0]), "mirrors.*NED"),
+        (np.diag([1.0, -1.0, 1.0]), "mirrors"),
+        (-np.eye(3), "mirrors"),
+        (np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), "mirrors"),
+        (1.01 * TURNED, "axes of length 1.01, 1.01, 1.01.*quaternion"),
+        (1000.0 * TURNED, "axes of length 1000"),
+        (np.diag([1.0, 1.0, 1.002]), "axes of length 1, 1, 1.002"),
+        (np.zeros((3, 3)), "zeros"),
+        (np.diag([1.0, 1.0, 0.0]), "flattens"),
+        (np.ones((3, 3)), "flattens"),
+        (np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), "square to each other"),
+        (np.arange(9.0).reshape(3, 3) + np.eye(3), "square to each other"),
+    ],
+)
+def test_a_matrix_that_is_no_rotation_is_no_pose(matrix: np.ndarray, told: str) -> None:
+    with pytest.raises(ValueError, match=f"^transform: expected a rotation, got .*{told}") as caught:
+        SE3(matrix, np.zeros(3))
+    assert len(str(caught.value)) < 200
+
+
+@pytest.mark.parametrize("digits", [4, 6, 12])
+def test_a_rotation_as_it_was_rounded_is_a_pose(digits: int) -> None:
+    assert SE3(np.round(TURNED, digits), np.zeros(3)).yaw == pytest.approx(
+        math.atan2(TURNED[1, 0], TURNED[0, 0]), abs=1e-3
+    )
+    SE3(TURNED.astype(np.float32), np.zeros(3))
+
+
 def test_bounds_must_be_a_box() -> None:
     with pytest.raises(ValueError, match="x_min < x_max"):
         Bounds(1.0, 0.0, 0.0, 1.0)

@@ -7,7 +7,18 @@ import dream
 
 ROOT = Path(dream.__file__).parent
 LAYERS = [
-    {"arrays", "compiling", "ending", "errors", "files", "geometry", "names", "standin", "telling", "versions"},
+    {
+        "arrays",
+        "compiling",
+        "ending",
+        "errors",
+        "files",
+        "geometry",
+        "names",
+        "standin",
+        "telling",
+        "versions",
+    },
     {"protocol"},
     {"types", "measurements", "traversal", "vehicle"},
     {"orders"},

@@ -16,6 +16,10 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.floating[Any]]
 
+UNTRUE = 1e-3
+"""How far the axes of a rotation may be from length 1 and square to each other: what float32, or six written
+digits, leave of one."""
+
 
 def wrap_angle(angle: float) -> float:
     """The same direction in (−π, π]."""
@@ -45,7 +49,10 @@ class SE2:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SE3:
-    """A rigid transform `T_a_b`: a rotation (3, 3) and a translation (3,), both float64."""
+    """A rigid transform `T_a_b`: a rotation (3, 3) and a translation (3,), both float64.
+
+    What mirrors, scales, shears or flattens is refused: it takes a floor for a wall, and says nothing.
+    """
 
     rotation: FloatArray
     translation: FloatArray
@@ -62,6 +69,7 @@ class SE3:
             raise ValueError(
                 "transform: expected finite numbers, got NaN or infinity. Is the pose estimate alive?"
             )
+        _check_rotation(rotation.tolist())
         object.__setattr__(self, "rotation", rotation)
         object.__setattr__(self, "translation", translation)
 
@@ -94,6 +102,35 @@ class SE3:
         if isinstance(other, SE3):
             return SE3(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
         return np.asarray(other) @ self.rotation.T + self.translation
+
+
+def _check_rotation(rows: list[list[float]]) -> None:
+    """Raise a ValueError that says what a (3, 3) matrix is, unless it is a rotation.
+
+    In plain numbers: a pose is made at every sample of the gyroscope, and arrays so small are slower.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = rows
+    lengths = a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, g * g + h * h + i * i - 1.0
+    angles = a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i
+    turns = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    if turns > 0.0 and all(-UNTRUE <= off <= UNTRUE for off in (*lengths, *angles)):
+        return
+    if not any(map(any, rows)):
+        what, ask = "zeros", "Was it ever filled in?"
+    elif abs(turns) < 1e-9:
+        what, ask = "one that flattens (determinant 0)", "Is it whole?"
+    elif all(-UNTRUE <= off <= UNTRUE for off in angles):
+        scales = ", ".join(f"{math.sqrt(length + 1.0):.4g}" for length in lengths)
+        mirrors = "one that mirrors (determinant below 0)"
+        what = mirrors if turns < 0.0 else f"axes of length {scales}"
+        ask = (
+            "Is one axis the other way, such as NED taken for ENU?"
+            if turns < 0.0
+            else ("Is the quaternion of length 1, and the matrix without a scale?")
+        )
+    else:
+        what, ask = "axes that are not square to each other", "Is it in rows, three numbers each?"
+    raise ValueError(f"transform: expected a rotation, got {what}. {ask}")
 
 
 def camera_mount(pitch: float) -> SE3:

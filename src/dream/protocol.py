@@ -11,8 +11,16 @@ from dataclasses import dataclass, replace
 from dream.geometry import SE2, SE3, Camera, camera_mount, wrap_angle
 from dream.names import look_up
 
+PADDED = 1e-6
+"""A depth that is nearer than this share below the greatest is the greatest itself, as float32 or millimetres
+write it: what many sensors say where nothing returns."""
 SHOWN = 2
 """Pixels of the picture that a model is shown, along each side of a pixel of the camera for mapping."""
+
+
+def farthest_return(max_depth: float) -> float:
+    """The greatest depth, metres, that is not what stands for none."""
+    return max_depth * (1.0 - PADDED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +65,7 @@ class SurveyProtocol:
     """Downwards."""
     min_depth: float
     max_depth: float
-    """Depths along the optical axis outside these are not valid."""
+    """Depths along the optical axis outside these are not valid, nor is the greatest; see `returns`."""
     reach: float
     """How far over ground a label is trusted and a cell counts as explored (the paper's d_max)."""
     cell: float
@@ -124,6 +132,11 @@ class SurveyProtocol:
     def T_base_camera(self) -> SE3:
         """The camera sits at the vehicle's centre and looks ahead and down."""
         return camera_mount(self.camera_pitch)
+
+    @property
+    def returns(self) -> tuple[float, float]:
+        """Least and greatest depth that something returned from, metres."""
+        return self.min_depth, farthest_return(self.max_depth)
 
     @property
     def blind(self) -> float:

@@ -66,6 +66,17 @@ def test_it_never_goes_where_something_stands_nearby() -> None:
     assert odds_of(solid=disc(7.0, 0.0, 0.5))[STRAIGHT] > 0.4
 
 
+def test_a_depth_of_exactly_the_greatest_pulls_nowhere() -> None:
+    depth, labels = floor(target=lambda forward, left: left > 1.0)
+    far = depth > 4.0
+    padded, missing = (
+        Expert().weigh(np.where(far, np.float32(z), depth), labels, DREAM_V1)
+        for z in (DREAM_V1.max_depth, np.nan)
+    )
+    assert (labels[far] == Label.TARGET).any()
+    assert np.array_equal(padded, missing)
+
+
 def test_before_a_wall_it_turns_out_of_view() -> None:
     odds = odds_of(solid=lambda x, y: (x > 2.0) & (x < 2.6))
     assert odds[[RIGHT_30, STRAIGHT, LEFT_30]].sum() == 0.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -151,6 +152,18 @@ def test_ground_points_of_a_tilted_camera_lie_on_the_ground_all_the_same() -> No
     T_world_camera = SE3.level(0.0, 0.0, SEABED + 2.0, 0.3) @ roll @ DREAM_V1.T_base_camera
     points = ground_points(*render(T_world_camera, *SCATTERED), CAMERA, T_world_camera, DREAM_V1)
     np.testing.assert_allclose(points[:, HEIGHT], SEABED, atol=1e-4)
+
+
+def test_a_depth_of_exactly_the_greatest_is_no_ground() -> None:
+    protocol, pose = replace(DREAM_V1, max_depth=4.1), camera_at(0.0, 0.0, 0.0)
+    depth, labels = render(pose)
+    near = depth < 3.5
+    padded, missing = (
+        ground_points(np.where(near, depth, np.float32(z)), labels, CAMERA, pose, protocol)
+        for z in (4.1, np.nan)
+    )
+    assert len(missing)
+    np.testing.assert_array_equal(padded, missing)
 
 
 def test_images_that_do_not_fit_the_camera_are_refused() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -160,6 +161,42 @@ def test_depths_outside_the_limits_of_the_protocol_are_ignored() -> None:
     occupancy.integrate(spoilt, np.where(labels == Label.WATER, Label.OBSTACLE, labels), CAMERA, pose)
     for name in LAYERS:
         np.testing.assert_array_equal(getattr(occupancy, name), getattr(expected, name))
+
+
+@pytest.mark.parametrize("greatest", [20.0, 9.7, 4.1, 7.3])
+@pytest.mark.parametrize("kind", ["metres", "doubles", "millimetres", "probabilities"])
+def test_a_depth_of_exactly_the_greatest_is_no_return(kind: str, greatest: float) -> None:
+    """Where a wall is filled up with the sensor's limit, nothing is learnt behind it, and it stays."""
+    pose, protocol = camera_at(0.0, 0.0, 0.0), replace(DREAM_V1, max_depth=greatest)
+    depth, labels = render(pose, wall(3.1))
+    said: npt.NDArray[Any] = labels
+    if kind == "probabilities":
+        said = np.where(labels == Label.WATER, -1.0, 0.5).astype(np.float32)
+    hole = labels == Label.OBSTACLE
+    maps = []
+    for filler in (0.0 if kind == "millimetres" else np.nan, greatest):
+        occupancy = OccupancyMap(Bounds(-12.0, -12.0, 12.0, 12.0), protocol)
+        for _ in range(3):
+            occupancy.integrate(depth, said, CAMERA, pose)
+        filled = np.where(hole, np.float32(filler), depth)
+        if kind == "millimetres":
+            filled = np.rint(np.nan_to_num(1000.0 * filled.astype(np.float64))).astype(np.uint16)
+        elif kind == "doubles":
+            filled = np.where(hole, filler, depth.astype(np.float64))
+        for _ in range(8):
+            occupancy.integrate(filled, np.where(hole, said.dtype.type(1), said), CAMERA, pose)
+        maps.append(occupancy)
+    assert maps[0].solid.any()
+    for name in LAYERS:
+        np.testing.assert_array_equal(getattr(maps[1], name), getattr(maps[0], name))
+
+
+def test_a_depth_just_below_the_greatest_is_a_return() -> None:
+    pose, protocol = camera_at(0.0, 0.0, 0.0), replace(DREAM_V1, max_depth=4.1)
+    depth = np.full((CAMERA.height, CAMERA.width), 4.099, np.float32)
+    occupancy = OccupancyMap(Bounds(-12.0, -12.0, 12.0, 12.0), protocol)
+    occupancy.integrate(depth, np.full(depth.shape, Label.OBSTACLE, np.uint8), CAMERA, pose)
+    assert occupancy.solid.any()
 
 
 # --------------------------------------------------------------------------------- solid and target

@@ -44,10 +44,10 @@ def test_eq_01_the_optical_axis_of_a_level_vehicle_meets_the_seabed_where_trigon
     )
 
 
-def test_eq_02_depths_are_valid_within_the_closed_limits_only() -> None:
-    depth = np.array([np.nan, -1.0, 0.09, 0.1, 5.0, 20.0, 20.1, np.inf])
+def test_eq_02_depths_are_valid_within_the_limits_and_the_greatest_is_no_return() -> None:
+    depth = np.array([np.nan, -1.0, 0.09, 0.1, 5.0, 19.999, 20.0, 20.1, np.inf])
     valid = valid_depth(depth, min_depth=0.1, max_depth=20.0)
-    assert valid.tolist() == [False, False, False, True, True, True, False, False]
+    assert valid.tolist() == [False, False, False, True, True, True, False, False, False]
 
 
 def test_eq_02_limits_out_of_order_are_refused() -> None:
@@ -60,7 +60,7 @@ def test_eq_03_the_valid_points_are_the_back_projection_of_the_valid_pixels_in_o
     pose = SE3.level(1.0, -2.0, -8.0, 0.7) @ camera_mount(0.3)
     points, valid = valid_points(depth, CAMERA, pose, min_depth=0.1, max_depth=20.0)
     expected = [CAMERA.back_project(depth, pose)[v, u] for v in range(3) for u in range(4) if valid[v, u]]
-    assert valid.sum() == 7
+    assert valid.sum() == 6
     np.testing.assert_array_equal(points, expected)
 
 

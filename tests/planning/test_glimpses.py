@@ -325,3 +325,14 @@ def test_half_of_the_pixels_make_a_hint() -> None:
     hints = glimpses.hints(_map())
     assert hints[0].all()
     assert not hints[1:].any()
+
+
+def test_a_depth_of_exactly_the_greatest_is_no_hint() -> None:
+    seen = _seen(0.0, 0.0, 0.0, REEF)
+    far = _from(seen) > REACH
+    assert (seen.labels[far] == Label.TARGET).any()
+    padded, missing = (
+        _after(replace(seen, depth=np.where(far, np.float32(depth), seen.depth)), farthest=2.0 * FAR)[0]
+        for depth in (DREAM_V1.max_depth, np.nan)
+    )
+    np.testing.assert_array_equal(padded._pixels, missing._pixels)

@@ -415,3 +415,16 @@ def test_elements_agree_with_a_slow_twin() -> None:
 def test_bad_positions_are_refused(positions: list[float]) -> None:
     with pytest.raises(ValueError, match="positions: expected"):
         Hull(BOUNDS, DREAM_V1).visible(positions)
+
+
+def test_a_depth_of_exactly_the_greatest_marks_nothing() -> None:
+    """Of a crate whose pixels are filled up with the sensor's limit, no more is held than of open water."""
+    seen = _view(-6.0, 0.0, 0.0, CRATE)
+    crate = seen.labels == Label.TARGET
+    assert crate.any()
+    padded, missing = (
+        _after(replace(seen, depth=np.where(crate, np.float32(depth), seen.depth)))
+        for depth in (DREAM_V1.max_depth, np.nan)
+    )
+    np.testing.assert_array_equal(padded._voxels, missing._voxels)
+    np.testing.assert_array_equal(padded._solid, missing._solid)

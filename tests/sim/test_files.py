@@ -207,13 +207,16 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "face out of range": (
         lambda f: replaced(f, "meshes.obj", r"f \d+", "f 9999"),
-        r"meshes\[0\]\.faces: expected vertices 0 to 11, got 9998",
+        r"meshes\.obj: line 15: expected vertices 1 to \d+, got 9999",
     ),
     "face number too large": (
         lambda f: replaced(f, "meshes.obj", r"f \d+", "f " + "9" * 30),
         r"meshes\.obj: ",
     ),
-    "quadrangle": (lambda f: replaced(f, "meshes.obj", r"f \d+", "f 1 2"), r"meshes\.obj: line .*triangles"),
+    "a face of two corners": (
+        lambda f: replaced(f, "meshes.obj", r"f \d+ \d+ \d+", "f 1 2"),
+        r"meshes\.obj: line 15: expected a face of 3 to 1000 corners",
+    ),
     "other columns": (
         lambda f: replaced(f, "targets.csv", "mesh,x", "x,mesh"),
         r"targets\.csv: expected the header",

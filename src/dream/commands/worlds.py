@@ -18,10 +18,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Worlds:
-    """List the worlds that can be named, or save one as a folder to edit."""
+    """List the worlds that can be named, save one as a folder to edit, or check such a folder.
+
+    --check FOLDER reads all of it and says, line by line, what is refused and has to be mended, what was
+    turned (faces that looked inwards), and what was taken in another way than it stands there (polygons
+    split, vertices without colour). It ends with status 1 where anything is refused. docs/worlds.md says what
+    a folder holds.
+    """
 
     save: str | None = None
     """Save this world instead of listing."""
+    check: Path | None = None
+    """Check the world in this folder instead, and say all that is amiss at once."""
     seed: int = 1
     """Which world of that name."""
     out: Path = Path("world")
@@ -30,10 +38,14 @@ class Worlds:
     """Print one JSON object and nothing else."""
 
     def __call__(self) -> int:
-        """Exit status 0."""
+        """Exit status: 0, or 1 where what is checked is refused."""
         from dream.sim.files import save_world, world_hash
         from dream.sim.worlds import WORLDS, make_world
 
+        if self.check is not None:
+            if self.save is not None:
+                raise ValueError("--check: expected a folder alone, got --save with it. Choose one of them")
+            return _checked(self.check, json=self.json)
         if self.save is not None:
             world = make_world(self.save, self.seed)
             save_world(world, self.out)
@@ -54,6 +66,39 @@ class Worlds:
             print("\nAny seed makes another of each.")
             print("reef/string+1y1 is reef/string 1 year on, in the first of its fates; so with all reefs.")
         return 0
+
+
+def _checked(folder: Path, *, json: bool) -> int:
+    """Say what becomes of each part of the world in a folder; the exit status."""
+    from dream.sim.files import examine, world_hash
+    from dream.sim.worlds import check_folder
+
+    if not folder.is_dir():
+        check_folder(folder)
+    examined = examine(folder)
+    world, said = examined.world, examined.said
+    if json:
+        findings = [{"what": one.what, "file": one.file, "words": one.words} for one in said]
+        print_json(
+            {
+                "folder": str(folder),
+                "fit": world is not None,
+                "hash": None if world is None else world_hash(world),
+                "findings": findings,
+            }
+        )
+        return 0 if world is not None else 1
+    for one in said:
+        print(f"{one.what:8} {one}")
+    if world is None:
+        refused = sum(one.what == "refused" for one in said)
+        print(f"{folder}: refused, {refused} thing{'s' * (refused > 1)} to mend")
+        return 1
+    count = (
+        f"meshes: {len(world.meshes)}, individuals: {len(world.targets)}, obstacles: {len(world.obstacles)}"
+    )
+    print(f"{folder}: fit to fly; {count}. Look at it: dream draw --world {folder}")
+    return 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from pathlib import Path
 from dream.names import look_up
 from dream.sim.files import load_world, world_hash
 from dream.sim.world import World
-from dream.sim.worlds import BUILDERS, is_saved, make_world, origin, saved_world
+from dream.sim.worlds import check_named, is_saved, make_world, origin, saved_world
 
 REEF_FAMILIES = ("fringing", "string", "patch", "mixed")
 """The paper's kinds of reef."""
@@ -166,6 +166,7 @@ def _listed(line: str, beside: Path) -> Iterator[Case]:
     if len(rest) > 1:
         raise ValueError(f"expected {LINE}, got {line.strip()[:80]}")
     if not is_saved(beside / world):
+        check_named(world, beside / world)
         for seed in seeds_of(rest[0] if rest else "1", "seed"):
             yield named_case(world, seed, start)
     elif rest:
@@ -179,8 +180,7 @@ def _listed(line: str, beside: Path) -> Iterator[Case]:
 
 def named_case(world: str, seed: int, start: int = 0) -> Case:
     """A world of that name; a ValueError with the nearest one where there is none."""
-    if origin(world) is None:
-        look_up(BUILDERS, world, "world", see="See dream worlds; or name the folder of a saved one")
+    check_named(world, Path(world))
     return Case(world, seed, start)
 
 

@@ -80,7 +80,7 @@ class Expert:
         protocol.camera.check(labels, "labels")
         rays = _rays(protocol.camera, protocol.camera_pitch)
         z, kind = np.asarray(depth[rays.pixels], np.float64), labels[rays.pixels]
-        returned = np.isfinite(z)
+        returned = (z > 0.0) & (z <= protocol.returns[1])
         z = np.where(returned, z, 0.0)
         pull = self._pull(z * rays.level, returned & (kind == Label.TARGET), z, rays, protocol)
         free = self._free(z, returned, rays, protocol)

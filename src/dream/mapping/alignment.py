@@ -149,7 +149,8 @@ def ground_points(
         cy=camera.cy / PIXELS + half,
     )
     offsets = thinned.back_project(depth, SE3(T_world_camera.rotation, np.zeros(3)))
-    counts = (depth > protocol.min_depth) & (depth <= protocol.max_depth) & (labels != Label.WATER)
+    least, greatest = protocol.returns
+    counts = (depth > least) & (depth <= greatest) & (labels != Label.WATER)
     counts &= np.hypot(offsets[..., 0], offsets[..., 1]) <= protocol.reach
     offsets, target = offsets[counts], labels[counts] == Label.TARGET
     side = 2 * math.ceil(protocol.reach / PART) + 2

@@ -189,7 +189,7 @@ class FrameWindow:
             t,
             (origin[0] + low[1] * cell, origin[1] + low[0] * cell),
             cell,
-            (protocol.min_depth, protocol.max_depth, protocol.reach),
+            (*protocol.returns, protocol.reach),
             cuts,
             raw,
             side,

@@ -24,6 +24,7 @@ from dream.perception.sidecar import (
     sidecar_beside,
     ultralytics,
 )
+from dream.protocol import farthest_return
 from dream.types import Float32Array, Label, UInt8Array
 
 MOST_INSTANCES = 100
@@ -339,7 +340,7 @@ class LearnedDepth:
         if fit is None:
             return np.full(raw.shape, np.nan, np.float32), np.zeros(raw.shape, np.float32)
         depth = fit.depth(raw)
-        known = (depth <= self._max_depth) & (labels != Label.WATER)
+        known = (depth <= farthest_return(self._max_depth)) & (labels != Label.WATER)
         confidence = fit.agreement if np.count_nonzero(on_floor) >= FEWEST else UNTOLD
         if confidence < LEAST_AGREEMENT or repeats:
             confidence = 0.0

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import SE3, Camera, FloatArray
+from dream.protocol import farthest_return
 from dream.types import BoolArray, Label
 
 LabelArray = npt.NDArray[np.integer[Any]]
@@ -28,7 +29,9 @@ class PointSets:
 
 
 def valid_depth(depth: FloatArray, *, min_depth: float, max_depth: float) -> BoolArray:
-    """Which pixels have a depth to be trusted, z_min ≤ z ≤ z_max (Eq. 2).
+    """Which pixels have a depth to be trusted, z_min ≤ z < z_max (Eq. 2).
+
+    z_max itself is what many sensors say where nothing returns.
 
     Args:
         depth: (...) metres along the optical axis; NaN where there is no return.
@@ -43,7 +46,7 @@ def valid_depth(depth: FloatArray, *, min_depth: float, max_depth: float) -> Boo
             f"depth limits: expected 0 <= min_depth < max_depth, got {min_depth} and {max_depth}"
         )
     z = np.asarray(depth)
-    return (z >= min_depth) & (z <= max_depth)
+    return (z >= min_depth) & (z <= farthest_return(max_depth))
 
 
 def valid_points(

@@ -72,7 +72,7 @@ class Glimpses:
             np.ascontiguousarray(T_world_camera.rotation),
             T_world_camera.translation,
             (camera.fx, camera.fy, camera.cx, camera.cy),
-            (protocol.min_depth, protocol.max_depth),
+            protocol.returns,
             (protocol.reach, self.farthest),
             (bounds.x_min, bounds.y_min),
             protocol.cell,

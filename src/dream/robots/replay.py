@@ -312,7 +312,10 @@ def _matrix(T: SE3) -> npt.NDArray[np.float64]:
 
 def _transform(arrays: Arrays, name: str) -> SE3:
     matrix = _numbers(arrays, name, (3, 4))
-    return SE3(np.ascontiguousarray(matrix[:, :3]), np.ascontiguousarray(matrix[:, 3]))
+    try:
+        return SE3(np.ascontiguousarray(matrix[:, :3]), np.ascontiguousarray(matrix[:, 3]))
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from error
 
 
 def _png(rgb: UInt8Array) -> bytes:

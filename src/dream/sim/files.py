@@ -4,30 +4,35 @@
 world.json      name, seed, protocol, bounds, starts, water, and what the other files must hold
 terrain.npy     (rows, cols) float32 world heights; row grows with y
 meshes.obj      Wavefront OBJ: one object a mesh, in the order of the tables' `mesh` column;
-                `v x y z red green blue` with colours from 0 to 1, triangles only
+                `v x y z red green blue` with colours from 0 to 1, and faces; see `wavefront`
 targets.csv     one individual a line: mesh,x,y,z,qw,qx,qy,qz,sx,sy,sz,red,green,blue,group
 obstacles.csv   the same
 ```
 
 Lengths are written to a millimetre, quaternions to 1e-6, scales and tints to 1e-4: what the hash sees.
-A damaged or inconsistent folder is refused with a ValueError that names file and field.
+A damaged or inconsistent folder is refused with a ValueError that names file and field; `examine` says all
+that is amiss, and what was turned or taken in another way than it stands there.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from dream.geometry import SE2, Bounds
-from dream.sim.formats import csv, obj, read_heights, read_meshes, read_table, readable, text
+from dream.sim.formats import MOST_TOLD, Said, csv, printable, read_heights, read_table, readable, text
 from dream.sim.sampling import FACTOR, MILLIMETRE, QUATERNION, quantised
 from dream.sim.validity import (
+    FARTHEST,
     LONGEST_NAME,
     MOST_FACES,
     MOST_INSTANCES,
@@ -38,9 +43,11 @@ from dream.sim.validity import (
     NAME,
     check_world,
     is_name,
+    problems,
 )
 from dream.sim.water import Water
-from dream.sim.world import Terrain, World
+from dream.sim.wavefront import obj, read_meshes
+from dream.sim.world import Instances, Mesh, Terrain, World
 
 
 def _named(text: str) -> str:
@@ -49,6 +56,11 @@ def _named(text: str) -> str:
     return text
 
 
+T = TypeVar("T")
+_NO_INDEX, _NO_NUMBER = np.empty(0, np.int32), np.empty((0, 3), np.float32)
+_NO_INSTANCES = Instances(
+    _NO_INDEX, _NO_NUMBER, np.empty((0, 4), np.float32), _NO_NUMBER, _NO_NUMBER, _NO_INDEX
+)
 CHANGED = " (changed)"
 """Stands behind the name of a world that is not, or no longer, what its name and seed give."""
 
@@ -97,6 +109,8 @@ class _Meshes(_Part):
     faces: Annotated[int, Field(ge=0, le=MOST_FACES)]
     two_sided: list[int]
     """Indices of those that are seen from both sides."""
+    up: Literal["y", "z"] | None = None
+    """Which axis of meshes.obj is up, where somebody says: y is turned to z."""
 
 
 class _World(_Part):
@@ -222,6 +236,16 @@ def _write(world: World, folder: Path) -> None:
     (folder / "world.json").write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
+@dataclass(frozen=True, slots=True)
+class Examined:
+    """A folder, all its files read."""
+
+    world: World | None
+    """None where anything is refused."""
+    said: tuple[Said, ...]
+    """By file: what was refused, turned, or taken in another way than it stands there."""
+
+
 def load_world(folder: Path | str) -> World:
     """The world in the folder.
 
@@ -229,45 +253,136 @@ def load_world(folder: Path | str) -> World:
         ValueError: A file is missing, damaged or too large, or does not fit the others. The message
             names the file and the field, what was expected and what was found.
     """
-    folder = Path(folder)
-    content = _manifest(readable(folder / "world.json"))
-    try:
-        bounds = Bounds(**content.bounds.model_dump())
-    except ValueError as error:
-        raise ValueError(f"world.json: {error}") from None
-    heights = read_heights(readable(folder / "terrain.npy"), (content.terrain.rows, content.terrain.cols))
-    parts = content.meshes
-    if any(not 0 <= k < parts.count for k in parts.two_sided):
-        raise ValueError(
-            f"world.json: meshes.two_sided: expected indices of {parts.count} meshes, "
-            f"got {parts.two_sided[:10]}"
+    examined = examine(folder)
+    if examined.world is not None:
+        return examined.world
+    refused = [said for said in examined.said if said.what == "refused"]
+    more = f" (and {len(refused) - 1} more: dream worlds --check {folder})" if len(refused) > 1 else ""
+    raise ValueError(f"{refused[0]}{more}")
+
+
+def examine(folder: Path | str) -> Examined:
+    """Read all files of a world, as far as each can be read, and say what becomes of them."""
+    folder, said = Path(folder), list[Said]()
+
+    def tried(name: str, read: Callable[[Path], T], instead: T) -> T:
+        try:
+            return read(readable(folder / name))
+        except ValueError as error:
+            said.append(Said("refused", name, str(error).removeprefix(f"{name}: ")))
+            return instead
+
+    content = tried("world.json", lambda path: _manifest(path, said), None)
+    counts, two_sided, up, shape = None, list[int](), None, None
+    if content is not None:
+        parts = content.meshes
+        counts, two_sided, up = (parts.count, parts.vertices, parts.faces), parts.two_sided, parts.up
+        shape = (content.terrain.rows, content.terrain.cols)
+
+    def meshes_of(path: Path) -> tuple[tuple[Mesh, ...], list[str]]:
+        meshes, names, told = read_meshes(path, counts, set(two_sided), y_up=up == "y")
+        said.extend(told)
+        return meshes, names
+
+    def table_of(path: Path, rows: int | None) -> Instances:
+        table, told = read_table(path, rows)
+        said.extend(told)
+        return table
+
+    # Seabed that nobody sees, so that all else can be held against the bounds.
+    deep = np.broadcast_to(np.float32(-FARTHEST), shape or (2, 2))
+    heights = tried("terrain.npy", lambda path: deep if shape is None else read_heights(path, shape), deep)
+    nothing: tuple[tuple[Mesh, ...], list[str]] = ((), [])
+    meshes, names = tried("meshes.obj", meshes_of, nothing)
+    targets, obstacles = (
+        tried(name, partial(table_of, rows=rows), _NO_INSTANCES)
+        for name, rows in (
+            ("targets.csv", None if content is None else content.targets),
+            ("obstacles.csv", None if content is None else content.obstacles),
         )
+    )
+    if content is None:
+        return Examined(None, tuple(said))
     world = World(
         name=content.name,
         seed=content.seed,
         protocol=content.protocol,
-        bounds=bounds,
+        bounds=Bounds(**content.bounds.model_dump()),
         starts=tuple(SE2(start.x, start.y, start.yaw) for start in content.starts),
         terrain=Terrain(heights, content.terrain.x0, content.terrain.y0, content.terrain.spacing),
-        meshes=read_meshes(
-            readable(folder / "meshes.obj"),
-            (parts.count, parts.vertices, parts.faces),
-            parts.two_sided,
-        ),
-        targets=read_table(readable(folder / "targets.csv"), content.targets),
+        meshes=meshes,
+        targets=targets,
         targets_are_hull=content.targets_are_hull,
-        obstacles=read_table(readable(folder / "obstacles.csv"), content.obstacles),
+        obstacles=obstacles,
         water=Water(**content.water.model_dump()),
     )
-    check_world(world)
-    return world
+    # What follows from what is refused already is not told again.
+    spoilt = {one.file for one in said if one.what == "refused"}
+    if "meshes.obj" in spoilt:
+        spoilt |= {"targets.csv", "obstacles.csv"}
+    found = [(_file_of(words), words) for words in problems(world)]
+    if up is None and not (found or spoilt):
+        found = [("meshes.obj", words) for words in _lying(world, names)]
+    found = [(file, words) for file, words in found if file not in spoilt]
+    said += [Said("refused", file, words) for file, words in found[:MOST_TOLD]]
+    if len(found) > MOST_TOLD:
+        said.append(Said("refused", "world.json", f"{len(found) - MOST_TOLD} more findings like these"))
+    return Examined(None if any(one.what == "refused" for one in said) else world, tuple(said))
 
 
-def _manifest(path: Path) -> _World:
+def _file_of(words: str) -> str:
+    """Where that which is amiss stands."""
+    starts = {"terrain": "terrain.npy", "meshes": "meshes.obj", "targets": "targets.csv"}
+    starts["obstacles"] = "obstacles.csv"
+    return next((file for start, file in starts.items() if words.startswith(start)), "world.json")
+
+
+def _lying(world: World, names: list[str]) -> Iterator[str]:
+    """Meshes that seem to have y up: they begin at y = 0, lie half in the ground, and nobody turned them."""
+    told: set[int] = set()
+    for name, table in (("targets", world.targets), ("obstacles", world.obstacles)):
+        for row, k in enumerate(table.mesh.tolist()):
+            if k in told:
+                continue
+            low, high = world.meshes[k].vertices.min(axis=0), world.meshes[k].vertices.max(axis=0)
+            (_, y0, z0), (_, y1, z1) = low.tolist(), high.tolist()
+            if not (abs(y0) <= 0.02 * (y1 - y0) and abs(z0 + z1) <= 0.2 * (z1 - z0)):
+                continue
+            w, x, y, z = table.wxyz[row].tolist()
+            place = table.position[row].tolist()
+            upright, seabed = 2.0 * (y * z + w * x), float(world.terrain.height(*place[:2]))
+            if upright < 0.5 and abs(place[2] - seabed) <= 0.1 * (z1 - z0) * float(table.scale[row, 2]):
+                told.add(k)
+                called = f"object {k} ({printable(names[k][:40])})" if names[k] else f"object {k}"
+                yield (
+                    f"{called}: begins at y = 0 and lies half in the seabed ({name}[{row}]). Is y up? Say "
+                    '"up": "y" under "meshes" in world.json and all are turned, or "up": "z" if it is right'
+                )
+
+
+def _manifest(path: Path, said: list[Said]) -> _World | None:
+    """What world.json says; None where it says too little, which is then told, field by field."""
+    refused: list[str] = []
+    content = None
     try:
-        return _World.model_validate_json(text(path))
+        content = _World.model_validate_json(text(path))
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        field = ".".join(str(part) for part in first["loc"]) or "the file"
-        found = repr(first["input"])
-        raise ValueError(f"{path.name}: {field}: {first['msg']}, got {found[:80]}") from None
+        found = error.errors(include_url=False)
+        for one in found[:MOST_TOLD]:
+            field = ".".join(str(part) for part in one["loc"]) or "the file"
+            refused.append(f"{field}: {one['msg']}, got {repr(one['input'])[:80]}")
+        if len(found) > MOST_TOLD:
+            refused.append(f"{len(found) - MOST_TOLD} more fields like these")
+    else:
+        parts = content.meshes
+        if any(not 0 <= k < parts.count for k in parts.two_sided):
+            refused.append(
+                f"meshes.two_sided: expected indices of {parts.count} meshes, got {parts.two_sided[:10]}"
+            )
+        try:
+            Bounds(**content.bounds.model_dump())
+        except ValueError as error:
+            refused.append(str(error))
+            content = None
+    said += [Said("refused", path.name, words) for words in refused]
+    return content

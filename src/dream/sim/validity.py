@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,26 +25,66 @@ MOST_VERTICES = 5_000_000
 MOST_FACES = 10_000_000
 FARTHEST = 10_000.0
 """Metres: no coordinate is larger."""
+LARGEST = 2.0
+"""Sides of the bounds that a mesh may be long, where it stands."""
+SMALLEST = 0.001
+"""Metres: what is smaller is rounded to a point."""
 
 
 def check_world(world: World) -> None:
     """Raise a ValueError that names the field, what was expected and what was found, if anything is amiss."""
-    for field, name in (("name", world.name), ("water.name", world.water.name)):
-        if not is_name(name):
-            raise ValueError(f"{field}: expected {NAME}, got {name[: LONGEST_NAME + 1]!r}")
-    check_seed(world.seed)
-    protocol = protocol_named(world.protocol)
-    _check_box(world, protocol)
-    for number, start in enumerate(world.starts):
-        _check_start(f"starts[{number}]", start, world, protocol)
+    for problem in problems(world):
+        raise ValueError(problem)
+
+
+def problems(world: World) -> Iterator[str]:
+    """All that is amiss, one after the other: the field, what was expected and what was found."""
+    checks: list[Callable[[], None]] = [
+        partial(_check_name, "name", world.name),
+        partial(_check_name, "water.name", world.water.name),
+        partial(check_seed, world.seed),
+    ]
+    try:
+        protocol = protocol_named(world.protocol)
+    except ValueError as error:
+        yield str(error)
+        checks.append(partial(_check_ground, world))
+    else:
+        checks += [partial(_check_bounds, world, protocol), partial(_check_terrain, world, protocol)]
+        checks += [
+            partial(_check_start, f"starts[{number}]", start, world, protocol)
+            for number, start in enumerate(world.starts)
+        ]
+    checks.append(partial(_check_any_start, world))
+    checks += [partial(_check_mesh, f"meshes[{number}]", mesh) for number, mesh in enumerate(world.meshes)]
+    checks += [partial(_check_targets, world), partial(_check_instances, "obstacles", world.obstacles, world)]
+    for check in checks:
+        try:
+            check()
+        except ValueError as error:
+            yield str(error)
+
+
+def _check_name(field: str, name: str) -> None:
+    if not is_name(name):
+        raise ValueError(f"{field}: expected {NAME}, got {name[: LONGEST_NAME + 1]!r}")
+
+
+def _check_any_start(world: World) -> None:
     if not world.starts:
         raise ValueError("starts: expected at least one, got none")
-    for number, mesh in enumerate(world.meshes):
-        _check_mesh(f"meshes[{number}]", mesh)
-    _check_table("targets", world.targets, len(world.meshes))
-    _check_table("obstacles", world.obstacles, len(world.meshes))
+
+
+def _check_targets(world: World) -> None:
+    _check_instances("targets", world.targets, world)
     group, most = world.targets.group, len(world.targets) - 1
     _check_rows("targets.group", (group >= 0) & (group <= most), group, f"0 to {most}")
+
+
+def _check_instances(name: str, table: Instances, world: World) -> None:
+    _check_table(name, table, len(world.meshes))
+    if len(table) and all(is_near(mesh) for mesh in world.meshes):
+        _check_size(name, table, world)
 
 
 def is_name(text: str) -> bool:
@@ -56,12 +98,15 @@ def check_seed(seed: int) -> None:
         raise ValueError(f"seed: expected 0 to {MOST_SEED}, got {seed}. Choose a whole number between them")
 
 
-def _check_box(world: World, protocol: SurveyProtocol) -> None:
-    box, ground = world.bounds, world.terrain
+def _check_bounds(world: World, protocol: SurveyProtocol) -> None:
     for name in ("x_min", "y_min", "x_max", "y_max"):
-        value = getattr(box, name)
+        value = getattr(world.bounds, name)
         if not _on_lattice(value, protocol.lattice):
             raise ValueError(f"bounds.{name}: expected a multiple of {protocol.lattice} m, got {value}")
+
+
+def _check_ground(world: World) -> None:
+    box, ground = world.bounds, world.terrain
     if ground.heights.ndim != 2 or min(ground.heights.shape) < 2 or max(ground.heights.shape) > MOST_TERRAIN:
         raise ValueError(
             f"terrain.heights: expected 2 to {MOST_TERRAIN} rows and columns, got {ground.heights.shape}"
@@ -81,6 +126,10 @@ def _check_box(world: World, protocol: SurveyProtocol) -> None:
             f"y {box.y_min:g}..{box.y_max:g}, got x {ground.x0:g}..{x1:g}, "
             f"y {ground.y0:g}..{y1:g}"
         )
+
+
+def _check_terrain(world: World, protocol: SurveyProtocol) -> None:
+    _check_ground(world)
     _check_depth(world, protocol)
 
 
@@ -134,7 +183,7 @@ def _check_mesh(name: str, mesh: Mesh) -> None:
         raise ValueError(
             f"{name}.colors: expected {len(mesh.vertices)}, one a vertex, got {len(mesh.colors)}"
         )
-    _check_finite(f"{name}.vertices", mesh.vertices)
+    _check_finite(f"{name}.vertices", mesh.vertices, ". Are they in millimetres?")
     low, high = int(mesh.faces.min()), int(mesh.faces.max())
     if low < 0 or high >= len(mesh.vertices):
         raise ValueError(
@@ -169,17 +218,46 @@ def _check_table(name: str, table: Instances, meshes: int) -> None:
     _check_rows(f"{name}.group", table.group >= -1, table.group, "−1 or more")
 
 
+def is_near(mesh: Mesh) -> bool:
+    """Has it vertices, and all of them where any may be?"""
+    return len(mesh.vertices) > 0 and bool((np.abs(mesh.vertices) <= FARTHEST).all())
+
+
+def _check_size(name: str, table: Instances, world: World) -> None:
+    """Nothing is far larger than the ground it stands on, as it is where millimetres are taken for metres."""
+    sides = np.array([np.ptp(mesh.vertices.astype(np.float64), axis=0) for mesh in world.meshes])
+    longest = (sides[table.mesh] * table.scale).max(axis=1)
+    box = world.bounds
+    most = LARGEST * max(box.width, box.depth)
+    row = int(longest.argmax())
+    if longest[row] > most:
+        raise ValueError(
+            f"{name}[{row}]: expected at most {most:g} m in bounds of {box.width:g} x {box.depth:g} m, "
+            f"got {longest[row]:g} m (mesh {table.mesh[row]}). Are its lengths in millimetres? Export "
+            "metres, or give it a scale of 0.001"
+        )
+    row = int(longest.argmin())
+    if longest[row] < SMALLEST:
+        raise ValueError(
+            f"{name}[{row}]: expected a mesh of a millimetre or more, got {longest[row]:g} m (mesh "
+            f"{table.mesh[row]}). Are its lengths in metres?"
+        )
+
+
 def _check_rows(name: str, holds: npt.NDArray[np.bool_], values: npt.NDArray[Any], expected: str) -> None:
     if not holds.all():
         row = int(np.argmin(holds))
         raise ValueError(f"{name}[{row}]: expected {expected}, got {values[row]:g}")
 
 
-def _check_finite(name: str, values: npt.NDArray[Any]) -> None:
+def _check_finite(name: str, values: npt.NDArray[Any], hint: str = "") -> None:
     bad = ~(np.abs(values) <= FARTHEST) if values.dtype.kind == "f" else np.zeros(1, np.bool_)
     if bad.any():
         place = tuple(int(k) for k in np.argwhere(bad)[0])
-        raise ValueError(f"{name}{list(place)}: expected a number within ±{FARTHEST:g}, got {values[place]}")
+        raise ValueError(
+            f"{name}{list(place)}: expected a number within ±{FARTHEST:g}, got {values[place]}"
+            + hint * bool(np.isfinite(values[place]))
+        )
 
 
 def _on_lattice(value: float, spacing: float) -> bool:

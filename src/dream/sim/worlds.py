@@ -213,7 +213,31 @@ def is_saved(folder: Path) -> bool:
 
 def open_world(name: str, seed: int) -> World:
     """A world by its name and seed, or the one saved in the folder of that name; see `saved_world`."""
-    return saved_world(Path(name)) if is_saved(Path(name)) else make_world(name, seed)
+    folder = Path(name)
+    if is_saved(folder):
+        return saved_world(folder)
+    check_named(name, folder)
+    return make_world(name, seed)
+
+
+def check_named(name: str, folder: Path) -> None:
+    """Raise a ValueError unless a world has that name; it says what is there in place of a folder of one."""
+    if origin(name) is not None:
+        return
+    path_alone = Path(name).is_absolute() or name.startswith((".", "~")) or name.endswith(("/", "\\"))
+    if path_alone or folder.exists():
+        check_folder(folder)
+    look_up(BUILDERS, name, "world", see="Nor is there a folder of that name. See dream worlds")
+
+
+def check_folder(folder: Path) -> None:
+    """Raise a ValueError that says what is there instead, unless the folder holds a world."""
+    if is_saved(folder):
+        return
+    got = "a folder without it" if folder.is_dir() else "a file" if folder.exists() else "no such folder"
+    raise ValueError(
+        f"world: expected a folder with a world.json, got {got}: {folder}. Make one with dream worlds --save"
+    )
 
 
 def saved_world(folder: Path) -> World:

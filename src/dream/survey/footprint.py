@@ -63,7 +63,7 @@ class Footprint:
         self.cell = cell
         self._scatter = scatter
         self._corner = np.array([bounds.x_min, bounds.y_min])
-        self._limits = np.array([protocol.min_depth, protocol.max_depth, protocol.reach])
+        self._limits = np.array([*protocol.returns, protocol.reach])
         shape = (round(bounds.depth / cell), round(bounds.width / cell))
         self._weight = np.zeros((2, *shape), np.float32)
         self._last = np.full((2, *shape), -1, np.int32)

@@ -137,7 +137,7 @@ def fuse(frames: Iterable[Frame], bounds: Bounds, protocol: SurveyProtocol, scat
     coarse = (round(bounds.depth / protocol.cell), round(bounds.width / protocol.cell))
     last, times = np.full(coarse, -1, np.int32), np.zeros(coarse, np.uint16)
     corner = np.array([bounds.x_min, bounds.y_min])
-    limits = np.array([protocol.min_depth, protocol.max_depth, protocol.reach])
+    limits = np.array([*protocol.returns, protocol.reach])
     for number, frame in enumerate(frames):
         depth = smoothed(frame.depth) if scatter > SCATTERS else frame.depth
         _kernels.splat(

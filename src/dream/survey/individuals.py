@@ -171,7 +171,7 @@ def recognised(
     from dream.survey import _kernels
 
     hits, looks = np.zeros(len(found), np.int32), np.zeros(len(found), np.int32)
-    limits = np.array([protocol.min_depth, protocol.max_depth, protocol.reach])
+    limits = np.array([*protocol.returns, protocol.reach])
     for frame in frames:
         _kernels.recognise(
             found.position,

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from dream.estimation import Mounting, Timeline
 from dream.geometry import SE2, SE3
@@ -18,6 +19,7 @@ from dream.robots.bluerov2.devices import _plain
 from dream.robots.bluerov2.estimates import Estimated, Tracks, estimates
 from dream.robots.bluerov2.log import DiveLog
 from dream.robots.bluerov2.navigation import ESTIMATORS, Instruments, mounting_of
+from dream.robots.bluerov2.reports import Strange, attitude_of
 
 SPEED, TURN, BIAS, DEPTH = 0.3, 0.1, np.array([0.01, -0.02, 0.05]), -2.0
 SECONDS = 6.0
@@ -164,6 +166,24 @@ def test_a_log_without_a_beginning_is_refused(tmp_path: Path) -> None:
         log.tap(0.0, "begun", False, {"time": 0.0, "position": [0, 0]})
     with pytest.raises(ValueError, match="expected the state of an estimator"):
         list(estimates(log.path))
+
+
+@pytest.mark.parametrize("wxyz", [(0.0, 0.0, 0.0, 0.0), (2.0, 0.0, 0.0, 0.0), (0.7, 0.7, 0.0, 0.2)])
+def test_a_beginning_whose_quaternion_is_none_is_refused(
+    wxyz: tuple[float, float, float, float], tmp_path: Path
+) -> None:
+    begun = {"time": 0.0, "wxyz": wxyz, "velocity": [0.0, 0.0, 0.0], "position": [0.0, 0.0, -1.0]}
+    with DiveLog(tmp_path, epoch_ns=0) as log:
+        log.tap(0.0, "begun", False, begun)
+    with pytest.raises(ValueError, match=r"/begun: expected .*quaternion of length 1, got"):
+        list(estimates(log.path))
+
+
+@pytest.mark.parametrize("wxyz", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 2.0), (1.0, 0.0, 1.0, 0.0)])
+def test_an_attitude_whose_quaternion_is_none_is_strange(wxyz: tuple[float, float, float, float]) -> None:
+    message = mav.MAVLink_attitude_quaternion_message(0, *wxyz, 0.0, 0.0, 0.0)
+    with pytest.raises(Strange, match="length 1"):
+        attitude_of(message)
 
 
 def test_measurements_that_the_log_has_lost_are_told(

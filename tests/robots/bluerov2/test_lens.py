@@ -1,6 +1,8 @@
 """A lens's pictures become a pinhole camera's, and files that cannot be a lens are named."""
 
+import json
 from pathlib import Path
+from textwrap import dedent
 
 import cv2
 import numpy as np
@@ -73,7 +75,7 @@ def test_rays_land_where_the_model_says(seen_by: Lens) -> None:
     assert np.abs(seen_by.pixels(rays) - want).max() < 1e-6
 
 
-@pytest.mark.parametrize("seen_by", [lens(np.linspace(0.03, -0.02, count)) for count in (4, 5, 8, 12)])
+@pytest.mark.parametrize("seen_by", [lens(np.linspace(0.03, -0.02, count)) for count in (4, 5, 8, 12, 14)])
 def test_without_refraction_rays_land_where_opencv_says(seen_by: Lens) -> None:
     rays = np.random.default_rng(2).uniform(-0.8, 0.8, (50, 2))
     points = np.concatenate([rays, np.ones((50, 1))], axis=1)
@@ -241,7 +243,7 @@ def test_a_file_of_opencvs_calibration_is_read(tmp_path: Path) -> None:
         ("330.", ".Nan", "finite"),
         ("325.", "900.", "centre within the picture"),
         ("330., 0.,", "330., 5.,", "fx 0 cx"),
-        ("rows: 5", "rows: 3", "expected YAML|missing"),
+        ("rows: 5", "rows: 3", "distortion_coefficients: expected 3.0 x 1.0 numbers as it says, got 5"),
         (
             "   rows: 5\n   cols: 1\n   dt: d\n   data: [ -0.22,",
             "   rows: 6\n   cols: 1\n   dt: d\n   data: [ 0., -0.22,",
@@ -261,6 +263,253 @@ def test_a_file_that_cannot_be_a_lens_is_named(tmp_path: Path, old: str, new: st
     with pytest.raises(ValueError, match=message) as caught:
         Lens.read(path)
     assert str(path) in str(caught.value)
+
+
+DISTORTION = GOOD[GOOD.index("distortion_coefficients") :]
+ROS = """image_width: 640
+image_height: 480
+camera_name: low_light
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [330.0, 0.0, 325.0, 0.0, 332.0, 236.0, 0.0, 0.0, 1.0]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [-0.22, 0.06, 0.001, -0.0008, -0.006]
+rectification_matrix:
+  rows: 3
+  cols: 3
+  data: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+projection_matrix:
+  rows: 3
+  cols: 4
+  data: [310.0, 0.0, 325.0, 0.0, 0.0, 320.0, 236.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+"""
+MESSAGE = """header:
+  frame_id: camera
+height: 480
+width: 640
+distortion_model: rational_polynomial
+d:
+- 0.1
+- 0.02
+- 0.0
+- 0.0
+- 0.001
+- 0.3
+- 0.05
+- 0.002
+k: [330.0, 0.0, 325.0, 0.0, 332.0, 236.0, 0.0, 0.0, 1.0]
+binning_x: 0
+binning_y: 0
+roi:
+  x_offset: 0
+  y_offset: 0
+  height: 0
+  width: 0
+  do_rectify: false
+---
+"""
+KALIBR = """cam0:
+  T_cam_imu:
+  - [0.01, -0.99, 0.004, 0.06]
+  - [0.99, 0.01, 0.008, -0.1]
+  cam_overlaps: []
+  camera_model: pinhole
+  distortion_coeffs: [-0.22, 0.06, 0.001, -0.0008]
+  distortion_model: radtan
+  intrinsics: [330.0, 332.0, 325.0, 236.0]
+  resolution: [640, 480]
+  rostopic: /camera/image_raw
+"""
+RATIONAL = [0.1, 0.02, 0.0, 0.0, 0.001, 0.3, 0.05, 0.002]
+
+
+def in_water(text: str) -> str:
+    """A file with the line that says where it was calibrated."""
+    return text if "calibrated_in" in text or text.startswith("#") else "calibrated_in: water\n" + text
+
+
+def opencvs(line: str, coefficients: list[float]) -> str:
+    """OpenCV's file with one line more, and these coefficients."""
+    many = (
+        f"   rows: {len(coefficients)}\n   cols: 1\n   dt: d\n   data: {[float(k) for k in coefficients]}\n"
+    )
+    return GOOD.replace(DISTORTION, f"{line}\ndistortion_coefficients: !!opencv-matrix\n{many}")
+
+
+@pytest.mark.parametrize(
+    ("text", "distortion", "fisheye"),
+    [
+        (opencvs("distortion_model: equidistant", FISHEYE.tolist()), FISHEYE, True),
+        (opencvs("camera_model: Kannala-Brandt", FISHEYE.tolist()), FISHEYE, True),
+        (opencvs("lens_type: fisheye", [*FISHEYE, 0.0]), FISHEYE, True),
+        (opencvs("fisheye: True", FISHEYE.tolist()), FISHEYE, True),
+        (
+            opencvs("camera_model: pinhole\ndistortion_model: radial-tangential", BARREL.tolist()),
+            BARREL,
+            False,
+        ),
+        (opencvs("fisheye_model: 0", [*RATIONAL, *[0.0] * 6]), [*RATIONAL, *[0.0] * 6], False),
+        (
+            opencvs("", [*RATIONAL, 0.001, 0.0, -0.002, 0.0, 0.01, -0.02]),
+            [*RATIONAL, 0.001, 0, -0.002, 0, 0.01, -0.02],
+            False,
+        ),
+        (opencvs("distortion_model: plumb_bob", [*BARREL, 0.0, 0.0, 0.0]), BARREL, False),
+        (opencvs("units: pixels\nbinning_x: 1\nroi: [0, 0, 640, 480]", BARREL.tolist()), BARREL, False),
+        (GOOD.replace("camera_matrix", "Camera_Matrix").replace("image_width", "image_Width"), BARREL, False),
+        (ROS, BARREL, False),
+        (
+            ROS.replace("plumb_bob", "equidistant").replace(", -0.006]", "]").replace("cols: 5", "cols: 4"),
+            BARREL[:4],
+            True,
+        ),
+        (ROS.replace("[1.0, 0.0, 0.0, 0.0, 1.0", "[0.6, 0.8, 0.0, -0.8, 0.6"), BARREL, False),
+        (MESSAGE, RATIONAL, False),
+        (MESSAGE.replace("d:\n", "D:\n").replace("k:", "K:"), RATIONAL, False),
+        (KALIBR, BARREL[:4], False),
+        (KALIBR.replace("radtan", "equidistant"), BARREL[:4], True),
+        (KALIBR.replace("radtan", "none").replace("[-0.22, 0.06, 0.001, -0.0008]", "[]"), np.zeros(4), False),
+        (dedent(KALIBR.replace("cam0:\n", "")), BARREL[:4], False),
+    ],
+)
+def test_what_a_file_says_of_its_model_is_read(
+    tmp_path: Path, text: str, distortion: list[float], fisheye: bool
+) -> None:
+    path = tmp_path / "lens.yaml"
+    path.write_text(in_water(text))
+    read = Lens.read(path)
+    assert (read.width, read.height, read.fisheye) == (640, 480, fisheye)
+    assert np.array_equal(read.matrix, MATRIX)
+    assert np.array_equal(read.distortion, distortion)
+
+
+def test_python_s_own_json_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "lens.json"
+    content = {"calibrated_in": "water", "image_width": 640, "image_height": 480, "fisheye": False}
+    content |= {"camera_matrix": MATRIX.tolist(), "distortion_coefficients": [BARREL.tolist()]}
+    path.write_text(json.dumps(content))
+    assert np.array_equal(Lens.read(path).distortion, BARREL)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            ROS,
+            r"calibrated_in is missing. This is ROS's camera_info, which is read with one line more.*water",
+        ),
+        (MESSAGE, r"calibrated_in is missing. This is ROS's message CameraInfo"),
+        (KALIBR, r"calibrated_in is missing. This is Kalibr's camchain"),
+        (opencvs("distortion_model: omni", [0.1] * 4), "distortion_model: expected pinhole.*got 'omni'.*cv2"),
+        (
+            opencvs("distortion_model: double_sphere", [0.1] * 4),
+            "distortion_model: expected .*'double_sphere'",
+        ),
+        (opencvs("model: 7", [0.1] * 4), "model: expected pinhole, .*got 7.0"),
+        (
+            opencvs("camera_model: GoPro Hero", [0.1] * 4),
+            "camera_model: .*name of the camera goes under camera_name",
+        ),
+        (
+            opencvs("distortion_model: equidistant\nfisheye_model: 0", [0.1] * 4),
+            "expected one lens model, got",
+        ),
+        (
+            opencvs("distortion_model: equidistant", BARREL.tolist()),
+            "expected 4 finite numbers of distortion_model",
+        ),
+        (
+            opencvs("distortion_model: plumb_bob", RATIONAL),
+            "expected 4 or 5 finite numbers of distortion_model",
+        ),
+        (opencvs("distortion_model: rational_polynomial", BARREL.tolist()), "expected 8 or 12 or 14 finite"),
+        (opencvs("fisheye_model: perhaps", BARREL.tolist()), "fisheye_model: expected 1 for a fisheye or 0"),
+        (opencvs("binning_x: 2\nbinning_y: 2", BARREL.tolist()), "binning_x: expected 1.*got 2"),
+        (opencvs("scale: 0.5", BARREL.tolist()), "scale: expected 1"),
+        (opencvs("xi: 1.2", BARREL.tolist()), "xi: expected 0, got 1.2"),
+        (opencvs("rectified: true", BARREL.tolist()), "rectified: expected 0"),
+        (opencvs("units: mm", BARREL.tolist()), "units: expected pixels, got 'mm'"),
+        (opencvs("roi: [100, 0, 540, 480]", BARREL.tolist()), "roi: expected the whole picture"),
+        (
+            MESSAGE.replace("x_offset: 0", "x_offset: 8").replace("width: 0", "width: 99"),
+            "roi: expected the whole",
+        ),
+        (
+            opencvs("resolution: [1280, 960]", BARREL.tolist()),
+            "resolution: expected 640 x 480 as the file says",
+        ),
+        (
+            KALIBR.replace("pinhole", "omni"),
+            "Kalibr's camchain: camera_model: expected pinhole, got 'omni'. Run",
+        ),
+        (KALIBR + KALIBR.replace("cam0", "cam1"), "expected one camera, got cam0, cam1"),
+        (
+            KALIBR.replace("resolution: [640, 480]", "resolution: [640]"),
+            "image_width, image_height is missing",
+        ),
+        ("M1: [1]\nD1: [2]\n", "camera_matrix.*is missing.*holds calibrated_in, m1, d1"),
+        ("# none\n- 1\n- 2\n", "expected fields by their names"),
+        ("# oST version 5.0 parameters\n\n[image]\n", "ost.yaml that lies beside it"),
+    ],
+)
+def test_what_no_lens_here_has_is_refused_by_its_name(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "lens.yaml"
+    path.write_text(text if "is missing. This" in message else in_water(text))
+    with pytest.raises(ValueError, match=message) as caught:
+        Lens.read(path)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 700
+
+
+def test_whatever_stands_in_a_file_it_is_a_lens_or_refused_in_a_line(tmp_path: Path) -> None:
+    """Bytes that are cut, repeated, swapped and made up, by a seed."""
+    rng, path = np.random.default_rng(39), tmp_path / "lens.yaml"
+    words = [
+        b"equidistant",
+        b"1e999",
+        b"-",
+        b"[",
+        b"]",
+        b"{",
+        b"}",
+        b": ",
+        b"\n",
+        b"\n- ",
+        b"!!opencv-matrix",
+        b"\xff",
+    ]
+    words += [
+        b"rows: 99999999",
+        b"cam0:",
+        b"fisheye_model: 1",
+        b"&a *a",
+        b"%YAML",
+        b"---\n",
+        b"nan",
+        b"<",
+        b"\t",
+        b"'",
+    ]
+    texts = [text.encode() for text in (GOOD, in_water(ROS), MESSAGE, in_water(KALIBR))]
+    told = []
+    for _ in range(160):
+        content = bytearray(texts[rng.integers(len(texts))])
+        for _ in range(rng.integers(1, 4)):
+            at, wide = int(rng.integers(len(content) + 1)), int(rng.integers(12))
+            content[at : at + wide] = words[rng.integers(len(words))] if rng.random() < 0.7 else b""
+        path.write_bytes(content)
+        try:
+            seen = Lens.read(path)
+        except ValueError as error:
+            told.append(str(error))
+        else:
+            assert np.isfinite(seen.distortion).all()
+    assert 0 < len(told) < 160
+    assert not any("\n" in line or len(line) > 1000 for line in told)
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:

@@ -80,7 +80,7 @@ def project(
         t: (3,), likewise.
         low: World x and y of the window's low corner.
         size: Metres a cell.
-        limits: (min_depth, max_depth, reach), metres.
+        limits: (least and greatest depth that is a return, reach), metres.
         cuts: (levels,) float32 metres, falling.
         raw: (levels + 2,) `max_depth`, the cuts and `min_depth` as `bits`.
         side: Cells along the window.

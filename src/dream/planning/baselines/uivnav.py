@@ -175,7 +175,8 @@ class _Sighted:
         from dream.perception.representation import represent
 
         protocol = self.protocol
-        picture = represent(observation.depth, observation.labels, altitude=protocol.altitude)
+        depth = np.where(observation.depth <= protocol.returns[1], observation.depth, np.float32(np.nan))
+        picture = represent(depth, observation.labels, altitude=protocol.altitude)
         logits = self.policy.logits(picture)
         if self.from_here is not None and self.from_here.distance(observation.pose) < 0.5 * protocol.lattice:
             logits = np.where(np.array(TURNS_DEG) == 0, np.float32(-np.inf), logits)

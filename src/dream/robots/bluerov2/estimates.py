@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.estimation import Mounting, Timeline
-from dream.geometry import SE2, SE3, wrap_angle
+from dream.geometry import SE2, SE3, UNTRUE, wrap_angle
 from dream.measurements import Imu
 from dream.robots.bluerov2.log import doubting, read_log
 from dream.robots.bluerov2.messages import read_measurement
@@ -112,7 +112,11 @@ def estimates(path: Path, estimators: Sequence[str] = ESTIMATORS) -> Iterator[Es
                         timeline.take(message)
             elif logged.topic == "/estimate" and timelines:
                 again = {name: timeline.state.pose for name, timeline in timelines.items()}
-                yield Estimated(logged.time, _pose(logged.message.pose.pose), again)
+                try:
+                    pose = _pose(logged.message.pose.pose)
+                except ValueError as error:
+                    raise ValueError(f"{path}: /estimate at {logged.time:.3f} s: {error}") from error
+                yield Estimated(logged.time, pose, again)
             elif logged.topic == "/log":
                 _tell_lost(path, logged.message.data)
     if not timelines:
@@ -213,7 +217,10 @@ def _pose(said: Any) -> SE3:
 
 
 def _rotation(w: float, x: float, y: float, z: float) -> Float64Array:
-    """(3, 3) of a unit quaternion."""
+    """(3, 3) of a unit quaternion; any other is refused: the formula takes zeros for no turn at all."""
+    length = math.sqrt(w * w + x * x + y * y + z * z)
+    if not abs(length - 1.0) <= UNTRUE:
+        raise ValueError(f"orientation: expected a quaternion of length 1, got {length:.6g}")
     return np.array(
         [
             [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],

@@ -1,9 +1,9 @@
 """A calibrated lens, and its pictures as a pinhole camera would have taken them.
 
-References: the lens models of OpenCV (calib3d: radial, tangential, thin prism; Kannala and Brandt 2006 for
-fisheye). Refraction at a flat port: Treibitz, Schechner, Kunz and Singh, Flat refractive geometry, IEEE TPAMI
-34(1), 2012; Lavest, Rives and Lapresté, Underwater camera calibration, ECCV 2000, for the focal length that
-grows by the refractive index.
+References: the lens models of OpenCV (calib3d: radial, tangential, thin prism, tilted sensor; Kannala and
+Brandt 2006 for fisheye). Refraction at a flat port: Treibitz, Schechner, Kunz and Singh, Flat refractive
+geometry, IEEE TPAMI 34(1), 2012; Lavest, Rives and Lapresté, Underwater camera calibration, ECCV 2000, for
+the focal length that grows by the refractive index.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import Camera
 from dream.robots.bluerov2.camera import opencv
+from dream.robots.bluerov2.lens_files import FISHEYE_COUNTS, PINHOLE_COUNTS, parse
 
 Float64Array = npt.NDArray[np.float64]
 UInt8Array = npt.NDArray[np.uint8]
@@ -27,8 +27,6 @@ BoolArray = npt.NDArray[np.bool_]
 
 WATER_INDEX = 1.333
 """Refractive index of fresh water, against air; sea water has up to 1.34."""
-_MOST_BYTES = 1 << 20
-_COEFFICIENTS = (4, 5, 8, 12)
 _WIDEST = 3.0
 """Tangent of the widest angle, 72°, up to which the pinhole models are looked at."""
 
@@ -53,7 +51,7 @@ class Lens:
     matrix: Float64Array
     """(3, 3) camera matrix, pixels."""
     distortion: Float64Array
-    """(4,), (5,), (8,) or (12,) coefficients; (4,) for a fisheye."""
+    """(4,), (5,), (8,), (12,) or (14,) coefficients; (4,) for a fisheye."""
     fisheye: bool
     calibrated: Calibrated
 
@@ -71,7 +69,7 @@ class Lens:
             raise ValueError(f"camera_matrix: expected focal lengths of such a picture, got {fx} and {fy}")
         if not (0.0 < cx < self.width and 0.0 < cy < self.height):
             raise ValueError(f"camera_matrix: expected a centre within the picture, got ({cx}, {cy})")
-        counts = (4,) if self.fisheye else _COEFFICIENTS
+        counts = FISHEYE_COUNTS if self.fisheye else PINHOLE_COUNTS
         if len(distortion) not in counts or not np.isfinite(distortion).all():
             raise ValueError(
                 f"distortion_coefficients: expected {counts} finite numbers, got {distortion.tolist()}"
@@ -81,10 +79,11 @@ class Lens:
 
     @staticmethod
     def read(path: Path) -> Lens:
-        """A file as OpenCV's calibration writes it, with one line more.
+        """A calibration file, with one line more than calibrations write: `calibrated_in`, a `Calibrated`.
 
-        It has `image_width`, `image_height`, `camera_matrix`, `distortion_coefficients`, `fisheye_model` (1
-        for a fisheye; may be missing), and `calibrated_in`, a value of `Calibrated`.
+        OpenCV's has `image_width`, `image_height`, `camera_matrix`, `distortion_coefficients`, and may have
+        `fisheye_model` (1 for a fisheye) or `distortion_model`. ROS's and Kalibr's are read as well, see
+        `lens_files`.
 
         Raises:
             ValueError: What it says cannot be, or is missing; the message begins with its path.
@@ -93,7 +92,18 @@ class Lens:
         if not path.is_file():
             raise FileNotFoundError(f"{path}: there is no such file. Calibrate the camera first")
         try:
-            return _parse(path)
+            said = parse(path)
+            where, kinds = said.calibrated_in, ", ".join(Calibrated)
+            if where is None:
+                raise ValueError(
+                    f"calibrated_in is missing. This is {said.kind}, which is read with one line more, "
+                    f"at its top: calibrated_in: {Calibrated.WATER} (or another of {kinds})"
+                )
+            if where not in list(Calibrated):
+                raise ValueError(f"calibrated_in: expected one of {kinds}, got {str(where)[:60]}")
+            return Lens(
+                said.width, said.height, said.matrix, said.distortion, said.fisheye, Calibrated(where)
+            )
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
 
@@ -157,7 +167,7 @@ class Lens:
             shown, reach = angle + powers @ self.distortion, np.tan(angle)
         else:
             reach = np.linspace(0.0, _WIDEST, 1000)
-            k = np.pad(self.distortion, (0, 12 - len(self.distortion)))
+            k = np.pad(self.distortion, (0, 14 - len(self.distortion)))
             r2 = reach**2
             above = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
             below = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
@@ -235,13 +245,24 @@ def in_air(rays: Float64Array, index: float = WATER_INDEX) -> Float64Array:
 
 
 def _pinhole(x: Float64Array, y: Float64Array, k: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Radial, tangential and thin prism, in OpenCV's order: k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4."""
-    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = np.pad(k, (0, 12 - len(k)))
+    """Radial, tangential, thin prism and tilt, in OpenCV's order: k1 k2 p1 p2 k3 to k6 s1 to s4 τx τy."""
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tilt_x, tilt_y = np.pad(k, (0, 14 - len(k)))
     r2 = x * x + y * y
     radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
     shown_x = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) + r2 * (s1 + r2 * s2)
     shown_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y + r2 * (s3 + r2 * s4)
-    return shown_x, shown_y
+    if not (tilt_x or tilt_y):
+        return shown_x, shown_y
+    # The sensor stands askew behind the lens: turned about x, then about y, and seen from the centre.
+    cx, sx, cy, sy = math.cos(tilt_x), math.sin(tilt_x), math.cos(tilt_y), math.sin(tilt_y)
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, sx], [0.0, -sx, cx]])
+    turned = np.array([[cy, 0.0, -sy], [0.0, 1.0, 0.0], [sy, 0.0, cy]]) @ about_x
+    across = turned[2, 2] * np.eye(3) - np.array(
+        [[0.0, 0.0, turned[0, 2]], [0.0, 0.0, turned[1, 2]], [0, 0, 0]]
+    )
+    across[2, 2] = 1.0
+    on_sensor = np.stack([shown_x, shown_y, np.ones_like(shown_x)], axis=-1) @ (across @ turned).T
+    return on_sensor[..., 0] / on_sensor[..., 2], on_sensor[..., 1] / on_sensor[..., 2]
 
 
 def _fisheye(x: Float64Array, y: Float64Array, k: Float64Array) -> tuple[Float64Array, Float64Array]:
@@ -252,57 +273,3 @@ def _fisheye(x: Float64Array, y: Float64Array, k: Float64Array) -> tuple[Float64
     shown = angle * (1.0 + square * (k[0] + square * (k[1] + square * (k[2] + square * k[3]))))
     factor = np.where(radius > 0.0, shown / np.where(radius > 0.0, radius, 1.0), 1.0)
     return x * factor, y * factor
-
-
-def _parse(path: Path) -> Lens:
-    cv2 = opencv()
-    size = path.stat().st_size
-    if size > _MOST_BYTES:
-        raise ValueError(f"expected at most {_MOST_BYTES} bytes, got {size}")
-    if not size:
-        raise ValueError("expected YAML as OpenCV writes it, got an empty file")
-    try:
-        storage = cv2.FileStorage(os.fspath(path), cv2.FILE_STORAGE_READ)
-        nodes = {name: storage.getNode(name) for name in _FIELDS}
-        known = {name: _value(node) for name, node in nodes.items()}
-        storage.release()
-    except (cv2.error, UnicodeDecodeError, SystemError) as error:
-        # Python's own words for what OpenCV raised tell nothing of the file.
-        why = str(error.__cause__ or error).strip().splitlines()[-1]
-        raise ValueError(f"expected YAML as OpenCV writes it: {why}") from error
-    missing = [name for name in _FIELDS if known[name] is None and name != "fisheye_model"]
-    if missing:
-        raise ValueError(f"expected {', '.join(_FIELDS)}; {', '.join(missing)} is missing or of another kind")
-    where = known["calibrated_in"]
-    if not isinstance(where, str) or where not in list(Calibrated):
-        raise ValueError(f"calibrated_in: expected one of {', '.join(Calibrated)}, got {where}")
-    sides = known["image_width"], known["image_height"]
-    if not all(isinstance(side, float) and side.is_integer() for side in sides):
-        raise ValueError(f"image size: expected two whole numbers, got {sides[0]} x {sides[1]}")
-    return Lens(
-        int(known["image_width"]),
-        int(known["image_height"]),
-        known["camera_matrix"],
-        known["distortion_coefficients"],
-        bool(known["fisheye_model"]),
-        Calibrated(where),
-    )
-
-
-_FIELDS = (
-    "calibrated_in",
-    "image_width",
-    "image_height",
-    "fisheye_model",
-    "camera_matrix",
-    "distortion_coefficients",
-)
-
-
-def _value(node: Any) -> Any:
-    """A text, a number or a matrix; None where there is nothing of the kind."""
-    if node.isString():
-        return node.string()
-    if node.isInt() or node.isReal():
-        return float(node.real())
-    return node.mat() if node.isMap() else None

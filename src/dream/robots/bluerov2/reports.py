@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dream.geometry import wrap_angle
+from dream.geometry import UNTRUE, wrap_angle
 from dream.measurements import Depth, Heading, Imu
 
 MODES = {
@@ -86,11 +86,11 @@ def attitude_of(message: Any) -> Attitude:
     """ATTITUDE (radians) or ATTITUDE_QUATERNION (w, x, y, z), forward-right-down in north-east-down.
 
     Raises:
-        Strange: Not finite, or a quaternion far from length 1.
+        Strange: Not finite, or a quaternion that is not of length 1.
     """
     if message.get_type() == "ATTITUDE_QUATERNION":
         w, x, y, z = message.q1, message.q2, message.q3, message.q4
-        if not abs(math.sqrt(w * w + x * x + y * y + z * z) - 1.0) < 0.1:
+        if not abs(math.sqrt(w * w + x * x + y * y + z * z) - 1.0) <= UNTRUE:
             raise Strange("attitude: quaternion not of length 1")
         roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
         pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
@@ -168,7 +168,7 @@ def tilt_of(message: Any) -> float:
         tilt = math.radians(message.pitch)
     else:
         w, x, y, z = message.q
-        if not abs(math.sqrt(w * w + x * x + y * y + z * z) - 1.0) < 0.1:
+        if not abs(math.sqrt(w * w + x * x + y * y + z * z) - 1.0) <= UNTRUE:
             raise Strange("camera tilt: quaternion not of length 1")
         tilt = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
     if not abs(tilt) < math.radians(100.0):

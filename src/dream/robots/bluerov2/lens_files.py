@@ -1,0 +1,340 @@
+"""Calibration files of a lens, as OpenCV, ROS and Kalibr write them.
+
+References: `cv2.FileStorage` and the calibration example of OpenCV; ROS's `camera_info` (package
+camera_calibration_parsers, REP 104) and the message `sensor_msgs/CameraInfo`; Kalibr's camchain and the ASL
+data set format. A field that changes what the numbers mean is read, or the file is refused by its name; all
+other fields are passed over.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.robots.bluerov2.camera import opencv
+
+Float64Array = npt.NDArray[np.float64]
+Fields = Mapping[str, Any]
+
+PINHOLE_COUNTS = (4, 5, 8, 12, 14)
+"""Coefficients that OpenCV's pinhole models have: k1 k2 p1 p2, k3, k4 k5 k6, s1 to s4, τx τy."""
+FISHEYE_COUNTS = (4,)
+_MOST_BYTES = 1 << 20
+_DEEPEST = 4
+_MOST_NUMBERS = 64
+_OPENCV, _ROS, _MESSAGE, _KALIBR = (
+    "OpenCV's calibration",
+    "ROS's camera_info",
+    "ROS's message CameraInfo",
+    "Kalibr's camchain",
+)
+_NEEDED = ("image_width", "image_height", "camera_matrix", "distortion_coefficients")
+_TO_OPENCV = "Calibrate as a pinhole (cv2.calibrateCamera) or a fisheye (cv2.fisheye.calibrate), see docs"
+
+_MODELS: Mapping[str, tuple[bool, tuple[int, ...]] | None] = {
+    "pinhole": None,
+    "perspective": None,
+    "plumb_bob": (False, (4, 5)),
+    "radtan": (False, (4, 5)),
+    "radial_tangential": (False, (4, 5)),
+    "brown": (False, (4, 5)),
+    "brown_conrady": (False, (4, 5)),
+    "none": (False, (4,)),
+    "opencv": (False, PINHOLE_COUNTS),
+    "rational_polynomial": (False, (8, 12, 14)),
+    "rational": (False, (8, 12, 14)),
+    "equidistant": (True, FISHEYE_COUNTS),
+    "equi": (True, FISHEYE_COUNTS),
+    "fisheye": (True, FISHEYE_COUNTS),
+    "opencv_fisheye": (True, FISHEYE_COUNTS),
+    "kannala_brandt": (True, FISHEYE_COUNTS),
+    "kannala_brandt4": (True, FISHEYE_COUNTS),
+}
+"""Names of models: fisheye, and how many coefficients; None where another field says which."""
+_NAMING = (
+    *("distortion_model", "distortion_type", "distortion", "dist_model", "camera_model", "camera_type"),
+    *("lens_model", "lens_type", "projection_model", "projection_type", "projection", "model", "model_type"),
+)
+_FLAGS = ("fisheye_model", "fisheye", "is_fisheye")
+_ONES = ("binning_x", "binning_y", "binning", "scale", "image_scale", "downsample", "downscale", "resize")
+_ZEROS = ("xi", "skew", "rectified", "undistorted", "do_rectify")
+_WINDOWS = ("roi", "region_of_interest", "crop")
+_UNITS = ("units", "unit", "focal_unit", "focal_length_unit")
+_SIZES = ("resolution", "image_size", "size")
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What a file says of a lens."""
+
+    kind: str
+    """Whose file it is."""
+    calibrated_in: Any
+    """As it stands there; None where it does not."""
+    width: int
+    height: int
+    matrix: Float64Array
+    """(3, 3) camera matrix, pixels; pixel centres lie at whole numbers."""
+    distortion: Float64Array
+    """(n,) coefficients."""
+    fisheye: bool
+
+
+def parse(path: Path) -> Written:
+    """What a calibration file says.
+
+    Raises:
+        ValueError: It is none, lacks something, or says of itself what no lens here has; in words.
+    """
+    size = path.stat().st_size
+    if size > _MOST_BYTES:
+        raise ValueError(f"expected at most {_MOST_BYTES} bytes, got {size}")
+    if not size:
+        raise ValueError("expected YAML as OpenCV writes it, got an empty file")
+    found = _tree(path.read_bytes())
+    kind, fields = _known(found)
+    if missing := [name for name in _NEEDED if fields.get(name) is None]:
+        raise ValueError(
+            f"expected calibrated_in, {', '.join(_NEEDED)}; {', '.join(missing)} is missing or of another "
+            f"kind. It is read as {kind}, and holds {_listed(found)}"
+        )
+    _check_meaning(fields)
+    fisheye, counts, model = _model(fields)
+    sides = fields["image_width"], fields["image_height"]
+    if not all(isinstance(side, float) and side.is_integer() for side in sides):
+        raise ValueError(
+            f"image size: expected two whole numbers, got {_short(sides[0])} x {_short(sides[1])}"
+        )
+    for name in _SIZES:
+        told = fields.get(name)
+        if isinstance(told, list) and len(told) == 2 and tuple(told) != sides:
+            raise ValueError(
+                f"{name}: expected {sides[0]:g} x {sides[1]:g} as the file says, got {_short(told)}"
+            )
+    matrix = _numbers(fields["camera_matrix"], "camera_matrix")
+    if len(matrix) != 9:
+        raise ValueError(f"camera_matrix: expected 3 x 3 numbers, got {len(matrix)}")
+    distortion = _numbers(fields["distortion_coefficients"], "distortion_coefficients")
+    return Written(
+        kind,
+        fields.get("calibrated_in"),
+        int(sides[0]),
+        int(sides[1]),
+        matrix.reshape(3, 3),
+        _fitted(distortion, counts, model),
+        fisheye,
+    )
+
+
+def _tree(content: bytes) -> Fields:
+    """The fields by their names in lower case, as far down as a lens is described."""
+    cv2 = opencv()
+    try:
+        text = content.decode("utf-8-sig")
+        if "\0" in text:
+            raise ValueError("expected YAML as OpenCV writes it: it holds zeros")
+        storage = cv2.FileStorage(_as_opencv_reads(text), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        try:
+            root = storage.root()
+            if text.lstrip().startswith("# oST"):
+                raise ValueError("this is ROS's ost.txt. Give the ost.yaml that lies beside it")
+            if not root.isMap():
+                raise ValueError("expected fields by their names, such as image_width: 1920")
+            return {str(name).strip().lower(): _value(root.getNode(name)) for name in root.keys()}  # noqa: SIM118
+        finally:
+            storage.release()
+    except (cv2.error, UnicodeDecodeError, SystemError) as error:
+        # Python's own words for what OpenCV raised tell nothing of the file.
+        why = str(error.__cause__ or error).strip().splitlines()[-1]
+        raise ValueError(f"expected YAML as OpenCV writes it: {why[:160]}") from error
+
+
+def _as_opencv_reads(text: str) -> str:
+    """YAML as PyYAML and ROS write it, in the part of it that OpenCV reads.
+
+    It wants a head, one document, and the dashes of a list further in than its name.
+    """
+    if re.match(r"\s*[<{]", text):
+        return text
+    body = re.sub(r"\A\s*%YAML[^\n]*\n", "", text)
+    document = next((part for part in re.split(r"(?m)^(?:---|\.\.\.)[ \t]*$", body) if part.strip()), "")
+    return "%YAML:1.0\n---\n" + re.sub(r"(?m)^([ \t]*)- ", r"\1  - ", document)
+
+
+def _value(node: Any, depth: int = 0) -> Any:
+    """Texts, numbers, lists of at most so many, and fields by name; None where it is none of these."""
+    if node.isString():
+        return node.string()
+    if node.isInt() or node.isReal():
+        return float(node.real())
+    if depth < _DEEPEST and node.isMap():
+        return {str(name).lower(): _value(node.getNode(name), depth + 1) for name in node.keys()}  # noqa: SIM118
+    if depth < _DEEPEST and node.isSeq() and node.size() <= _MOST_NUMBERS:
+        return [_value(node.at(k), depth + 1) for k in range(node.size())]
+    return None
+
+
+def _known(found: Fields) -> tuple[str, Fields]:
+    """Whose file it is, and its fields under OpenCV's names."""
+    cameras = [
+        name for name, value in found.items() if re.fullmatch(r"cam\d+", name) and isinstance(value, dict)
+    ]
+    if len(cameras) > 1:
+        raise ValueError(
+            f"{_KALIBR}: expected one camera, got {', '.join(cameras[:8])}. Keep the one that looks ahead"
+        )
+    if cameras:
+        return _KALIBR, _of_kalibr({**found, **found[cameras[0]]})
+    if "intrinsics" in found and "camera_matrix" not in found:
+        return _KALIBR, _of_kalibr(found)
+    if {"k", "d", "width", "height"} <= set(found):
+        names = {"k": "camera_matrix", "d": "distortion_coefficients"}
+        names |= {"width": "image_width", "height": "image_height"}
+        return _MESSAGE, {names.get(name, name): value for name, value in found.items()}
+    ros = {"camera_name", "distortion_model", "rectification_matrix", "projection_matrix"}
+    return _ROS if len(ros & set(found)) >= 2 else _OPENCV, found
+
+
+def _of_kalibr(camera: Fields) -> Fields:
+    """Kalibr's fields under OpenCV's names."""
+    model = _word(camera.get("camera_model", "pinhole"))
+    if model != "pinhole":
+        raise ValueError(
+            f"{_KALIBR}: camera_model: expected pinhole, got {_short(camera['camera_model'])}. "
+            "Run Kalibr with --models pinhole-radtan or pinhole-equi"
+        )
+    fields = dict(camera)
+    values = camera.get("intrinsics")
+    if isinstance(values, list) and len(values) == 4:
+        fx, fy, cx, cy = values
+        fields["camera_matrix"] = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
+    if "distortion_coeffs" in camera:
+        fields["distortion_coefficients"] = camera["distortion_coeffs"]
+    size = camera.get("resolution")
+    if isinstance(size, list) and len(size) == 2:
+        fields["image_width"], fields["image_height"] = size
+    return fields
+
+
+def _check_meaning(fields: Fields) -> None:
+    """Refuse what makes other numbers of those that are read."""
+    for name in _ONES:
+        if fields.get(name) not in (None, 0.0, 1.0):
+            raise ValueError(
+                f"{name}: expected 1 (the picture as it was calibrated), got {_short(fields[name])}. "
+                "Calibrate at the size of the stream"
+            )
+    for name in _ZEROS:
+        if fields.get(name) is not None and _flag(fields[name]) is not False:
+            raise ValueError(f"{name}: expected 0, got {_short(fields[name])}. {_TO_OPENCV}")
+    for name in _UNITS:
+        if fields.get(name) is not None and _word(fields[name]) not in ("px", "pixel", "pixels"):
+            raise ValueError(
+                f"{name}: expected pixels, got {_short(fields[name])}. Give the lengths in pixels"
+            )
+    whole = [0.0, 0.0, fields["image_width"], fields["image_height"]]
+    for name in _WINDOWS:
+        window = fields.get(name)
+        if isinstance(window, dict):
+            window = [window.get(key, 0.0) for key in ("x_offset", "y_offset", "width", "height")]
+        if window is not None and window not in ([0.0] * 4, whole):
+            raise ValueError(
+                f"{name}: expected the whole picture, got {_short(fields[name])}. "
+                "Calibrate the picture as it is streamed"
+            )
+
+
+def _model(fields: Fields) -> tuple[bool, tuple[int, ...], str]:
+    """Is it a fisheye, how many coefficients it may have, and what the file calls it."""
+    said: dict[str, tuple[bool, tuple[int, ...]]] = {}
+    for name in _NAMING:
+        value = fields.get(name)
+        if value is None or (isinstance(value, str) and not value.strip()):
+            continue
+        if not isinstance(value, str) or _word(value) not in _MODELS:
+            raise ValueError(
+                f"{name}: expected {', '.join(_MODELS)}, got {_short(value)}. {_TO_OPENCV}. "
+                "A name of the camera goes under camera_name"
+            )
+        known = _MODELS[_word(value)]
+        if known is not None:
+            said[f"{name} {value.strip()}"] = known
+    for name in _FLAGS:
+        value = fields.get(name)
+        if value is not None:
+            flag = _flag(value)
+            if flag is None:
+                raise ValueError(f"{name}: expected 1 for a fisheye or 0, got {_short(value)}")
+            said[f"{name} {int(flag)}"] = (flag, FISHEYE_COUNTS if flag else PINHOLE_COUNTS)
+    if len({fisheye for fisheye, _ in said.values()}) > 1:
+        raise ValueError(f"expected one lens model, got {' and '.join(said)}. Which of them is it?")
+    if not said:
+        return False, PINHOLE_COUNTS, ""
+    narrowest = min(said, key=lambda name: len(said[name][1]))
+    return *said[narrowest], narrowest
+
+
+def _fitted(values: Float64Array, counts: tuple[int, ...], model: str) -> Float64Array:
+    """As many coefficients as the model has; zeros behind them say nothing, nor do fewer zeros."""
+    if len(values) in counts:
+        return values
+    if not values.any() and len(values) < counts[0]:
+        return np.zeros(counts[0])
+    fewer = [count for count in counts if count < len(values)]
+    if fewer and not values[fewer[-1] :].any():
+        return values[: fewer[-1]]
+    of = f" of {model}" if model else ""
+    many = " or ".join(map(str, counts))
+    raise ValueError(
+        f"distortion_coefficients: expected {many} finite numbers{of}, got {values.tolist()[:16]}"
+    )
+
+
+def _numbers(value: Any, name: str) -> Float64Array:
+    """A list of numbers, be it in rows, or in a matrix as OpenCV and ROS write it."""
+    rows = cols = None
+    if isinstance(value, dict):
+        rows, cols, value = value.get("rows"), value.get("cols"), value.get("data")
+    if isinstance(value, list) and value and all(isinstance(row, list) for row in value):
+        value = [entry for row in value for entry in row]
+    if not isinstance(value, list) or not all(isinstance(entry, float) for entry in value):
+        raise ValueError(f"{name}: expected at most {_MOST_NUMBERS} numbers, got {_short(value)}")
+    counted = isinstance(rows, float) and isinstance(cols, float) and rows * cols == len(value)
+    if not counted and (rows, cols) != (None, None):
+        raise ValueError(
+            f"{name}: expected {_short(rows)} x {_short(cols)} numbers as it says, got {len(value)}"
+        )
+    array = np.array(value, np.float64)
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name}: expected finite numbers, got {_short(value)}")
+    return array
+
+
+def _word(value: Any) -> str:
+    """A name as it is compared."""
+    return re.sub(r"[\s-]+", "_", str(value).strip().lower())
+
+
+def _flag(value: Any) -> bool | None:
+    """Yes or no, however it is written; None where it is neither."""
+    if isinstance(value, float):
+        return None if not math.isfinite(value) else bool(value)
+    return {"true": True, "yes": True, "false": False, "no": False}.get(_word(value))
+
+
+def _short(value: Any) -> str:
+    """What stands there, in a few characters that print."""
+    return repr(value)[:60]
+
+
+def _listed(found: Fields) -> str:
+    """The first of its fields."""
+    names = [name[:30] if name.isprintable() else repr(name)[:30] for name in found]
+    return ", ".join(names[:12]) + (" and more" if len(names) > 12 else "") or "nothing"
