@@ -7,7 +7,7 @@ UV := env -u VIRTUAL_ENV -u UV_PYTHON -u UV_PROJECT_ENVIRONMENT -u UV_PROJECT -u
 # Kept bytecode spares every process that a test starts a second or more of compiling.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup run tank survey test test-ray test-train test-checkers check results perf clean
+.PHONY: help setup run tank survey test test-slow test-ray test-train test-checkers check results perf clean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -46,8 +46,12 @@ survey: setup ## Survey a reef, come back a year on, say what changed, and write
 # Three at a time fill two cores: a BLAS with threads of its own would only wait on them, and beside a fourth the
 # tests of what must happen within half a second can fail.
 test: export OPENBLAS_NUM_THREADS := 1
-test: setup ## Run all tests
-	@$(BIN)/pytest -n 3 --dist loadscope
+test: setup ## Run the tests, and list what was skipped
+	@$(BIN)/pytest -n 3 --dist loadscope -rfEs
+
+test-slow: export OPENBLAS_NUM_THREADS := 1
+test-slow: setup ## Run the tests that `make test` leaves out: all faults, the same bytes on every processor
+	@$(BIN)/pytest -m rare -rfEs
 
 test-ray: setup ## Run the tests that need Ray, an optional extra
 	@$(UV) sync --quiet --locked --inexact --extra ray

@@ -2,7 +2,9 @@
 
     python examples/planner.py      four reefs, a minute or two; leaves the page bench/nearby/report.html
 
-Nothing in the package knows of it. One that is to be a command, `dream run NAME`, joins the package: see
+    dream run examples/planner.py   one reef, with a report; --beside 3 and the like are its options
+
+Nothing in the package knows of it. One that is to have a name, `dream run NAME`, joins the package: see
 CONTRIBUTING.md.
 """
 

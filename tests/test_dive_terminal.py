@@ -305,6 +305,7 @@ def neutral(message: Any) -> bool:
     return (message.x, message.y, message.z, message.r) == (0, 0, 500, 0)
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_a_vehicle_comes_up_though_the_terminal_of_its_dive_is_stopped_for_ever(
     tmp_path: Path, caplog: pytest.LogCaptureFixture

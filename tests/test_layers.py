@@ -72,3 +72,9 @@ def test_only_kernels_import_numba() -> None:
         if "_kernels" not in (path.stem, path.parent.name) and path.stem != "compiling":
             assert "import numba" not in path.read_text(), path
             assert "from numba" not in path.read_text(), path
+
+
+def test_no_kernel_is_rounded_as_a_processor_likes() -> None:
+    kernels = [path for path in ROOT.rglob("*.py") if "_kernels" in (path.stem, path.parent.name)]
+    assert len(kernels) > 10
+    assert [path for path in kernels if "fastmath" in path.read_text()] == []

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from dream.errors import PlannerFailed
 from dream.evaluation.runner import simulate
 from dream.mapping import OccupancyMap
 from dream.mission import explore
@@ -119,5 +120,5 @@ class Cannot:
 
 
 def test_a_planner_that_cannot_begin_fails_before_the_first_step_is_asked_for(empty_world: World) -> None:
-    with pytest.raises(ValueError, match="expected one, got none"):
+    with pytest.raises(PlannerFailed, match="begin: ValueError: model: expected one, got none"):
         simulate(empty_world, Cannot(), DREAM_V1)

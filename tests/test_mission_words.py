@@ -266,7 +266,7 @@ def test_half_the_world_in_eighty_steps_from_words_to_the_end(
     told = said(capsys)
     assert "1. Map all targets in the western half of the survey area." in told
     assert "At most 80 steps in all." in told
-    assert "Not in the orders, says the model: nothing [2J" in told
+    assert "Not in the orders, says the model: nothing\\x1b[2J" in told
     assert f"Asked scripted at {model.address}: calls 1, tokens 110, at an unknown price." in told
     with Image.open(tmp_path / "mission.png") as picture:
         assert (np.asarray(picture) == OUTLINE).all(axis=-1).any()

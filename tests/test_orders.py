@@ -49,7 +49,7 @@ class Listening:
         return self
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
-        return Decision(done=True) if self.done else Decision(turn=DREAM_V1.turn_angles[0] or 0.5)
+        return Decision(done=True) if self.done else Decision(turn=DREAM_V1.turn_angles[1])
 
 
 @cache

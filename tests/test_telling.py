@@ -161,9 +161,9 @@ def hostile_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder.mkdir()
     names = dict.fromkeys(("version", "commit", "protocol", "world", "planner"), BAD)
     write_config(folder, {**CONFIG, **names})
-    for _ in record(painted_mission(1), folder):
-        break
-    write_summary(folder, {**SUMMARY, "steps": 0, "protocol": BAD, "world": BAD, "planner": BAD})
+    for _ in record(painted_mission(3), folder):
+        pass
+    write_summary(folder, {**SUMMARY, "steps": 3, "protocol": BAD, "world": BAD, "planner": BAD})
     return folder
 
 

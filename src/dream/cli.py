@@ -8,9 +8,10 @@ import logging
 import re
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from dream.errors import MissionAborted
+from dream.errors import MissionAborted, PlannerFailed
 from dream.names import look_up
 from dream.telling import clean_streams, in_lines, one_line
 
@@ -81,7 +82,7 @@ def run_command(arguments: list[str]) -> int:
         return _dispatch(name, arguments[1:])
     except (ValueError, OSError) as error:
         return _fail(str(error), BAD_INPUT)
-    except MissionAborted as error:
+    except (MissionAborted, PlannerFailed) as error:
         return _fail(str(error), FAILED)
     except KeyboardInterrupt:
         return _fail("interrupted", FAILED)
@@ -93,12 +94,17 @@ def _dispatch(name: str, arguments: list[str]) -> int:
     import tyro
 
     from dream import commands
+    from dream.commands.console import check_no_world
 
+    kind = getattr(commands, name.capitalize())
+    own = name == "run" and bool(arguments) and arguments[0].endswith(".py")
+    if own:
+        kind, arguments = commands.run_with(arguments[0]), [Path(arguments[0]).name, *arguments[1:]]
     complaints = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaints):
             command = tyro.cli(
-                getattr(commands, name.capitalize()),
+                kind,
                 prog=f"dream {name}",
                 args=arguments,
                 registry=_numbers(),
@@ -112,7 +118,9 @@ def _dispatch(name: str, arguments: list[str]) -> int:
     except SystemExit as end:
         if end.code:
             complaint = _one_line(complaints.getvalue())
-            if name in ("run", "dive"):
+            stray = re.match(r"Unrecognized options: (\S+?)\.? ", complaint)
+            check_no_world(name, stray[1] if stray else arguments[0] if arguments else "")
+            if name in ("run", "dive") and not own:
                 _check_planner(complaint, arguments)
             return _fail(complaint, BAD_INPUT)
         return 0

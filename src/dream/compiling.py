@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import threading
 import time
 from collections.abc import Callable, Iterator
 
@@ -19,6 +20,11 @@ register(COMPILES, _compiled)  # type: ignore[no-untyped-call]
 def working_time() -> float:
     """Seconds on a clock that stands still while numba compiles."""
     return time.perf_counter() - (_compiled.duration if _compiled.done else 0.0)
+
+
+def thread_time() -> float:
+    """Processor seconds of this thread, on a clock that stands still while numba compiles in it."""
+    return time.thread_time() - _spent.in_this_thread()
 
 
 @contextlib.contextmanager
@@ -49,6 +55,30 @@ class _Uncollected(Listener):
 
 
 register(COMPILES, _Uncollected())  # type: ignore[no-untyped-call]
+
+
+class _Spent(Listener):
+    """Processor time that each thread has spent on compiling."""
+
+    def __init__(self) -> None:
+        self._of = threading.local()
+
+    def in_this_thread(self) -> float:
+        return getattr(self._of, "spent", 0.0)
+
+    def on_start(self, event: Event) -> None:
+        self._of.depth = getattr(self._of, "depth", 0) + 1
+        if self._of.depth == 1:
+            self._of.began = time.thread_time()
+
+    def on_end(self, event: Event) -> None:
+        self._of.depth -= 1
+        if self._of.depth == 0:
+            self._of.spent = self.in_this_thread() + time.thread_time() - self._of.began
+
+
+_spent = _Spent()
+register(COMPILES, _spent)  # type: ignore[no-untyped-call]
 
 
 class _Once(Listener):

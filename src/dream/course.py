@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from dream.mapping import OccupancyMap, within
 from dream.orders import Flown, Orders, Outcome, SideOf, Task, place
 from dream.planning.approach import Approach
 from dream.planning.belief import STANDS
+from dream.planning.own import check_decision, checked_pilot, is_own, own_file, told_where
 from dream.types import LOOK_AROUND, UNASKED, Asked, BoolArray, Decision, Mission, Observation, Target
 
 if TYPE_CHECKING:
@@ -56,9 +58,11 @@ class Course:
             if decision is not None:
                 return decision
             if self._approach.steps:
-                self._pilot = self.planner.begin(self._mission(flown))
+                self._pilot = self._begun(self._mission(flown))
             self._approach = None
-        decision = self._pilot.decide(observation, self.occupancy)
+        with _told(self._pilot, f"step {flown + 1}"):
+            decision = self._pilot.decide(observation, self.occupancy)
+        check_decision(decision, self.occupancy.protocol, self._pilot.decide, flown + 1)
         for exchange in decision.exchanges:
             self.asked += exchange
         return decision
@@ -107,10 +111,15 @@ class Course:
                 self.occupancy.restrict(area)
             self.leg = Flown(later, leg, area)
             mission = self._mission(flown)
-            self._pilot = self.planner.begin(mission)
+            self._pilot = self._begun(mission)
             self._approach = None if area is None else Approach(mission)
             return
         self.over = True
+
+    def _begun(self, mission: Mission) -> Pilot:
+        with _told(self.planner, "begin"):
+            pilot = self.planner.begin(mission)
+        return checked_pilot(pilot, self.planner) if is_own(type(self.planner)) else pilot
 
     def _mission(self, flown: int) -> Mission:
         occupancy, leg = self.occupancy, self.leg
@@ -124,6 +133,12 @@ class Course:
             self.asked,
             self.prior,
         )
+
+
+def _told(part: Planner | Pilot, doing: str) -> AbstractContextManager[None]:
+    """Have what fails in a planner of one's own told by its line; the package's speak for themselves."""
+    file = own_file(type(part)) if is_own(type(part)) else None
+    return nullcontext() if file is None else told_where(file, doing=doing)
 
 
 def found_in(occupancy: OccupancyMap, target: Target) -> Bounds | None:

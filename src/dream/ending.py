@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from types import FrameType
 from typing import NoReturn
 
-from dream.errors import MissionAborted
+from dream.errors import MissionAborted, PlannerFailed
 
 WORDS: Mapping[str, str] = {
     "done": "the planner held the mission to be complete and its map agreed",
@@ -20,7 +20,7 @@ MOST = 600
 FULL = os.strerror(errno.ENOSPC)
 TERMINATED = "the program was asked to end (SIGTERM)"
 
-_TOLD_IN_WORDS = (MissionAborted, KeyboardInterrupt, OSError, ValueError, RuntimeError)
+_TOLD_IN_WORDS = (MissionAborted, PlannerFailed, KeyboardInterrupt, OSError, ValueError, RuntimeError)
 """Errors whose message says what is wrong; that of any other is for who mends the program."""
 
 

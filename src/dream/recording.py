@@ -196,6 +196,10 @@ class RunConfig(_Recorded):
     """Of the file of a network that was not the one that comes with DREAM."""
     prompts_sha256: dict[str, str] = Field(default_factory=dict)
     """Of every prompt that was given in the place of the package's, by name."""
+    planner_file: str = ""
+    """Of a planner of somebody's own; empty of the package's."""
+    planner_sha256: str | None = None
+    """Of that file."""
     world_from: str | None = None
     """What was given for the world where it is not a name: a folder."""
     start: int = 0

@@ -116,7 +116,7 @@ def repeating_command(config: RunConfig) -> str:
     """
     if config.command:
         return config.command
-    words = ["dream", "run", config.planner]
+    words = ["dream", "run", config.planner_file or config.planner]
     words += ["--world", config.world_from or config.world, "--seed", str(config.seed)]
     words += ["--protocol", config.protocol]
     if config.start:

@@ -962,6 +962,16 @@ def test_damage_is_told_of_and_never_handed_out(kept: Path) -> None:
     assert told > 30
 
 
+@pytest.mark.parametrize("name", [b"tracks", b"patches", b"measures"])
+def test_names_that_are_no_text_are_damage(kept: Path, name: bytes) -> None:
+    """Python complains of them itself, without a number of SQLite's."""
+    whole = kept.read_bytes()
+    assert name in whole
+    kept.write_bytes(whole.replace(name, b"\xff" + name[1:]))
+    with pytest.raises(ValueError, match="expected an archive of surveys"):
+        open_archive(str(kept)).__enter__()
+
+
 def test_nothing_is_added_to_a_damaged_archive(kept: Path) -> None:
     data = bytearray(kept.read_bytes())
     database = sqlite3.connect(kept)

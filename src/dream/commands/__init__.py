@@ -9,7 +9,7 @@ from dream.commands.probe import Probe
 from dream.commands.replay import Replay
 from dream.commands.report import Report
 from dream.commands.results import Results
-from dream.commands.run import Run, planner_name
+from dream.commands.run import Run, run_with
 from dream.commands.survey import Survey
 from dream.commands.sweep import Sweep
 from dream.commands.train import Train
@@ -33,5 +33,5 @@ __all__ = [
     "Train",
     "Watch",
     "Worlds",
-    "planner_name",
+    "run_with",
 ]

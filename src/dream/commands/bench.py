@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
-from dream.commands.console import print_json, with_scores
+from dream.commands.console import check_no_world, print_json, with_scores
 from dream.commands.swim import Swim
 from dream.errors import MissionAborted
 from dream.names import look_up
-from dream.planning import LABELLED, OFFLINE, PLANNERS, AnyPlanner, Asking
+from dream.planning import LABELLED, OFFLINE, PLANNERS, AnyPlanner, Asking, UivNav
 from dream.protocol import protocol_named
 from dream.telling import rich_console
 
@@ -53,6 +53,9 @@ class Flying:
         if not self.planners:
             raise ValueError(f"--planners: expected one or more of {', '.join(PLANNERS)}, got none")
         chosen = {name: _planner(name) for name in self.planners}
+        for planner in chosen.values():
+            if isinstance(planner, UivNav):
+                planner.check_installed()
         if len(chosen) < len(self.planners):
             raise ValueError(f"--planners: expected each once, got {' '.join(self.planners)}")
         return self._with_their_model(chosen)
@@ -149,6 +152,7 @@ class Bench(Flying):
         from dream.sim.worlds import is_saved
 
         if self.world is None:
+            check_no_world("bench", self.suite or "")
             if self.seeds is not None:
                 raise ValueError(f"--seeds: expected --world with it, got --seeds {self.seeds} alone")
             return self.suite or "paper", suite_named(self.suite or "paper")

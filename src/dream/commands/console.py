@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+PICTURES = (".png", ".jpg", ".jpeg", ".webp")
+WITH_WORLD = ("run", "dive", "mission", "bench", "oracle", "draw")
+"""Commands with the option `--world`."""
 LINE_EVERY = 20.0
 """Seconds between two lines that tell of progress where standard error is no terminal."""
 
@@ -39,8 +42,19 @@ def open_world(name: str, seed: int) -> World:
     return worlds.open_world(name, seed)
 
 
-def check_writable(folder: Path) -> None:
-    """Make the folder of `--out` and see that it can be written, before anything is worked or paid for.
+def check_no_world(command: str, word: str) -> None:
+    """Raise a ValueError where a world stands without the `--world` that should stand before it."""
+    if command not in WITH_WORLD or word.startswith("-"):
+        return
+    from dream.sim.worlds import is_saved, origin
+
+    if origin(word) is not None or (word and is_saved(Path(word))):
+        said = f"dream {command} {'--stand-in ' if command == 'dive' else ''}--world {word}"
+        raise ValueError(f"{word}: expected --world before a world, got none. Say: {said}")
+
+
+def check_writable(folder: Path, option: str = "--out") -> None:
+    """Make the folder of an option and see that it can be written, before anything is worked or paid for.
 
     Raises:
         OSError: It cannot.
@@ -52,8 +66,22 @@ def check_writable(folder: Path) -> None:
         tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
         raise OSError(
-            f"--out: expected a place that can be written, got {folder} ({error.strerror}). Choose another"
+            f"{option}: expected a place that can be written, got {folder} ({error.strerror}). Choose another"
         ) from error
+
+
+def check_picture(path: Path, option: str) -> None:
+    """See that a picture can be written there, before anything is drawn.
+
+    Raises:
+        ValueError: It is no name of a picture.
+        OSError: Its folder cannot be written.
+    """
+    if path.suffix.lower() not in PICTURES:
+        raise ValueError(f"{option}: expected a name that ends in .png, .jpg or .webp, got {path}")
+    if path.is_dir():
+        raise ValueError(f"{option}: expected a file, got the folder {path}")
+    check_writable(path.parent, option)
 
 
 def check_max_steps(max_steps: int | None, protocol: SurveyProtocol) -> None:

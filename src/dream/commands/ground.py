@@ -40,8 +40,12 @@ class Ground:
 
         Raises:
             FileNotFoundError: There is none.
-            ValueError: It does not say a site.
+            ValueError: It does not say a site; or what the archive needs is not installed.
         """
+        if self.from_survey is not None:
+            from dream.commands.survey.sources import check_archive
+
+            check_archive(self.archive)
         from dream.survey.site import read_site
 
         return None if self.site is None else read_site(self.site)
@@ -70,9 +74,9 @@ class Ground:
         """
         if self.from_survey is None:
             return Known(site)
-        from dream.commands.run import planner_name
         from dream.commands.survey.sources import found
         from dream.evaluation.runner import labelled_in
+        from dream.planning.identity import planner_name
         from dream.survey.prior import frames_told, prior_of
         from dream.types import Target
 

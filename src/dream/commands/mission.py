@@ -12,6 +12,7 @@ import tyro
 from dream.commands.console import check_writable, open_world, price, print_json
 from dream.errors import MissionAborted
 from dream.protocol import protocol_named
+from dream.telling import one_line
 
 if TYPE_CHECKING:
     from dream.geometry import Bounds
@@ -55,8 +56,10 @@ class Mission:
 
         if self.out.is_dir():
             raise ValueError(f"--out: expected a file, got the folder {self.out}")
-        check_writable(self.out.parent)
         asking = Asking(self.model, self.model_name, prompts=self.prompts)
+        if not self.yes:
+            check_terminal(asking)
+        check_writable(self.out.parent)
         asking.line()  # What is missing to ask a model is told before anything compiles.
         world = open_world(self.world, self.seed)
         protocol = protocol_named(self.protocol or world.protocol)
@@ -101,16 +104,13 @@ def confirmed(
     from dream.orders import sentences
     from dream.planning.vlm.orders import ask_orders
 
-    if wanted is not None and not sys.stdin.isatty():
-        raise ValueError(
-            "--yes: expected it where no terminal is there to confirm the mission at, got none. "
-            "With it, what the model understood is taken as it is"
-        )
+    if wanted is not None:
+        check_terminal(asking)
     understood = ask_orders(asking, text, world.bounds, protocol, labelled_in(world))
     orders, exchange = understood.orders, understood.exchange
     print("Understood:", *sentences(orders, protocol.cap), sep="\n  ", file=told)
     if understood.left_out:
-        print(f"  Not in the orders, says the model: {_printable(understood.left_out)}", file=told)
+        print(f"  Not in the orders, says the model: {one_line(understood.left_out)}", file=told)
     tokens = exchange.tokens_in + exchange.tokens_out
     print(
         f"  Asked {exchange.model}: calls {exchange.requests}, tokens {tokens}, {price(exchange.cost_usd)}.",
@@ -127,6 +127,16 @@ def confirmed(
         finally:
             draft.unlink(missing_ok=True)
     return orders
+
+
+def check_terminal(asking: Asking) -> None:
+    """Raise a ValueError where nobody can be asked to confirm what a model understands."""
+    if not sys.stdin.isatty():
+        asking.line()  # What is wrong with the model would stay wrong with --yes, so it is told first.
+        raise ValueError(
+            "--yes: expected it where no terminal is there to confirm the mission at, got none. "
+            "With it, what the model understood is taken as it is"
+        )
 
 
 def given(mission: str) -> tuple[str, Orders] | None:
@@ -157,8 +167,3 @@ def draw_orders(orders: Orders, bounds: Bounds, protocol: SurveyProtocol, path: 
             areas.append(None)
             lines[index] += " Where that is, is not known yet."
     draw_areas(bounds, protocol, areas, lines).save(path)
-
-
-def _printable(text: str) -> str:
-    """Text from a stranger, without what a terminal would obey."""
-    return "".join(character if character.isprintable() else " " for character in text)

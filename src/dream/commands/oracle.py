@@ -13,7 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from dream.commands.console import open_world, print_json, with_progress
+from dream.commands.console import (
+    check_no_world,
+    check_picture,
+    open_world,
+    print_json,
+    with_progress,
+)
 from dream.errors import MissionAborted
 from dream.protocol import SurveyProtocol, protocol_named
 from dream.telling import rich_console
@@ -54,7 +60,7 @@ class Oracle:
     protocol: str | None = None
     """Survey protocol; the one that the world is made for unless given."""
     budget: float = 60.0
-    """Seconds of processor time to search a world; 0 only tells what is known."""
+    """Seconds of processor time to search a world, without compiling; 0 only tells what is known."""
     picture: Path | None = None
     """Draw the best tour over the world's chart; a name that ends in .png, .jpg or .webp."""
     out: Path | None = None
@@ -62,7 +68,7 @@ class Oracle:
     jobs: int = 1
     """Worlds of a suite at a time."""
     traces: Path | None = None
-    """A folder of `dream bench`, whose missions are where the search for tours begins."""
+    """A folder of `dream bench`, finished or not, whose missions are where the search for tours begins."""
     again: bool = False
     """Search on also where a suite's world has bounds with a gap already."""
     check: bool = False
@@ -79,6 +85,7 @@ class Oracle:
             raise ValueError(f"--jobs: expected at least 1, got {self.jobs}")
         if self.suite is None:
             return self._one()
+        check_no_world("oracle", self.suite)
         if self.world is not None:
             raise ValueError(f"--world: expected a world or a suite, got {self.world} and {self.suite}")
         if self.picture is not None:
@@ -93,7 +100,8 @@ class Oracle:
         for name in ("out", "check", "again"):
             if getattr(self, name):
                 raise ValueError(f"--{name}: expected a suite, got none. Say: dream oracle paper --{name}")
-        _check_picture(self.picture)
+        if self.picture is not None:
+            check_picture(self.picture, "--picture")
         world = open_world(self.world or DEFAULT_WORLD, self.seed)
         protocol = protocol_named(self.protocol or world.protocol)
         known = known_bounds(protocol.name, world.name, world.seed, self.start, world_hash(world))
@@ -279,9 +287,9 @@ def _search_case(
 
 
 def _results(folder: Path | None) -> Results | None:
-    from dream.evaluation.results import read_results
+    from dream.evaluation.results import read_kept
 
-    return None if folder is None else read_results(folder)
+    return None if folder is None else read_kept(folder)
 
 
 def _last(states: Iterator[Bounds]) -> tuple[Bounds, bool]:
@@ -344,11 +352,6 @@ def _print_table(found: Sequence[Bounds]) -> None:
         ]
         table.add_row(bounds.world, str(bounds.seed), *ends, f"{bounds.cpu_s:.0f}")
     rich_console(width=None if sys.stdout.isatty() else 120).print(table)
-
-
-def _check_picture(path: Path | None) -> None:
-    if path is not None and path.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
-        raise ValueError(f"--picture: expected a name that ends in .png, .jpg or .webp, got {path}")
 
 
 def _draw(bounds: Bounds, world: World, protocol: SurveyProtocol, path: Path) -> None:

@@ -26,10 +26,10 @@ from dream.commands.console import (
     print_json,
     with_progress,
 )
-from dream.commands.run import planner_name
 from dream.names import look_up
-from dream.planning import PLANNERS, AnyPlanner, Asking
-from dream.planning.identity import identity
+from dream.planning import PLANNERS, AnyPlanner, Asking, UivNav
+from dream.planning.identity import identity, planner_name
+from dream.planning.own import SUFFIX, own_planner
 from dream.versions import commit
 
 if TYPE_CHECKING:
@@ -54,7 +54,8 @@ class Replay:
     run: tyro.conf.Positional[Path]
     """Folder of the run; runs/latest is the newest."""
     planner: str | None = None
-    """Ask this planner, with its default parameters; the run's own, with its own, unless given."""
+    """Ask this planner, or that of a file .py, with its default parameters; the run's own, with its
+    own, unless given."""
     replay_replies: Path | None = None
     """Folder of kept replies, for a planner that asks a model; the one that it kept them in unless given."""
     estimator: Literal["all", "none", "inekf", "ekf", "cipg", "dead-reckoning"] = "all"
@@ -120,9 +121,15 @@ class Replay:
 
     def _asked(self, record: Record, name: str) -> AnyPlanner:
         """The planner of a name; where it asks a model, that of then."""
+        if name.endswith(SUFFIX):
+            given: AnyPlanner = own_planner(Path(name))
+            return given
         planner = look_up(PLANNERS, name, "planner")
-        if isinstance(planner, Asking) and isinstance(own := record.planner, Asking):
-            return own.given_to(planner)
+        if isinstance(planner, UivNav):
+            planner.check_installed()
+        own = record.config.planner_file
+        if isinstance(planner, Asking) and not own and isinstance(then := record.planner, Asking):
+            return then.given_to(planner)
         return planner
 
     def _log(self, record: Record) -> Path | None:

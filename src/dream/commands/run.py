@@ -7,7 +7,7 @@ import datetime
 import logging
 import sys
 from collections.abc import Generator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,11 +26,13 @@ from dream.commands.console import (
     with_progress,
 )
 from dream.commands.ground import Ground
-from dream.commands.mission import confirmed, draw_orders, given
+from dream.commands.mission import check_terminal, confirmed, draw_orders, given
 from dream.commands.swim import Swim
 from dream.ending import also, reason
 from dream.errors import MissionAborted
-from dream.planning import PLANNERS, AnyPlanner
+from dream.planning import PLANNERS, AnyPlanner, UivNav
+from dream.planning.identity import planner_name
+from dream.planning.own import own_planner
 from dream.planning.vlm import WIRE_TEST, Asking, Ranked, stands_in
 from dream.protocol import protocol_named
 
@@ -89,6 +91,11 @@ class Run:
             from dream.live.beside import check_installed
 
             check_installed()
+        words = self.mission is not None and given(self.mission) is None
+        if words and not self.yes and isinstance(self.planner, Asking):
+            check_terminal(self.planner)
+        if isinstance(self.planner, UivNav):
+            self.planner.check_installed()
         with contextlib.ExitStack() as shown:
             return self._fly_and_tell(shown)
 
@@ -190,9 +197,16 @@ class Run:
         return told_without_answer(without_answer(summary["vlm"]))
 
 
-def planner_name(planner: AnyPlanner) -> str:
-    """The name of a planner on the command line."""
-    return next(name for name, default in PLANNERS.items() if type(default) is type(planner))
+def run_with(path: str) -> type[Run]:
+    """The command where the file of a planner stands in the place of a planner's name.
+
+    Raises:
+        PlannerFailed: See `own_planner`.
+    """
+    planner = own_planner(Path(path))
+    chosen = tyro.extras.subcommand_type_from_defaults({Path(path).name: planner})
+    options = [("planner", chosen, field(default=planner))]
+    return make_dataclass("Run", options, bases=(Run,), frozen=True, slots=True)
 
 
 def _orders(

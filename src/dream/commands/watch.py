@@ -11,6 +11,9 @@ import tyro
 
 from dream.commands.console import print_json
 
+DEFAULT = Path("runs")
+"""Where `dream run` leaves them."""
+
 logger = logging.getLogger(__name__)
 
 
@@ -21,8 +24,9 @@ class Watch:
     It only reads the folders. Who is on another machine needs the token in the address that is printed.
     """
 
-    runs: tyro.conf.Positional[tuple[Path, ...]] = (Path("runs"),)
-    """Folders of runs, or folders that hold them, whose new ones appear; they may not be there yet."""
+    runs: tyro.conf.Positional[tuple[Path, ...]] = (DEFAULT,)
+    """Folders of runs, or folders that hold them, whose new ones appear; what is in `runs`
+    may still be to come."""
     host: str = "127.0.0.1"
     """Address to listen at. Others can connect at any but this machine's own, and need the token then."""
     port: int | None = None
@@ -45,6 +49,12 @@ class Watch:
             token = self.token_file.read_text(encoding="utf-8").strip()
         else:
             token = "" if is_loopback(self.host) else made_token()
+        for run in self.runs:
+            if not run.is_dir() and DEFAULT not in (run, *run.parents):
+                raise ValueError(
+                    f"{run}: expected the folder of a run, or one that holds some, got none. What is still "
+                    f"to begin is waited for in {DEFAULT} only"
+                )
         doors = Doors(self.host, token)
         listening = listen(self.host, self.port)
         opened = address(doors, listening)

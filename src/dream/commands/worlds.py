@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dream.commands.console import open_world, print_json
+from dream.commands.console import check_picture, open_world, print_json
 from dream.protocol import protocol_named
 
 if TYPE_CHECKING:
@@ -119,11 +119,12 @@ class Draw:
         from dream.sim.chart import chart
         from dream.sim.files import world_hash
 
+        if self.out is not None:
+            check_picture(self.out, "--out")
         world = open_world(self.world, self.seed)
         word = re.sub(r"[^\w.+]+", "-", world.name).strip("-")
         out = self.out or Path(f"{word}-{world.seed}.png")
-        if out.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
-            raise ValueError(f"--out: expected a name that ends in .png, .jpg or .webp, got {out}")
+        check_picture(out, "--out")
         _portrait(world, chart(world)).save(out)
         if self.json:
             print_json(

@@ -19,7 +19,7 @@ from dream.names import look_up
 from dream.orders import Orders
 from dream.planning import PLANNERS, AnyPlanner, Asking
 from dream.planning.baselines.uivnav import weights_sha256
-from dream.planning.identity import prompts_sha256
+from dream.planning.identity import code_sha256, planner_name, prompts_sha256
 from dream.planning.vlm import stands_in
 from dream.planning.vlm.orders import read_orders
 from dream.protocol import SurveyProtocol, protocol_named
@@ -75,6 +75,12 @@ class Record:
             ValueError: There is no such planner here, it has other parameters, or asks another network.
         """
         name = self.config.planner
+        if self.config.planner_file:
+            # What a folder names is not run: it may be a stranger's.
+            raise ValueError(
+                f"planner: expected one of DREAM, got the file {self.config.planner_file}. To have "
+                "that decide again, name it: dream replay RUN --planner FILE.py"
+            )
         default = look_up(PLANNERS, name, "planner")
         try:
             planner = replace(default, **self.config.planner_parameters)
@@ -103,8 +109,8 @@ class Record:
     def was_flown_by(self, planner: AnyPlanner) -> bool:
         """Is it who decided, with the parameters of then?"""
         parameters = json.loads(json.dumps(asdict(planner)))
-        name = next(name for name, default in PLANNERS.items() if type(default) is type(planner))
-        return name == self.config.planner and parameters == self.config.planner_parameters
+        then = (self.config.planner, self.config.planner_sha256, self.config.planner_parameters)
+        return (planner_name(planner), code_sha256(planner), parameters) == then
 
     @property
     def orders(self) -> Orders | None:

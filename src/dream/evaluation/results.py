@@ -11,6 +11,7 @@ import gzip
 import hashlib
 import io
 import json
+import logging
 import re
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,6 +31,8 @@ from dream.evaluation.suites import WORLD_NAME
 from dream.files import write_whole
 from dream.protocol import protocol_named
 from dream.sim.worlds import origin
+
+logger = logging.getLogger(__name__)
 
 Float64Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -348,6 +351,24 @@ def read_results(folder: Path) -> Results:
     rows = tuple(_read_rows(_file_of(folder, "results.csv")))
     traces = _read_traces(_file_of(folder, "traces.csv.gz"), rows)
     return Results(manifest, rows, traces)
+
+
+def read_kept(folder: Path) -> Results:
+    """A benchmark folder, be it one that was broken off: all of its missions that are whole.
+
+    Raises:
+        FileNotFoundError: `folder` is no benchmark folder.
+        ValueError: Its manifest is damaged, or a table of a folder that holds no missions of its own.
+    """
+    if not (folder / "missions").is_dir():
+        return read_results(folder)
+    manifest, kept = read_manifest(folder), []
+    for path in sorted((folder / "missions").glob("*.json")):
+        try:
+            kept.append(read_mission(path))
+        except ValueError as damage:
+            logger.warning("%s; that mission is left out", damage)
+    return Results(manifest, tuple(f.row for f in kept), {f.row.key: f.trace for f in kept})
 
 
 def _cell(value: object) -> str:

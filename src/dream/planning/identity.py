@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import hashlib
-import inspect
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
-from dream.planning import AnyPlanner, Asking
+from dream.planning import PLANNERS, AnyPlanner, Asking
 from dream.planning.baselines.uivnav import weights_sha256
+from dream.planning.own import is_own, own_file, own_name, shown
 from dream.planning.vlm.prompts import own_prompts
+
+
+def planner_name(planner: AnyPlanner) -> str:
+    """The name of a planner on the command line; of one's own, that of its file."""
+    kind = type(planner)
+    names = (name for name, default in PLANNERS.items() if type(default) is kind)
+    return next(names, None) or own_name(kind)
 
 
 def identity(name: str, planner: AnyPlanner) -> dict[str, Any]:
@@ -28,7 +34,15 @@ def identity(name: str, planner: AnyPlanner) -> dict[str, Any]:
         "planner_parameters": asdict(planner),
         "weights_sha256": weights_sha256(planner),
         "prompts_sha256": prompts_sha256(planner),
+        **_own(planner),
     }
+
+
+def _own(planner: AnyPlanner) -> dict[str, Any]:
+    """Of a planner of one's own: its file, and what that holds."""
+    kind = type(planner)
+    file = own_file(kind) if is_own(kind) else None
+    return {} if file is None else {"planner_file": shown(file), "planner_sha256": code_sha256(planner)}
 
 
 def prompts_sha256(planner: AnyPlanner) -> dict[str, str]:
@@ -47,16 +61,15 @@ def files_given(planner: AnyPlanner) -> dict[str, str]:
     Raises:
         ValueError: One cannot be read.
     """
-    given = {"weights": weights_sha256(planner), "code": _code_sha256(type(planner))}
+    given = {"weights": weights_sha256(planner), "code": code_sha256(planner)}
     return prompts_sha256(planner) | {name: sha256 for name, sha256 in given.items() if sha256 is not None}
 
 
-def _code_sha256(kind: type) -> str | None:
-    """SHA-256 of the file of a class; None of the package's own, which `machine.source` tells."""
-    if kind.__module__.partition(".")[0] == "dream":
-        return None
+def code_sha256(planner: AnyPlanner) -> str | None:
+    """SHA-256 of the file of a planner; None of the package's own, which `machine.source` tells."""
+    kind = type(planner)
+    file = own_file(kind) if is_own(kind) else None
     try:
-        file = inspect.getsourcefile(kind)
-        return None if file is None else hashlib.sha256(Path(file).read_bytes()).hexdigest()
-    except (OSError, TypeError):
+        return None if file is None else hashlib.sha256(file.read_bytes()).hexdigest()
+    except OSError:
         return None

@@ -51,6 +51,11 @@ from tests.sim.arenas import FLOOR, arena, placed
 PLACES = [(-9.0, -9.0), (9.5, -9.5), (0.2, 10.5), (11.0, 4.0)]
 """Out of sight of the start, which is in the middle."""
 COUNT = 60
+PAPER_OFTEN = [
+    pytest.param(suite, marks=[] if suite == "paper" else [pytest.mark.slow, pytest.mark.rare])
+    for suite in KNOWN
+]
+"""Every suite with bounds; all but the paper's in `make test-slow` alone."""
 
 
 @pytest.fixture(scope="module")
@@ -342,7 +347,7 @@ def test_noise_changes_no_bounds() -> None:
         assert bounds.protocol == name
 
 
-@pytest.mark.parametrize("suite", KNOWN)
+@pytest.mark.parametrize("suite", PAPER_OFTEN)
 def test_bounds_that_come_with_the_package_are_of_the_worlds_of_today(suite: str) -> None:
     cases = _bounded(suite)
     # The worlds take a while: of the many, one of each four.
@@ -351,7 +356,7 @@ def test_bounds_that_come_with_the_package_are_of_the_worlds_of_today(suite: str
         assert bounds.world_hash == world_hash(make_world(case.world, case.seed)), case
 
 
-@pytest.mark.parametrize("suite", KNOWN)
+@pytest.mark.parametrize("suite", PAPER_OFTEN)
 def test_bounds_that_come_with_the_package_hold(suite: str) -> None:
     cases = _bounded(suite)
     every = [every_known()["dream-v1", case.world, case.seed, case.start] for case in cases]

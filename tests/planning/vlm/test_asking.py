@@ -15,7 +15,7 @@ import httpx2
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
-from dream.planning.vlm import asking, cassette, telling
+from dream.planning.vlm import asking, cassette, server_words
 from dream.planning.vlm.asking import Answer, Asking, Line, Question
 from dream.types import Asked
 from tests.model_server import SECRET, Request, Response, Server, error, says, serving
@@ -66,7 +66,7 @@ def test_who_the_server_says_answered_is_kept_in_one_line_and_without_a_key(
     with serving(says(SO, model=f"scripted-2026\n{SECRET}" + 300 * "x")) as server:
         exchange = ask(line(server, record=str(tmp_path))).exchange
         assert exchange.answered_by.startswith("scripted-2026 [key]xxx")
-        assert len(exchange.answered_by) == telling.MOST_SAID
+        assert len(exchange.answered_by) == server_words.MOST_SAID
         # A kept one says so too, and one kept before this was asked for still answers.
         again = line(server, replay_replies=str(tmp_path))
         assert ask(again).exchange.answered_by == exchange.answered_by

@@ -11,7 +11,7 @@ import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
 from dream.geometry import Bounds
-from dream.planning.vlm import asking, telling
+from dream.planning.vlm import asking, server_words
 from dream.planning.vlm.asking import Answer, Asking, Line, Question
 from dream.planning.vlm.orders import orders_reply
 from dream.planning.vlm.reply import choice_reply, dream_reply, ranked_reply, vanilla_reply
@@ -262,7 +262,7 @@ def test_words_of_a_server_are_short_and_plain_wherever_they_stand() -> None:
             assert len(server.asked) == 1
         assert told.startswith("rejected: HTTP 500: ]0;mine image input is not supported ... y y")
         assert told.isprintable()
-        assert len(told) < telling.MOST_SAID + 50
+        assert len(told) < server_words.MOST_SAID + 50
         assert SECRET not in told
 
 

@@ -85,6 +85,7 @@ def test_worlds_agree_with_the_rays(name: str, count: int) -> None:
     assert disagreeing(made, camera(48, 36), around_targets(made, count)) < 0.001
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["reef/mixed", "wreck/2", "wreck/3", "wreck/4", "wreck/5"])
 def test_more_worlds_agree_with_the_rays(name: str) -> None:

@@ -26,10 +26,10 @@ from dream.commands.dive.ready import Ready, opened
 from dream.commands.dive.tank import Tank, rehearse_mission, rehearse_return
 from dream.commands.dive.terminal import Terminal
 from dream.commands.ground import Ground
-from dream.commands.run import planner_name
 from dream.ending import asked_to_end
 from dream.geometry import Bounds
 from dream.planning import PLANNERS, AnyPlanner
+from dream.planning.identity import planner_name
 from dream.protocol import protocol_named
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from typing import Annotated
 import tyro
 
 from dream.commands.console import compiling_told, print_json
-from dream.commands.survey.sources import archive_at, named, warn_of_date
+from dream.commands.survey.sources import archive_at, check_archive, named, warn_of_date
 
 logger = logging.getLogger(__name__)
 
@@ -50,6 +50,7 @@ class Add:
         from dream.survey.site import read_site
 
         # What may be wrong here is read before a run is measured, which takes a while.
+        check_archive(self.archive)
         site = None if self.site is None else read_site(self.site)
         date = None if self.date is None else _moment(self.date)
         before = None

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import tyro
 
 from dream.commands.console import check_writable, compiling_told, print_json
-from dream.commands.survey.sources import found
+from dream.commands.survey.sources import check_archive, found
 from dream.commands.survey.words import slim_table
 from dream.telling import one_line, rich_console
 
@@ -52,6 +52,7 @@ class Compare:
         from dream.survey.change_map import write_change
         from dream.survey.comparison import Comparing, doubts
 
+        check_archive(self.archive)
         with _made_only_to_last(self.out):
             with compiling_told():
                 a, b = (found(what, self.archive, self.site) for what in (self.before, self.after))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from dream.commands.console import compiling_told, print_json, with_progress
-from dream.commands.survey.sources import archive_at, found
+from dream.commands.survey.sources import archive_at, check_archive, found
 
 if TYPE_CHECKING:
     from dream.survey import Survey
@@ -56,6 +56,7 @@ class Export:
     def __call__(self) -> int:
         """Exit status 0."""
         from dream.survey.products import OVER_TIME, Author, Species, export, page
+        from dream.survey.products.geotiff import check_installed
 
         for one, other, both in (
             (self.species, self.species_id, "--species and --species-id"),
@@ -65,6 +66,9 @@ class Export:
                 raise ValueError(f"export: expected both {both}, got one of them")
         if self.to.exists():  # Before a run is measured, which takes a while.
             raise ValueError(f"export: expected a folder that does not exist, got {self.to}. Choose another")
+        check_archive(self.archive)
+        if not self.only or {"geotiff", "mosaic"} & set(self.only):
+            check_installed()
         with compiling_told():
             survey = found(self.survey, self.archive, self.site)
             others = [found(one, self.archive, self.site) for one in self.earlier]

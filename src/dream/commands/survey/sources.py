@@ -28,6 +28,13 @@ def archive_at(where: str | None, *, begin: bool = False) -> AbstractContextMana
     return open_archive(where or os.environ.get(VARIABLE) or DEFAULT, begin=begin)
 
 
+def check_archive(where: str | None) -> None:
+    """Raise a ValueError where what the archive needs is not installed."""
+    from dream.survey.archive import VARIABLE, check_installed
+
+    check_installed(where or os.environ.get(VARIABLE) or "")
+
+
 def found(what: str, archive: str | None, site: Path | None = None) -> Survey:
     """The survey that somebody named, as `named` finds it, at a site.
 

@@ -10,7 +10,6 @@ import functools
 import importlib.resources
 import json
 import math
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from dream.compiling import thread_time
 from dream.control import setpoint
 from dream.evaluation.metrics import COMPLETE
 from dream.evaluation.oracle.graph import PoseGraph, actions_of, pose_graph
@@ -226,7 +226,7 @@ def tighten(
         world: Where.
         protocol: By which rules.
         start: Which of the world's start poses.
-        budget_s: Seconds of processor time, the views of the poses not counted.
+        budget_s: Seconds of processor time; the views of the poses and what is compiled are not counted.
         known: Bounds to begin with, of the same mission.
         hints: Gives walks to begin with, complete or not; see `walks_of`.
         seed: Of the search for tours.
@@ -235,7 +235,7 @@ def tighten(
     Raises:
         ValueError: There is no such start, or `known` is of another mission.
     """
-    began = time.thread_time()
+    began = thread_time()
     if not 0 <= start < len(world.starts):
         raise ValueError(f"start: expected 0 to {len(world.starts) - 1} for {world.name}, got {start}")
     if not 0.0 <= budget_s < math.inf:
@@ -265,16 +265,16 @@ def tighten(
     def bounds() -> Bounds:
         return Bounds(
             world.name, world.seed, start, protocol.name, digest, count, limits["full"], limits["t98"],
-            round(spent + time.thread_time() - began, 1),
+            round(spent + thread_time() - began, 1),
         )  # fmt: skip
 
     yield bounds()
-    until = time.thread_time() + budget_s
+    until = thread_time() + budget_s
     rounds = 0
-    while any(limit.status == "gap" for limit in limits.values()) and time.thread_time() < until:
+    while any(limit.status == "gap" for limit in limits.values()) and thread_time() < until:
         for improve, slice_ in ((_better_tour, TOUR_SLICE), (_better_bound, BOUND_SLICE)):
             for share, may_miss in allowed.items():
-                left = until - time.thread_time()
+                left = until - thread_time()
                 if limits[share].status == "gap" and left > 0.0:
                     part = min(left, max(slice_ * left, LEAST_SLICE))
                     limits[share] = improve(graph, may_miss, limits[share], walks[share], part, seed + rounds)

@@ -15,7 +15,6 @@ can pass at all, and at least how many actions each of them lacks. It looks only
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -23,6 +22,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from dream.compiling import thread_time
 from dream.evaluation.oracle._kernels import search
 from dream.evaluation.oracle.graph import BoolArray, Int32Array, PoseGraph, UInt64Array
 
@@ -109,7 +109,7 @@ def certify(
         raise ValueError(f"length: expected 0 or more, got {length}")
     if len(unseen) <= may_miss:
         return Certificate(0, (), ())
-    product = _Product(graph, may_miss, time.thread_time() + budget_s)
+    product = _Product(graph, may_miss, thread_time() + budget_s)
     hopeless = len(unseen) - len(product.nearest([graph.start], unseen))
     if hopeless > may_miss:
         raise ValueError(
@@ -540,7 +540,7 @@ class _Product:
         return tuple(int(np.flatnonzero(arcs[a] == b)[0]) for a, b in pairwise(poses))
 
     def check_time(self) -> None:
-        if time.thread_time() > self.until:
+        if thread_time() > self.until:
             raise _SpentError
 
 

@@ -9,7 +9,6 @@ shortest walk between two poses that sees what is wanted (`_connect`).
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dream.compiling import thread_time
 from dream.evaluation.oracle._kernels import tours as _kernels
 from dream.evaluation.oracle.graph import Int32Array, PoseGraph, UInt64Array
 
@@ -541,7 +541,7 @@ class _Search:
         """
         old = set() if before is None else set(self.graph.walk(before))
         idle = 0
-        while idle < tries and time.thread_time() < until:
+        while idle < tries and thread_time() < until:
             size = int(self.rng.integers(3, min(16, max(4, len(walk)))))
             fresh = [k for k, pose in enumerate(self.graph.walk(walk)) if pose not in old]
             if not fresh:
@@ -565,7 +565,7 @@ class _Search:
 
     def run(self, until: float) -> Iterator[int]:
         """Search until a time; yields the length of the best walk whenever there is a shorter one."""
-        began = time.thread_time()
+        began = thread_time()
         whole = _part(self.scene, self.graph.start, None, self.open, LONGEST, self.may_miss, LANDMARKS)
         if whole is None:
             return
@@ -579,13 +579,13 @@ class _Search:
         if current is None:
             return
         yield len(self.best or current)
-        while time.thread_time() < until and self.best:
-            before, now = len(self.best), time.thread_time()
+        while thread_time() < until and self.best:
+            before, now = len(self.best), thread_time()
             kind = self.rng.random()
             if in_beams <= BEAM_SHARE * (now - began):
                 weights = self.beams(whole, weights, width, before - 1)
                 width = min(2 * width, WIDEST)
-                in_beams += time.thread_time() - now
+                in_beams += thread_time() - now
             elif kind < 0.03:
                 current = self.best
             else:
@@ -597,14 +597,14 @@ class _Search:
     def start(self, until: float) -> list[int] | None:
         """The best of some walks that were each built anew and improved for a while."""
         every = [] if self.best is None else [self.polish(self.best, until, 40)]
-        while not every or time.thread_time() + START_S <= until:
-            end = min(until, time.thread_time() + START_S)
+        while not every or thread_time() + START_S <= until:
+            end = min(until, thread_time() + START_S)
             walk = self.complete([], LONGEST)
             if walk is None:
                 break
             self.offer(walk)
             walk = self.polish(walk, end, 40)
-            while time.thread_time() < end:
+            while thread_time() < end:
                 walk = self.change(walk, end)
             every.append(walk)
         return min(every, key=len, default=None)
@@ -643,12 +643,12 @@ def best_tour(
     Returns:
         Actions after the look-around; None where no walk of at most `LONGEST` actions was found.
     """
-    until = time.thread_time() + budget_s
+    until = thread_time() + budget_s
     search = _Search(_scene(graph), may_miss, seed)
     if len(search.open) <= may_miss:
         return ()
     for hint in hints:
-        if search.best is not None and time.thread_time() >= until:
+        if search.best is not None and thread_time() >= until:
             break
         search.offer(search.complete(search.pruned(hint), LONGEST))
         search.offer(search.complete(list(hint), LONGEST))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import json
 import math
 import zlib
@@ -62,6 +63,11 @@ class UivNav:
         check_count("walk_seed", self.walk_seed, 0, 2**63 - 1)
         if self.weights is not None and not isinstance(self.weights, str):
             raise ValueError(f"weights: expected the path of an ONNX file, got {self.weights!r}")
+
+    def check_installed(self) -> None:
+        """Raise a ValueError where what runs the network is not installed."""
+        if importlib.util.find_spec("onnxruntime") is None:
+            raise ValueError(EXTRA)
 
     def begin(self, mission: Mission) -> _Sighted:
         """A fresh pilot, the same for the same seed.

@@ -40,7 +40,7 @@ from dream.planning.vlm.refusals import (
     other_bound,
     refusal_in,
 )
-from dream.planning.vlm.telling import (
+from dream.planning.vlm.server_words import (
     ADDRESS,
     CONTEXT,
     FORMAT,

@@ -7,7 +7,7 @@ import re
 
 from pydantic import BaseModel, ValidationError
 
-from dream.planning.vlm.telling import one_line
+from dream.planning.vlm.server_words import one_line
 
 MOST_SEARCHED = 1 << 16
 """Characters at the end of a reply in which its answer is looked for; a whole answer has ten thousand."""

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from dream.planning.vlm.telling import (
+from dream.planning.vlm.server_words import (
     ADDRESS,
     CONTEXT,
     MODEL,
@@ -40,7 +40,7 @@ class Refusal:
 
     @property
     def about(self) -> str:
-        """What it will not take another time either; see `telling.never`."""
+        """What it will not take another time either; see `server_words.never`."""
         return never(self.words)
 
     @property

@@ -18,16 +18,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dream.robots.bluerov2.camera import opencv
-
 Float64Array = npt.NDArray[np.float64]
 Fields = Mapping[str, Any]
 
 PINHOLE_COUNTS = (4, 5, 8, 12, 14)
 """Coefficients that OpenCV's pinhole models have: k1 k2 p1 p2, k3, k4 k5 k6, s1 to s4, τx τy."""
 FISHEYE_COUNTS = (4,)
-_MOST_BYTES = 1 << 20
+_MOST_BYTES = 256 << 10
 _DEEPEST = 4
+_MOST_NODES = 20_000
+_EXPECTED = "expected YAML as OpenCV writes it"
 _MOST_NUMBERS = 64
 _OPENCV, _ROS, _MESSAGE, _KALIBR = (
     "OpenCV's calibration",
@@ -97,7 +97,7 @@ def parse(path: Path) -> Written:
     if size > _MOST_BYTES:
         raise ValueError(f"expected at most {_MOST_BYTES} bytes, got {size}")
     if not size:
-        raise ValueError("expected YAML as OpenCV writes it, got an empty file")
+        raise ValueError(f"{_EXPECTED}, got an empty file")
     found = _tree(path.read_bytes())
     kind, fields = _known(found)
     if missing := [name for name in _NEEDED if fields.get(name) is None]:
@@ -134,51 +134,105 @@ def parse(path: Path) -> Written:
 
 
 def _tree(content: bytes) -> Fields:
-    """The fields by their names in lower case, as far down as a lens is described."""
-    cv2 = opencv()
+    """The fields by their names in lower case, as far down as a lens is described.
+
+    OpenCV's own reader does not stand a damaged file: it writes where it must not.
+    """
     try:
         text = content.decode("utf-8-sig")
-        if "\0" in text:
-            raise ValueError("expected YAML as OpenCV writes it: it holds zeros")
-        storage = cv2.FileStorage(_as_opencv_reads(text), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        try:
-            root = storage.root()
-            if text.lstrip().startswith("# oST"):
-                raise ValueError("this is ROS's ost.txt. Give the ost.yaml that lies beside it")
-            if not root.isMap():
-                raise ValueError("expected fields by their names, such as image_width: 1920")
-            return {str(name).strip().lower(): _value(root.getNode(name)) for name in root.keys()}  # noqa: SIM118
-        finally:
-            storage.release()
-    except (cv2.error, UnicodeDecodeError, SystemError) as error:
-        # Python's own words for what OpenCV raised tell nothing of the file.
-        why = str(error.__cause__ or error).strip().splitlines()[-1]
-        raise ValueError(f"expected YAML as OpenCV writes it: {why[:160]}") from error
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{_EXPECTED}: {error}") from error
+    if text.lstrip().startswith("# oST"):
+        raise ValueError("this is ROS's ost.txt. Give the ost.yaml that lies beside it")
+    try:
+        fields = _of_xml(text) if text.lstrip().startswith("<") else _of_yaml(text)
+    except RecursionError as error:
+        raise ValueError(f"{_EXPECTED}: it nests too deeply") from error
+    if not isinstance(fields, dict):
+        raise ValueError(f"{_EXPECTED}, fields by their names such as image_width: 1920, got others")
+    return {name.strip(): value for name, value in fields.items()}
 
 
-def _as_opencv_reads(text: str) -> str:
-    """YAML as PyYAML and ROS write it, in the part of it that OpenCV reads.
+def _of_yaml(text: str) -> Any:
+    """What YAML, or JSON, says; only its nodes are looked at, nothing is made of its tags.
 
-    It wants a head, one document, and the dashes of a list further in than its name.
+    Raises:
+        ImportError: The reader is missing; the message says what to install.
+        ValueError: It is neither.
     """
-    if re.match(r"\s*[<{]", text):
-        return text
+    try:
+        from ruamel.yaml import YAML
+        from ruamel.yaml.error import YAMLError
+    except ImportError as error:
+        raise ImportError('A calibration file needs ruamel.yaml: pip install "dream-auv[rov]"') from error
+    # OpenCV's head is none of YAML's, and JSON may be indented by tabs.
     body = re.sub(r"\A\s*%YAML[^\n]*\n", "", text)
-    document = next((part for part in re.split(r"(?m)^(?:---|\.\.\.)[ \t]*$", body) if part.strip()), "")
-    return "%YAML:1.0\n---\n" + re.sub(r"(?m)^([ \t]*)- ", r"\1  - ", document)
+    body = body.expandtabs() if body.lstrip().startswith("{") else body
+    try:
+        node = next(iter(YAML(typ="safe", pure=True).compose_all(body)), None)
+    except (YAMLError, ValueError, AttributeError, TypeError) as error:
+        where = getattr(error, "problem_mark", None)
+        why = getattr(error, "problem", None) or str(error)
+        line = "" if where is None else f" in line {where.line + 1}"
+        raise ValueError(f"{_EXPECTED}: {_short(' '.join(str(why).split()))}{line}") from error
+    left = [_MOST_NODES]
+    return _of_node(node, left)
 
 
-def _value(node: Any, depth: int = 0) -> Any:
-    """Texts, numbers, lists of at most so many, and fields by name; None where it is none of these."""
-    if node.isString():
-        return node.string()
-    if node.isInt() or node.isReal():
-        return float(node.real())
-    if depth < _DEEPEST and node.isMap():
-        return {str(name).lower(): _value(node.getNode(name), depth + 1) for name in node.keys()}  # noqa: SIM118
-    if depth < _DEEPEST and node.isSeq() and node.size() <= _MOST_NUMBERS:
-        return [_value(node.at(k), depth + 1) for k in range(node.size())]
-    return None
+def _of_node(node: Any, left: list[int], depth: int = 0) -> Any:
+    """Texts, numbers, lists of at most so many, and fields by name; None where it is none of these.
+
+    Args:
+        node: As it is composed.
+        left: How many may still be looked at: one that is named twice is looked at twice.
+        depth: Below the file's own.
+    """
+    left[0] -= 1
+    if left[0] < 0:
+        raise ValueError(f"expected at most {_MOST_NODES} fields and numbers, got more")
+    value = getattr(node, "value", None)
+    if isinstance(value, str):
+        return _scalar(value) if node.style is None else value
+    if depth >= _DEEPEST or not isinstance(value, list):
+        return None
+    if node.id == "mapping":
+        return {str(name.value).lower(): _of_node(one, left, depth + 1) for name, one in value}
+    return [_of_node(one, left, depth + 1) for one in value] if len(value) <= _MOST_NUMBERS else None
+
+
+def _of_xml(text: str) -> Any:
+    """What OpenCV's XML says."""
+    from xml.etree import ElementTree
+
+    if "<!" in re.sub(r"(?s)<!--.*?-->", "", text):
+        raise ValueError(f"{_EXPECTED}: it holds declarations (<!...>)")
+    try:
+        root = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError) as error:
+        raise ValueError(f"{_EXPECTED}: {error}") from error
+    return {child.tag.lower(): _of_element(child) for child in root}
+
+
+def _of_element(element: Any, depth: int = 1) -> Any:
+    """The same of an element: fields where there are elements in it, a list where there are several words."""
+    if len(element):
+        if depth >= _DEEPEST:
+            return None
+        return {child.tag.lower(): _of_element(child, depth + 1) for child in element}
+    words = [word.strip('"') for word in (element.text or "").split()]
+    if len(words) > 1 or element.tag == "data":
+        return [_scalar(word) for word in words] if len(words) <= _MOST_NUMBERS else None
+    return _scalar(words[0]) if words else ""
+
+
+def _scalar(text: str) -> Any:
+    """A number where it is written as one, else the text; None where nothing stands there."""
+    if text in ("", "~", "null"):
+        return None
+    if re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text):
+        return float(text)
+    named = re.fullmatch(r"([-+]?)\.(inf|nan)", text, re.IGNORECASE)
+    return text if named is None else float(named[1] + named[2])
 
 
 def _known(found: Fields) -> tuple[str, Fields]:

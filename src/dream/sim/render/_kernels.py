@@ -33,9 +33,9 @@ RUSTY = 1.75
 # Shares of the light that come from the whole sky of water and straight from the sun, on level ground.
 AMBIENT, DIRECT = 0.42, 0.62
 
-
-_vector = njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-_inlined = njit(cache=True, nogil=True, error_model="numpy", fastmath=True, inline="always")
+# Every operation is rounded by itself: fused or reordered, pixels would differ between processors.
+_kernel = njit(cache=True, nogil=True, error_model="numpy")
+_inlined = njit(cache=True, nogil=True, error_model="numpy", inline="always")
 
 
 @_inlined
@@ -50,7 +50,7 @@ def _most(a: float, b: float, c: float) -> float:
     return c if c > most else most
 
 
-@_vector
+@_kernel
 def _cells(count: int, xs: Array, ys: Array, out: Array) -> None:
     """Between which centres of pixels each vertex lies: the row in the high half, the column in the low.
 
@@ -63,7 +63,7 @@ def _cells(count: int, xs: Array, ys: Array, out: Array) -> None:
         out[k] = (row << np.int32(16)) | column
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@_kernel
 def _fill(
     inverse_depth: Array,
     triangle: Array,
@@ -111,7 +111,7 @@ def _fill(
         w_row += wy
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@_kernel
 def _fill_clipped(
     inverse_depth: Array,
     triangle: Array,
@@ -149,7 +149,7 @@ def _fill_clipped(
             )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@_kernel
 def rasterize(
     rotation: Array,
     centre: Array,
@@ -300,7 +300,7 @@ def rasterize(
                 _fill(inverse_depth, triangle, name, x0, y0, w0, x1, y1, w1, x2, y2, w2, area)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@_kernel
 def resolve(
     inverse_depth: Array,
     triangle: Array,
@@ -342,7 +342,7 @@ def resolve(
 LIST = 3072
 
 
-@_vector
+@_kernel
 def _fixed(
     count: Number, p: Array, z: Array, drift: Number, scale: Number, offset: Number, most: Number, out: Array
 ) -> None:
@@ -351,7 +351,7 @@ def _fixed(
         out[i] = np.int32(min(max((p[i] - z[i] * drift) * scale + offset, 0.0), most))
 
 
-@_vector
+@_kernel
 def _levels(
     count: Number, depth_bits: Array, phases: Array, rise: Array, start: Number, slant: Number, most: Number,
     out: Array,
@@ -367,7 +367,7 @@ def _levels(
         out[i] = np.int32(min(max(level, np.float32(0.0)), np.float32(most)))
 
 
-@_vector
+@_kernel
 def _seabed_light(
     count: Number, place: Array, fine: Array, focus: Array, sun: Array, texture: Number, out: Array
 ) -> None:
@@ -459,7 +459,7 @@ def _mapped(texels: Array, x: Number, y: Number) -> Number:
     return blended
 
 
-@_vector
+@_kernel
 def _ground(
     count: Number, pixels: Array, materials: Array, texels: Array, map_x: Array, map_y: Array, place: Array
 ) -> None:
@@ -471,7 +471,7 @@ def _ground(
             place[i] = place[i - 1]
 
 
-@_vector
+@_kernel
 def _texture(
     count: Number, texels: Array, starts: Array, bits: Number, levels: Array, x: Array, y: Array, out: Array
 ) -> None:
@@ -480,7 +480,7 @@ def _texture(
         out[i] = _tiled(texels, starts, bits, levels[i], x[i], y[i])
 
 
-@_vector
+@_kernel
 def _focus(
     count: Number, texels: Array, z: Array, low: Number, step: Number, light: Array, out: Array
 ) -> None:
@@ -491,7 +491,7 @@ def _focus(
         out[i] = np.float32(1.0) + light[row, 3] * (np.float32(4.0) * lane(texels[i], 0) - np.float32(1.0))
 
 
-@_vector
+@_kernel
 def _rays(
     start: Number, step: Number, across: Number, lean: Number, turn: Number, stretch: Array, rise: Array
 ) -> None:
@@ -507,7 +507,7 @@ def _rays(
         rise[u] = (lean + turn * right) / length
 
 
-@_vector
+@_kernel
 def _surfaces(
     v: Number, count: Number, solids: Number, triangle: Array, depth: Array, entity_material: Array,
     eye: Array, base: Array, step: Array, stretch: Array, rise: Array, veil: Array, encode: Array,
@@ -545,7 +545,7 @@ def _surfaces(
     return count, solids
 
 
-@_vector
+@_kernel
 def _seabed_growth(
     count: Number, place: Array, fine: Array, texture: Number, grown: Number, out: Array
 ) -> None:
@@ -556,7 +556,7 @@ def _seabed_growth(
         out[i] = grown * _clamped(share * np.float32(3.0) + np.float32(0.3))
 
 
-@_vector
+@_kernel
 def _seabed_colour(
     count: Number,
     fine: Array,
@@ -573,7 +573,7 @@ def _seabed_colour(
         out[i] = bright[i] * (_mixed(bare, alive, growth[i]) + chips * lane(fine[i], 1))
 
 
-@_vector
+@_kernel
 def _solids(
     count: Number, eye: Array, names: Array, materials: Array, px: Array, py: Array, pz: Array, levels: Array,
     place: Array, focus: Array, clusters: Array, face_shade: Array, entity_cluster: Array, inverse: Array,
@@ -668,7 +668,7 @@ def _solids(
         colour[0, i], colour[1, i], colour[2, i] = red * bright, green * bright, blue * bright
 
 
-@_vector
+@_kernel
 def _behind_water(
     count: Number, pixels: Array, depths: Array, lengths: Array, slants: Array, z: Array, low: Number,
     step: Number, light: Array, water: Array, water_step: Number, veil: Array, encode: Array,
@@ -693,7 +693,7 @@ def _behind_water(
         rgb[pixel, 2] = encode[min(np.uint32(blue * full), np.uint32(4095))]
 
 
-@_vector
+@_kernel
 def shade(
     triangle: Array,
     depth: Array,
@@ -849,7 +849,7 @@ def shade(
         count = solids = 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@_kernel
 def snow(depth: Array, focal: Array, flakes: Array, size: float, color: Array, rgb: Array) -> None:
     """Draw soft flakes (N, 3), in camera axes and `size` metres across, over what lies behind them."""
     height, width = depth.shape

@@ -103,8 +103,14 @@ def rotation_matrices(wxyz: Array) -> Array:
 
 def linear_from_srgb(srgb: Array) -> Array:
     """Linear light in [0, 1], float32, of 8-bit sRGB (IEC 61966-2-1)."""
-    value = np.asarray(srgb, np.float32) / np.float32(255.0)
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    return _LINEAR[srgb]
+
+
+# One value at a time: NumPy's power of a whole array rounds otherwise on a processor with wider registers.
+_LINEAR = np.array(
+    [v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in (k / 255.0 for k in range(256))],
+    np.float32,
+)
 
 
 def build_scene(world: World) -> Scene:

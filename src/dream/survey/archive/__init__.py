@@ -19,7 +19,7 @@ DEFAULT = "surveys.gpkg"
 VARIABLE = "DREAM_ARCHIVE"
 """Of the environment, which names another."""
 
-__all__ = ["DEFAULT", "VARIABLE", "Archive", "Entry", "open_archive"]
+__all__ = ["DEFAULT", "VARIABLE", "Archive", "Entry", "check_installed", "open_archive"]
 
 
 class Archive(Protocol):
@@ -70,6 +70,14 @@ class Archive(Protocol):
             ValueError: There is none, or it is damaged.
         """
         ...
+
+
+def check_installed(where: str) -> None:
+    """Raise a ValueError where an archive there needs what is not installed."""
+    if "://" in where:
+        from dream.survey.archive.postgis import import_psycopg
+
+        import_psycopg()
 
 
 def open_archive(where: str, *, begin: bool = False) -> AbstractContextManager[Archive]:

@@ -119,7 +119,7 @@ class GeoPackageArchive(Keeping):
                 try:
                     self._migrate(begin=begin)
                 except sqlite3.OperationalError as error:
-                    if begin or error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_READONLY:
+                    if begin or _code(error) != sqlite3.SQLITE_READONLY:
                         raise
                     self._go_on_with_a_copy()
         except BaseException:
@@ -348,7 +348,7 @@ class GeoPackageArchive(Keeping):
         except (UnicodeDecodeError, struct.error) as error:
             raise ValueError(f"{self._path}: expected an archive of surveys, got a damaged file") from error
         except sqlite3.DatabaseError as error:
-            code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
+            code = _code(error)
             if code == sqlite3.SQLITE_INTERRUPT:
                 # It was stopped in time: by Ctrl-C, which a callback from C does not hand on.
                 if not self._is_late():
@@ -364,6 +364,12 @@ class GeoPackageArchive(Keeping):
             ) from error
         finally:
             self._until = outer
+
+
+def _code(error: sqlite3.DatabaseError) -> int:
+    """SQLite's own number of what failed; that of damage where Python, which raised it itself, has none."""
+    code: int = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT)
+    return code & 0xFF
 
 
 _FAILED = {

@@ -52,7 +52,7 @@ class PostgisArchive(Keeping):
             OSError: The server cannot be reached.
             ValueError: The URL is none, or the tables are of a later version.
         """
-        pg = _psycopg()
+        pg = import_psycopg()
         from dream.survey.archive.patience import CONNECTING, PatientConnection
 
         if not url.startswith(("postgresql://", "postgres://")):
@@ -200,7 +200,7 @@ class PostgisArchive(Keeping):
         Raises:
             OSError: Whether it was kept is not known.
         """
-        pg = _psycopg()
+        pg = import_psycopg()
         done = False
         try:
             with self._connection.transaction():
@@ -233,7 +233,7 @@ class PostgisArchive(Keeping):
         version = self._version()
         if version == len(MIGRATIONS):
             return
-        pg = _psycopg()
+        pg = import_psycopg()
         try:
             self._bring_up_to_date(begin=begin)
         except pg.errors.InsufficientPrivilege as error:
@@ -269,7 +269,7 @@ class PostgisArchive(Keeping):
             self._wait_for_statements(STATEMENT)
 
     def _begin(self) -> None:
-        pg = _psycopg()
+        pg = import_psycopg()
         extension = self._connection.execute("SELECT 1 FROM pg_extension WHERE extname = 'postgis'")
         if extension.fetchone() is None:
             try:
@@ -328,7 +328,7 @@ class PostgisArchive(Keeping):
     @contextlib.contextmanager
     def _told(self) -> Iterator[None]:
         """Say what the server complains of in words of the archive, and no password."""
-        pg = _psycopg()
+        pg = import_psycopg()
         try:
             yield
         except pg.Error as error:
@@ -409,7 +409,12 @@ def _shown(parts: dict[str, Any]) -> str:
     return f"postgresql://{user}{parts.get('host', '')}{port}/{parts.get('dbname', '')}"
 
 
-def _psycopg() -> Any:
+def import_psycopg() -> Any:
+    """It is an extra.
+
+    Raises:
+        ValueError: It is not installed.
+    """
     try:
         import psycopg
     except ImportError as error:

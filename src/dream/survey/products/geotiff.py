@@ -9,6 +9,7 @@ for cells of 0.25 m.
 
 from __future__ import annotations
 
+import importlib.util
 import math
 from dataclasses import dataclass
 from datetime import UTC
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 
 Float64Array = npt.NDArray[np.float64]
 
+EXTRA = 'Maps need rasterio and pyproj: pip install "dream-auv[survey]"'
 FINER = 4
 """Cells of the sheet along one of the map."""
 MOST_CELLS = 100_000_000
@@ -301,6 +303,12 @@ def _overviews(sheet: Sheet) -> int:
     return max(0, math.ceil(math.log2(max(sheet.rows, sheet.cols) / BLOCK)))
 
 
+def check_installed() -> None:
+    """Raise a ValueError where what maps need is not installed."""
+    if any(importlib.util.find_spec(name) is None for name in ("rasterio", "pyproj")):
+        raise ValueError(EXTRA)
+
+
 def import_rasterio() -> Any:
     """It is an extra, and slow to import.
 
@@ -311,5 +319,5 @@ def import_rasterio() -> Any:
         import rasterio
         import rasterio.crs
     except ImportError as error:
-        raise ValueError('GeoTIFFs need rasterio: pip install "dream-auv[survey]"') from error
+        raise ValueError(EXTRA) from error
     return rasterio
