@@ -195,7 +195,8 @@ def test_the_end_waits_for_one_who_reads_late(pipe: Placed, pause: float) -> Non
 def test_what_fits_into_a_pipe_is_whole_however_late_it_is_read(pipe: Placed) -> None:
     text = "z" * (SMALL - 1) + "\n"
     pipe.write(text)
-    assert pipe.close(10.0) == 0
+    wait(lambda: not pipe.way._waiting)
+    assert pipe.close(0.1) == 0
     assert pipe.read("\n") == text
 
 

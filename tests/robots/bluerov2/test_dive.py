@@ -848,8 +848,8 @@ def _written_to(target: object) -> str:
     ("place", "leaks", "said"),
     [
         ("frames", False, "the disk is full: could not write step 2"),
-        ("observations", False, "the disk is full: could not write"),
-        ("log.mcap", True, "dive: water in the hull"),
+        pytest.param("observations", False, "the disk is full: could not write", marks=pytest.mark.rare),
+        pytest.param("log.mcap", True, "dive: water in the hull", marks=pytest.mark.rare),
         ("", True, "dive: water in the hull; could not write"),
     ],
 )
