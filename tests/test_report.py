@@ -472,6 +472,12 @@ def test_a_browser_shows_what_a_model_saw_and_said(asked: Path, tmp_path: Path) 
     assert "<title>reef/string seed 3, sixsteps · DREAM</title>" in dom
 
 
+def test_what_is_hidden_is_not_laid_out_whatever_else_its_class_says(asked: Path) -> None:
+    page = write_report(asked).read_text()
+    assert 'class="outcome" id="without-answer" hidden' in page
+    assert re.search(r"^\[hidden\] \{ display: none !important; \}$", page, re.MULTILINE)
+
+
 @pytest.mark.slow
 def test_a_browser_shows_why_a_reply_was_not_followed_and_at_its_head_that_none_counted(
     asked: Path, tmp_path: Path
