@@ -167,6 +167,19 @@ def test_the_last_line_is_told_why_no_other_follows_and_is_the_same_else(why: st
     assert summary.why == why
 
 
+@pytest.mark.parametrize("tail", [b'{"step":4,"decision"', b"\n", b"nothing}\n", b"}\n", b"\x00" * 40])
+def test_what_is_torn_behind_the_last_line_stays_as_it_is(tail: bytes, tmp_path: Path) -> None:
+    steps = record(painted_mission(5), tmp_path)
+    list(itertools.islice(steps, 3))
+    steps.close()
+    path = tmp_path / "steps.jsonl"
+    torn = path.read_bytes() + tail
+    path.write_bytes(torn)
+    write_summary(tmp_path, ABORTED)
+    assert path.read_bytes() == torn
+    assert read_summary(tmp_path) is not None
+
+
 @pytest.mark.parametrize("name", ["map.npz", "observations/0005.npz", "log.mcap"])
 def test_why_it_ended_does_not_tell_where_the_folder_lay(name: str, tmp_path: Path) -> None:
     write_summary(tmp_path, {**ABORTED, "why": f"the disk is full: could not write {tmp_path / name} (none)"})

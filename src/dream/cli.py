@@ -8,6 +8,7 @@ import logging
 import re
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -97,9 +98,11 @@ def _dispatch(name: str, arguments: list[str]) -> int:
     from dream.commands.console import check_no_world
 
     kind = getattr(commands, name.capitalize())
-    own = name == "run" and bool(arguments) and arguments[0].endswith(".py")
-    if own:
-        kind, arguments = commands.run_with(arguments[0]), [Path(arguments[0]).name, *arguments[1:]]
+    own = _own_planner(arguments) if name == "run" else None
+    if own is not None:
+        file = arguments[own]
+        kind = commands.run_with(file)
+        arguments = [*arguments[:own], Path(file).name, *arguments[own + 1 :]]
     complaints = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaints):
@@ -120,13 +123,28 @@ def _dispatch(name: str, arguments: list[str]) -> int:
             complaint = _one_line(complaints.getvalue())
             stray = re.match(r"Unrecognized options: (\S+?)\.? ", complaint)
             check_no_world(name, stray[1] if stray else arguments[0] if arguments else "")
-            if name in ("run", "dive") and not own:
+            if name in ("run", "dive") and own is None:
                 _check_planner(complaint, arguments)
             return _fail(complaint, BAD_INPUT)
         return 0
     with clean_streams():
         status: int = command()
     return status
+
+
+def _own_planner(arguments: Sequence[str]) -> int | None:
+    """Where the file of a planner stands in the place of a planner's name; None where none does."""
+    from dream import commands
+    from dream.planning.own import SUFFIX
+
+    flags = {f"--{one.name.replace('_', '-')}" for one in fields(commands.Run) if one.type in (bool, "bool")}
+    for place, word in enumerate(arguments):
+        before = arguments[place - 1] if place else ""
+        # Behind an option that takes a value it is that value.
+        named = not before.startswith("-") or before in flags or "=" in before
+        if word.endswith(SUFFIX) and not word.startswith("-") and named:
+            return place
+    return None
 
 
 def _numbers() -> ConstructorRegistry:

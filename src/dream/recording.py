@@ -683,7 +683,7 @@ def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
     if checked.ended == "aborted" and checked.why:
         try:
             _tell_last_step(folder / "steps.jsonl", checked.why)
-        except OSError as error:
+        except (OSError, ValidationError) as error:
             logger.debug("steps.jsonl does not say why the mission ended: %s", error)
     _replace(folder / "summary.json", checked)
 
@@ -698,14 +698,15 @@ def _tell_last_step(path: Path, why: str) -> None:
     with path.open("r+b", buffering=0) as lines:
         size = lines.seek(0, os.SEEK_END)
         lines.seek(max(0, size - MAX_LINE_BYTES))
-        last = lines.read(MAX_LINE_BYTES).rpartition(b"}\n")[0].rpartition(b"\n")[2]
-        if not last or RecordedStep.model_validate_json(last + b"}").why:
+        whole, end, torn = lines.read(MAX_LINE_BYTES).rpartition(b"}\n")
+        last = whole.rpartition(b"\n")[2] + end
+        if torn or not end or RecordedStep.model_validate_json(last).why:
             return
-        end = f',"why":{json.dumps(why)}}}\n'.encode()
-        at = lines.seek(size - len(b"}\n"))
+        told = f',"why":{json.dumps(why)}}}\n'.encode()
+        at = lines.seek(size - len(end))
         try:
-            while end:
-                end = end[lines.write(end) :]
+            while told:
+                told = told[lines.write(told) :]
         except OSError:
             lines.seek(at)
             lines.write(b"}\n")

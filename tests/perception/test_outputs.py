@@ -410,7 +410,10 @@ def test_names_in_another_order_than_the_models_own_are_refused(
     assert (seen(path, {**SWAPPED, "names_from": "sidecar"})[0][:, :16] == Label.WATER).all()
 
 
-@pytest.mark.parametrize("names", ["{0: 'shell', 1: 'fish'}", "['oyster', 'fish', 'net']", "{0: 'oyster'}"])
+@pytest.mark.parametrize(
+    "names",
+    ["{0: 'shell', 1: 'fish'}", "['oyster', 'fish', 'net']", "{0: 'oyster'}", "fish, oyster", "oyster\nnet"],
+)
 def test_other_names_than_the_models_own_are_refused(names: str) -> None:
     sidecar = Sidecar.model_validate({**TWO, "classes": {"oyster": "target", "fish": "water"}})
     with pytest.raises(ValueError, match="the model's own 'names' say"):
@@ -426,6 +429,8 @@ def test_other_names_than_the_models_own_are_refused(names: str) -> None:
         {"names": "{0: 'class0', 1: 'class1'}"},
         {"names": "__import__('os').getcwd()"},
         {"labels": "what a reef shows"},
+        {"labels": "see the paper, table 3"},
+        {"classes": "two, in the order of the paper"},
         {"names": "[" * 10_000},
         {"names": "{0: 'oyster', 0: 'fish', 7: 'net'}"},
     ],

@@ -90,6 +90,20 @@ def test_a_file_where_a_planners_name_stands_is_flown_with_its_options_and_a_rep
     assert "expected a run with its observations" in capsys.readouterr().err
 
 
+def test_options_may_stand_before_the_file_and_a_file_may_be_an_options_value(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = written(tmp_path)
+    for before in (["--seed", "2"], ["--json"], ["--seed=2", "--json"]):
+        words = ["run", *before, path.name, *WORLD, "--out", "runs"]
+        assert run_command(words) == 0
+        assert read_config(tmp_path / "runs/latest").planner == "my-planner.py"
+    words = ["run", "lawnmower", "--out", "folder.py", *WORLD]
+    assert run_command(words) == 0
+    assert read_config(tmp_path / "folder.py/latest").planner == "lawnmower"
+
+
 def test_what_decided_decides_again(run: Callable[..., tuple[int, str]], tmp_path: Path) -> None:
     path = written(tmp_path)
     assert run(path.name)[0] == 0
@@ -196,7 +210,7 @@ def test_other_rules_allow_other_decisions(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("missing", ["nowhere.py", "runs/nowhere.py", "."])
 def test_a_file_that_is_not_there_is_told(missing: str, tmp_path: Path) -> None:
-    with pytest.raises(PlannerFailed, match="no file"):
+    with pytest.raises(FileNotFoundError, match="no file"):
         own_planner(tmp_path / missing)
 
 

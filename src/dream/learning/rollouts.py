@@ -234,8 +234,11 @@ def read(path: Path) -> Frames | None:
     """The frames in a file; None where there is none, or a damaged one."""
     try:
         with arrays.opened(path, "the frames of a lesson") as content:
+            shape = content.headers["images"].shape
+            if shape != (*shape[:1], 2, HEIGHT, WIDTH):
+                return None
             images, odds = content["images"], content["odds"]
-    except (OSError, ValueError):
+    except (KeyError, OSError, ValueError):
         return None
     count = len(images) if images.ndim else -1
     right = images.shape == (count, 2, HEIGHT, WIDTH) and images.dtype == np.uint8

@@ -204,20 +204,23 @@ def ultralytics(metadata: Mapping[str, str], classes: Mapping[str, str] | None =
         raise ValueError(f"model's metadata: {_reasons(error)}") from error
 
 
-def named(metadata: Mapping[str, str]) -> tuple[str, list[str]] | None:
+def named(metadata: Mapping[str, str], known: Iterable[str]) -> tuple[str, list[str]] | None:
     """The entry of a model's metadata that names its classes, and the names in their order.
 
     None where there is no such entry, it cannot be read, or its names are made up by the exporter.
     """
     for entry in NAMED:
-        names = _listed(metadata.get(entry, ""))
+        names = _listed(metadata.get(entry, ""), known)
         if names and not all(NOT_NAMED.fullmatch(name.strip().lower()) for name in names):
             return entry, names
     return None
 
 
-def _listed(text: str) -> list[str] | None:
-    """Names in a list, or in a table from their numbers, of JSON or Python; else between commas or lines."""
+def _listed(text: str, known: Iterable[str]) -> list[str] | None:
+    """Names in a list, or in a table from their numbers, of JSON or Python; else between commas or lines.
+
+    The latter only where one of them is known: any sentence may have commas.
+    """
     if not 0 < len(text) <= MOST_TEXT:
         return None
     try:
@@ -228,7 +231,8 @@ def _listed(text: str) -> list[str] | None:
         except (ValueError, SyntaxError, MemoryError, RecursionError):
             # A sentence names nothing, and what looks like a table or a call is no list of names.
             value = re.split(r"[,\n]", text.strip()) if not re.search(r"[\[\]{}()]", text) else None
-            value = None if value is not None and len(value) < 2 else value
+            told = {_plain(name) for name in value or ()}
+            value = value if len(told) > 1 and not told.isdisjoint(map(_plain, known)) else None
     if isinstance(value, dict):
         try:
             by_number = {int(number): name for number, name in value.items()}
@@ -249,7 +253,7 @@ def check_names(sidecar: Sidecar, metadata: Mapping[str, str]) -> None:
     Raises:
         ValueError: The message has both lists, and what to write for either to be right.
     """
-    own = named(metadata)
+    own = named(metadata, sidecar.classes)
     if own is None or sidecar.names_from == "sidecar" or sidecar.output not in LABELLING:
         return
     entry, names = own

@@ -53,11 +53,11 @@ def own_planner(path: Path) -> Any:
     planner is the one dataclass that it defines with a method `begin`.
 
     Raises:
-        PlannerFailed: There is no such file, it cannot be run, or it does not define one planner; the message
-            names file and line.
+        FileNotFoundError: There is no such file.
+        PlannerFailed: It cannot be run, or does not define one planner; the message names file and line.
     """
     if not path.is_file():
-        raise PlannerFailed(f"no file {path}. Expected one with a planner of your own")
+        raise FileNotFoundError(f"no file {path}. Expected one with a planner of your own")
     file = path.resolve()
     name = f"own_{re.sub(r'[^A-Za-z0-9]', '_', file.stem)}"
     spec = importlib.util.spec_from_file_location(name, file)
