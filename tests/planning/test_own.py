@@ -166,7 +166,7 @@ def test_what_cannot_fly_is_told_with_file_and_line_before_there_is_a_folder(
         ),
         ("(0.5, 1.0)", "or 2 m (dream-v1), got a tuple"),
         ("Decision(math.pi / 4)", "got a turn of 45° and an advance of 0 m"),
-        ("Decision(30.0)", "got a turn of 1718.87° and an advance of 0 m"),
+        ("Decision(30.0)", "an advance of 0 m. A turn is in radians: math.radians(30)"),
         ("Decision(0.0, 1.5)", "got a turn of 0° and an advance of 1.5 m"),
         ("Decision(0.0, 1.0, reasoning='on')", "got as reasoning a str, not a Reasoning"),
         ("Decision(0.0, 1.0, done='no')", "decision: done stays where it is"),

@@ -161,7 +161,12 @@ def check_decision(decision: Any, protocol: SurveyProtocol, decide: Callable[...
         return
     else:
         got = f"a turn of {math.degrees(decision.turn):g}° and an advance of {decision.advance:g} m"
-    raise PlannerFailed(f"{_at(decide)}: step {step}: expected {_allowed(protocol)}, got {got}")
+    ask = ""
+    if isinstance(decision, Decision) and any(
+        abs(decision.turn - math.degrees(turn)) <= ROUNDING for turn in protocol.turn_angles if turn != 0.0
+    ):
+        ask = f". A turn is in radians: math.radians({decision.turn:g})"
+    raise PlannerFailed(f"{_at(decide)}: step {step}: expected {_allowed(protocol)}, got {got}{ask}")
 
 
 def _no_number(decision: Decision) -> str:
