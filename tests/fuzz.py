@@ -26,7 +26,7 @@ import time
 import warnings
 import zipfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
 
@@ -112,6 +112,47 @@ def _run(name: str) -> Kind:
 
     readers = {"config.json": read_config, "steps.jsonl": read_steps, "summary.json": read_summary}
     return Kind(seeds, _file(f"run/{name}", lambda path: readers[name](path.parent)))
+
+
+def _replies() -> Kind:
+    from dream.recording import read_exchanges, record
+    from tests.recorded_runs import exchange, painted_mission
+
+    def seeds(folder: Path) -> list[bytes]:
+        run = folder / "run"
+        run.mkdir()
+        (step,) = painted_mission(1)
+        answered = exchange(pictures={"map": b"a picture"}, answered_by="painted-1", outcome="followed")
+        lacks = ("no JSON object", "step_m: Field required")
+        failed = exchange(replies=("Left.", "{}"), lacks=lacks, fallback="invalid", requests=2, cost_usd=None)
+        asked = replace(step, decision=replace(step.decision, exchanges=(answered, failed)))
+        for _ in record([asked], run):
+            pass
+        paths = [run / "replies" / name for name in ("0000.json", "0000-2.json")]
+        found = [path.read_bytes() for path in paths]
+        paths[1].unlink()
+        return found
+
+    return Kind(seeds, _file("run/replies/0000.json", lambda path: read_exchanges(path.parents[1], 0)))
+
+
+def _cassette() -> Kind:
+    from dream.planning.vlm.cassette import Outcome, keep, play, prepare
+
+    outcomes = (
+        Outcome(('{"direction": "left"}',), "", 1, 2500, 210, 0.0075, 3.25, "painted-1"),
+        Outcome((), "timeout: no answer within 60 s", 1, cost_usd=None, seconds=60.0),
+    )
+
+    def seeds(folder: Path) -> list[bytes]:
+        prepare(folder)
+        found = []
+        for outcome in outcomes:
+            keep(folder, "seed", outcome, "dream 1", "Where to?", {"map": b"a picture"})
+            found.append((folder / "seed.json").read_bytes())
+        return found
+
+    return Kind(seeds, _file("kept.json", lambda path: play(path.parent, path.stem, "dream 1")))
 
 
 def _map() -> Kind:
@@ -214,6 +255,19 @@ def _results(name: str) -> Kind:
         return [(root / name).read_bytes()]
 
     return Kind(seeds, _file(f"bench/{name}", lambda path: read_results(path.parent)))
+
+
+def _mission() -> Kind:
+    from dream.evaluation.results import Flown, mission_path, read_mission, read_results, write_mission
+
+    results = read_results(Path(__file__).parent.parent / "results/sweep/reach-4")
+    row = min(results.rows, key=lambda row: row.steps)
+    name = str(mission_path(Path(), row.key))
+
+    def seeds(folder: Path) -> list[bytes]:
+        return [write_mission(folder, Flown(row, results.traces[row.key])).read_bytes()]
+
+    return Kind(seeds, _file(name, read_mission))
 
 
 def _bounds() -> Kind:
@@ -376,6 +430,9 @@ KINDS: dict[str, Callable[[], Kind]] = {
     **{f"bench-{name}": (lambda name=name: _results(name)) for name in (  # type: ignore[misc]
         "manifest.json", "results.csv", "traces.csv.gz",
     )},
+    "run-replies": _replies,
+    "bench-mission": _mission,
+    "cassette": _cassette,
     "map": _map,
     "observation": _observation,
     "prior": _prior,
