@@ -305,7 +305,7 @@ def test_objects_may_share_the_vertices_of_one_before(tmp_path: Path) -> None:
         (BOX.replace("0.6\nf", "-0.6\nf"), "object 0: expected colours from 0 to 1, got -0.6"),
         (BOX.replace("0.6\nf", "nan\nf"), "object 0: expected colours from 0 to 1, got nan"),
         (BOX + "o rope\nv 0 0 0\nl 1 2\n", "object 1 (rope): expected faces, got none"),
-        (BOX.replace("f 1 4 3", "f \x1b[31m"), 'got "f ?[31m"'),
+        (BOX.replace("f 1 4 3", "f \x1b[31m"), 'got "f \\x1b[31m"'),
         (STAR, "line 10: expected a polygon that is a fan"),
     ],
 )  # fmt: skip

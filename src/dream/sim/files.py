@@ -29,7 +29,7 @@ import numpy.typing as npt
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from dream.geometry import SE2, Bounds
-from dream.sim.formats import MOST_TOLD, Said, csv, printable, read_heights, read_table, readable, text
+from dream.sim.formats import MOST_TOLD, Said, csv, read_heights, read_table, readable, text
 from dream.sim.sampling import FACTOR, MILLIMETRE, QUATERNION, quantised
 from dream.sim.validity import (
     FARTHEST,
@@ -48,6 +48,7 @@ from dream.sim.validity import (
 from dream.sim.water import Water
 from dream.sim.wavefront import obj, read_meshes
 from dream.sim.world import Instances, Mesh, Terrain, World
+from dream.telling import one_line
 
 
 def _named(text: str) -> str:
@@ -353,7 +354,7 @@ def _lying(world: World, names: list[str]) -> Iterator[str]:
             upright, seabed = 2.0 * (y * z + w * x), float(world.terrain.height(*place[:2]))
             if upright < 0.5 and abs(place[2] - seabed) <= 0.1 * (z1 - z0) * float(table.scale[row, 2]):
                 told.add(k)
-                called = f"object {k} ({printable(names[k][:40])})" if names[k] else f"object {k}"
+                called = f"object {k} ({one_line(names[k])[:40]})" if names[k] else f"object {k}"
                 yield (
                     f"{called}: begins at y = 0 and lies half in the seabed ({name}[{row}]). Is y up? Say "
                     '"up": "y" under "meshes" in world.json and all are turned, or "up": "z" if it is right'

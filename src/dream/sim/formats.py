@@ -15,6 +15,7 @@ import numpy.typing as npt
 from dream import arrays
 from dream.sim.sampling import FACTOR, MILLIMETRE, QUATERNION, quantised
 from dream.sim.world import Instances
+from dream.telling import one_line
 
 COLUMNS = "mesh,x,y,z,qw,qx,qy,qz,sx,sy,sz,red,green,blue,group"
 MOST_BYTES = 256 * 1024 * 1024
@@ -57,11 +58,6 @@ def text(path: Path) -> str:
         ) from None
 
 
-def printable(words: str) -> str:
-    """Words of a file as they may stand in a message."""
-    return "".join(letter if letter.isprintable() else "?" for letter in words)
-
-
 def read_heights(path: Path, shape: tuple[int, int]) -> npt.NDArray[np.float32]:
     """The float32 array of that shape."""
     return arrays.read(path, f"a float32 array {shape} as world.json says", shape, np.float32)
@@ -102,7 +98,7 @@ def read_table(path: Path, rows: int | None) -> tuple[Instances, list[Said]]:
     """
     header, *lines = text(path).splitlines() or [""]
     if header.strip() != COLUMNS:
-        raise ValueError(f'{path.name}: expected the header "{COLUMNS}", got "{printable(header[:80])}"')
+        raise ValueError(f'{path.name}: expected the header "{COLUMNS}", got "{one_line(header)[:80]}"')
     refused = []
     if rows is not None and len(lines) != rows:
         refused.append(
@@ -121,7 +117,7 @@ def read_table(path: Path, rows: int | None) -> tuple[Instances, list[Said]]:
         except (ValueError, OverflowError):
             wrong += 1
             if wrong <= MOST_TOLD:
-                refused.append(f'row {k}: expected 15 numbers ({COLUMNS}), got "{printable(line[:80])}"')
+                refused.append(f'row {k}: expected 15 numbers ({COLUMNS}), got "{one_line(line)[:80]}"')
     if wrong > MOST_TOLD:
         refused.append(f"{wrong - MOST_TOLD} more rows like these")
     with np.errstate(over="ignore"):

@@ -14,10 +14,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from dream.sim.formats import Said, printable, text
+from dream.sim.formats import Said, text
 from dream.sim.sampling import MILLIMETRE, quantised
 from dream.sim.winding import turned
 from dream.sim.world import Mesh
+from dream.telling import one_line
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -176,7 +177,7 @@ def _parsed(path: Path) -> _Content:
             if word == "v":
                 vertices.append([np.nan] * 6)  # Those that follow keep their numbers.
             why = str(error) if str(error).startswith("expected") else "expected numbers"
-            content.refused.append(f'line {number}: {why}, got "{printable(line[:60])}"')
+            content.refused.append(f'line {number}: {why}, got "{one_line(line)[:60]}"')
     if farthest >= len(vertices):
         for one in objects:
             for face, number in zip(one.faces, one.lines, strict=True):
@@ -341,7 +342,7 @@ def _oriented(meshes: list[Mesh], names: list[str], told: _Told) -> list[Mesh]:
 
 
 def _called(number: int, name: str) -> str:
-    return f"object {number} ({printable(name[:40])})" if name else f"object {number}"
+    return f"object {number} ({one_line(name)[:40]})" if name else f"object {number}"
 
 
 def _many(count: int, one: str, more: str = "") -> str:
