@@ -371,7 +371,7 @@ def test_what_a_server_finds_wrong_with_a_request_is_told_in_one_short_line(
             fallback = answer.exchange.fallback
             with pytest.raises(ValueError, match=r"got rejected.* Does the model take pictures"):
                 on.insist(answer)
-        told = "rejected: HTTP 422: At most 1 image(s) [31m may be provided, [key] or ... x x "
+        told = r"rejected: HTTP 422: At most 1 image(s)\x1b[31m may be provided, [key] or ... x x "
         assert fallback.startswith(told)
         assert len(fallback) < 250
         assert SECRET not in fallback

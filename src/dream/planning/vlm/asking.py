@@ -49,10 +49,10 @@ from dream.planning.vlm.server_words import (
     NO_SUCH_REQUEST,
     TOO_MANY,
     never,
-    one_line,
     plain,
     said,
 )
+from dream.telling import one_line
 from dream.types import UNASKED, Asked, Exchange
 
 if TYPE_CHECKING:
@@ -606,7 +606,7 @@ def _outcome(messages: list[Any], fallback: str) -> Outcome:
         tokens_in=sum(response.usage.input_tokens for response in responses),
         tokens_out=sum(response.usage.output_tokens for response in responses),
         cost_usd=None if None in costs else float(sum(cost for cost in costs if cost is not None)),
-        answered_by=one_line(responses[-1].model_name or "")[:MOST_SAID] if responses else "",
+        answered_by=one_line(plain(responses[-1].model_name or ""))[:MOST_SAID] if responses else "",
     )
 
 

@@ -7,6 +7,8 @@ import re
 from collections.abc import Mapping
 from functools import cache
 
+from dream.telling import one_line
+
 LEAST_KEY = 8
 """Characters of a key that is looked for in what a model writes."""
 LONG_WORD = 16
@@ -24,17 +26,25 @@ PICTURE, CONTEXT, FORMAT, MODEL, ADDRESS = "picture", "context", "format", "mode
 # Servers word it each in its own way, and some send it with a status of their own faults: llama.cpp says
 # "image input is not supported" with 500 (llama.cpp issue 13566), LM Studio answers an address that is none
 # with 200 (lmstudio-bug-tracker issue 618). A subject alone is not enough: it must also be said to fail.
-_FAILS = re.compile(
-    r"not (?:be |been |yet )?(?:\w+ )?(?:support|accept|allow|permit|implement|compil|configur|available)"
-    r"|n[o']t (?:support|accept|allow|have|exist|handle|process)|unsupported|no support"
-    r"|only (?:be )?supported"
-    r"|cannot|can't|unable|fail\w* to (?:parse|initiali[sz]e|compile)|error parsing|sane defaults"
-    r"|invalid|unknown|unrecogni[sz]ed|missing|not found|at most|exceed|too (?:long|large|many|complex)"
-    r"|is not an? |no (?:vision|image|multimodal|mmproj)",
-    re.IGNORECASE,
+_TAKES_NONE = (
+    r"not (?:be |been |yet )?(?:\w+ )?(?:support|accept|allow|permit|implement|compil|configur|enabled)"
+    r"|n[o']t (?:support|accept|allow)|do(?:es)?(?: not|n't) (?:have|take|handle|process)"
+    r"|not available (?:for|in|on|with)\b|unsupported|no support|only (?:be )?supported|disabled"
+    r"|(?:invalid|unknown|unrecogni[sz]ed) (?:content|field|parameter|part|type|variant)"
+    r"|at most \d+ (?:image|picture)|exceeds?\b|too large|too many (?:image|picture)|found that support"
+    r"|is not an? |no (?:vision|image|multimodal|mmproj)"
 )
+_FAILS = {
+    # A picture goes through a decoder and an encoder, which fail for a while in many words: what cannot be
+    # done, was not found or is missing tells of this picture, or of this moment.
+    PICTURE: rf"{_TAKES_NONE}|mmproj|missing data required",
+    FORMAT: rf"{_TAKES_NONE}|n[o']t (?:available|have|exist|handle|process)"
+    r"|cannot|can't|unable|fail\w* to (?:parse|initiali[sz]e|compile)|error parsing|sane defaults"
+    r"|invalid|unknown|unrecogni[sz]ed|missing|not found|at most|exceed|too (?:long|many|complex)",
+}
 _SUBJECTS = {
-    PICTURE: r"\bimages?\b|image_url|\bpictures?\b|\bvision\b|\bvisual\b|multi-?modal|mmproj",
+    PICTURE: r"\bimages?\b|image_url|\bpictures?\b|\bvision\b|\bvisual\b|multi-?modal|mmproj"
+    r"|content\[\w*\]\.type",
     FORMAT: r"response_format|json_schema|json_object|\bschemas?\b|\bgrammars?\b|structured[ _-]outputs?"
     r"|guided|repetitions?\b|max_(?:completion_)?tokens|\btemperature\b",
 }
@@ -46,9 +56,13 @@ _WHOLE = {
     ADDRESS: r"unexpected endpoint|no such (?:endpoint|path|route)",
 }
 _NEVER = {kind: re.compile(pattern, re.IGNORECASE) for kind, pattern in {**_WHOLE, **_SUBJECTS}.items()}
+_FAILING = {kind: re.compile(pattern, re.IGNORECASE) for kind, pattern in _FAILS.items()}
 _PASSES = re.compile(
-    r"overload|busy|try again|retry|temporar|loading|time[sd]?[ -]?out|over capacity|rate limit|unavailable"
-    r"|out of memory|shutting down|starting|currently|at (?:this time|the moment)",
+    r"overload|busy|try again|retry|temporar|loading|time[sd]?[ -]?out|deadline|over capacity|rate limit"
+    r"|unavailable|memory|allocat|\bCUDA|crash|connect|fetch|found in (?:\w+ )?cache|cache miss"
+    r"|shutting down|starting|currently|at (?:this time|the moment)|other requests|concurren|in flight|queue"
+    r"|not ready|(?:available|initiali[sz]ed|loaded|ready|started) yet"
+    r"|not yet (?:available|initiali[sz]ed|loaded|started)",
     re.IGNORECASE,
 )
 
@@ -62,7 +76,7 @@ def never(words: str) -> str:
     if _PASSES.search(words):
         return ""
     for kind, pattern in _NEVER.items():
-        if pattern.search(words) and (kind in _WHOLE or _FAILS.search(words)):
+        if pattern.search(words) and (kind in _WHOLE or _FAILING[kind].search(words)):
             return kind
     return ""
 
@@ -78,9 +92,10 @@ def said(body: object) -> str:
             told = told[name]
     if not isinstance(told, str) or told.lstrip().startswith("<"):
         return ""
-    words = one_line(told[: 20 * MOST_SAID]).split()
+    # Before they are cleaned: what cannot be printed is then shown by digits.
+    words = plain(told[: 20 * MOST_SAID]).split()
     line = " ".join("..." if len(word) >= LONG_WORD and re.search(r"\d", word) else word for word in words)
-    return line[:MOST_SAID]
+    return one_line(line)[:MOST_SAID]
 
 
 def plain(text: str) -> str:
@@ -89,11 +104,6 @@ def plain(text: str) -> str:
         if name.endswith("_KEY") and len(value.strip()) >= LEAST_KEY:
             text = _spelt(value.strip()).sub("[key]", text)
     return text.encode(errors="replace").decode()
-
-
-def one_line(text: str) -> str:
-    """The same without what cannot be printed."""
-    return "".join(c if c.isprintable() else " " for c in plain(text))
 
 
 @cache
