@@ -415,6 +415,24 @@ def refused(folder: Path) -> list[str]:
     return [str(one) for one in examined.said if one.what == "refused"]
 
 
+def sized(
+    sides: tuple[float, float, float],
+    middle: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    *,
+    inwards: bool = False,
+) -> str:
+    """The box, with sides in metres."""
+    lines = []
+    for line in BOX.splitlines():
+        word, *values = line.split()
+        if word == "v":
+            x, y, z = (float(value) for value in values[:3])
+            at = (x * sides[0] + middle[0], y * sides[1] + middle[1], (z / 1.5 - 0.5) * sides[2] + middle[2])
+            values = [*(f"{value:.3f}" for value in at), *values[3:]]
+        lines.append(" ".join([word, *(values[::-1] if word == "f" and inwards else values)]))
+    return "\n".join(lines) + "\n"
+
+
 def scaled(factor: float) -> str:
     lines = []
     for line in BOX.splitlines():
@@ -442,15 +460,83 @@ def test_a_world_is_the_same_however_its_meshes_are_wound_and_written(built: Bui
     ]
 
 
+START = made("flat/empty", 1).starts[0]
+HALF = math.sqrt(0.5)
+ROOMS = {
+    "room": ((16.0, 12.0, 6.0), (0.0, 0.0, 0.0), f"0,{START.x},{START.y},{FLOOR + 2},1,0,0,0,1,1,1"),
+    "tank": ((42.0, 42.0, 9.0), (0.0, 0.0, 0.0), f"0,0,0,{FLOOR + 4},1,0,0,0,1,1,1"),
+    "turned and scaled": (
+        (2.0, 1.0, 1.0),
+        (5.0, 0.0, 0.0),
+        f"0,{START.x},{START.y - 15},{FLOOR + 2},{HALF},0,0,{HALF},3,4,5",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ROOMS)
+def test_a_room_around_a_start_keeps_its_faces_inwards(name: str, built: Built, tmp_path: Path) -> None:
+    sides, middle, row = ROOMS[name]
+    text = sized(sides, middle, inwards=True)
+    examined = examine(built(text, row, name="in"))
+    assert examined.world is not None
+    (mesh,), _ = said_of(sized(sides, middle), tmp_path)
+    assert corner_set(examined.world.meshes[0]) == corner_set(flipped(mesh))
+    (told,) = examined.said
+    assert told.what == "taken"
+    assert "object 0 (crate)" in told.words
+    assert "around a start" in told.words
+    # Beside the start it is a body inside out.
+    x, y = START.x + 14.0 * (1 if START.x < 0 else -1), START.y
+    beside = sized((3.0, 3.0, 3.0), inwards=True)
+    aside = examine(built(beside, f"0,{x},{y},{FLOOR + 2},1,0,0,0,1,1,1", name="aside"))
+    assert [one.what for one in aside.said] == ["turned"]
+
+
+def test_a_room_without_a_floor_keeps_its_faces_inwards_but_for_some(built: Built) -> None:
+    sides, middle, row = ROOMS["room"]
+    text = sized(sides, middle, inwards=True).replace("f 3 4 1\nf 2 3 1\n", "")
+    lines = text.splitlines()
+    a, b, c = lines[-1].split()[1:]
+    wrong = "\n".join([*lines[:-1], f"f {c} {b} {a}"]) + "\n"
+    one, other = (examine(built(words, row, name=name)) for words, name in ((text, "one"), (wrong, "other")))
+    assert one.world is not None
+    assert other.world is not None
+    assert text.count("f ") == 10
+    assert corner_set(one.world.meshes[0]) == corner_set(other.world.meshes[0])
+    assert [said.what for said in one.said] == ["taken"]
+    assert [said.what for said in other.said] == ["turned", "taken"]
+
+
+def test_an_arch_whose_box_holds_a_start_is_turned_all_the_same(built: Built) -> None:
+    ring = flipped(ring_wall(6.0, 0.5, 8.0, 16, (90, 90, 90)))
+    examined = examine(built(obj((ring,)), f"0,{START.x},{START.y},{FLOOR},1,0,0,0,1,1,1"))
+    assert [one.what for one in examined.said] == ["turned"]
+
+
+def test_what_was_turned_in_a_world_is_told_on_the_log_once(
+    built: Built, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = built(sized((1.0, 1.0, 1.0), inwards=True), THERE)
+    load_world(folder)
+    load_world(folder)
+    assert caplog.messages == [f"{folder}: meshes.obj: object 0 (crate): 12 faces, wound inside out"]
+    caplog.clear()
+    many = obj(tuple(flipped(ball(0.5, (k, 0.0, 0.0))) for k in range(9)))
+    folder = built(many, *(THERE.replace("0", str(k), 1) for k in range(9)), name="many")
+    load_world(folder)
+    assert len(caplog.messages) == 4
+    assert caplog.messages[-1] == f"{folder}: and 6 more turned: dream worlds --check {folder}"
+
+
 @pytest.mark.parametrize(
     ("factor", "row", "told"),
     [
         (
             1000.0,
             THERE,
-            r"obstacles\[0\]: expected at most 80 m in bounds of 40 x 40 m, got 1500 m.*millimetres",
+            r"obstacles\[0\]: expected at most 40 m in bounds of 40 x 40 m, got 1500 m.*millimetres",
         ),
-        (200.0, THERE, r"obstacles\[0\]: expected at most 80 m .*got 300 m"),
+        (200.0, THERE, r"obstacles\[0\]: expected at most 40 m .*got 300 m"),
         (
             20000.0,
             THERE,
@@ -468,13 +554,53 @@ def test_lengths_that_are_not_metres_are_refused(built: Built, factor: float, ro
         load_world(folder)
 
 
+@pytest.mark.parametrize("sides", [(70.0, 30.0, 25.0), (45.0, 40.0, 20.0), (60.0, 20.0, 40.0)])
+def test_shells_in_millimetres_are_refused_though_the_bounds_are_as_large(
+    built: Built, sides: tuple[float, float, float]
+) -> None:
+    (words,) = refused(built(sized(sides), THERE))
+    assert f"obstacles[0]: expected at most 40 m in bounds of 40 x 40 m, got {sides[0]:g} m" in words
+
+
+@pytest.mark.parametrize("sides", [(8.0, 5.0, 5.0), (30.0, 4.0, 4.0), (6.0, 1.0, 6.0)])
+def test_an_individual_is_not_larger_than_some_metres_unless_it_is_of_a_hull(
+    built: Built, sides: tuple[float, float, float]
+) -> None:
+    folder = built(sized(sides))
+    (folder / "targets.csv").write_text(f"{COLUMNS}\n{THERE},1,1,1,0\n")
+    content = json.loads((folder / "world.json").read_text())
+    (folder / "world.json").write_text(json.dumps(content | {"targets": 1}))
+    (words,) = refused(folder)
+    assert (
+        f"targets[0]: expected at most 5 m of an individual that is no part of a hull, got {sides[0]:g}"
+        in words
+    )
+    (folder / "world.json").write_text(json.dumps(content | {"targets": 1, "targets_are_hull": True}))
+    assert refused(folder) == []
+
+
+@pytest.mark.parametrize(
+    ("sides", "row"),
+    [
+        ((60.0, 50.0, 12.0), f"0,0,0,{FLOOR},1,0,0,0,1,1,1"),
+        ((75.0, 0.5, 3.0), THERE),
+        ((60.0, 12.0, 9.0), f"0,20,5,{FLOOR},1,0,0,0,1,1,1"),
+    ],
+    ids=["a tank", "a quay", "a wreck"],
+)
+def test_what_is_longer_than_the_bounds_is_slender_or_goes_round_them(
+    built: Built, sides: tuple[float, float, float], row: str
+) -> None:
+    assert refused(built(sized(sides), row)) == []
+
+
 def test_millimetres_that_the_table_scales_are_taken(built: Built) -> None:
     assert refused(built(scaled(1000.0), THERE.replace("1,1,1", "0.001,0.001,0.001"))) == []
 
 
 UPRIGHT = {
     "crate": BOX,
-    "post": obj((post(0.2, 3.0, 9, (90, 90, 90)),)),
+    "post": obj((post(0.4, 3.0, 9, (90, 90, 90)),)),
     "ring": obj((ring_wall(1.0, 0.2, 2.0, 9, (90, 90, 90)),)),
 }
 
@@ -508,6 +634,16 @@ def test_a_mesh_with_y_up_is_refused_until_the_world_says_which_is_up(built: Bui
     assert refused(built(lying, THERE.replace("1,0,0,0", f"{half},{half},0,0"), name="by quaternion")) == []
     above = THERE.replace(f"{FLOOR}", f"{FLOOR + 2.0}")
     assert refused(built(lying, above, name="above")) == []
+
+
+@pytest.mark.parametrize(("long", "wide"), [(5.0, 0.4), (30.0, 1.0), (2.0, 0.11)])
+def test_a_pipe_that_is_half_buried_along_y_is_taken_and_told(built: Built, long: float, wide: float) -> None:
+    pipe = sized((wide, long, wide), middle=(0.0, 0.5 * long, 0.0))
+    examined = examine(built(pipe, THERE))
+    assert examined.world is not None
+    (told,) = examined.said
+    assert told.what == "taken"
+    assert re.search(r"object 0 \(crate\): begins at y = 0 .*taken for a pipe along y. Is y up\?", told.words)
 
 
 def test_all_that_is_amiss_is_said_at_once(built: Built, capsys: pytest.CaptureFixture[str]) -> None:

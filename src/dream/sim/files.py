@@ -18,9 +18,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
@@ -29,8 +30,9 @@ import numpy.typing as npt
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from dream.geometry import SE2, Bounds
+from dream.protocol import PROTOCOLS
 from dream.sim.formats import MOST_TOLD, Said, csv, read_heights, read_table, readable, text
-from dream.sim.sampling import FACTOR, MILLIMETRE, QUATERNION, quantised
+from dream.sim.sampling import FACTOR, MILLIMETRE, QUATERNION, quantised, rotated
 from dream.sim.validity import (
     FARTHEST,
     LONGEST_NAME,
@@ -62,6 +64,14 @@ _NO_INDEX, _NO_NUMBER = np.empty(0, np.int32), np.empty((0, 3), np.float32)
 _NO_INSTANCES = Instances(
     _NO_INDEX, _NO_NUMBER, np.empty((0, 4), np.float32), _NO_NUMBER, _NO_NUMBER, _NO_INDEX
 )
+logger = logging.getLogger(__name__)
+FILES = ("world.json", "terrain.npy", "meshes.obj", "targets.csv", "obstacles.csv")
+LONG = 4.0
+"""Times its other sides that a body is long which may stand as a post, or lie as a pipe."""
+MOST_STANDING = 10_000
+"""Starts that are asked whether a mesh goes round them."""
+MOST_LOGGED = 3
+"""Lines on the log of what was turned in a world."""
 CHANGED = " (changed)"
 """Stands behind the name of a world that is not, or no longer, what its name and seed give."""
 
@@ -248,7 +258,7 @@ class Examined:
 
 
 def load_world(folder: Path | str) -> World:
-    """The world in the folder.
+    """The world in the folder. What was turned in it is told on the log, once in a process.
 
     Raises:
         ValueError: A file is missing, damaged or too large, or does not fit the others. The message
@@ -256,10 +266,21 @@ def load_world(folder: Path | str) -> World:
     """
     examined = examine(folder)
     if examined.world is not None:
+        told = [str(said) for said in examined.said if said.what == "turned"]
+        if (more := len(told) - MOST_LOGGED) > 0:
+            told[MOST_LOGGED:] = [f"and {more} more turned: dream worlds --check {folder}"]
+        for words in told:
+            _log_once(f"{folder}: {words}")
         return examined.world
     refused = [said for said in examined.said if said.what == "refused"]
     more = f" (and {len(refused) - 1} more: dream worlds --check {folder})" if len(refused) > 1 else ""
     raise ValueError(f"{refused[0]}{more}")
+
+
+@lru_cache(maxsize=256)
+def _log_once(words: str) -> None:
+    """A benchmark reads a world again for each of its missions."""
+    logger.warning("%s", words)
 
 
 def examine(folder: Path | str) -> Examined:
@@ -281,7 +302,10 @@ def examine(folder: Path | str) -> Examined:
         shape = (content.terrain.rows, content.terrain.cols)
 
     def meshes_of(path: Path) -> tuple[tuple[Mesh, ...], list[str]]:
-        meshes, names, told = read_meshes(path, counts, set(two_sided), y_up=up == "y")
+        standing = None
+        if content is not None and content.protocol in PROTOCOLS:
+            standing = partial(_standing, _starts(content, heights), (targets, obstacles))
+        meshes, names, told = read_meshes(path, counts, set(two_sided), y_up=up == "y", standing=standing)
         said.extend(told)
         return meshes, names
 
@@ -294,7 +318,6 @@ def examine(folder: Path | str) -> Examined:
     deep = np.broadcast_to(np.float32(-FARTHEST), shape or (2, 2))
     heights = tried("terrain.npy", lambda path: deep if shape is None else read_heights(path, shape), deep)
     nothing: tuple[tuple[Mesh, ...], list[str]] = ((), [])
-    meshes, names = tried("meshes.obj", meshes_of, nothing)
     targets, obstacles = (
         tried(name, partial(table_of, rows=rows), _NO_INSTANCES)
         for name, rows in (
@@ -302,6 +325,8 @@ def examine(folder: Path | str) -> Examined:
             ("obstacles.csv", None if content is None else content.obstacles),
         )
     )
+    meshes, names = tried("meshes.obj", meshes_of, nothing)
+    said.sort(key=lambda one: FILES.index(one.file))
     if content is None:
         return Examined(None, tuple(said))
     world = World(
@@ -323,12 +348,45 @@ def examine(folder: Path | str) -> Examined:
         spoilt |= {"targets.csv", "obstacles.csv"}
     found = [(_file_of(words), words) for words in problems(world)]
     if up is None and not (found or spoilt):
-        found = [("meshes.obj", words) for words in _lying(world, names)]
+        for what, words in _lying(world, names):
+            if what == "refused":
+                found.append(("meshes.obj", words))
+            else:
+                said.append(Said(what, "meshes.obj", words))
     found = [(file, words) for file, words in found if file not in spoilt]
     said += [Said("refused", file, words) for file, words in found[:MOST_TOLD]]
     if len(found) > MOST_TOLD:
         said.append(Said("refused", "world.json", f"{len(found) - MOST_TOLD} more findings like these"))
     return Examined(None if any(one.what == "refused" for one in said) else world, tuple(said))
+
+
+def _starts(content: _World, heights: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
+    """(N, 3) where the vehicle begins, in the world."""
+    part = content.terrain
+    x, y = np.array([(start.x, start.y) for start in content.starts]).T
+    ground = Terrain(heights, part.x0, part.y0, part.spacing).height(x, y)
+    return np.stack([x, y, ground + PROTOCOLS[content.protocol].altitude], axis=1)
+
+
+def _standing(
+    starts: npt.NDArray[np.float64],
+    tables: tuple[Instances, ...],
+    number: int,
+    low: npt.NDArray[np.float32],
+    high: npt.NDArray[np.float32],
+) -> npt.NDArray[np.float64]:
+    """(N, 3) the starts in a mesh's frame, of each place where it stands, that are within low and high; about
+    MOST_STANDING of them."""
+    found, count = [np.empty((0, 3))], 0
+    for table in tables:
+        for row in np.flatnonzero((table.mesh == number) & (table.scale > 0.0).all(axis=1)):
+            if count > MOST_STANDING:
+                break
+            points = rotated(table.wxyz[row] * (1, -1, -1, -1), starts - table.position[row])
+            points = points / table.scale[row]
+            found.append(points[((low <= points) & (points <= high)).all(axis=1)])
+            count += len(found[-1])
+    return np.concatenate(found)
 
 
 def _file_of(words: str) -> str:
@@ -338,15 +396,18 @@ def _file_of(words: str) -> str:
     return next((file for start, file in starts.items() if words.startswith(start)), "world.json")
 
 
-def _lying(world: World, names: list[str]) -> Iterator[str]:
-    """Meshes that seem to have y up: they begin at y = 0, lie half in the ground, and nobody turned them."""
+def _lying(world: World, names: list[str]) -> Iterator[tuple[Literal["taken", "refused"], str]]:
+    """Meshes that seem to have y up: they begin at y = 0, lie half in the ground, and nobody turned them.
+
+    One that is long along y may be a post with y up, or a pipe that is half buried: that is told.
+    """
     told: set[int] = set()
     for name, table in (("targets", world.targets), ("obstacles", world.obstacles)):
         for row, k in enumerate(table.mesh.tolist()):
             if k in told:
                 continue
             low, high = world.meshes[k].vertices.min(axis=0), world.meshes[k].vertices.max(axis=0)
-            (_, y0, z0), (_, y1, z1) = low.tolist(), high.tolist()
+            (x0, y0, z0), (x1, y1, z1) = low.tolist(), high.tolist()
             if not (abs(y0) <= 0.02 * (y1 - y0) and abs(z0 + z1) <= 0.2 * (z1 - z0)):
                 continue
             w, x, y, z = table.wxyz[row].tolist()
@@ -355,10 +416,12 @@ def _lying(world: World, names: list[str]) -> Iterator[str]:
             if upright < 0.5 and abs(place[2] - seabed) <= 0.1 * (z1 - z0) * float(table.scale[row, 2]):
                 told.add(k)
                 called = f"object {k} ({one_line(names[k])[:40]})" if names[k] else f"object {k}"
-                yield (
-                    f"{called}: begins at y = 0 and lies half in the seabed ({name}[{row}]). Is y up? Say "
-                    '"up": "y" under "meshes" in world.json and all are turned, or "up": "z" if it is right'
-                )
+                begins = f"{called}: begins at y = 0 and lies half in the seabed ({name}[{row}])"
+                says = 'Export it with z up; or say "up": "y" under "meshes" in world.json, and all are turned'
+                if y1 - y0 > LONG * max(x1 - x0, z1 - z0):
+                    yield "taken", f"{begins}, taken for a pipe along y. Is y up? {says}"
+                else:
+                    yield "refused", f'{begins}. Is y up? {says}, or "up": "z" if it is right'
 
 
 def _manifest(path: Path, said: list[Said]) -> _World | None:

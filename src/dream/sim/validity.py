@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dream.geometry import SE2
+from dream.geometry import SE2, Bounds
 from dream.protocol import SurveyProtocol, protocol_named
+from dream.sim.sampling import rotated
 from dream.sim.world import Instances, Mesh, World
 
 MOST_SEED = 2**63 - 1
@@ -25,8 +26,13 @@ MOST_VERTICES = 5_000_000
 MOST_FACES = 10_000_000
 FARTHEST = 10_000.0
 """Metres: no coordinate is larger."""
+LARGEST_INDIVIDUAL = 5.0
+"""Metres that an individual may be long that is not a part of a hull."""
 LARGEST = 2.0
-"""Sides of the bounds that a mesh may be long, where it stands."""
+"""Sides of the bounds that a mesh may be long where it stands, if it is slender or goes round the bounds; any
+other may be one side long."""
+SLENDER = 0.25
+"""Share of the longest side of a slender mesh that its next longest has at most, as of a pipe or a quay."""
 SMALLEST = 0.001
 """Metres: what is smaller is rounded to a point."""
 
@@ -226,15 +232,24 @@ def is_near(mesh: Mesh) -> bool:
 def _check_size(name: str, table: Instances, world: World) -> None:
     """Nothing is far larger than the ground it stands on, as it is where millimetres are taken for metres."""
     sides = np.array([np.ptp(mesh.vertices.astype(np.float64), axis=0) for mesh in world.meshes])
-    longest = (sides[table.mesh] * table.scale).max(axis=1)
+    _, middle, longest = np.sort(sides[table.mesh] * table.scale, axis=1).T
     box = world.bounds
-    most = LARGEST * max(box.width, box.depth)
-    row = int(longest.argmax())
-    if longest[row] > most:
+    side = max(box.width, box.depth)
+    if name == "targets" and not world.targets_are_hull:
+        most = np.full(len(table), LARGEST_INDIVIDUAL)
+        within = "of an individual that is no part of a hull"
+    else:
+        most = np.where(middle <= SLENDER * longest, LARGEST * side, side)
+        for k in np.flatnonzero((longest > most) & (longest <= LARGEST * side)):
+            if _goes_round(world.meshes[table.mesh[k]], table, int(k), box):
+                most[k] = LARGEST * side
+        within = f"in bounds of {box.width:g} x {box.depth:g} m"
+    row = int((longest / most).argmax())
+    if longest[row] > most[row]:
         raise ValueError(
-            f"{name}[{row}]: expected at most {most:g} m in bounds of {box.width:g} x {box.depth:g} m, "
-            f"got {longest[row]:g} m (mesh {table.mesh[row]}). Are its lengths in millimetres? Export "
-            "metres, or give it a scale of 0.001"
+            f"{name}[{row}]: expected at most {most[row]:g} m {within}, got {longest[row]:g} m "
+            f"(mesh {table.mesh[row]}). Are its lengths in millimetres? Export metres, or give it a scale of "
+            "0.001"
         )
     row = int(longest.argmin())
     if longest[row] < SMALLEST:
@@ -242,6 +257,13 @@ def _check_size(name: str, table: Instances, world: World) -> None:
             f"{name}[{row}]: expected a mesh of a millimetre or more, got {longest[row]:g} m (mesh "
             f"{table.mesh[row]}). Are its lengths in metres?"
         )
+
+
+def _goes_round(mesh: Mesh, table: Instances, row: int, box: Bounds) -> bool:
+    """Do the walls of a mesh go round the bounds, seen from above, where this row of the table puts it?"""
+    points = table.position[row] + rotated(table.wxyz[row], table.scale[row] * mesh.vertices)
+    (x0, y0, _), (x1, y1, _) = points.min(axis=0), points.max(axis=0)
+    return bool(x0 <= box.x_min and y0 <= box.y_min and box.x_max <= x1 and box.y_max <= y1)
 
 
 def _check_rows(name: str, holds: npt.NDArray[np.bool_], values: npt.NDArray[Any], expected: str) -> None:

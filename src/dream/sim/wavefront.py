@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from dream.sim.formats import Said, text
 from dream.sim.sampling import MILLIMETRE, quantised
-from dream.sim.winding import turned
+from dream.sim.winding import Standing, turned
 from dream.sim.world import Mesh
 from dream.telling import one_line
 
@@ -45,7 +45,12 @@ def obj(meshes: tuple[Mesh, ...]) -> str:
 
 
 def read_meshes(
-    path: Path, counts: tuple[int, int, int] | None, two_sided: Collection[int], *, y_up: bool = False
+    path: Path,
+    counts: tuple[int, int, int] | None,
+    two_sided: Collection[int],
+    *,
+    y_up: bool = False,
+    standing: Standing | None = None,
 ) -> tuple[tuple[Mesh, ...], list[str], list[Said]]:
     """The meshes of an OBJ file, the names of its objects, and what is to be said of it.
 
@@ -55,6 +60,7 @@ def read_meshes(
             None where nobody says.
         two_sided: Indices of the meshes that are seen from both sides.
         y_up: Its y is up; then it is turned.
+        standing: Starts of the vehicle in the frame of a mesh: a room around one looks inwards.
 
     Returns:
         What is refused is among what is said; the meshes then are not all, or not whole.
@@ -97,7 +103,7 @@ def read_meshes(
     if whole:
         if flat := _flat(meshes):
             told.taken(f"{_many(flat, 'face')} without area, which nobody sees")
-        meshes = _oriented(meshes, names, told)
+        meshes = _oriented(meshes, names, standing, told)
     return tuple(meshes), names, told.notes
 
 
@@ -312,9 +318,9 @@ def _flat(meshes: list[Mesh]) -> int:
         return int((np.cross(b - a, c - a) == 0.0).all(axis=1).sum())
 
 
-def _oriented(meshes: list[Mesh], names: list[str], told: _Told) -> list[Mesh]:
+def _oriented(meshes: list[Mesh], names: list[str], standing: Standing | None, told: _Told) -> list[Mesh]:
     """All meshes with their faces outwards, as far as they show where that is."""
-    turn = turned(meshes)
+    turn = turned(meshes, standing)
     done = []
     for number, mesh in enumerate(meshes):
         called, flip = _called(number, names[number]), turn.flips[number]
@@ -331,14 +337,23 @@ def _oriented(meshes: list[Mesh], names: list[str], told: _Told) -> list[Mesh]:
             faces = np.where(flip[:, None], mesh.faces[:, [0, 2, 1]], mesh.faces)
             mesh = replace(mesh, faces=faces)
         done.append(mesh)
-    if turn.open_ones:
-        shown = ", ".join(_called(number, names[number]) for number in turn.open_ones[:3])
+    if turn.rooms:
         told.taken(
-            f"{_many(len(turn.open_ones), 'object')} open, so that nothing tells which side is out: {shown}"
-            f"{', ...' if len(turn.open_ones) > 3 else ''}. Seen from where corners run counter-clockwise; "
+            f"{_many(len(turn.rooms), 'object')} around a start, with faces inwards as a room's: "
+            f"{_shown(turn.rooms, names)}. Seen from within"
+        )
+    if turn.open_ones:
+        told.taken(
+            f"{_many(len(turn.open_ones), 'object')} open, so that nothing tells which side is out: "
+            f"{_shown(turn.open_ones, names)}. Seen from where corners run counter-clockwise; "
             "list under two_sided what is seen from both"
         )
     return done
+
+
+def _shown(numbers: list[int], names: list[str]) -> str:
+    """The first of some objects."""
+    return ", ".join(_called(number, names[number]) for number in numbers[:3]) + ", ..." * (len(numbers) > 3)
 
 
 def _called(number: int, name: str) -> str:

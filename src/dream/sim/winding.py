@@ -2,13 +2,14 @@
 
 Neighbours that run along their edge the same way contradict each other: one of them is turned. What is closed
 has its faces outwards where its signed volume is positive; see Zhang and Chen, Efficient feature extraction
-for 2D/3D objects in mesh representation, ICIP 2001. A cavity, inside something else, looks into itself.
+for 2D/3D objects in mesh representation, ICIP 2001. A cavity, inside something else, looks into itself, and a
+room around the vehicle looks at the vehicle.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,12 +22,14 @@ from dream.sim.world import Mesh
 Float64Array = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
+Standing = Callable[[int, npt.NDArray[np.float32], npt.NDArray[np.float32]], Float64Array]
+"""Of a mesh by its number: (N, 3) starts in its frame, within a box from low (3,) to high (3,)."""
 
 FLAT = 0.5
 """Length of the sum of all faces' areas as vectors, as a share of their sum as numbers: 0 of what is closed,
 1 of a plate, a half of a hemisphere. Below it an open mesh is a body with a hole."""
 ASKED = 24
-"""About so many corners of a part are asked whether they lie inside another."""
+"""About so many corners of a part, or starts in its box, are asked whether they lie inside."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,29 +42,45 @@ class Turned:
     """Meshes that have but one side, as a Möbius strip has."""
     open_ones: list[int]
     """One-sided meshes with a part that is open and does not show where outside is."""
+    rooms: list[int]
+    """Meshes with a part that looks inwards and is left so: a start lies in it."""
 
 
-def turned(meshes: Sequence[Mesh]) -> Turned:
+def turned(meshes: Sequence[Mesh], standing: Standing | None = None) -> Turned:
     """Find the faces that have to be turned: none of a two-sided mesh, and of others each part for itself.
 
     A part that is open is made consistent. Which way it looks is decided only where it is a body whose hole
     is at its foot, such as a rock without its bottom; a plate, or a basin that is open above, may be meant
-    either way.
+    either way. What looks inwards around a start is left as it is.
     """
     flips = [np.zeros(len(mesh.faces), np.bool_) for mesh in meshes]
     which = [k for k, mesh in enumerate(meshes) if not mesh.two_sided and is_near(mesh)]
     if not which:
-        return Turned(flips, [], [])
+        return Turned(flips, [], [], [])
     points, corners, owner, place = _joined([meshes[k] for k in which])
     parts = _parts(corners)
-    decided, undecided = _outwards(points, corners, owner, parts)
+    decided, undecided, meant = _outwards(points, corners, owner, parts)
+    inner = np.zeros(len(decided), np.bool_)
+    if standing is not None:
+        order = np.argsort(parts.of, kind="stable")
+        begins = np.searchsorted(parts.of[order], np.arange(len(decided) + 1))
+        places: dict[int, Float64Array] = {}
+        for part in map(int, np.flatnonzero(decided != meant)):
+            mine = order[begins[part] : begins[part + 1]]
+            number = which[owner[mine[0]]]
+            if number not in places:
+                vertices = meshes[number].vertices
+                places[number] = standing(number, vertices.min(axis=0), vertices.max(axis=0))
+            inner[part] = _around(points[corners[mine]], parts.turn[mine], places[number])
+        decided = np.where(inner, meant, decided)
     turn = parts.turn ^ decided[parts.of]
     for k, mesh_number in enumerate(which):
         mine = owner == k
         flips[mesh_number][place[mine]] = turn[mine]
     endless = {which[k] for k in np.unique(owner[parts.endless[parts.of]])}
     unknown = {which[k] for k in np.unique(owner[undecided[parts.of]])}
-    return Turned(flips, sorted(endless), sorted(unknown - endless))
+    rooms = {which[k] for k in np.unique(owner[inner[parts.of]])}
+    return Turned(flips, sorted(endless), sorted(unknown - endless), sorted(rooms))
 
 
 def _joined(meshes: Sequence[Mesh]) -> tuple[Float64Array, IntArray, IntArray, IntArray]:
@@ -136,8 +155,9 @@ def _parts(corners: IntArray) -> _Parts:
 
 def _outwards(
     points: Float64Array, corners: IntArray, owner: IntArray, parts: _Parts
-) -> tuple[BoolArray, BoolArray]:
-    """(P,) parts that have to be turned whole, once consistent, and (P,) those of which nobody knows."""
+) -> tuple[BoolArray, BoolArray, BoolArray]:
+    """(P,) parts that have to be turned whole, once consistent; those of which nobody knows; and those
+    that would have to be, if as they are for the most part was as they were meant."""
     of, number = parts.of, len(parts.endless)
     sign = np.where(parts.turn, -1.0, 1.0)
     a, b, c = (points[corners[:, side]] for side in range(3))
@@ -172,7 +192,31 @@ def _outwards(
     for part in map(int, np.flatnonzero(decided & ~is_open & ((volume < 0.0) != most_over))):
         if _inside_another(part, points, corners, owner, parts, ~is_open):
             turn[part] = most_over[part]
-    return turn, is_open & ~decided & ~parts.endless
+    return turn, is_open & ~decided & ~parts.endless, most_over & ~parts.endless
+
+
+def _around(faces: Float64Array, over: BoolArray, places: Float64Array) -> bool:
+    """Do faces, (F, 3, 3) with (F,) which run the other way, go round any of the places, (N, 3)?"""
+    low, high = faces.min(axis=(0, 1)), faces.max(axis=(0, 1))
+    places = places[((low <= places) & (places <= high)).all(axis=1)]
+    sign = np.where(over, -1.0, 1.0)
+    return any(
+        abs(float((sign * _solid_angles(faces - place)).sum())) > 2.0 * math.pi
+        for place in places[:: 1 + len(places) // ASKED]
+    )
+
+
+def _solid_angles(faces: Float64Array) -> Float64Array:
+    """(F,) steradians of (F, 3, 3) triangles seen from the origin, with the sign of how they run.
+
+    Van Oosterom and Strackee, The solid angle of a plane triangle, IEEE TBME 30(2), 1983.
+    """
+    a, b, c = faces[:, 0], faces[:, 1], faces[:, 2]
+    la, lb, lc = (np.sqrt(np.square(side).sum(axis=1)) for side in (a, b, c))
+    above = (a * np.cross(b, c)).sum(axis=1)
+    below = la * lb * lc
+    below += (a * b).sum(axis=1) * lc + (b * c).sum(axis=1) * la + (c * a).sum(axis=1) * lb
+    return np.asarray(2.0 * np.arctan2(above, below))
 
 
 def _inside_another(
@@ -180,19 +224,14 @@ def _inside_another(
 ) -> bool:
     """Does a part lie inside an odd number of others of its mesh that are closed, with all its corners?
 
-    By the solid angles of their faces: van Oosterom and Strackee, The solid angle of a plane triangle, IEEE
-    TBME 30(2), 1983. Of many corners a few are asked.
+    By the solid angles of their faces. Of many corners a few are asked.
     """
     mine = np.flatnonzero(parts.of == part)
     others = (parts.of != part) & closed[parts.of] & (owner == owner[mine[0]])
     sign = np.where(parts.turn[others], -1.0, 1.0)
     for place in points[np.unique(corners[mine])[:: 1 + len(mine) // ASKED]]:
-        a, b, c = (points[corners[others, side]] - place for side in range(3))
-        la, lb, lc = (np.sqrt(np.square(side).sum(axis=1)) for side in (a, b, c))
-        above = (a * np.cross(b, c)).sum(axis=1)
-        below = la * lb * lc
-        below += (a * b).sum(axis=1) * lc + (b * c).sum(axis=1) * la + (c * a).sum(axis=1) * lb
-        around = np.bincount(parts.of[others], sign * np.arctan2(above, below), len(closed)) / (2.0 * math.pi)
+        angles = sign * _solid_angles(points[corners[others]] - place)
+        around = np.bincount(parts.of[others], angles, len(closed)) / (4.0 * math.pi)
         if int(np.rint(np.abs(around)).sum()) % 2 == 0:
             return False
     return True
