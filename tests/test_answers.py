@@ -133,6 +133,7 @@ def test_orders_in_words_without_a_terminal_are_told_to_need_yes_at_once(
         ("rerun", ["replay", "run", "--rerun"], "rerun"),
         ("pyarrow", ["train", "--lerobot", "x"], "train"),
         ("fastapi", ["run", "--live"], "live"),
+        ("ruamel.yaml", ["dive", "--stand-in", "--unattended"], "rov"),
     ],
 )
 def test_a_missing_extra_is_told_before_anything_is_measured_or_made(

@@ -267,8 +267,8 @@ def load_world(folder: Path | str) -> World:
     examined = examine(folder)
     if examined.world is not None:
         told = [str(said) for said in examined.said if said.what == "turned"]
-        if (more := len(told) - MOST_LOGGED) > 0:
-            told[MOST_LOGGED:] = [f"and {more} more turned: dream worlds --check {folder}"]
+        if (left := len(told) - MOST_LOGGED) > 0:
+            told[MOST_LOGGED:] = [f"and {left} more turned: dream worlds --check {folder}"]
         for words in told:
             _log_once(f"{folder}: {words}")
         return examined.world

@@ -1,5 +1,6 @@
 """A lens's pictures become a pinhole camera's, and files that cannot be a lens are named."""
 
+import gzip
 import json
 from pathlib import Path
 from textwrap import dedent
@@ -452,7 +453,7 @@ def test_python_s_own_json_is_read(tmp_path: Path) -> None:
             "image_width, image_height is missing",
         ),
         ("M1: [1]\nD1: [2]\n", "camera_matrix.*is missing.*holds calibrated_in, m1, d1"),
-        ("# none\n- 1\n- 2\n", "expected fields by their names"),
+        ("# none\n- 1\n- 2\n", "fields by their names such as"),
         ("# oST version 5.0 parameters\n\n[image]\n", "ost.yaml that lies beside it"),
     ],
 )
@@ -510,6 +511,97 @@ def test_whatever_stands_in_a_file_it_is_a_lens_or_refused_in_a_line(tmp_path: P
             assert np.isfinite(seen.distortion).all()
     assert 0 < len(told) < 160
     assert not any("\n" in line or len(line) > 1000 for line in told)
+
+
+CLEAN = opencvs("fisheye_model: 0", BARREL.tolist())
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        CLEAN.replace("calibrated_in", "# F\xf6rde, gemessen\ncalibrated_in").encode("latin-1"),
+        CLEAN.replace("fisheye_model: 0", 'place: "K\xf6ln"').encode("latin-1"),
+        CLEAN.replace("fisheye_model: 0", "place: \u5357\u6d77").encode("gb18030"),
+        CLEAN.replace("\n", "\r\n").encode(),
+        (b"\xef\xbb\xbf" + ROS.encode()).replace(b"\n", b"\r\n"),
+        KALIBR.replace("\n", "\r\n").encode(),
+        CLEAN.replace("fisheye_model: 0", "note: %done").encode(),
+        CLEAN.replace("fisheye_model: 0", "note: @cam").encode(),
+        CLEAN.replace("fisheye_model: 0", "note: camera: front").replace("\n", "\r\n").encode(),
+        CLEAN.replace("fisheye_model: 0", "note: `a\nby: @me\nfisheye_model: 0\nof: a: b").encode(),
+        CLEAN.replace("fisheye_model: 0", 'model: "exploreHD 3.0"\nfisheye_model: 0').encode(),
+        CLEAN.replace("fisheye_model: 0", "camera_type: usb\ndistortion_model: plumb_bob").encode(),
+        CLEAN.replace("fisheye_model: 0", "model_type: Low-Light\ncamera_model: pinhole").encode(),
+        CLEAN.replace(
+            "fisheye_model: 0", f"image_points: !!opencv-matrix\n   data: [ {'1.5e+02, ' * 99999}1. ]"
+        ).encode(),
+        CLEAN.encode() + b"views:\n" + b"   - [ 1., 2. ]\n" * 60000,
+        CLEAN.encode() + b"names:\n" + b"- a.png\n" * 99999,
+    ],
+)
+def test_what_no_lens_needs_is_passed_over_however_it_is_written(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "lens.yaml"
+    path.write_bytes(
+        content if b"calibrated_in" in content else in_water(content.decode("utf-8-sig")).encode()
+    )
+    read = Lens.read(path)
+    assert not read.fisheye
+    assert read.distortion.tolist() in (BARREL.tolist(), BARREL[:4].tolist())
+
+
+def test_long_json_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "lens.json"
+    content = {"calibrated_in": "water", "image_width": 640, "image_height": 480, "model": True, "fisheye": 1}
+    content |= {"camera_matrix": MATRIX.tolist(), "distortion_coefficients": FISHEYE.tolist()}
+    path.write_text(json.dumps(content | {"model": None, "image_points": [[1.5, 2.5]] * 20000}, indent="\t"))
+    assert path.stat().st_size > 256 << 10
+    assert np.array_equal(Lens.read(path).distortion, FISHEYE)
+    path.write_text(json.dumps(content)[:-1] + ', "fisheye": 0}')
+    with pytest.raises(ValueError, match="'fisheye': expected once, got twice"):
+        Lens.read(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (CLEAN + "fisheye_model: 1\n", "'fisheye_model': expected once, got twice. Delete"),
+        (ROS + "Image_Width: 640\n", "'Image_Width': expected once, got twice"),
+        (KALIBR + "  distortion_model: equidistant\n", "'distortion_model': expected once, got twice"),
+        (
+            CLEAN.replace("fisheye_model: 0", "fisheye_model: @cam"),
+            "expected YAML as OpenCV writes it: .* in line",
+        ),
+        (
+            CLEAN.replace("fisheye_model: 0", "fisheye_model: a: b"),
+            "expected YAML as OpenCV writes it: .* in line",
+        ),
+        (
+            CLEAN.replace("fisheye_model: 0", "model: omni\nfisheye_model: 0"),
+            "^[^ ]*: model: expected pinhole",
+        ),
+        (CLEAN.replace("fisheye_model: 0", "model: exploreHD"), "model: expected pinhole.*got 'exploreHD'"),
+        (CLEAN.replace("fisheye_model: 0", "fisheye_mod\xf6l: 1"), "expected names of fields in UTF-8"),
+        (CLEAN.replace("fisheye_model: 0", "scale: 1\n" + "# x\n" * 20000), "at most 32768 characters"),
+        ("[" * 20000, "nests too deeply"),
+        ("<calibrated_in>" + "<!--" * 250000, "it holds declarations"),
+        ("calibrated_in: " + "[" * 20000, "nests too deeply"),
+    ],
+)
+def test_what_a_lens_needs_is_refused_where_it_cannot_be_sure(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    path = tmp_path / "lens.yaml"
+    path.write_bytes(in_water(text).encode("latin-1"))
+    with pytest.raises(ValueError, match=message) as caught:
+        Lens.read(path)
+    assert len(str(caught.value)) < 700
+
+
+def test_a_file_that_is_compressed_is_to_be_unpacked(tmp_path: Path) -> None:
+    path = tmp_path / "lens.yml.gz"
+    path.write_bytes(gzip.compress(GOOD.encode()))
+    with pytest.raises(ValueError, match=r"got it compressed.* Unpack it with gunzip"):
+        Lens.read(path)
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:

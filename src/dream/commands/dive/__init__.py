@@ -222,8 +222,16 @@ class Dive:
         return self.ground.known(site, self.planner, Bounds(*self.area), protocol, None)
 
 
+def _is_there(name: str) -> bool:
+    try:
+        return importlib.util.find_spec(name) is not None
+    except ModuleNotFoundError:  # Of a package in one that is missing itself.
+        return False
+
+
 def _check_extra() -> None:
-    missing = [name for name in ("pymavlink", "cv2", "rosbags") if importlib.util.find_spec(name) is None]
+    needed = ("pymavlink", "cv2", "rosbags", "ruamel.yaml")
+    missing = [name for name in needed if not _is_there(name)]
     if missing:
         raise ValueError(
             f"dive: expected the extra rov, got none ({', '.join(missing)}). "

@@ -8,10 +8,12 @@ other fields are passed over.
 
 from __future__ import annotations
 
+import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +26,14 @@ Fields = Mapping[str, Any]
 PINHOLE_COUNTS = (4, 5, 8, 12, 14)
 """Coefficients that OpenCV's pinhole models have: k1 k2 p1 p2, k3, k4 k5 k6, s1 to s4, τx τy."""
 FISHEYE_COUNTS = (4,)
-_MOST_BYTES = 256 << 10
+_MOST_BYTES = 1 << 20
+_MOST_YAML = 32 << 10
+"""Characters that go through the reader of YAML, which takes up to a second for them."""
+_LONG = 2 << 10
+"""Characters of a field that is passed over before the file is read, unless a lens needs it."""
+_MOST_OPEN = 64
+"""Brackets that are open at once; the time that the reader takes grows with their square."""
+_FIELD = re.compile(r"^([A-Za-z_][\w .\-]{0,63}):(?=\s|\Z)", re.MULTILINE)
 _DEEPEST = 4
 _MOST_NODES = 20_000
 _EXPECTED = "expected YAML as OpenCV writes it"
@@ -63,11 +72,36 @@ _NAMING = (
     *("lens_model", "lens_type", "projection_model", "projection_type", "projection", "model", "model_type"),
 )
 _FLAGS = ("fisheye_model", "fisheye", "is_fisheye")
+_LOOSE = ("model", "model_type", "camera_type")
+"""Fields that may name the camera, where another one names the lens."""
+_OTHERS = (
+    *(
+        "omni",
+        "omnidirectional",
+        "mei",
+        "ds",
+        "double_sphere",
+        "eucm",
+        "ucm",
+        "unified",
+        "fov",
+        "atan",
+        "ftheta",
+    ),
+    *("thin_prism_fisheye", "scaramuzza", "ocam", "division", "spherical", "equirectangular", "orthographic"),
+)
+"""Models that no lens here has."""
 _ONES = ("binning_x", "binning_y", "binning", "scale", "image_scale", "downsample", "downscale", "resize")
 _ZEROS = ("xi", "skew", "rectified", "undistorted", "do_rectify")
 _WINDOWS = ("roi", "region_of_interest", "crop")
 _UNITS = ("units", "unit", "focal_unit", "focal_length_unit")
 _SIZES = ("resolution", "image_size", "size")
+_READ = (
+    *(*_NEEDED, *_NAMING, *_FLAGS, *_ONES, *_ZEROS, *_WINDOWS, *_UNITS, *_SIZES, "calibrated_in", "k", "d"),
+    *("width", "height", "camera_name", "rectification_matrix", "projection_matrix", "intrinsics"),
+    "distortion_coeffs",
+)
+"""Fields that say something of a lens, or whose file it is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,45 +172,138 @@ def _tree(content: bytes) -> Fields:
 
     OpenCV's own reader does not stand a damaged file: it writes where it must not.
     """
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{_EXPECTED}: {error}") from error
+    if content.startswith(b"\x1f\x8b"):
+        raise ValueError(f"{_EXPECTED}, got it compressed. Unpack it with gunzip")
+    # Comments, and fields that are passed over, may be in any code.
+    text = content.decode("utf-8-sig", errors="replace")
     if text.lstrip().startswith("# oST"):
         raise ValueError("this is ROS's ost.txt. Give the ost.yaml that lies beside it")
+    reader = {"<": _of_xml, "{": _of_json}.get(text.lstrip()[:1], _of_yaml)
     try:
-        fields = _of_xml(text) if text.lstrip().startswith("<") else _of_yaml(text)
+        fields = reader(text)
     except RecursionError as error:
         raise ValueError(f"{_EXPECTED}: it nests too deeply") from error
     if not isinstance(fields, dict):
         raise ValueError(f"{_EXPECTED}, fields by their names such as image_width: 1920, got others")
-    return {name.strip(): value for name, value in fields.items()}
+    return fields
+
+
+def _fields(pairs: Iterable[tuple[str, Any]]) -> Fields:
+    """Fields by their names in lower case, each of which stands there once."""
+    fields: dict[str, Any] = {}
+    written: set[str] = set()
+    for name, value in pairs:
+        called = name.strip().lower()
+        if name in written or (called in fields and called in _READ):
+            raise ValueError(f"{_short(name)}: expected once, got twice. Delete the wrong one")
+        if "\ufffd" in name:
+            raise ValueError(f"{_short(name)}: expected names of fields in UTF-8, got other bytes")
+        written.add(name)
+        fields[called] = value
+    return fields
+
+
+def _of_json(text: str) -> Any:
+    """What JSON says, or YAML that begins like it."""
+
+    def plain(value: Any, depth: int = 0) -> Any:
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            return float(value)
+        if isinstance(value, bool):
+            return str(value).lower()
+        if depth >= _DEEPEST or not isinstance(value, (dict, list)):
+            return value if isinstance(value, str) else None
+        if isinstance(value, dict):
+            return {name: plain(one, depth + 1) for name, one in value.items()}
+        return [plain(one, depth + 1) for one in value] if len(value) <= _MOST_NUMBERS else None
+
+    try:
+        content = json.loads(text, object_pairs_hook=_fields, parse_int=float)
+    except json.JSONDecodeError:
+        return _of_yaml(text)
+    return plain(content)
+
+
+def _without(text: str, needless: Callable[[str], bool]) -> str:
+    """The text without those fields that no lens needs, and of which `needless` says so by what they say.
+
+    A field begins with a name at the beginning of a line, and ends where the next one does.
+    """
+    begins = [*_FIELD.finditer(text)]
+    if not begins:
+        return text
+    ends = [*(field.start() for field in begins[1:]), len(text)]
+    kept = [text[: begins[0].start()]]
+    for field, end in zip(begins, ends, strict=True):
+        name = field[1].strip().lower()
+        needed = name in _READ or re.fullmatch(r"cam\d+", name)
+        if needed or not needless(text[field.end() : end]):
+            kept.append(text[field.start() : end])
+    return "".join(kept)
+
+
+def _is_line(said: str) -> bool:
+    """Is it a plain text on one line, such as `@left` or `camera: front`, which is none for YAML only?"""
+    first, *more = said.strip().splitlines() or [""]
+    return first[:1] not in tuple("\"'[{|>&") and all(
+        not line.strip() or line.startswith("#") for line in more
+    )
 
 
 def _of_yaml(text: str) -> Any:
-    """What YAML, or JSON, says; only its nodes are looked at, nothing is made of its tags.
+    """What YAML says; only its nodes are looked at, nothing is made of its tags.
+
+    What OpenCV takes for a text and YAML does not is passed over, unless a lens needs it.
 
     Raises:
         ImportError: The reader is missing; the message says what to install.
-        ValueError: It is neither.
+        ValueError: It is none.
     """
+    # OpenCV's head is none of YAML's.
+    body = re.sub(r"\A\s*%YAML[^\n]*\n", "", text)
+    if len(body) > _MOST_YAML:
+        body = _without(body, lambda said: len(said) > _LONG)
+        if len(body) > _MOST_YAML:
+            raise ValueError(
+                f"expected at most {_MOST_YAML} characters beside the long fields that no lens needs, got "
+                f"{len(body)}. Take out what is not of the lens"
+            )
+    try:
+        return _read_yaml(body)
+    except _NoYamlError:
+        fewer = _without(body, _is_line)
+        if fewer == body:
+            raise
+        return _read_yaml(fewer)
+
+
+class _NoYamlError(ValueError):
+    """It is none."""
+
+
+def _read_yaml(body: str) -> Any:
     try:
         from ruamel.yaml import YAML
         from ruamel.yaml.error import YAMLError
     except ImportError as error:
         raise ImportError('A calibration file needs ruamel.yaml: pip install "dream-auv[rov]"') from error
-    # OpenCV's head is none of YAML's, and JSON may be indented by tabs.
-    body = re.sub(r"\A\s*%YAML[^\n]*\n", "", text)
-    body = body.expandtabs() if body.lstrip().startswith("{") else body
+    if _most_open(body) > _MOST_OPEN:
+        raise ValueError(f"{_EXPECTED}: it nests too deeply")
     try:
         node = next(iter(YAML(typ="safe", pure=True).compose_all(body)), None)
     except (YAMLError, ValueError, AttributeError, TypeError) as error:
         where = getattr(error, "problem_mark", None)
         why = getattr(error, "problem", None) or str(error)
         line = "" if where is None else f" in line {where.line + 1}"
-        raise ValueError(f"{_EXPECTED}: {_short(' '.join(str(why).split()))}{line}") from error
+        raise _NoYamlError(f"{_EXPECTED}: {_short(' '.join(str(why).split()))}{line}") from error
     left = [_MOST_NODES]
     return _of_node(node, left)
+
+
+def _most_open(body: str) -> int:
+    """How many more brackets open than close, up to where that is most; in texts and comments as well."""
+    steps = [1 if bracket in "[{" else -1 for bracket in re.findall(r"[\[\]{}]", body)]
+    return max(accumulate(steps, lambda opened, step: max(opened + step, 0)), default=0)
 
 
 def _of_node(node: Any, left: list[int], depth: int = 0) -> Any:
@@ -196,7 +323,7 @@ def _of_node(node: Any, left: list[int], depth: int = 0) -> Any:
     if depth >= _DEEPEST or not isinstance(value, list):
         return None
     if node.id == "mapping":
-        return {str(name.value).lower(): _of_node(one, left, depth + 1) for name, one in value}
+        return _fields((str(name.value), _of_node(one, left, depth + 1)) for name, one in value)
     return [_of_node(one, left, depth + 1) for one in value] if len(value) <= _MOST_NUMBERS else None
 
 
@@ -204,13 +331,15 @@ def _of_xml(text: str) -> Any:
     """What OpenCV's XML says."""
     from xml.etree import ElementTree
 
-    if "<!" in re.sub(r"(?s)<!--.*?-->", "", text):
+    # Each comment ends where the next begins: a search for its end that fails is not made again.
+    first, *comments = text.split("<!--")
+    if "<!" in first or any("-->" not in one or "<!" in one.split("-->", 1)[1] for one in comments):
         raise ValueError(f"{_EXPECTED}: it holds declarations (<!...>)")
     try:
         root = ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError) as error:
         raise ValueError(f"{_EXPECTED}: {error}") from error
-    return {child.tag.lower(): _of_element(child) for child in root}
+    return _fields((child.tag, _of_element(child)) for child in root)
 
 
 def _of_element(element: Any, depth: int = 1) -> Any:
@@ -218,7 +347,7 @@ def _of_element(element: Any, depth: int = 1) -> Any:
     if len(element):
         if depth >= _DEEPEST:
             return None
-        return {child.tag.lower(): _of_element(child, depth + 1) for child in element}
+        return _fields((child.tag, _of_element(child, depth + 1)) for child in element)
     words = [word.strip('"') for word in (element.text or "").split()]
     if len(words) > 1 or element.tag == "data":
         return [_scalar(word) for word in words] if len(words) <= _MOST_NUMBERS else None
@@ -308,11 +437,14 @@ def _check_meaning(fields: Fields) -> None:
 def _model(fields: Fields) -> tuple[bool, tuple[int, ...], str]:
     """Is it a fisheye, how many coefficients it may have, and what the file calls it."""
     said: dict[str, tuple[bool, tuple[int, ...]]] = {}
+    named = any(fields.get(name) is not None for name in (*_NAMING, *_FLAGS) if name not in _LOOSE)
     for name in _NAMING:
         value = fields.get(name)
         if value is None or (isinstance(value, str) and not value.strip()):
             continue
         if not isinstance(value, str) or _word(value) not in _MODELS:
+            if name in _LOOSE and named and _word(value) not in _OTHERS:
+                continue
             raise ValueError(
                 f"{name}: expected {', '.join(_MODELS)}, got {_short(value)}. {_TO_OPENCV}. "
                 "A name of the camera goes under camera_name"
