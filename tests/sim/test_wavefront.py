@@ -617,6 +617,19 @@ def y_up(text: str) -> str:
     return "\n".join(lines) + "\n"
 
 
+@pytest.mark.parametrize("times", [2, 3])
+@pytest.mark.parametrize("name", ["crate", "post", "ring"])
+def test_an_object_that_was_pasted_behind_others_is_refused_by_its_name(
+    built: Built, name: str, times: int
+) -> None:
+    """Each file counts from its own first vertex, so that the faces of the second use those of the first."""
+    whole = UPRIGHT[name]
+    told = refused(built(whole * times, THERE))
+    assert len(told) == times - 1
+    for line in told:
+        assert "got faces between those of others. They count from the first vertex of the file" in line
+
+
 @pytest.mark.parametrize("name", UPRIGHT)
 def test_a_mesh_with_y_up_is_refused_until_the_world_says_which_is_up(built: Built, name: str) -> None:
     text = UPRIGHT[name]

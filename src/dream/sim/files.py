@@ -417,11 +417,14 @@ def _lying(world: World, names: list[str]) -> Iterator[tuple[Literal["taken", "r
                 told.add(k)
                 called = f"object {k} ({one_line(names[k])[:40]})" if names[k] else f"object {k}"
                 begins = f"{called}: begins at y = 0 and lies half in the seabed ({name}[{row}])"
-                says = 'Export it with z up; or say "up": "y" under "meshes" in world.json, and all are turned'
+                says = 'Say "up": "y" under "meshes" in world.json and all are turned'
                 if y1 - y0 > LONG * max(x1 - x0, z1 - z0):
                     yield "taken", f"{begins}, taken for a pipe along y. Is y up? {says}"
                 else:
-                    yield "refused", f'{begins}. Is y up? {says}, or "up": "z" if it is right'
+                    yield (
+                        "refused",
+                        f'{begins}. Is y up? {says}, or "up": "z" if it is right; or export it with z up',
+                    )
 
 
 def _manifest(path: Path, said: list[Said]) -> _World | None:

@@ -262,7 +262,13 @@ def _mesh(number: int, one: _Object, table: Float64Array, two_sided: bool, told:
     if any(len(face) != 3 for face in one.faces):
         triangles = _split(one, table, told)
     corners = np.array([face for face in triangles if max(face) < len(table)], np.int64).reshape(-1, 3)
-    if len(corners) and (corners.min() < one.first or corners.max() >= one.past):
+    own_corners = (corners >= one.first) & (corners < one.past)
+    if len(corners) and one.past > one.first and not own_corners.any():
+        told.refused(
+            f"{_called(number, one.name)}: expected faces between its {one.past - one.first} vertices, got "
+            "faces between those of others. They count from the first vertex of the file, not of the object"
+        )
+    if not own_corners.all():
         used, corners = np.unique(corners, return_inverse=True)  # Vertices that stand with another object.
         corners, own = corners.reshape(-1, 3), table[used]
     else:
