@@ -456,7 +456,7 @@ def test_a_vehicle_that_does_not_answer_is_told_in_a_line(
     [
         ("--calibration", None, "there is no such file. Calibrate the camera first"),
         ("--calibration", "", "expected YAML as OpenCV writes it, got an empty file"),
-        ("--calibration", "%YAML:1.0\n---\na: [", "expected YAML as OpenCV writes it: OpenCV"),
+        ("--calibration", "%YAML:1.0\n---\na: [", "expected YAML as OpenCV writes it: "),
         ("--labels", None, "model: expected a readable file, got"),
         ("--depth", "no model", "is not of ONNX. Is it an ONNX file?"),
     ],
