@@ -13,32 +13,18 @@ from typing import Any
 
 import httpx2
 import pytest
-from pydantic import BaseModel, ConfigDict, Field
 
 from dream.planning.vlm import asking, cassette, server_words
 from dream.planning.vlm.asking import Answer, Asking, Line, Question
 from dream.types import Asked
-from tests.model_server import SECRET, Request, Response, Server, error, says, serving
+from tests.model_server import SECRET, Request, Response, error, says, serving
+from tests.planning.vlm.counting import GOOD, SO, Number, line
 
-
-class Number(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-    why: str = Field(max_length=20)
-    number: int
-
-
-SO = '{"why": "so", "number": 3}'
-GOOD = says(SO)
 WRONG = says('{"why": "so", "number": "many"}')
 
 
 def question(words: str = "How many?") -> Question[Number]:
     return Question("test 1", "Count.", words, {"map": b"a picture", "camera": b"another"}, Number)
-
-
-def line(server: Server, **options: Any) -> Line:
-    return Asking(**{"timeout": 5.0, **server.options, **options}).line()
 
 
 def ask(on: Line, words: str = "How many?") -> Answer[Number]:

@@ -8,22 +8,13 @@ import string
 import time
 
 import pytest
-from pydantic import BaseModel, ConfigDict, Field
 
 from dream.planning.vlm import finding
 from dream.planning.vlm.finding import answer_in, fits, lacking
 from dream.planning.vlm.reply import dream_reply
 from dream.protocol import DREAM_V1
+from tests.planning.vlm.counting import SO, Number
 
-
-class Number(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-    why: str = Field(max_length=20)
-    number: int
-
-
-SO = '{"why": "so", "number": 3}'
 DRAFT = '{"why": "draft", "number": 9}'
 
 PLACED = {

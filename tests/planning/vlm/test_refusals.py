@@ -8,31 +8,18 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel
 
 from dream.geometry import Bounds
 from dream.planning.vlm import asking, server_words
-from dream.planning.vlm.asking import Answer, Asking, Line, Question
+from dream.planning.vlm.asking import Answer, Line, Question
 from dream.planning.vlm.orders import orders_reply
 from dream.planning.vlm.reply import choice_reply, dream_reply, ranked_reply, vanilla_reply
 from dream.protocol import DREAM_V1
-from tests.model_server import SECRET, Request, Response, Server, error, says, serving
+from tests.model_server import SECRET, Request, Response, error, says, serving
+from tests.planning.vlm.counting import GOOD, SO, Number, line
 
-
-class Number(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-    why: str = Field(max_length=20)
-    number: int
-
-
-SO = '{"why": "so", "number": 3}'
-GOOD = says(SO)
 BLIND = "image input is not supported - hint: if this is unexpected, you may need to provide the mmproj"
-
-
-def line(server: Server, **options: Any) -> Line:
-    return Asking(**{"timeout": 5.0, **server.options, **options}).line()
 
 
 def ask(on: Line, reply: type[BaseModel] = Number) -> Answer[Any]:
