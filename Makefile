@@ -50,8 +50,9 @@ test: setup ## Run the tests, and list what was skipped
 	@$(BIN)/pytest -n 3 --dist loadscope -rfEs
 
 test-slow: export OPENBLAS_NUM_THREADS := 1
-test-slow: setup ## Run the tests that `make test` leaves out: all faults, the same bytes on every processor
+test-slow: setup ## Run the tests that `make test` leaves out: all faults, the same bytes on every processor, new examples
 	@$(BIN)/pytest -m rare -rfEs
+	@$(BIN)/pytest -n 3 -m "hypothesis and not rare" --hypothesis-profile=search -rfE
 
 test-ray: setup ## Run the tests that need Ray, an optional extra
 	@$(UV) sync --quiet --locked --inexact --extra ray
