@@ -71,8 +71,8 @@ check: setup ## Lint, types and format
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 
-results: setup ## Write docs/results.md from the released results
-	@$(BIN)/dream results results/test results/paper results/sweep --out docs/results.md
+results: setup ## Write docs/results/README.md from the released results
+	@$(BIN)/dream results results/test results/paper results/sweep --out docs/results/README.md --figures docs/results
 
 perf: setup ## Measure speed and accuracy beside named peers; some forty minutes
 	@$(UV) sync --quiet --locked --inexact --group perf

@@ -1,4 +1,4 @@
-"""Planners side by side, family by family, from the files of a benchmark: the README's two tables.
+"""Planners side by side, family by family, from the files of a benchmark: two tables of docs/benchmark.md.
 
     python perf/families.py results/test
     python perf/families.py results/dev --planners belief sixsteps frontier

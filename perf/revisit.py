@@ -11,7 +11,7 @@
 The survey is measured as `dream survey add` does it, and told as `dream run --from-survey` does. Missions are
 kept in `--out` as they end, so that the same call goes on where it was, and those that end at 98.26 % apart
 from those that end at their own stop. Ratios are of steps to 98.26 %, in pairs, 200 where it was never
-reached; see docs/revisit.md.
+reached; see docs/survey.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""UIVNav beside blind baselines, and what noise does to it: figures, tables and picture of docs/uivnav.md.
+"""UIVNav beside blind baselines, and what noise does to it: figures of docs/results/uivnav.md.
 
     dream bench test --planners uivnav random lawnmower --out bench/uivnav
     dream bench --world pool/arc --seeds 1001..1010 --planners uivnav random lawnmower --out bench/uivnav-pool

@@ -44,15 +44,16 @@ def test_the_page_of_results_is_made_from_the_files_that_are_tracked(
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, tmp_path / name)
     folders = [str(tmp_path / "results" / name) for name in ("test", "paper", "sweep")]
-    page = tmp_path / "docs/results.md"
+    page = tmp_path / "docs/results/README.md"
     monkeypatch.setattr("dream.sim.chart.chart", blank)
-    assert run_command(["results", *folders, "--out", str(page)]) == 0
-    assert page.read_text(encoding="utf-8") == (ROOT / "docs/results.md").read_text(encoding="utf-8")
-    made = {path.name for path in (tmp_path / "docs/results").iterdir()}
-    assert made == {path.name for path in (ROOT / "docs/results").iterdir()}
+    assert run_command(["results", *folders, "--out", str(page), "--figures", str(page.parent)]) == 0
+    released = ROOT / "docs/results/README.md"
+    assert page.read_text(encoding="utf-8") == released.read_text(encoding="utf-8")
+    made = {path.name for path in page.parent.iterdir() if path.suffix != ".md"}
+    assert made == {path.name for path in released.parent.iterdir() if path.suffix != ".md"}
 
 
-def test_the_readme_shows_the_tables_of_the_released_missions() -> None:
+def test_the_page_of_the_benchmark_shows_the_tables_of_the_released_missions() -> None:
     printed = subprocess.run(
         [sys.executable, ROOT / "perf/families.py", ROOT / "results/test"],
         capture_output=True,
@@ -61,9 +62,9 @@ def test_the_readme_shows_the_tables_of_the_released_missions() -> None:
     )
     lines = [line for line in printed.stdout.splitlines() if line.startswith("|")]
     assert len(lines) == 24
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/benchmark.md").read_text(encoding="utf-8")
     for line in lines:
-        assert line in readme
+        assert line in page
 
 
 def test_what_is_told_of_the_worlds_to_tune_on_is_as_released() -> None:
@@ -78,7 +79,7 @@ def test_what_is_told_of_the_worlds_to_tune_on_is_as_released() -> None:
     def stop(rows: list[Row]) -> float:
         return statistics.fmean(200 if row.t_stop is None else row.t_stop for row in rows)
 
-    page = (ROOT / "docs/planner.md").read_text(encoding="utf-8")
+    page = " ".join((ROOT / "docs/planner.md").read_text(encoding="utf-8").split())
     belief, baselines = reefs.pop("belief"), {name for name in reefs if name != "sixsteps"}
     assert min(baselines, key=lambda name: soon(reefs[name])) == "sweep-and-graze"
     steps = f"98.26 % are seen after {soon(belief):.1f} steps and it stops by itself after {stop(belief):.1f}"
@@ -123,17 +124,17 @@ def test_what_a_sensor_that_errs_costs_is_told_as_released() -> None:
     def won(rows: dict[tuple[str, int], Row], keys: list[tuple[str, int]]) -> list[tuple[str, int]]:
         return [key for key in keys if rows[key].success]
 
-    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    benchmark = " ".join((ROOT / "docs/benchmark.md").read_text(encoding="utf-8").split())
     assert won(noisy, reefs) == reefs
     stops = [statistics.fmean(stop(rows[key]) for key in reefs) for rows in (noisy, true)]
-    assert f"succeeds on all 150 reefs, after {stops[0]:.1f} steps and not {stops[1]:.1f}" in readme
-    assert f"(paired {costs(stop, reefs, 1)})" in readme
+    assert f"succeeds on all 150 reefs, after {stops[0]:.1f} steps and not {stops[1]:.1f}" in benchmark
+    assert f"(paired {costs(stop, reefs, 1)})" in benchmark
     assert won(noisy, wrecks) == won(true, wrecks)
     assert len(won(noisy, wrecks)) == 10
     assert all(row.success for row in noisy.values() if row.t_stop is not None)
-    assert "Of the 50 wrecks it succeeds on the same ten" in readme
+    assert "Of the 50 wrecks it succeeds on the same ten" in benchmark
     shown = [statistics.fmean(seen(rows[key]) for key in wrecks) for rows in (noisy, true)]
-    assert f"sees {shown[0]:.1f} %, not {shown[1]:.1f} % ({costs(seen, wrecks, 1)})" in readme
+    assert f"sees {shown[0]:.1f} %, not {shown[1]:.1f} % ({costs(seen, wrecks, 1)})" in benchmark
     assert not any(row.collisions for row in noisy.values())
     page = " ".join((ROOT / "docs/planner.md").read_text(encoding="utf-8").split())
     assert f"sees {shown[0]:.1f} %, not {shown[1]:.1f} % ({costs(seen, wrecks, 1)})" in page
@@ -142,7 +143,7 @@ def test_what_a_sensor_that_errs_costs_is_told_as_released() -> None:
 
 def test_who_stands_beside_uivnav_in_the_papers_form_is_told_as_released() -> None:
     rows = read_results(ROOT / "results/paper").rows
-    page = (ROOT / "docs/uivnav.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/results/uivnav.md").read_text(encoding="utf-8")
     for planner in {row.planner for row in rows}:
         cells = []
         for wrecks in (False, True):
@@ -153,6 +154,20 @@ def test_who_stands_beside_uivnav_in_the_papers_form_is_told_as_released() -> No
                 f"{100 * statistics.fmean(r.area if wrecks else r.instances for r in of):.2f}",
             ]
         assert f"| `{planner}` | {' | '.join(cells)} |" in page
+
+
+def test_what_noise_does_to_uivnav_is_told_as_released(tmp_path: Path) -> None:
+    printed = subprocess.run(
+        [sys.executable, ROOT / "perf/uivnav.py", "draw", "--picture", tmp_path / "noise.svg"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    rows = [line for line in printed.stdout.splitlines() if line.startswith(("| iou", "| depth"))]
+    assert len(rows) == 12
+    page = (ROOT / "docs/results/uivnav.md").read_text(encoding="utf-8")
+    assert all(row in page for row in rows)
 
 
 def test_the_table_of_wrong_answers_is_that_of_the_released_missions() -> None:

@@ -116,5 +116,5 @@ def test_a_whole_dive_ends_by_itself_and_leaves_the_vehicle_as_it_was(
     assert not came.armed
     assert came.left == {}
     # A drive rests within 2.5° by the estimate, and the estimate is off by its own degree.
-    # GUIDED takes as long, and strays as far, as the autopilot's own loops: see docs/bluerov2.md.
+    # GUIDED takes as long, and strays as far, as the autopilot's own loops: see docs/mavlink.md.
     assert guided or (came.off <= OFF and came.strays <= 1 and came.seconds <= LONG)

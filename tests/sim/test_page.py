@@ -35,7 +35,7 @@ def test_the_code_on_the_page_takes_a_patch_out_of_a_reef(
     assert save is not None
     assert run_command(save[1].split()) == 0
     exec(code("python"), {})
-    before, after = make_world("reef/O", 1), open_world("my-reef", 1)
+    before, after = make_world("reef/O", 1), open_world("runs/my-reef", 1)
     assert after.name == "reef/O (changed)"
     assert after.water.name == "clear"
     sizes = np.bincount(before.targets.group)

@@ -421,9 +421,11 @@ def test_what_the_page_says_to_type_works(
     pytest.importorskip("rasterio")
     page = Path(__file__).parents[2].joinpath("docs/survey.md").read_text(encoding="utf-8")
     typed = page.split("## From nothing to a comparison")[1].split("```sh\n")[1].split("```")[0]
+    typed = typed.replace("\\\n", " ")
     file, site = re.findall(r"cat > (\S+) <<'SITE'\n(.*?)\nSITE\n", typed, re.DOTALL)[0]
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv(VARIABLE, raising=False)
+    (tmp_path / file).parent.mkdir(exist_ok=True)
     (tmp_path / file).write_text(site)
     commands = [shlex.split(line)[1:] for line in typed.splitlines() if line.startswith("dream ")]
     assert [command[0] for command in commands].count("run") == 2

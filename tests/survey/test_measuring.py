@@ -184,6 +184,11 @@ def test_every_value_lies_in_its_interval(survey: Survey) -> None:
             assert all(map(math.isfinite, (told.low, told.high)))
 
 
+def test_a_survey_that_was_kept_was_measured_by_the_same_calibration(survey: Survey) -> None:
+    assert survey.calibration
+    assert files.loaded(files.dumped(survey), "it").calibration == survey.calibration
+
+
 def test_layers_share_the_grid_of_the_map(survey: Survey) -> None:
     layers = survey.layers
     shape = (round(layers.bounds.depth / layers.cell), round(layers.bounds.width / layers.cell))

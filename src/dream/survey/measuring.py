@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
@@ -105,7 +106,8 @@ def measure_observations(
         reef = measure_reef(ground, frames, occupancy, sigma)
         measures, found, above, individuals = reef.measures, reef.patches, reef.height, reef.individuals
     parameters = {"cell": ground.cell, "scatter": ground.scatter}
-    calibration = asdict(calibration_for(ground.scatter))
+    # As a file gives it back, where a tuple is a list: else one that was read seems measured by another.
+    calibration = json.loads(json.dumps(asdict(calibration_for(ground.scatter))))
     return Survey(
         name=about.name,
         began=about.began,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import re
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -32,6 +34,25 @@ def test_every_action_of_the_protocol_can_be_said_and_nothing_else(protocol: Sur
     turns = {round(math.remainder(turn, 2.0 * math.pi), 6) for turn in protocol.turn_angles}
     turns |= {-turn for turn in turns if abs(abs(turn) - math.pi) < 1e-5}
     assert said == {(turn, advance) for turn in turns for advance in (0.0, *protocol.advances)}
+
+
+def without_titles(schema: Any) -> Any:
+    """The same without the names that pydantic makes up."""
+    if isinstance(schema, dict):
+        return {key: without_titles(value) for key, value in schema.items() if key != "title"}
+    return schema
+
+
+def test_the_documentation_shows_what_a_reply_must_be() -> None:
+    page = Path(__file__).parents[3].joinpath("docs", "models.md").read_text(encoding="utf-8")
+    (shown,) = re.findall(r"```json\n(.*?)```", page, re.DOTALL)
+    assert json.loads(shown) == without_titles(vanilla_reply(DREAM_V1).model_json_schema())
+    words = " ".join(page.split())
+    reasons = [field for field in dream_reply(DREAM_V1).model_fields if field not in AHEAD]
+    others = [field for field in ranked_reply([1, 2]).model_fields if field not in reasons]
+    assert f"before these: {', '.join(f'`{field}`' for field in reasons)}, each at most 1,200" in words
+    assert all(f"`{field}`" in page for field in others)
+    assert MOST_WORDS == 1200
 
 
 def test_left_is_left() -> None:

@@ -51,7 +51,7 @@ from dream.robots.bluerov2.devices import PARAMETERS_BEFORE, Devices, source_of
 from dream.robots.bluerov2.home import LEAVING, WayHome
 from dream.robots.bluerov2.limits import LastResort, Limits
 from dream.robots.bluerov2.log import dive_began, read_log, read_measurements, read_wire
-from dream.robots.bluerov2.mcap import McapWriter
+from dream.robots.bluerov2.mcap import McapFile, McapWriter
 from dream.robots.bluerov2.navigation import Instruments
 from dream.robots.bluerov2.standin.lockstep import LockStep
 from dream.robots.bluerov2.standin.rig import Rig
@@ -60,6 +60,7 @@ from dream.sim.worlds import make_world
 from dream.survey import files
 from dream.survey.site import Site, read_site, write_site
 from dream.types import Decision
+from tests.docs.fields import described, keys, types
 from tests.recorded_runs import CONFIG, SUMMARY, painted_mission
 from tests.robots.bluerov2 import rigged
 from tests.survey.scenes import reef
@@ -136,6 +137,34 @@ def test_the_tank_is_explored(dive: Path) -> None:
     assert told["position_error_m"]["rmse"] < 0.1
     assert told["dive"]["pictures_per_s"] > 8.0
     assert told["dive"]["log_lost"] == {}
+
+
+@pytest.mark.slow
+def test_all_that_it_writes_is_told_in_the_page_of_files(dive: Path) -> None:
+    whole, of_dive = described("summary.json", table=0), described("summary.json", table=3)
+    assert set(keys(summary_of(dive), [*whole, *of_dive])) == {*whole, *of_dive}
+    config = json.loads((dive / "config.json").read_text())
+    assert set(keys(config, described("config.json"))) == {*described("config.json")} - {
+        "world_hash",
+        "from_survey",
+    }
+    steps = [json.loads(line) for line in (dive / "steps.jsonl").read_text().splitlines()]
+    told = [*described("steps.jsonl", table=0), *described("steps.jsonl", table=1)]
+    seen = {key for step in steps for key in keys(step, told)}
+    assert seen <= set(told)
+    assert set(described("steps.jsonl", table=1)) <= seen
+    files = {name.rstrip("/") for row in described("A run") for name in row.replace("`", "").split(", ")}
+    assert {path.name for path in dive.iterdir()} <= files
+
+
+@pytest.mark.slow
+def test_every_topic_of_its_log_is_told_in_the_page_of_files(dive: Path) -> None:
+    file = McapFile(dive / "log.mcap")
+    file.read_metadata()
+    logged = {message.topic: message.schema for message in file.messages()}
+    told = {name: kind.strip("`") for name, kind in types("log.mcap").items()}
+    assert logged == {name: kind for name, kind in told.items() if name in logged}
+    assert set(told) - set(logged) <= {"/camera/video", "/camera/image", "/a50/sent", "/standing", "/log"}
 
 
 @pytest.mark.slow

@@ -20,11 +20,12 @@ from dream.perception.sidecar import Sidecar
 from dream.robots.bluerov2.lens import Calibrated, Lens
 from dream.robots.bluerov2.log import DiveLog
 from dream.robots.bluerov2.parameters import rules
+from dream.robots.bluerov2.standin.drill import FAULTS
 
 ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs/bluerov2.md").read_text(encoding="utf-8")
 LINES = sorted(
-    {found.rstrip() for found in re.findall(r"^ {4,8}(dream .*)$", PAGE, re.MULTILINE)}
+    {found.rstrip() for found in re.findall(r"^ {4,8}(dream .*)$", PAGE.replace("\\\n", " "), re.MULTILINE)}
     | set(re.findall(r"`(dream [a-z]+ [^`]*)`", PAGE))
 )
 
@@ -67,6 +68,11 @@ def test_the_list_on_the_page_ends_with_go() -> None:
     assert verdict == "go"
     assert len(found) == 26
     assert all(line.startswith("  ok  ") or not line.startswith("  ") for line in found)
+
+
+def test_the_table_of_faults_has_all_of_them() -> None:
+    named = [cells[0] for cells in rows("| fault |")]
+    assert named == [*(fault.name for fault in FAULTS), "the program is killed", "the program is stopped"]
 
 
 def test_the_calibration_on_the_page_can_be_read(tmp_path: Path) -> None:

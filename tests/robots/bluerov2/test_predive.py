@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dream.commands.dive.predive import _looked
+from dream.commands.dive.predive import _floor, _in_time, _looked
 from dream.geometry import SE2, SE3, Camera
 from dream.perception import FlatFloor, LearnedDepth, Perception, Shells
 from dream.perception.flat_floor import floor_depth, rays
@@ -154,3 +154,109 @@ def test_a_view_without_any_depth_is_no_go(rgb: UInt8Array) -> None:
     found = Tank(rgb, unseen=True).looked(Perception(Shells(), FlatFloor()))
     assert not found.ok
     assert "0% of the view" in found.said
+
+
+@pytest.mark.parametrize(
+    ("seabed", "ok", "said"),
+    [
+        (-1.5, True, "0.6 m above it is 0.9 m deep, 2 m are allowed"),
+        (-2.7, False, "0.6 m above it is 2.1 m deep"),
+        # Under water, but so near the surface that the way home would disarm it there at once.
+        (-0.9, False, "0.6 m above it is 0.3 m deep"),
+        (-0.6, False, "0.6 m above it is out of the water"),
+        (0.3, False, "0.6 m above it is out of the water"),
+    ],
+)
+def test_a_floor_is_well_where_the_dive_is_neither_at_the_surface_nor_too_deep(
+    seabed: float, ok: bool, said: str
+) -> None:
+    ready: Any = SimpleNamespace(
+        protocol=POOL_V1,
+        limits=SimpleNamespace(depth=2.0),
+        devices=SimpleNamespace(
+            now=lambda: 0.0,
+            threads=SimpleNamespace(sleep=lambda _: None),
+            navigator=SimpleNamespace(update=lambda: replace(fix_at(), seabed=seabed)),
+        ),
+    )
+    found = _floor(ready)
+    assert found.ok is ok
+    assert said in found.said
+    assert found.wanted == "0.4 to 2 m: a deeper floor, or another --max-depth"
+
+
+@dataclass
+class Slow:
+    """A computer on a clock of its own, which a picture and a late beat advance by so many seconds."""
+
+    picture: float = 0.0
+    beat: float = 0.0
+    time: float = 0.0
+    over: bool = False
+
+    def now(self) -> float:
+        return self.time
+
+    def sleep(self, seconds: float) -> None:
+        self.time += seconds
+
+    def event(self) -> Any:
+        self.over = False
+        return SimpleNamespace(is_set=lambda: self.over, set=lambda: None, wait=self.wait)
+
+    def wait(self, seconds: float) -> None:
+        self.time += seconds + self.beat
+        self.over = True
+
+    def start(self, run: Any, name: str) -> Any:
+        run()
+        return SimpleNamespace(join=lambda seconds: None)
+
+    def perceive(self, *arguments: Any) -> None:
+        self.time += self.picture
+
+    def judged(self, *, tank: object = None) -> Finding:
+        eye = SimpleNamespace(
+            newest=lambda max_age: None,
+            view=lambda picture, camera: (None, None),
+            operator_alive=lambda: None,
+        )
+        ready: Any = SimpleNamespace(
+            devices=SimpleNamespace(
+                now=self.now,
+                threads=self,
+                camera=eye,
+                link=eye,
+                navigator=SimpleNamespace(update=lambda: None),
+            ),
+            eye=eye,
+            sight=SimpleNamespace(perception=self),
+            tank=tank,
+            protocol=POOL_V1,
+            start=SE2(0.0, 0.0, 0.0),
+            mount=MOUNT,
+        )
+        return _in_time(ready)
+
+
+def test_a_computer_that_beats_and_labels_in_time_is_well() -> None:
+    found = Slow(picture=1.4).judged()
+    assert found.ok
+    assert found.said == "0% of its beats late, the latest by 0.00 s; a picture labelled in 1.40 s at most"
+
+
+@pytest.mark.parametrize(
+    ("slow", "said"),
+    [
+        (Slow(picture=1.6), "a picture labelled in 1.60 s at most"),
+        (Slow(beat=0.35), "100% of its beats late, the latest by 0.35 s"),
+    ],
+)
+def test_a_computer_that_is_too_slow_is_no_go_but_beside_a_tank_that_takes_a_core(
+    slow: Slow, said: str
+) -> None:
+    found = slow.judged()
+    assert not found.ok
+    assert said in found.said
+    assert "depth and labels of a picture within 1.5 s: smaller models" in found.wanted
+    assert slow.judged(tank=object()).ok

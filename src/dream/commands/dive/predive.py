@@ -30,6 +30,8 @@ MISSED = 0.05
 """Share of the beats that may come late by a whole beat then."""
 LEASE_SPENT = 0.3
 """Seconds by which none may: a command lives for 0.4."""
+LABELLED = 0.5
+"""Share of the seconds that looking may take in a dive which depth and labels of a picture may take."""
 LEAST_SURE = 0.1
 """Mean confidence in a picture's labels and depth below which a dive is none."""
 FLOATING = 0.5
@@ -54,10 +56,12 @@ def predive_list(ready: Ready) -> list[Finding]:
 def _floor(ready: Ready) -> Finding:
     """Whether the dive may go as deep as it has to."""
     from dream.robots.bluerov2.check import Finding
+    from dream.robots.bluerov2.home import SHALLOW
     from dream.robots.bluerov2.navigation import NotReady
 
     altitude, deepest = ready.protocol.altitude, ready.limits.depth
-    wanted = f"a floor over which {altitude:g} m are under water, and {deepest:g} m deep at most: --max-depth"
+    # Nearer to the surface than that the way home takes it for surfaced, and disarms it.
+    wanted = f"{SHALLOW:g} to {deepest:g} m: a deeper floor, or another --max-depth"
     seabed, problem, began = math.nan, "", ready.devices.now()
     try:
         while math.isnan(seabed) and ready.devices.now() - began < FIRST_REPORT:
@@ -69,8 +73,9 @@ def _floor(ready: Ready) -> Finding:
     if math.isnan(seabed):
         return Finding("floor", ok=False, said=problem or "the DVL does not see it", wanted=wanted)
     deep = -(seabed + altitude)
-    said = f"{altitude:g} m above it is {deep:.1f} m deep, {deepest:g} m are allowed"
-    return Finding("floor", ok=0.0 < deep <= deepest, said=said, wanted=wanted)
+    where = f"{deep:.1f} m deep" if deep > 0.0 else "out of the water"
+    said = f"{altitude:g} m above it is {where}, {deepest:g} m are allowed"
+    return Finding("floor", ok=SHALLOW <= deep <= deepest, said=said, wanted=wanted)
 
 
 def _looked(ready: Ready) -> Finding:
@@ -135,10 +140,16 @@ def _in_time(ready: Ready) -> Finding:
     from dream.robots.bluerov2.bridge import BEATS
     from dream.robots.bluerov2.check import Finding
     from dream.robots.bluerov2.navigation import NotReady
+    from dream.robots.bluerov2.rov import SOON
 
     devices, threads = ready.devices, ready.devices.threads
-    wanted = f"{BEATS:g} beats a second while it looks: smaller models, or a computer with nothing else to do"
+    allowed = LABELLED * SOON
+    wanted = (
+        f"{BEATS:g} beats a second while it looks, and depth and labels of a picture within {allowed:g} s: "
+        "smaller models, or a computer with nothing else to do"
+    )
     late: list[float] = []
+    slowest = 0.0
     over = threads.event()
 
     def beat() -> None:
@@ -156,8 +167,10 @@ def _in_time(ready: Ready) -> Finding:
         level = SE3.level(ready.start.x, ready.start.y, 0.0, ready.start.yaw)
         beating = threads.start(beat, "beats")
         for _ in range(LOOKS):
+            began = devices.now()
             rgb, _ = ready.eye.view(picture, camera)
             ready.sight.perception.perceive(rgb, camera, level, ready.mount, ready.protocol.altitude)
+            slowest = max(slowest, devices.now() - began)
             devices.link.operator_alive()
             threads.sleep(0.1)
         over.set()
@@ -167,8 +180,12 @@ def _in_time(ready: Ready) -> Finding:
     missed = sum(behind > 1.0 / BEATS for behind in late) / max(len(late), 1)
     worst = max(late, default=math.inf)
     # Beside a simulated tank that takes a core for itself, it is only told.
-    ok = (missed <= MISSED and worst < LEASE_SPENT) or ready.tank is not None
-    return Finding("computer", ok, f"{missed:.0%} of its beats late, the latest by {worst:.2f} s", wanted)
+    ok = (missed <= MISSED and worst < LEASE_SPENT and slowest <= allowed) or ready.tank is not None
+    said = (
+        f"{missed:.0%} of its beats late, the latest by {worst:.2f} s; a picture labelled in {slowest:.2f} s "
+        "at most"
+    )
+    return Finding("computer", ok, said, wanted)
 
 
 def _sounded(ready: Ready) -> list[Finding]:

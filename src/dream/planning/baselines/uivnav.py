@@ -44,7 +44,7 @@ class UivNav:
     is nothing that a camera shows.
 
     Reference: UIVNav (arXiv 2309.08806), re-implemented: its representation, network and data are not
-    published; these are ours. See docs/uivnav.md.
+    published; these are ours. See docs/planner.md.
 
     Assumes: a camera like the protocol's, and targets that a frame shows. Fails when: there is nothing in
     view to steer for, or what is in view was seen long ago: it has no memory, and goes round. It never says

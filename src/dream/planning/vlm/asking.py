@@ -144,7 +144,7 @@ class Asking:
     other."""
     prompts: str | None = None
     """Folder of your own prompts: a `ranked.md` in it, say, takes the place of the package's; what is not in
-    it stays as it is. docs/prompts.md shows them all."""
+    it stays as it is. docs/models.md says where those lie."""
     record: str | None = None
     """Folder in which to keep every exchange; one kept there of the same question is replaced."""
     replay_replies: str | None = None

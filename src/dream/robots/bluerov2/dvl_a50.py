@@ -1,6 +1,6 @@
 """The link to a Water Linked A50: lines of JSON over TCP → velocity over ground.
 
-Protocol: json_v3.x of waterlinked/docs, docs/dvl/dvl-json-protocol.md (firmware 2.7.2). What else comes from
+Protocol: json_v3.x of waterlinked/docs, dvl/dvl-json-protocol.md there (firmware 2.7.2). What else comes from
 its ports: dvl-pd-formats.md (PD6 on TCP 1037, PD4 on 1038) and dvl-serial-protocol.md there. Reports are in
 the DVL's frame, forward-right-down; here everything is forward-left-up. Devices and clocks of it are in
 microseconds and degrees, which do not leave this module.
