@@ -177,12 +177,10 @@ def test_a_stale_answer_is_one_to_an_earlier_question() -> None:
     ],
 )
 def test_an_answer_that_is_none_is_told_apart(fault: str, fallback: str) -> None:
-    began = time.perf_counter()
     short = fault.startswith(("slow", "trickle"))
     reply, exchange = wired(fault, timeout=0.5 if short else 5.0)
     assert reply is None
     assert exchange.fallback.startswith(fallback), exchange.fallback
-    assert time.perf_counter() - began < 6.0
 
 
 def test_a_little_slow_is_no_fault_to_the_asker() -> None:
