@@ -20,6 +20,7 @@ from dream.evaluation import runner
 from dream.evaluation.oracle import bounds
 from dream.evaluation.results import read_kept, read_results
 from dream.evaluation.suites import Case
+from dream.extras import how_to_add
 from dream.planning import PLANNERS
 from dream.protocol import DREAM_V1
 from dream.sim.files import save_world
@@ -122,6 +123,9 @@ def test_orders_in_words_without_a_terminal_are_told_to_need_yes_at_once(
     [
         ("onnxruntime", ["run", "uivnav"], "learned"),
         ("onnxruntime", ["bench", "--planners", "belief", "uivnav"], "learned"),
+        ("onnxruntime", ["dive", "uivnav", "--stand-in", "--unattended"], "learned"),
+        ("pydantic_ai", ["dive", "ranked", "--model", "wire", "--stand-in", "--unattended"], "vlm"),
+        ("pydantic_ai", ["bench", "--planners", "ranked", "--model", "wire"], "vlm"),
         ("onnxruntime", ["sweep", "--planners", "uivnav"], "learned"),
         ("psycopg", ["run", "--from-survey", "1", "--archive", "postgresql://a/b"], "postgis"),
         ("psycopg", ["survey", "add", "run", "--archive", "postgresql://a/b"], "postgis"),
@@ -154,7 +158,7 @@ def test_a_missing_extra_is_told_before_anything_is_measured_or_made(
     (tmp_path / "run/config.json").write_text("{}")
     status, said = answer(*words)
     assert status == 2
-    assert f'pip install "dream-auv[{extra}]"' in said
+    assert f"{module}, got none. To add it: {how_to_add(extra)}\n" in said
 
 
 def busy(seconds: float) -> None:

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from numba import njit
 from numba.core.event import trigger_event
 
 from dream.cli import COMMANDS, run_command
@@ -33,6 +34,7 @@ from dream.evaluation.oracle.bounds import Bounds
 from dream.evaluation.results import read_results
 from dream.evaluation.runner import simulate
 from dream.evaluation.suites import SUITES, Case
+from dream.extras import how_to_add, missing
 from dream.planning import PLANNERS
 from dream.protocol import DREAM_V1, DREAM_V1_NAV
 from dream.recording import read_config, read_exchanges, read_steps, read_summary
@@ -118,13 +120,26 @@ def test_more_steps_than_the_protocols_cap_are_flown_and_told(capsys: pytest.Cap
     )
 
 
+def test_where_nothing_compiled_can_be_kept_it_says_what_to_set(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("numba.core.caching.CompileResultCacheImpl._locator_classes", [])
+
+    def decorated(command: object) -> None:
+        njit(cache=True)(decorated)
+
+    monkeypatch.setattr("dream.commands.worlds.Worlds.__call__", decorated)
+    assert run_command(["worlds"]) == 2
+    assert capsys.readouterr().err.endswith("Say which: export NUMBA_CACHE_DIR=FOLDER\n")
+
+
 def test_an_engine_that_is_not_installed_is_told_before_there_is_a_folder(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     out = tmp_path / "bench"
     assert run_command(["bench", "--world", "flat/empty", "--engine", "ray", "--out", str(out)]) == 2
-    assert capsys.readouterr().err == 'dream: --engine ray needs ray: pip install "dream-auv[ray]"\n'
+    assert capsys.readouterr().err == f"dream: {missing('ray', 'ray', '--engine ray')}\n"
     assert not out.exists()
 
 
@@ -927,7 +942,7 @@ def test_a_client_that_is_not_installed_is_told_before_anything_compiles(
     monkeypatch.setattr("dream.commands.run.open_world", compiles)
     monkeypatch.setattr("dream.commands.mission.open_world", compiles)
     assert run_command(command) == 2
-    assert 'needs pydantic-ai: pip install "dream-auv[vlm]"' in capsys.readouterr().err
+    assert f"got none. To add it: {how_to_add('vlm')}\n" in capsys.readouterr().err
     assert not (tmp_path / "runs").exists()
 
 

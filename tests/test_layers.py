@@ -12,6 +12,7 @@ LAYERS = [
         "compiling",
         "ending",
         "errors",
+        "extras",
         "files",
         "geometry",
         "names",

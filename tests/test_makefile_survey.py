@@ -47,12 +47,17 @@ def recipe(folder: Path) -> list[list[str]]:
     shim.write_text(LISTS_ITS_WORDS)
     shim.chmod(0o755)
     # All that is set up is taken to be so.
-    make = ["make", "--no-print-directory", "-C", str(REPOSITORY), "-o", "setup", "survey"]
+    make = ["make", "--no-print-directory", "-C", str(REPOSITORY), "-o", "setup-survey", "survey"]
     told = {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MAKELEVEL")}
-    subprocess.run(
-        [*make, f"BIN={shim.parent}"], check=True, capture_output=True, env={**told, "TYPED": str(typed)}
+    made = subprocess.run(
+        [*make, f"BIN={shim.parent}"], check=True, stdout=subprocess.PIPE, env={**told, "TYPED": str(typed)}
     )
-    return [line.split("\037")[:-1] for line in typed.read_text().splitlines()]
+    commands = [line.split("\037")[:-1] for line in typed.read_text().splitlines()]
+    # Each is shown as it can be typed, behind where the archive is.
+    shown = [line[2:] for line in made.stdout.decode().splitlines() if line.startswith("$ ")]
+    archive = f"export DREAM_ARCHIVE={commands[0][0]}"
+    assert shown == [archive, *(" ".join([str(shim), *words]) for _, *words in commands)]
+    return commands
 
 
 @pytest.fixture(scope="module")

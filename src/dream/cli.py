@@ -51,6 +51,10 @@ COMMANDS = (
 )
 
 FAILED, BAD_INPUT = 1, 2
+NOWHERE_TO_KEEP = (
+    "expected a folder to keep compiled code in, got none that this user may write: neither that of the "
+    "package nor ~/.cache. Say which: export NUMBA_CACHE_DIR=FOLDER"
+)
 
 
 class _Telling(logging.Handler):
@@ -87,6 +91,10 @@ def run_command(arguments: list[str]) -> int:
         return _fail(str(error), FAILED)
     except KeyboardInterrupt:
         return _fail("interrupted", FAILED)
+    except RuntimeError as error:
+        if "cannot cache function" not in str(error):  # So says numba.
+            raise
+        return _fail(NOWHERE_TO_KEEP, BAD_INPUT)
 
 
 def _dispatch(name: str, arguments: list[str]) -> int:

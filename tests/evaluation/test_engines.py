@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from pathlib import Path
 import pytest
 
 from dream.evaluation.engines import RETRIES, Engine, Failure, Processes, Ray, _Schedule
+from dream.extras import missing
 
 
 @dataclass(frozen=True)
@@ -149,5 +151,5 @@ def test_less_than_one_job_is_refused(kind: type[Processes] | type[Ray]) -> None
 
 def test_ray_that_is_not_installed_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(ValueError, match=r'--engine ray needs ray: pip install "dream-auv\[ray\]"'):
+    with pytest.raises(ValueError, match=re.escape(missing("ray", "ray", "--engine ray"))):
         list(Ray().run(str, [[1]]))

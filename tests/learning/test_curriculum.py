@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
 from dream.evaluation.machine import source
+from dream.extras import missing
 from dream.learning.curriculum import CARD, MODEL, Curriculum, Progress, learn, missions
 from dream.learning.network import Network
 from dream.learning.rollouts import Lesson
@@ -133,7 +135,7 @@ def test_what_is_missing_is_told_before_anything_is_flown(
         with monkeypatch.context() as patch:
             patch.setitem(sys.modules, name, None)
             engine = Inline()
-            with pytest.raises(ValueError, match=rf'needs {name}: pip install "dream-auv\[train\]"'):
+            with pytest.raises(ValueError, match=re.escape(missing("train", name, "train"))):
                 next(learn(TINY, tmp_path / name, engine, "cpu"))
         assert not engine.ran
 

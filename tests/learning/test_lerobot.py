@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from dream.extras import missing
 from dream.learning import lerobot
 from dream.learning.lerobot import Episode, export
 from dream.planning.baselines.uivnav import TURNS_DEG
@@ -147,5 +149,5 @@ def test_episodes_of_another_shape_are_refused() -> None:
 
 def test_without_pyarrow_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(ValueError, match=r'needs pyarrow: pip install "dream-auv\[train\]"'):
+    with pytest.raises(ValueError, match=re.escape(missing("train", "pyarrow", "a data set for LeRobot"))):
         export(episodes(), tmp_path / "set", advance=2.0)

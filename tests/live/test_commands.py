@@ -19,6 +19,7 @@ from pathlib import Path
 import pytest
 
 from dream.cli import run_command
+from dream.extras import missing
 from tests.live.runs import Growing
 
 Make = Callable[..., Growing]
@@ -61,7 +62,7 @@ def test_without_what_it_needs_it_says_what_to_install(
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     monkeypatch.chdir(tmp_path)
     assert run_command(words) == 2
-    assert 'pip install "dream-auv[live]"' in capsys.readouterr().err
+    assert missing("live", "fastapi", "a live page") in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from onnx import TensorProto, helper, numpy_helper
 
+from dream.extras import missing
 from dream.perception import onnx as ours
 from dream.perception.onnx import Network, checked_bytes, contents
 from tests.perception.models import constant, redness, save
@@ -169,5 +171,5 @@ def test_without_the_extra_the_reason_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    with pytest.raises(ValueError, match=r'pip install "dream-auv\[rov\]"'):
+    with pytest.raises(ValueError, match=re.escape(missing("rov", "onnxruntime", "model"))):
         Network(redness(tmp_path / "m.onnx"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 import sys
 from collections import Counter
 from dataclasses import replace
@@ -16,6 +17,7 @@ import pytest
 from onnx import TensorProto, helper
 
 from dream.evaluation.runner import simulate
+from dream.extras import missing
 from dream.geometry import SE3
 from dream.planning import UivNav
 from dream.planning.baselines import uivnav
@@ -266,4 +268,4 @@ def test_without_onnx_runtime_it_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    refused(symmetrical(tmp_path / "m.onnx"), r'UIVNav needs onnxruntime: pip install "dream-auv\[learned\]"')
+    refused(symmetrical(tmp_path / "m.onnx"), re.escape(missing("learned", "onnxruntime", "model")))

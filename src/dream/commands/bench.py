@@ -15,7 +15,7 @@ from dream.commands.console import check_no_world, print_json, with_scores
 from dream.commands.swim import Swim
 from dream.errors import MissionAborted
 from dream.names import look_up
-from dream.planning import LABELLED, OFFLINE, PLANNERS, AnyPlanner, Asking, UivNav
+from dream.planning import LABELLED, OFFLINE, PLANNERS, AnyPlanner, Asking, check_installed
 from dream.protocol import protocol_named
 from dream.telling import rich_console
 
@@ -53,12 +53,12 @@ class Flying:
         if not self.planners:
             raise ValueError(f"--planners: expected one or more of {', '.join(PLANNERS)}, got none")
         chosen = {name: _planner(name) for name in self.planners}
-        for planner in chosen.values():
-            if isinstance(planner, UivNav):
-                planner.check_installed()
         if len(chosen) < len(self.planners):
             raise ValueError(f"--planners: expected each once, got {' '.join(self.planners)}")
-        return self._with_their_model(chosen)
+        chosen = self._with_their_model(chosen)
+        for planner in chosen.values():
+            check_installed(planner)
+        return chosen
 
     def _with_their_model(self, chosen: dict[str, AnyPlanner]) -> dict[str, AnyPlanner]:
         """With the options for those that ask; a ValueError where these can reach no model."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import datetime
-import importlib.util
 import logging
 import math
 import shlex
@@ -17,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
-from dream import __version__
+from dream import __version__, extras
 from dream.commands.console import (
     check_writable,
     compiling_told,
@@ -27,7 +26,7 @@ from dream.commands.console import (
     with_progress,
 )
 from dream.names import look_up
-from dream.planning import PLANNERS, AnyPlanner, Asking, UivNav
+from dream.planning import PLANNERS, AnyPlanner, Asking, check_installed
 from dream.planning.identity import identity, planner_name
 from dream.planning.own import SUFFIX, own_planner
 from dream.versions import commit
@@ -83,6 +82,7 @@ class Replay:
                 f"--seed {record.config.seed}"
             )
         planner = answering(planner, self.replay_replies)
+        check_installed(planner)
         log = self._log(record)
         if self.out is not None:
             check_writable(self.out)
@@ -125,8 +125,6 @@ class Replay:
             given: AnyPlanner = own_planner(Path(name))
             return given
         planner = look_up(PLANNERS, name, "planner")
-        if isinstance(planner, UivNav):
-            planner.check_installed()
         own = record.config.planner_file
         if isinstance(planner, Asking) and not own and isinstance(then := record.planner, Asking):
             return then.given_to(planner)
@@ -142,11 +140,7 @@ class Replay:
             return None
         if not log.is_file():
             raise ValueError(f"--estimator: expected a dive with its {NAME}, got {record.folder} without")
-        if importlib.util.find_spec("rosbags") is None:
-            raise ValueError(
-                'replay: expected rosbags to read the log, got none. Say: pip install "dream-auv[rov]", '
-                "or --estimator none"
-            )
+        extras.check_installed("rov", "the log (--estimator none leaves it alone)", "rosbags")
         McapFile(log)  # Something else is refused; one that is torn is read as far as it goes.
         return log
 

@@ -30,7 +30,7 @@ from dream.commands.mission import check_terminal, confirmed, draw_orders, given
 from dream.commands.swim import Swim
 from dream.ending import also, reason
 from dream.errors import MissionAborted
-from dream.planning import PLANNERS, AnyPlanner, UivNav
+from dream.planning import PLANNERS, AnyPlanner, check_installed
 from dream.planning.identity import planner_name
 from dream.planning.own import own_planner
 from dream.planning.vlm import WIRE_TEST, Asking, Ranked, stands_in
@@ -88,14 +88,13 @@ class Run:
         A MissionAborted where the mission did not end by itself.
         """
         if self.live:
-            from dream.live.beside import check_installed
+            from dream.live import beside
 
-            check_installed()
+            beside.check_installed()
+        check_installed(self.planner)
         words = self.mission is not None and given(self.mission) is None
         if words and not self.yes and isinstance(self.planner, Asking):
             check_terminal(self.planner)
-        if isinstance(self.planner, UivNav):
-            self.planner.check_installed()
         with contextlib.ExitStack() as shown:
             return self._fly_and_tell(shown)
 

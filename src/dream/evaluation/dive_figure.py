@@ -72,8 +72,8 @@ def draw_dive(folder: Path) -> list[Path]:
 
     Raises:
         FileNotFoundError: There is no log in it.
-        ValueError: The log is none of a dive, or tells nothing of where the vehicle was.
-        ImportError: The extra `rov` is missing.
+        ValueError: The log is none of a dive, or tells nothing of where the vehicle was; or what reads it is
+            not installed.
         OSError: The folder cannot be written.
     """
     picture = Picture("dive", "A dive", "", _Drawing(read_dive(folder)).draw)

@@ -6,7 +6,6 @@ An engine knows nothing of missions. It runs one function on many items and surv
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import multiprocessing
 import os
 import signal
@@ -18,11 +17,11 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from typing import Any, Generic, Protocol, TypeVar
 
+from dream import extras
+
 T = TypeVar("T")
 R = TypeVar("R")
 W = TypeVar("W", bound=Hashable)
-
-EXTRA = '--engine ray needs ray: pip install "dream-auv[ray]"'
 
 RETRIES = 2
 """How often an item is tried again after its worker died."""
@@ -133,8 +132,7 @@ def _check_jobs(jobs: int | None) -> None:
 
 def check_ray() -> None:
     """Raise a ValueError where Ray is not installed."""
-    if importlib.util.find_spec("ray") is None:
-        raise ValueError(EXTRA)
+    extras.check_installed("ray", "--engine ray", "ray")
 
 
 class _Crew(Protocol[W]):

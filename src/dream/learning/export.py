@@ -6,11 +6,11 @@ into the file, and needs one more package.
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dream import extras
 from dream.learning.expert import TURNS
 from dream.learning.network import PLANES, import_torch
 from dream.learning.training import answers_of
@@ -26,16 +26,11 @@ OPSET, IR = 17, 8
 MOST_BYTES = 3_000_000
 AGREES = 1e-5
 """By how much, at most, the file's answers may differ from PyTorch's."""
-EXTRA = 'dream train needs {}: pip install "dream-auv[train]"'
 
 
 def check_installed() -> None:
     """Raise a ValueError where what writes the file, or runs it, is not installed."""
-    for name in ("onnx", "onnxruntime"):
-        try:
-            importlib.import_module(name)
-        except ImportError as error:
-            raise ValueError(EXTRA.format(name)) from error
+    extras.check_installed("train", "train", "onnx", "onnxruntime")
 
 
 def as_onnx(student: torch.nn.Sequential) -> bytes:

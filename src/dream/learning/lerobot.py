@@ -11,7 +11,6 @@ Reference: the documentation and the reader of LeRobot 0.4 (Hugging Face, Apache
 
 from __future__ import annotations
 
-import importlib.util
 import io
 import json
 import math
@@ -24,11 +23,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dream import extras
 from dream.perception.representation import HEIGHT, WIDTH
 from dream.planning.baselines.uivnav import TURNS_DEG
 from dream.types import Float32Array, UInt8Array
 
-EXTRA = 'a data set for LeRobot needs pyarrow: pip install "dream-auv[train]"'
 VERSION = "v3.0"
 RATE = 1
 """Frames a second: a step of a mission has no other clock."""
@@ -112,8 +111,7 @@ def export(episodes: Iterable[Episode], folder: Path, *, advance: float, robot: 
 
 def check_possible(folder: Path) -> None:
     """Raise a ValueError where the folder exists already, or pyarrow is not installed."""
-    if importlib.util.find_spec("pyarrow") is None:
-        raise ValueError(EXTRA)
+    extras.check_installed("train", "a data set for LeRobot", "pyarrow")
     if folder.exists():
         raise ValueError(f"data set: expected a folder that does not exist, got {folder}. Choose another")
 

@@ -8,13 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from dream import extras
 from dream.learning.expert import TURNS
 from dream.perception.representation import HEIGHT, WIDTH
 
 if TYPE_CHECKING:
     import torch
 
-EXTRA = 'dream train needs torch: pip install "dream-auv[train]"'
 MOST_PARAMETERS = 700_000
 PLANES = 2
 """Of the picture: nearness and share of target."""
@@ -25,7 +25,7 @@ def import_torch() -> Any:
     try:
         import torch
     except ImportError as error:
-        raise ValueError(EXTRA) from error
+        raise ValueError(extras.missing("train", "torch", "train")) from error
     return torch
 
 

@@ -7,7 +7,6 @@ page is served as long as somebody has it open.
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import json
 import os
 import subprocess
@@ -17,8 +16,9 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from dream import extras
 from dream.live.doors import Doors
-from dream.live.server import EXTRA, Pages, address, listen, serve
+from dream.live.server import Pages, address, listen, serve
 
 NICER = 5
 """By which the server's process yields to the mission's."""
@@ -28,8 +28,7 @@ LINGER_S = 3.0
 
 def check_installed() -> None:
     """Raise a ValueError where what a server needs is not installed."""
-    if any(importlib.util.find_spec(name) is None for name in ("fastapi", "uvicorn")):
-        raise ValueError(EXTRA)
+    extras.check_installed("live", "a live page", "fastapi", "uvicorn")
 
 
 @contextlib.contextmanager

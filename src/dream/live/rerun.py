@@ -6,7 +6,6 @@ its use until `rerun analytics disable` is said once.
 
 from __future__ import annotations
 
-import importlib.util
 import re
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from PIL import Image
 
+from dream import extras
 from dream.files import whole_or_nothing
 from dream.recording import LABEL_COLORS, RecordedStep, read_config, read_steps
 from dream.report import asked_at, label_levels, open_picture
@@ -24,7 +24,6 @@ from dream.types import Label
 if TYPE_CHECKING:
     import rerun
 
-EXTRA = 'Rerun needs rerun-sdk: pip install "dream-auv[rerun]"'
 NAME = "run.rrd"
 
 
@@ -38,8 +37,7 @@ def write_rerun(folder: Path) -> Path:
         FileNotFoundError: It is no run folder.
         OSError: The file cannot be written.
     """
-    if importlib.util.find_spec("rerun") is None:
-        raise ValueError(EXTRA)
+    extras.check_installed("rerun", "--rerun", "rerun")
     import rerun as rr
 
     config, steps = read_config(folder), read_steps(folder)

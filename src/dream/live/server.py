@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     from starlette.responses import Response
     from starlette.types import ASGIApp, Receive, Scope, Send
 
-EXTRA = 'a live page needs fastapi and uvicorn: pip install "dream-auv[live]"'
-
 PORT = 8412
 """Where the page is unless another is asked for, or this one is taken."""
 LOOK_S = 0.25

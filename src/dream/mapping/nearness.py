@@ -28,5 +28,5 @@ def within(cells: BoolArray, distance: float, cell: float) -> BoolArray:
     window = tuple(slice(max(k[0] - margin, 0), k[-1] + margin + 1) for k in (rows, cols))
     steps = np.square(np.arange(min(margin, max(cells.shape)) + 1) * cell)
     wide = (np.sqrt(steps[:, None] + steps) <= distance).sum(axis=1) - 1
-    near[window] = nearness.within(cells[window], wide[wide >= 0])
+    near[window] = nearness.within(np.ascontiguousarray(cells[window]), wide[wide >= 0])
     return near

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-EXTRA = 'models in ONNX need onnxruntime: pip install "dream-auv[rov]"'
+from dream import extras
+
 MOST_BYTES = 256 << 20
 """Of a file. The large segmentation and depth models for one frame a second have 100 to 200 MB."""
 MOST_FIELDS = 4_000_000
@@ -240,7 +241,7 @@ class Network:
         threads: int = 1,
         most: int | None = None,
         sha256: str | None = None,
-        extra: str = EXTRA,
+        extra: str = "rov",
     ) -> None:
         """Open a file.
 
@@ -249,7 +250,7 @@ class Network:
             threads: That one inference may use, 1 to 8.
             most: Bytes of the file at most; `MOST_BYTES` unless given.
             sha256: Digest that the file must have; any where None.
-            extra: What to say where ONNX Runtime is not installed.
+            extra: Which of the package's extras is asked for where ONNX Runtime is not installed.
 
         Raises:
             ValueError: The file is refused, with the reason; see `checked_bytes`.
@@ -260,7 +261,7 @@ class Network:
         try:
             import onnxruntime
         except ImportError as error:
-            raise ValueError(extra) from error
+            raise ValueError(extras.missing(extra, "onnxruntime", "model")) from error
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
         options.inter_op_num_threads = 1

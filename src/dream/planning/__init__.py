@@ -53,6 +53,13 @@ OFFLINE: tuple[str, ...] = tuple(
 """Names of those that need nothing but this machine: they ask no model, and run no network, which takes ONNX
 Runtime."""
 
+
+def check_installed(planner: object) -> None:
+    """Raise a ValueError where what a planner needs is not installed: an extra, for those that need one."""
+    if isinstance(planner, Asking | UivNav):
+        planner.check_installed()
+
+
 __all__ = [
     "LABELLED",
     "OFFLINE",
@@ -71,4 +78,5 @@ __all__ = [
     "SweepAndGraze",
     "UivNav",
     "Vanilla",
+    "check_installed",
 ]

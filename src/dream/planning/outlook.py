@@ -173,7 +173,8 @@ class Outlook:
         which = np.flatnonzero(near[self.cells_of_nodes()])
         scale = protocol.lattice / protocol.cell
         depth = self._depth.reshape(self.rows, self.cols, -1)
-        sight_lines(self._solid, np.argwhere(changed), *self._corner, scale, self._limit, depth, which)
+        cells = np.ascontiguousarray(np.argwhere(changed))
+        sight_lines(self._solid, cells, *self._corner, scale, self._limit, depth, which)
 
     def cells_of_nodes(self) -> tuple[IntArray, IntArray]:
         """(rows · cols,) map row and column of each node; the last one for nodes on the far edge."""

@@ -100,7 +100,7 @@ def _index(world: World) -> _kernels.Index:
     left, near = float(grid_low[0]), float(grid_low[1])
 
     pad = _kernels.PAD
-    boxes = np.concatenate([low[:, :2] - pad, high[:, :2] + pad], axis=1)
+    boxes = np.ascontiguousarray(np.concatenate([low[:, :2] - pad, high[:, :2] + pad], axis=1))
     first, members = _kernels.bin_boxes(boxes, left, near, CELL, rows, cols)
     cells = np.repeat(np.arange(rows * cols), np.diff(first))
     bottom, top = np.full(rows * cols, np.inf), np.full(rows * cols, -np.inf)

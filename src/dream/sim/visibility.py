@@ -128,7 +128,7 @@ class Visibility:
         )
         self._cells = (float(low[0]), float(low[1]), CELL, int(rows), int(cols))
         self._cell_first, order = _kernels.bin_boxes(
-            points[:, [0, 1, 0, 1]], *self._cells[:3], *self._cells[3:]
+            np.ascontiguousarray(points[:, [0, 1, 0, 1]]), *self._cells[:3], *self._cells[3:]
         )
         self._points = np.ascontiguousarray(points[order])
         self._owner = owner[order]

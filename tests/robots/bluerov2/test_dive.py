@@ -37,6 +37,7 @@ from dream.ending import why
 from dream.errors import MissionAborted
 from dream.estimation import InEkf, InEkfState, Timeline
 from dream.evaluation.dive_figure import read_dive
+from dream.extras import missing
 from dream.geometry import SE2, Bounds
 from dream.mapping import OccupancyMap
 from dream.mission import explore
@@ -448,7 +449,7 @@ def test_without_the_extra_it_says_what_to_install(
         "importlib.util.find_spec", lambda name, *more: None if name == "pymavlink" else found(name, *more)
     )
     assert run_command(["dive", "--stand-in"]) == 2
-    assert 'pip install "dream-auv[rov]"' in capsys.readouterr().err
+    assert missing("rov", "pymavlink", "dive") in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import datetime
-import importlib.util
 import logging
 import shutil
 import signal
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
+from dream import extras
 from dream.commands.console import check_max_steps, check_writable, compiling_told, kept_interrupts
 from dream.commands.dive.console import tell
 from dream.commands.dive.flight import Flight
@@ -28,7 +28,7 @@ from dream.commands.dive.terminal import Terminal
 from dream.commands.ground import Ground
 from dream.ending import asked_to_end
 from dream.geometry import Bounds
-from dream.planning import PLANNERS, AnyPlanner
+from dream.planning import PLANNERS, AnyPlanner, check_installed
 from dream.planning.identity import planner_name
 from dream.protocol import protocol_named
 
@@ -154,10 +154,11 @@ class Dive:
                 "dive: expected an operator at a terminal, got none. Say --unattended to dive without one"
             )
         if self.live:
-            from dream.live.beside import check_installed
+            from dream.live import beside
 
-            check_installed()
-        _check_extra()
+            beside.check_installed()
+        check_installed(self.planner)
+        extras.check_installed("rov", "dive", "pymavlink", "cv2", "rosbags", "ruamel.yaml")
         check_options(self)
         if self.area is not None:
             limits_told(self, Bounds(*self.area))
@@ -222,23 +223,6 @@ class Dive:
         return self.ground.known(site, self.planner, Bounds(*self.area), protocol, None)
 
 
-def _is_there(name: str) -> bool:
-    try:
-        return importlib.util.find_spec(name) is not None
-    except ModuleNotFoundError:  # Of a package in one that is missing itself.
-        return False
-
-
-def _check_extra() -> None:
-    needed = ("pymavlink", "cv2", "rosbags", "ruamel.yaml")
-    missing = [name for name in needed if not _is_there(name)]
-    if missing:
-        raise ValueError(
-            f"dive: expected the extra rov, got none ({', '.join(missing)}). "
-            'Say: pip install "dream-auv[rov]"'
-        )
-
-
 def draw_flown(folder: Path, *, quiet: bool) -> None:
     """Draw what a dive's log tells, beside it. Where nothing was flown, or it cannot be, nothing stays.
 
@@ -252,7 +236,7 @@ def draw_flown(folder: Path, *, quiet: bool) -> None:
 
     try:
         paths = draw_dive(folder)
-    except (ValueError, OSError, ImportError) as error:
+    except (ValueError, OSError) as error:
         logger.warning("the dive was not drawn: %s", error)
         return
     if not quiet:

@@ -279,7 +279,7 @@ def list_elements(voxels, near, looks, worth, box, lowest, highest):
     middles = np.empty((1024, 3))
     weights = np.empty(1024)
     members = np.empty((2, BLOCK**3, 3), np.int64)
-    number, total = np.zeros(2, np.int64), np.zeros(2)
+    number, total, sums = np.zeros(2, np.int64), np.zeros(2), np.zeros(3, np.int64)
     most = worth.shape[1]
     count = 0
     levels, rows, cols = voxels.shape
@@ -310,10 +310,15 @@ def list_elements(voxels, near, looks, worth, box, lowest, highest):
                         weights = np.concatenate((weights, np.empty_like(weights)))
                     elements[count] = level, row, col, kind
                     weights[count] = total[kind]
-                    sums = members[kind, :n].sum(axis=0)
+                    sums[:] = 0
+                    for m in range(n):
+                        for axis in range(3):
+                            sums[axis] += members[kind, m, axis]
                     nearest = np.iinfo(np.int64).max
                     for m in range(n):
-                        away = ((n * members[kind, m] - sums) ** 2).sum()
+                        away = 0
+                        for axis in range(3):
+                            away += (n * members[kind, m, axis] - sums[axis]) ** 2
                         if away < nearest:
                             nearest = away
                             h, r, c = members[kind, m]

@@ -433,7 +433,10 @@ def beam(weights, views, moves, offsets, turns, start, known, width, horizon, di
     poses = rows * cols * headings
     taken = np.zeros(poses, np.int32)
     tiles_from, tiles_to = np.full(poses, -1, np.int64), np.empty(poses, np.int64)
-    tiles = np.empty(np.diff(views.first).max() * min(poses, width * branches * horizon), np.uint16)
+    longest = 0
+    for k in range(len(views.first) - 1):
+        longest = max(longest, views.first[k + 1] - views.first[k])
+    tiles = np.empty(longest * min(poses, width * branches * horizon), np.uint16)
     written = 0
     for d in range(1, horizon + 1):
         n, factor = 0, discount**d

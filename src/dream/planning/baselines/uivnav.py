@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import json
 import math
 import zlib
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from dream import extras
 from dream.geometry import SE2, wrap_angle
 from dream.planning.parameters import check_count, check_range
 from dream.protocol import SurveyProtocol
@@ -29,7 +29,6 @@ TURNS_DEG = (-90, -60, -30, 0, 30, 60, 90)
 """What the network chooses between, in the order of its outputs: from right to left."""
 MOST_BYTES = 16 << 20
 """Of a network's file; the one that comes with DREAM has less than 3 MB."""
-EXTRA = 'UIVNav needs onnxruntime: pip install "dream-auv[learned]"'
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +65,7 @@ class UivNav:
 
     def check_installed(self) -> None:
         """Raise a ValueError where what runs the network is not installed."""
-        if importlib.util.find_spec("onnxruntime") is None:
-            raise ValueError(EXTRA)
+        extras.check_installed("learned", "uivnav", "onnxruntime")
 
     def begin(self, mission: Mission) -> _Sighted:
         """A fresh pilot, the same for the same seed.
@@ -104,9 +102,10 @@ def opened(weights: str | None = None) -> Policy:
     from dream.perception.onnx import Network
 
     if weights is None:
-        network = Network(SHIPPED, most=MOST_BYTES, sha256=_digest(SHIPPED.with_suffix(".json")), extra=EXTRA)
+        digest = _digest(SHIPPED.with_suffix(".json"))
+        network = Network(SHIPPED, most=MOST_BYTES, sha256=digest, extra="learned")
     else:
-        network = Network(weights, most=MOST_BYTES, extra=EXTRA)
+        network = Network(weights, most=MOST_BYTES, extra="learned")
     return Policy(network)
 
 

@@ -24,6 +24,7 @@ from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ValidationError
 
+from dream import extras
 from dream.planning.parameters import check_count, check_range
 from dream.planning.vlm import cassette
 from dream.planning.vlm.cassette import Outcome
@@ -117,7 +118,6 @@ ELSEWHERE = {
 """Environment variables that their clients take another address from."""
 _statuses: ContextVar[list[int]] = ContextVar("statuses")
 """HTTP statuses of the replies to a question; the requests may be sent by tasks below its own."""
-EXTRA = 'needs pydantic-ai: pip install "dream-auv[vlm]"'
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,6 +172,16 @@ class Asking:
             check_count("max_calls", self.max_calls, 0, 1_000_000)
         if self.max_usd is not None:
             check_range("max_usd", self.max_usd, 0.0, 1e6)
+
+    @property
+    def only_replays(self) -> bool:
+        """Whether kept replies alone answer, so that no model is asked."""
+        return self.replay_replies is not None and self.record is None
+
+    def check_installed(self) -> None:
+        """Raise a ValueError where what asks a model is not installed."""
+        if not self.only_replays:
+            extras.check_installed("vlm", f"--model {self.model}".rstrip(), "pydantic_ai")
 
     def line(self, asked: Asked = UNASKED) -> Line:
         """An open line to the model, for one mission.
@@ -327,7 +337,7 @@ class Line:
 
     def __post_init__(self) -> None:
         self._answered, self._sent = self.spent.calls > 0, self.spent.calls
-        if self.asking.replay_replies is None or self.asking.record is not None:
+        if not self.asking.only_replays:
             model = _connect(self.asking.model, self.asking.model_name)
             given = "://" in self.asking.model or stands_in(self.asking.model)
             self._forms = (_Form(model, schema=False),)
@@ -770,7 +780,7 @@ def _connect(model: str, name: str, *, formats: bool = True, limits: bool = Fals
         from pydantic_ai.providers import infer_provider_class
         from pydantic_ai.providers.openai_compatible import OpenAICompatibleProvider
     except ImportError as error:
-        raise ValueError(f"a planner that asks a model {EXTRA}") from error
+        raise ValueError(extras.missing("vlm", error.name or "pydantic_ai", "--model")) from error
     # Its advertisement would come in the middle of a mission's progress.
     pydantic_ai.BANNER_ENABLED = False
     if not model:

@@ -28,6 +28,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import numpy.typing as npt
 
+from dream import extras
 from dream.geometry import SE3, camera_mount
 from dream.robots.bluerov2.rtp import CLOCK, PAYLOAD_TYPE, AccessUnit, Depacketizer
 from dream.robots.bluerov2.threads import REAL_TIME, Event, Threads
@@ -212,7 +213,7 @@ class LiveCamera:
             threads: What it waits by; a clock of one's own goes with `Frames` alone.
 
         Raises:
-            ImportError: OpenCV is missing.
+            ValueError: OpenCV is missing.
         """
         opencv()
         self.source = source
@@ -618,10 +619,10 @@ def opencv() -> Any:
     """The module cv2.
 
     Raises:
-        ImportError: It is missing; the message says what to install.
+        ValueError: It is missing; the message says what to install.
     """
     try:
         import cv2
     except ImportError as error:
-        raise ImportError('A real camera needs OpenCV: pip install "dream-auv[rov]"') from error
+        raise ValueError(extras.missing("rov", "cv2", "camera")) from error
     return cv2

@@ -20,6 +20,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dream import extras
+
 Float64Array = npt.NDArray[np.float64]
 Fields = Mapping[str, Any]
 
@@ -256,8 +258,7 @@ def _of_yaml(text: str) -> Any:
     What OpenCV takes for a text and YAML does not is passed over, unless a lens needs it.
 
     Raises:
-        ImportError: The reader is missing; the message says what to install.
-        ValueError: It is none.
+        ValueError: It is none, or what reads it is not installed.
     """
     # OpenCV's head is none of YAML's.
     body = re.sub(r"\A\s*%YAML[^\n]*\n", "", text)
@@ -286,7 +287,7 @@ def _read_yaml(body: str) -> Any:
         from ruamel.yaml import YAML
         from ruamel.yaml.error import YAMLError
     except ImportError as error:
-        raise ImportError('A calibration file needs ruamel.yaml: pip install "dream-auv[rov]"') from error
+        raise ValueError(extras.missing("rov", "ruamel.yaml", "calibration")) from error
     if _most_open(body) > _MOST_OPEN:
         raise ValueError(f"{_EXPECTED}: it nests too deeply")
     try:

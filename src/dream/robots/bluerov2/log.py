@@ -86,7 +86,7 @@ class DiveLog:
         Raises:
             ValueError: There is a log already.
             OSError: The folder cannot be written.
-            ImportError: `rosbags` is missing.
+            ValueError: `rosbags` is missing.
         """
         self.path = folder / NAME
         self.epoch_ns = epoch_ns

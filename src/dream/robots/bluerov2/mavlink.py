@@ -16,6 +16,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
+from dream import extras
 from dream.files import write_whole
 from dream.robots.bluerov2.motion import Motion, Order
 from dream.robots.bluerov2.parameters import JOYSTICK_PARAMETERS, STATION_ID, Check, rules
@@ -992,8 +993,8 @@ class Link:
 
 
 def dialect() -> ModuleType:
-    """The messages that ArduSub knows; an ImportError that says what to install."""
+    """The messages that ArduSub knows; a ValueError that says what to install."""
     try:
         return importlib.import_module("pymavlink.dialects.v20.ardupilotmega")
     except ImportError as error:
-        raise ImportError('A BlueROV2 needs pymavlink: pip install "dream-auv[rov]"') from error
+        raise ValueError(extras.missing("rov", "pymavlink", "vehicle")) from error

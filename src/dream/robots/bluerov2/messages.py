@@ -21,6 +21,7 @@ import numpy.typing as npt
 from PIL import Image
 from pydantic_core import from_json
 
+from dream import extras
 from dream.geometry import SE3
 from dream.measurements import Depth, Dvl, Heading, Imu, Measurement
 
@@ -55,12 +56,12 @@ def typestore() -> Any:
     """The messages of ROS 2 Jazzy, which `rosbags` holds, and that of a video.
 
     Raises:
-        ImportError: `rosbags` is missing.
+        ValueError: `rosbags` is missing.
     """
     try:
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError as error:
-        raise ImportError('a dive\'s log needs rosbags: pip install "dream-auv[rov]"') from error
+        raise ValueError(extras.missing("rov", "rosbags", "log")) from error
     store = get_typestore(Stores.ROS2_JAZZY)
     store.register(get_types_from_msg(VIDEO_TEXT, VIDEO))
     return store

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 from types import TracebackType
 from typing import Any
 
+from dream import extras
 from dream.survey.archive import entries as told
 from dream.survey.archive.entries import Entry
 from dream.survey.archive.geopackage import document
@@ -418,7 +419,5 @@ def import_psycopg() -> Any:
     try:
         import psycopg
     except ImportError as error:
-        raise ValueError(
-            'an archive in PostgreSQL needs psycopg: pip install "dream-auv[postgis]"'
-        ) from error
+        raise ValueError(extras.missing("postgis", "psycopg", "an archive in PostgreSQL")) from error
     return psycopg

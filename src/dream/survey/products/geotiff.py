@@ -9,7 +9,6 @@ for cells of 0.25 m.
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from dataclasses import dataclass
 from datetime import UTC
@@ -19,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from dream import extras
 from dream.geometry import Bounds
 from dream.survey.products.ground import Ground, site_of
 from dream.survey.products.sheet import corners_of
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 
 Float64Array = npt.NDArray[np.float64]
 
-EXTRA = 'Maps need rasterio and pyproj: pip install "dream-auv[survey]"'
 FINER = 4
 """Cells of the sheet along one of the map."""
 MOST_CELLS = 100_000_000
@@ -305,8 +304,7 @@ def _overviews(sheet: Sheet) -> int:
 
 def check_installed() -> None:
     """Raise a ValueError where what maps need is not installed."""
-    if any(importlib.util.find_spec(name) is None for name in ("rasterio", "pyproj")):
-        raise ValueError(EXTRA)
+    extras.check_installed("survey", "maps", "rasterio", "pyproj")
 
 
 def import_rasterio() -> Any:
@@ -319,5 +317,5 @@ def import_rasterio() -> Any:
         import rasterio
         import rasterio.crs
     except ImportError as error:
-        raise ValueError(EXTRA) from error
+        raise ValueError(extras.missing("survey", "rasterio", "maps")) from error
     return rasterio

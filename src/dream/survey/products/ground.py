@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from dream import extras
 from dream.survey.site import Site
 from dream.survey.survey import Survey
 
@@ -144,5 +145,5 @@ def _pyproj() -> Any:
     try:
         import pyproj
     except ImportError as error:
-        raise ValueError('Maps on the globe need pyproj: pip install "dream-auv[survey]"') from error
+        raise ValueError(extras.missing("survey", "pyproj", "maps")) from error
     return pyproj

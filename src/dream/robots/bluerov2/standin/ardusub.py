@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dream import extras
+
 try:
     from pymavlink.dialects.v20 import ardupilotmega as mav
 except ImportError as error:
-    raise ImportError('a BlueROV2 needs pymavlink: pip install "dream-auv[rov]"') from error
+    raise ImportError(extras.missing("rov", "pymavlink", "vehicle")) from error
 
 from dream.geometry import wrap_angle
 from dream.measurements import Depth
