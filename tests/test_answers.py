@@ -114,7 +114,7 @@ def test_orders_in_words_without_a_terminal_are_told_to_need_yes_at_once(
 ) -> None:
     status, said = answer(*words)
     assert status == 2
-    assert said.startswith("dream: --yes: expected it where no terminal is there to confirm the mission at")
+    assert said.startswith("dream: Nobody can confirm without a terminal. Add --yes")
     assert not list(tmp_path.iterdir())
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import itertools
 import json
 import math
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -21,9 +23,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import tyro
 from numba import njit
 from numba.core.event import trigger_event
 
+from dream import commands
 from dream.cli import COMMANDS, run_command
 from dream.commands.console import check_max_steps, kept_interrupts
 from dream.compiling import COMPILES
@@ -65,27 +69,154 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
         assert f"  {command} " in printed
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_explains_its_options(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_command([command, "--help"]) == 0
-    assert "--json" in capsys.readouterr().out
+SUBCOMMANDS = ("add", "list", "show", "remove", "compare", "export")
+PAGES = [
+    *([command] for command in COMMANDS),
+    *(["survey", subcommand] for subcommand in SUBCOMMANDS),
+    *(["run", planner] for planner in PLANNERS),
+    ["dive", "belief"],
+]
+"""What `--help` may be asked of."""
 
 
-@pytest.mark.parametrize("words", [*([command] for command in COMMANDS), *(["run", p] for p in PLANNERS)])
-def test_no_explanation_is_broken_where_its_source_was(
+def _help(words: list[str], option: str, capsys: pytest.CaptureFixture[str]) -> list[str]:
+    assert run_command([*words, option]) == 0
+    return capsys.readouterr().out.splitlines()
+
+
+@pytest.fixture
+def narrow(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+
+
+@pytest.mark.usefixtures("narrow")
+@pytest.mark.parametrize("words", [[], *PAGES], ids=" ".join)
+def test_help_fits_a_screen(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    lines = _help(words, "--help", capsys)
+    assert len(lines) <= 40
+    assert max(map(len, lines)) <= 80
+
+
+@pytest.mark.usefixtures("narrow")
+@pytest.mark.parametrize("option", ["--help", "--help-all"])
+@pytest.mark.parametrize("words", PAGES, ids=" ".join)
+def test_help_is_in_words(words: list[str], option: str, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = _help(words, option, capsys)
+    text = " ".join(" ".join(lines).split())
+    riddles = r"None\}|default: (None|False|True)\)|source subcommand|\.\.\. (\(|on )|VALUE|come back to"
+    assert re.search(riddles, text) is None
+
+
+@pytest.mark.parametrize("words", PAGES, ids=" ".join)
+def test_every_option_is_explained_in_sentences(
     words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("COLUMNS", "1000")
-    assert run_command([*words, "--help"]) == 0
-    boxes = [line.strip("│ ") for line in capsys.readouterr().out.splitlines() if line.startswith("│")]
-    beginnings = ("-", "[", "(source", "─", "•", "Who decides")
-    assert [line for line in boxes if line and not line.startswith(beginnings)] == []
+    monkeypatch.setattr("dream.commands.help.WIDEST", 10_000)
+    monkeypatch.setenv("COLUMNS", "10000")
+    lines = _help(words, "--help-all", capsys)
+    options = itertools.takewhile(lambda line: line != "examples", lines)
+    # Words too long to stand beside theirs have a line of their own.
+    shown = re.sub(r"\n {22}", "  ", "\n".join(options))
+    for line in re.findall(r"^  (?:--|\[?[A-Z]{3,}).*$", shown, re.MULTILINE):
+        told = re.sub(r" \((default: .*|required)\)$", "", line)
+        assert re.search(r"  [A-Z`x0-9r].*[.\"]$", told), line
+
+
+@pytest.mark.parametrize("words", [words for words in PAGES if words != ["survey"]], ids=" ".join)
+def test_help_all_shows_what_the_command_takes(
+    words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = _help(words, "--help-all", capsys)
+    shown = {found[1] for line in lines if (found := re.match(r"  (--[a-z][a-z-]*)", line))}
+    # Asked for a page by tyro itself, which reads the same classes in its own way.
+    marks = (tyro.conf.CascadeSubcommandArgs, tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes)
+    config = (*marks, tyro.conf.FlagCreatePairsOff)
+    with pytest.raises(SystemExit):
+        tyro.cli(getattr(commands, words[0].capitalize()), args=[*words[1:], "--help"], config=config)
+    taken = set(re.findall(r"^(?:[│|] |  )(?:-h, )?(--[a-z][a-z-]*)", capsys.readouterr().out, re.MULTILINE))
+    assert "--json" in shown
+    assert shown == taken - {"--help"}
+
+
+@pytest.mark.parametrize("words", PAGES, ids=" ".join)
+def test_help_shows_first_what_help_all_shows_too(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, everything = (_help(words, option, capsys) for option in ("--help", "--help-all"))
+    assert {line for line in first if line.startswith("  --")} <= set(everything)
+    assert first[-2:] == everything[-2:]
+
+
+@pytest.mark.parametrize("words", PAGES, ids=" ".join)
+def test_the_examples_of_every_page_are_taken(
+    words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = _help(words, "--help", capsys)
+    examples = [line.strip() for line in lines[lines.index("examples") + 1 :]]
+    assert 1 <= len(examples) <= 3
+    called: list[object] = []
+
+    def call(self: object) -> int:
+        called.append(self)
+        return 0
+
+    for name in COMMANDS:
+        monkeypatch.setattr(getattr(commands, name.capitalize()), "__call__", call)
+    for example in examples:
+        program, *arguments = shlex.split(example)
+        assert program == "dream"
+        assert arguments[: len(words)] == words or words[0] in arguments
+        assert run_command(arguments) == 0, capsys.readouterr().err
+    assert len(called) == len(examples)
+
+
+def test_help_of_a_planner_of_ones_own_shows_its_parameters(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = _help(["run", "examples/planner.py"], "--help-all", capsys)
+    assert lines[0] == "usage: dream run examples/planner.py [OPTIONS]"
+    assert lines[-1] == "  dream run examples/planner.py"
+    assert "--world" in "\n".join(lines)
+
+
+def _options(words: list[str], option: str, capsys: pytest.CaptureFixture[str]) -> set[str]:
+    lines = _help(words, option, capsys)
+    return {found[1] for line in lines if (found := re.match(r"  (--[a-z][a-z-]*)", line))}
+
+
+def test_the_page_of_commands_names_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
+    head, *sections = re.split(
+        r"^## dream ", Path("docs/commands.md").read_text(encoding="utf-8"), flags=re.M
+    )
+    assert set(re.findall(r"--[a-z][a-z-]+", head)) == {"--help", "--help-all", "--json", "--version"}
+    assert [section.split("\n", 1)[0] for section in sections] == list(COMMANDS)
+    for section in sections:
+        name, told = section.split("\n", 1)
+        named = set(re.findall(r"--[a-z][a-z-]+", told)) - {"--help", "--help-all"}
+        pages = [words for words in PAGES if words[0] == name]
+        known = {option for words in pages for option in _options(words, "--help-all", capsys)}
+        if name == "export":
+            known |= {"--keep-observations"}  # Of `dream run`, as the page says.
+        assert named <= known, name
+        planners = [[name, planner] for planner in PLANNERS] if name == "run" else []
+        first = [words for words in pages if words not in planners and words != ["dive", "belief"]]
+        wanted = {option for words in first for option in _options(words, "--help", capsys)}
+        assert wanted <= named, name
+    assert all(f"`dream survey {subcommand}" in "".join(sections) for subcommand in SUBCOMMANDS)
+    assert all(f"`{planner}`" in sections[0] for planner in PLANNERS)
+
+
+def test_the_version_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["--version"]) == 0
+    assert re.fullmatch(r"dream \d+\.\d+\.\d+\S*\n", capsys.readouterr().out)
 
 
 def test_a_default_that_is_shown_short_is_not_rounded(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run_command(["run", "--help"]) == 0
+    assert run_command(["run", "--help-all"]) == 0
     assert "1.33333)" in capsys.readouterr().out
     assert run_command(["run", "--max-steps", "1", "--world", "flat/empty", "--out", str(tmp_path)]) == 0
     config = json.loads((tmp_path / "latest" / "config.json").read_text())
@@ -251,15 +382,46 @@ def test_a_planner_that_asks_a_model_is_chosen_and_explained_without_its_client_
         ),
         (["bench", "--seeds", "1..5"], "--seeds: expected --world with it"),
         (["bench", "paper", "--address", "auto"], "--address: expected --engine ray with it"),
-        (["bench", "paper", "--engine", "slurm"], "--engine"),
+        (["bench", "paper", "--engine", "slurm"], "--engine: expected one of process, ray, got slurm. Add"),
+        (["bench", "paper", "--planners", "./mine.py"], "by dream run ./mine.py, one mission at a time"),
+        (["run", "--seed"], "dream: --seed: expected a value, got none. Add --help"),
+        (["dive", "--area", "0", "0"], "dream: --area: expected 4 values, got 2. Add --help"),
+        (["dive"], "Say --area 0 0 8 5, for a tank of 8 by 5 m; or --stand-in"),
+        (["run", "--world", "my-reef-x"], 'dream: no such folder or world: "my-reef-x". dream worlds lists'),
+        (
+            ["run", "dream", "--model", "wire:error:500"],
+            "with P from 0 to 1, got wire:error:500. docs/models.md",
+        ),
+        (
+            ["mission", "Map it.", "--model", "wire"],
+            "dream: Nobody can confirm without a terminal. Add --yes to",
+        ),
+        (
+            ["worlds", "reef/string"],
+            "Say: dream draw --world reef/string, to look at it; or dream worlds --save",
+        ),
+        (["worlds", "extra"], "dream: expected an option, got extra. Add --help"),
+        (
+            ["watch", "nosuch"],
+            "dream: nosuch: expected the folder of a run, or one that holds some, got none.",
+        ),
+        (["survey"], "dream: expected a subcommand, got none. There are: add, list,"),
+        (["survey", "lst"], 'dream: no subcommand "lst". Did you mean "list"?'),
+        (["survey", "compare", "1"], "dream: expected AFTER (the later survey), got none. Add --help"),
+        (["survey", "remove", "x"], "dream: SURVEY: expected a whole number, got x. Add --help"),
+        (
+            ["export", "x"],
+            "dream: expected --to PATH (folder to make) and --title TEXT (name of the data set), got",
+        ),
+        (["report"], "dream: expected RUN (folder of the run; runs/latest is the newest), got none."),
         (["bench", "paper", "--protocol", "pool-v1"], "reef/fringing is made for dream-v1, got pool-v1"),
         (["bench", "paper", "--protocol", "dream-v1-reach5"], 'Did you mean "dream-v1-reach'),
         (["sweep", "paepr"], 'no suite "paepr". Did you mean "paper"?'),
-        (["sweep", "paper", "--reach", "5"], 'no protocol "dream-v1-reach5"'),
+        (["sweep", "paper", "--reach", "5"], "--reach: expected one or more of 4, 6, 8, 10, got 5"),
         (["sweep", "paper", "--reach"], "--reach: expected one or more of 4, 6, 8, 10, got none"),
-        (["sweep", "paper", "--reach", "8", "nan"], 'no protocol "dream-v1-reachnan"'),
+        (["sweep", "paper", "--reach", "8", "nan"], "--reach: expected one or more of 4, 6, 8, 10, got nan"),
         (["probe"], "model: expected which model to ask, got none"),
-        (["probe", "--latency", "3"], "Unrecognized options: --latency"),
+        (["probe", "--latency", "3"], "no option --latency. Add --help"),
         (["run", "dream", "--model", "wire:foo"], "error:P; docs/models.md says what each does"),
         (["probe", "--questions", "0"], "--questions: expected 1 to 200, got 0"),
         (["probe", "--at-once", "0"], "--at-once: expected 1 to 64, got 0"),
@@ -366,9 +528,8 @@ def test_an_unwritable_folder_is_named(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 def test_the_help_of_an_option_that_turns_something_off_says_so(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_command(["run", "--help"]) == 0
-    shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    assert "seen again. (default: it is; this turns it off)" in shown
+    assert run_command(["run", "--help-all"]) == 0
+    assert "  --no-anchoring      Do not correct the position" in capsys.readouterr().out
 
 
 def test_a_world_can_be_saved_changed_and_flown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -384,6 +545,75 @@ def test_draw_writes_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert run_command(["draw", "--world", "reef/O", "--out", str(picture), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["picture"] == str(picture)
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_world_is_not_saved_over_another(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "mine"
+    save = ["worlds", "--save", "flat/empty", "--out", str(folder)]
+    assert run_command(save) == 0
+    assert run_command(save) == 0  # The very same is no loss.
+    capsys.readouterr()
+    changed = (folder / "world.json").read_text().replace('"seed": 1', '"seed":  1')
+    (folder / "world.json").write_text(changed)
+    assert run_command(save) == 2
+    assert f"got {folder}, which holds something else. Choose another" in capsys.readouterr().err
+    assert (folder / "world.json").read_text() == changed
+
+
+def test_a_full_disk_leaves_no_half_of_a_picture(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    picture = tmp_path / "reef.png"
+    picture.write_bytes(b"an older one")
+    monkeypatch.setattr("dream.files.os.fsync", full)
+    assert run_command(["draw", "--world", "flat/empty", "--out", str(picture)]) == 2
+    told = capsys.readouterr().err
+    assert re.search(
+        r"--out: expected room for a picture of \d\.\d MB, could not write .*No space left", told
+    )
+    assert "Make room, or choose another place" in told
+    assert [path.name for path in tmp_path.iterdir()] == ["reef.png"]
+    assert picture.read_bytes() == b"an older one"
+
+
+OWN = """
+from dataclasses import dataclass
+from dream.types import Decision
+
+@dataclass(frozen=True, slots=True)
+class Mine:
+    def begin(self, mission):
+        return Pilot()
+
+class Pilot:
+    def decide(self, observation, occupancy):
+        return {decided}
+"""
+
+
+@pytest.mark.parametrize(
+    ("decided", "words"),
+    [
+        ("{}['x']", "mine.py, line 12: step 4: KeyError: 'x'"),
+        ("(0.4, 1.3)", "mine.py, line 11: step 4: expected a Decision with a turn of 0,"),
+        ("Decision(0.4, 1.3)", "got a turn of 22.9183° and an advance of 1.3 m"),
+    ],
+)
+def test_what_fails_in_a_planner_of_ones_own_is_told_by_its_line_and_kept_whole(
+    decided: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(OWN.replace("{decided}", decided))
+    assert run_command(["run", str(file), "--world", "flat/empty", "--out", str(tmp_path / "runs")]) == 1
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert words in told
+    (folder,) = (path for path in (tmp_path / "runs").iterdir() if not path.is_symlink())
+    kept = folder / "traceback.txt"
+    assert told.endswith(f"All of the error is in {kept}")
+    assert kept.read_text().startswith("Traceback (most recent call last):")
 
 
 def test_a_mission_that_breaks_off_keeps_its_steps_and_says_why(
@@ -916,7 +1146,7 @@ def test_a_server_that_takes_no_pictures_ends_the_run_at_its_first_question_in_i
     blind = "image input is not supported - hint: if this is unexpected, you may need to provide the mmproj"
     status, asked = ask([error(500, blind)], tmp_path)
     assert (status, len(asked)) == (1, 1)
-    assert f"got rejected: HTTP 500: {blind} .... Does the model take pictures" in capsys.readouterr().err
+    assert f"got rejected: HTTP 500: {blind}. Does the model take pictures" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

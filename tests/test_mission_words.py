@@ -372,10 +372,41 @@ def test_the_areas_can_be_looked_at_while_the_operator_is_asked(
     operator = Watched("no\n")
     operator.picture = tmp_path / "mission.draft.png"
     monkeypatch.setattr("sys.stdin", operator)
-    (tmp_path / "mission.png").write_text("of other orders")
     assert mission(model, WESTERN, "--out", str(tmp_path / "mission.json")) == 1
     assert operator.seen
-    assert (tmp_path / "mission.png").read_text() == "of other orders"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("mission.json", '{"mine": 1}', "got {out}, which holds something else. Choose another name"),
+        ("mission.png", "mine", "expected a name without a picture beside it, got {out}"),
+    ],
+)
+def test_a_file_of_somebodys_own_is_not_written_over_and_no_model_is_asked(
+    name: str, content: str, words: str, model: Server, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, own = tmp_path / "mission.json", tmp_path / name
+    own.write_text(content)
+    assert mission(model, WESTERN, "--yes", "--out", str(out)) == 2
+    assert words.format(out=out) in said(capsys)
+    assert own.read_text() == content
+    assert model.asked == []
+
+
+def test_the_same_mission_may_be_written_again_but_other_orders_are_kept(
+    model: Server, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "mission.json"
+    will_say(model, WEST, WEST, WEST)
+    for _ in range(2):
+        assert mission(model, WESTERN, "--yes", "--out", str(out)) == 0
+    edited = out.read_text().replace("80", "70")
+    out.write_text(edited)
+    assert mission(model, WESTERN, "--yes", "--out", str(out)) == 2
+    assert f"got {out}, which holds something else" in said(capsys)
+    assert out.read_text() == edited
 
 
 def test_a_mission_that_cannot_be_written_is_not_asked_for(
@@ -413,7 +444,7 @@ def test_without_a_terminal_and_without_yes_nothing_is_asked(
     will_say(model, WEST)
     monkeypatch.setattr("sys.stdin", io.StringIO("y\n"))
     assert mission(model, WESTERN, "--out", str(tmp_path / "mission.json")) == 2
-    assert "--yes: expected it where no terminal is there" in said(capsys)
+    assert "Nobody can confirm without a terminal" in said(capsys)
     assert model.asked == []
 
 

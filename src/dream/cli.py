@@ -8,7 +8,6 @@ import logging
 import re
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -24,30 +23,41 @@ N = TypeVar("N", int, float)
 USAGE = """\
 usage: dream COMMAND [OPTIONS]
 
-An underwater robot that finds and maps a habitat without knowing where it is.
+An underwater robot that finds and maps oyster reefs and wrecks without knowing
+where they are.
 
-  run      one mission in a simulated world, with its recording and its report
-  dive     a mission with a real BlueROV2, or with its stand-in
-  mission  an operator's words, turned into orders that a planner obeys
-  bench    many missions side by side: planners over the worlds of a suite
-  sweep    the same missions with one reach after another
-  results  the documentation's page of results, from benchmark folders
-  oracle   the fewest steps that see a world: certified bound and best tour
-  probe    can a model read our map? questions with known answers
-  worlds   list the worlds
+fly in a simulated world
+  run      fly one mission; leave its recording and its report
+  worlds   list the worlds, save one to edit, check one of your own
   draw     draw a world as a picture
-  watch    runs in a browser, while they are flown and after
-  report   write the HTML page of a recorded run again
-  replay   a recorded run again through the loop: are its decisions the same?
-  export   a recorded dive as a data set for others
-  survey   what the reef is, how it changed: measure, keep, compare, export
-  train    teach the network that steers by sight, on simulated reefs
+  mission  turn an operator's words into orders that every planner obeys
+dive with a BlueROV2
+  dive     fly one mission with the vehicle, or in a tank with its stand-in
+survey a reef or a wreck
+  survey   measure a run, keep it in an archive, tell what changed, make maps
+look at runs
+  watch    show runs in a browser, while they are flown and after
+  report   write the page of a run again
+  replay   decide a run again: are its decisions the same?
+  export   make a data set of a dive
+compare planners
+  bench    fly planners over many worlds; leave a table and a report
+  sweep    fly the same missions with one reach after another
+  oracle   find the fewest steps in which a world can be seen
+  results  write the page of results from folders of benchmarks
+models
+  probe    ask a vision-language model what it reads in a map
+  train    teach a network to steer by sight
 
-`dream COMMAND --help` explains a command. To begin with: dream run --world reef/string
+dream COMMAND --help      the options that people use first
+dream COMMAND --help-all  all options
+dream --version           the version
+
+Every command takes --json, for programs. To begin with: dream run
 """
 COMMANDS = (
-    *("run", "dive", "mission", "bench", "sweep", "results", "oracle", "probe", "worlds", "draw", "report"),
-    *("replay", "watch", "export", "survey", "train"),
+    *("run", "worlds", "draw", "mission", "dive", "survey", "watch", "report"),
+    *("replay", "export", "bench", "sweep", "oracle", "results", "probe", "train"),
 )
 
 FAILED, BAD_INPUT = 1, 2
@@ -55,6 +65,8 @@ NOWHERE_TO_KEEP = (
     "expected a folder to keep compiled code in, got none that this user may write: neither that of the "
     "package nor ~/.cache. Say which: export NUMBA_CACHE_DIR=FOLDER"
 )
+EVERYTHING = "--help-all"
+HELP = ("-h", "--help", EVERYTHING)
 
 
 class _Telling(logging.Handler):
@@ -73,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def run_command(arguments: list[str]) -> int:
     """Run one command line; returns its exit status."""
-    if not arguments or arguments[0] in ("-h", "--help"):
+    if not arguments or arguments[0] in (*HELP, "help"):
         print(USAGE, end="")
         return 0
     name = arguments[0]
@@ -104,6 +116,7 @@ def _dispatch(name: str, arguments: list[str]) -> int:
 
     from dream import commands
     from dream.commands.console import check_no_world
+    from dream.commands.help import check_subcommand, missing_in
 
     kind = getattr(commands, name.capitalize())
     own = _own_planner(arguments) if name == "run" else None
@@ -111,6 +124,13 @@ def _dispatch(name: str, arguments: list[str]) -> int:
         file = arguments[own]
         kind = commands.run_with(file)
         arguments = [*arguments[:own], Path(file).name, *arguments[own + 1 :]]
+    if any(word in HELP for word in arguments):
+        from dream.commands import help as pages
+
+        chosen = pages.chosen_in(arguments, kind)
+        called = chosen if own is None else file
+        print(pages.page(name, kind, chosen, called, everything=EVERYTHING in arguments), end="")
+        return 0
     complaints = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaints):
@@ -118,6 +138,7 @@ def _dispatch(name: str, arguments: list[str]) -> int:
                 kind,
                 prog=f"dream {name}",
                 args=arguments,
+                add_help=False,  # What is asked for was printed above.
                 registry=_numbers(),
                 config=(
                     tyro.conf.CascadeSubcommandArgs,
@@ -131,8 +152,12 @@ def _dispatch(name: str, arguments: list[str]) -> int:
             complaint = _one_line(complaints.getvalue())
             stray = re.match(r"Unrecognized options: (\S+?)\.? ", complaint)
             check_no_world(name, stray[1] if stray else arguments[0] if arguments else "")
+            check_subcommand(kind, arguments)
+            if missing := missing_in(complaint, kind, arguments):
+                complaint = f"expected {missing}, got none. Add --help to see the options."
             if name in ("run", "dive") and own is None:
                 _check_planner(complaint, arguments)
+            complaint = _in_our_words(complaint)
             return _fail(complaint, BAD_INPUT)
         return 0
     with clean_streams():
@@ -143,16 +168,11 @@ def _dispatch(name: str, arguments: list[str]) -> int:
 def _own_planner(arguments: Sequence[str]) -> int | None:
     """Where the file of a planner stands in the place of a planner's name; None where none does."""
     from dream import commands
+    from dream.commands.help import places_of_names
     from dream.planning.own import SUFFIX
 
-    flags = {f"--{one.name.replace('_', '-')}" for one in fields(commands.Run) if one.type in (bool, "bool")}
-    for place, word in enumerate(arguments):
-        before = arguments[place - 1] if place else ""
-        # Behind an option that takes a value it is that value.
-        named = not before.startswith("-") or before in flags or "=" in before
-        if word.endswith(SUFFIX) and not word.startswith("-") and named:
-            return place
-    return None
+    places = places_of_names(arguments, commands.Run)
+    return next((place for place in places if arguments[place].endswith(SUFFIX)), None)
 
 
 def _numbers() -> ConstructorRegistry:
@@ -237,6 +257,27 @@ def _one_line(panel: str) -> str:
     wrong = _value_error(" ".join(blocks[0])).rstrip(".") if blocks else "cannot read the arguments"
     guess = next((block[1].split()[0] for block in blocks if block[0] == "Perhaps you meant:"), "")
     return wrong + (f". Did you mean {guess}?" if guess else ".") + " Add --help to see the options."
+
+
+def _in_our_words(complaint: str) -> str:
+    """What tyro complains of, in the words of this program: what, expected, got."""
+    found = re.match(
+        r"Error parsing (--\S+): .*input length (\d+) did not match expected argument count (\d+)", complaint
+    )
+    if found:
+        return f"{found[1]}: expected {found[3]} values, got {found[2]}. Add --help to see the options."
+    found = re.match(r"invalid choice '(.*?)' for argument '(\S+)'\. Expected one of \((.*?),?\)", complaint)
+    if found:
+        choices = found[3].replace("'", "")
+        return f"{found[2]}: expected one of {choices}, got {found[1]}. Add --help to see the options."
+    for pattern, words in (
+        # What follows an option that does not exist may be its value.
+        (r"^Unrecognized options: (-\S*?)(?:, [^-].*?)?\. ", r"no option \1. "),
+        (r"^Unrecognized options: ", "expected an option, got "),
+        (r"^Missing value for argument '(\S+)'\. Expected \d+ values?", r"\1: expected a value, got none"),
+    ):
+        complaint = re.sub(pattern, words, complaint)
+    return complaint
 
 
 def _value_error(wrong: str) -> str:

@@ -102,7 +102,7 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "NaN height": (
         lambda f: heights(f, np.full((41, 41), np.nan, np.float32)),
-        r"terrain\.heights\[0, 0\]: expected a number within .*got nan",
+        r"terrain\.heights, row 1, column 1: expected a number within .*got nan",
     ),
     "dry land": (
         lambda f: heights(f, np.ones((41, 41), np.float32)),
@@ -194,9 +194,12 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
     "missing row": (lambda f: changed(f, "targets", 201), r"targets\.csv: rows: expected 201.*got 200"),
     "NaN vertex": (
         lambda f: replaced(f, "meshes.obj", r"v \S+", "v nan"),
-        r"meshes\[0\]\.vertices\[0, 0\]: .*got nan",
+        r'meshes\.obj: line 3: expected finite numbers, got "v nan',
     ),
-    "far vertex": (lambda f: replaced(f, "meshes.obj", r"v \S+", "v 1e30"), r"meshes\[0\]\.vertices\[0, 0\]"),
+    "far vertex": (
+        lambda f: replaced(f, "meshes.obj", r"v \S+", "v 1e30"),
+        r"meshes\[0\]\.vertices, row 1, column 1",
+    ),
     "word in a vertex": (
         lambda f: replaced(f, "meshes.obj", r"v \S+", "v here"),
         r'meshes\.obj: line 3: .*got "v here',
@@ -221,23 +224,26 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda f: replaced(f, "targets.csv", "mesh,x", "x,mesh"),
         r"targets\.csv: expected the header",
     ),
-    "word in a table": (lambda f: row(f, 2, "there"), r"targets\.csv: row 0: expected 15 numbers"),
-    "mesh out of range": (lambda f: row(f, 0, "10"), r"targets\.mesh\[0\]: expected 0 to 9, got 10"),
-    "mesh number too large": (lambda f: row(f, 0, "9" * 20), r"targets\.csv: row 0"),
+    "word in a table": (lambda f: row(f, 2, "there"), r"targets\.csv: line 2: expected 15 numbers"),
+    "mesh out of range": (lambda f: row(f, 0, "10"), r"targets\.mesh, row 1: expected 0 to 9, got 10"),
+    "mesh number too large": (lambda f: row(f, 0, "9" * 20), r"targets\.csv: line 2"),
     "position NaN": (
         lambda f: row(f, 1, "nan"),
-        r"targets\.position\[0, 0\]: expected a number within .*got nan",
+        r"targets\.position, row 1, column 1: expected a number within .*got nan",
     ),
     "quaternion": (
         lambda f: row(f, 4, "2.0"),
-        r"targets\.wxyz\[0\]: expected a quaternion of length 1, got 2",
+        r"targets\.wxyz, row 1: expected a quaternion of length 1, got 2",
     ),
-    "negative scale": (lambda f: row(f, 8, "-0.1"), r"targets\.scale\[0\]: expected more than 0, got -0\.1"),
-    "negative tint": (lambda f: row(f, 11, "-1"), r"targets\.tint\[0\]: expected 0 or more, got -1"),
-    "no group": (lambda f: row(f, 14, "-1"), r"targets\.group\[0\]: expected 0 to 199, got -1"),
+    "negative scale": (
+        lambda f: row(f, 8, "-0.1"),
+        r"targets\.scale, row 1: expected more than 0, got -0\.1",
+    ),
+    "negative tint": (lambda f: row(f, 11, "-1"), r"targets\.tint, row 1: expected 0 or more, got -1"),
+    "no group": (lambda f: row(f, 14, "-1"), r"targets\.group, row 1: expected 0 to 199, got -1"),
     "group beyond the individuals": (
         lambda f: row(f, 14, "200"),
-        r"targets\.group\[0\]: expected 0 to 199, got 200",
+        r"targets\.group, row 1: expected 0 to 199, got 200",
     ),
 }
 

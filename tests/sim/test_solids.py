@@ -269,7 +269,7 @@ def test_bad_input_is_refused() -> None:
         solids.line_of_sight([0, 0], [[0, 0, 0]])
     with pytest.raises(ValueError, match=r"points: expected \(N, 3\), got \(3,\)"):
         solids.line_of_sight([0, 0, 0], [0, 0, 0])
-    with pytest.raises(ValueError, match=r"points: expected finite numbers, got .*nan.* in row 1"):
+    with pytest.raises(ValueError, match=r"points: expected finite numbers, got .*nan.* in row 2"):
         solids.line_of_sight([0, 0, 0], [[0.0, 0.0, 0.0], [0.0, math.nan, 0.0]])
     with pytest.raises(ValueError, match="position: expected finite"):
         solids.clearance(math.nan, 0.0, DREAM_V1)

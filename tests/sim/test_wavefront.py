@@ -303,7 +303,7 @@ def test_objects_may_share_the_vertices_of_one_before(tmp_path: Path) -> None:
         (BOX.replace("v 0.5 -0.5 0.0 0.2 0.4 0.6", "v 0.5 -0.5"), 'line 3: expected "v x y z" or'),
         (BOX.replace("v 0.5 -0.5 0.0 0.2 0.4 0.6", "v 0.5 -0.5 0 2"), 'line 3: expected "v x y z" or'),
         (BOX.replace("0.6\nf", "-0.6\nf"), "object 0: expected colours from 0 to 1, got -0.6"),
-        (BOX.replace("0.6\nf", "nan\nf"), "object 0: expected colours from 0 to 1, got nan"),
+        (BOX.replace("0.6\nf", "nan\nf"), "line 9: expected finite numbers, got \"v "),
         (BOX + "o rope\nv 0 0 0\nl 1 2\n", "object 1 (rope): expected faces, got none"),
         (BOX.replace("f 1 4 3", "f \x1b[31m"), 'got "f \\x1b[31m"'),
         (STAR, "line 10: expected a polygon that is a fan"),
@@ -534,16 +534,16 @@ def test_what_was_turned_in_a_world_is_told_on_the_log_once(
         (
             1000.0,
             THERE,
-            r"obstacles\[0\]: expected at most 40 m in bounds of 40 x 40 m, got 1500 m.*millimetres",
+            r"obstacles, row 1: expected at most 40 m in bounds of 40 x 40 m, got 1500 m.*millimetres",
         ),
-        (200.0, THERE, r"obstacles\[0\]: expected at most 40 m .*got 300 m"),
+        (200.0, THERE, r"obstacles, row 1: expected at most 40 m .*got 300 m"),
         (
             20000.0,
             THERE,
-            r"meshes\[0\].vertices\[4, 2\]: expected a number within ±10000, got 30000.*millimetres",
+            r"meshes\[0\].vertices, row 5, column 3: expected a number within ±10000, got 30000.*millimetres",
         ),
-        (1.0, THERE.replace("1,1,1", "1,500,1"), r"obstacles\[0\]: expected at most 80 m .*got 500 m"),
-        (1e-4, THERE, r"obstacles\[0\]: expected a mesh of a millimetre or more, got 0.00015 m.*metres"),
+        (1.0, THERE.replace("1,1,1", "1,500,1"), r"obstacles, row 1: expected at most 80 m .*got 500 m"),
+        (1e-4, THERE, r"obstacles, row 1: expected a mesh of a millimetre or more, got 0.00015 m.*metres"),
     ],
 )
 def test_lengths_that_are_not_metres_are_refused(built: Built, factor: float, row: str, told: str) -> None:
@@ -559,7 +559,7 @@ def test_shells_in_millimetres_are_refused_though_the_bounds_are_as_large(
     built: Built, sides: tuple[float, float, float]
 ) -> None:
     (words,) = refused(built(sized(sides), THERE))
-    assert f"obstacles[0]: expected at most 40 m in bounds of 40 x 40 m, got {sides[0]:g} m" in words
+    assert f"obstacles, row 1: expected at most 40 m in bounds of 40 x 40 m, got {sides[0]:g} m" in words
 
 
 @pytest.mark.parametrize("sides", [(8.0, 5.0, 5.0), (30.0, 4.0, 4.0), (6.0, 1.0, 6.0)])
@@ -572,7 +572,7 @@ def test_an_individual_is_not_larger_than_some_metres_unless_it_is_of_a_hull(
     (folder / "world.json").write_text(json.dumps(content | {"targets": 1}))
     (words,) = refused(folder)
     assert (
-        f"targets[0]: expected at most 5 m of an individual that is no part of a hull, got {sides[0]:g}"
+        f"targets, row 1: expected at most 5 m of an individual that is no part of a hull, got {sides[0]:g}"
         in words
     )
     (folder / "world.json").write_text(json.dumps(content | {"targets": 1, "targets_are_hull": True}))
@@ -677,7 +677,7 @@ def test_all_that_is_amiss_is_said_at_once(built: Built, capsys: pytest.CaptureF
         ("world.json", "dream-v9"),
         ("terrain.npy", "damaged"),
         ("targets.csv", "expected a file"),
-        ("obstacles.csv", "row 1"),
+        ("obstacles.csv", "line 3"),
         ("meshes.obj", "line 10: expected vertices 1 to 8, got 33"),
         ("meshes.obj", "line 4"),
     ]:
@@ -716,4 +716,4 @@ def test_a_world_s_folder_that_is_not_there_is_said_to_be_missing(
         assert "expected a folder with a world.json, got " in told
         assert "dream worlds --save" in told
     assert run_command(["draw", "--world", "my-bay"]) == 2
-    assert 'no world "my-bay". Nor is there a folder of that name' in capsys.readouterr().err
+    assert 'no such folder or world: "my-bay"' in capsys.readouterr().err

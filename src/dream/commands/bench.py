@@ -7,7 +7,7 @@ import re
 import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -15,7 +15,9 @@ from dream.commands.console import check_no_world, print_json, with_scores
 from dream.commands.swim import Swim
 from dream.errors import MissionAborted
 from dream.names import look_up
+from dream.options import First
 from dream.planning import LABELLED, OFFLINE, PLANNERS, AnyPlanner, Asking, check_installed
+from dream.planning.own import SUFFIX
 from dream.protocol import protocol_named
 from dream.telling import rich_console
 
@@ -30,21 +32,20 @@ if TYPE_CHECKING:
 class Flying:
     """Options of every command that flies many missions."""
 
-    planners: tuple[str, ...] = OFFLINE
-    """Which planners, with their default parameters; all that need neither a model nor a network unless
-    given. NAME+LABEL is one that asks a model, by another name: so a folder holds several models."""
+    planners: First[Annotated[tuple[str, ...], tyro.conf.arg(metavar="PLANNER ...")]] = OFFLINE
+    """Names of planners. NAME+LABEL is one that asks a model, so that a folder holds several models."""
     asking: Asking = field(default_factory=Asking)
     """For those of the planners that ask a model."""
     max_steps: int | None = None
-    """Decisions at most; the protocol's cap, which none may exceed, unless given."""
-    jobs: int | None = None
-    """Missions at a time; as many as there are processors unless given."""
+    """Steps at most in a mission. Unless given, the cap of the protocol; more is not allowed."""
+    jobs: First[int | None] = None
+    """Missions at a time. Unless given, one for each processor."""
     engine: Literal["process", "ray"] = "process"
-    """Where to fly: processes of this machine, or a Ray cluster."""
+    """Where to fly: in processes of this machine, or in a Ray cluster."""
     address: str | None = None
-    """Address of the Ray cluster; one that runs on this machine, else a fresh one, unless given."""
+    """Address of the Ray cluster. Unless given, one that runs on this machine, else a fresh one."""
     keep_runs: bool = False
-    """Leave the full recording of each mission that is flown now below `runs` in the folder."""
+    """Keep the whole recording of each mission that is flown, in `runs` in the folder."""
     json: bool = False
     """Print one JSON object and nothing else."""
 
@@ -98,6 +99,11 @@ class Flying:
 
 def _planner(name: str) -> AnyPlanner:
     """The planner of a name, which may have a label where it asks a model."""
+    if name.endswith(SUFFIX):
+        raise ValueError(
+            f"--planners: expected names of planners that come with DREAM, got the file {name}. A planner of "
+            f"your own is flown by dream run {name}, one mission at a time"
+        )
     kind, plus, label = name.partition(LABELLED)
     planner = look_up(PLANNERS, kind, "planner")
     if plus and not (isinstance(planner, Asking) and re.fullmatch(r"[A-Za-z0-9._-]{1,40}", label)):
@@ -110,23 +116,27 @@ def _planner(name: str) -> AnyPlanner:
 
 @dataclass(frozen=True, slots=True)
 class Bench(Flying):
-    """Fly planners over the worlds of a suite, side by side; leave a table of results and a report.
+    """Fly planners over the worlds of a suite, side by side. Leaves a table of results and a report.
 
-    Every finished mission is kept at once. After an interruption the same command goes on with the others,
-    and more planners, worlds or seeds may be added to the same folder later.
+    Each mission is kept as soon as it ends. After an interruption the same command goes on with the others.
+    More planners, worlds or seeds can be added to the same folder later.
+
+    Examples:
+        dream bench --world reef/string --seeds 1..5 --planners belief lawnmower
+        dream bench paper
     """
 
     suite: tyro.conf.Positional[str | None] = None
-    """`paper` (15 worlds; the default), `dev` (60, to tune on) or `test` (200, to report); or a file .txt
-    that lists worlds of your own."""
-    world: str | None = None
-    """One world instead of a suite: a name from `dream worlds`, or a folder that holds a saved world."""
-    seeds: str | None = None
-    """Which worlds of that name: a seed, or the first and the last as A..B; 1 unless given."""
-    protocol: str | None = None
-    """Survey protocol; the one that the worlds are made for unless given."""
-    out: Path | None = None
-    """Folder of the benchmark; `bench/SUITE`, `bench/WORLD_SEEDS` or `bench/FOLDER` unless given."""
+    """`paper` (15 worlds; the default), `dev` (60, to tune on), `test` (200, to report), or a file .txt with
+    worlds of your own, one a line."""
+    world: First[Annotated[str | None, tyro.conf.arg(metavar="WORLD")]] = None
+    """One world instead of a suite: a name from `dream worlds`, or the folder of a saved world."""
+    seeds: First[Annotated[str | None, tyro.conf.arg(metavar="A..B")]] = None
+    """Which worlds of that name: one seed, or the first and the last as A..B. Unless given, 1."""
+    protocol: First[str | None] = None
+    """Rules of the survey: sensors, reach and cap. Unless given, those that the worlds are made for."""
+    out: First[Path | None] = None
+    """Folder of the benchmark. Unless given, `bench/SUITE`, `bench/WORLD_SEEDS` or `bench/FOLDER`."""
     swim: Swim = field(default_factory=Swim)
 
     def __call__(self) -> int:

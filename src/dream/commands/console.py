@@ -17,9 +17,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from dream.ending import TERMINATED
 from dream.errors import MissionAborted
+from dream.files import write_whole
 from dream.telling import rich_console
 
 if TYPE_CHECKING:
+    from PIL import Image
     from rich.console import Console, RenderableType
 
     from dream.evaluation.runner import Ended, Plan
@@ -44,11 +46,16 @@ def open_world(name: str, seed: int) -> World:
 
 def check_no_world(command: str, word: str) -> None:
     """Raise a ValueError where a world stands without the `--world` that should stand before it."""
-    if command not in WITH_WORLD or word.startswith("-"):
+    if command not in (*WITH_WORLD, "worlds") or word.startswith("-"):
         return
     from dream.sim.worlds import is_saved, origin
 
     if origin(word) is not None or (word and is_saved(Path(word))):
+        if command == "worlds":
+            raise ValueError(
+                f"{word}: expected an option before a world, got none. Say: dream draw --world {word}, to "
+                f"look at it; or dream worlds --save {word}, to have its folder"
+            )
         said = f"dream {command} {'--stand-in ' if command == 'dive' else ''}--world {word}"
         raise ValueError(f"{word}: expected --world before a world, got none. Say: {said}")
 
@@ -82,6 +89,28 @@ def check_picture(path: Path, option: str) -> None:
     if path.is_dir():
         raise ValueError(f"{option}: expected a file, got the folder {path}")
     check_writable(path.parent, option)
+
+
+def save_picture(picture: Image.Image, path: Path, option: str) -> None:
+    """Write a picture whole, or leave what was there.
+
+    Raises:
+        OSError: There is no room for it, or it cannot be written.
+    """
+    import io
+
+    from PIL import Image
+
+    Image.init()
+    content = io.BytesIO()
+    picture.save(content, Image.EXTENSION[path.suffix.lower()])
+    try:
+        write_whole(path, content.getvalue())
+    except OSError as error:
+        raise OSError(
+            f"{option}: expected room for a picture of {content.tell() / 1e6:.1f} MB, {error}. "
+            "Make room, or choose another place"
+        ) from error
 
 
 def check_max_steps(max_steps: int | None, protocol: SurveyProtocol) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import tyro
 
 from dream.commands.console import print_json, with_progress
+from dream.options import First
 
 if TYPE_CHECKING:
     from dream.recording import RunConfig
@@ -16,29 +17,32 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Export:
-    """Make a data set of a recorded dive, for others to use: pictures, depth, labels, poses, decisions.
+    """Make a data set of a dive for others: pictures, depth, labels, poses and decisions.
 
-    Its README.md says what is in it, in which frames and units. Broken off, the same command goes on. A
-    simulated run can be exported too, where it was flown with --keep-observations.
+    Its README.md says what is in it, in which frames and units. After an interruption the same command goes
+    on. A simulated run can be exported too, if it was flown with --keep-observations.
+
+    Examples:
+        dream export runs/latest --to tank --title "A tank with an arc of shells"
     """
 
     run: tyro.conf.Positional[Path]
     """Folder of the run."""
     to: Path
-    """Folder to make; it must not exist."""
+    """Folder to make. It must not exist."""
     title: str
     """Name of the data set."""
-    what: str = ""
-    """What it shows, in a sentence or two."""
-    where: str = ""
+    what: First[str] = ""
+    """What the data set shows, in a sentence or two."""
+    where: First[str] = ""
     """Where the dive was."""
-    sensors: str = ""
-    """Vehicle, camera, lights, DVL."""
-    labels_by: str = ""
-    """How labels and depth were made, by which model."""
-    authors: tuple[str, ...] = ()
+    sensors: First[str] = ""
+    """Vehicle, camera, lights and DVL."""
+    labels_by: First[str] = ""
+    """How labels and depth were made, and by which model."""
+    authors: First[tuple[str, ...]] = ()
     """Whom to name, and how to reach them: "Ada L. <ada@example.org>"."""
-    licence: str = ""
+    licence: First[str] = ""
     """SPDX name of the licence that the owner of the data chose, such as CC-BY-4.0."""
     json: bool = False
     """Print one JSON object and nothing else."""

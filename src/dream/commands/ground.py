@@ -8,6 +8,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dream.options import First
 from dream.planning import AnyPlanner, Belief
 
 if TYPE_CHECKING:
@@ -23,17 +24,17 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Ground:
-    """The ground that is surveyed, as far as somebody knows it."""
+    """What is known of the ground before."""
 
-    site: Path | None = None
-    """File that says where on earth the map lies, for `dream survey`: name, latitude, longitude,
-    heading_deg, datum. It is kept with the run, and so is all that is seen."""
+    site: First[Path | None] = None
+    """File with name, latitude, longitude, heading_deg and datum of the map. The run keeps it, and all that
+    is seen, for `dream survey`."""
     from_survey: str | None = None
     """An earlier survey of the same ground, to plan with: its number in the archive, its file, or the folder
-    of its run. The planner goes first to what it held."""
+    of its run. The planner goes first to what that survey found."""
     archive: str | None = None
-    """Path, or postgresql:// URL, of the archive that `--from-survey` looks in. Default: that in
-    DREAM_ARCHIVE, else surveys.gpkg."""
+    """Archive in which `--from-survey` looks: its path, or a postgresql:// URL. Unless given, the one that
+    DREAM_ARCHIVE names, else surveys.gpkg."""
 
     def where(self) -> Site | None:
         """By `--site`; the file is read.

@@ -5,12 +5,13 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, Annotated, TextIO
 
 import tyro
 
 from dream.commands.console import check_writable, open_world, price, print_json
 from dream.errors import MissionAborted
+from dream.options import First
 from dream.protocol import protocol_named
 from dream.telling import one_line
 
@@ -24,27 +25,33 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Mission:
-    """Let a model turn an operator's words into orders; show them, and write them once they are confirmed."""
+    """Let a model turn an operator's words into orders. Shows them, and writes them once you confirm.
+
+    `dream run --mission mission.json` flies the orders, with any planner.
+
+    Examples:
+        dream mission "Map the reef in at most 60 steps." --model wire
+    """
 
     text: tyro.conf.Positional[str]
     """The mission in plain words: what to find or map, where, in which order, in how many steps at most."""
-    model: str = ""
+    model: First[str] = ""
     """Which model: `openai:NAME`, `anthropic:NAME`, `google:NAME`, the address of a server that speaks
-    OpenAI's interface, such as http://localhost:8000/v1, or `wire`, the stand-in that answers by rule."""
-    model_name: str = ""
+    OpenAI's interface, such as http://localhost:8000/v1, or `wire`, a stand-in that answers by rules."""
+    model_name: First[str] = ""
     """What the server at that address calls the model."""
     prompts: str | None = None
-    """Folder with an `orders.md` of your own, to be asked with in the place of the package's."""
-    world: str = "reef/string"
-    """A name from `dream worlds`, or a folder that holds a saved world."""
-    seed: int = 1
+    """Folder with an `orders.md` of your own. It takes the place of the package's prompt."""
+    world: First[Annotated[str, tyro.conf.arg(metavar="WORLD")]] = "reef/string"
+    """A name from `dream worlds`, or the folder of a saved world."""
+    seed: First[int] = 1
     """Which world of that name."""
     protocol: str | None = None
-    """Survey protocol; the one that the world is made for unless given."""
-    out: Path = Path("mission.json")
-    """File to write; a picture of the areas comes beside it."""
-    yes: bool = False
-    """Take what was understood as confirmed, where nobody can be asked."""
+    """Rules of the survey: sensors, reach and cap. Unless given, those that the world is made for."""
+    out: First[Path] = Path("mission.json")
+    """File to write. A picture of the areas is written beside it."""
+    yes: First[bool] = False
+    """Take the orders as the model understood them, and ask nobody to confirm them."""
     json: bool = False
     """Print the orders as one JSON object and nothing else."""
 
@@ -57,16 +64,18 @@ class Mission:
         if self.out.is_dir():
             raise ValueError(f"--out: expected a file, got the folder {self.out}")
         asking = Asking(self.model, self.model_name, prompts=self.prompts)
+        picture = self.out.with_suffix(".png")
         if not self.yes:
             check_terminal(asking)
         check_writable(self.out.parent)
+        self._check_new(picture)
         asking.line()  # What is missing to ask a model is told before anything compiles.
         world = open_world(self.world, self.seed)
         protocol = protocol_named(self.protocol or world.protocol)
-        picture = self.out.with_suffix(".png")
         told = sys.stderr if self.json else sys.stdout
         wanted = None if self.yes else ("Keep these orders?", picture.with_suffix(".draft.png"))
         orders = confirmed(self.text, asking, world, protocol, wanted, told)
+        self._check_new(picture, orders)
         draw_orders(orders, world.bounds, protocol, picture)
         write_mission(self.out, self.text, orders)
         if self.json:
@@ -75,6 +84,32 @@ class Mission:
             print(f"written: {self.out}, and {picture}, in which its areas are drawn")
             print(f"to fly it: dream run --mission {self.out} --world {self.world} --seed {self.seed}")
         return 0
+
+    def _check_new(self, picture: Path, orders: Orders | None = None) -> None:
+        """Raise a ValueError where a file would be written over that is not this very mission.
+
+        Args:
+            picture: Of the areas.
+            orders: That were understood; None before.
+        """
+        from dream.planning.vlm.orders import read_mission
+
+        if not self.out.exists():
+            if picture.exists():
+                raise ValueError(
+                    f"--out: expected a name without a picture beside it, got {self.out}, and there is "
+                    f"{picture}. Choose another name, or move that picture away"
+                )
+            return
+        try:
+            text, kept = read_mission(self.out)
+        except ValueError:
+            text, kept = None, None
+        if text != self.text or (orders is not None and kept != orders):
+            raise ValueError(
+                f"--out: expected a file that does not exist, or that holds this mission, got {self.out}, "
+                "which holds something else. Choose another name, or move that file away"
+            )
 
 
 def confirmed(
@@ -134,8 +169,8 @@ def check_terminal(asking: Asking) -> None:
     if not sys.stdin.isatty():
         asking.line()  # What is wrong with the model would stay wrong with --yes, so it is told first.
         raise ValueError(
-            "--yes: expected it where no terminal is there to confirm the mission at, got none. "
-            "With it, what the model understood is taken as it is"
+            "Nobody can confirm without a terminal. "
+            "Add --yes to take the orders as the model understood them."
         )
 
 

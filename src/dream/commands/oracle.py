@@ -9,7 +9,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -18,9 +18,11 @@ from dream.commands.console import (
     check_picture,
     open_world,
     print_json,
+    save_picture,
     with_progress,
 )
 from dream.errors import MissionAborted
+from dream.options import First
 from dream.protocol import SurveyProtocol, protocol_named
 from dream.telling import rich_console
 
@@ -37,43 +39,46 @@ DEFAULT_WORLD = "reef/string"
 
 @dataclass(frozen=True, slots=True)
 class Oracle:
-    """The fewest steps that see a world: a certified lower bound, and the best tour of one who knows it.
+    """Find the fewest steps in which a world can be seen, by one who knows it: a lower bound and a tour.
 
-    No mission without a collision sees 100 % (or 98.26 %) of the instances in fewer steps than the lower
-    bound: an exact search has shown that no shorter walk sees even a few chosen individuals. The best tour
-    is a walk that does see them, flown in the simulator. Where both numbers meet, the tour is optimal. All
-    steps count the look-around. Bounds that come with the package are where the search begins.
+    No mission without contact sees 100 % (or 98.26 %) of the individuals in fewer steps than the lower
+    bound. An exact search proves it: no shorter walk sees even a few chosen individuals. The best tour is a
+    walk that does see them, flown in the simulator. Where both numbers are equal, the tour is optimal. All
+    numbers of steps include the look-around. The search begins at bounds that come with the package.
 
-    With a suite, all its worlds are searched side by side and kept in a file (`--out`): interrupted, the same
-    command goes on where it was.
+    With a suite, the bounds of all its worlds are kept in a file (`--out`). After an interruption the same
+    command goes on with the other worlds.
+
+    Examples:
+        dream oracle --world reef/string --budget 20 --picture tour.png
+        dream oracle paper --check
     """
 
     suite: tyro.conf.Positional[str | None] = None
-    """Search all worlds of this suite instead of one: `paper`, `dev` or `test`; or a file .txt that lists
-    worlds of your own."""
-    world: str | None = None
-    """A name from `dream worlds`, or a folder that holds a saved world; reef/string unless given."""
-    seed: int = 1
+    """All worlds of a suite instead of one: `paper`, `dev` or `test`, or a file .txt with worlds of your own,
+    one a line."""
+    world: First[Annotated[str | None, tyro.conf.arg(metavar="WORLD")]] = None
+    """A name from `dream worlds`, or the folder of a saved world. Unless given, reef/string."""
+    seed: First[int] = 1
     """Which world of that name."""
     start: int = 0
-    """Which of the world's start poses."""
+    """Which of the world's start poses, counted from 0."""
     protocol: str | None = None
-    """Survey protocol; the one that the world is made for unless given."""
-    budget: float = 60.0
-    """Seconds of processor time to search a world, without compiling; 0 only tells what is known."""
-    picture: Path | None = None
-    """Draw the best tour over the world's chart; a name that ends in .png, .jpg or .webp."""
-    out: Path | None = None
-    """File that the bounds of a suite are kept in, a line a world; `SUITE.jsonl` unless given."""
-    jobs: int = 1
+    """Rules of the survey: sensors, reach and cap. Unless given, those that the world is made for."""
+    budget: First[float] = 60.0
+    """Seconds of processor time for a world, without compiling. 0 only tells what is known."""
+    picture: First[Path | None] = None
+    """Picture to draw: the best tour on the world's chart. Its name ends in .png, .jpg or .webp."""
+    out: First[Path | None] = None
+    """File in which the bounds of a suite are kept, one world a line. Unless given, `SUITE.jsonl`."""
+    jobs: First[int] = 1
     """Worlds of a suite at a time."""
     traces: Path | None = None
-    """A folder of `dream bench`, finished or not, whose missions are where the search for tours begins."""
+    """A folder of `dream bench`, finished or not. The search for tours begins at its missions."""
     again: bool = False
-    """Search on also where a suite's world has bounds with a gap already."""
-    check: bool = False
-    """Do not search: fly all kept tours and certify all kept bounds of the suite again. Worlds of which no
-    bounds are known are counted."""
+    """Search again where a world of the suite has bounds already that are not equal."""
+    check: First[bool] = False
+    """Search nothing: fly the kept tours of the suite again, and prove the kept bounds again."""
     json: bool = False
     """Print one JSON object and nothing else."""
 
@@ -377,4 +382,4 @@ def _draw(bounds: Bounds, world: World, protocol: SurveyProtocol, path: Path) ->
     for (u, v), to_u, to_v in looks:
         draw.line([(u, v), (to_u, to_v)], fill=START, width=2)
         draw.ellipse([u - 4, v - 4, u + 4, v + 4], fill=(255, 255, 255), outline=START, width=2)
-    page.save(path)
+    save_picture(page, path, "--picture")

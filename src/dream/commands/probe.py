@@ -21,6 +21,7 @@ from dream.commands.console import (
     with_progress,
 )
 from dream.errors import MissionAborted
+from dream.options import First
 from dream.planning.vlm.asking import Asking
 from dream.telling import rich_console
 
@@ -32,44 +33,47 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Questioned(Asking):
-    """Options for asking where nothing is flown: no offline planner helps, and no mission's clock runs."""
+    """Options of the model that is asked."""
 
     timeout: float = 60.0
-    """Seconds for an answer, all tries included; then the question has none, which is a wrong one."""
-    max_calls: int | None = None
-    """Requests at most; then no further question is asked."""
-    max_usd: float | None = None
-    """US dollars at most, likewise; for models whose price is known."""
+    """Seconds for an answer, all tries included. A question without an answer counts as answered wrong."""
+    max_calls: First[int | None] = None
+    """Requests at most. After them no question is asked."""
+    max_usd: First[float | None] = None
+    """US dollars at most, for models whose price is known. After them no question is asked."""
     latency: tyro.conf.Suppress[tyro.conf.Fixed[float | None]] = None
     """Nothing waits for an answer here."""
-    record: str | None = None
-    """Folder in which to keep every exchange; a question that was answered there is not asked again."""
+    record: First[str | None] = None
+    """Folder that keeps every question and answer. A question that was answered there is not asked again."""
 
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """Ask a model questions about maps whose answers are known: can it read ours?
+    """Ask a vision-language model questions about maps whose answers are known. Can it read a map?
 
-    Eight kinds of multiple-choice questions, about maps drawn as the planners draw them: which mark is the
-    nearest, what is unexplored, where a target region is open, what blocks the way, where the robot heads and
-    more. A kind is no better than chance where the 95 % interval of its share of right answers reaches down
-    to what blind answers give; do not trust a model with such a kind. The map is read where no kind is like
-    that and the interval of the whole lies above 80 %. No answer is a wrong one, and is counted apart.
+    There are eight kinds of multiple-choice questions about maps, drawn as the planners draw them: which mark
+    is the nearest, what is unexplored, where a target region is open, what blocks the way, where the robot
+    heads and more. Of each kind the share of right answers is told, with its 95 % interval. A kind whose
+    interval reaches down to chance is not read. The map is read where every kind is better than chance and
+    the interval of all questions lies above 80 %. A missing answer is a wrong one, and is counted apart too.
 
-    With `--record`, an interrupted probe goes on where it was: what is kept there is not asked again.
-    What was answered until then is told and shown as far as it goes.
+    With `--record`, an interrupted probe goes on: what is kept there is not asked again.
+
+    Examples:
+        dream probe --model wire --questions 80
+        dream probe --model openai:NAME --record replies --out probe
     """
 
     asking: Questioned = field(default_factory=Questioned)
     """Which model is asked, and how."""
-    questions: int = 200
-    """How many; fewer than 80, ten of every kind, tell nothing."""
+    questions: First[int] = 200
+    """How many questions. Fewer than 80, ten of each kind, tell nothing."""
     at_once: int = 8
-    """Questions that may wait for an answer at a time."""
+    """Questions that wait for an answer at a time."""
     limit: float = 1800.0
-    """Seconds after which no further question is asked."""
-    out: Path | None = None
-    """Folder for a page with every question, and for all of it as JSON."""
+    """Seconds after which no question is asked."""
+    out: First[Path | None] = None
+    """Folder for a page with every question and answer, and for the same as JSON."""
     json: bool = False
     """Print one JSON object and nothing else."""
 

@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -26,6 +26,7 @@ from dream.commands.console import (
     with_progress,
 )
 from dream.names import look_up
+from dream.options import First
 from dream.planning import PLANNERS, AnyPlanner, Asking, check_installed
 from dream.planning.identity import identity, planner_name
 from dream.planning.own import SUFFIX, own_planner
@@ -42,27 +43,32 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """Take a recorded run through the loop again, and compare its decisions with those of then.
+    """Let a planner decide a recorded run again, and compare its decisions with the recorded ones.
 
-    A dive, and a run that was flown with --keep-observations, are played back: map and planner are given what
-    was seen then. Any other run is flown again in the simulator. The same code decides the same; where it
-    does not, the first difference is told, and the exit status is 1. Another planner may be asked how it
-    would have decided in each place. Of a dive with its log, all estimators reckon the way anew.
+    A dive, and a run that was flown with --keep-observations, are played back: map and planner get what was
+    seen then. Any other run is flown again in the simulator. The same code decides the same. Where it does
+    not, the first difference is told, and the exit status is 1. Another planner can be asked how it would
+    decide in each place. Of a dive with its log, all filters estimate the track again.
+
+    Examples:
+        dream replay runs/latest
+        dream replay runs/latest --planner lawnmower
     """
 
     run: tyro.conf.Positional[Path]
     """Folder of the run; runs/latest is the newest."""
-    planner: str | None = None
-    """Ask this planner, or that of a file .py, with its default parameters; the run's own, with its
-    own, unless given."""
-    replay_replies: Path | None = None
-    """Folder of kept replies, for a planner that asks a model; the one that it kept them in unless given."""
+    planner: First[Annotated[str | None, tyro.conf.arg(metavar="PLANNER")]] = None
+    """Planner to ask: its name, or its file .py, with its default parameters. Unless given, the planner of
+    the run, with its own parameters."""
+    replay_replies: First[Path | None] = None
+    """Folder of kept answers, for a planner that asks a model. Unless given, the one in which the run kept
+    them."""
     estimator: Literal["all", "none", "inekf", "ekf", "cipg", "dead-reckoning"] = "all"
-    """Which of them makes the estimate of a dive again from log.mcap."""
-    out: Path | None = None
-    """Folder to make a run folder of the replay in, with its report; nothing is written unless given."""
-    rerun: bool = False
-    """Only write run.rrd into the run's folder, to be looked at step by step in the Rerun viewer."""
+    """Filter that estimates the track of a dive again from log.mcap."""
+    out: First[Path | None] = None
+    """Folder in which a run folder of the replay is made, with its report. Unless given, none is made."""
+    rerun: First[bool] = False
+    """Write run.rrd for the Rerun viewer into the run's folder, and do nothing else."""
     json: bool = False
     """Print one JSON object and nothing else."""
 

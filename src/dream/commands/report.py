@@ -12,10 +12,14 @@ from dream.commands.console import print_json
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Write the HTML page of a recorded run again, also of one that was aborted; and a dive's picture."""
+    """Write the page of a run again, also of one that was aborted. Of a dive, its picture is drawn too.
+
+    Examples:
+        dream report runs/latest
+    """
 
     run: tyro.conf.Positional[Path]
-    """Folder of the run."""
+    """Folder of the run; runs/latest is the newest."""
     json: bool = False
     """Print one JSON object and nothing else."""
 

@@ -8,18 +8,23 @@ from pathlib import Path
 import tyro
 
 from dream.commands.console import print_json
+from dream.options import First
 
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """Write the documentation's page of results from benchmark folders; equal folders give equal bytes."""
+    """Write the page of results from folders of benchmarks. The same folders give the same bytes.
+
+    Examples:
+        dream results bench/paper --out results.md
+    """
 
     folders: tyro.conf.Positional[tuple[Path, ...]]
-    """Folders of `dream bench`, or of `dream sweep`, which hold one benchmark a reach."""
-    out: Path | None = None
-    """The page to write; `results.md` in the first of the folders unless given."""
-    figures: Path | None = None
-    """Folder for its pictures; one beside the page, of the same name, unless given."""
+    """Folders of `dream bench`, or of `dream sweep`."""
+    out: First[Path | None] = None
+    """Page to write. Unless given, `results.md` in the first of the folders."""
+    figures: First[Path | None] = None
+    """Folder for its pictures. Unless given, a folder beside the page, named as the page."""
     json: bool = False
     """Print one JSON object and nothing else."""
 

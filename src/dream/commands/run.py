@@ -6,10 +6,11 @@ import contextlib
 import datetime
 import logging
 import sys
+import traceback
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -30,6 +31,7 @@ from dream.commands.mission import check_terminal, confirmed, draw_orders, given
 from dream.commands.swim import Swim
 from dream.ending import also, reason
 from dream.errors import MissionAborted
+from dream.options import First
 from dream.planning import PLANNERS, AnyPlanner, check_installed
 from dream.planning.identity import planner_name
 from dream.planning.own import own_planner
@@ -49,34 +51,44 @@ else:
 
 logger = logging.getLogger(__name__)
 
+TRACEBACK = "traceback.txt"
+"""File in the folder of a run that a planner or the program broke off by an error in its code."""
+
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """Fly one mission in a simulated world; leave its recording, its report and its summary."""
+    """Fly one mission in a simulated world. Its folder keeps the recording, the report and the summary.
+
+    A planner of your own is named by its file: dream run ./mine.py.
+
+    Examples:
+        dream run --world reef/string
+        dream run lawnmower --world wreck/5 --seed 3 --live
+    """
 
     planner: ChosenPlanner = PLANNERS["belief"]
     """Who decides."""
-    world: str = "reef/string"
-    """A name from `dream worlds`, or a folder that holds a saved world."""
-    seed: int = 1
-    """Which world of that name."""
+    world: First[Annotated[str, tyro.conf.arg(metavar="WORLD")]] = "reef/string"
+    """A name from `dream worlds`, or the folder of a saved world."""
+    seed: First[int] = 1
+    """Which world of that name: any number makes another."""
     start: int = 0
-    """Which of the world's start poses."""
-    out: Path = Path("runs")
-    """Folder that the run's own folder is made in."""
-    max_steps: int | None = None
-    """Decisions at most; the protocol's cap unless given."""
-    protocol: str | None = None
-    """Survey protocol; the one that the world is made for unless given."""
-    mission: str | None = None
-    """What to do: a file that `dream mission` wrote; or plain words, for a planner that asks a model."""
+    """Which of the world's start poses, counted from 0."""
+    out: First[Path] = Path("runs")
+    """Folder in which the run's own folder is made."""
+    max_steps: First[int | None] = None
+    """Steps at most, that is decisions carried out. Unless given, the cap of the protocol: 200."""
+    protocol: First[str | None] = None
+    """Rules of the survey: sensors, reach and cap. Unless given, those that the world is made for."""
+    mission: First[str | None] = None
+    """Orders: a file that `dream mission` wrote. A planner that asks a model also takes plain words."""
     yes: bool = False
-    """Take what a model understood of plain words as confirmed, where nobody can be asked."""
+    """Take the orders as the model understood them, and ask nobody to confirm them."""
     keep_observations: bool = False
-    """Keep all that is seen to the last bit, as a dive does: some 0.2 MB a step. `dream replay` then plays it
-    back, and `dream export` makes a data set of it."""
-    live: bool = False
-    """Show it in a browser while it flies, at an address that is printed; dream watch does so afterwards."""
+    """Keep all that is seen, to the last bit, as a dive does: about 0.2 MB a step. `dream replay` then plays
+    it back, and `dream export` makes a data set of it."""
+    live: First[bool] = False
+    """Show the run in a browser, at an address that is printed."""
     json: bool = False
     """Print the summary as one JSON object and nothing else."""
     ground: Ground = field(default_factory=Ground)
@@ -269,6 +281,12 @@ def _aborted(why: BaseException, folder: Path, record: str | None = None) -> Mis
 
     kept = read_steps(folder)
     said = f"aborted: {reason(why)}; {kept[-1].step if kept else 0} steps are kept in {folder}"
+    # Of these the words say all; of a planner's code, or the program's, the place is wanted.
+    if not isinstance(why, KeyboardInterrupt | MissionAborted | OSError | RuntimeError | ValueError):
+        path = folder / TRACEBACK
+        with contextlib.suppress(OSError):
+            path.write_text("".join(traceback.format_exception(why)), encoding="utf-8")
+            said += f". All of the error is in {path}"
     if isinstance(why, OSError) and not (folder / "report.html").exists():
         said += f". Once there is room: dream report {folder}"
     if isinstance(why, KeyboardInterrupt) and record is not None:

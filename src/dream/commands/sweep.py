@@ -9,23 +9,28 @@ import tyro
 
 from dream.commands.bench import Flying, Outcome, fly
 from dream.commands.console import print_json
+from dream.options import First
 from dream.protocol import REACHES, protocol_named, reach_variant
 
 
 @dataclass(frozen=True, slots=True)
 class Sweep(Flying):
-    """Fly the same missions with one reach after another: how far the sensor is trusted.
+    """Fly the same missions with one reach after another. Reach is how far over ground a label counts.
 
-    A reach of 8 m is `dream-v1` itself; another one is a protocol with a name of its own, such as
-    `dream-v1-reach4`. Interrupted, the same command goes on where it was.
+    A reach of 8 m is the protocol dream-v1. Each other reach is a protocol with its own name, such as
+    dream-v1-reach4. After an interruption the same command goes on with the other missions.
+
+    Examples:
+        dream sweep paper --reach 4 8 --planners belief
     """
 
     suite: tyro.conf.Positional[str] = "paper"
-    """A suite: `paper`, `dev` or `test`; or a file .txt that lists worlds of your own."""
-    reach: tuple[float, ...] = REACHES
-    """Metres over ground, one or more of 4, 6, 8 and 10."""
-    out: Path | None = None
-    """Folder for one benchmark folder per reach, `reach-4` and so on; `sweep/SUITE` unless given."""
+    """`paper` (15 worlds), `dev` (60, to tune on), `test` (200, to report), or a file .txt with worlds of
+    your own, one a line."""
+    reach: First[tuple[float, ...]] = REACHES
+    """Metres, one or more of 4, 6, 8 and 10."""
+    out: First[Path | None] = None
+    """Folder that gets a benchmark folder for each reach, such as `reach-4`. Unless given, `sweep/SUITE`."""
 
     def __call__(self) -> int:
         """Exit status 0; a MissionAborted where a mission failed."""
@@ -36,6 +41,10 @@ class Sweep(Flying):
         if not self.reach:
             raise ValueError(
                 f"--reach: expected one or more of {', '.join(f'{r:g}' for r in REACHES)}, got none"
+            )
+        if strays := [reach for reach in self.reach if reach not in REACHES]:
+            raise ValueError(
+                f"--reach: expected one or more of {', '.join(f'{r:g}' for r in REACHES)}, got {strays[0]:g}"
             )
         protocols = {reach: protocol_named(reach_variant(reach)) for reach in self.reach}
         root = self.out or Path("sweep") / Path(self.suite).stem

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal
-
-import tyro
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from dream.protocol import SurveyProtocol
@@ -14,20 +12,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Swim:
-    """The vehicle, under a protocol by which it has to swim, such as dream-v1-nav."""
+    """The vehicle, under a protocol in which it swims, such as dream-v1-nav."""
 
     vehicle: Literal["heavy", "bluerov2"] = "heavy"
     """A BlueROV2 Heavy with eight thrusters, or a BlueROV2 with six."""
     current: float = 0.1
-    """m/s of the mean current."""
+    """Mean speed of the current, m/s."""
     gust: float = 0.03
-    """m/s by which it varies."""
+    """How much the current varies, m/s."""
     dvl: Literal["standard", "performance"] = "standard"
-    """Version of the DVL A50: 1 % or 0.1 % of scale."""
+    """Model of the DVL A50: the scale of its speeds errs by 1 %, or by 0.1 %."""
     dvl_losses: float = 0.0
-    """Share of the time in which the DVL loses the bottom, in bursts of 3 s."""
-    anchoring: Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: it is; this turns it off)")] = True
-    """Whether the position is corrected by ground that is seen again."""
+    """Share of the time in which the DVL does not see the bottom, 0 to 1; each time lasts 3 s."""
+    anchoring: bool = True
+    """Do not correct the position by ground that is seen again."""
 
     def chosen(self, protocol: SurveyProtocol) -> Swimming | None:
         """None under a protocol by which nothing swims; a ValueError where something was chosen for it."""

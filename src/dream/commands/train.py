@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from dream.commands.console import LINE_EVERY, check_writable, print_json
 from dream.errors import MissionAborted
+from dream.options import First
 from dream.protocol import DREAM_V1
 from dream.telling import rich_console
 
@@ -22,40 +23,44 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Train:
-    """Teach a network to steer by sight, as the planner `uivnav` does: no map, no position, no memory.
+    """Teach a network to steer by sight, as the planner uivnav does: no map, no position, no memory.
 
-    A teacher who sees only the present frame flies simulated reefs and says, to every frame, how likely it
-    would turn which way; a student learns to say the same. Then the student flies, the teacher says what it
-    would have done there, and a new student learns from all of it: once for each of the --rounds. All of
-    them fly trials on other reefs, and the best is kept: `uivnav.onnx`, and `uivnav.json`, its card. Try it
-    with `dream run uivnav --weights train/uivnav.onnx`.
+    A teacher who sees only the present picture flies simulated reefs. To each picture it says how likely it
+    would turn which way, and a student learns to say the same. Then the student flies, the teacher says what
+    it would have done there, and a new student learns from all of it: once for each of the --rounds. All
+    students fly trials on other reefs, and the best is kept: `uivnav.onnx`, and `uivnav.json`, its card. Try
+    it with `dream run uivnav --weights train/uivnav.onnx`.
 
-    With its defaults it makes the network that comes with DREAM, in a quarter of an hour on two cores. No
-    world of a suite is ever learned from. Interrupted, the same command goes on where it was.
+    With its defaults it makes the network that comes with DREAM, in a quarter of an hour on two cores. It
+    never learns from a world of a suite. After an interruption the same command goes on.
+
+    Examples:
+        dream train
+        dream train --missions 9 --rounds 0 --epochs 1 --out try
     """
 
-    out: Path = Path("train")
-    """Folder of the frames, the students, the network and its card."""
-    missions: int = 126
-    """That the teacher flies; nine kinds of reef in turn."""
+    out: First[Path] = Path("train")
+    """Folder of the pictures, the students, the network and its card."""
+    missions: First[int] = 126
+    """Missions that the teacher flies, in nine kinds of reef in turn."""
     more: int = 45
-    """That the student flies, in each further round."""
-    rounds: int = 1
-    """Further ones; 0 learns from the teacher's missions alone. More may be asked for later."""
+    """Missions that the student flies in each further round."""
+    rounds: First[int] = 1
+    """Further rounds. 0 learns from the teacher's missions alone; more can be asked for later."""
     steps: int = 150
-    """Of each mission."""
-    epochs: int = 8
-    """How often a student sees every frame."""
+    """Steps of each mission."""
+    epochs: First[int] = 8
+    """How often a student sees each picture."""
     trials: int = 18
     """Worlds in which the students are tried."""
-    seed: int = 0
-    """Of all that is drawn. The same seed on the same machine gives the same network."""
-    jobs: int | None = None
-    """Missions at a time; as many as there are processors unless given."""
-    device: str = "auto"
-    """Where a student learns: cpu, cuda, or auto for a GPU where there is one."""
-    lerobot: Path | None = None
-    """Folder to make: the missions that were learned from as a data set that LeRobot (3.0) reads."""
+    seed: First[int] = 0
+    """Seed of all that is drawn. The same seed on the same machine gives the same network."""
+    jobs: First[int | None] = None
+    """Missions at a time. Unless given, one for each processor."""
+    device: First[str] = "auto"
+    """Where a student learns: cpu, cuda, or auto, which takes a GPU if there is one."""
+    lerobot: First[Path | None] = None
+    """Folder to make of the missions that were learned from: a data set that LeRobot 3.0 reads."""
     json: bool = False
     """Print one JSON object and nothing else."""
 

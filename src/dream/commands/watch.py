@@ -10,6 +10,7 @@ from pathlib import Path
 import tyro
 
 from dream.commands.console import print_json
+from dream.options import First
 
 DEFAULT = Path("runs")
 """Where `dream run` leaves them."""
@@ -19,20 +20,24 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """Show runs in a browser as they are flown: several side by side, and back to any step.
+    """Show runs in a browser while they are flown and after: several side by side, at any step.
 
-    It only reads the folders. Who is on another machine needs the token in the address that is printed.
+    It only reads the folders. From another machine the token is needed that stands in the printed address.
+
+    Examples:
+        dream watch
+        dream watch runs/latest
     """
 
     runs: tyro.conf.Positional[tuple[Path, ...]] = (DEFAULT,)
-    """Folders of runs, or folders that hold them, whose new ones appear; what is in `runs`
-    may still be to come."""
-    host: str = "127.0.0.1"
-    """Address to listen at. Others can connect at any but this machine's own, and need the token then."""
-    port: int | None = None
-    """Port to listen at; 8412 unless given, or a free one where that is taken."""
-    token_file: Path | None = None
-    """File with the token that a page has to bring; where others can connect, one is made unless given."""
+    """Folders of runs, or folders that hold runs. New runs in them appear."""
+    host: First[str] = "127.0.0.1"
+    """Address at which to listen. 0.0.0.0 lets other machines connect; they need the token."""
+    port: First[int | None] = None
+    """Port at which to listen. Unless given, 8412, or a free one where that is taken."""
+    token_file: First[Path | None] = None
+    """File with the token that a browser has to give. Unless given, a token is made where others can
+    connect."""
     json: bool = False
     """Print the address as one JSON object and nothing else."""
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import filecmp
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from dream.commands.console import check_picture, open_world, print_json
+import tyro
+
+from dream.commands.console import check_picture, open_world, print_json, save_picture
+from dream.options import First
 from dream.protocol import protocol_named
 
 if TYPE_CHECKING:
@@ -18,22 +22,26 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Worlds:
-    """List the worlds that can be named, save one as a folder to edit, or check such a folder.
+    """List the worlds by name, save one as a folder to edit, or check such a folder.
 
-    --check FOLDER reads all of it and says, line by line, what is refused and has to be mended, what was
-    turned (faces that looked inwards), and what was taken in another way than it stands there (polygons
-    split, vertices without colour). It ends with status 1 where anything is refused. docs/worlds.md says what
-    a folder holds.
+    --check FOLDER says, line by line, what is refused and has to be mended, what was turned (faces that look
+    inwards), and what was read in another way than it stands there (polygons that were split, vertices
+    without colour). The exit status is 1 where anything is refused. docs/worlds.md says what a folder holds.
+
+    Examples:
+        dream worlds
+        dream worlds --save reef/string --seed 3 --out my-reef
+        dream worlds --check my-reef
     """
 
-    save: str | None = None
-    """Save this world instead of listing."""
-    check: Path | None = None
-    """Check the world in this folder instead, and say all that is amiss at once."""
-    seed: int = 1
+    save: First[Annotated[str | None, tyro.conf.arg(metavar="WORLD")]] = None
+    """Save the world of this name as a folder."""
+    seed: First[int] = 1
     """Which world of that name."""
-    out: Path = Path("world")
-    """Folder to save to."""
+    out: First[Path] = Path("world")
+    """Folder to save it to."""
+    check: First[Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]] = None
+    """Check the world in this folder, and say all that has to be mended."""
     json: bool = False
     """Print one JSON object and nothing else."""
 
@@ -48,6 +56,7 @@ class Worlds:
             return _checked(self.check, json=self.json)
         if self.save is not None:
             world = make_world(self.save, self.seed)
+            _check_new(world, self.out)
             save_world(world, self.out)
             record = {
                 "world": world.name,
@@ -66,6 +75,28 @@ class Worlds:
             print("\nAny seed makes another of each.")
             print("reef/string+1y1 is reef/string 1 year on, in the first of its fates; so with all reefs.")
         return 0
+
+
+def _check_new(world: World, folder: Path) -> None:
+    """Raise a ValueError where something would be written over that is not this very world."""
+    import tempfile
+
+    from dream.sim.files import save_world
+
+    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+        return
+    if folder.is_dir():
+        with tempfile.TemporaryDirectory() as beside:
+            save_world(world, beside)
+            names = [path.name for path in Path(beside).iterdir()]
+            there = [name for name in names if (folder / name).exists()]
+            same = filecmp.cmpfiles(beside, folder, there, shallow=False)[0]
+        if len(same) == len(there):  # What else lies there stays.
+            return
+    raise ValueError(
+        f"--out: expected a folder that does not exist, or that holds {world.name} {world.seed} as it is "
+        f"saved, got {folder}, which holds something else. Choose another, or move that one away"
+    )
 
 
 def _checked(folder: Path, *, json: bool) -> int:
@@ -103,14 +134,18 @@ def _checked(folder: Path, *, json: bool) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """Draw a world as a picture: its chart from above, and what the camera sees from two of its starts."""
+    """Draw a world as a picture: its chart from above, and what the camera sees from two of its starts.
 
-    world: str = "reef/string"
-    """A name from `dream worlds`, or a folder that holds a saved world."""
-    seed: int = 1
+    Examples:
+        dream draw --world reef/mixed --seed 3 --out reef.png
+    """
+
+    world: First[Annotated[str, tyro.conf.arg(metavar="WORLD")]] = "reef/string"
+    """A name from `dream worlds`, or the folder of a saved world."""
+    seed: First[int] = 1
     """Which world of that name."""
-    out: Path | None = None
-    """Picture to write; `WORLD-SEED.png` unless given."""
+    out: First[Path | None] = None
+    """Picture to write. Unless given, `WORLD-SEED.png`."""
     json: bool = False
     """Print one JSON object and nothing else."""
 
@@ -125,7 +160,7 @@ class Draw:
         word = re.sub(r"[^\w.+]+", "-", world.name).strip("-")
         out = self.out or Path(f"{word}-{world.seed}.png")
         check_picture(out, "--out")
-        _portrait(world, chart(world)).save(out)
+        save_picture(_portrait(world, chart(world)), out, "--out")
         if self.json:
             print_json(
                 {"world": world.name, "seed": world.seed, "hash": world_hash(world), "picture": str(out)}

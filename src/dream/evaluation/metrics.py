@@ -349,9 +349,10 @@ def without_answer(vlm: Mapping[str, Any] | None) -> str:
     """
     if vlm is None or vlm["fallbacks"] < vlm["questions"]:
         return ""
+    last = vlm["last_fallback"].rstrip(".… ")
     return (
         f"no answer of {vlm['model']} counted: belief decided all {vlm['questions']} questions, so that "
-        f"nothing here shows what the model can do. The last had none because of {vlm['last_fallback']}"
+        f"nothing here shows what the model can do. The last had none because of {last}"
     )
 
 

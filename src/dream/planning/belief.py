@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import SE2
+from dream.options import First
 from dream.planning import sentences
 from dream.planning.distribution import GLIMPSED, OBSERVED, Calibration, Groups, expectation
 from dream.planning.glimpses import Glimpses
@@ -57,7 +58,7 @@ GIVEN_UP = np.iinfo(np.uint16).max // 2
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """Expects targets beside those that it saw and wherever a group could hide, and looks many actions ahead.
+    """Expects targets beside those seen and wherever a patch could hide, and looks some actions ahead.
 
     What it does: gives every unseen cell an expected area of targets, from what was seen around it and from
     the number of groups that the ground searched so far lets expect; searches over the real actions, a
@@ -73,50 +74,56 @@ class Belief:
     stops too early, which `--certify` never does.
     """
 
-    risk: float = 0.002
-    """Probability of having missed a group with which the mission may end."""
-    certify: bool = False
-    """Be done only when all ground that can be seen was seen."""
-    size: float = 2.0
-    """Radius of a group that could hide, in radii of the protocol's smallest (1.5 m under dream-v1)."""
+    risk: First[float] = 0.002
+    """The mission ends when the probability that a patch was missed is this small: 0 to 1. A smaller risk
+    takes more steps."""
+    certify: First[bool] = False
+    """End only when all ground that can be seen was seen, whatever the risk."""
+    size: First[float] = 2.0
+    """Radius of the patches that are searched for, as a multiple of the smallest that the protocol promises
+    (1.5 m under dream-v1)."""
     groups: float = 0.5
-    """Prior of the number of groups: as if so many had been found ..."""
+    """Patches that are expected on `searched` square metres before anything is seen."""
     searched: float = 500.0
-    """... on so many square metres."""
+    """Ground to which the number in `groups` applies, square metres. A large area makes the first guess count
+    longer."""
     arriving: float = 0.5
-    """Groups that are thought to come in a year (in one at least), to as much ground where an earlier survey
-    saw none. The more, the more of such ground is searched again before the mission ends."""
+    """Patches that are expected to come in a year to `searched` square metres where an earlier survey saw
+    none. With more of them, more of that ground is searched again."""
     kernel: float = 4.0 / 3.0
-    """Blur around targets: standard deviation in radii of the smallest group (1.5 m under dream-v1)."""
+    """How far targets are expected around a target: standard deviation, as a multiple of the radius of the
+    smallest patch (1.5 m under dream-v1)."""
     prior: float = 0.02
-    """Probability of a target in a cell about which nothing is known."""
+    """Probability of a target in a map cell about which nothing is known."""
     prior_weight: float = 0.15
-    """How much blurred evidence the prior is worth."""
+    """Weight of that probability beside what was seen around a cell."""
     open_edge: float = 0.5
-    """Least probability of a target in a cell that keeps a region open."""
+    """A region stays open while an unseen cell at its edge holds a target with at least this probability."""
     # Well below what is aimed at: the estimate does not foresee what can be seen from a few places only.
     hull_left: float = 0.005
-    """Share of a hull that may be unseen when the mission ends, by the planner's own estimate."""
+    """Share of a wreck's hull that may be unseen when the mission ends, as the planner estimates it."""
     glimpse: float = 2.5
-    """How far frames are looked at for hints of targets, in reaches (8 m under dream-v1); 1 takes none."""
+    """Distance up to which pictures are searched for hints of targets, as a multiple of the reach (8 m under
+    dream-v1). 1 takes no hints."""
     search: float = 0.05
-    """Square metres of targets to be expected for a square metre on which the middle of a group could lie."""
+    """Square metres of targets that are expected for each square metre where the middle of a patch could
+    lie."""
     alone: float = 0.05
-    """How many times as many groups are to be expected once a hull was found: a wreck lies alone."""
+    """Factor on the number of expected patches once a hull was found: a wreck lies alone."""
     eager: float = 3.0
-    """How many times as much targets count beside known ones: an open region must be come back to."""
+    """Weight of targets beside known ones. A region that is left open costs a way back later."""
     patience: int = 3
-    """Looks in vain after which a cell is given up."""
+    """A cell is given up after this many looks that did not show it."""
     width: int = 48
-    """Sequences of actions that the search keeps."""
-    horizon: int = 6
-    """Actions that it looks ahead."""
+    """Sequences of actions that the search keeps at each depth."""
+    horizon: First[int] = 6
+    """Actions that the search looks ahead."""
     discount: float = 0.98
-    """What a target is worth that is seen a step later."""
+    """Worth of a target that is seen one step later, 0.5 to 1."""
     tour: float = 1.0
-    """What the tour over what is left counts, beside what the sequence itself shows."""
+    """Weight of the way to what is left after a sequence, beside what the sequence shows."""
     jump: float = 0.6
-    """How much worse than the best single view, for its distance, the sequence may be."""
+    """Share of the best single view's worth, for its distance, that a sequence has to reach."""
 
     def __post_init__(self) -> None:
         check_range("risk", self.risk, 0.0, 1.0)

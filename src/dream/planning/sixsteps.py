@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import SE2
+from dream.options import First
 from dream.planning import sentences
 from dream.planning.distribution import blurred, expectation
 from dream.planning.parameters import check_range
@@ -25,7 +26,7 @@ FloatArray = npt.NDArray[np.floating[Any]]
 
 @dataclass(frozen=True, slots=True)
 class SixSteps:
-    """Distribution, target area, completion, next target, safety, action: each a few lines of code.
+    """Takes the paper's six reasoning steps by rules, without a model.
 
     What it does: spreads the evidence of what was seen over the ground beside it; works on the open
     target region that is fewest steps away; goes where most is expected to be discovered per step, over
@@ -39,23 +40,24 @@ class SixSteps:
     """
 
     kernel: float = 4.0 / 3.0
-    """Blur around targets: standard deviation in radii of the smallest group (1.5 m under dream-v1)."""
+    """How far targets are expected around a target: standard deviation, as a multiple of the radius of the
+    smallest patch (1.5 m under dream-v1)."""
     prior: float = 0.02
-    """Probability of a target in a cell about which nothing is known."""
+    """Probability of a target in a map cell about which nothing is known."""
     prior_weight: float = 0.15
-    """How much blurred evidence the prior is worth."""
-    focus: float = 2.0
-    """How many times more a cell counts that keeps the current region open."""
+    """Weight of that probability beside what was seen around a cell."""
+    focus: First[float] = 2.0
+    """Weight of cells that keep the current region open."""
     standoff_cells: float = 1.5
-    """Map cells that the body keeps from the middle of any solid one: the map is no finer than that."""
-    closing: float = 3.0
-    """How many times more ground counts that explored ground surrounds: a hole must be come back for."""
+    """Map cells between the vehicle's body and the middle of anything solid."""
+    closing: First[float] = 3.0
+    """Weight of unknown ground that explored ground surrounds. Left behind, it costs a way back later."""
     hull: float = 1.0
-    """What it is worth to look at a cell of hull, target and solid at once, from afar."""
+    """Worth of a look from afar at a cell of a hull."""
     afar: float = 0.6
-    """Distance from all that is solid, as a share of the reach, from which a hull is seen to its top."""
-    patience: float = 1.15
-    """How many times better another viewpoint must be before the chosen one is given up."""
+    """Distance from which a hull is seen up to its top, as a share of the reach."""
+    patience: First[float] = 1.15
+    """The chosen viewpoint is given up for one that is this many times better."""
 
     def __post_init__(self) -> None:
         check_range("kernel", self.kernel, 0.1, 10.0)

@@ -102,7 +102,7 @@ function modelRows(vlm) {
   return [
     ["Calls", count(vlm.calls), known(vlm.questions) ? `messages sent, for ${plural(vlm.questions, "question")}` : "messages sent"],
     ["Tokens", count(vlm.tokens), known(vlm.tokens_in) ? `${count(vlm.tokens_in)} in, ${count(vlm.tokens_out)} out` : ""],
-    ["Cost", dollars(vlm.cost_usd), "by the client's list of prices"],
+    ["Cost", dollars(vlm.cost_usd), known(vlm.cost_usd) ? "by the client's list of prices" : ""],
     ...(outcomes(vlm) ? [["Answers", outcomes(vlm), "what came of them"]] : []),
     ["Fallbacks", String(vlm.fallbacks), `questions without a usable reply${reasons(vlm)}`],
     ...(known(vlm.waited_s) ? [["Waited", minutes(vlm.waited_s), "on the mission's clock, standing still"]] : []),

@@ -416,7 +416,7 @@ def _lying(world: World, names: list[str]) -> Iterator[tuple[Literal["taken", "r
             if upright < 0.5 and abs(place[2] - seabed) <= 0.1 * (z1 - z0) * float(table.scale[row, 2]):
                 told.add(k)
                 called = f"object {k} ({one_line(names[k])[:40]})" if names[k] else f"object {k}"
-                begins = f"{called}: begins at y = 0 and lies half in the seabed ({name}[{row}])"
+                begins = f"{called}: begins at y = 0 and lies half in the seabed ({name}, row {row + 1})"
                 says = 'Say "up": "y" under "meshes" in world.json and all are turned'
                 if y1 - y0 > LONG * max(x1 - x0, z1 - z0):
                     yield "taken", f"{begins}, taken for a pipe along y. Is y up? {says}"

@@ -117,9 +117,9 @@ def read_table(path: Path, rows: int | None) -> tuple[Instances, list[Said]]:
         except (ValueError, OverflowError):
             wrong += 1
             if wrong <= MOST_TOLD:
-                refused.append(f'row {k}: expected 15 numbers ({COLUMNS}), got "{one_line(line)[:80]}"')
+                refused.append(f'line {k + 2}: expected 15 numbers ({COLUMNS}), got "{one_line(line)[:80]}"')
     if wrong > MOST_TOLD:
-        refused.append(f"{wrong - MOST_TOLD} more rows like these")
+        refused.append(f"{wrong - MOST_TOLD} more lines like these")
     with np.errstate(over="ignore"):
         table = values.astype(np.float32)
     instances = Instances(mesh, table[:, :3], table[:, 3:7], table[:, 7:10], table[:, 10:13], group)

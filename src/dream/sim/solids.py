@@ -130,7 +130,7 @@ def checked(array: npt.ArrayLike, name: str, columns: int) -> Float64Array:
         raise ValueError(f"{name}: expected (N, {columns}), got {values.shape}")
     if not np.isfinite(values).all():
         row = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
-        raise ValueError(f"{name}: expected finite numbers, got {values[row].tolist()} in row {row}")
+        raise ValueError(f"{name}: expected finite numbers, got {values[row].tolist()} in row {row + 1}")
     return values
 
 

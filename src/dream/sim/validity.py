@@ -247,14 +247,14 @@ def _check_size(name: str, table: Instances, world: World) -> None:
     row = int((longest / most).argmax())
     if longest[row] > most[row]:
         raise ValueError(
-            f"{name}[{row}]: expected at most {most[row]:g} m {within}, got {longest[row]:g} m "
+            f"{name}, row {row + 1}: expected at most {most[row]:g} m {within}, got {longest[row]:g} m "
             f"(mesh {table.mesh[row]}). Are its lengths in millimetres? Export metres, or give it a scale of "
             "0.001"
         )
     row = int(longest.argmin())
     if longest[row] < SMALLEST:
         raise ValueError(
-            f"{name}[{row}]: expected a mesh of a millimetre or more, got {longest[row]:g} m (mesh "
+            f"{name}, row {row + 1}: expected a mesh of a millimetre or more, got {longest[row]:g} m (mesh "
             f"{table.mesh[row]}). Are its lengths in metres?"
         )
 
@@ -269,15 +269,16 @@ def _goes_round(mesh: Mesh, table: Instances, row: int, box: Bounds) -> bool:
 def _check_rows(name: str, holds: npt.NDArray[np.bool_], values: npt.NDArray[Any], expected: str) -> None:
     if not holds.all():
         row = int(np.argmin(holds))
-        raise ValueError(f"{name}[{row}]: expected {expected}, got {values[row]:g}")
+        raise ValueError(f"{name}, row {row + 1}: expected {expected}, got {values[row]:g}")
 
 
 def _check_finite(name: str, values: npt.NDArray[Any], hint: str = "") -> None:
     bad = ~(np.abs(values) <= FARTHEST) if values.dtype.kind == "f" else np.zeros(1, np.bool_)
     if bad.any():
         place = tuple(int(k) for k in np.argwhere(bad)[0])
+        where = ", ".join(f"{axis} {k + 1}" for axis, k in zip(("row", "column"), place, strict=False))
         raise ValueError(
-            f"{name}{list(place)}: expected a number within ±{FARTHEST:g}, got {values[place]}"
+            f"{name}, {where}: expected a number within ±{FARTHEST:g}, got {values[place]}"
             + hint * bool(np.isfinite(values[place]))
         )
 

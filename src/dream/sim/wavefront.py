@@ -7,6 +7,7 @@ faces look outwards, or refused by its line; `Said` keeps which.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -208,6 +209,8 @@ def _lines(content: str) -> list[str]:
 
 def _vertex(values: list[str], content: _Content) -> list[float]:
     numbers = list(map(float, values))
+    if not all(map(math.isfinite, numbers)):
+        raise ValueError("expected finite numbers")
     if len(numbers) == 6:
         return numbers
     if len(numbers) == 4 and numbers[3] == 1.0:

@@ -7,6 +7,7 @@ reef a year on, the second of its futures (`dream.sim.years`).
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import hashlib
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -42,6 +43,8 @@ from dream.sim.years import LATER, later
 
 Builder = Callable[[np.random.Generator], World]
 
+NEAR = 0.6
+"""Least likeness, of 0 to 1, of a word to the name of a world that it may have meant."""
 SIDES = (40.0, 45.0, 50.0)
 """Metres: the sides that an arena may have."""
 FLOOR = -10.0
@@ -227,6 +230,13 @@ def check_named(name: str, folder: Path) -> None:
     path_alone = Path(name).is_absolute() or name.startswith((".", "~")) or name.endswith(("/", "\\"))
     if path_alone or folder.exists():
         check_folder(folder)
+    family = f"{name.partition('/')[0]}/"
+    known = any(one.startswith(family) for one in BUILDERS)
+    if not known and not difflib.get_close_matches(name, BUILDERS, n=1, cutoff=NEAR):
+        raise ValueError(
+            f'no such folder or world: "{name}". dream worlds lists the worlds; '
+            f"dream worlds --save WORLD --out {name} makes a folder of one"
+        )
     look_up(BUILDERS, name, "world", see="Nor is there a folder of that name. See dream worlds")
 
 

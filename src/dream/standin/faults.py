@@ -68,12 +68,15 @@ def fault_named(name: str) -> Fault:
         except ValueError:
             number = math.nan
         if not 0.0 <= number <= most:
-            raise ValueError(f"fault {kind}: expected {kind}:{what} with 0 to {most:g}, got {name!r}")
+            raise ValueError(
+                f"model: expected wire:{kind}:{what}, with {what} from 0 to {most:g}, got wire:{name}. "
+                "docs/models.md says what each fault does"
+            )
         return make(number)
     listed = f"There are: {', '.join(FAULTS)}; docs/models.md says what each does"
     entry = look_up(FAULTS, kind, "fault", see=listed)
     if colon:
-        raise ValueError(f"fault {kind}: expected no value, got {name!r}")
+        raise ValueError(f"model: expected wire:{kind} without a value, got wire:{name}")
     assert entry is not None
     return entry
 

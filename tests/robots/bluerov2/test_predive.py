@@ -15,6 +15,7 @@ from dream.perception import FlatFloor, LearnedDepth, Perception, Shells
 from dream.perception.flat_floor import floor_depth, rays
 from dream.protocol import POOL_V1
 from dream.robots.bluerov2.check import Finding
+from dream.robots.bluerov2.lens import Calibrated, Lens
 from dream.robots.bluerov2.navigation import Fix, NotReady
 from dream.sim.render import Renderer
 from dream.sim.worlds import make_world
@@ -72,6 +73,22 @@ def rgb() -> UInt8Array:
     """What the camera sees in the tank."""
     T_world_base = SE3.level(-0.25, -0.75, -0.92, 1.05)
     return Renderer(make_world("pool/arc", 1)).render(POOL_V1.camera, T_world_base @ MOUNT).rgb
+
+
+def test_a_lens_file_of_another_ratio_is_told_as_that(rgb: UInt8Array) -> None:
+    matrix = np.array([[1000.0, 0.0, 960.0], [0.0, 1000.0, 540.0], [0.0, 0.0, 1.0]])
+    lens = Lens(1920, 1080, matrix, np.zeros(4), fisheye=False, calibrated=Calibrated.WATER)
+
+    class Seen(Tank):
+        def view(self, picture: object, camera: Camera) -> tuple[UInt8Array, BoolArray]:
+            lens.at(rgb.shape[1], rgb.shape[0])
+            raise AssertionError
+
+    found = Seen(rgb).looked(Perception(Shells(), FlatFloor()))
+    assert not found.ok
+    assert "width to height as in the lens file, 1920 x 1080 (ratio 1.78), got" in found.said
+    assert "(ratio 1.33)" in found.said
+    assert found.wanted == "no --calibration: the camera of the stand-in has no lens to correct"
 
 
 def test_depth_and_labels_that_need_no_model_are_ok(rgb: UInt8Array) -> None:

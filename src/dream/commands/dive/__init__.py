@@ -12,7 +12,7 @@ import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -28,6 +28,7 @@ from dream.commands.dive.terminal import Terminal
 from dream.commands.ground import Ground
 from dream.ending import asked_to_end
 from dream.geometry import Bounds
+from dream.options import First
 from dream.planning import PLANNERS, AnyPlanner, check_installed
 from dream.planning.identity import planner_name
 from dream.protocol import protocol_named
@@ -54,84 +55,94 @@ the vehicle comes up can want that it does not."""
 
 @dataclass(frozen=True, slots=True)
 class Dive:
-    """Fly one mission with a BlueROV2; leave its recording, its log and its report.
+    """Fly one mission with a BlueROV2, or with its stand-in in a simulated tank.
 
-    --check only goes through the list before a dive. --stand-in needs no vehicle: it starts programs that
-    speak the same protocols, and explores a simulated tank through them.
+    The folder of the dive keeps its recording, its log and its report.
+
+    --check goes through the list before a dive, and ends there. --stand-in needs no vehicle: it starts
+    programs that speak the same protocols, and explores a simulated tank through them.
+
+    Examples:
+        dream dive --stand-in
+        dream dive --check --area 0 0 8 5
+        dream dive --calibration camera.yaml --area 0 0 8 5 --at 1 1 0
     """
 
     planner: ChosenPlanner = PLANNERS["belief"]
     """Who decides."""
-    vehicle: str = "udpin:0.0.0.0:14550"
-    """MAVLink: udpin:HOST:PORT listens (BlueOS sends to 14550), udpout: and tcp:HOST:PORT go there."""
-    dvl: str = "192.168.2.95"
-    """HOST or HOST:PORT of the A50."""
+    vehicle: First[Annotated[str, tyro.conf.arg(metavar="ADDRESS")]] = "udpin:0.0.0.0:14550"
+    """MAVLink. udpin:HOST:PORT listens there (BlueOS sends to port 14550); udpout:HOST:PORT and tcp:HOST:PORT
+    connect."""
+    dvl: First[Annotated[str, tyro.conf.arg(metavar="HOST[:PORT]")]] = "192.168.2.95"
+    """Address of the DVL A50."""
     speed_of_sound: float | None = None
-    """m/s in this water. The A50 is set to it and keeps it; left as it is, and compared with what --water
-    makes likely, unless given."""
+    """Speed of sound in this water, m/s. The A50 is set to it, and keeps it. Unless given, the A50 stays
+    as it is, and the list compares it with what --water makes likely."""
     dvl_at: tuple[float, float, float] | None = None
-    """Where the A50 sits: metres forward, left and up of the autopilot; -0.15 0 -0.1 unless given."""
+    """Where the A50 sits: metres forward, left and up of the autopilot. Unless given, -0.15 0 -0.1."""
     gauge_at: tuple[float, float, float] | None = None
-    """Where the pressure sensor sits, likewise; -0.2 0 0 unless given."""
-    camera: str = "rtp:5600"
+    """Where the pressure gauge sits: metres forward, left and up of the autopilot. Unless given, -0.2 0 0."""
+    camera: First[Annotated[str, tyro.conf.arg(metavar="SOURCE")]] = "rtp:5600"
     """rtp:PORT for H.264 over UDP, an rtsp:// address, a video file, or the number of a device."""
     pilot: str | None = None
-    """udpin:HOST:PORT, as udpin:127.0.0.1:14551: a ground station that connects there sees the vehicle, and
+    """Address at which a ground station may connect, such as udpin:127.0.0.1:14551. It sees the vehicle, and
     its joystick outranks the mission."""
-    calibration: Path | None = None
-    """OpenCV's YAML of the camera, with `calibrated_in`; needed, but with --stand-in and --check."""
+    calibration: First[Path | None] = None
+    """Lens file of the camera: OpenCV's YAML with `calibrated_in`. Not needed with --stand-in or --check."""
     tilt: float = 20.0
     """Degrees that the camera looks down."""
     camera_at: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Where its lens sits: metres forward, left and up of the autopilot."""
+    """Where the camera's lens sits: metres forward, left and up of the autopilot."""
     lights: float | None = None
-    """Brightness, 0 to 1; left as they are unless given."""
+    """Brightness of the lights, 0 to 1. Unless given, they stay as they are."""
     labels: Path | None = None
-    """ONNX file that labels pictures; light shells on a dark floor are found without one."""
+    """ONNX file of a network that labels pictures. Without one, light shells on a dark floor are found."""
     depth: Path | None = None
-    """ONNX file that estimates depth; without one the floor is taken for flat, at the DVL's altitude."""
-    area: tuple[float, float, float, float] | None = None
-    """x_min y_min x_max y_max of what to survey, metres in the map. Needed, but with --stand-in."""
-    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """x, y and heading in degrees where the vehicle lies at the launch, in the map: 0 looks along x."""
+    """ONNX file of a network that estimates depth. Without one, the floor is taken for flat, as far below as
+    the DVL says."""
+    area: First[Annotated[tuple[float, float, float, float] | None, tyro.conf.arg(metavar="X Y X Y")]] = None
+    """Area to survey: least x and y, largest x and y, metres in the map. Not needed with --stand-in."""
+    at: First[Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y DEGREES")]] = (0.0, 0.0, 0.0)
+    """Where the vehicle lies at the launch, metres in the map, and its heading: 0 is along x, 90 along y."""
     protocol: str = "pool-v1"
-    """Survey protocol."""
+    """Rules of the survey: sensors, reach and cap."""
     drive: Literal["alt-hold", "guided"] = "alt-hold"
-    """ALT_HOLD and sticks, which needs no position of the autopilot; or GUIDED and velocities."""
+    """How the vehicle is driven: alt-hold by sticks in ALT_HOLD, which needs no position of the autopilot;
+    guided by velocities in GUIDED."""
     estimator: Literal["inekf", "ekf", "cipg", "dead-reckoning"] = "inekf"
-    """What reckons the pose."""
+    """Filter that estimates the pose."""
     max_steps: int | None = None
-    """Decisions at most; the protocol's cap unless given."""
+    """Steps at most, that is decisions carried out. Unless given, the cap of the protocol."""
     max_depth: float = 10.0
-    """Metres."""
+    """Depth at most, metres."""
     minutes: float = 60.0
-    """Of the dive, at most."""
+    """Length of the dive at most, minutes."""
     min_voltage: float = 14.0
-    """Volts of the battery, at least."""
+    """Voltage of the battery at least, volts."""
     min_altitude: float = 0.2
-    """Metres of the A50 above the floor, at least."""
+    """Height of the A50 above the floor at least, metres."""
     last_resort: Literal["hold", "surface", "disarm"] = "surface"
-    """What is done with the vehicle in the end, and when it must not go on."""
+    """What the vehicle does at the end, and when it must not go on."""
     water: Literal["fresh", "sea"] = "fresh"
-    """For its density."""
+    """Kind of water, for its density."""
     surface_pressure: float | None = None
-    """hPa at the surface; measured where the vehicle lies, unless given: then it has to lie there."""
+    """Air pressure at the surface, hPa. Unless given, it is measured: the vehicle has to lie there."""
     set_parameters: bool = False
-    """Set those parameters of the vehicle that the list wants otherwise, and put them back at the end."""
+    """Set the parameters of the vehicle that the list wants otherwise, and put them back at the end."""
     unattended: bool = False
     """Dive without an operator at this terminal."""
-    check: bool = False
-    """Only go through the list, and say go or no-go."""
-    stand_in: bool = False
+    check: First[bool] = False
+    """Go through the list before a dive, and say go or no-go."""
+    stand_in: First[bool] = False
     """Dive in a simulated tank, through programs that stand in for vehicle, DVL and camera."""
-    world: str = "pool/arc"
-    """Of the stand-in."""
+    world: Annotated[str, tyro.conf.arg(metavar="WORLD")] = "pool/arc"
+    """World of the stand-in: a name from `dream worlds`, or the folder of a saved world."""
     seed: int = 1
-    """Likewise."""
-    live: bool = False
-    """Show it in a browser while it dives, at an address that is printed."""
+    """Which world of that name."""
+    live: First[bool] = False
+    """Show the dive in a browser, at an address that is printed."""
     out: Path = Path("runs")
-    """Folder that the dive's own folder is made in."""
+    """Folder in which the dive's own folder is made."""
     json: bool = False
     """Print the summary, or the list, as one JSON object and nothing else."""
     ground: Ground = field(default_factory=Ground)
@@ -140,10 +151,14 @@ class Dive:
         """Exit status 0; 1 for a no-go; a MissionAborted where the mission did not end by itself."""
         check_max_steps(self.max_steps, protocol_named(self.protocol))
         if self.area is None and not self.stand_in:
-            raise ValueError("--area: expected x_min y_min x_max y_max in metres, got none")
+            raise ValueError(
+                "--area: expected the least x and y and the largest x and y in metres, got none. "
+                "Say --area 0 0 8 5, for a tank of 8 by 5 m; or --stand-in, to dive in a simulated one"
+            )
         if self.calibration is None and not (self.stand_in or self.check):
             raise ValueError(
-                "--calibration: expected OpenCV's YAML of the camera, got none. See docs/bluerov2.md"
+                "--calibration: expected the lens file of the camera, got none. docs/bluerov2.md says how to "
+                "make one"
             )
         if self.pilot is not None and self.drive == "guided":
             raise ValueError("--pilot: expected --drive alt-hold, got guided, in which sticks do not move it")

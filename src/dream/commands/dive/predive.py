@@ -93,7 +93,13 @@ def _looked(ready: Ready) -> Finding:
         eye, perception = ready.eye, ready.sight.perception
         picture = ready.devices.camera.newest(FIRST_FRAME)
         began, camera = time.perf_counter(), ready.protocol.camera
-        rgb, seen = eye.view(picture, camera)
+        try:
+            rgb, seen = eye.view(picture, camera)
+        except ValueError as error:
+            fitting = "a lens file of the pictures that come: see --calibration"
+            if ready.tank is not None:
+                fitting = "no --calibration: the camera of the stand-in has no lens to correct"
+            return Finding("pictures", ok=False, said=str(error), wanted=fitting)
         T_world_base, altitude = _lies(ready)
         account = perception.perceive(rgb, camera, T_world_base, ready.mount, altitude, seen).account
     except (OSError, ValueError, RuntimeError) as error:

@@ -17,9 +17,11 @@ from dream.commands.survey.show import Show
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """From missions to monitoring: measure a run, keep its survey, tell what changed, write what others open.
+    """Measure what a run saw, keep it in an archive, tell what changed, and make maps for others.
 
-    Each of these takes --json, and explains itself with --help.
+    Examples:
+        dream survey add runs/latest --site site.json
+        dream survey list
     """
 
     command: (

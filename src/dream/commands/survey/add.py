@@ -13,31 +13,37 @@ import tyro
 
 from dream.commands.console import compiling_told, print_json
 from dream.commands.survey.sources import archive_at, check_archive, named, warn_of_date
+from dream.options import First
 
 logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class Add:
-    """Measure a run and keep its survey in the archive, which is begun where there is none.
+    """Measure a run, and keep its survey in the archive. An archive that does not exist is made.
 
-    Added again, a survey keeps its number. Another survey of a run that is there already, such as one that
-    was measured by a later version, or whose site was corrected, takes its place with --replace.
+    A survey that is added again keeps its number. --replace puts another survey of the same run in the place
+    of the one that is kept: one that was measured by a later version, or whose site was corrected.
+
+    Examples:
+        dream survey add runs/latest --site site.json
+        dream survey add 3 --date 2026-06-01 --replace 3
     """
 
     survey: tyro.conf.Positional[str]
-    """Folder of a run that was flown with --site or --keep-observations, or the file of a survey; to correct
-    one in the archive without its run, its number."""
-    site: Path | None = None
-    """File that says where on earth it was: of a run that does not know, or whose origin is wrong."""
-    date: Annotated[str | None, tyro.conf.arg(metavar="YYYY-MM-DD[THH:MM[:SS]]")] = None
-    """When it began, in UTC, where the clock of the run was wrong, or its date is not known."""
-    replace: int | None = None
-    """Number of the survey of this run in whose place it is put."""
-    archive: str | None = None
-    """Path, or postgresql:// URL, of the archive. Default: that in DREAM_ARCHIVE, else surveys.gpkg."""
-    save: Path | None = None
-    """Write the survey to this file too, such as reef.survey.npz."""
+    """Folder of a run that was flown with --site or --keep-observations, or the file of a survey. To correct
+    a survey in the archive, its number."""
+    site: First[Path | None] = None
+    """File that says where on earth it was, for a run that does not know or whose origin is wrong."""
+    date: First[Annotated[str | None, tyro.conf.arg(metavar="YYYY-MM-DD[THH:MM[:SS]]")]] = None
+    """When it began, in UTC, if the clock of the run was wrong or the date is not known."""
+    replace: First[int | None] = None
+    """Number of the survey in whose place it is put. Both are of the same run."""
+    archive: First[str | None] = None
+    """The archive: its path, or a postgresql:// URL. Unless given, the one that DREAM_ARCHIVE names, else
+    surveys.gpkg."""
+    save: First[Path | None] = None
+    """File to write the survey to as well, such as reef.survey.npz."""
     json: bool = False
     """Print one JSON object and nothing else."""
 

@@ -14,6 +14,7 @@ import tyro
 from dream.commands.console import check_writable, compiling_told, print_json
 from dream.commands.survey.sources import check_archive, found
 from dream.commands.survey.words import slim_table
+from dream.options import First
 from dream.telling import one_line, rich_console
 
 if TYPE_CHECKING:
@@ -29,21 +30,25 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Compare:
-    """Tell what changed from one survey of a site to a later one, where both looked, and how sure that is.
+    """Tell what changed between two surveys of a site, on ground that both saw, and how sure that is.
 
-    Writes a page to read, change.html, a map of the change as a picture, and its layers as a GeoPackage.
+    Writes a page to read (change.html), a map of the change as a picture, and its layers as a GeoPackage.
+
+    Examples:
+        dream survey compare 1 2 --out change
     """
 
     before: tyro.conf.Positional[str]
     """The earlier survey: its number in the archive, its file, or the folder of its run."""
     after: tyro.conf.Positional[str]
-    """The later one."""
-    out: Path = Path("change")
-    """Folder for change.html, change.png, change.gpkg and change.json; made if it is not there."""
-    site: Path | None = None
-    """Of runs that do not know their origin: the file that does."""
-    archive: str | None = None
-    """Path, or postgresql:// URL, of the archive. Default: that in DREAM_ARCHIVE, else surveys.gpkg."""
+    """The later survey."""
+    out: First[Path] = Path("change")
+    """Folder for change.html, change.png, change.gpkg and change.json. It is made where it does not exist."""
+    site: First[Path | None] = None
+    """File that says where on earth it was, for runs that do not know."""
+    archive: First[str | None] = None
+    """The archive: its path, or a postgresql:// URL. Unless given, the one that DREAM_ARCHIVE names, else
+    surveys.gpkg."""
     json: bool = False
     """Print one JSON object and nothing else."""
 

@@ -11,6 +11,7 @@ import tyro
 
 from dream.commands.console import compiling_told, print_json, with_progress
 from dream.commands.survey.sources import archive_at, check_archive, found
+from dream.options import First
 
 if TYPE_CHECKING:
     from dream.survey import Survey
@@ -20,36 +21,43 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Export:
-    """Write the products of a survey into one folder: maps, GeoPackage, netCDF, Darwin Core, mosaic, reports.
+    """Write a survey into a folder: maps, GeoPackage, netCDF, Darwin Core, mosaic, tables, reports.
 
-    What cannot be made of the survey is left out, and it is said why: maps on the globe need an origin, a
-    mosaic needs the run, Darwin Core needs the species.
+    What cannot be made of the survey is left out, and the command says why: maps on the globe need an origin,
+    a mosaic needs the run, Darwin Core needs the species.
+
+    Examples:
+        dream survey export 1 --to products
+        dream survey export runs/latest --to products --only html tables
     """
 
     survey: tyro.conf.Positional[str]
     """Number of a survey in the archive, its file, or the folder of a run."""
     to: Path
-    """Folder to make; it must not exist."""
-    site: Path | None = None
-    """Of a run that does not know its origin: the file that does."""
+    """Folder to make. It must not exist."""
+    site: First[Path | None] = None
+    """File that says where on earth it was, for a run that does not know."""
     archive: str | None = None
-    """Path, or postgresql:// URL, of the archive. Default: that in DREAM_ARCHIVE, else surveys.gpkg."""
-    run: Path | None = None
-    """Folder of the run with its observations, for the mosaic, where the survey comes from elsewhere."""
-    earlier: Annotated[tuple[str, ...], tyro.conf.arg(metavar="SURVEY ...")] = ()
-    """Other surveys of the site, named likewise, for the series over time. Default: all in the archive."""
-    only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PRODUCT ...")] = ()
-    """Of geotiff, geopackage, netcdf, darwin-core, mosaic, tables, series, html, pdf. Default: all."""
-    species: str = ""
+    """The archive: its path, or a postgresql:// URL. Unless given, the one that DREAM_ARCHIVE names, else
+    surveys.gpkg."""
+    run: First[Path | None] = None
+    """Folder of the run with its observations, for the mosaic. Not needed where SURVEY is that folder."""
+    earlier: First[Annotated[tuple[str, ...], tyro.conf.arg(metavar="SURVEY ...")]] = ()
+    """Other surveys of the site, for the series over time: numbers, files or folders. Unless given, all in
+    the archive."""
+    only: First[Annotated[tuple[str, ...], tyro.conf.arg(metavar="PRODUCT ...")]] = ()
+    """Products to make, of geotiff, geopackage, netcdf, darwin-core, mosaic, tables, series, html and pdf.
+    Unless given, all."""
+    species: First[str] = ""
     """What the individuals are, for Darwin Core: a scientific name."""
     species_id: str = ""
-    """Of that name in a register: urn:lsid:marinespecies.org:taxname:NUMBER."""
+    """Identifier of that name in a register: urn:lsid:marinespecies.org:taxname:NUMBER."""
     author: str = ""
     """Who answers for the data, for Darwin Core."""
     email: str = ""
-    """Where to reach them."""
+    """Mail address of the author."""
     licence: str = ""
-    """On what terms the data may be used: CC0-1.0, CC-BY-4.0, CC-BY-NC-4.0, or the address of others."""
+    """Terms on which the data may be used: CC0-1.0, CC-BY-4.0, CC-BY-NC-4.0, or the address of others."""
     json: bool = False
     """Print one JSON object and nothing else."""
 

@@ -7,17 +7,23 @@ from dataclasses import asdict, dataclass
 from dream.commands.console import print_json
 from dream.commands.survey.sources import archive_at
 from dream.commands.survey.words import slim_table
+from dream.options import First
 from dream.telling import one_line, rich_console
 
 
 @dataclass(frozen=True, slots=True)
 class List:
-    """List the surveys in the archive, oldest first, with their main figures."""
+    """List the surveys in the archive, oldest first, with their main figures.
 
-    site: str | None = None
-    """Only those of this site."""
-    archive: str | None = None
-    """Path, or postgresql:// URL, of the archive. Default: that in DREAM_ARCHIVE, else surveys.gpkg."""
+    Examples:
+        dream survey list
+    """
+
+    site: First[str | None] = None
+    """Name of a site: only its surveys are listed."""
+    archive: First[str | None] = None
+    """The archive: its path, or a postgresql:// URL. Unless given, the one that DREAM_ARCHIVE names, else
+    surveys.gpkg."""
     json: bool = False
     """Print one JSON object and nothing else."""
 

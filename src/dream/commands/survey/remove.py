@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import tyro
 
 from dream.commands.console import print_json
 from dream.commands.survey.sources import archive_at
+from dream.options import First
 
 
 @dataclass(frozen=True, slots=True)
 class Remove:
-    """Take a survey out of the archive, with all that belongs to it; the others keep their numbers.
+    """Take a survey out of the archive, without asking. The other surveys keep their numbers.
 
-    It does so without asking. The run itself is left alone, and can be added again, under another number.
+    The folder of the run stays. It can be added again, and gets another number.
+
+    Examples:
+        dream survey remove 3
     """
 
-    survey: tyro.conf.Positional[int]
-    """Its number in the archive."""
-    archive: str | None = None
-    """Path, or postgresql:// URL, of the archive. Default: that in DREAM_ARCHIVE, else surveys.gpkg."""
+    survey: tyro.conf.Positional[Annotated[int, tyro.conf.arg(metavar="SURVEY")]]
+    """Number of the survey in the archive."""
+    archive: First[str | None] = None
+    """The archive: its path, or a postgresql:// URL. Unless given, the one that DREAM_ARCHIVE names, else
+    surveys.gpkg."""
     json: bool = False
     """Print one JSON object and nothing else."""
 

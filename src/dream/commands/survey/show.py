@@ -11,6 +11,7 @@ import tyro
 from dream.commands.console import compiling_told, print_json
 from dream.commands.survey.sources import found
 from dream.commands.survey.words import measure_row, slim_table
+from dream.options import First
 from dream.telling import one_line, rich_console
 
 if TYPE_CHECKING:
@@ -19,14 +20,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Show:
-    """Show the measures of a survey with their 95 % intervals, of the whole and of its patches."""
+    """Show the measures of a survey with their 95 % intervals: of the whole, and of each patch.
+
+    Examples:
+        dream survey show 1
+        dream survey show runs/latest
+    """
 
     survey: tyro.conf.Positional[str]
     """Number of a survey in the archive, its file, or the folder of a run."""
-    site: Path | None = None
-    """Of a run that does not know its origin: the file that does."""
-    archive: str | None = None
-    """Path, or postgresql:// URL, of the archive. Default: that in DREAM_ARCHIVE, else surveys.gpkg."""
+    site: First[Path | None] = None
+    """File that says where on earth it was, for a run that does not know."""
+    archive: First[str | None] = None
+    """The archive: its path, or a postgresql:// URL. Unless given, the one that DREAM_ARCHIVE names, else
+    surveys.gpkg."""
     json: bool = False
     """Print one JSON object and nothing else."""
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dream.options import First
 from dream.planning.baselines.remains import Remains
 from dream.planning.parameters import check_range
 from dream.planning.travel import Travel, careful_travel
@@ -32,10 +33,11 @@ class NearestFrontier:
     Assumes: nothing. Fails when: time matters; near frontiers are small, and large ones are left for later.
     """
 
-    approach: float = 0.5
-    """Distance at most from a frontier to the pose that looks beyond it, as a share of the reach."""
+    approach: First[float] = 0.5
+    """Distance at most from the edge of the known ground to the pose that looks beyond it, as a share of the
+    reach."""
     smallest: float = 0.3
-    """Least frontier cells in a cluster, and unknown ones seen beside it, as a share of a reach in cells."""
+    """Length of the shortest edge that is looked beyond, as a share of the reach."""
 
     def __post_init__(self) -> None:
         check_range("approach", self.approach, 0.05, 1.0)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dream.geometry import SE2
+from dream.options import First
 from dream.planning.baselines.lawnmower import Lawnmower
 from dream.planning.baselines.sweeping import Sweeping
 from dream.planning.parameters import check_range
@@ -36,12 +37,12 @@ class SweepAndGraze:
     """
 
     # Wider than the lawnmower's: gaps at targets are closed on the way.
-    swath: float = 1.0
-    """Lane spacing at most, as a share of the ground seen to both sides, 2 · reach · sin(fov / 2)."""
-    inset: float = 0.5
-    """Distance of the lanes' ends from the area's edge, as a share of the reach."""
+    swath: First[float] = 1.0
+    """Distance between lanes at most, as a share of the width of ground in the picture."""
+    inset: First[float] = 0.5
+    """Distance from the ends of the lanes to the edge of the area, as a share of the reach."""
     least: float = 0.25
-    """New ground for which a waypoint is flown to, as a share of the smallest group's area."""
+    """A waypoint is flown to if it shows this much new ground: share of the area of the smallest patch."""
 
     def __post_init__(self) -> None:
         check_range("swath", self.swath, 0.1, 4.0)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dream.options import First
 from dream.planning.baselines.remains import Remains, group_cells
 from dream.planning.parameters import check_range
 from dream.planning.travel import Travel, careful_travel
@@ -33,12 +34,12 @@ class NextBestView:
     behind and must be come back for.
     """
 
-    cost: float = 0.25
-    """λ of the score: by what power of e a view is worth less for each step."""
+    cost: First[float] = 0.25
+    """Loss of worth for each step to a view: a view n steps away is worth its gain · exp(−cost · n)."""
     near: int = 12
-    """Steps within which views are compared."""
+    """Views at most this many steps away are compared."""
     least: float = 1.0
-    """Unknown ground that makes a view worth it, as a share of the smallest group's area."""
+    """A view counts if it shows this much unknown ground: share of the area of the smallest patch."""
 
     def __post_init__(self) -> None:
         check_range("cost", self.cost, 0.0, 10.0)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dream.options import First
 from dream.planning.parameters import check_range
 from dream.types import Decision, Mission, Observation, Reasoning
 
@@ -29,10 +30,10 @@ class RandomWalk:
     Assumes: nothing. Fails when: time matters. It never says that it is done.
     """
 
-    turn_rate: float = 0.1
-    """Probability of a turn in a step whose way ahead is free."""
-    walk_seed: int = 0
-    """Seed of the walk."""
+    turn_rate: First[float] = 0.1
+    """Probability of a turn in a step with a free way ahead, 0 to 1."""
+    walk_seed: First[int] = 0
+    """Seed of the walk: any number makes another."""
 
     def __post_init__(self) -> None:
         check_range("turn_rate", self.turn_rate, 0.0, 1.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dream.geometry import SE2
+from dream.options import First
 from dream.planning.baselines.lanes import Points, across, mirrored, seen_to_both_sides, shortest, spiral
 from dream.planning.baselines.remains import Remains, group_cells
 from dream.planning.baselines.sweeping import Sweeping
@@ -26,10 +27,10 @@ class Spiral:
     Assumes: the area is a box. Fails when: targets fill a small part of the area, far from where it begins.
     """
 
-    swath: float = 0.81
-    """Distance of turns at most, as a share of the ground seen to both sides, 2 · reach · sin(fov / 2)."""
+    swath: First[float] = 0.81
+    """Distance between turns of the spiral at most, as a share of the width of ground in the picture."""
     least: float = 0.25
-    """New ground for which a waypoint is flown to, as a share of the smallest group's area."""
+    """A waypoint is flown to if it shows this much new ground: share of the area of the smallest patch."""
 
     def __post_init__(self) -> None:
         check_range("swath", self.swath, 0.1, 4.0)

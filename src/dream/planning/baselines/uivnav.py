@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from dream import extras
 from dream.geometry import SE2, wrap_angle
+from dream.options import First
 from dream.planning.parameters import check_count, check_range
 from dream.protocol import SurveyProtocol
 from dream.types import Decision, Float32Array, Mission, Observation, Reasoning, UInt8Array
@@ -50,12 +51,12 @@ class UivNav:
     that it is done.
     """
 
-    temperature: float = 1.0
-    """How freely it draws its turn: 1 as often as the network says, 0 always the likeliest."""
-    walk_seed: int = 0
-    """Seed of what it draws."""
-    weights: str | None = None
-    """File of another network (ONNX, (n, 2, 72, 96) float32 in, (n, 7) logits out)."""
+    temperature: First[float] = 1.0
+    """How freely it draws its turn: 1 draws as often as the network says, 0 takes the likeliest."""
+    walk_seed: First[int] = 0
+    """Seed of the draws: any number makes another flight."""
+    weights: First[str | None] = None
+    """ONNX file of another network, such as one of `dream train`. Unless given, the one of the package."""
 
     def __post_init__(self) -> None:
         check_range("temperature", self.temperature, 0.0, 10.0)

@@ -25,6 +25,7 @@ from urllib.parse import urlsplit
 from pydantic import BaseModel, ValidationError
 
 from dream import extras
+from dream.options import First
 from dream.planning.parameters import check_count, check_range
 from dream.planning.vlm import cassette
 from dream.planning.vlm.cassette import Outcome
@@ -124,32 +125,32 @@ _statuses: ContextVar[list[int]] = ContextVar("statuses")
 class Asking:
     """Options of every planner that asks a model."""
 
-    model: str = ""
-    """Which model: `openai:NAME`, `anthropic:NAME`, `google:NAME`, `wire`, which answers by rule, or the
-    address of a server that speaks OpenAI's interface, such as http://localhost:8000/v1."""
-    model_name: str = ""
-    """What the server at that address calls the model; said with an address, and with nothing else."""
+    model: First[str] = ""
+    """Which model: `openai:NAME`, `anthropic:NAME`, `google:NAME`, the address of a server that speaks
+    OpenAI's interface, such as http://localhost:8000/v1, or `wire`, a stand-in that answers by rules."""
+    model_name: First[str] = ""
+    """What the server at that address calls the model."""
     timeout: float = 60.0
-    """Seconds for an answer, all tries included; then the offline planner decides that step."""
+    """Seconds for an answer, all tries included. Without an answer in time, belief decides that step."""
     max_calls: int | None = None
     # Tries again of a request that a busy server turned away, or that broke off, do not count.
-    """Requests at most in a mission; then the offline planner decides."""
-    max_usd: float | None = None
-    """US dollars at most in a mission, likewise; for models whose price is known."""
+    """Requests at most in a mission. After them belief decides."""
+    max_usd: First[float | None] = None
+    """US dollars at most in a mission, for models whose price is known. After them belief decides."""
     latency: float | None = 12.0
-    """Seconds that a request takes on the clock of a simulated mission; the paper's model took about 12. None
-    is as long as it really takes, as on a vehicle in the water."""
+    """Seconds that a request takes on the clock of a simulated mission; the paper's model takes about 12.
+    None counts as long as it really takes, as on a vehicle in the water."""
     temperature: float | None = None
-    """Of the model's choice of words: 0 is the likeliest each time. None leaves it to the model; some take no
-    other."""
+    """How freely the model chooses its words: 0 takes the likeliest each time. Unless given, the model's own
+    default; some models take no other."""
     prompts: str | None = None
-    """Folder of your own prompts: a `ranked.md` in it, say, takes the place of the package's; what is not in
-    it stays as it is. docs/models.md says where those lie."""
-    record: str | None = None
-    """Folder in which to keep every exchange; one kept there of the same question is replaced."""
+    """Folder of prompts of your own. A file in it, such as `ranked.md`, takes the place of the package's file
+    of that name; the others stay."""
+    record: First[str | None] = None
+    """Folder in which every question and answer is kept."""
     replay_replies: str | None = None
-    """Folder of kept exchanges to answer from: no model is asked. With --record, also of the same folder,
-    a question that is not kept there is asked, and kept: so an interrupted mission goes on."""
+    """Folder of kept answers: they are used, and no model is asked. With --record of the same folder, a
+    question that has no kept answer is asked; so an interrupted mission goes on."""
 
     def __post_init__(self) -> None:
         for name in ("model", "model_name"):
@@ -215,11 +216,14 @@ class Asking:
     @property
     def label(self) -> str:
         """What the model is called in results."""
-        return f"{self.model_name} at {self.model}" if self.model_name else self.model
+        # Without a fault behind the colon, it is the stand-in that does not err.
+        model = WIRE if self.model == f"{WIRE}:" else self.model
+        return f"{self.model_name} at {model}" if self.model_name else model
 
     def gone(self, fallback: str) -> ValueError:
         """What is to be said where the model cannot be asked, for that reason."""
-        return ValueError(f"model: expected {self.label} to answer, got {fallback}. {self._advice(fallback)}")
+        said = fallback.rstrip(".… ")
+        return ValueError(f"model: expected {self.label} to answer, got {said}. {self._advice(fallback)}")
 
     def _advice(self, fallback: str) -> str:
         """What to look at."""

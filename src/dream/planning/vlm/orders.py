@@ -166,9 +166,10 @@ def ask_orders(
     question = Question(prompt.label, instructions, said, {}, orders_reply(bounds))
     answer = line.insist(line.ask(question).answer())
     if answer.reply is None:
+        why = answer.exchange.fallback.rstrip(".… ")
         raise MissionAborted(
-            f"mission: expected orders from {asking.label}, got none ({answer.exchange.fallback}). "
-            f"{_advice(answer.exchange.fallback)}, or ask another model"
+            f"mission: expected orders from {asking.label}, got none ({why}). "
+            f"{_advice(why)}, or ask another model"
         )
     orders = answer.reply.orders
     check_flyable(orders, bounds, protocol, labelled)

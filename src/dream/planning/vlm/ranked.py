@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dream.geometry import SE2
+from dream.options import First
 from dream.planning.belief import Belief, achieved
 from dream.planning.lookahead import Plan
 from dream.planning.parameters import check_count, check_range
@@ -59,17 +60,18 @@ class Ranked(Asking):
     says; better only where the model knows more about how targets lie than geometry does.
     """
 
-    margin: float = 2.0
-    """Steps that a place may cost more than the best one, by expectation, to be chosen at all."""
+    margin: First[float] = 2.0
+    """A place can be chosen if it is expected to cost at most this many steps more than the best one."""
     weight: float = 3.0
-    """Steps that being ranked first is worth, with full confidence; half that being second, and so on."""
+    """Worth of the first rank in steps, if the model is sure. The second rank is worth half of it, and so
+    on."""
     allowance: float = 0.1
-    """Share of the steps flown that the model's choices may have cost, by expectation, beside one."""
+    """Share of the flown steps that the model's choices may cost in all, as belief expects it."""
     votes: int = 1
-    """Times that each question is asked, each with other numbers; without two thirds of agreement the offline
-    planner decides."""
-    wait: bool = False
-    """Stand still until the answer is there, as the paper's vehicle does."""
+    """How often each question is asked, each time with other numbers. belief decides where less than two
+    thirds of the answers agree."""
+    wait: First[bool] = False
+    """Stand still until the answer comes, as the paper's vehicle does."""
 
     def __post_init__(self) -> None:
         Asking.__post_init__(self)

@@ -135,7 +135,8 @@ def export(
     files = sorted((run / replay.FOLDER).glob("*.npz"))
     if not files:
         raise FileNotFoundError(
-            f"{run}: expected a dive with its observations, got no {replay.FOLDER}/*.npz in it"
+            f"{run}: expected a dive with its observations, got no {replay.FOLDER}/*.npz in it. "
+            "A simulated run keeps them with --keep-observations"
         )
     lines = _decision_lines(decisions, {file.stem for file in files}, run)
     folder = _begun(to, files)

@@ -64,11 +64,21 @@ class Lens:
             raise ValueError(f"camera_matrix: expected (3, 3) finite numbers, got {matrix.tolist()}")
         (fx, skew, cx), (zero, fy, cy) = matrix[:2]
         if skew or zero or list(matrix[2]) != [0.0, 0.0, 1.0]:
-            raise ValueError(f"camera_matrix: expected fx 0 cx; 0 fy cy; 0 0 1, got {matrix.tolist()}")
+            raise ValueError(
+                f"camera_matrix: expected fx 0 cx; 0 fy cy; 0 0 1, got {matrix.tolist()}. "
+                "Calibrate without skew"
+            )
         if not (0.1 * self.width < fx < 20.0 * self.width and 0.5 < fy / fx < 2.0):
-            raise ValueError(f"camera_matrix: expected focal lengths of such a picture, got {fx} and {fy}")
+            raise ValueError(
+                f"camera_matrix: expected focal lengths of 0.1 to 20 times the width of {self.width} pixels, "
+                f"one at most twice the other, got {fx:g} and {fy:g}. Are they in pixels, of pictures of "
+                "this size?"
+            )
         if not (0.0 < cx < self.width and 0.0 < cy < self.height):
-            raise ValueError(f"camera_matrix: expected a centre within the picture, got ({cx}, {cy})")
+            raise ValueError(
+                f"camera_matrix: expected a centre within the picture of {self.width} x {self.height}, got "
+                f"({cx:g}, {cy:g}). Is the image size that of the calibration's pictures?"
+            )
         counts = FISHEYE_COUNTS if self.fisheye else PINHOLE_COUNTS
         if len(distortion) not in counts or not np.isfinite(distortion).all():
             raise ValueError(
@@ -128,8 +138,9 @@ class Lens:
         factor = width / self.width
         if abs(height / self.height - factor) > 0.01 * factor:
             raise ValueError(
-                f"picture: expected the shape of the calibration, {self.width} x {self.height}, "
-                f"got {width} x {height}. Calibrate at the size of the stream"
+                f"picture: expected width to height as in the lens file, {self.width} x {self.height} (ratio "
+                f"{self.width / self.height:.2f}), got {width} x {height} (ratio {width / height:.2f}). "
+                "Calibrate in the mode in which the camera streams, or let it stream in that of the lens file"
             )
         # The outer edges stay where they are, and they lie half a pixel beyond the centres.
         scale = np.diag([factor, height / self.height, 1.0])

@@ -47,6 +47,7 @@ _OPENCV, _ROS, _MESSAGE, _KALIBR = (
     "Kalibr's camchain",
 )
 _NEEDED = ("image_width", "image_height", "camera_matrix", "distortion_coefficients")
+_OWN = "Give the file that the calibration itself wrote"
 _TO_OPENCV = "Calibrate as a pinhole (cv2.calibrateCamera) or a fisheye (cv2.fisheye.calibrate), see docs"
 
 _MODELS: Mapping[str, tuple[bool, tuple[int, ...]] | None] = {
@@ -131,32 +132,36 @@ def parse(path: Path) -> Written:
     """
     size = path.stat().st_size
     if size > _MOST_BYTES:
-        raise ValueError(f"expected at most {_MOST_BYTES} bytes, got {size}")
+        raise ValueError(f"expected at most {_MOST_BYTES} bytes, got {size}. {_OWN}")
     if not size:
-        raise ValueError(f"{_EXPECTED}, got an empty file")
+        raise ValueError(f"{_EXPECTED}, got an empty file. {_OWN}")
     found = _tree(path.read_bytes())
     kind, fields = _known(found)
     if missing := [name for name in _NEEDED if fields.get(name) is None]:
         raise ValueError(
             f"expected calibrated_in, {', '.join(_NEEDED)}; {', '.join(missing)} is missing or of another "
-            f"kind. It is read as {kind}, and holds {_listed(found)}"
+            f"kind. It is read as {kind}, and holds {_listed(found)}. {_OWN}"
         )
     _check_meaning(fields)
     fisheye, counts, model = _model(fields)
     sides = fields["image_width"], fields["image_height"]
     if not all(isinstance(side, float) and side.is_integer() for side in sides):
         raise ValueError(
-            f"image size: expected two whole numbers, got {_short(sides[0])} x {_short(sides[1])}"
+            f"image size: expected two whole numbers, got {_short(sides[0])} x {_short(sides[1])}. "
+            "Write how many pixels the pictures of the calibration have"
         )
     for name in _SIZES:
         told = fields.get(name)
         if isinstance(told, list) and len(told) == 2 and tuple(told) != sides:
             raise ValueError(
-                f"{name}: expected {sides[0]:g} x {sides[1]:g} as the file says, got {_short(told)}"
+                f"{name}: expected {sides[0]:g} x {sides[1]:g} as the file says, got {_short(told)}. "
+                "Keep the size of the calibration's pictures, and delete the other"
             )
     matrix = _numbers(fields["camera_matrix"], "camera_matrix")
     if len(matrix) != 9:
-        raise ValueError(f"camera_matrix: expected 3 x 3 numbers, got {len(matrix)}")
+        raise ValueError(
+            f"camera_matrix: expected the 9 numbers fx 0 cx 0 fy cy 0 0 1, got {len(matrix)}. {_OWN}"
+        )
     distortion = _numbers(fields["distortion_coefficients"], "distortion_coefficients")
     return Written(
         kind,
@@ -184,9 +189,9 @@ def _tree(content: bytes) -> Fields:
     try:
         fields = reader(text)
     except RecursionError as error:
-        raise ValueError(f"{_EXPECTED}: it nests too deeply") from error
+        raise ValueError(f"{_EXPECTED}: it nests too deeply. {_OWN}") from error
     if not isinstance(fields, dict):
-        raise ValueError(f"{_EXPECTED}, fields by their names such as image_width: 1920, got others")
+        raise ValueError(f"{_EXPECTED}, fields by their names such as image_width: 1920, got others. {_OWN}")
     return fields
 
 
@@ -199,7 +204,9 @@ def _fields(pairs: Iterable[tuple[str, Any]]) -> Fields:
         if name in written or (called in fields and called in _READ):
             raise ValueError(f"{_short(name)}: expected once, got twice. Delete the wrong one")
         if "\ufffd" in name:
-            raise ValueError(f"{_short(name)}: expected names of fields in UTF-8, got other bytes")
+            raise ValueError(
+                f"{_short(name)}: expected names of fields in UTF-8, got other bytes. Save it as UTF-8"
+            )
         written.add(name)
         fields[called] = value
     return fields
@@ -289,7 +296,7 @@ def _read_yaml(body: str) -> Any:
     except ImportError as error:
         raise ValueError(extras.missing("rov", "ruamel.yaml", "calibration")) from error
     if _most_open(body) > _MOST_OPEN:
-        raise ValueError(f"{_EXPECTED}: it nests too deeply")
+        raise ValueError(f"{_EXPECTED}: it nests too deeply. {_OWN}")
     try:
         node = next(iter(YAML(typ="safe", pure=True).compose_all(body)), None)
     except (YAMLError, ValueError, AttributeError, TypeError) as error:
@@ -317,7 +324,7 @@ def _of_node(node: Any, left: list[int], depth: int = 0) -> Any:
     """
     left[0] -= 1
     if left[0] < 0:
-        raise ValueError(f"expected at most {_MOST_NODES} fields and numbers, got more")
+        raise ValueError(f"expected at most {_MOST_NODES} fields and numbers, got more. {_OWN}")
     value = getattr(node, "value", None)
     if isinstance(value, str):
         return _scalar(value) if node.style is None else value
@@ -335,7 +342,7 @@ def _of_xml(text: str) -> Any:
     # Each comment ends where the next begins: a search for its end that fails is not made again.
     first, *comments = text.split("<!--")
     if "<!" in first or any("-->" not in one or "<!" in one.split("-->", 1)[1] for one in comments):
-        raise ValueError(f"{_EXPECTED}: it holds declarations (<!...>)")
+        raise ValueError(f"{_EXPECTED}: it holds declarations (<!...>). Take them out, or write it as YAML")
     try:
         root = ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError) as error:
@@ -458,7 +465,9 @@ def _model(fields: Fields) -> tuple[bool, tuple[int, ...], str]:
         if value is not None:
             flag = _flag(value)
             if flag is None:
-                raise ValueError(f"{name}: expected 1 for a fisheye or 0, got {_short(value)}")
+                raise ValueError(
+                    f"{name}: expected 1 for a fisheye or 0 for another lens, got {_short(value)}"
+                )
             said[f"{name} {int(flag)}"] = (flag, FISHEYE_COUNTS if flag else PINHOLE_COUNTS)
     if len({fisheye for fisheye, _ in said.values()}) > 1:
         raise ValueError(f"expected one lens model, got {' and '.join(said)}. Which of them is it?")
@@ -480,7 +489,8 @@ def _fitted(values: Float64Array, counts: tuple[int, ...], model: str) -> Float6
     of = f" of {model}" if model else ""
     many = " or ".join(map(str, counts))
     raise ValueError(
-        f"distortion_coefficients: expected {many} finite numbers{of}, got {values.tolist()[:16]}"
+        f"distortion_coefficients: expected {many} finite numbers{of}, got {values.tolist()[:16]}. "
+        f"{_TO_OPENCV}"
     )
 
 
@@ -492,15 +502,15 @@ def _numbers(value: Any, name: str) -> Float64Array:
     if isinstance(value, list) and value and all(isinstance(row, list) for row in value):
         value = [entry for row in value for entry in row]
     if not isinstance(value, list) or not all(isinstance(entry, float) for entry in value):
-        raise ValueError(f"{name}: expected at most {_MOST_NUMBERS} numbers, got {_short(value)}")
+        raise ValueError(f"{name}: expected at most {_MOST_NUMBERS} numbers, got {_short(value)}. {_OWN}")
     counted = isinstance(rows, float) and isinstance(cols, float) and rows * cols == len(value)
     if not counted and (rows, cols) != (None, None):
         raise ValueError(
-            f"{name}: expected {_short(rows)} x {_short(cols)} numbers as it says, got {len(value)}"
+            f"{name}: expected {_short(rows)} x {_short(cols)} numbers as it says, got {len(value)}. {_OWN}"
         )
     array = np.array(value, np.float64)
     if not np.isfinite(array).all():
-        raise ValueError(f"{name}: expected finite numbers, got {_short(value)}")
+        raise ValueError(f"{name}: expected finite numbers, got {_short(value)}. Calibrate again")
     return array
 
 
