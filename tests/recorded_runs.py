@@ -182,6 +182,7 @@ CONFIG: dict[str, Any] = {
     "version": "0.1.0",
     "commit": "18b7f94",
     "protocol": "dream-v1",
+    "bounds": {"x_min": -20.0, "y_min": -20.0, "x_max": 20.0, "y_max": 20.0},
     "world": "reef/string",
     "seed": 3,
     "planner": "sixsteps",

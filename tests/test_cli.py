@@ -717,9 +717,11 @@ def test_a_run_prints_how_it_ended_and_what_its_planner_said_last(
     summary = read_summary(tmp_path / "latest")
     assert summary is not None
     metres, seconds = summary.distance_m, summary.mission_s
-    assert f"\n  0 collisions, {metres:.0f} m in {seconds:.0f} s of the mission; computed in " in printed
+    assert f"\n  0 contacts, {metres:.0f} m in {seconds:.0f} s of the mission; computed in " in printed
     assert f"computed in {summary.wall_s:.1f} s\n" in printed
-    assert (planner == "belief") == ("To stop now would miss a group with a probability of" in printed)
+    assert (planner == "belief") == (
+        "If it stopped now, it would miss a whole patch with a probability of" in printed
+    )
 
 
 def test_a_run_prints_the_shares_that_its_steps_are_told_for(
@@ -728,7 +730,7 @@ def test_a_run_prints_the_shares_that_its_steps_are_told_for(
     # Where there is nothing to see, all of it is seen at the first look.
     assert run_command(["run", "--world", "flat/empty", "--max-steps", "1", "--out", str(tmp_path)]) == 0
     shares = "90 % at 0, 95 % at 0, 98.26 % at 0, 100 % at 0"
-    assert f"steps to a share of the instances: {shares}\n" in capsys.readouterr().out
+    assert f"steps until a share of the individuals was seen: {shares}\n" in capsys.readouterr().out
 
 
 def test_oracle_prints_both_ends_as_one_json_object_and_draws_the_tour(

@@ -314,8 +314,8 @@ def test_the_page_opens_at_the_last_step(finished: Path, tmp_path: Path) -> None
     ("why", "summarized", "said"),
     [
         (None, False, "It left no word why: the program was killed, or the power failed, or it is still"),
-        ("", True, "It was aborted after 2 steps, with 100 % of the targets seen and no collision."),
-        ("dive: lost <b>", True, "It was aborted after 2 steps, with .* collision: dive: lost &lt;b&gt;."),
+        ("", True, "It was aborted after 2 steps, with 100 % of the individuals seen and no contact."),
+        ("dive: lost <b>", True, "It was aborted after 2 steps, with .* contact: dive: lost &lt;b&gt;."),
         ("dive: lost <b>", False, "It was aborted after step 2: dive: lost &lt;b&gt;."),
     ],
 )
@@ -343,7 +343,7 @@ def test_what_was_ordered_stands_below_the_headline_as_text(tmp_path: Path) -> N
     write_summary(plain, SUMMARY)
     shown = browse(write_report(plain), None, tmp_path / "profile", "--dump-dom").stdout
     assert re.search(r'id="words"[^>]*hidden', shown)
-    assert "of the targets seen" in shown
+    assert "of the individuals seen" in shown
     ordered = recorded(tmp_path / "ordered", 2)
     write_summary(ordered, SUMMARY)
     understood = ["1. Map all targets in the western half of the survey area."]
@@ -354,7 +354,7 @@ def test_what_was_ordered_stands_below_the_headline_as_text(tmp_path: Path) -> N
     assert "<title>reef/string seed 3, sixsteps · DREAM</title>" in seen.stdout
     assert "“the west &lt;/script &gt;" in text_of(seen.stdout, "words")
     assert understood[0] in text_of(seen.stdout, "orders")
-    assert "100 % of the targets in the ordered area seen" in seen.stdout
+    assert "100 % of the individuals in the ordered area seen" in seen.stdout
 
 
 @pytest.mark.slow
@@ -583,14 +583,93 @@ def test_what_only_a_truth_could_tell_may_be_missing(real_dive: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_dive_that_was_cut_short_says_that_the_computer_was_too_slow(
+    real_dive: Path, tmp_path: Path
+) -> None:
+    folder = shutil.copytree(real_dive, tmp_path / "cut")
+    write_summary(folder, {**OF_A_DIVE, "ended": "aborted", "why": "dive: disarmed", "t_stop": None})
+    shown = browse(write_report(folder), None, tmp_path / "profile", "--dump-dom").stdout
+    assert "dive: disarmed. This computer did not keep up: of the 25 beats a second" in shown
+    assert "3 came late" in shown
+    whole = browse(real_dive / "report.html", None, tmp_path / "profile", "--dump-dom").stdout
+    assert not re.search(r'id="outcome"[^<]*did not keep up', whole)
+
+
+@pytest.mark.slow
+def test_out_of_steps_it_says_whether_it_called_the_mission_complete(tmp_path: Path) -> None:
+    for name, region in (("never", ""), ("refused", "around (1, 2)")):
+        (tmp_path / name).mkdir()
+        folder = recorded(tmp_path / name, 3)
+        lines = [json.loads(line) for line in (folder / "steps.jsonl").read_text().splitlines()]
+        lines[1]["open_region"] = region
+        (folder / "steps.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+        write_summary(folder, {**SUMMARY, "ended": "cap", "steps": 2, "t_stop": None, "success": False})
+        shown = browse(write_report(folder), None, tmp_path / "profile", "--dump-dom").stdout
+        head = re.search(r'id="outcome">([^<]*)<', shown)
+        assert head
+        assert ("without calling the mission complete" in head[1]) == (not region)
+        assert ("complete at step 1, but the map's own check did not agree" in head[1]) == bool(region)
+
+
+@pytest.mark.slow
 def test_the_page_of_a_real_dive_claims_nothing_that_nobody_knows(real_dive: Path, tmp_path: Path) -> None:
     seen = browse(real_dive / "report.html", 5, tmp_path / "profile", "--dump-dom")
     shown = re.sub(r"<(script|pre|style).*?</\1>", "", seen.stdout, flags=re.DOTALL)
     assert "CONSOLE" not in seen.stderr
     assert "It stopped by itself at step 11." in shown
-    claims = ("no collision", "seed 1", "from east", "World hash", "not reached", "null", "NaN", "undefined")
+    claims = ("no contact", "seed 1", "is north", "World hash", "not reached", "null", "NaN", "undefined")
     for claim in claims:
         assert claim not in shown, claim
     assert "nobody knows what there was to see" in shown
     assert "too far from what was expected (2)" in shown
     assert "1 packet lost" in shown
+
+
+LAID_OUT = """() => {
+  const box = (node) => node.getBoundingClientRect();
+  const page = document.querySelector(".page"), player = document.getElementById("player");
+  page.scrollTo(0, page.scrollHeight);
+  const last = box(document.querySelector("footer"));
+  const parts = [...player.children].filter((node) => node.offsetParent !== null).map((node) => {
+    const { left, right, top, bottom } = box(node);
+    return [left, right, top, bottom, node.scrollWidth - node.clientWidth];
+  });
+  const written = [...document.querySelectorAll(".ticks span, .maplegend li")];
+  return {
+    page: [box(page).top, box(page).bottom], player: [box(player).top, box(player).bottom], last: last.bottom,
+    parts, screen: [innerWidth, innerHeight], whole: document.documentElement.scrollHeight,
+    sideways: page.scrollWidth - page.clientWidth,
+    letters: written.map((node) => parseFloat(getComputedStyle(node).fontSize)),
+    ticks: document.querySelectorAll(".ticks span").length,
+  };
+}"""
+
+
+@pytest.mark.slow
+def test_the_player_covers_nothing_and_the_map_is_readable_on_every_screen(finished: Path) -> None:
+    if CHROMIUM is None:
+        do_without("needs Chromium to open the page with: apt-get install chromium")
+    playwright = pytest.importorskip("playwright.sync_api")
+    with playwright.sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        for width, height in ((1366, 768), (1280, 800), (390, 844)):
+            page = browser.new_page(viewport={"width": width, "height": height})
+            page.goto((finished / "report.html").as_uri())
+            page.wait_for_selector("html[data-ready]")
+            found = page.evaluate(LAID_OUT)
+            # What scrolls ends where the player begins; nothing else scrolls.
+            assert found["page"][0] == 0
+            top = found["player"][0] + 0.5  # Pixels are whole on a screen.
+            assert found["page"][1] <= top
+            assert found["player"][1] <= height == found["whole"]
+            assert found["last"] <= top
+            assert found["sideways"] == 0
+            for (left, right, upper, lower, hidden), other in itertools.permutations(found["parts"], 2):
+                assert 0 <= left < right <= width
+                assert hidden <= 0, "all of it is written"
+                aside = right <= other[0] or other[1] <= left
+                assert aside or lower <= other[2] or other[3] <= upper, "no part lies on another"
+            assert found["ticks"] == 18
+            assert min(found["letters"]) >= 11.0
+            page.close()
+        browser.close()

@@ -31,7 +31,7 @@ from pydantic_core import from_json
 
 from dream.ending import WORDS
 from dream.files import whole_or_nothing
-from dream.geometry import SE2
+from dream.geometry import SE2, Bounds
 from dream.types import Exchange, Float32Array, Label, Step, UInt8Array
 
 logger = logging.getLogger(__name__)
@@ -59,6 +59,8 @@ ROOM_KEPT = 64 << 10
 # Pictures are written while the robot waits: little compression, done quickly.
 _PNG_LEVEL = 1
 
+COMPILING = "compiling"
+"""In the folder of a run while its program compiles for the first time: empty, as old as that takes."""
 PRIOR = "prior.npz"
 """In the folder of a run: what it was told of an earlier survey."""
 
@@ -187,6 +189,8 @@ class RunConfig(_Recorded):
     version: str
     commit: str | None = None
     protocol: str
+    bounds: Bounds | None = None
+    """Of the map, metres; None in older files."""
     world: str
     seed: int
     planner: str
@@ -480,14 +484,15 @@ def _plain(value: Any) -> Any:
 
 
 def _write_pictures(step: Step, trail: list[tuple[float, float]], folder: Path) -> None:
-    from dream.mapping.drawing import draw_map
+    from dream.mapping.drawing import FOR_PEOPLE, draw_map
 
+    drawn = draw_map(step.occupancy, step.arrival.pose, trail, palette=FOR_PEOPLE)
     seen = step.observation
     pictures = {
         f"frames/{step.index:04d}_rgb.png": Image.fromarray(seen.rgb),
         f"frames/{step.index:04d}_depth.png": _depth_image(seen.depth),
         f"frames/{step.index:04d}_labels.png": _label_image(seen.labels),
-        f"maps/{step.index:04d}.png": draw_map(step.occupancy, step.arrival.pose, trail),
+        f"maps/{step.index:04d}.png": drawn,
     }
     for name, picture in pictures.items():
         picture.save(folder / name, compress_level=_PNG_LEVEL)
@@ -670,6 +675,25 @@ def read_summary(folder: Path) -> RunSummary | None:
 def write_config(folder: Path, config: Mapping[str, Any]) -> None:
     """Check and write `config.json`: whole or not at all."""
     _replace(folder / "config.json", _checked(RunConfig, config, "config"))
+
+
+@contextlib.contextmanager
+def compiling_noted(folder: Path) -> Iterator[None]:
+    """Keep a file `COMPILING` in a run folder from the first compilation within the block to its end."""
+    from dream.compiling import when_compiling
+
+    note = folder / COMPILING
+
+    def begin() -> None:
+        with contextlib.suppress(OSError):  # A full disk is told of where something that counts is written.
+            note.touch()
+
+    with when_compiling(begin):
+        try:
+            yield
+        finally:
+            with contextlib.suppress(OSError):
+                note.unlink(missing_ok=True)
 
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:

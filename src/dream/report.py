@@ -27,6 +27,7 @@ from PIL import Image
 
 from dream.files import whole_or_nothing
 from dream.planning import PLANNERS
+from dream.protocol import protocol_named
 from dream.recording import (
     LABEL_COLORS,
     RecordedStep,
@@ -82,6 +83,7 @@ def write_report(folder: Path) -> Path:
         "depth_level": DEPTH_LEVEL,
         "depth_max": max(5, 5 * math.ceil(farthest * DEPTH_LEVEL / 5)),
         "command": repeating_command(config),
+        **of_protocol(config),
     }
     style = part("page.css")
     script = "".join(map(part, _SCRIPTS))
@@ -106,6 +108,31 @@ def write_report(folder: Path) -> Path:
     with whole_or_nothing(path) as partial:
         partial.write_text(page, encoding="utf-8")
     return path
+
+
+def of_protocol(config: RunConfig) -> dict[str, Any]:
+    """What a page needs of a run's protocol: where the map lies on its pictures, and the lattice of moves.
+
+    Returns:
+        `inset`: Fields of `mapping.drawing.Inset`, and the legend; None where the run tells no bounds.
+        `lattice`: Metres between the places where moves end; None where the vehicle ends them where it can.
+    """
+    from dream.mapping.drawing import FOR_PEOPLE, OUTLINE, grid_spacing, inset
+
+    try:
+        protocol = protocol_named(config.protocol)
+    except ValueError:
+        return {"inset": None, "lattice": None}
+    lattice = None if config.swimming or config.dive else protocol.lattice
+    if config.bounds is None:
+        return {"inset": None, "lattice": lattice}
+    legend = [*FOR_PEOPLE.legend(protocol), *([(OUTLINE, "to be seen")] if config.orders else [])]
+    told = {
+        **asdict(inset(config.bounds, protocol)),
+        "grid": grid_spacing(config.bounds),
+        "legend": [{"color": color, "name": name} for color, name in legend],
+    }
+    return {"inset": told, "lattice": lattice}
 
 
 def repeating_command(config: RunConfig) -> str:

@@ -147,7 +147,7 @@ def test_the_page_says_all_that_there_is_to_say(paper: Path) -> None:
     links = {load for load in page.loads if load.startswith("#")}
     assert links == {"#" + part for part in parts}
     for text in (
-        "sixsteps is the fastest here: it reached 98.26 % of the instances in 15 of 15 missions",
+        "sixsteps is the fastest here: it reached 98.26 % of the individuals in 15 of 15 missions",
         "The best baseline, lawnmower, takes",
         "Steps to 98.26 % on the 10 reefs sixsteps 49.9 and lawnmower 100.6, on the 5 wrecks",
         "As published, other simulator: reefs",
@@ -202,7 +202,7 @@ def verdict(tmp_path: Path, planners: dict[str, Made], cases: tuple[Case, ...] =
 def test_where_nobody_got_there_the_verdict_is_by_coverage(tmp_path: Path) -> None:
     text = verdict(tmp_path, {"random": Made(500), "lawnmower": Made(400), "sixsteps": Made(250)})
     assert "fastest here" not in text
-    assert text.startswith("None reached 98.26 % of the instances in any mission")
+    assert text.startswith("None reached 98.26 % of the individuals in any mission")
     assert "Judged by coverage at the end instead, sixsteps is the best here: it saw 80.00 %" in text
     assert "The best baseline, lawnmower, saw 50.00 %" in text
     assert "the difference is 30.00 points over 3 worlds" in text
@@ -213,7 +213,7 @@ def test_equal_planners_share_the_first_place(tmp_path: Path) -> None:
     assert "lawnmower and sixsteps are equally fast here" not in text  # 98.26 % of 60 is 58.96: 59.
     assert "sixsteps and lawnmower are equally fast here: 59.0 steps" in text
     assert (
-        "Of these, sixsteps saw the most by the end, 100.00 % of the instances, and so stands first" in text
+        "Of these, sixsteps saw the most by the end, 100.00 % of the individuals, and so stands first" in text
     )
     assert "best baseline" not in text
     text = verdict(tmp_path / "2", {"lawnmower": Made(60, 70), "sixsteps": Made(60, 70), "random": Made(90)})
@@ -225,7 +225,7 @@ def test_equal_planners_share_the_first_place(tmp_path: Path) -> None:
 
 def test_one_planner_alone_is_not_called_the_fastest(tmp_path: Path) -> None:
     text = verdict(tmp_path, {"sixsteps": Made(60, 70)})
-    assert text.startswith("sixsteps, the only planner here, reached 98.26 % of the instances in 3 of 3")
+    assert text.startswith("sixsteps, the only planner here, reached 98.26 % of the individuals in 3 of 3")
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -468,7 +468,21 @@ def test_a_wire_test_is_never_called_the_fastest(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_the_documentation_leaves_wire_tests_out_and_says_so(tmp_path: Path) -> None:
+def test_few_worlds_leave_out_what_only_many_can_tell(tmp_path: Path) -> None:
+    page = Page(write_report(asked_by(tmp_path / "few", "openai:gpt", "sixsteps")))
+    assert "are shown from 10 worlds on: fewer say little of a share" in page.text
+    for named in ("CORAL", "Table I", "Kaplan"):
+        assert named not in page.text
+    # Each measure of the first table is explained beside it.
+    for explained in ("An individual is", "Success:", "t98:", "Own stop:", "Certified bound:", "SPL says"):
+        assert explained in page.text
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_documentation_leaves_wire_tests_out_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dream.evaluation.report.MANY", 1)
     folder = asked_by(tmp_path / "mixed", "wire:slow", "sixsteps")
     write_results([folder], tmp_path / "results.md", tmp_path / "pictures")
     text = (tmp_path / "results.md").read_text()

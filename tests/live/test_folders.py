@@ -8,7 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from numba.core.event import trigger_event
 
+from dream import recording
+from dream.compiling import COMPILES
 from dream.live import folders
 from dream.live.folders import Watched, WatchedRun
 from dream.protocol import DREAM_V1
@@ -302,3 +305,21 @@ def test_looking_changes_nothing(growing: Make) -> None:
     before = state()
     only(Watched([made.folder.parent]))
     assert state() == before
+
+
+def test_a_run_says_since_when_its_program_compiles(growing: Make) -> None:
+    run = growing()
+    watched = Watched([run.folder])
+    watched.look()
+    (shown,) = watched
+    assert shown.head()["compiling_s"] is None
+    version = shown.version
+    with recording.compiling_noted(run.folder):
+        with trigger_event(COMPILES):  # As numba does around a compilation.
+            pass
+        watched.look()
+        assert shown.version > version
+        assert 0.0 <= shown.head()["compiling_s"] < 60.0
+    watched.look()
+    assert shown.head()["compiling_s"] is None
+    assert not (run.folder / recording.COMPILING).exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -12,6 +13,7 @@ from dream.geometry import SE2, Bounds
 from dream.mapping import OccupancyMap, draw_map
 from dream.mapping.drawing import (
     EXPLORED,
+    FOR_PEOPLE,
     MARK,
     OUTLINE,
     SOLID,
@@ -20,6 +22,7 @@ from dream.mapping.drawing import (
     UNKNOWN,
     VEHICLE,
     draw_areas,
+    inset,
 )
 from dream.protocol import DREAM_V1, POOL_V1, SurveyProtocol
 from dream.types import Label
@@ -127,3 +130,64 @@ def test_bad_arguments_are_refused() -> None:
         draw_map(empty_map(), scale=0)
     with pytest.raises(ValueError, match=r"trail: expected \(N, 2\) metres, got \(3,\)"):
         draw_map(empty_map(), trail=[1.0, 2.0, 3.0])
+
+
+DEUTERANOPIA = np.array([[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]])
+"""Linear RGB as one sees it who lacks the cones for green (Machado, Oliveira and Fernandes 2009)."""
+TO_XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+WHITE = TO_XYZ.sum(axis=1)
+
+
+def lab(color: tuple[int, ...], *, deuteranope: bool = False) -> npt.NDArray[np.float64]:
+    """CIELAB of an sRGB colour."""
+    share = np.array(color) / 255.0
+    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    seen = np.clip(DEUTERANOPIA @ linear, 0.0, 1.0) if deuteranope else linear
+    xyz = TO_XYZ @ seen / WHITE
+    f = np.where(xyz > 216 / 24389, np.cbrt(xyz), (24389 / 27 * xyz + 16.0) / 116.0)
+    return np.array([116.0 * f[1] - 16.0, 500.0 * (f[0] - f[1]), 200.0 * (f[1] - f[2])])
+
+
+def test_people_tell_the_colours_apart_without_green_and_in_grey() -> None:
+    names = ("unknown", "crossed", "explored", "solid_target", "target", "traversed", "solid")
+    colors = {name: getattr(FOR_PEOPLE, name) for name in names}
+    for one, other in itertools.combinations(names, 2):
+        apart = np.linalg.norm(lab(colors[one], deuteranope=True) - lab(colors[other], deuteranope=True))
+        grey = abs(lab(colors[one])[0] - lab(colors[other])[0])
+        if {one, other} == {"unknown", "crossed"}:
+            continue  # Both are ground that was not seen.
+        assert apart > 13.0, (one, other)
+        assert grey > 10.0, (one, other)
+
+
+def test_people_see_targets_in_the_field_of_view_in_their_own_colour() -> None:
+    everywhere = np.ones((96, 96), np.bool_)
+    target = np.zeros((96, 96), np.bool_)
+    target[60:66, 40:60] = True
+    occupancy = map_with(explored=everywhere, target=target)
+    pose = SE2(0.0, 0.0, math.pi / 2.0)
+    plain = np.asarray(draw_map(occupancy, palette=FOR_PEOPLE))
+    watched = np.asarray(draw_map(occupancy, pose, palette=FOR_PEOPLE))
+    legend = 64  # pixels of the target's colour in the legend, about
+    assert count(watched, FOR_PEOPLE.target) > 0.8 * count(plain, FOR_PEOPLE.target) > 10 * legend
+    # What models are shown stays tinted.
+    assert count(np.asarray(draw_map(occupancy, pose)), TARGET) < 0.2 * count(
+        np.asarray(draw_map(occupancy)), TARGET
+    )
+
+
+def test_the_inset_is_where_the_map_is_drawn() -> None:
+    bounds = Bounds(-10.0, -6.0, 14.0, 8.0)
+    occupancy = OccupancyMap(bounds, DREAM_V1)
+    found = inset(bounds, DREAM_V1)
+    picture = np.asarray(draw_map(occupancy, palette=FOR_PEOPLE))
+    assert picture.shape[1::-1] == found.picture
+    top, left = found.top, found.left
+    cells = picture[top : top + found.height, left : left + found.width]
+    lines = (cells != FOR_PEOPLE.unknown).any(axis=-1)
+    across = [round(share * found.width) for _, share in found.across]
+    down = [round(share * found.height) for _, share in found.down]
+    assert set(np.flatnonzero(lines.all(axis=0))) == set(across) - {0, found.width}
+    assert set(np.flatnonzero(lines.all(axis=1))) == set(down) - {0, found.height}
+    assert [metres for metres, _ in found.across] == [-10.0, -5.0, 0.0, 5.0, 10.0]
+    assert [metres for metres, _ in found.down] == [5.0, 0.0, -5.0]

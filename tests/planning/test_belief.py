@@ -522,8 +522,8 @@ def test_ground_that_cannot_be_seen_is_no_risk() -> None:
     decision = Belief(risk=0.0).begin(MISSION).decide(observation, _behind_a_wall())
     assert could_hide(_behind_a_wall(), Belief().size, NOTHING).sum() > 1000
     assert decision.done
-    assert "with a probability of 0.00%; 0.00% is accepted" in decision.reasoning.completion
-    assert "and 0.00 groups in ground not searched" in decision.reasoning.distribution
+    assert "with a probability of 0.00%; up to 0.00% is accepted" in decision.reasoning.completion
+    assert "and no further patch in ground not searched" in decision.reasoning.distribution
 
 
 def test_hints_that_no_place_can_see_do_not_keep_it_going() -> None:
@@ -577,7 +577,7 @@ def test_while_a_region_is_open_no_group_is_expected_farther_than_any_view_reach
     assert not check_completion(opened, observation.pose).complete
     planner = Belief()
     said = planner.begin(MISSION).decide(observation, opened).reasoning.distribution
-    match = re.search(r"and (\S+) groups", said)
+    match = re.search(r"and (\S+) patches on average", said)
     assert match
     everywhere = could_hide(opened, planner.size, NOTHING).sum() * DREAM_V1.cell**2
     most = Groups(planner.groups, planner.searched).after(1, AREA.width * AREA.depth).intensity * everywhere
@@ -649,7 +649,7 @@ def test_with_all_else_seen_it_goes_to_the_side_of_a_hull_that_it_has_not_seen()
     assert len(left)
     decision = pilot.decide(observation, known)
     assert not decision.done
-    (patches,) = _numbers(r"(\S+) patches of hull", decision)
+    (patches,) = _numbers(r"(\S+) pieces of hull", decision)
     assert 0.0 < patches <= pilot.hull.unseen + 0.05  # As it is rounded.
     unbelieving = Belief(hull_left=1.0).begin(MISSION)
     assert unbelieving.decide(observation, known).done
@@ -681,7 +681,13 @@ def test_it_says_which_regions_are_enclosed_and_which_is_worked_on(flown: Flown)
         completion = check_completion(occupancy, observation.pose)
         closed = sum(region.enclosed for region in completion.regions)
         said = decision.reasoning
-        assert f"{closed} of {len(completion.regions)} regions are enclosed" in said.completion
+        count = len(completion.regions)
+        known = {
+            0: "No region of targets is known",
+            1: f"The one region of targets is {'' if closed else 'not yet '}enclosed",
+        }
+        some = f"{'All' if closed == count else f'{closed} of'} {count} regions of targets are enclosed"
+        assert said.completion.startswith(known.get(count, some))
         match = re.search(r"around \((\S+), (\S+)\), with (\d+) unknown cell", said.target_area)
         assert (match is None) == completion.complete or not completion.regions
         if match:
@@ -697,7 +703,7 @@ def test_it_says_what_it_expects_beside_targets() -> None:
     planner, some = Belief(glimpse=1.0), 0
     evidence = planner.kernel * DREAM_V1.group_radius
     for observation, occupancy, decision in _fly(REEF, planner).asked[::2]:
-        match = re.search(r"Beside targets seen or glimpsed (\S+) m² more", decision.reasoning.distribution)
+        match = re.search(r"Still expected: (\S+) m² of targets beside", decision.reasoning.distribution)
         assert match
         regions = check_completion(occupancy, observation.pose).regions
         expected = np.zeros(occupancy.shape)
@@ -729,9 +735,10 @@ def test_it_says_the_risk_and_the_groups_that_its_model_gives(over_the_reef: Flo
         hidden, whole = hiding.sum() * DREAM_V1.cell**2, AREA.width * AREA.depth
         groups = prior.after(len(completion.regions), whole - hidden)
         risk = OBSERVED.calibrated(groups.risk(hidden))
-        assert f"with a probability of {risk:.2%}; {planner.risk:.2%} is accepted" in said.completion
+        assert f"with a probability of {risk:.2%}; up to {planner.risk:.2%} is accepted" in said.completion
         expected = groups.intensity * hidden
-        assert f"and {expected:.2f} groups in ground not searched" in said.distribution
+        told = f"{expected:.2f} patches on average" if expected >= 0.005 else "no further patch"
+        assert f"and {told} in ground not searched" in said.distribution
         risks.add(round(risk, 2))
     assert len(risks) > 2
 
@@ -759,13 +766,13 @@ def test_it_says_how_many_steps_lead_where_and_what_they_show() -> None:
     path = [travel.start, (row, col + 4, 0), (row, col + 4, 3)]
     said = sentences.plan(Plan(path, 1.0, later=7.4, targets=1.23, cleared=45.6, patches=7.89), travel)
     assert said == (
-        "The next 2 steps lead to (-1.0, 2.0), looking towards 90°, and may show 1.2 m² of targets and "
-        "7.9 patches of hull and 46 m² on which the middle of a group could lie. "
+        "The next 2 steps lead to (-1.0, 2.0), looking towards 0°, and may show 1.2 m² of targets and "
+        "7.9 pieces of hull and 46 m² on which the middle of a patch could lie. "
         "What is left then takes about 7 more."
     )
     single = sentences.plan(Plan(path[:2], 0.0, 0.0, cells=12.0), travel)
     assert single == (
-        "The next step leads to (-1.0, 2.0), looking towards 0°, "
+        "The next step leads to (-1.0, 2.0), looking towards 90°, "
         "and may show 12 of the cells that are still to be seen."
     )
     assert "may show" not in sentences.plan(Plan(path, 1.0, 0.2), travel)
@@ -891,7 +898,7 @@ def test_the_cells_that_it_says_are_still_to_be_seen_are_those_of_the_view_there
         x, y, degrees, cells = _numbers(
             r"to \((\S+), (\S+)\), looking towards (\d+)°, and may show (\d+) of the cells", decision
         )
-        promised = view(toy.map, x, y, math.radians(degrees)) & ~toy.map.observed
+        promised = view(toy.map, x, y, math.radians(90.0 - degrees)) & ~toy.map.observed
         assert cells == np.count_nonzero(promised) > 0
         assert said.endswith(sentences.LEFTOVER)
         steps.append("The next step" in said)
@@ -913,7 +920,7 @@ def test_the_way_that_it_announces_begins_with_its_move_and_can_be_gone(flown: F
         assert occupancy.bounds.contains(x, y)
         if steps == 1:
             assert (x, y) == pytest.approx((end.x, end.y), abs=0.05)
-            assert degrees == pytest.approx(math.degrees(end.yaw) % 360.0)
+            assert degrees == pytest.approx(math.degrees(math.pi / 2.0 - end.yaw) % 360.0)
 
 
 def test_its_words_about_the_move_are_the_move(flown: Flown) -> None:

@@ -67,7 +67,7 @@ def test_its_words_about_what_to_expect_and_to_keep_clear_of_are_true(string_ree
             r"view from \((\S+), (\S+)\) towards (\d+)°.* (\S+) more target", said.next_target
         ):
             x, y, degrees, cells = map(float, match.groups())
-            visible = view(before, x, y, math.radians(degrees)) & ~before.explored
+            visible = view(before, x, y, math.radians(90.0 - degrees)) & ~before.explored
             promised = SixSteps().expectation(before)[visible].sum()
             assert math.isclose(promised, cells, abs_tol=0.06)
             checked += 1

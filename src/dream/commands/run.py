@@ -185,7 +185,8 @@ class Run:
             total = self.max_steps or protocol.cap
             if orders is not None and orders.max_steps is not None:
                 total = min(total, orders.max_steps)
-            stopped = _fly(recorded, f"{name} · {world.name} {world.seed}", total)
+            with recording.compiling_noted(folder):
+                stopped = _fly(recorded, f"{name} · {world.name} {world.seed}", total)
         tell_lost(getattr(self.planner, "record", None))
         summary = summarize(world, name, protocol, scorer, working_time() - began, stopped)
         page = None
@@ -313,6 +314,8 @@ def _print_outcome(
     )
     print(f"{summary['world']} {summary['seed']} · {summary['planner']} · {summary['protocol']}")
     print(f"  {ended} after {summary['steps']} steps" + (", a success" if summary["success"] else ""))
+    if summary["ended"] == "cap":
+        print("  the mission was cut off there: --max-steps gives it more")
     if summary["ended"] == "aborted":
         print(f"  why: {summary['why']}")
     if steps:
@@ -323,11 +326,12 @@ def _print_outcome(
         print(f"  {whose} last word: {reasoning.completion or reasoning.action}")
     for number, leg in enumerate(summary.get("legs", ()), start=1):
         print(f"  leg {number}, {leg['task']} {leg['target']}: {leg['outcome']}, {leg['steps']} steps")
-    print("  seen: " + ", ".join(f"{coverage[k]:.1%} of the {k}" for k in ("instances", "clusters", "area")))
+    named = {"instances": "individuals", "clusters": "patches (half seen)", "area": "target area"}
+    print("  seen: " + ", ".join(f"{coverage[key]:.1%} of the {name}" for key, name in named.items()))
     if times:
-        print(f"  steps to a share of the instances: {times}")
+        print(f"  steps until a share of the individuals was seen: {times}")
     print(
-        f"  {summary['collisions']} collisions, {summary['distance_m']:.0f} m "
+        f"  {summary['collisions']} contacts, {summary['distance_m']:.0f} m "
         f"in {summary['mission_s']:.0f} s of the mission; computed in {summary['wall_s']:.1f} s"
     )
     if summary["position_error_m"]["rmse"] > 0.0:

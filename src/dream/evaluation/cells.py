@@ -161,7 +161,7 @@ def reached_with_ratio(
 def ratio_note(comparison: Comparison) -> str:
     """What must stand below ratios to the fewest steps possible."""
     return (
-        "Ratios are means over the missions without a collision in worlds whose bound and tour are both "
+        "Ratios are means over the missions without a contact in worlds whose bound and tour are both "
         "known; after the dot, how many of these reached the mark. ≥ stands where some did not: they count "
         f"as {comparison.horizon} steps, so that the mean and its interval are too low. A mission that was "
         "cut before even the tour ends, and did not reach the mark, is left out."

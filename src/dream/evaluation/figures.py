@@ -144,7 +144,9 @@ def pictures(results: Results, comparison: Comparison) -> list[Picture]:
     for title, cases in panels(comparison).items():
         slug = title.split()[0].lower()
         found.append(coverage_curves(results, comparison, cases, f"coverage-{slug}", title))
-        found.append(survival_curves(comparison, cases, f"survival-{slug}", title))
+        # Where nobody got there, all curves are one line.
+        if any(comparison.reached(planner, cases, "t98")[0] for planner in comparison.planners):
+            found.append(survival_curves(comparison, cases, f"survival-{slug}", title))
     if any(comparison.limit(case, "t98") for case in comparison.cases):
         found.append(performance_profile(comparison))
     return found
@@ -177,7 +179,7 @@ def coverage_curves(
     steps = np.arange(comparison.horizon + 1)
 
     def draw(theme: Theme) -> Figure:
-        figure, axes = _axes(theme, f"{title}: instances seen after each step")
+        figure, axes = _axes(theme, f"{title}: individuals seen after each step")
         for planner in comparison.planners:
             curves, strata = _curves(results, comparison, planner, cases)
             if not len(curves):
@@ -207,8 +209,8 @@ def coverage_curves(
     return Picture(
         name,
         f"Coverage, {title.lower()}",
-        "Mean share of the instances seen after each step, held after a mission ended. Bands: pointwise 95 % "
-        "intervals over worlds.",
+        "Mean share of the individuals seen after each step, held after a mission ended. Bands: pointwise "
+        "95 % intervals over worlds.",
         draw,
     )
 
@@ -251,16 +253,6 @@ def survival_curves(comparison: Comparison, cases: Sequence[Case], name: str, ti
                     linewidth=0,
                 )
             axes.step(curve.time, 100 * curve.share, where="post", label=planner, **style)
-        if not any(comparison.reached(planner, cases, "t98")[0] for planner in comparison.planners):
-            # All curves are one line then.
-            axes.text(
-                0.5,
-                0.5,
-                "no planner did in any mission",
-                ha="center",
-                transform=axes.transAxes,
-                color=theme.soft,
-            )
         axes.set(xlim=(0, comparison.horizon), ylim=(0, 102), xlabel="steps", ylabel="%")
         _key(figure, axes, len(comparison.planners))
         return figure
@@ -268,7 +260,7 @@ def survival_curves(comparison: Comparison, cases: Sequence[Case], name: str, ti
     return Picture(
         name,
         f"Time to 98.26 %, {title.lower()}",
-        "Kaplan–Meier: share of missions that have not seen 98.26 % of the instances yet; what is left at "
+        "Kaplan–Meier: share of missions that have not seen 98.26 % of the individuals yet; what is left at "
         "the right end never did. Bands, of the two best ranked planners only: pointwise 95 % confidence.",
         draw,
     )
@@ -515,7 +507,7 @@ def sweep(comparisons: Mapping[float, Comparison]) -> Picture:
                 )
         left.set_title("Steps to 98.26 %")
         left.set(xlabel="reach, m", ylabel="steps", ylim=(0, 1.04 * horizon), xticks=reaches)
-        right.set_title("Instances seen at the end")
+        right.set_title("Individuals seen at the end")
         right.set(xlabel="reach, m", ylabel="%", ylim=(0, 102), xticks=reaches)
         _key(figure, left, len(planners))
         return figure

@@ -47,6 +47,8 @@ from dream.planning.vlm import WIRE_TEST
 from dream.report import digest, fill
 
 JPEG_QUALITY = 72
+MANY = 10
+"""Worlds from which on the page compares with the paper and draws curves of shares of missions."""
 SHOWN = 3
 """Planners whose ways the page shows before anyone asks for more."""
 SHORT = {
@@ -63,6 +65,10 @@ SHORT = {
     "run": "What was run",
 }
 """Names of the parts in the bar of contents."""
+LEFT_OUT = (
+    f" Curves of how many missions were done by when, and the tables beside the paper's, are shown from "
+    f"{MANY} worlds on: fewer say little of a share."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +107,13 @@ def write_report(folder: Path) -> Path:
 def sections(results: Results, comparison: Comparison) -> list[Section]:
     """What there is to say about a benchmark, the most important first."""
     pictures = {picture.name: picture for picture in figures.pictures(results, comparison)}
-    curves = tuple(picture for name, picture in pictures.items() if name != "profile")
-    profile = tuple(picture for name, picture in pictures.items() if name == "profile")
+    many = len({(case.world, case.seed) for case in comparison.cases}) >= MANY
+    curves = tuple(
+        picture
+        for name, picture in pictures.items()
+        if name.startswith("coverage") or (many and name != "profile")
+    )
+    profile = tuple(picture for name, picture in pictures.items() if many and name == "profile")
     found = groups(comparison)
     whole = next(iter(found))
     against = tables.against_the_best_baseline(comparison)
@@ -110,7 +121,7 @@ def sections(results: Results, comparison: Comparison) -> list[Section]:
         Section(
             "results",
             "Results",
-            _verdict(comparison),
+            _verdict(comparison) + ("" if many else LEFT_OUT),
             (tables.headline(comparison, found[whole], whole),),
             curves,
         )
@@ -163,15 +174,17 @@ def sections(results: Results, comparison: Comparison) -> list[Section]:
             profile,
         )
     )
-    every.append(
-        Section(
-            "paper",
-            "The paper's tables",
-            "In the paper's own form, measured in our simulator. What others published stands apart below.",
-            tuple(paper_tables(comparison)),
-            aside=tuple(published_tables()),
+    if many:
+        every.append(
+            Section(
+                "paper",
+                "The paper's tables",
+                "In the paper's own form, measured in our simulator. What others published stands apart "
+                "below.",
+                tuple(paper_tables(comparison)),
+                aside=tuple(published_tables()),
+            )
         )
-    )
     every.append(
         Section(
             "worlds",
@@ -361,13 +374,13 @@ def _verdict(comparison: Comparison) -> str:
         reached, count = comparison.reached(best, comparison.cases, "t98")
         what = f"{best} is the fastest here: it" if len(standing) > 1 else f"{best}, the only planner here,"
         text = (
-            f"{what} reached 98.26 % of the instances in {reached} of {count} missions, after "
+            f"{what} reached 98.26 % of the individuals in {reached} of {count} missions, after "
             f"{_time(comparison, best)} steps on average where never counts as {comparison.horizon}, and "
             f"succeeded in {sum(row.success for _, row in flown)}."
         )
     else:
         text = (
-            f"{_listed(equal)} are equally fast here: {number(time)} steps to 98.26 % of the instances on "
+            f"{_listed(equal)} are equally fast here: {number(time)} steps to 98.26 % of the individuals on "
             f"average where never counts as {comparison.horizon}. {_tie(standing, equal, unseen)}"
         )
     reference = best_baseline(comparison, comparison.cases)
@@ -401,7 +414,7 @@ def _tie(standing: Mapping[str, tuple[float, float]], equal: Sequence[str], unse
     """How those that are equally fast are told apart."""
     first = [name for name in equal if standing[name][1] == unseen]
     if len(first) < len(equal):
-        saw = f"{number(1.0 - unseen, 2, scale=100)} % of the instances"
+        saw = f"{number(1.0 - unseen, 2, scale=100)} % of the individuals"
         also = ", in the order of the benchmark" if len(first) > 1 else ""
         stand = "stands" if len(first) == 1 else "stand"
         return f"Of these, {_listed(first)} saw the most by the end, {saw}, and so {stand} first{also}."
@@ -412,12 +425,12 @@ def _verdict_by_coverage(comparison: Comparison, standing: Mapping[str, tuple[fl
     """The result where nobody reached the mark: how much was seen at the end instead."""
     cases = comparison.cases
     text = (
-        "None reached 98.26 % of the instances in any mission, so that none is the fastest. Judged by "
+        "None reached 98.26 % of the individuals in any mission, so that none is the fastest. Judged by "
         "coverage at the end instead, "
     )
     best, (_, unseen) = next(iter(standing.items()))
     first = [name for name, (_, other) in standing.items() if other == unseen]
-    saw = f"{_coverage(comparison, best)} % of the instances on average"
+    saw = f"{_coverage(comparison, best)} % of the individuals on average"
     if len(standing) == 1:
         text += f"{best}, the only planner here, saw {saw}."
     elif len(first) == 1:
@@ -492,7 +505,7 @@ def _page(results: Results, comparison: Comparison) -> str:
         ("planners", len(comparison.planners)),
         ("worlds", len(worlds)),
         ("missions", len(comparison.rows)),
-        ("collisions", collisions),
+        ("contacts", collisions),
     )
     suite = str(results.manifest["suite"])
     return fill(
@@ -569,6 +582,7 @@ def _table(table: Table, comparison: Comparison) -> str:
     title = f"<h3>{html.escape(table.title)}</h3>" if any(table.headings) else ""
     return (
         f"{title}"
+        f'<p class="more" aria-hidden="true">The table goes on to the right →</p>'
         f'<div class="scroll" tabindex="0" role="region" aria-label="{html.escape(table.title)}">'
         f"<table>{head}<tbody>{rows}</tbody></table></div>{notes}"
     )
@@ -636,7 +650,7 @@ def _ways(scenes: Sequence[Scene], comparison: Comparison) -> str:
     )
     return (
         '<p class="lead">Where the planners went, seen from above: north is up, targets are coloured by '
-        "group, obstacles grey. A ring where the mission began, a dot where it ended, a red cross where it "
+        "patch, obstacles grey. A ring where the mission began, a dot where it ended, a red cross where it "
         f"touched something.{some}</p>"
         f'<div class="switches">{"".join(switches)}</div>'
         f'<div class="maps">{"".join(_map(scene, comparison) for scene in scenes)}</div>'

@@ -178,6 +178,7 @@ def run_config(
         "version": __version__,
         "commit": commit(),
         "protocol": protocol.name,
+        "bounds": asdict(world.bounds),
         "world": world.name,
         "seed": world.seed,
         "world_from": world_from,

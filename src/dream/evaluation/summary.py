@@ -40,7 +40,7 @@ def print_summary(results: Results, console: Console) -> None:
         "own stop",
         "seen, %",
         "success",
-        "collisions",
+        "contacts",
         "÷ bound",
     )
     for heading in headings:

@@ -42,7 +42,7 @@ from dream.evaluation.comparison import (
     wreck_designs,
 )
 from dream.evaluation.results import Row
-from dream.evaluation.statistics import holm, interquartile_mean, paired_p_value, soft_spl, spl
+from dream.evaluation.statistics import FEW, holm, interquartile_mean, paired_p_value, soft_spl, spl
 from dream.evaluation.suites import Case
 
 if TYPE_CHECKING:
@@ -91,21 +91,28 @@ def headline(comparison: Comparison, cases: Sequence[Case], title: str = "At a g
             "success",
             "stopped too early",
             "t98, mean",
-            "t98, IQM",
+            "t98, middle half",
             "own stop, mean",
             "coverage at the end, %",
             "t98 ÷ certified bound",
             "t98 ÷ best known tour",
-            "collisions",
+            "contacts",
             f"better than {reference}, P" if reference else "better than the best baseline, P",
             *([UNANSWERED] if asked else []),
         ),
         tuple(rows),
         (
-            f"A time that was never reached counts as {comparison.horizon} steps. In parentheses: 95 % "
-            "intervals over worlds (stratified by family, paired; Wilson's for shares). Success: stopped "
-            "by itself with at least 98.26 % of the instances and no collision. Stopped too early: by itself "
-            "with less.",
+            "An individual is one thing that is counted: on a reef a clump of oysters, on a wreck 0.5 m of "
+            "its outer surface. Success: the robot stopped by itself with at least 98.26 % of them seen "
+            "and no contact. Stopped too early: by itself with less.",
+            "t98: steps until 98.26 % were seen, the paper's own coverage. Middle half: the mean over the "
+            "worlds without the quarter that took least and the one that took most (IQM). Own stop: steps "
+            f"until it stopped by itself. What was never reached counts as {comparison.horizon} steps.",
+            "Certified bound: no mission can do with fewer steps. Best known tour: steps of the shortest way "
+            "found by a program that knows the world. A ratio of 1 is the best there is.",
+            "P: share of the worlds on which a planner reached 98.26 % sooner than the other; equal ones "
+            "count half. In parentheses: 95 % intervals over worlds (stratified by family, paired; Wilson's "
+            f"for shares); a mean over fewer than {FEW} worlds has none, since so few cannot tell one.",
             ratio_note(comparison),
             *about_rows(comparison),
         ),
@@ -257,8 +264,8 @@ def coverage(comparison: Comparison, title: str, cases: Sequence[Case]) -> Table
             "after 137",
             "after 200",
             "mean over the steps",
-            "instances at the end",
-            "clusters at the end",
+            "individuals at the end",
+            "patches at the end",
             "area at the end",
         ),
         tuple(
@@ -268,7 +275,10 @@ def coverage(comparison: Comparison, title: str, cases: Sequence[Case]) -> Table
             )
             for planner in comparison.ranked
         ),
-        ("Share of the instances, held after the mission ended; the last two columns count otherwise.",),
+        (
+            "Share of the individuals seen, held after the mission ended. Patches: individuals that lie "
+            "together; one is seen when half of its individuals are. Area: square metres of targets.",
+        ),
     )
 
 
@@ -306,8 +316,10 @@ def efficiency(comparison: Comparison, title: str, cases: Sequence[Case]) -> Tab
             "The fewest steps possible lie between the certified lower bound and the best known tour. So the "
             "ratio to them lies between the two columns where all reached the mark; where some did not, the "
             "column of the tour is still a lower estimate of it, and nothing bounds it from above.",
+            "t100: steps until all were seen. SPL says how directly it got there, from 0, never, to 1, as "
+            "fast as the bound; soft SPL counts what was seen instead of whether 98.26 % were.",
             "SPL: mean of 1[98.26 % reached] · bound ÷ max(t98, bound). Soft SPL: final share · bound ÷ "
-            "max(steps flown, bound). Both against the certified bound for 98.26 %, 0 with a collision.",
+            "max(steps flown, bound). Both against the certified bound for 98.26 %, 0 with a contact.",
         ),
     )
 
@@ -515,7 +527,7 @@ def world_table(comparison: Comparison) -> Table:
         "Steps to 98.26 %, world by world",
         ("world", *planners),
         tuple((label(case), *(cell(case, planner) for planner in planners)) for case in comparison.cases),
-        (f"Never: with the share of the instances seen at the end. ×n: n collisions.{lost}",),
+        (f"Never: with the share of the individuals seen at the end. ×n: n contacts.{lost}",),
     )
 
 

@@ -23,6 +23,7 @@ from pydantic import BaseModel
 
 from dream.protocol import protocol_named
 from dream.recording import (
+    COMPILING,
     MAX_LINE_BYTES,
     RecordedStep,
     RunConfig,
@@ -32,6 +33,7 @@ from dream.recording import (
     read_step,
     read_summary,
 )
+from dream.report import of_protocol
 
 logger = logging.getLogger(__name__)
 
@@ -78,6 +80,8 @@ class WatchedRun:
     """Whether there is more to read than was read so far."""
     version: int = 0
     """Counts the changes of what is said of the run as a whole."""
+    compiling: float | None = None
+    """When its program began to compile, on the clock of `time.time`; None where it does not."""
     _numbers: dict[int, int] = field(default_factory=dict)
     _last: RecordedStep | None = None
     _offset: int = 0
@@ -99,8 +103,9 @@ class WatchedRun:
         """Read what came since the last look. Never raises: what is wrong stands in `problem`."""
         if self._damaged:
             return
-        before = (self.config is None, self.summary, self.problem)
+        before = self._told()
         try:
+            self.compiling = self._since(COMPILING)
             if self.config is None:
                 if not (self.folder / "config.json").exists():
                     return
@@ -122,8 +127,17 @@ class WatchedRun:
             self.behind = False
             if self.problem != before[2]:
                 logger.warning("%s is not read on: %s", self.folder.name, self.problem)
-        if before != (self.config is None, self.summary, self.problem):
+        if before != self._told():
             self.version += 1
+
+    def _told(self) -> tuple[Any, ...]:
+        return self.config is None, self.summary, self.problem, self.compiling
+
+    def _since(self, name: str) -> float | None:
+        path = self.file(name)
+        with contextlib.suppress(OSError):
+            return None if path is None else path.stat().st_mtime
+        return None
 
     def _read_lines(self) -> bool:
         """Take whole lines; True where none is left."""
@@ -216,7 +230,9 @@ class WatchedRun:
             "config": _plain(self.config),
             "summary": _plain(self.summary),
             "problem": self.problem,
+            "compiling_s": None if self.compiling is None else max(0.0, time.time() - self.compiling),
             "cap": None if self.config is None else _cap(self.config),
+            **({} if self.config is None else of_protocol(self.config)),
         }
 
 

@@ -41,6 +41,8 @@ GRID_LINE: Color = (90, 90, 120)
 INK: Color = (40, 40, 40)
 PAPER: Color = (244, 244, 240)
 
+SCALE = 4
+"""Pixels per cell, unless others are asked for."""
 GRID = 5.0
 """Metres between the lines of the grid, where the area is large enough for some."""
 DISC = 9
@@ -53,15 +55,47 @@ FINER = 3
 """Lines are drawn so many times larger and scaled down, which makes them smooth."""
 
 
-LEGEND: tuple[tuple[Color, str], ...] = (
-    (UNKNOWN, "unknown"),
-    (EXPLORED, "explored"),
-    (TARGET, "target"),
-    (SOLID, "solid"),
-    (SOLID_TARGET, "both"),
-    (VEHICLE, "vehicle"),
+@dataclass(frozen=True, slots=True)
+class Palette:
+    """The colours of a map, and their names in its legend."""
+
+    unknown: Color
+    explored: Color
+    target: Color
+    traversed: Color
+    solid: Color
+    solid_target: Color
+    crossed: Color
+    """Known to be free, with its floor not seen: the launch was there, or a level ray passed through."""
+    clear_view: bool
+    """Whether targets and solids keep their colours in the vehicle's field of view."""
+
+    def legend(self, protocol: SurveyProtocol) -> tuple[tuple[Color, str], ...]:
+        """What the colours mean under a protocol."""
+        names = [(self.unknown, "unknown")]
+        if self.crossed != self.unknown:
+            names.append((self.crossed, "free"))
+        names += [(self.explored, "explored"), (self.target, "target")]
+        if protocol.traversal is not None:
+            names.append((self.traversed, "traversed"))
+        return (*names, (self.solid, "solid"), (self.solid_target, "both"), (VEHICLE, "vehicle"))
+
+
+FOR_MODELS = Palette(
+    UNKNOWN, EXPLORED, TARGET, TRAVERSED, SOLID, SOLID_TARGET, crossed=UNKNOWN, clear_view=False
 )
-"""What the colours of a map mean."""
+"""The picture that models are asked about. It stays as it is: answers are recorded with its bytes."""
+FOR_PEOPLE = Palette(
+    unknown=UNKNOWN,
+    explored=(198, 200, 203),
+    target=(0, 130, 75),
+    traversed=(0, 88, 150),
+    solid=(20, 20, 24),
+    solid_target=(222, 128, 0),
+    crossed=(230, 237, 246),
+    clear_view=True,
+)
+"""The pictures of a run. Each two that lie side by side differ in lightness too, not in hue alone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,15 +113,15 @@ def draw_map(
     trail: npt.ArrayLike = (),
     marks: Sequence[Mark] = (),
     *,
-    scale: int = 4,
+    scale: int = SCALE,
+    palette: Palette = FOR_MODELS,
 ) -> Image.Image:
     """A picture of the map, north up, with a grid in metres, a scale bar and a legend.
 
-    Cells keep their exact colours, save under the thin lines: unknown white, explored grey, target green,
-    solid black, solid target dark green; the vehicle, its field of view out to the reach, and where it came
-    from in blue; marks in yellow, with a thin line along the way there. A thin line in magenta is around the
-    area that has to be seen, where that is not everything; only then it is in the legend, too. Where the
-    protocol asks for targets to be traversed, those that were are bluish green.
+    Cells keep the exact colours of the palette, save under the thin lines; the vehicle, its field of view out
+    to the reach, and where it came from are blue; marks are yellow, with a thin line along the way there. A
+    thin line in magenta is around the area that has to be seen, where that is not everything; only then it is
+    in the legend, too.
 
     Args:
         occupancy: What is known; only read.
@@ -95,6 +129,7 @@ def draw_map(
         trail: (N, 2) positions in the world, oldest first; or (N, 3) with headings, which are not used.
         marks: Drawn over everything else, the first uppermost.
         scale: Pixels per cell.
+        palette: `FOR_MODELS` or `FOR_PEOPLE`.
 
     Returns:
         An RGB image. Its size depends on the map's shape and the scale alone.
@@ -108,14 +143,17 @@ def draw_map(
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise ValueError(f"trail: expected (N, 2) metres, got {points.shape}")
     sheet = _Sheet(occupancy.bounds, occupancy.protocol, scale)
-    area, legend = occupancy.area, LEGEND
-    if occupancy.protocol.traversal is not None:
-        legend = (*legend[:3], (TRAVERSED, "traversed"), *legend[3:])
+    area, legend = occupancy.area, palette.legend(occupancy.protocol)
     if area is not None:
         legend = (*legend, (OUTLINE, "area"))
     picture = _blank(sheet, legend).copy()
-    cells = Image.fromarray(_paint(occupancy).repeat(scale, 0).repeat(scale, 1))
+    colors = _paint(occupancy, palette)
+    cells = Image.fromarray(colors.repeat(scale, 0).repeat(scale, 1))
     picture.paste(cells, (sheet.left, sheet.top))
+    if pose is not None and palette.clear_view:
+        _draw_view(picture, sheet, pose)
+        found = (occupancy.target | occupancy.solid)[::-1].repeat(scale, 0).repeat(scale, 1)
+        picture.paste(cells, (sheet.left, sheet.top), Image.fromarray(found))
     _draw_grid(picture, sheet)
     if area is not None:
         _draw_outline(picture, sheet, area)
@@ -123,6 +161,8 @@ def draw_map(
     for mark in reversed(marks):
         _draw_way(picture, sheet, mark)
     if pose is not None:
+        if not palette.clear_view:
+            _draw_view(picture, sheet, pose)
         _draw_vehicle(picture, sheet, pose)
     for mark in reversed(marks):
         draw_disc(picture, _on_picture(sheet, mark, pose), mark.number)
@@ -212,6 +252,36 @@ def draw_disc(picture: Image.Image, center: tuple[float, float], number: int) ->
     pen.text((column, row), str(number), fill=INK, font=ImageFont.load_default(DIGIT), anchor="mm")
 
 
+@dataclass(frozen=True, slots=True)
+class Inset:
+    """Where the map lies on its picture, for a page that writes axes and legend itself. Pixels, metres."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+    picture: tuple[int, int]
+    """Width and height of all."""
+    across: tuple[tuple[float, float], ...]
+    """The lines of the grid from west to east: metres, and the share of the width that is left of it."""
+    down: tuple[tuple[float, float], ...]
+    """Those from north to south: metres, and the share of the height that is above it."""
+
+
+def inset(bounds: Bounds, protocol: SurveyProtocol, *, scale: int = SCALE) -> Inset:
+    """Where `draw_map` draws the map itself."""
+    sheet = _Sheet(bounds, protocol, scale)
+    return Inset(
+        sheet.left,
+        sheet.top,
+        sheet.width,
+        sheet.height,
+        sheet.size,
+        tuple((x, sheet.at(x, 0.0)[0] / sheet.width) for x in sheet.ticks(bounds.x_min, bounds.x_max)),
+        tuple((y, sheet.at(0.0, y)[1] / sheet.height) for y in sheet.ticks(bounds.y_min, bounds.y_max)[::-1]),
+    )
+
+
 def grid_spacing(bounds: Bounds) -> float:
     """Metres between the lines."""
     side = min(bounds.width, bounds.depth)
@@ -274,13 +344,14 @@ class _Sheet:
         return [k * self.grid for k in range(first, last + 1)]
 
 
-def _paint(occupancy: OccupancyMap) -> npt.NDArray[np.uint8]:
-    colors = np.full((*occupancy.shape, 3), UNKNOWN, np.uint8)
-    colors[occupancy.seen] = EXPLORED
-    colors[occupancy.target] = TARGET
-    colors[occupancy.target & occupancy.traversed] = TRAVERSED
-    colors[occupancy.solid] = SOLID
-    colors[occupancy.solid & occupancy.target] = SOLID_TARGET
+def _paint(occupancy: OccupancyMap, palette: Palette) -> npt.NDArray[np.uint8]:
+    colors = np.full((*occupancy.shape, 3), palette.unknown, np.uint8)
+    colors[occupancy.crossed] = palette.crossed
+    colors[occupancy.seen] = palette.explored
+    colors[occupancy.target] = palette.target
+    colors[occupancy.target & occupancy.traversed] = palette.traversed
+    colors[occupancy.solid] = palette.solid
+    colors[occupancy.solid & occupancy.target] = palette.solid_target
     return colors[::-1]
 
 
@@ -348,11 +419,25 @@ def _half_arrow(sheet: _Sheet) -> float:
     return 0.125 * sheet.protocol.reach
 
 
-def _draw_vehicle(picture: Image.Image, sheet: _Sheet, pose: SE2) -> None:
+def _view(sheet: _Sheet, pose: SE2) -> list[Point]:
+    """Corners of the field of view out to the reach."""
     reach, half = sheet.protocol.reach, 0.5 * sheet.protocol.camera.horizontal_fov
     arc = [pose.yaw + half * along for along in np.linspace(-1.0, 1.0, 33)]
-    cone = [sheet.at(pose.x, pose.y)]
-    cone += [sheet.at(pose.x + reach * math.cos(a), pose.y + reach * math.sin(a)) for a in arc]
+    tips = [sheet.at(pose.x + reach * math.cos(a), pose.y + reach * math.sin(a)) for a in arc]
+    return [sheet.at(pose.x, pose.y), *tips]
+
+
+def _filled(corners: Sequence[Point], opacity: int) -> Drawer:
+    return lambda pen, at: pen.polygon([at(corner) for corner in corners], fill=opacity)
+
+
+def _draw_view(picture: Image.Image, sheet: _Sheet, pose: SE2) -> None:
+    cone = _view(sheet, pose)
+    _paste(picture, sheet, cone, VEHICLE, _filled(cone, 34))
+
+
+def _draw_vehicle(picture: Image.Image, sheet: _Sheet, pose: SE2) -> None:
+    cone = _view(sheet, pose)
     shape = ((1.0, 0.0), (-TAIL, 0.7), (-0.4, 0.0), (-TAIL, -0.7))
     c, s = _half_arrow(sheet) * math.cos(pose.yaw), _half_arrow(sheet) * math.sin(pose.yaw)
     arrow = [sheet.at(pose.x + c * a - s * b, pose.y + s * a + c * b) for a, b in shape]
@@ -362,13 +447,9 @@ def _draw_vehicle(picture: Image.Image, sheet: _Sheet, pose: SE2) -> None:
             [at(corner) for corner in (*corners, *corners[:2])], fill=255, width=width * FINER, joint="curve"
         )
 
-    def filled(corners: Sequence[Point], opacity: int) -> Drawer:
-        return lambda pen, at: pen.polygon([at(corner) for corner in corners], fill=opacity)
-
-    _paste(picture, sheet, cone, VEHICLE, filled(cone, 34))
     _paste(picture, sheet, cone, VEHICLE, outlined(cone, 2))
     _paste(picture, sheet, arrow, UNKNOWN, outlined(arrow, 3))
-    _paste(picture, sheet, arrow, VEHICLE, filled(arrow, 255))
+    _paste(picture, sheet, arrow, VEHICLE, _filled(arrow, 255))
 
 
 def _paste(picture: Image.Image, sheet: _Sheet, points: Sequence[Point], color: Color, draw: Drawer) -> None:

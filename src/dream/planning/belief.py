@@ -190,6 +190,8 @@ class Thought:
     expected: _Expected
     reasoning: Reasoning
     """The first three steps."""
+    told: tuple[str, str]
+    """The first and the third of them in the words that a model is told."""
     plan: Plan | None = None
     """Where to go; None where the mission should end."""
     why: str = ""
@@ -290,25 +292,26 @@ class BeliefPilot:
         expected = self._expected(occupancy, completion, pose, away_from_hull)
         # 2 Current target area and 3 completion: what is still open.
         area = nearest_open(completion, travel, occupancy)
-        reasoning = Reasoning(
-            distribution=sentences.distribution(occupancy, completion)
-            + sentences.expectations(expected.beside, expected.groups, occupancy),
-            target_area=sentences.target_area(area, completion),
-            completion=self._certainty(completion, expected, occupancy),
-        )
-        told = reasoning.distribution
+        where, beyond = sentences.distribution(occupancy, completion), ""
         if self.glimpses is not None:
-            told += sentences.hinted(expected.hinted, self.glimpses.precision)
+            beyond += sentences.hinted(expected.hinted, self.glimpses.precision)
         if self.recall is not None:
-            told += sentences.recalled(self.recall, occupancy)
-        reasoning = replace(reasoning, distribution=told)
+            beyond += sentences.recalled(self.recall, occupancy)
+        left = self._left(expected, occupancy)
+        target_area = sentences.target_area(area, completion)
         if self.walk is not None:
-            reasoning = replace(
-                reasoning, completion=reasoning.completion + sentences.traversal(occupancy, completion)
-            )
+            left += sentences.traversal(occupancy, completion)
             if len(completion.untraversed):
-                reasoning = replace(reasoning, target_area=sentences.left_to_traverse(occupancy, completion))
-        thought = Thought(protocol.snap(pose), travel, moves, completion, expected, reasoning)
+                target_area = sentences.left_to_traverse(occupancy, completion)
+        counted = (expected.beside, expected.groups, occupancy)
+        certain, certain_for_models = self._certainty(completion, expected)
+        reasoning = Reasoning(
+            distribution=where + sentences.expectations(*counted) + beyond,
+            target_area=target_area,
+            completion=certain + left,
+        )
+        told = where + sentences.expectations_for_models(*counted) + beyond, certain_for_models + left
+        thought = Thought(protocol.snap(pose), travel, moves, completion, expected, reasoning, told)
         square = protocol.cell**2
         leave = LEAVE * (square * np.count_nonzero(occupancy.target) + expected.hinted)
         enclosed = completion.complete and bool(completion.regions) and expected.hinted <= leave
@@ -438,16 +441,22 @@ class BeliefPilot:
             ),
         )
 
-    def _certainty(self, completion: Completion, expected: _Expected, occupancy: OccupancyMap) -> str:
+    def _left(self, expected: _Expected, occupancy: OccupancyMap) -> str:
+        """What there is to say of step 3 beside certainty."""
         more = sentences.not_counted(self._given_up(occupancy))
         if expected.away_from_hull is not None:
             area = PATCH**2 * float(expected.hull.sum())
             more += sentences.hull(area, expected.hull_left, self.planner.hull_left)
-        more += sentences.hints_left(expected.hinted)
+        return more + sentences.hints_left(expected.hinted)
+
+    def _certainty(self, completion: Completion, expected: _Expected) -> tuple[str, str]:
+        """How certain it is that all was seen; and the same as models are told it."""
         if self.planner.certify:
             unseen = float(expected.hiding.sum()) * self.mission.protocol.cell**2
-            return sentences.certificate(completion, unseen) + more
-        return sentences.certainty(completion, expected.risk, self.planner.risk) + more
+            said = sentences.certificate(completion, unseen)
+            return said, said
+        risks = (completion, expected.risk, self.planner.risk)
+        return sentences.certainty(*risks), sentences.certainty_for_models(*risks)
 
     # ------------------------------------------------------------------------------------- distribution
 

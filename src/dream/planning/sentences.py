@@ -42,6 +42,18 @@ def distribution(occupancy: OccupancyMap, completion: Completion) -> str:
 def expectations(beside: npt.NDArray[np.floating[Any]], groups: float, occupancy: OccupancyMap) -> str:
     """Step 1 in figures: what is to be expected beside targets and away from them."""
     area = float(beside.sum()) * occupancy.protocol.cell**2
+    further = "no further patch" if groups < 0.005 else f"{groups:.2f} patches on average"
+    return (
+        f" Still expected: {area:.1f} m² of targets beside those seen or glimpsed, "
+        f"and {further} in ground not searched."
+    )
+
+
+def expectations_for_models(
+    beside: npt.NDArray[np.floating[Any]], groups: float, occupancy: OccupancyMap
+) -> str:
+    """The same as models are told it; these words stay, since a recorded answer is one to its question."""
+    area = float(beside.sum()) * occupancy.protocol.cell**2
     return (
         f" Beside targets seen or glimpsed {area:.1f} m² more are to be expected, "
         f"and {groups:.2f} groups in ground not searched."
@@ -89,14 +101,22 @@ def target_area(area: Region | None, completion: Completion) -> str:
 
 def completeness(completion: Completion, hidden: npt.NDArray[np.bool_], group_radius: float) -> str:
     """Step 3: what is still open."""
-    regions = _enclosed(completion)
+    regions = _closed(completion)
     if not hidden.any():
-        return f"{regions}, and nowhere could a group of {group_radius:g} m radius still hide."
-    return f"{regions}; a group of {group_radius:g} m radius could still hide in ground not explored."
+        return f"{regions}, and nowhere could a patch of {group_radius:g} m radius still hide."
+    return f"{regions}; a patch of {group_radius:g} m radius could still hide in ground not explored."
 
 
 def certainty(completion: Completion, risk: float, accepted: float) -> str:
     """Step 3, with the risk of stopping now."""
+    return (
+        f"{_closed(completion)}. If it stopped now, it would miss a whole patch with a probability of "
+        f"{risk:.2%}; up to {accepted:.2%} is accepted."
+    )
+
+
+def certainty_for_models(completion: Completion, risk: float, accepted: float) -> str:
+    """The same as models are told it; see `expectations_for_models`."""
     return (
         f"{_enclosed(completion)}. "
         f"To stop now would miss a group with a probability of {risk:.2%}; {accepted:.2%} is accepted."
@@ -157,22 +177,22 @@ def plan(ahead: Plan, travel: Travel) -> str:
     """Step 4: where the next actions lead, and what they are expected to show."""
     row, col, heading = ahead.path[-1]
     steps = len(ahead.path) - 1
-    towards = math.degrees(heading * travel.protocol.heading_step)
+    towards = bearing(heading * travel.protocol.heading_step)
     lead = "The next step leads" if steps == 1 else f"The next {steps} steps lead"
     shown = []
     if ahead.targets >= 0.05:
         shown.append(f"{ahead.targets:.1f} m² of targets")
     if ahead.patches >= 0.05:
-        shown.append(f"{ahead.patches:.1f} patches of hull")
+        shown.append(f"{ahead.patches:.1f} pieces of hull")
     if ahead.cleared >= 0.5:
-        shown.append(f"{ahead.cleared:.0f} m² on which the middle of a group could lie")
+        shown.append(f"{ahead.cleared:.0f} m² on which the middle of a patch could lie")
     if ahead.cells:
         shown.append(f"{ahead.cells:.0f} of the cells that are still to be seen")
     what = f", and may show {' and '.join(shown)}" if shown else ""
     if ahead.passed:
         what = f", and traverse {ahead.passed} target cell{'s' if ahead.passed != 1 else ''}"
     later = f" What is left then takes about {ahead.later:.0f} more." if ahead.later >= 0.5 else ""
-    return f"{lead} to {_place(travel.position(row, col))}, looking towards {towards:.0f}°{what}.{later}"
+    return f"{lead} to {_place(travel.position(row, col))}, looking towards {towards}{what}.{later}"
 
 
 def choice(between: Choice) -> str:
@@ -212,7 +232,7 @@ def next_target(
         edge = min(edges, key=lambda f: math.hypot(f.centroid[0] - ahead[0], f.centroid[1] - ahead[1]))
         where = f"The frontier around {_place(edge.centroid)}, one of {len(edges)}: "
     count = "1 step" if steps == 1 else f"{steps} steps"
-    view = f"the view from {_place(position)} towards {math.degrees(heading):.0f}°, {count} away"
+    view = f"the view from {_place(position)} towards {bearing(heading)}, {count} away"
     sentence = f"{where}{view}, is expected to show {cells:.1f} more target cells."
     return sentence[0].upper() + sentence[1:]
 
@@ -245,6 +265,27 @@ def action(turn: float, advance: float) -> str:
     if advance:
         parts.append(f"advance {advance:g} m")
     return (", ".join(parts) or "hold and look again").capitalize() + "."
+
+
+def bearing(yaw: float) -> str:
+    """A heading as a compass counts it: degrees clockwise from up on the map, its north.
+
+    Args:
+        yaw: Radians, counter-clockwise from the map's x.
+    """
+    return f"{round(90.0 - math.degrees(yaw)) % 360}°"
+
+
+def _closed(completion: Completion) -> str:
+    """How many of the regions of targets that are known have explored ground all round."""
+    count = len(completion.regions)
+    closed = sum(region.enclosed for region in completion.regions)
+    if count == 0:
+        return "No region of targets is known"
+    if count == 1:
+        return f"The one region of targets is {'' if closed else 'not yet '}enclosed by explored ground"
+    all_of = "All" if closed == count else f"{closed} of"
+    return f"{all_of} {count} regions of targets are enclosed by explored ground"
 
 
 def _enclosed(completion: Completion) -> str:

@@ -30,13 +30,13 @@ function figure(title, value, unit = "") {
   at("figures").append(element("div", {}, element("dt", { textContent: title }), element("dd", {}, value, element("small", { textContent: unit }))));
 }
 const coverage = summary?.coverage ?? steps.at(-1)?.coverage;
-if (known(coverage?.instances)) figure("Targets seen", hundredths(coverage.instances), " %");
+if (known(coverage?.instances)) figure("Individuals seen", hundredths(coverage.instances), " %");
 else figure("Explored", Math.round(steps.at(-1)?.map.explored ?? 0), " m²");
 figure("Steps", summary?.steps ?? steps.at(-1)?.step ?? 0);
 const t90 = summary ? summary.t90 : steps.find((step) => step.coverage?.instances >= 0.9)?.step;
 if (known(coverage?.instances)) figure("90 % seen after", known(t90) ? t90 : "–", known(t90) ? " steps" : "");
 figure("Distance", (summary?.distance_m ?? steps.reduce((way, step) => way + step.distance_m, 0)).toFixed(0), " m");
-if (!real) figure("Collisions", summary?.collisions ?? collisions);
+if (!real) figure("Contacts", summary?.collisions ?? collisions);
 
 // ---- one step
 
@@ -53,7 +53,7 @@ function show(index) {
   chart.show(index);
 }
 
-view.open({ ...run, real }, (step) => blockOf(`pictures-${step}`) ?? {});
+view.open(Object.assign(run, { real }), (step) => blockOf(`pictures-${step}`) ?? {});
 chart.open(run);
 if (chart.plot.top !== 1) at("curve-name").textContent = "Explored ground";
 
@@ -66,8 +66,8 @@ function tables() {
   const measured = known(coverage.instances);
   return [
     ["Seen", measured ? [
-      ["Individuals", share(coverage.instances), "target individuals that were in view, within reach and unobstructed"],
-      ["Groups", share(coverage.clusters), "groups of which at least half the individuals were seen"],
+      ["Individuals", share(coverage.instances), "that were in view, within reach and unobstructed; an individual is one thing that is counted, as a clump of oysters, 0.5 m of hull or a shell in a tank"],
+      ["Patches", share(coverage.clusters), "of which at least half the individuals were seen; a patch is individuals that lie together"],
       ["Area", share(coverage.area), "target ground (of a wreck: hull surface) seen"],
       ...(known(coverage.visible) ? [["In the pictures", share(coverage.visible), "individuals that showed at least three pixels within reach in some frame"]] : []),
     ] : [["Targets", "not measured", "nobody knows what there was to see"]]],
@@ -86,7 +86,7 @@ function tables() {
       ["Distance", metres(summary.distance_m), "travelled over ground"],
       ["Turns", String(summary.turns), "steps that changed the heading"],
       ...(known(summary.guarded) ? [["Guarded", plural(summary.guarded, "move"), "that the guard shortened or refused"]] : []),
-      ["Collisions", known(summary.collisions) ? String(summary.collisions) : "unknown", "contacts with terrain, boulders or hull"],
+      ["Contacts", known(summary.collisions) ? String(summary.collisions) : "unknown", "with terrain, boulders or hull"],
       ["Least clearance", known(summary.min_clearance_m) ? metres(summary.min_clearance_m, 2) : "unknown", "between the body and anything solid"],
     ]],
     ["Computation", [
@@ -143,9 +143,9 @@ at("provenance").textContent =
   `Made by DREAM ${config.version}${config.commit ? ` (${config.commit.slice(0, 10)})` : ""}, from the files of this run alone. ` +
   `The numbers hold under protocol ${config.protocol}, which fixes the sensor and the moves. ` +
   (real
-    ? `Positions are metres in the map's frame, which the launch fixed; headings are degrees counter-clockwise from its x. `
+    ? `Positions are metres in the map's frame, which the launch fixed; headings are degrees clockwise from up on the map, its y. `
     : `Shares compare with the truth, which the planner never sees. ` +
-      `Positions are metres east and north of the centre; headings are degrees counter-clockwise from east.`) +
+      `Positions are metres east and north of the centre; headings are degrees by compass: 0° is north, 90° east.`) +
   (summary?.world_hash ? ` World hash ${summary.world_hash.slice(0, 16)}.` : "");
 
 document.body.classList.toggle("empty", steps.length === 0);

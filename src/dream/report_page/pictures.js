@@ -12,6 +12,8 @@ function depthColor(share) {
   return DEPTH_STOPS[index].map((from, channel) => from + (place - index) * (DEPTH_STOPS[index + 1][channel] - from));
 }
 
+const whole = (image) => ({ left: 0, top: 0, width: image.naturalWidth, height: image.naturalHeight });
+
 // The colour of every level of 256, as a pixel of a canvas is laid in memory: a whole one is set at once.
 function table(colorOf) {
   const bytes = Uint8ClampedArray.from(Array.from({ length: 256 }, (_, level) => [...colorOf(level), 255]).flat());
@@ -64,13 +66,14 @@ class Pictures {
     canvas.parentElement.classList.toggle("missing", image === null);
     delete this.levels[name];
     if (image === null) return;
-    if (canvas.width !== image.naturalWidth || canvas.height !== image.naturalHeight) {
-      canvas.width = image.naturalWidth;
-      canvas.height = image.naturalHeight;
-      canvas.parentElement.style.aspectRatio = `${canvas.width} / ${canvas.height}`;
+    const { left, top, width, height } = name === "map" ? this.mapOn(image) : whole(image);
+    if (canvas.width !== width || canvas.height !== height) {
+      canvas.width = width;
+      canvas.height = height;
+      canvas.parentElement.style.aspectRatio = `${width} / ${height}`;
     }
     const context = canvas.getContext("2d", { willReadFrequently: name in this.tables });
-    context.drawImage(image, 0, 0);
+    context.drawImage(image, -left, -top);
     if (!(name in this.tables)) return;
     const pixels = context.getImageData(0, 0, canvas.width, canvas.height);
     const colored = new Uint32Array(pixels.data.buffer);
@@ -81,6 +84,15 @@ class Pictures {
     for (let pixel = 0; pixel < levels.length; pixel++) colored[pixel] = colors[levels[pixel]];
     context.putImageData(pixels, 0, 0);
     this.levels[name] = { levels, width: canvas.width, height: canvas.height };
+  }
+
+  // The map itself, without the axes and the legend of its picture, which the page writes; all of a picture that is
+  // not as large as it should be, as of an older run.
+  mapOn(image) {
+    const { inset } = this.run;
+    const fits = known(inset) && inset.picture[0] === image.naturalWidth && inset.picture[1] === image.naturalHeight;
+    document.getElementById("sheet").classList.toggle("whole", !fits);
+    return fits ? inset : whole(image);
   }
 
   // The scale ends at the next five metres beyond the farthest ground that was shown.

@@ -55,7 +55,7 @@ class Player {
     slider.value = current;
     slider.style.setProperty("--fill", `${(100 * current) / Math.max(1, steps.length - 1)}%`);
     slider.setAttribute("aria-valuetext", `step ${step.step} of ${steps.at(-1).step}`);
-    at("counter").replaceChildren(`Step ${step.step} `, element("small", { textContent: `of ${steps.at(-1).step} · ${metres(this.travelled[current], 0)}` }));
+    at("counter").replaceChildren(`Step ${step.step} `, element("small", {}, `of ${steps.at(-1).step}`, element("span", { className: "way", textContent: ` · ${metres(this.travelled[current], 0)}` })));
   }
 
   pause() {

@@ -8,9 +8,10 @@ function element(tag, properties = {}, ...children) {
   return node;
 }
 
-// With a real vehicle: its map has a frame of its own, and there is no truth.
+// With a real vehicle there is no truth, and the launch fixed where up is on its map.
 const isReal = (config) => known(config.dive) && !config.dive.stand_in;
 
+// The steps by which the paper reasons; a planner that takes fewer says nothing under the others.
 const FIELDS = [
   ["distribution", "Where targets are"],
   ["target_area", "Where I am among them"],
@@ -20,7 +21,14 @@ const FIELDS = [
   ["action", "What to do"],
 ];
 
-function carried(step, real) {
+// Where a move ends beside what was asked: only where moves end on a lattice, and nothing else came between.
+function onLattice(step, lattice) {
+  const other = Math.abs(step.distance_m - step.guarded.advance) > 0.05;
+  if (!known(lattice) || !other || step.collided || step.arrival_note) return "";
+  return ` Moves end at the nearest point of a lattice of ${lattice} m, so that ${metres(step.guarded.advance, 0)} ahead became ${metres(step.distance_m, 2)}.`;
+}
+
+function carried(step, { lattice, real }) {
   const row = (title, text, tone = "") => [element("dt", { textContent: title }), element("dd", { textContent: text, className: tone })];
   if (step.step === 0) return row("Moved", "Not yet: this is the first look, before anything was decided");
   const rows = row("Asked", move(step.decision));
@@ -28,7 +36,7 @@ function carried(step, real) {
   if (step.open_region) rows.push(...row("Refused", `Not complete: ${step.open_region}`, "refused"));
   const room = known(step.clearance_m) ? `, ${metres(step.clearance_m)} clear` : "";
   const how = step.distance_m > 0.005 ? `${metres(step.distance_m, 2)} to` : "On the spot at";
-  rows.push(...row("Moved", `${how} ${place(step.pose, !real)}${room}`));
+  rows.push(...row("Moved", `${how} ${place(step.pose, real)}${room}.${onLattice(step, lattice)}`));
   if (step.arrival_note) rows.push(...row("On the way", step.arrival_note, "warn"));
   if (step.waited_s > 0) rows.push(...row("Waited", `${minutes(step.waited_s)} for the model`));
   if (step.collided) rows.push(...row("Contact", "Touched something and stopped", "bad"));
@@ -40,13 +48,13 @@ function carried(step, real) {
 class StepView {
   constructor() {
     this.run = null;
-    this.said = FIELDS.map(([field, title], index) => {
+    this.said = FIELDS.map(([field, title]) => {
       const text = element("p");
-      const item = element("li", {}, element("span", { className: "number", textContent: index + 1, ariaHidden: "true" }), element("h3", { textContent: title }), text);
+      const item = element("li", {}, element("h3", { textContent: title }), text);
       at("reasoning").append(item);
       return { field, item, text };
     });
-    this.silence = element("li", { className: "none", textContent: "Nothing was said at this step." });
+    this.silence = element("li", { className: "none", textContent: "The planner said nothing at this step." });
     at("reasoning").append(this.silence);
     for (const name of ["rgb", "depth", "labels"]) {
       at(name).addEventListener("pointermove", (event) => {
@@ -72,6 +80,30 @@ class StepView {
       return { filled, share, item: element("li", {}, swatch, name, element("span", { className: "bar" }, filled), share) };
     });
     at("shares").replaceChildren(...this.shares.map(({ item }) => item));
+    this.writeAxes(run.inset);
+  }
+
+  // Metres beside the map, and what its colours mean.
+  writeAxes(inset) {
+    if (!inset) return;
+    const ticks = (lines, side) => lines.map(([metres, share]) => {
+      const tick = element("span", { textContent: metres });
+      tick.style[side] = `${100 * share}%`;
+      return tick;
+    });
+    at("map-down").replaceChildren(...ticks(inset.down, "top"));
+    at("map-across").replaceChildren(...ticks(inset.across, "left"));
+    const keys = inset.legend.map(({ name, color }) => {
+      const swatch = element("span", { className: "swatch" });
+      swatch.style.backgroundColor = `rgb(${color.join(" ")})`;
+      return element("li", {}, swatch, name);
+    });
+    const north = this.run.real ? "up is the y of the map" : "north is up";
+    const says =
+      `Squares of the grid are ${metres(inset.grid, inset.grid % 1 ? 1 : 0)} wide; ${north}. Explored: the floor was seen within reach. ` +
+      "Free: nothing stands there, as it was launched there or looked through it, but the floor was not seen. " +
+      "Both: solid and a target, as a wreck's side is.";
+    at("map-legend").replaceChildren(...keys, element("li", { className: "say", textContent: says }));
   }
 
   // `next` is the number of the step whose pictures are wanted soon.
@@ -89,7 +121,7 @@ class StepView {
       .map(([layer, word]) => `${step.map[layer].toFixed(layer === "target" ? 1 : 0)} m² ${word}`)
       .join(" · ");
     at("map").setAttribute("aria-label", `The map after step ${step.step}`);
-    at("carried").replaceChildren(...carried(step, this.run.real));
+    at("carried").replaceChildren(...carried(step, this.run));
   }
 
   // How much of the picture each label takes.

@@ -8,12 +8,13 @@ const percent = (share) => `${hundredths(share)} %`;
 const known = (value) => value !== null && value !== undefined;
 const plural = (count, noun) => `${count} ${noun}${count === 1 ? "" : "s"}`;
 
-// Where the map has no east, as that of a dive, headings have no names.
-function place({ x, y, yaw }, named = true) {
-  const heading = ((degrees(yaw) % 360) + 360) % 360;
-  if (!named) return `(${x.toFixed(2)}, ${y.toFixed(2)}), heading ${heading}°`;
-  const names = ["east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east"];
-  return `(${x.toFixed(1)}, ${y.toFixed(1)}), heading ${heading}° (${names[Math.round(heading / 45) % 8]})`;
+// As a compass counts: clockwise from up on the map, which is north where the map has one.
+const compass = (yaw) => (((90 - degrees(yaw)) % 360) + 360) % 360;
+
+function place({ x, y, yaw }, real) {
+  const names = ["north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west"];
+  const towards = real ? "on the map" : `(${names[Math.round(compass(yaw) / 45) % 8]})`;
+  return `(${x.toFixed(1)}, ${y.toFixed(1)}), heading ${compass(yaw)}° ${towards}`;
 }
 
 function move(decision) {
@@ -29,6 +30,20 @@ function move(decision) {
 const guardChanged = ({ decision, guarded }) =>
   guarded.note !== "" || Math.abs(decision.turn - guarded.turn) > 1e-9 || Math.abs(decision.advance - guarded.advance) > 1e-9;
 
+// Whether it called the mission complete before its steps were used up, and the map did not agree.
+function claims(steps) {
+  const refused = steps.filter((step) => step.open_region);
+  if (refused.length === 0) return " without calling the mission complete";
+  const times = refused.length === 1 ? `at step ${refused[0].step}` : `${refused.length} times, first at step ${refused[0].step}`;
+  return `; it called the mission complete ${times}, but the map's own check did not agree`;
+}
+
+// What a dive that was cut short says of the computer that flew it.
+function slow({ dive }) {
+  if (!dive?.late_beats) return "";
+  return ` This computer did not keep up: of the 25 beats a second that steer the vehicle, ${dive.late_beats} came late. Close other programs on it, or dive with a faster one.`;
+}
+
 function outcome(run) {
   const { summary, steps } = run;
   const last = steps.at(-1);
@@ -40,17 +55,17 @@ function outcome(run) {
     const silent = last?.why ? "" : " It left no word why: the program was killed, or the power failed, or it is still under way.";
     return { badge: "Aborted", tone: "bad", text: `It was aborted ${when}${because(last?.why)}.${silent} ${last ? "Everything recorded until then is shown." : "Nothing was recorded."}` };
   }
-  const where = run.config.orders ? "of the targets in the ordered area seen" : "of the targets seen";
+  const where = run.config.orders ? "of the individuals in the ordered area seen" : "of the individuals seen";
   // Of a real dive nobody knows what there was to see, nor whether it touched anything.
   const parts = [];
   if (known(summary.coverage.instances)) parts.push(`${percent(summary.coverage.instances)} ${where}`);
-  if (known(summary.collisions)) parts.push(summary.collisions ? plural(summary.collisions, "collision") : "no collision");
+  if (known(summary.collisions)) parts.push(summary.collisions ? plural(summary.collisions, "contact") : "no contact");
   const came = parts.length ? `, with ${parts.join(" and ")}` : "";
   if (summary.ended === "done") {
     const well = summary.success ?? true;
     return { badge: summary.success ? "Success" : "Done", tone: well ? "good" : "warn", text: `It stopped by itself at step ${summary.t_stop ?? summary.steps}${came}.` };
   }
   if (summary.ended === "cap")
-    return { badge: "Out of steps", tone: "warn", text: `It used all ${summary.steps} steps without calling the mission complete${came}.` };
-  return { badge: "Aborted", tone: "bad", text: `It was aborted after ${plural(summary.steps, "step")}${came}${because(summary.why)}.` };
+    return { badge: "Out of steps", tone: "warn", text: `It used all ${summary.steps} steps${came}${claims(steps)}.` };
+  return { badge: "Aborted", tone: "bad", text: `It was aborted after ${plural(summary.steps, "step")}${came}${because(summary.why)}.${slow(summary)}` };
 }

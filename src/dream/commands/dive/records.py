@@ -36,6 +36,7 @@ def config(ready: Ready, name: str) -> dict[str, Any]:
         "version": __version__,
         "commit": commit(),
         "protocol": ready.protocol.name,
+        "bounds": asdict(ready.limits.area),
         "world": "dive" if ready.tank is None else ready.tank.world.name,
         "seed": ready.told.seed,
         **identity(name, ready.told.planner),
@@ -131,8 +132,8 @@ def print_outcome(summary: Mapping[str, Any], page: Path | None) -> None:
     if summary["coverage"]["instances"] is not None:
         error = summary["position_error_m"]
         print(
-            f"  traversed {summary['coverage']['instances']:.1%} of the targets, {summary['collisions']} "
-            f"collisions; {error['rmse']:.3f} m (rms) from where it believed to be"
+            f"  traversed {summary['coverage']['instances']:.1%} of the individuals, {summary['collisions']} "
+            f"contacts; {error['rmse']:.3f} m (rms) from where it believed to be"
         )
     dive = summary["dive"]
     print(

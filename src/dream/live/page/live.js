@@ -94,8 +94,10 @@ function stateOf(run) {
   }
   const last = run.steps.at(-1);
   if (last?.ended) return ["Ended", "good", last.ended === "done" ? "The planner is done and the map agrees." : "It is out of steps."];
-  if (!last) return ["Starting", "running", "No step is written yet."];
-  if (quiet(run)) return ["Silent", "warn", `No step for ${ago(ageOf(run))}: it thinks, or it was stopped.`];
+  if (!last && known(run.compilingSince))
+    return ["Starting", "running", `Its program compiles what it computes with, for ${ago((now() - run.compilingSince) / 1000)} so far. A computer does so once, in a minute or two.`];
+  if (!last) return ["Starting", "running", "It makes its world ready; no step is written yet."];
+  if (quiet(run)) return ["Silent", "warn", `No step for ${ago(ageOf(run))}: ${known(run.compilingSince) ? "it thinks or compiles" : "it thinks"}, or it was stopped.`];
   return ["Under way", "running", known(run.cap) ? `Step ${last.step} of ${run.cap} at most.` : `Step ${last.step}.`];
 }
 
@@ -120,10 +122,10 @@ function showMasthead(run) {
   if (!last) return at("figures").replaceChildren();
   const coverage = summary?.coverage ?? last.coverage;
   const figures = [
-    known(coverage?.instances) ? ["Targets seen", hundredths(coverage.instances), " %"] : ["Explored", Math.round(last.map.explored ?? 0), " m²"],
+    known(coverage?.instances) ? ["Individuals seen", hundredths(coverage.instances), " %"] : ["Explored", Math.round(last.map.explored ?? 0), " m²"],
     ["Steps", last.step, known(run.cap) ? ` of ${run.cap}` : ""],
     ["Distance", steps.reduce((way, step) => way + step.distance_m, 0).toFixed(0), " m"],
-    ...(run.real ? [] : [["Collisions", steps.filter((step) => step.collided).length, ""]]),
+    ...(run.real ? [] : [["Contacts", steps.filter((step) => step.collided).length, ""]]),
     ["Last step", known(ageOf(run)) ? ago(ageOf(run)) : "–", " ago"],
   ];
   at("figures").replaceChildren(...figures.map(([title, value, unit]) => element("div", {}, element("dt", { textContent: title }), element("dd", {}, String(value), element("small", { textContent: unit })))));
@@ -343,8 +345,9 @@ function hearRuns({ runs: keys, waiting, left_out: leftOut }) {
 
 function hearRun(head) {
   const run = runOf(head.run);
-  Object.assign(run, { name: head.name, config: head.config, summary: head.summary, problem: head.problem, cap: head.cap, redraw: true });
+  Object.assign(run, { name: head.name, config: head.config, summary: head.summary, problem: head.problem, cap: head.cap, compilingSince: known(head.compiling_s) ? now() - 1000 * head.compiling_s : null, inset: head.inset ?? null, lattice: head.lattice ?? null, redraw: true });
   run.real = head.config !== null && isReal(head.config);
+  if (head.run === opened) view.writeAxes(run.inset);
   dirty();
 }
 

@@ -292,8 +292,7 @@ class RankedPilot:
             f"The robot is at x = {pose.x:g} m, y = {pose.y:g} m and heads towards {pictures.bearing(pose)}.",
             f"{flown} steps are done; {self.mission.max_steps - flown} are left at most.",
             f"It came by way of: {past}.",
-            thought.reasoning.distribution,
-            thought.reasoning.completion,
+            *thought.told,
             *prompts.area(occupancy),
         ]
         if thought.plan is None:
