@@ -31,7 +31,7 @@ import numpy.typing as npt
 from scipy import ndimage, optimize
 from scipy.spatial import cKDTree
 
-from dream.commands.console import with_progress
+from dream.commands.progress import with_progress
 from dream.geometry import SE3, Camera
 from dream.mapping import OccupancyMap
 from dream.mission import explore
@@ -340,7 +340,7 @@ def calibrate(missions: list[Mission], cache: Path) -> Calibration:
     tiles: list[tuple[npt.NDArray[np.intp], Peaks, npt.NDArray[np.bool_], Float64Array, Float64Array]] = []
     own: list[tuple[float, float]] = []
     edges, clear, reliefs, rugosities = [], [], [], []
-    for mission in with_progress(iter(missions), "missions", len(missions)):
+    for mission in with_progress(missions, "measuring", len(missions), "missions"):
         world = make_world(mission.world, mission.seed)
         protocol, truth = protocol_named(mission.protocol), known_truth(world, mission, cache)
         observations, _ = seen_again(mission, world, cache)
@@ -683,7 +683,7 @@ def main() -> int:
     rows = []
     options.cache.mkdir(parents=True, exist_ok=True)
     with (options.cache / "rows.jsonl").open("w") as lines:
-        for mission in with_progress(iter(missions), "missions", len(missions)):
+        for mission in with_progress(missions, "measuring", len(missions), "missions"):
             survey, truth = measured(mission, options.cache)
             for row in compared(survey, truth):
                 family, _, later = mission.world.partition("+")

@@ -43,6 +43,14 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def progress_is_not_told_by_the_machines_clock() -> Iterator[None]:
+    """What a command prints must not depend on how fast this machine is."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dream.commands.progress.EVERY", 86400.0)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def worlds_are_prepared_once() -> Iterator[None]:
     """For the camera of a robot and for scores, where the very same world is flown again and again.
 

@@ -117,6 +117,7 @@ def _dispatch(name: str, arguments: list[str]) -> int:
     from dream import commands
     from dream.commands.console import check_no_world
     from dream.commands.help import check_subcommand, missing_in
+    from dream.commands.progress import telling
 
     kind = getattr(commands, name.capitalize())
     own = _own_planner(arguments) if name == "run" else None
@@ -160,7 +161,7 @@ def _dispatch(name: str, arguments: list[str]) -> int:
             complaint = _in_our_words(complaint)
             return _fail(complaint, BAD_INPUT)
         return 0
-    with clean_streams():
+    with clean_streams(), telling():
         status: int = command()
     return status
 

@@ -92,3 +92,26 @@ class _Once(Listener):
 
     def on_end(self, event: Event) -> None:
         pass
+
+
+@contextlib.contextmanager
+def noted(note: Callable[[bool], None]) -> Iterator[None]:
+    """Call `note` with whether something is compiled, whenever that changes within the block."""
+    with install_listener(COMPILES, _Noted(note)):
+        yield
+
+
+class _Noted(Listener):
+    def __init__(self, note: Callable[[bool], None]) -> None:
+        self._note = note
+        self._depth = 0
+
+    def on_start(self, event: Event) -> None:
+        self._depth += 1
+        if self._depth == 1:
+            self._note(True)
+
+    def on_end(self, event: Event) -> None:
+        self._depth -= 1
+        if self._depth == 0:
+            self._note(False)

@@ -206,6 +206,8 @@ class RunConfig(_Recorded):
     """Of that file."""
     world_from: str | None = None
     """What was given for the world where it is not a name: a folder."""
+    years_on: float = 0.0
+    """Simulated years that the world is on; 0 of one that no time went over, and in older files."""
     start: int = 0
     """Which of the world's start poses."""
     max_steps: int | None = None

@@ -267,7 +267,7 @@ def test_the_live_table_counts_what_was_never_reached_as_the_tables_do(tmp_path:
     for mission in missions:
         scores.add(Ended(mission.row.key, mission, kept=False))
     console = Console(file=io.StringIO(), width=100)
-    console.print(scores.table())
+    console.print(scores.table("2 of 2"))
     printed = console.file.getvalue()  # type: ignore[attr-defined]
     line = next(line for line in printed.splitlines() if "random" in line)
     assert "80.0" in line

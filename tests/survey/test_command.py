@@ -23,6 +23,7 @@ from dream.survey.archive import VARIABLE
 from dream.survey.measuring import GUESSED
 from dream.survey.products.words import limits, summary
 from dream.survey.site import Site, read_site, write_site
+from dream.survey.survey import Measure
 from dream.types import Target
 from tests.survey.browsing import Seen
 from tests.survey.repeated import reef, survey, without
@@ -62,13 +63,16 @@ def complaint(words: str, capsys: pytest.CaptureFixture[str], status: int = 2) -
 
 
 def test_surveys_are_kept_listed_shown_and_compared(two: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert said("survey add first.survey.npz", capsys) == {
+    added = said("survey add first.survey.npz", capsys)
+    measures = added.pop("measures")
+    assert added == {
         "archive": "surveys.gpkg",
         "survey": 1,
         "name": "first",
         "new": True,
         "replaced": False,
     }
+    assert measures == said("survey show 1", capsys)["measures"]
     assert said("survey add second.survey.npz", capsys)["survey"] == 2
     assert not said("survey add first.survey.npz", capsys)["new"]
     listed = said("survey list", capsys)["surveys"]
@@ -97,6 +101,65 @@ def test_surveys_are_kept_listed_shown_and_compared(two: Path, capsys: pytest.Ca
         printed = capsys.readouterr().out
         assert "first" in printed
     assert printed.splitlines()[-1] == "  to read: change/change.html"
+
+
+def added(words: str, capsys: pytest.CaptureFixture[str]) -> tuple[str, list[list[str]]]:
+    """What `survey add` prints of the survey, and the commands that it says come next."""
+    capsys.readouterr()
+    assert run_command(["survey", "add", *words.split()]) == 0
+    told, _, after = capsys.readouterr().out.partition("next:\n")
+    lines = [line.strip() for line in after.splitlines()]
+    return told, [shlex.split(line)[1:] for line in lines if line.startswith("dream ")]
+
+
+def test_what_is_added_is_told_with_what_can_be_done_next(
+    two: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = files.read(two / "first.survey.npz")
+    measures = (Measure("reef_area", 66.2, 64.3, 68.2, "m2"), Measure("count", 1118.0, 1008.0, 1239.0, ""))
+    files.write(replace(first, measures=measures), two / "first.survey.npz")
+    told, following = added("first.survey.npz", capsys)
+    assert [" ".join(line.split()) for line in told.splitlines()[1:3]] == [
+        "Reef area 66.2 m² (64.3 to 68.2 m²)",
+        "Individuals 1,118 (1,008 to 1,239)",
+    ]
+    assert "What is counted are clumps, not oysters." in told
+    assert [words[:3] for words in following] == [["survey", "show", "1"], ["survey", "export", "1"]]
+    _, following = added("second.survey.npz --archive surveys.gpkg", capsys)
+    assert following == [
+        *(["survey", "show", "2"], ["survey", "compare", "1", "2"]),
+        ["survey", "export", "2", "--to", "products"],
+    ]
+    for words in following[:2]:
+        assert run_command(words) == 0
+    assert (two / "change/change.html").is_file()
+
+
+def test_what_can_be_done_next_names_an_archive_that_is_not_the_default(
+    two: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (two / "my reefs").mkdir()
+    monkeypatch.setenv(VARIABLE, "my reefs/kept.gpkg")
+    _, following = added("first.survey.npz", capsys)
+    monkeypatch.delenv(VARIABLE)
+    assert all(words[-2:] == ["--archive", "my reefs/kept.gpkg"] for words in following)
+    capsys.readouterr()
+    assert run_command(following[0]) == 0
+
+
+def test_where_there_is_no_archive_those_near_are_named(
+    two: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "Begin one with dream survey add" in complaint("survey list", capsys)
+    for k, name in enumerate(("older", "newer")):
+        archive = two / f"runs/survey-{name}/surveys.gpkg"
+        archive.parent.mkdir(parents=True)
+        said(f"survey add first.survey.npz --archive {archive}", capsys)
+        os.utime(archive, (k, k))
+    error = complaint("survey list", capsys)
+    newer, older = (f"runs/survey-{name}/surveys.gpkg" for name in ("newer", "older"))
+    assert f"Near here: {newer}, {older}. Say --archive {newer}, or export DREAM_ARCHIVE={newer}" in error
+    assert len(said(f"survey list --archive {newer}", capsys)["surveys"]) == 1
 
 
 def test_in_a_small_terminal_each_figure_stands_on_one_line(
@@ -306,6 +369,7 @@ def test_what_is_there_is_put_right_by_its_number(
         "name": "second",
         "new": False,
         "replaced": True,
+        "measures": [],
     }
     moved, began = caplog.messages
     assert moved.startswith(

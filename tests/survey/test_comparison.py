@@ -840,7 +840,7 @@ def half(survey: Survey, *, east: bool) -> Survey:
         ("nothing", ("Neither survey shows a patch, and there is no verdict.", "the poses are taken.")),
         ("gone", ("All 4 patches are called a loss.", "The table tells of the others.")),
         ("apart", ("The two surveys looked at no ground in common", "0 m²")),
-        ("no origin", ("Neither run had an origin", "What changed from first to second")),
+        ("no origin", ("Neither run had an origin", "What changed between two surveys")),
         ("wreck", ("Both outlines show no change.", "Hull and pieces", "was not measured but guessed wide")),
     ],
 )

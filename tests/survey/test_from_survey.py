@@ -19,6 +19,8 @@ from dream.protocol import DREAM_V1
 from dream.recording import read_config, read_steps
 from dream.survey import files
 from dream.survey.archive import VARIABLE
+from dream.survey.measuring import measure
+from dream.survey.products.words import facts
 from dream.survey.site import Site, write_site
 from tests.survey.scenes import AREA, SITE, reef, wreck
 
@@ -55,6 +57,28 @@ def again(surveyed: Surveyed, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The run of a mission a year on that plans with it, and has no site: what it saw is not kept."""
     out = tmp_path_factory.mktemp("again")
     return flown(out, f"--world {LATER} --from-survey 1 --archive {surveyed.archive}")
+
+
+def test_a_simulated_year_is_a_year_between_two_surveys(
+    surveyed: Surveyed, tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    run, archive = flown(tmp_path, f"--world {LATER} --site {surveyed.site}"), tmp_path / "kept.gpkg"
+    shutil.copyfile(surveyed.archive, archive)
+    later = measure(run)
+    assert read_config(run).years_on == later.years_on == 1.0
+    flown_at = read_config(run).began
+    assert flown_at is not None
+    assert abs(later.began - flown_at - timedelta(days=365.25)) < timedelta(seconds=1)
+    assert files.read(surveyed.file).years_on == 0.0
+    capsys.readouterr()
+    assert run_command(f"survey add {run} --archive {archive}".split()) == 0
+    assert "still to come" not in caplog.text
+    world, first = (words.split()[0] for words in (LATER, BEFORE))
+    assert f"Simulated: world {world}, seed 1, one year after {first}\n" in capsys.readouterr().out
+    assert run_command(f"survey list --archive {archive} --json".split()) == 0
+    years = [one["began"][:4] for one in json.loads(capsys.readouterr().out)["surveys"]]
+    assert int(years[1]) == int(years[0]) + 1
+    assert "one year after it was flown" in dict(facts(later))["Began"]
 
 
 def flown(out: Path, words: str, steps: int = STEPS) -> Path:

@@ -81,7 +81,7 @@ def test_measures_over_time(series: Path) -> None:
         assert of["rugosity"][:].tolist() == [netcdf.FILL, netcdf.FILL]
         assert of["cover_low"][:].tolist() == [netcdf.FILL, netcdf.FILL]
         assert b"too seldom" in of["rugosity"].comment
-        assert of["density"].long_name == b"clump density: clumps of shells on each square metre of reef"
+        assert of["density"].long_name == b"density: individuals on each square metre of reef"
 
 
 def test_maps_stand_at_their_place(series: Path) -> None:
@@ -429,7 +429,7 @@ def test_rows_are_nowhere_taken_for_all_individuals(tmp_path: Path) -> None:
         assert "the number of records is no count" in archive.read("eml.xml").decode()
     page.write(survey, tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text()
-    assert "the 60 clumps that were found one by one. They are not all" in text
+    assert "the 60 individuals that were found one by one. They are not all" in text
     assert "1,234" in text
     assert "counted once" not in text
 
@@ -738,4 +738,4 @@ def test_individuals_without_a_measured_size_are_drawn_as_dots() -> None:
     legend = axes.get_legend()
     assert legend is not None
     told = [text.get_text() for text in legend.get_texts()]
-    assert {"clump, to scale", "clump, size not measured"} <= set(told)
+    assert {"individual, to scale", "individual, size not measured"} <= set(told)

@@ -99,8 +99,8 @@ def test_the_geopackage_opens_with_its_styles(told: dict[str, Any]) -> None:
 
 
 def test_only_measured_sizes_are_drawn_to_scale(told: dict[str, Any]) -> None:
-    to_scale = [False, "clump, to scale", "size_m", "RenderMetersInMapUnits"]
-    dot = [True, "clump, size not measured", "", "MM"]
+    to_scale = [False, "individual, to scale", "size_m", "RenderMetersInMapUnits"]
+    dot = [True, "individual, size not measured", "", "MM"]
     looks = told["sizes"]
     assert [one == to_scale for one in looks] == reef().individuals.clear.tolist()
     assert all(one in (to_scale, dot) for one in looks), looks

@@ -63,8 +63,8 @@ def test_a_panel_for_each_main_measure_with_the_interval_of_each_survey() -> Non
         panels = figures.series_figure(unsure).axes
     assert [panel.get_title(loc="left") for panel in panels] == [
         "Reef area, m²",
-        "Clump density, per m²",
-        "Median clump size, m",
+        "Density, per m²",
+        "Median size, m",
         "Reef height, m",
     ]
     area, size = panels[0], panels[2]
@@ -94,7 +94,7 @@ def test_dates_do_not_cover_each_other(days: tuple[float, ...], told: list[str])
 def test_a_picture_of_what_is_simulated_says_so() -> None:
     real = [replace(one, made_by={}) for one in surveys(0, 365)]
     for several, said in ((surveys(0, 365), True), ([real[0], surveys(0, 365)[1]], True), (real, False)):
-        assert ("SIMULATED" in str(figures.series_figure(several).get_supxlabel())) == said
+        assert ("SIMULATED" in str(figures.series_figure(several).get_suptitle())) == said
 
 
 def test_the_same_surveys_give_the_same_picture(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from dream.commands.console import check_no_world, print_json, with_scores
+from dream.commands.progress import stage
 from dream.commands.swim import Swim
 from dream.errors import MissionAborted
 from dream.names import look_up
@@ -275,4 +276,6 @@ def fly(plan: Plan, folder: Path, engine: Engine) -> Outcome:
             "and the same command goes on from there"
         ) from None
     rows = [flown[c, p].row for c in plan.cases for p in plan.planners if (c, p) in flown]
-    return Outcome(plan, folder, tuple(rows), tuple(failures), write_report(folder) if rows else None)
+    with stage("writing the report"):
+        page = write_report(folder) if rows else None
+    return Outcome(plan, folder, tuple(rows), tuple(failures), page)

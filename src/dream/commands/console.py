@@ -13,28 +13,24 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
+from dream.commands.progress import Stage, stage, telling
 from dream.ending import TERMINATED
 from dream.errors import MissionAborted
 from dream.files import write_whole
-from dream.telling import rich_console
 
 if TYPE_CHECKING:
     from PIL import Image
-    from rich.console import Console, RenderableType
+    from rich.console import RenderableType
 
     from dream.evaluation.runner import Ended, Plan
     from dream.protocol import SurveyProtocol
     from dream.sim.world import World
 
-T = TypeVar("T")
-
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 WITH_WORLD = ("run", "dive", "mission", "bench", "oracle", "draw")
 """Commands with the option `--world`."""
-LINE_EVERY = 20.0
-"""Seconds between two lines that tell of progress where standard error is no terminal."""
 
 
 def open_world(name: str, seed: int) -> World:
@@ -129,50 +125,15 @@ def check_max_steps(max_steps: int | None, protocol: SurveyProtocol) -> None:
         )
 
 
-def with_progress(items: Iterator[T], title: str, total: int) -> Iterator[T]:
-    """Pass items on, with a progress bar on standard error where that is a terminal."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    console = rich_console(stderr=True)
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
-        task = bar.add_task(title, total=total)
-        for done, item in enumerate(items):
-            bar.update(task, completed=done)
-            yield item
-
-
 def with_scores(missions: Iterable[Ended], plan: Plan) -> Iterator[Ended]:
-    """Pass the missions of a benchmark on, and show on standard error how the planners fare so far.
-
-    A live table on a terminal, else a line every so often.
-    """
-    from rich.live import Live
-
-    console = rich_console(stderr=True)
+    """Pass the missions of a benchmark on, and show on standard error how the planners fare so far."""
     scores = _Scores(plan)
-    if console.is_terminal:
-        with Live(get_renderable=scores.table, console=console, transient=True):
-            for mission in missions:
-                scores.add(mission)
-                yield mission
-        return
-    last = time.monotonic()
-    for mission in missions:
-        scores.add(mission)
-        if time.monotonic() - last >= LINE_EVERY or scores.ended == len(plan):
-            last = time.monotonic()
-            _print_line(console, scores.line())
-        yield mission
-
-
-def _print_line(console: Console, line: str) -> None:
-    console.print(line, markup=False, highlight=False, soft_wrap=True)
+    with stage(plan.suite, len(plan), "missions") as work:
+        work.drawing = scores.table
+        for mission in missions:
+            scores.add(mission)
+            scores.shown_in(work)
+            yield mission
 
 
 @dataclass(slots=True)
@@ -194,7 +155,6 @@ class _Scores:
         self._horizon = cap if plan.max_steps is None else min(cap, plan.max_steps)
         self._of = {name: _Score() for name in plan.planners}
         self._kept = 0
-        self._began = time.monotonic()
         self.ended = 0
 
     def add(self, mission: Ended) -> None:
@@ -212,30 +172,22 @@ class _Scores:
         else:
             score.failed += 1
 
-    def line(self) -> str:
+    def shown_in(self, work: Stage) -> None:
+        """Bring a stage up to date."""
         failed = sum(score.failed for score in self._of.values())
-        return (
-            f"{self._plan.suite}: {self.ended}/{len(self._plan)} missions"
-            + (f", {self._kept} of them kept" if self._kept else "")
-            + (f", {failed} failed" if failed else "")
-            + self._time_left()
-        )
+        kept = f"{self._kept} of them kept" if self._kept else ""
+        work.done, work.spared = self.ended, self._kept
+        work.said = ", ".join(filter(None, (kept, f"{failed} failed" if failed else "")))
 
-    def _time_left(self) -> str:
-        flown, left = self.ended - self._kept, len(self._plan) - self.ended
-        if not flown or not left:
-            return ""
-        seconds = (time.monotonic() - self._began) / flown * left
-        return f", about {seconds / 60:.0f} min left" if seconds >= 90 else f", about {seconds:.0f} s left"
-
-    def table(self) -> RenderableType:
+    def table(self, words: str) -> RenderableType:
+        """The planners' scores, and a bar with words of how far all of it is."""
         from rich.console import Group
         from rich.progress_bar import ProgressBar
         from rich.table import Table
         from rich.text import Text
 
         table = Table()
-        for heading in ("planner", "missions", "success", "to 98.26 %", "collisions", "failed"):
+        for heading in ("planner", "missions", "success", "to 98.26 %", "contacts", "failed"):
             table.add_column(heading, justify="left" if heading == "planner" else "right")
         for name, score in self._of.items():
             table.add_row(
@@ -248,7 +200,7 @@ class _Scores:
             )
         progress = Table.grid()
         progress.add_row(ProgressBar(len(self._plan), self.ended, width=60))
-        progress.add_row(Text(self.line()))
+        progress.add_row(Text(f"{self._plan.suite}: {words}"))
         return Group(table, progress)
 
 
@@ -301,11 +253,16 @@ def kept_interrupts(again: Callable[[float], bool] = lambda since: True) -> Iter
 @contextlib.contextmanager
 def compiling_told() -> Iterator[None]:
     """Say on standard error, once, where code is compiled within the block: that takes a while."""
-    from dream.compiling import when_compiling
+    from dream.compiling import noted, when_compiling
 
     told = "dream: compiling what no command needed here before, and keeping it; this may take a minute"
-    with when_compiling(lambda: print(told, file=sys.stderr)):
-        yield
+    with telling() as teller:
+
+        def note(compiling: bool) -> None:
+            teller.compiling = compiling
+
+        with when_compiling(lambda: print(told, file=sys.stderr)), noted(note):
+            yield
 
 
 def tell_lost(record: str | None) -> None:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from dream.commands.console import print_json, with_progress
+from dream.commands.console import print_json
+from dream.commands.progress import with_progress
 from dream.options import First
 
 if TYPE_CHECKING:
@@ -69,7 +70,7 @@ class Export:
             self.to,
             card,
             (step.model_dump(mode="json") for step in steps),
-            watched=lambda files: with_progress(iter(files), f"frames of {self.title}", len(files)),
+            watched=lambda files: with_progress(files, f"exporting {self.title}", len(files), "frames"),
         )
         told = {"frames": made.frames, "decisions": made.decisions, "bytes": made.nbytes}
         if self.json:

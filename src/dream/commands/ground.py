@@ -118,12 +118,9 @@ class Known:
 
 
 def _in_the_year_of(world: World, survey: Survey) -> datetime | None:
-    """When a mission in that world is flown, in the years of the survey; None where the world says no year.
+    """When a mission in that world is flown, in the years of the survey; None in no later year."""
+    from dream.sim.years import years_on
+    from dream.survey.survey import DAYS_A_YEAR
 
-    A mission in the simulator is flown today, in whatever year its world is.
-    """
-    from dream.sim.files import CHANGED
-    from dream.sim.years import LATER
-
-    on = LATER.fullmatch(world.name.removesuffix(CHANGED))
-    return None if on is None else survey.began + timedelta(days=365.25 * float(on["years"]))
+    years = years_on(world.name)
+    return survey.began + timedelta(days=DAYS_A_YEAR * (years - survey.years_on)) if years else None

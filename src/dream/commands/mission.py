@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 import tyro
 
 from dream.commands.console import check_writable, open_world, price, print_json
+from dream.commands.progress import stage
 from dream.errors import MissionAborted
 from dream.options import First
 from dream.protocol import protocol_named
@@ -70,7 +71,8 @@ class Mission:
         check_writable(self.out.parent)
         self._check_new(picture)
         asking.line()  # What is missing to ask a model is told before anything compiles.
-        world = open_world(self.world, self.seed)
+        with stage(f"opening {self.world} {self.seed}"):
+            world = open_world(self.world, self.seed)
         protocol = protocol_named(self.protocol or world.protocol)
         told = sys.stderr if self.json else sys.stdout
         wanted = None if self.yes else ("Keep these orders?", picture.with_suffix(".draft.png"))
@@ -141,7 +143,8 @@ def confirmed(
 
     if wanted is not None:
         check_terminal(asking)
-    understood = ask_orders(asking, text, world.bounds, protocol, labelled_in(world))
+    with stage(f"asking {asking.label}"):
+        understood = ask_orders(asking, text, world.bounds, protocol, labelled_in(world))
     orders, exchange = understood.orders, understood.exchange
     print("Understood:", *sentences(orders, protocol.cap), sep="\n  ", file=told)
     if understood.left_out:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
+import math
 import multiprocessing
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -19,8 +19,8 @@ from dream.commands.console import (
     open_world,
     print_json,
     save_picture,
-    with_progress,
 )
+from dream.commands.progress import stage, with_progress
 from dream.errors import MissionAborted
 from dream.options import First
 from dream.protocol import SurveyProtocol, protocol_named
@@ -107,7 +107,9 @@ class Oracle:
                 raise ValueError(f"--{name}: expected a suite, got none. Say: dream oracle paper --{name}")
         if self.picture is not None:
             check_picture(self.picture, "--picture")
-        world = open_world(self.world or DEFAULT_WORLD, self.seed)
+        name = self.world or DEFAULT_WORLD
+        with stage(f"opening {name} {self.seed}"):
+            world = open_world(name, self.seed)
         protocol = protocol_named(self.protocol or world.protocol)
         known = known_bounds(protocol.name, world.name, world.seed, self.start, world_hash(world))
         results = _results(self.traces)
@@ -122,7 +124,8 @@ class Oracle:
                 known=known,
                 hints=None if results is None else walks_of(results, key),
                 visibility=visibility,
-            )
+            ),
+            self.budget,
         )
         try:
             drive(found, world, visibility=visibility)
@@ -151,7 +154,9 @@ class Oracle:
         with alone_at(out, out.with_name(f".{out.name}.lock")):
             kept = {bounds.key: bounds for bounds in read_bounds(out)} if out.is_file() else {}
             keys = {self._key(case): case for case in cases}
-            for case, bounds in with_progress(self._search(cases, kept), str(self.suite), len(cases)):
+            for case, bounds in with_progress(
+                self._search(cases, kept), f"searching {self.suite}", len(cases), "worlds"
+            ):
                 key = self._key(case)
                 if isinstance(bounds, str):
                     failed[key] = bounds
@@ -232,7 +237,7 @@ class Oracle:
                 "The same command without --check, and with --out FILE, searches for them"
             )
         outcomes: list[dict[str, Any]] = []
-        for case in with_progress(iter(known), f"checking {self.suite}", len(known)):
+        for case in with_progress(known, f"checking {self.suite}", len(known), "worlds"):
             wrong = ""
             try:
                 check(kept[self._key(case)], case.open())
@@ -297,28 +302,19 @@ def _results(folder: Path | None) -> Results | None:
     return None if folder is None else read_kept(folder)
 
 
-def _last(states: Iterator[Bounds]) -> tuple[Bounds, bool]:
-    """The last of some bounds, and whether the user ended them; they stand on standard error meanwhile.
-
-    Only where that is a terminal.
-    """
-    from rich.text import Text
-
-    console = rich_console(stderr=True)
-    found = next(states)
-    # As a text: of a mere string a status reads what stands in brackets.
-    with console.status(Text(_line(found))) if console.is_terminal else contextlib.nullcontext() as status:
+def _last(states: Iterator[Bounds], budget_s: float) -> tuple[Bounds, bool]:
+    """The last of some bounds, and whether the user ended them; they are told of meanwhile."""
+    with stage("finding what each pose shows"):
+        found = next(states)
+    title = f"searching {found.world} {found.seed}"
+    with stage(title, math.ceil(budget_s), "s of processor time", at_most=True) as work:
+        spent = found.cpu_s
         try:
             for found in states:
-                if status is not None:
-                    status.update(Text(_line(found)))
+                work.done, work.said = round(found.cpu_s - spent), _ends(found)
         except KeyboardInterrupt:
             return found, True
     return found, False
-
-
-def _line(bounds: Bounds) -> str:
-    return f"{bounds.world} {bounds.seed}: {_ends(bounds)}, {bounds.cpu_s:.0f} s"
 
 
 def _ends(bounds: Bounds) -> str:

@@ -18,8 +18,8 @@ from dream.commands.console import (
     print_json,
     tell_lost,
     told_without_answer,
-    with_progress,
 )
+from dream.commands.progress import with_progress
 from dream.errors import MissionAborted
 from dream.options import First
 from dream.planning.vlm.asking import Asking
@@ -101,7 +101,10 @@ class Probe:
         try:
             replies.extend(
                 with_progress(
-                    self._ask(line, chain([first], questions)), f"asking {self.asking.label}", self.questions
+                    self._ask(line, chain([first], questions)),
+                    f"asking {self.asking.label}",
+                    self.questions,
+                    "questions",
                 )
             )
         except KeyboardInterrupt:

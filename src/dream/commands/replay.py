@@ -23,8 +23,8 @@ from dream.commands.console import (
     kept_interrupts,
     open_world,
     print_json,
-    with_progress,
 )
+from dream.commands.progress import stage, with_progress
 from dream.names import look_up
 from dream.options import First
 from dream.planning import PLANNERS, AnyPlanner, Asking, check_installed
@@ -94,9 +94,10 @@ class Replay:
             check_writable(self.out)
         with compiling_told(), kept_interrupts() as check:
             name = record.world_name
-            world = None if name is None else open_world(name, record.config.seed)
-            if world is not None:
-                check_world(record, world)
+            with stage(f"opening {name} {record.config.seed}"):
+                world = None if name is None else open_world(name, record.config.seed)
+                if world is not None:
+                    check_world(record, world)
             check()
             told, page = self._fly(record, planner, world)
             check()
@@ -117,7 +118,8 @@ class Replay:
     def _write_rerun(self) -> int:
         from dream.live.rerun import write_rerun
 
-        path = write_rerun(self.run)
+        with stage("writing run.rrd"):
+            path = write_rerun(self.run)
         if self.json:
             print_json({"run": str(self.run), "rerun": str(path)})
         else:
@@ -174,13 +176,14 @@ class Replay:
                 logbook: Logbook = known or Logbook(protocol, orders=record.orders)
                 recorded = recording.record(steps, folder, annotate=lambda step: _scored(step, logbook))
                 steps = stack.enter_context(contextlib.closing(recorded))
-            for step in with_progress(steps, f"{name} again", len(record.steps) - 1):
+            for step in with_progress(steps, f"{name} again", len(record.steps) - 1, "steps"):
                 comparison.add(step)
         told = {"from": "observations" if record.observed else "simulator", **comparison.as_dict()}
         if folder is None:
             return told, None
         recording.write_summary(folder, _summary(record, planner, logbook, time.perf_counter() - began))
-        return told, write_report(folder)
+        with stage("writing report.html"):
+            return told, write_report(folder)
 
     def _reckoned(self, record: Record, log: Path) -> dict[str, Any] | None:
         """The same; None where all were wanted and the log is torn so far that it tells of none."""
@@ -210,7 +213,7 @@ class Replay:
                     yield
 
         last = max(1, math.ceil(record.steps[-1].time))
-        for _ in with_progress(by_second(estimates(log, names)), "estimates, seconds of the dive", last):
+        for _ in with_progress(by_second(estimates(log, names)), "making estimates", last, "s of the dive"):
             pass
         if not len(tracks):
             raise ValueError(f"{log}: expected estimates of the dive, got none in it")

@@ -8,6 +8,7 @@ from pathlib import Path
 import tyro
 
 from dream.commands.console import print_json
+from dream.commands.progress import stage
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +31,8 @@ class Report:
 
         if (self.run / "log.mcap").is_file():
             draw_flown(self.run, quiet=self.json)
-        page = write_report(self.run)
+        with stage("writing report.html"):
+            page = write_report(self.run)
         if self.json:
             print_json({"run": str(self.run), "report": str(page)})
         else:

@@ -8,6 +8,7 @@ from pathlib import Path
 import tyro
 
 from dream.commands.console import print_json
+from dream.commands.progress import with_progress
 from dream.options import First
 
 
@@ -38,7 +39,12 @@ class Results:
         page = self.folders[0] / "results.md" if self.out is None else self.out
         if page.suffix != ".md":
             raise ValueError(f"--out: expected a name that ends in .md, got {page}")
-        pictures = write_results(self.folders, page, self.figures or page.with_suffix(""))
+        pictures = write_results(
+            self.folders,
+            page,
+            self.figures or page.with_suffix(""),
+            watched=lambda folders: with_progress(folders, f"writing {page.name}", len(folders), "folders"),
+        )
         if self.json:
             print_json({"page": str(page), "figures": [str(path) for path in pictures]})
         else:

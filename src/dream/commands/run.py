@@ -24,10 +24,10 @@ from dream.commands.console import (
     print_json,
     tell_lost,
     told_without_answer,
-    with_progress,
 )
 from dream.commands.ground import Ground
 from dream.commands.mission import check_terminal, confirmed, draw_orders, given
+from dream.commands.progress import stage, with_progress
 from dream.commands.swim import Swim
 from dream.ending import also, reason
 from dream.errors import MissionAborted
@@ -128,7 +128,8 @@ class Run:
         began = working_time()
         with compiling_told():
             with kept_interrupts() as check:
-                world = open_world(self.world, self.seed)
+                with stage(f"opening {self.world} {self.seed}"):
+                    world = open_world(self.world, self.seed)
                 protocol = protocol_named(self.protocol or world.protocol)
                 check_max_steps(self.max_steps, protocol)
                 swimming = self.swim.chosen(protocol)
@@ -138,7 +139,8 @@ class Run:
                     draft = None if self.yes else self.out / "mission.draft.png"
                     words, orders = _orders(self.mission, self.planner, world, protocol, draft)
                 known = self.ground.known(site, self.planner, world.bounds, protocol, world)
-                visibility, renderer = Visibility(world, protocol), Renderer(world)
+                with stage(f"preparing {world.name} {world.seed}"):
+                    visibility, renderer = Visibility(world, protocol), Renderer(world)
                 steps = simulate(
                     world,
                     self.planner,
@@ -192,7 +194,8 @@ class Run:
         page = None
         try:
             recording.write_summary(folder, summary)
-            page = write_report(folder)
+            with stage("writing report.html"):
+                page = write_report(folder)
         except KeyboardInterrupt as interrupt:
             raise _aborted(interrupt, folder) from interrupt
         except OSError as full:
@@ -255,7 +258,7 @@ def _fly(recorded: Generator[Step, None, None], title: str, total: int) -> BaseE
     try:
         with contextlib.closing(recorded), kept_interrupts() as check:
             warned = False
-            for step in with_progress(recorded, title, total):
+            for step in with_progress(recorded, title, total, "steps", at_most=True):
                 check()
                 warned = warned or _warned(step)
     except (KeyboardInterrupt, Exception) as stopped:  # noqa: BLE001 - whatever it was.

@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dream.commands.console import LINE_EVERY, check_writable, print_json
+from dream.commands.console import check_writable, print_json
+from dream.commands.progress import Stage, stage
 from dream.errors import MissionAborted
 from dream.options import First
 from dream.protocol import DREAM_V1
@@ -99,7 +99,8 @@ class Train:
                 lerobot.Episode("Steer over the target in view.", frames.images, frames.odds)
                 for frames in missions(curriculum, self.out)
             )
-            lerobot.export(episodes, self.lerobot, advance=max(DREAM_V1.advances))
+            with stage(f"writing {self.lerobot}"):
+                lerobot.export(episodes, self.lerobot, advance=max(DREAM_V1.advances))
         if self.json:
             print_json({"out": str(self.out), "card": card})
         else:
@@ -108,30 +109,15 @@ class Train:
 
 
 def _shown(work: Iterator[Progress]) -> Iterator[Progress]:
-    """Pass the work on, with a bar for each part of it on standard error, or a line every so often."""
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as Bars
-
-    console = rich_console(stderr=True)
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[said]}", markup=False),
-        TimeElapsedColumn(),
-    )
-    last = time.monotonic()
-    with Bars(*columns, console=console, disable=not console.is_terminal) as bars:
-        tasks: dict[str, Any] = {}
+    """Pass the work on, and tell of each part of it."""
+    with contextlib.ExitStack() as stack:
+        at: Stage | None = None
         for now in work:
-            if now.part not in tasks:
-                tasks[now.part] = bars.add_task(now.part, total=now.total, said="")
-            bars.update(tasks[now.part], completed=now.done, said=now.said)
-            ended = now.done == now.total
-            if not console.is_terminal and (ended or time.monotonic() - last >= LINE_EVERY):
-                last = time.monotonic()
-                said = f", {now.said}" if now.said else ""
-                print(f"{now.part}: {now.done}/{now.total}{said}", file=sys.stderr)
+            if at is None or at.title != now.part:
+                stack.close()
+                at = stack.enter_context(stage(now.part, now.total))
+                at.spared = now.done
+            at.done, at.said = now.done, now.said
             yield now
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from dream.commands.console import check_picture, open_world, print_json, save_picture
+from dream.commands.progress import stage
 from dream.options import First
 from dream.protocol import protocol_named
 
@@ -156,11 +157,13 @@ class Draw:
 
         if self.out is not None:
             check_picture(self.out, "--out")
-        world = open_world(self.world, self.seed)
+        with stage(f"opening {self.world} {self.seed}"):
+            world = open_world(self.world, self.seed)
         word = re.sub(r"[^\w.+]+", "-", world.name).strip("-")
         out = self.out or Path(f"{word}-{world.seed}.png")
         check_picture(out, "--out")
-        save_picture(_portrait(world, chart(world)), out, "--out")
+        with stage(f"drawing {world.name} {world.seed}"):
+            save_picture(_portrait(world, chart(world)), out, "--out")
         if self.json:
             print_json(
                 {"world": world.name, "seed": world.seed, "hash": world_hash(world), "picture": str(out)}

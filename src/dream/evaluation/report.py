@@ -12,7 +12,7 @@ import io
 import os
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib import resources
 from pathlib import Path
@@ -732,11 +732,23 @@ def _part(package: str, name: str) -> str:
 # ---- the documentation ----
 
 
-def write_results(folders: Sequence[Path], page: Path, pictures: Path) -> list[Path]:
+def write_results(
+    folders: Sequence[Path],
+    page: Path,
+    pictures: Path,
+    *,
+    watched: Callable[[Sequence[Path]], Iterable[Path]] = iter,
+) -> list[Path]:
     """Write the documentation's page of results, and its pictures as files; returns the paths of these.
 
     A folder that holds benchmark folders of several reaches is shown as a sweep. What was flown with the
     stand-in for a model is left out, and the page says so.
+
+    Args:
+        folders: Of benchmarks, or of sweeps.
+        page: The file to write.
+        pictures: Folder for its pictures.
+        watched: Passes the folders on, and may show how far it is.
 
     Raises:
         FileNotFoundError: A folder is neither a benchmark nor a sweep.
@@ -745,7 +757,7 @@ def write_results(folders: Sequence[Path], page: Path, pictures: Path) -> list[P
     parts = [_INTRODUCTION]
     files: dict[Path, bytes] = {}
     taken: set[str] = set()
-    for folder in folders:
+    for folder in watched(folders):
         name = _slug(folder.resolve().name, taken)
         drawn: list[tuple[Picture, str]]
         if (folder / "manifest.json").is_file():

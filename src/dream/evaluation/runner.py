@@ -53,6 +53,7 @@ from dream.sim.solids import Solids
 from dream.sim.visibility import Visibility
 from dream.sim.world import World
 from dream.sim.worlds import WORLDS
+from dream.sim.years import years_on
 from dream.types import Step, Target
 from dream.versions import commit
 
@@ -183,6 +184,7 @@ def run_config(
         "seed": world.seed,
         "world_from": world_from,
         "world_hash": world_hash(world),
+        "years_on": years_on(world.name),
         "start": start,
         **identity(planner_name, planner),
         "max_steps": max_steps,

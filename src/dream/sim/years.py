@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.protocol import DREAM_V1
-from dream.sim.files import world_hash
+from dream.sim.files import CHANGED, world_hash
 from dream.sim.reefs import renumbered
 from dream.sim.sampling import (
     FACTOR,
@@ -48,6 +48,12 @@ THICK = 0.25, 0.45
 """Metres: how thick they are in the middle."""
 MOST_LENSES = 400
 LATER = re.compile(r"(?P<name>.+)\+(?P<years>\d{1,3}(?:\.\d{1,3})?)y(?P<seed>\d{1,18})")
+
+
+def years_on(name: str) -> float:
+    """Simulated years from the world that a name begins with to that of the whole name."""
+    on = LATER.fullmatch(name.removesuffix(CHANGED))
+    return 0.0 if on is None else float(on["years"]) + years_on(on["name"])
 
 
 @dataclass(frozen=True, slots=True)

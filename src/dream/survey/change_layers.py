@@ -145,7 +145,7 @@ def _styles() -> dict[str, str]:
         Fate.THERE: ("there in both", dot),
         Fate.HIDDEN: ("not found again, on covered ground", dot),
         Fate.LOST: ("only before", partial(cross, shape="cross2")),
-        Fate.NEW: ("only after", partial(cross, shape="cross")),
+        Fate.NEW: ("only after", partial(cross, shape="triangle", size=2.6)),
     }
     individuals = [
         (told(fate), words, look(INDIVIDUALS[fate], border=INDIVIDUALS[fate]))

@@ -19,7 +19,8 @@ from dream.survey.change_page import change_page
 from dream.survey.change_words import CHANGED
 from dream.survey.comparison import Change, Comparison, PatchChange
 from dream.survey.fates import Fate
-from dream.survey.products.sheet import corners_of, east_north, new_figure, png, settings, show_map
+from dream.survey.products.sheet import INK, corners_of, east_north, new_figure, png, settings, show_map
+from dream.survey.products.words import place
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,7 +28,22 @@ if TYPE_CHECKING:
 Float64Array = npt.NDArray[np.float64]
 
 WIDTH = 6.4
-"""Inches of the picture."""
+"""Inches of the picture, at most."""
+LEAST_WIDTH, MOST_HEIGHT = 4.2, 9.0
+"""Inches: its key needs the one, and a page has room for the other."""
+BESIDE, BELOW = 0.9, 1.6
+"""Inches around the map itself: for its axis, and for its title and key."""
+MARGIN = 1.0
+"""Metres of ground around the target of both surveys that the picture shows, at least."""
+MARK = 30.0
+"""Square points of the mark of an individual that is gone or has come: 7 pixels or more on the page."""
+MARKS: Mapping[Fate, tuple[str, float, str]] = {
+    Fate.THERE: (".", 3.0, "individual there in both"),
+    Fate.LOST: ("x", MARK, "only before"),
+    Fate.NEW: ("^", MARK, "only after"),
+}
+"""Shape, size and words: what is gone and what has come differ by more than their colour."""
+HATCHES: Mapping[Change, str] = {Change.GAIN: "....", Change.LOSS: "////"}
 MOST_BYTES = 1 << 26
 """Of a change.json that is looked into."""
 PAGE = "change.html"
@@ -94,25 +110,36 @@ def draw(comparison: Comparison, path: Path) -> None:
     corners = east_north(comparison.a.site, around)
     wide, high = np.ptp(corners, axis=0)
     with settings():
-        figure, axes = new_figure(WIDTH, min(2.0 * WIDTH, max(3.6, WIDTH * high / wide) + 1.0))
+        across = np.clip((MOST_HEIGHT - BELOW) * wide / high + BESIDE, LEAST_WIDTH, WIDTH)
+        tall = np.clip((across - BESIDE) * high / wide + BELOW, LEAST_WIDTH, MOST_HEIGHT)
+        figure, axes = new_figure(float(across), float(tall))
         draw_on(axes, comparison, around)
         path.write_bytes(png(figure))
 
 
 def _around(comparison: Comparison) -> Float64Array:
-    """(N, 2) corners of the cells that both saw; of all ground where there are none."""
+    """(N, 2) points that the picture has to hold: the target that either survey shows, with a margin.
+
+    The corners of the cells that both saw where neither shows any, and of all ground where there are none.
+    """
     box, cell = comparison.bounds, comparison.cell
-    row, col = np.nonzero(comparison.change != Change.NOT_COMPARABLE)
-    if not row.size:
-        return corners_of(box)
-    cells = np.unique(np.concatenate([(col + x, row + y) for x in (0, 1) for y in (0, 1)], axis=1), axis=1)
-    return np.array([box.x_min, box.y_min]) + cell * cells.T
+    rings = [ring for patch in comparison.patches for ring in patch.rings]
+    target = (Change.KEPT, Change.GAIN, Change.LOSS)
+    for kinds, margin, more in ((target, round(MARGIN / cell), rings), ((Change.BARE,), 0, [])):
+        row, col = np.nonzero(np.isin(comparison.change, kinds))
+        if row.size:
+            ends = [(-margin, 1 + margin)] * 2
+            cells = np.concatenate([(col + x, row + y) for x in ends[0] for y in ends[1]], axis=1)
+            corner = np.array([box.x_min, box.y_min])
+            return np.concatenate([corner + cell * np.unique(cells, axis=1).T, *more])
+    return corners_of(box)
 
 
 def draw_on(axes: Axes, comparison: Comparison, around: Float64Array) -> None:
     """The map itself, on a sheet that holds what is `around`: (N, 2) points of the earlier survey's frame."""
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch as Key
+    from matplotlib.transforms import Affine2D
 
     site = comparison.a.site
     show_map(
@@ -125,15 +152,35 @@ def draw_on(axes: Axes, comparison: Comparison, around: Float64Array) -> None:
         vmin=-0.5,
         vmax=len(Change) - 0.5,
     )
+    turned = Affine2D().rotate_deg(0.0 if site is None else -site.heading_deg) + axes.transData
+    box, cell = comparison.bounds, comparison.cell
+    x = box.x_min + cell * (np.arange(comparison.change.shape[1]) + 0.5)
+    y = box.y_min + cell * (np.arange(comparison.change.shape[0]) + 0.5)
+    for change, hatch in HATCHES.items():
+        cells = comparison.change == change
+        if cells.any() and min(cells.shape) > 1:
+            axes.contourf(
+                *(x, y, cells.astype(np.float32)),
+                levels=[0.5, 1.5],
+                colors="none",
+                hatches=[hatch],
+                transform=turned,
+                zorder=2,
+            )
     a = comparison.a.individuals.position[:, :2]
-    dots = (
-        (a[np.isin(comparison.fate_a, (Fate.THERE, Fate.HIDDEN))], INDIVIDUALS[Fate.THERE], 1.0, "."),
-        (a[comparison.fate_a == Fate.LOST], INDIVIDUALS[Fate.LOST], 9.0, "x"),
-        (comparison.positions_b[comparison.fate_b == Fate.NEW], INDIVIDUALS[Fate.NEW], 9.0, "+"),
-    )
-    for points, color, size, mark in dots:
+    places = {
+        Fate.THERE: a[np.isin(comparison.fate_a, (Fate.THERE, Fate.HIDDEN))],
+        Fate.LOST: a[comparison.fate_a == Fate.LOST],
+        Fate.NEW: comparison.positions_b[comparison.fate_b == Fate.NEW],
+    }
+    marks: list[Any] = []
+    for fate, points in places.items():
+        mark, size, words = MARKS[fate]
         at = east_north(site, points)
-        axes.scatter(at[:, 0], at[:, 1], s=size, c=color, marker=mark, linewidths=0.6, zorder=4)
+        look: dict[str, Any] = {"marker": mark, "s": size, "linewidths": 1.1, "zorder": 4.0}
+        look |= {"edgecolors": "white", "linewidths": 0.5} if mark == "^" else {}
+        dots = axes.scatter(at[:, 0], at[:, 1], c=INDIVIDUALS[fate], label=words, **look)
+        marks += [dots] if len(points) else []
     for number, patch in enumerate(comparison.patches, start=1):
         color = VERDICTS[patch.verdict]
         rings = [east_north(site, ring) for ring in patch.rings]
@@ -152,13 +199,16 @@ def draw_on(axes: Axes, comparison: Comparison, around: Float64Array) -> None:
         )
     axes.set_facecolor(GROUND[Change.NOT_COMPARABLE])
     axes.set_title(_title(comparison), fontsize=8.5, weight="normal")
-    keys = [Key(facecolor=GROUND[change], edgecolor="#888888", linewidth=0.4) for change in Change]
-    axes.legend(
-        keys,
-        [GROUND_WORDS[change] for change in Change],
-        loc="upper center",
-        bbox_to_anchor=(0.5, -0.09),
-        ncols=5,
+    keys: list[Any] = [
+        Key(facecolor=GROUND[change], edgecolor=INK, linewidth=0.4, hatch=HATCHES.get(change))
+        for change in Change
+    ]
+    assert axes.figure is not None
+    axes.figure.legend(
+        keys + marks,
+        [GROUND_WORDS[change] for change in Change] + [dots.get_label() for dots in marks],
+        loc="outside lower center",
+        ncols=3 if axes.get_window_extent().width < axes.get_window_extent().height else 4,
         fontsize=8.5,
         handlelength=1.4,
         columnspacing=1.2,
@@ -175,11 +225,10 @@ def _shares(patch: PatchChange) -> str:
 
 def _title(comparison: Comparison) -> str:
     a, b, sigma = comparison.a, comparison.b, comparison.registration.sigma
-    made_up = " · SIMULATED" if a.simulated or b.simulated else ""
+    made_up = "SIMULATED · " if a.simulated or b.simulated else ""
     told = (
         "not laid on each other: nothing is compared"
         if comparison.withheld
-        else f"{comparison.comparable:.0f} m² seen by both, laid on each other to {100.0 * sigma:.1f} cm; "
-        "× only before, + only after"
+        else f"{comparison.comparable:.0f} m² seen by both, laid on each other to {100.0 * sigma:.1f} cm"
     )
-    return "\n".join([f"{a.began:%Y-%m-%d} to {b.began:%Y-%m-%d}{made_up}", f"{a.name} →", b.name, told])
+    return f"{made_up}{place(a)}, {a.began:%Y-%m-%d} to {b.began:%Y-%m-%d}\n{told}"

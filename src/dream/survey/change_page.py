@@ -11,7 +11,11 @@ from dream.survey import change_words
 from dream.survey.comparison import Comparison, Difference, PatchChange, Verdict, doubts
 from dream.survey.numbers import number, p_value, typeset
 from dream.survey.products import web, words
+from dream.survey.survey import Measure
 from dream.types import Target
+
+SHARPNESS = 2
+"""Pixels of the picture for each one of the page."""
 
 
 def change_page(
@@ -33,9 +37,10 @@ def change_page(
     main = web.filled(
         "change.html",
         {
+            "first": _first(comparison),
             "notices": "".join(f'<p class="notice">{html.escape(_sentence(note))}</p>' for note in notes),
             "summary": "".join(f"<p>{html.escape(line)}</p>" for line in change_words.summary(comparison)),
-            "map": web.picture(picture, "png", "Map of what changed"),
+            "map": web.sharp_map(picture, "Map of what changed", SHARPNESS),
             "surveys": _surveys(comparison),
             "laid": web.terms(_laid(comparison)),
             "ground": web.terms(_ground(comparison)),
@@ -51,11 +56,11 @@ def change_page(
     worlds = dict.fromkeys(one.removeprefix("Simulated: ") for one in map(words.simulated, (a, b)) if one)
     masthead = web.Masthead(
         kind="change report",
-        place=words.place(a),
+        place=f"{words.place(a)}: {change_words.later(comparison.years)}",
         date=" to ".join(one.replace(" ", "\N{NO-BREAK SPACE}") for one in days),
-        how=f"What changed from {a.name} to {b.name}",
+        how="What changed between two surveys, where both of them looked",
         simulated=f"Simulated: {'; '.join(worlds)}" if worlds else "",
-        headlines=_headlines(comparison),
+        headlines=(),
     )
     rules = "".join(
         f".{_rule(verdict)}::before {{ background: {colour}; }}\n" for verdict, colour in colours.items()
@@ -63,34 +68,43 @@ def change_page(
     return web.page(masthead, main, __version__, rules)
 
 
-def _headlines(comparison: Comparison) -> list[tuple[str, str, str]]:
-    if comparison.withheld:
-        return [_headline(one) for one in change_words.headlines(comparison)]
+def _first(comparison: Comparison) -> str:
+    """The figures that stand first: before, after, by how much they changed, and what the interval says."""
+    of = [{one.name: one for one in survey.measures} for survey in (comparison.a, comparison.b)]
     told = []
-    if comparison.patches:
-        verdicts = [patch.verdict for patch in comparison.patches]
-        counts = {one: verdicts.count(one) for one in change_words.CHANGED if one in verdicts}
-        which = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
-        told.append(("Called changed", f"{sum(counts.values())} of {len(verdicts)}", which))
-    told += map(_headline, change_words.headlines(comparison)[:2])
-    share = f"{change_words.seen_by_both(comparison):.0%} of what either saw"
-    told.append(("Seen by both", f"{number(comparison.comparable)} m²", typeset(share)))
-    return told
+    for one in change_words.headlines(comparison):
+        value, change, interval = map(typeset, change_words.difference_cells(one))
+        was, became = (_interval(measures[one.name]) if one.name in measures else "" for measures in of)
+        share = change.partition("(")[2].removesuffix(")") or change
+        direction = change_words.direction(one)
+        told.append(
+            f"<div><dt>{html.escape(words.meaning(one.name).title)}</dt><dd>{html.escape(value)}"
+            f"<small>{html.escape(was)} → {html.escape(became)}</small>"
+            f"<strong class='{direction.split()[0]}'>{html.escape(share)}: {direction}</strong>"
+            f"<small>change: {html.escape(interval)}</small></dd></div>"
+        )
+    return f"<dl class='first'>{''.join(told)}</dl>" if told else ""
 
 
-def _headline(one: Difference) -> tuple[str, str, str]:
-    cells = change_words.difference_cells(one)
-    return words.meaning(one.name).title, typeset(cells[0]), typeset(f"{cells[1]}, {cells[2]}")
+def _interval(measure: Measure) -> str:
+    """Without its unit, which stands beside the value."""
+    unit = words.UNITS.get(measure.unit, measure.unit)
+    return typeset(words.interval_text(measure).removesuffix(unit).strip())
 
 
 def _surveys(comparison: Comparison) -> str:
     before, after = (dict(words.facts(one)) for one in (comparison.a, comparison.b))
     rows = "".join(
-        f"<tr><th scope='row'>{html.escape(what)}</th><td>{html.escape(before.get(what, '–'))}</td>"
-        f"<td>{html.escape(after.get(what, '–'))}</td></tr>"
+        f"<tr><th scope='row'>{html.escape(what)}</th><td>{_broken(before.get(what, '–'))}</td>"
+        f"<td>{_broken(after.get(what, '–'))}</td></tr>"
         for what in dict.fromkeys((*before, *after))
     )
     return f"<table>{web.head(('', 'Before', 'After'))}<tbody>{rows}</tbody></table>"
+
+
+def _broken(text: str) -> str:
+    """Escaped, and with places where a name of a run may go on in the next line: between its words."""
+    return html.escape(text).replace("_", "_<wbr>").replace("-", "-<wbr>")
 
 
 def _laid(comparison: Comparison) -> list[tuple[str, str]]:

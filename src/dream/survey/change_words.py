@@ -6,8 +6,10 @@ from collections.abc import Iterator, Sequence
 
 from dream.survey.comparison import Comparison, Difference, PatchChange, Verdict
 from dream.survey.fates import Missing
-from dream.survey.numbers import UNITS, named, number, p_value, places, typeset
-from dream.survey.products.words import HEADLINES, meaning
+from dream.survey.numbers import UNITS, named, number, places, typeset
+from dream.survey.products import words
+from dream.survey.products.words import CLUMPS, FIRST, meaning
+from dream.survey.survey import DAYS_A_YEAR
 from dream.types import Target
 
 CHANGED: tuple[Verdict, ...] = ("loss", "gain", "mixed")
@@ -16,6 +18,9 @@ TOLD = 3
 """Changed patches of which the summary tells what was found in them; a table tells it of all."""
 SHORTEST = 0.9
 """Years between two surveys below which no rate is told: of a season it is none of a year."""
+NEAR_A_YEAR = 0.04
+"""Years, two weeks, by which a time may differ from whole years and be told as such."""
+DAYS_A_MONTH = DAYS_A_YEAR / 12.0
 NAMED = 8
 """Patches of one verdict that the summary lists by their numbers, at most."""
 
@@ -80,15 +85,11 @@ def summary(comparison: Comparison) -> list[str]:
             "Nothing shows how the two surveys lie on each other: little of what there was is still there, "
             "or an origin is off, or they are of different ground. So no ground is compared, and there is no "
             "verdict. What each survey tells of all that it saw itself does not hang on that.",
-            *_each(comparison),
         ]
     if comparison.comparable <= 0.0:
-        return [
-            "The two surveys looked at no ground in common: what changed cannot be told from them.",
-            *_each(comparison),
-        ]
+        return ["The two surveys looked at no ground in common: what changed cannot be told from them."]
     numbered = list(enumerate(comparison.patches, start=1))
-    lines = [" ".join((_verdicts(comparison, numbered), *_each(comparison)))]
+    lines = [_verdicts(comparison, numbered)]
     changed = [(k, patch) for k, patch in numbered if patch.verdict in CHANGED]
     surest = sorted(changed, key=lambda one: one[1].p or 0.0)[:TOLD]
     for k, patch in sorted(surest, key=lambda one: one[0]):
@@ -96,19 +97,22 @@ def summary(comparison: Comparison) -> list[str]:
         lines.append(f"In {where}, {_found_in(patch)}")
     if len(changed) > TOLD:
         lines.append("The table tells of the others.")
+    if all(one.before <= 0.0 and one.after <= 0.0 for one in comparison.differences):
+        lines.append("On ground that both saw, neither shows any target.")
     lines.append(
-        f"{_whole(comparison)} Both surveys looked at {number(comparison.comparable)} m², "
+        f"Both surveys looked at {number(comparison.comparable)} m², "
         f"{_percent(seen_by_both(comparison))} of the ground that either saw; of the rest nothing is told."
     )
     how_sure = []
     if any(patch.p is not None for patch in comparison.patches):
         how, those = comparison.comparing, _pieces(comparison)[1]
         how_sure.append(
-            f"The tests are set so that at most {_percent(how.level)} of the {those} that did not change are "
-            f"called changed, and at most {_percent(how.false)} of those that are called changed did not."
+            f"At most {_percent(how.level)} of the {those} that stayed as they were are called changed by "
+            f"mistake. Of all {those} that are called changed, at most {_percent(how.false)} stayed as they "
+            "were."
         )
     if any(patch.verdict == "no change shown" for patch in comparison.patches):
-        how_sure.append("Where no change is shown there may be one still: its intervals say how large.")
+        how_sure.append("Where no change is shown, there may still be one: the intervals say how large.")
     return [*lines, " ".join(how_sure)] if how_sure else lines
 
 
@@ -133,6 +137,7 @@ def limits(comparison: Comparison) -> list[str]:
         )
     else:
         lines += [
+            CLUMPS,
             "What is gone and come is less than what died and settled, as a neighbour often covers the "
             "place: of a fifth that died in simulated reefs 14 % showed. Deaths that others hide, and "
             "settling on others, are not told.",
@@ -184,13 +189,13 @@ def _found_in(patch: PatchChange) -> str:
     lines = []
     if patch.verdict != "gain":
         lines.append(
-            f"{gone.bare} of {gone.of} individuals that were found before have bare ground in their place "
-            f"now: {_beyond(gone)} beyond what surveys miss of unchanged ground."
+            f"{gone.bare} of the {gone.of} individuals that were found before are gone, with bare ground in "
+            f"their place. That is {_beyond(gone)} more than surveys of unchanged ground lose."
         )
     if patch.verdict != "loss":
         lines.append(
-            f"{come.bare} of {come.of} individuals that were found after stand where the ground was bare: "
-            f"{_beyond(come)} beyond what surveys miss of unchanged ground."
+            f"{come.bare} of the {come.of} individuals that were found after stand where the ground was "
+            f"bare. That is {_beyond(come)} more than surveys of unchanged ground gain."
         )
     lines += [f"Its {_went(one)}." for one in patch.differences if one.name == "covered"]
     return " ".join(lines)
@@ -201,31 +206,44 @@ def _beyond(of: Missing) -> str:
 
 
 def headlines(comparison: Comparison) -> list[Difference]:
-    """Those of the measures of both surveys that stand first in a report."""
-    return [one for one in comparison.measures if one.name in HEADLINES]
+    """The figures that stand first, in the order of `FIRST`."""
+    of = {one.name: one for one in comparison.measures}
+    return [of[name] for name in FIRST if name in of]
 
 
-def _each(comparison: Comparison) -> list[str]:
-    shown = [_went(one, p=True) for one in headlines(comparison)]
-    return [f"Of all that each saw itself, {_listed(shown)}."] if shown else []
+def direction(one: Difference) -> str:
+    """What the interval of a change says."""
+    return "more" if one.low > 0.0 else "less" if one.high < 0.0 else "no change shown"
 
 
-def _whole(comparison: Comparison) -> str:
-    of = {one.name: one for one in comparison.differences}
-    if all(one.before <= 0.0 and one.after <= 0.0 for one in of.values()):
-        return "On ground that both saw, neither shows any target."
-    shown = [of[name] for name in ("covered", "found") if name in of] or [of["target_area"]]
-    return f"On all ground that both saw, {_listed([_went(one, p=True) for one in shown])}."
+def later(years: float) -> str:
+    """How much later one survey is than another, such as "one year later"."""
+    way, years = ("later", years) if years >= 0.0 else ("earlier", -years)
+    whole = round(years)
+    if whole >= 1 and abs(years - whole) < NEAR_A_YEAR:
+        return f"{words.years(float(whole))} {way}"
+    if years >= 2.0:
+        return f"{years:.1f} years {way}"
+    days = years * DAYS_A_YEAR
+    units = (
+        (days / DAYS_A_MONTH, "months"),
+        (days, "days"),
+        (24.0 * days, "hours"),
+        (1440.0 * days, "minutes"),
+    )
+    told = next((f"{count:.0f} {unit} {way}" for count, unit in units if count >= 2.0), "")
+    return told or "at the same time"
 
 
-def _went(one: Difference, *, p: bool = False) -> str:
+def _went(one: Difference) -> str:
     unit, name = UNITS.get(one.unit, one.unit), _WENT.get(one.name, named(one.name))
     before, after = (f"{number(value)} {unit}".strip() for value in (one.before, one.after))
     share = f"{100.0 * one.change / one.before:+z.0f} %" if one.before > 0.0 else ""
-    notes = ", ".join(filter(None, (typeset(share), f"p\N{NO-BREAK SPACE}{p_value(one.p)}" if p else "")))
     if before == after:
         return f"{name} is {before} in both"
-    return f"{name} went from {before.removesuffix(f' {unit}')} to {after}" + (f" ({notes})" if notes else "")
+    return f"{name} went from {before.removesuffix(f' {unit}')} to {after}" + f" ({typeset(share)})" * bool(
+        share
+    )
 
 
 def _percent(share: float) -> str:

@@ -6,7 +6,7 @@ import json
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from dream.survey.ground import Frame, Ground, fuse
 from dream.survey.intervals import around
 from dream.survey.reef import measure_reef
 from dream.survey.site import Site
-from dream.survey.survey import DecisionPoint, Layers, Measure, Picture, Survey, Track
+from dream.survey.survey import DAYS_A_YEAR, DecisionPoint, Layers, Measure, Picture, Survey, Track
 from dream.survey.wreck import measure_wreck, no_individuals
 from dream.types import Observation, Reasoning, Target
 from dream.versions import commit
@@ -229,6 +229,9 @@ def _about(
 ) -> About:
     sigma = {step.step: step.position_sigma_m for step in steps}
     began, by = _began(run, config)
+    # The clock of the machine did not wait for a simulated year.
+    years = 0.0 if config.real else config.years_on
+    began += timedelta(days=DAYS_A_YEAR * years)
     return About(
         name=run.resolve().name,
         began=began,
@@ -241,6 +244,7 @@ def _about(
             "commit": commit(),
             "planner": config.planner,
             **({} if config.real else {"world": config.world, "seed": config.seed}),
+            **({"years_on": years} if years else {}),
             "began_by": by,
             "run": digest_of_steps(run),
             "flown_by": {"version": config.version, "commit": config.commit},

@@ -21,6 +21,7 @@ from dream.types import BoolArray, Reasoning, Target
 Float64Array = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 
+DAYS_A_YEAR = 365.25
 DIVE = "dive"
 """The `world` in `made_by` of older surveys of dives in real water; newer ones have none."""
 
@@ -171,7 +172,7 @@ class Survey:
     name: str
     """That of the run folder."""
     began: datetime
-    """With its time zone."""
+    """With its time zone. In a simulated world that is some years on, as much later than it was flown."""
     site: Site | None
     """None where the run had no origin: measures hold all the same, products on the globe do not."""
     target: Target
@@ -185,8 +186,9 @@ class Survey:
     track: Track
     decisions: tuple[DecisionPoint, ...]
     made_by: dict[str, Any]
-    """Version, commit, planner, world and seed where simulated, the parameters of the measuring, by what
-    is known when it `began`, and what the run said of that and its site where somebody `corrected` it."""
+    """Version, commit, planner, world and seed where simulated, and by how many years that world is on; the
+    parameters of the measuring, by what is known when it `began`, and what the run said of that and its site
+    where somebody `corrected` it."""
     picture: Picture | None = None
     """None of a survey without, which can be compared less sharply."""
 
@@ -194,6 +196,12 @@ class Survey:
     def simulated(self) -> bool:
         """No camera has seen it."""
         return self.made_by.get("world") not in (None, "", DIVE)
+
+    @property
+    def years_on(self) -> float:
+        """Simulated years by which it `began` later than it was flown; 0 of all others."""
+        years = self.made_by.get("years_on")
+        return float(years) if isinstance(years, int | float) and self.simulated else 0.0
 
     @property
     def calibration(self) -> Any:

@@ -26,6 +26,7 @@ from dream.commands.dive.ready import Ready, opened
 from dream.commands.dive.tank import Tank, rehearse_mission, rehearse_return
 from dream.commands.dive.terminal import Terminal
 from dream.commands.ground import Ground
+from dream.commands.progress import stage
 from dream.ending import asked_to_end
 from dream.geometry import Bounds
 from dream.options import First
@@ -194,11 +195,12 @@ class Dive:
             interrupted = stack.enter_context(
                 kept_interrupts(lambda since: since > PRESSED and terminal.idle < SEEN)
             )
-            tank = Tank(self.world, self.seed, self.drive) if self.stand_in else None
-            known = self._known(site, protocol, tank)
-            rehearse_mission(protocol, self.estimator)
-            if known.prior is not None:
-                rehearse_return()
+            with stage("preparing the dive"):
+                tank = Tank(self.world, self.seed, self.drive) if self.stand_in else None
+                known = self._known(site, protocol, tank)
+                rehearse_mission(protocol, self.estimator)
+                if known.prior is not None:
+                    rehearse_return()
             interrupted()
             begun = datetime.datetime.now(datetime.UTC)
             where = "dive" if tank is None else tank.world.name
@@ -223,7 +225,8 @@ class Dive:
             devices = stack.enter_context(opened(self, waters, folder, begun))
             ready = Ready(self, protocol, devices, limits, waters.start, folder, tank, sight, known)
             tell(f"listening to the sensors for {STILL:g} s: the vehicle has to lie still", quiet=self.json)
-            found = predive_list(ready)
+            with stage("looking the vehicle over"):
+                found = predive_list(ready)
             interrupted()
             if self.check or not all(finding.ok for finding in found):
                 return print_findings(found, as_json=self.json)
@@ -250,7 +253,8 @@ def draw_flown(folder: Path, *, quiet: bool) -> None:
     from dream.evaluation.dive_figure import draw_dive
 
     try:
-        paths = draw_dive(folder)
+        with stage("drawing the dive"):
+            paths = draw_dive(folder)
     except (ValueError, OSError) as error:
         logger.warning("the dive was not drawn: %s", error)
         return

@@ -11,9 +11,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dream.commands.console import print_json, told_without_answer, with_progress
+from dream.commands.console import print_json, told_without_answer
 from dream.commands.dive.console import Operator, Reading, Will, console, tell
 from dream.commands.dive.records import config, print_outcome, summary
+from dream.commands.progress import stage, with_progress
 from dream.ending import also, reason
 from dream.errors import MissionAborted
 from dream.geometry import SE2
@@ -134,7 +135,8 @@ class Flight:
                 )
                 with contextlib.closing(recorded):
                     total = told.max_steps or protocol.cap
-                    for _ in recorded if shown else with_progress(recorded, name, total):
+                    bar = with_progress(recorded, name, total, "steps", at_most=True)
+                    for _ in recorded if shown else bar:
                         interrupted()
         except (KeyboardInterrupt, Exception) as error:  # noqa: BLE001 - whatever it was, what was flown is kept.
             stopped = error
@@ -178,7 +180,8 @@ class Flight:
             raise MissionAborted(f"aborted: {what}; no step was made. The log is kept in {folder}")
         page: Path | None = None
         try:
-            page = write_report(folder)
+            with stage("writing report.html"):
+                page = write_report(folder)
         except OSError as full:
             stopped = also(stopped, full)
         if self.ready.told.json:

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from dataclasses import dataclass
+import shlex
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from dream.commands.console import compiling_told, print_json
-from dream.commands.survey.sources import archive_at, check_archive, named, warn_of_date
+from dream.commands.survey.sources import archive_at, check_archive, named, option, warn_of_date
 from dream.options import First
+
+if TYPE_CHECKING:
+    from dream.survey import Survey
+    from dream.survey.archive import Entry
 
 logger = logging.getLogger(__name__)
 
@@ -81,7 +87,7 @@ class Add:
                 replaced = False
             else:
                 number, new, replaced = self.replace, False, archive.replace(self.replace, survey)
-            where = archive.name
+            where, entries = archive.name, archive.entries()
         for correction in corrections(before or found, survey):
             logger.warning("%s: %s", survey.name, correction)
         warn_of_date(survey, self.survey)
@@ -89,14 +95,62 @@ class Add:
             logger.warning("%s: %s", survey.name, doubtful)
         if self.json:
             told = {"survey": number, "name": survey.name, "new": new, "replaced": replaced}
-            print_json({"archive": where, **told})
-        elif new:
-            print(f"{where}: kept {survey.name} ({survey.site.name}) as survey {number}")
+            print_json({"archive": where, **told, "measures": [asdict(one) for one in survey.measures]})
+            return 0
+        named_so = f"{survey.name} ({survey.site.name})"
+        if new:
+            print(f"{where}: kept {named_so} as survey {number}")
         elif replaced:
-            print(f"{where}: put {survey.name} ({survey.site.name}) in the place of survey {number}")
+            print(f"{where}: put {named_so} in the place of survey {number}")
         else:
-            print(f"{where}: has {survey.name} ({survey.site.name}) already, as survey {number}")
+            print(f"{where}: has {named_so} already, as survey {number}")
+        _print_measures(survey)
+        _print_next(number, entries, option(where), self.survey)
         return 0
+
+
+def _print_measures(survey: Survey) -> None:
+    """What stands first in a report, each with its interval, and what is counted."""
+    from dream.survey.products.words import FIRST, NOT_OYSTERS, interval_text, meaning, simulated, value_text
+    from dream.types import Target
+
+    if told := simulated(survey):
+        print(f"  {told}")
+    of = {measure.name: measure for measure in survey.measures}
+    shown = [of[name] for name in FIRST if name in of]
+    for measure in shown:
+        between = f"  ({interval})" if (interval := interval_text(measure)) else ""
+        print(f"  {meaning(measure.name).title:21}{value_text(measure)}{between}")
+    if not shown:
+        return
+    caveat = "" if survey.target is Target.WRECK else f" {NOT_OYSTERS}."
+    print(f"  In brackets: 95 % intervals.{caveat}")
+
+
+def _print_next(number: int, entries: Sequence[Entry], archive: str, run: str) -> None:
+    """Commands that go on with a survey, to be pasted.
+
+    Args:
+        number: Of the survey.
+        entries: All that the archive holds.
+        archive: What names it.
+        run: As what the survey was given.
+    """
+    this = next(one for one in entries if one.number == number)
+    others = [
+        one for one in entries if (one.site, one.target) == (this.site, this.target) and one.number != number
+    ]
+    print("next:")
+    print(f"  dream survey show {number}{archive}")
+    if others:
+        # With the one that is nearest in time.
+        other = min(others, key=lambda one: abs(one.began - this.began))
+        before, after = sorted((this, other), key=lambda one: (one.began, one.number))
+        print(f"  dream survey compare {before.number} {after.number}{archive}")
+    else:
+        print("  survey the site again another time and add that run, to see what changed")
+    pictures = f" --run {shlex.quote(run)}" if Path(run).is_dir() else ""
+    print(f"  dream survey export {number}{pictures} --to products{archive}")
 
 
 def _moment(said: str) -> datetime:

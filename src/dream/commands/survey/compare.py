@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import tyro
 
 from dream.commands.console import check_writable, compiling_told, print_json
+from dream.commands.progress import stage
 from dream.commands.survey.sources import check_archive, found
 from dream.commands.survey.words import slim_table
 from dream.options import First
@@ -63,8 +64,10 @@ class Compare:
                 a, b = (found(what, self.archive, self.site) for what in (self.before, self.after))
                 for doubt in doubts(a, b):
                     logger.warning("compare: %s", doubt)
-                comparison = Comparing().compare(a, b)
-            files = write_change(comparison, self.out)
+                with stage("comparing"):
+                    comparison = Comparing().compare(a, b)
+            with stage(f"writing {self.out}"):
+                files = write_change(comparison, self.out)
         if self.json:
             print_json({**comparison.as_dict(), "files": [str(path) for path in files]})
         else:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from dream.commands.console import compiling_told, print_json, with_progress
+from dream.commands.console import compiling_told, print_json
+from dream.commands.progress import with_progress
 from dream.commands.survey.sources import archive_at, check_archive, found
 from dream.options import First
 
@@ -92,7 +93,8 @@ class Export:
             author=Author(self.author, self.licence, self.email) if self.author else None,
             others=others,
             only=self.only,
-            watched=lambda files: with_progress(iter(files), title, len(files)),
+            watched=lambda files: with_progress(files, title, len(files), "frames"),
+            each=lambda names: with_progress(names, f"writing {self.to.name}", len(names), "products"),
         )
         for warning in made.warnings:
             logger.warning("%s", warning)

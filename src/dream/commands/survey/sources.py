@@ -5,12 +5,13 @@ from __future__ import annotations
 import logging
 import os
 import re
+import shlex
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dream.telling import rich_console
+from dream.commands.progress import stage
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
@@ -20,12 +21,48 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
+NEAR = 3
+"""Archives that are named where there is none at the place that was meant."""
+
 
 def archive_at(where: str | None, *, begin: bool = False) -> AbstractContextManager[Archive]:
-    """The archive that `--archive` names, else DREAM_ARCHIVE, else surveys.gpkg."""
-    from dream.survey.archive import DEFAULT, VARIABLE, open_archive
+    """The archive that `--archive` names, else DREAM_ARCHIVE, else surveys.gpkg.
 
-    return open_archive(where or os.environ.get(VARIABLE) or DEFAULT, begin=begin)
+    Raises:
+        FileNotFoundError: There is none, and none is to be begun; those that are near are named.
+    """
+    from dream.survey.archive import open_archive
+
+    place = _place(where)
+    if not begin and "://" not in place and not Path(place).exists():
+        raise FileNotFoundError(f"{place}: expected an archive of surveys, got no file. {_others()}")
+    return open_archive(place, begin=begin)
+
+
+def option(where: str) -> str:
+    """What to add to a command so that it finds an archive from any shell; empty for the default."""
+    from dream.survey.archive import DEFAULT
+
+    return "" if where == DEFAULT else f" --archive {shlex.quote(where)}"
+
+
+def _place(where: str | None) -> str:
+    from dream.survey.archive import DEFAULT, VARIABLE
+
+    return where or os.environ.get(VARIABLE) or DEFAULT
+
+
+def _others() -> str:
+    """Which archives are near, the newest first, and how one is named."""
+    from dream.survey.archive import DEFAULT, VARIABLE
+
+    found = [path for depth in ("*", "*/*") for path in Path().glob(f"{depth}/{DEFAULT}") if path.is_file()]
+    found.sort(key=lambda path: path.stat().st_mtime, reverse=True)
+    if not found:
+        return "Begin one with dream survey add, or name it with --archive or DREAM_ARCHIVE"
+    near = ", ".join(map(str, found[:NEAR])) + f" and {len(found) - NEAR} more" * (len(found) > NEAR)
+    newest = shlex.quote(str(found[0]))
+    return f"Near here: {near}. Say --archive {newest}, or export {VARIABLE}={newest}"
 
 
 def check_archive(where: str | None) -> None:
@@ -100,6 +137,7 @@ def warn_of_date(survey: Survey, what: str) -> None:
         what: As what it was named.
     """
     from dream.survey.measuring import GUESSED
+    from dream.survey.survey import DAYS_A_YEAR
 
     began = f"{survey.began:%Y-%m-%d %H:%M:%S %Z}"
     say = f"If that is wrong, say when with dream survey add {what} --date"
@@ -109,18 +147,17 @@ def warn_of_date(survey: Survey, what: str) -> None:
             "its folder says. %s",
             *(survey.name, began, say),
         )
-    elif survey.began > datetime.now(UTC):
+    elif survey.began - timedelta(days=DAYS_A_YEAR * survey.years_on) > datetime.now(UTC):
         logger.warning("%s: began at %s, which is still to come. %s", survey.name, began, say)
 
 
 def _measured(run: Path) -> Survey:
-    """A run's survey, with progress on standard error where that is a terminal."""
-    from rich.progress import BarColumn, Progress, TextColumn
-
+    """A run's survey; how far it is is told."""
     from dream.survey.measuring import measure
 
-    console = rich_console(stderr=True)
-    columns = TextColumn("{task.description}", markup=False), BarColumn()
-    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
-        task = bar.add_task(f"measuring {run.name}", total=None)
-        return measure(run, told=lambda done, of: bar.update(task, completed=done, total=of))
+    with stage(f"measuring {run.resolve().name}", unit="frames") as work:
+
+        def note(done: int, of: int) -> None:
+            work.done, work.total = done, of
+
+        return measure(run, told=note)

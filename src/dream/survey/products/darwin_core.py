@@ -196,7 +196,7 @@ def occurrences(survey: Survey, species: Species, author: Author | None = None) 
             "coordinateUncertaintyInMeters": _uncertainty(ground.site, float(found.sigma[n])),
             "minimumDepthInMeters": f"{depth[n]:.2f}",
             "maximumDepthInMeters": f"{depth[n]:.2f}",
-            "occurrenceRemarks": f"{made_up}a clump of shells, how many individuals are in it is not known; "
+            "occurrenceRemarks": f"{made_up}a clump of shells, how many animals are in it is not known; "
             f"found in {found.hits[n]} of {found.looks[n]} frames",
         }
         for n in likely(survey)

@@ -53,11 +53,11 @@ FILES: Mapping[str, str] = {
     mosaic.NAME: "the sea floor from above, as the camera saw it",
     geopackage.NAME: "track, decisions with their reasoning, patches, individuals, swath; styles inside",
     netcdf.NAME: "measures with intervals, and the maps, by CF 1.8",
-    darwin_core.CSV: "one Darwin Core occurrence a clump that was found and is likely one",
+    darwin_core.CSV: "one Darwin Core occurrence for each clump of shells that was found and is likely one",
     darwin_core.ARCHIVE: "the same with sizes as a Darwin Core Archive, for OBIS and GBIF",
     tables.MEASURES: "all measures with their intervals, of the survey and of each patch",
-    tables.INDIVIDUALS: "position, size and confidence of the clumps that were found, which are not all; one "
-    "that touches others has no size",
+    tables.INDIVIDUALS: "position, size and confidence of the individuals that were found, which are not "
+    "all; one that touches others has no size",
     series.CSV: "the measures of all surveys of the site, one a row",
     series.PICTURE: "how the main measures went, with the 95 % interval of each survey",
     page.NAME: "the survey report, for a browser",
@@ -89,6 +89,7 @@ def export(
     others: Sequence[Survey] = (),
     only: Sequence[str] = (),
     watched: Callable[[Sequence[Path]], Iterable[Path]] = iter,
+    each: Callable[[Sequence[str]], Iterable[str]] = iter,
 ) -> Exported:
     """Write the products of a survey.
 
@@ -106,6 +107,7 @@ def export(
         only: Names of `PRODUCTS`; all where empty. What is named and cannot be made is an error, not left
             out.
         watched: Passes the files of the frames on, and may show how far the mosaic is.
+        each: Passes the names of the products on, likewise.
 
     Raises:
         ValueError: `to` exists, the survey is damaged, what was named cannot be made of it, or what a product
@@ -135,7 +137,7 @@ def export(
     try:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
-        for name in only or PRODUCTS:
+        for name in each(only or tuple(PRODUCTS)):
             if reason := _missing(name, survey, run, species, surveys):
                 if name in only:
                     raise ValueError(f"{name}: {reason}")

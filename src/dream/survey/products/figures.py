@@ -127,10 +127,12 @@ def habitat_map(axes: Axes, survey: Survey) -> None:
         handles.append(Swatch(facecolor=NOT_SEEN, edgecolor=SOFT, linewidth=0.4, label="not seen"))
     if len(sized):
         handles.append(
-            Line2D([], [], marker="o", linestyle="", color=INDIVIDUAL, markersize=4, label="clump, to scale")
+            Line2D(
+                [], [], marker="o", linestyle="", color=INDIVIDUAL, markersize=4, label="individual, to scale"
+            )
         )
     if len(found) > len(sized):
-        handles.append(Line2D([], [], label="clump, size not measured", **DOT))
+        handles.append(Line2D([], [], label="individual, size not measured", **DOT))
     handles.append(Line2D([], [], color=TRACK, linewidth=1.3, label="track, ○ start □ end"))
     axes.legend(
         handles=handles,
@@ -222,7 +224,7 @@ def _show(axes: Axes, survey: Survey, picture: npt.NDArray[Any], **options: Any)
 
 
 def size_figure(axes: Axes, survey: Survey) -> None:
-    """How many clumps there are of each size: shares with their intervals, the median with its own.
+    """How many individuals there are of each size: shares with their intervals, the median with its own.
 
     Where the survey tells no shares, those whose size was measured are counted as they are.
     """
@@ -273,7 +275,7 @@ def _size_shares(axes: Axes, shares: Sequence[tuple[tuple[int, int], Measure]]) 
                 [middle, middle], [low, high], color=INK, linewidth=1.1, marker="_", markersize=5, zorder=4
             )
     axes.set_xlabel("longest diameter, metres", fontsize=8)
-    axes.set_ylabel("% of the clumps, with 95 % intervals", fontsize=8)
+    axes.set_ylabel("% of the individuals, with 95 % intervals", fontsize=8)
     axes.set_ylim(bottom=0.0)
 
 
@@ -288,7 +290,7 @@ def _size_counts(axes: Axes, sizes: Float64Array) -> None:
     edges = width * np.arange(first, max(last, first + 1) + 1)
     axes.hist(sizes, edges.tolist(), color="#1f9e62", edgecolor="white", linewidth=0.8, zorder=2)
     axes.set_xlabel(f"longest diameter, metres (bins of {100.0 * width:g} cm)", fontsize=8)
-    axes.set_ylabel("clumps found", fontsize=8)
+    axes.set_ylabel("individuals found", fontsize=8)
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.margins(x=0.02)
 
@@ -324,14 +326,17 @@ def series_figure(surveys: Sequence[Survey]) -> Figure:
     layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.08)
     figure = Figure(figsize=(9.0, 0.9 + 2.5 * rows), layout=layout, facecolor="white")
     days = " to ".join(dict.fromkeys(map(day, (surveys[0], surveys[-1]))))
-    title = f"{place(surveys[-1])}: {len(surveys)} surveys, {days}"
+    made_up = any(map(warning, surveys))
+    title = f"{'SIMULATED · ' * made_up}{place(surveys[-1])}: {len(surveys)} surveys, {days}"
     figure.suptitle(title, x=0.012, ha="left", fontsize=11, weight="bold")
     for number, name in enumerate(names, start=1):
         over_time(figure.add_subplot(rows, 2, number), surveys, name)
     under = "Points are surveys, bars their 95 % intervals."
-    if any(map(warning, surveys)):
-        under += " SIMULATED: nothing real was seen."
-    figure.supxlabel(under, x=0.012, ha="left", fontsize=8, color=SOFT)
+    if made_up:
+        under += " Nothing real was seen."
+    if any(survey.years_on for survey in surveys):
+        under += " The years that passed are simulated."
+    figure.supxlabel(under, x=0.012, ha="left", fontsize=9, color=INK)
     return figure
 
 

@@ -303,8 +303,8 @@ def _patches(survey: Survey, ground: Ground) -> Table:
     color = styles.STATE_COLORS[styles.SOLID_TARGET if wreck else styles.TARGET]
     return Table(
         "patches",
-        "Patches of reef, or a wreck and its debris, with what was measured of each; counts are of clumps of "
-        "shells, low and high bound 95 %",
+        "Patches of reef, or a wreck and its debris, with what was measured of each; counts are of "
+        "individuals, low and high bound 95 %",
         {
             "patch": "INTEGER",
             **{name + end: "DOUBLE" for name, _ in columns for end in ("", "_low", "_high")},
@@ -336,8 +336,9 @@ def _individuals(survey: Survey, ground: Ground) -> Table:
     ]
     return Table(
         "individuals",
-        "Clumps of shells that were found, each once; count in measures tells how many there are. Sizes are "
-        "the longest diameter of those that stand clear of others, depths are below the datum",
+        "Individuals that were found, each once; on a reef one is a clump of shells. How many there are is "
+        "told by count in measures. Sizes are the longest diameter of those that stand clear of others, "
+        "depths are below the datum",
         {
             "individual": "INTEGER",
             "patch": "INTEGER",
@@ -352,7 +353,7 @@ def _individuals(survey: Survey, ground: Ground) -> Table:
         rows,
         "POINT",
         heights=True,
-        style=styles.sized_point_qml(styles.INDIVIDUAL, "size_m", "clump"),
+        style=styles.sized_point_qml(styles.INDIVIDUAL, "size_m", "individual"),
     )
 
 
@@ -391,7 +392,7 @@ def _box(survey: Survey, ground: Ground) -> Table:
 def _measures(survey: Survey) -> Table:
     return Table(
         "measures",
-        "Of the whole survey; counts are of clumps of shells, low and high bound 95 %",
+        "Of the whole survey; counts are of individuals, low and high bound 95 %",
         {
             "name": "TEXT",
             "value": "DOUBLE",

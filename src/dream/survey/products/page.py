@@ -147,7 +147,7 @@ def _sizes(survey: Survey) -> str:
     if not figures.tells_sizes(survey):
         return ""
     picture = _picture(survey, figures.size_figure, 6.2, 5.0, "How many individuals there are of each size")
-    count = "of all clumps, told by those that stand clear of others"
+    count = "of all individuals, told by those that stand clear of others"
     return f"<section class='panel'><h2>Sizes <small>{count}</small></h2>{picture}</section>"
 
 

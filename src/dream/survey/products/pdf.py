@@ -94,7 +94,7 @@ def _second(survey: Survey) -> Figure:
     for area in areas.areas(survey):
         y = _paragraph(page, f"{area.title}, {area.value}: {area.says}.", y, size=8.0, gap=0.2)
     if figures.tells_sizes(survey):
-        y = _heading(page, "Sizes of the clumps, told by those that stand clear of others", y - 0.012)
+        y = _heading(page, "Sizes of the individuals, told by those that stand clear of others", y - 0.012)
         axes = page.add_axes((0.13, y - 0.185, 0.78, 0.17))
         figures.size_figure(axes, survey)
         y -= 0.235

@@ -82,6 +82,19 @@ def picture(content: bytes, kind: str, what: str) -> str:
     return f'<img class="figure" alt="{html.escape(what)}" src="data:image/{kind};base64,{data}">'
 
 
+def sharp_map(content: bytes, what: str, pixels: int) -> str:
+    """A map that stays so large that its marks can be told apart, and is moved about where a screen is small.
+
+    Args:
+        content: The PNG.
+        what: Said to who does not see it.
+        pixels: Of the picture for each one of the page.
+    """
+    width = int.from_bytes(content[16:20], "big")  # Of its header, which comes first.
+    drawn = picture(content, "png", what).replace('class="figure"', f'class="map" width="{width // pixels}"')
+    return f'<div class="wide">{drawn}</div>'
+
+
 def terms(of: Iterable[tuple[str, str]]) -> str:
     """What and its value, for a `dl`."""
     return "".join(f"<dt>{html.escape(what)}</dt><dd>{html.escape(value)}</dd>" for what, value in of)

@@ -30,11 +30,11 @@ MEANINGS = {
     "area": Meaning("Area", "ground that it covers"),
     "patch_count": Meaning("Patches", "separate pieces of reef that were seen"),
     "patches": Meaning("Patches", "separate pieces of reef"),
-    "density": Meaning("Clump density", "clumps of shells on each square metre of reef"),
-    "count": Meaning("Clumps", "estimate of all clumps of shells, with those that hide beside others"),
-    "individuals": Meaning("Clumps", "estimate of all clumps of shells, with those that hide beside others"),
-    "median_size": Meaning("Median clump size", "half of the clumps of shells are wider than this"),
-    "mean_size": Meaning("Mean clump size", "mean of the longest diameters of clumps of shells"),
+    "density": Meaning("Density", "individuals on each square metre of reef"),
+    "count": Meaning("Individuals", "estimate of all of them, with those that hide beside others"),
+    "individuals": Meaning("Individuals", "estimate of all of them, with those that hide beside others"),
+    "median_size": Meaning("Median size", "half of the individuals are wider than this"),
+    "mean_size": Meaning("Mean size", "mean of the longest diameters of the individuals"),
     "reef_height": Meaning("Reef height", "how high the reef stands above the bare seabed"),
     "reef_height_max": Meaning("Highest reef", "its highest parts above the bare seabed"),
     "mean_height": Meaning("Mean height", "of the reef above the bare seabed"),
@@ -52,7 +52,7 @@ MEANINGS = {
     # Of comparisons.
     "found": Meaning(
         "Found",
-        "individuals (clumps of shells) that were found, each weighed by how likely it is one and is found; "
+        "individuals that were found, each weighed by how likely it is one and is found; "
         "not the estimate of all there are",
     ),
     "found_density": Meaning("Found density", "those that were found over the target area"),
@@ -75,11 +75,17 @@ HEADLINES = (
 )
 """Measures that stand first in every report, as far as a survey has them."""
 
+FIRST = (
+    *("reef_area", "count", "density", "reef_height", "median_size"),
+    *("outline_area", "hull_seen", "debris_extent", "debris_area", "highest_point"),
+)
+"""What is told first of a reef, and of a wreck: how large, how many, how dense, how high, of which size."""
+
 
 def meaning(name: str) -> Meaning:
     """What a measure means; one that is not known here keeps its name."""
     if (ends := size_bin(name)) is not None:
-        return Meaning(f"{ends[0]} to {ends[1]} cm wide", "share of the clumps of shells", share=True)
+        return Meaning(f"{ends[0]} to {ends[1]} cm wide", "share of the individuals", share=True)
     plain = named(name)
     return MEANINGS.get(
         name, Meaning(plain[:1].upper() + plain[1:], "", share=name.endswith(("_share", "_seen")))
@@ -87,7 +93,7 @@ def meaning(name: str) -> Meaning:
 
 
 def long_name(name: str) -> str:
-    """A measure in one line, for the files of programs, such as "clump density: clumps of shells on ..."."""
+    """A measure in one line, for the files of programs, such as "density: individuals on each ..."."""
     told = meaning(name)
     title = told.title[:1].lower() + told.title[1:]
     return f"{title}: {told.says}" if told.says else title
@@ -137,8 +143,25 @@ def _number(value: float, measure: Measure) -> str:
 
 
 def simulated(survey: Survey) -> str:
-    """Said of what no camera has seen; empty of a dive in real water."""
-    return f"Simulated: {made_up}" if (made_up := world(survey)) else ""
+    """Said of what no camera has seen, and of a date that is simulated; empty of a dive in real water."""
+    if not (made_up := world(survey)):
+        return ""
+    later = f", {years(survey.years_on)} after {_first_world(survey)}" if survey.years_on else ""
+    return f"Simulated: {made_up}{later}"
+
+
+def _first_world(survey: Survey) -> str:
+    """That over which the years of a simulated survey went."""
+    return str(survey.made_by["world"]).partition("+")[0]
+
+
+def years(number: float) -> str:
+    """Such as "one year", "two years" or "1.5 years"."""
+    if number == 1.0:
+        return "one year"
+    few = ("two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+    told = few[round(number) - 2] if number.is_integer() and 2.0 <= number <= 10.0 else f"{number:g}"
+    return f"{told} years"
 
 
 def warning(survey: Survey) -> str:
@@ -190,10 +213,11 @@ def summary(survey: Survey) -> list[str]:
             lines.append(f"Reef covers {_between(area)}{patches}{where}.")
         if density := of.get("density"):
             lines.append(
-                f"On each square metre of it there are {_between(density, unit=False)} clumps of shells."
+                f"On each square metre of it there are {_between(density, unit=False)} individuals. "
+                f"{NOT_OYSTERS}."
             )
         if size := of.get("median_size"):
-            lines.append(f"Half of the clumps are wider than {_between(size)}.")
+            lines.append(f"Half of the individuals are wider than {_between(size)}.")
         if height := of.get("reef_height"):
             lines.append(f"The reef stands {_between(height)} above the bare seabed.")
     # The map may reach beyond the area to be seen: its own share only where a survey tells no other.
@@ -216,9 +240,10 @@ def _between(measure: Measure, *, unit: bool = True) -> str:
     return f"{value} ({_number(measure.low, measure)} to {_number(measure.high, measure)})"
 
 
+NOT_OYSTERS = "What is counted are clumps, not oysters"
 CLUMPS = (
-    "What is counted are clumps: an individual is a clump of shells that grows from one base, not a single "
-    "shell. How many oysters live in it is not known."
+    f"{NOT_OYSTERS}: an individual is a clump of shells that grows from one base. How many oysters live in "
+    "it is not known."
 )
 """What an individual of a reef is."""
 
@@ -231,8 +256,8 @@ def trend_limits(target: Target) -> list[str]:
     ]
     if target is not Target.WRECK:
         lines.append(
-            "Counts and sizes were calibrated on simulated reefs, new and up to four years on. On a reef of "
-            "other clumps they may be off, and alike so in all surveys of it."
+            "Counts and sizes were calibrated on simulated reefs, new and up to four years on. On a reef "
+            "that grows in another way they may be off, and alike so in all surveys of it."
         )
     return lines
 
@@ -248,11 +273,11 @@ def limits(survey: Survey) -> list[str]:
     ]
     if survey.target is not Target.WRECK:
         lines.append(
-            f"{CLUMPS} The size of one is its longest diameter as seen from above. Where clumps grow into "
-            "each other, their number is corrected, and the interval is wider."
+            f"{CLUMPS} The size of one is its longest diameter as seen from above. Where individuals grow "
+            "into each other, their number is corrected, and the interval is wider."
         )
         lines.append(
-            f"Lists and maps show the {len(survey.individuals)} clumps that were found one by one. They "
+            f"Lists and maps show the {len(survey.individuals)} individuals that were found one by one. They "
             "are not all: how many there are is an estimate, which stands among the measures."
         )
     lines.append(
@@ -294,7 +319,7 @@ def facts(survey: Survey) -> list[tuple[str, str]]:
     """When, where and how, as (what, value)."""
     told = [
         ("Survey", survey.name),
-        ("Began", survey.began.strftime("%d %B %Y, %H:%M %Z").lstrip("0")),
+        ("Began", survey.began.strftime("%d %B %Y, %H:%M %Z").lstrip("0") + _simulated_date(survey)),
         ("Looked for", found(survey)),
     ]
     if survey.site is not None:
@@ -316,6 +341,10 @@ def facts(survey: Survey) -> list[tuple[str, str]]:
     if text := simulated(survey):
         told.append(("Simulated", text.removeprefix("Simulated: ")))
     return told
+
+
+def _simulated_date(survey: Survey) -> str:
+    return f" (simulated: {years(survey.years_on)} after it was flown)" if survey.years_on else ""
 
 
 def travelled(survey: Survey) -> float:
