@@ -145,6 +145,7 @@ def exchange(**changes: Any) -> Exchange:
         "tokens_out": 210,
         "cost_usd": 0.0075,
         "seconds": 3.25,
+        "expected": {"properties": {"turn_deg": {"enum": [0, 30, 60, 90, 180]}}},
     }
     return Exchange(**(values | changes))
 

@@ -403,6 +403,7 @@ def test_the_page_holds_what_a_model_was_shown_to_the_byte(asked: Path) -> None:
     (told,) = json.loads(page.scripts["asked-5"])
     assert told["replies"][0] == "I would turn left. " + HOSTILE
     assert told["lacks"] == ["no JSON object", "step_m: Field required; up" + HOSTILE]
+    assert json.loads(told["expected"])["properties"]["turn_deg"]["enum"] == [0, 30, 60, 90, 180]
     assert (told["fallback"], told["requests"], told["cost_usd"]) == (
         f"invalid: step_m: Field required; up{HOSTILE}, asked twice",
         2,
@@ -464,6 +465,7 @@ def test_a_browser_shows_what_a_model_saw_and_said(asked: Path, tmp_path: Path) 
     assert "No reply used" in panel
     assert "asked twice. The offline planner decided." in panel
     assert '<p class="lacks">Lacks: no JSON object.</p>' in panel
+    assert re.search(r"What a reply must be.*turn_deg", panel, re.S)
     assert '<p class="lacks">Lacks: step_m: Field required; up&lt;/script &gt;' in panel
     assert re.search(r'<p class="outcome" id="without-answer" hidden="">', dom)
     assert "I would turn left. &lt;/script &gt;" in panel

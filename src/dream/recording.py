@@ -145,6 +145,7 @@ class RecordedExchange(_Recorded):
     answered_by: str = ""
     outcome: str = ""
     lacks: tuple[str, ...] = Field(default=(), max_length=16)
+    expected: dict[str, Any] = Field(default_factory=dict)
 
 
 class RecordedStep(_Recorded):
@@ -518,6 +519,7 @@ def _write_exchanges(step: Step, folder: Path) -> None:
             answered_by=exchange.answered_by,
             outcome=exchange.outcome,
             lacks=exchange.lacks,
+            expected=dict(exchange.expected),
         )
         path = _exchange_path(folder, step.index, number)
         path.parent.mkdir(exist_ok=True)
@@ -547,7 +549,7 @@ def _label_image(labels: UInt8Array) -> Image.Image:
     return picture
 
 
-def read_steps(folder: Path) -> list[RecordedStep]:
+def read_steps(folder: str | Path) -> list[RecordedStep]:
     """The steps of a run. A torn last line, as an interruption leaves it, is dropped with a warning.
 
     Raises:
@@ -625,6 +627,7 @@ def read_exchanges(folder: Path, step: int) -> list[Exchange]:
                 answered_by=recorded.answered_by,
                 outcome=recorded.outcome,
                 lacks=recorded.lacks,
+                expected=recorded.expected,
             )
         )
     return exchanges
@@ -662,15 +665,15 @@ def digest_of_steps(folder: Path) -> str:
         return hashlib.file_digest(lines, "sha256").hexdigest()
 
 
-def read_config(folder: Path) -> RunConfig:
+def read_config(folder: str | Path) -> RunConfig:
     """How the run was made. Raises as `read_steps` does."""
     path = _file_of_run(folder, "config.json")
     return _checked(RunConfig, _json(path), str(path))
 
 
-def read_summary(folder: Path) -> RunSummary | None:
+def read_summary(folder: str | Path) -> RunSummary | None:
     """How the run ended; None where it was aborted before it could say."""
-    path = folder / "summary.json"
+    path = Path(folder) / "summary.json"
     return _checked(RunSummary, _json(path), str(path)) if path.exists() else None
 
 
@@ -795,8 +798,8 @@ def _checked(model: type[M], fields: Any, where: str) -> M:
         raise ValueError(f"{where}: {field}: {first['msg']}, got {got[:80]}") from error
 
 
-def _file_of_run(folder: Path, name: str) -> Path:
-    path = folder / name
+def _file_of_run(folder: str | Path, name: str) -> Path:
+    path = Path(folder) / name
     if not path.is_file():
         raise FileNotFoundError(
             f"{folder}: expected a run folder, got no {name} in it. Runs are made by dream run"

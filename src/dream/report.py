@@ -207,6 +207,7 @@ def asked_at(folder: Path, step: int) -> list[dict[str, Any]]:
             "seconds": exchange.seconds,
             "outcome": exchange.outcome,
             "lacks": exchange.lacks,
+            "expected": json.dumps(exchange.expected, indent=1) if exchange.expected else "",
         }
         for exchange in read_exchanges(folder, step)
     ]

@@ -173,6 +173,8 @@ class Exchange:
     then a colon and why, where there is more to say. Empty where none fits, and where no mission is flown."""
     lacks: tuple[str, ...] = ()
     """What each reply lacked to be an answer, in a line; empty for one that is."""
+    expected: Mapping[str, Any] = field(default_factory=dict)
+    """JSON schema of an answer, with the turns and lengths that are allowed; empty where it was not kept."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from dream.evaluation import machine, runner
 from dream.evaluation.engines import Engine, Failure, Processes
 from dream.evaluation.metrics import curve
 from dream.evaluation.results import TIMES, Flown, MissionKey, mission_path, read_manifest, read_results
-from dream.evaluation.runner import Ended, Flight, Plan, fly, fly_plan
+from dream.evaluation.runner import Ended, Flight, Plan, fly, fly_mission, fly_plan
 from dream.evaluation.suites import SUITES, Case
 from dream.mission import Pilot
 from dream.planning import Lawnmower, RandomWalk
@@ -36,6 +36,7 @@ from dream.robots import Motion, Swimming
 from dream.robots.swimming import read_swimming
 from dream.sim.render import Renderer
 from dream.sim.sensors import DVL_A50
+from dream.sim.worlds import make_world
 from dream.types import Mission
 
 STEPS = 4
@@ -444,6 +445,17 @@ def test_a_mission_can_be_kept_as_a_run(tmp_path: Path) -> None:
     mission.unlink()
     bench(plan(FLAT[:1], planners=only, keep_runs=True), tmp_path)
     assert len(read_steps(folder)) == STEPS + 1, "a second try takes the place of the first"
+
+
+def test_a_world_in_hand_is_flown_and_scored_as_in_a_benchmark(tmp_path: Path) -> None:
+    in_benchmark = fly(Flight(Case("reef/string", 1), "lawnmower", Lawnmower(), "dream-v1", max_steps=5))
+    world = make_world("reef/string", 1)
+    in_hand = fly_mission(world, Lawnmower(), max_steps=5, record_to=tmp_path / "run")
+    alike = [{k: v for k, v in asdict(one.row).items() if k not in TIMES} for one in (in_benchmark, in_hand)]
+    assert alike[0] == alike[1]
+    assert np.array_equal(in_benchmark.trace.instances, in_hand.trace.instances)
+    assert (read_config(tmp_path / "run").planner, len(read_steps(tmp_path / "run"))) == ("lawnmower", 6)
+    assert (tmp_path / "run/report.html").is_file()
 
 
 def test_a_protocol_that_does_not_fit_is_refused_before_anything_is_written(tmp_path: Path) -> None:

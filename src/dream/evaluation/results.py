@@ -340,13 +340,14 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return _checked_manifest(_json(path), str(path))
 
 
-def read_results(folder: Path) -> Results:
+def read_results(folder: str | Path) -> Results:
     """A benchmark folder.
 
     Raises:
         FileNotFoundError: `folder` is no benchmark folder, or one that was broken off before its tables.
         ValueError: A file is damaged; the message names it and the line.
     """
+    folder = Path(folder)
     manifest = read_manifest(folder)
     rows = tuple(_read_rows(_file_of(folder, "results.csv")))
     traces = _read_traces(_file_of(folder, "traces.csv.gz"), rows)

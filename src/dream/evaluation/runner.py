@@ -43,7 +43,7 @@ from dream.mapping.prior import Prior
 from dream.mission import Planner, Robot, explore
 from dream.orders import Orders, sentences, written
 from dream.planning import LABELLED, PLANNERS, AnyPlanner
-from dream.planning.identity import files_given, identity
+from dream.planning.identity import files_given, identity, planner_name
 from dream.planning.vlm.asking import GONE, WHERE_KEPT, Asking
 from dream.protocol import SHOWN, SurveyProtocol, protocol_named
 from dream.robots import Swimming, Teleport
@@ -73,7 +73,7 @@ def check_fits(world: World, protocol: SurveyProtocol) -> None:
 def simulate(
     world: World,
     planner: Planner,
-    protocol: SurveyProtocol,
+    protocol: SurveyProtocol | None = None,
     *,
     start: int = 0,
     max_steps: int | None = None,
@@ -88,7 +88,7 @@ def simulate(
     Args:
         world: Where.
         planner: Who decides; it never sees the world.
-        protocol: By which rules.
+        protocol: By which rules; those that the world is made for unless given.
         start: Which of the world's start poses.
         max_steps: Decisions at most; the protocol's cap unless given.
         orders: What the operator orders; to map everything where None.
@@ -99,6 +99,7 @@ def simulate(
     """
     if not 0 <= start < len(world.starts):
         raise ValueError(f"start: expected 0 to {len(world.starts) - 1} for {world.name}, got {start}")
+    protocol = protocol or protocol_named(world.protocol)
     check_fits(world, protocol)
     # A model is shown finer pictures than the map is made from; nobody else pays for them.
     fineness = SHOWN if isinstance(planner, Asking) else 1
@@ -251,6 +252,68 @@ def fly(flight: Flight) -> Flown:
     began = time.perf_counter()
     case = flight.case
     stage = _stage(case.world, case.seed, case.folder, case.world_hash, flight.protocol)
+    if flight.record_to is not None:  # What a broken-off try may have left.
+        shutil.rmtree(flight.record_to, ignore_errors=True)
+    return _fly_on(stage, flight, began)
+
+
+def fly_mission(
+    world: World,
+    planner: Planner,
+    protocol: SurveyProtocol | None = None,
+    *,
+    start: int = 0,
+    max_steps: int | None = None,
+    record_to: str | Path | None = None,
+) -> Flown:
+    """One mission of a planner in a world, flown to its end and scored: what a benchmark keeps of it.
+
+    Args:
+        world: Where.
+        planner: Who decides: a dataclass of its parameters, as each of `PLANNERS` is.
+        protocol: By which rules; those that the world is made for unless given.
+        start: Which of the world's start poses.
+        max_steps: Decisions at most; the protocol's cap unless given.
+        record_to: A folder that is not there yet, for the run: its steps, pictures and report, as `dream run`
+            leaves them. None keeps nothing.
+
+    Returns:
+        Its scores (`row`) and its way, step by step (`trace`).
+
+    Raises:
+        FileExistsError: `record_to` is there already.
+        ValueError: The protocol or the start does not fit the world, or the planner is no dataclass.
+    """
+    if not hasattr(planner, "__dataclass_fields__"):
+        raise ValueError(
+            f"planner: expected a dataclass, whose fields are its parameters, got {type(planner).__name__}, "
+            "which is none. Put @dataclass(frozen=True, slots=True) above it"
+        )
+    began = time.perf_counter()
+    folder = None if record_to is None else Path(record_to)
+    if folder is not None and folder.exists():
+        raise FileExistsError(f"record_to: expected a folder that is not there yet, got {folder}")
+    rules = protocol or protocol_named(world.protocol)
+    chosen: Any = planner
+    flight = Flight(
+        Case(world.name, world.seed, start),
+        planner_name(chosen),
+        chosen,
+        rules.name,
+        max_steps=max_steps,
+        record_to=folder,
+    )
+    return _fly_on(_Stage(world, Visibility(world, rules), Renderer(world)), flight, began)
+
+
+def _fly_on(stage: _Stage, flight: Flight, began: float) -> Flown:
+    """Fly and score a flight in a world that is prepared; see `fly`.
+
+    Args:
+        stage: The world.
+        flight: Of that world.
+        began: `time.perf_counter` when it was begun to be prepared.
+    """
     protocol = protocol_named(flight.protocol)
     scorer = Scorer(stage.world, protocol, visibility=stage.visibility, renderer=stage.renderer)
     steps = simulate(
@@ -300,15 +363,11 @@ def _record(
     score: Callable[[Step], Mapping[str, Any]],
     outcome: Callable[[MissionAborted | None], Mapping[str, Any]],
 ) -> MissionAborted | None:
-    """Fly a mission and leave its run folder, in place of what a broken-off try may have left.
-
-    Returns what aborted it, if anything did.
-    """
+    """Fly a mission and leave its run folder. Returns what aborted it, if anything did."""
     from dream.report import write_report
 
     folder = flight.record_to
     assert folder is not None
-    shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     config = run_config(
         world,

@@ -121,8 +121,9 @@ class Asked {
     const shown = element("div", { className: "shown" }, ...Object.entries(exchange.pictures).map(([name, source]) => this.picture(name, source)));
     const question = element("details", { open: this.questionOpen }, element("summary", { textContent: `The question in full, ${count(exchange.question.length)} characters` }), element("pre", { textContent: exchange.question, tabIndex: 0 }));
     question.addEventListener("toggle", () => (this.questionOpen = question.open));
+    const expected = exchange.expected ? [element("details", {}, element("summary", { textContent: "What a reply must be: its JSON schema" }), element("pre", { textContent: exchange.expected, tabIndex: 0 }))] : [];
     const title = total > 1 ? [element("h3", { className: "which", textContent: `Question ${index + 1} of ${total}` })] : [];
-    return element("article", { className: "exchange" }, ...title, shown, said, question);
+    return element("article", { className: "exchange" }, ...title, shown, said, question, ...expected);
   }
 
   // A press shows it over the whole width.

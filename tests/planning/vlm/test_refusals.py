@@ -85,6 +85,7 @@ def test_what_each_reply_lacked_is_in_the_exchange_and_the_model_is_told_it() ->
     assert number.startswith("number: Input should be a valid integer")
     assert thrust == "number: Field required; thrust: Extra inputs are not permitted"
     assert exchange.fallback == f"invalid: {thrust}, asked twice"
+    assert exchange.expected == Number.model_json_schema()
 
 
 @pytest.mark.parametrize(

@@ -433,6 +433,7 @@ class Line:
             seconds=outcome.seconds,
             answered_by=outcome.answered_by,
             lacks=lacks,
+            expected=question.reply.model_json_schema(),
         )
         self.spent += exchange
         self._dearest = max(self._dearest, exchange.cost_usd or 0.0)
