@@ -16,6 +16,7 @@ LAYERS = [
         "files",
         "geometry",
         "names",
+        "options",
         "standin",
         "telling",
         "versions",

@@ -418,6 +418,7 @@ def test_a_mission_that_cannot_be_written_is_not_asked_for(
         (tmp_path / "file" / "mission.json", "--out: expected a place that can be written, got"),
         (Path("/proc/nowhere/mission.json"), "got /proc/nowhere (No such file or directory)"),
         (tmp_path, "--out: expected a file, got the folder"),
+        (tmp_path / "mission", "--out: expected a name that ends in .json, got"),
     ):
         assert mission(model, WESTERN, "--yes", "--out", str(out)) == 2
         told = said(capsys)

@@ -425,7 +425,7 @@ def test_conduct_adds_up_contacts_and_averages_the_way() -> None:
         flown(L2, "sixsteps", FAST, distance_m=20.0, min_clearance_m=None, planner_ms_p99=95.0),
     ]
     line = row(tables.conduct(comparison(*missions), "All", (L1, L2)), "sixsteps")
-    assert line["collisions"] == "1"
+    assert line["contacts"] == "1"
     assert line["missions with one"] == "1"
     assert line["success"].startswith("1/2 (")
     assert line["least clearance, m"] == "0.02"

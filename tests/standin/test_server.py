@@ -192,10 +192,10 @@ def test_a_little_slow_is_no_fault_to_the_asker() -> None:
     [
         ("randm", 'no fault "randm". Did you mean "random"'),
         ("no such", "There are: random, first"),
-        ("slow:x", "fault slow: expected slow:S"),
-        ("error:2", "with 0 to 1"),
-        ("stale", "fault stale: expected stale:N"),
-        ("worst:1", "expected no value"),
+        ("slow:x", "model: expected wire:slow:S, with S from 0 to 3600"),
+        ("error:2", "with P from 0 to 1, got wire:error:2"),
+        ("stale", "model: expected wire:stale:N"),
+        ("worst:1", "model: expected wire:worst without a value"),
     ],
 )
 def test_a_fault_that_does_not_exist_is_refused(name: str, said: str) -> None:

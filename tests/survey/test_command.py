@@ -123,7 +123,7 @@ def test_what_is_added_is_told_with_what_can_be_done_next(
         "Reef area 66.2 m² (64.3 to 68.2 m²)",
         "Individuals 1,118 (1,008 to 1,239)",
     ]
-    assert "What is counted are clumps, not oysters." in told
+    assert "An individual is a clump of shells, not one oyster." in told
     assert [words[:3] for words in following] == [["survey", "show", "1"], ["survey", "export", "1"]]
     _, following = added("second.survey.npz --archive surveys.gpkg", capsys)
     assert following == [

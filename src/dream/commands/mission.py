@@ -64,6 +64,8 @@ class Mission:
 
         if self.out.is_dir():
             raise ValueError(f"--out: expected a file, got the folder {self.out}")
+        if self.out.suffix != ".json":  # `dream run --mission` knows a file by it.
+            raise ValueError(f"--out: expected a name that ends in .json, got {self.out}")
         asking = Asking(self.model, self.model_name, prompts=self.prompts)
         picture = self.out.with_suffix(".png")
         if not self.yes:

@@ -86,7 +86,7 @@ def published_tables() -> list[Table]:
     coral = Table(
         "published-coral",
         "As published, other simulator: the successor",
-        ("method", "coverage, %", "time, s", "collisions", "VLM calls"),
+        ("method", "coverage, %", "time, s", "contacts", "VLM calls"),
         tuple(
             (
                 each.name,

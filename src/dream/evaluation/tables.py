@@ -366,7 +366,7 @@ def conduct(comparison: Comparison, title: str, cases: Sequence[Case]) -> Table:
         (
             "planner",
             "success",
-            "collisions",
+            "contacts",
             "missions with one",
             *(["aborted"] if aborted else []),
             "least clearance, m",
@@ -423,13 +423,13 @@ def by_family(comparison: Comparison) -> list[Table]:
         table(
             "success-by-family",
             "Success, by family",
-            "Missions that stopped by themselves with at least 98.26 % and no collision; Wilson's 95 % "
+            "Missions that stopped by themselves with at least 98.26 % and no contact; Wilson's 95 % "
             "interval.",
             lambda planner, cases: success_cell(comparison, planner, cases),
         ),
         table(
             "coverage-by-family",
-            "Instances seen at the end, %, by family",
+            "Individuals seen at the end, %, by family",
             "Mean (95 % interval).",
             final,
         ),
@@ -501,7 +501,7 @@ def bounds_table(comparison: Comparison) -> Table:
         ),
         tuple(rows),
         (
-            "Bound: no mission without a collision is faster, certified. Tour: the best that was found by "
+            "Bound: no mission without a contact is faster, certified. Tour: the best that was found by "
             "one who knows the world; it is the optimum only where the status says so. Both count the "
             "look-around. Worlds of which no bound is known are left out.",
         ),

@@ -69,8 +69,8 @@ class Belief:
     front-loaded orienteering as in FIG-OP (2203.06316); a statistical stop for Poisson intensities after
     Reverdy and Koditschek (IROS 2016).
 
-    Assumes: groups of targets of about `size`. The protocol promises only 1; on the suite `dev` 2 predicts
-    far better what was still missed. Fails when: groups are much smaller than that and stand alone; then it
+    Assumes: patches of about `size`. The protocol promises only 1; on the suite `dev` 2 predicts
+    far better what was still missed. Fails when: patches are much smaller than that and stand alone; then it
     stops too early, which `--certify` never does.
     """
 

@@ -2,6 +2,7 @@
 
 import itertools
 import queue
+import re
 import socket
 import sys
 import threading
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dream.extras import missing
 from dream.geometry import camera_mount
 from dream.robots.bluerov2.camera import (
     LATE,
@@ -439,7 +441,7 @@ def test_a_source_that_is_not_there_is_a_problem(source: Source, message: str) -
 
 def test_without_opencv_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cv2", None)
-    with pytest.raises(ImportError, match=r"dream-auv\[rov\]"):
+    with pytest.raises(ValueError, match=re.escape(missing("rov", "cv2", "camera"))):
         LiveCamera(RtpVideo(port=0), time.monotonic)
 
 

@@ -25,8 +25,8 @@ class NearestFrontier:
     What it does: clusters the free cells beside unknown ones; of all poses near a cluster that face its
     unknown side it goes to the one of fewest steps, and keeps to it until nothing is left to see there.
     Clusters that no reachable pose faces are left out, and so is unknown ground that stayed unknown after
-    it was looked at, until the map beside it changes. It is done when no cluster is left; where that is
-    refused, small clusters count too.
+    it was looked at, until the map beside it changes. It is done when no frontier is left; where that is
+    refused, small ones count too.
 
     Reference: frontier-based exploration (Yamauchi 1997).
 

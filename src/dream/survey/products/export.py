@@ -53,7 +53,7 @@ FILES: Mapping[str, str] = {
     mosaic.NAME: "the sea floor from above, as the camera saw it",
     geopackage.NAME: "track, decisions with their reasoning, patches, individuals, swath; styles inside",
     netcdf.NAME: "measures with intervals, and the maps, by CF 1.8",
-    darwin_core.CSV: "one Darwin Core occurrence for each clump of shells that was found and is likely one",
+    darwin_core.CSV: "one Darwin Core occurrence for each individual that was found and is likely one",
     darwin_core.ARCHIVE: "the same with sizes as a Darwin Core Archive, for OBIS and GBIF",
     tables.MEASURES: "all measures with their intervals, of the survey and of each patch",
     tables.INDIVIDUALS: "position, size and confidence of the individuals that were found, which are not "

@@ -240,7 +240,7 @@ def _between(measure: Measure, *, unit: bool = True) -> str:
     return f"{value} ({_number(measure.low, measure)} to {_number(measure.high, measure)})"
 
 
-NOT_OYSTERS = "What is counted are clumps, not oysters"
+NOT_OYSTERS = "An individual is a clump of shells, not one oyster"
 CLUMPS = (
     f"{NOT_OYSTERS}: an individual is a clump of shells that grows from one base. How many oysters live in "
     "it is not known."
