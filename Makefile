@@ -85,8 +85,6 @@ results: setup ## Write docs/results/README.md from the released results
 
 perf: setup-perf ## Measure speed and accuracy beside named peers; some forty minutes
 	@$(BIN)/python perf/render.py
-	@$(BIN)/python perf/edges.py
-	@$(BIN)/python perf/completion.py
 	@$(BIN)/python perf/gain.py
 	@$(BIN)/python perf/vehicle.py
 	@$(BIN)/python perf/estimation.py

@@ -33,7 +33,7 @@ from scipy import ndimage  # noqa: E402
 
 import map_workload as workload  # noqa: E402
 from dream.geometry import SE3, Bounds, Camera  # noqa: E402
-from dream.mapping import OccupancyMap  # noqa: E402
+from dream.mapping import OccupancyMap, frontiers  # noqa: E402
 from dream.protocol import DREAM_V1, SurveyProtocol  # noqa: E402
 from map_peers import PEERS, TWO, BoolArray, Layers, Mapper, Survey  # noqa: E402
 
@@ -77,10 +77,6 @@ class Ours:
         """Add a frame."""
         self.map.integrate(depth_mm, labels, camera, pose)
 
-    def renew_edges(self) -> None:
-        """Take the frame into frontier, clusters and inflation, as a robot does that asks for them."""
-        self.map.edges.clusters  # noqa: B018
-
     def layers(self) -> Layers:
         """Solid, explored, target."""
         return self.map.solid, self.map.explored, self.map.target
@@ -90,18 +86,18 @@ class Ours:
         return self.map.nbytes / 1e6
 
 
-class OursWithEdges(Ours):
+class OursWithFrontiers(Ours):
     """The same, and what no other does."""
 
     name = "dream, with frontier"
-    does = f"{TWO}: the same, and the frontier, its clusters and inflation after every frame"
+    does = f"{TWO}: the same, and the frontier and its clusters after every frame"
 
     def integrate(
         self, depth_mm: npt.NDArray[np.uint16], labels: npt.NDArray[np.uint8], camera: Camera, pose: SE3
     ) -> None:
-        """Add a frame, to the frontier too."""
+        """Add a frame, and ask for the frontier."""
         super().integrate(depth_mm, labels, camera, pose)
-        self.renew_edges()
+        frontiers(self.map)
 
 
 # ------------------------------------------------------------------------------------------- measuring
@@ -112,7 +108,7 @@ def contenders(names: list[str] | None) -> tuple[list[Callable[[Survey], Mapper]
     ready: list[Callable[[Survey], Mapper]] = []
     missing = []
     tiny = Survey(Bounds(-10.0, -10.0, 10.0, 10.0), 0.5, 4.0, BAND, 1.0, np.full((40, 40), -10.0))
-    for make in (Ours, OursWithEdges, *PEERS):
+    for make in (Ours, OursWithFrontiers, *PEERS):
         name = str(make.name)  # type: ignore[attr-defined]
         if names and not any(wanted.lower() in name.lower() for wanted in names):
             continue
@@ -148,8 +144,6 @@ def fly(mappers: list[Mapper], frames: Iterable[workload.Frame], camera: Camera)
                     start = time.process_time()
                     mapper.integrate(depth, labels, camera, frame.T_world_camera)
                     taken[m].append(1e3 * (time.process_time() - start))
-                    if isinstance(mapper, Ours):
-                        mapper.renew_edges()
     finally:
         gc.enable()
     return taken
@@ -282,30 +276,22 @@ def kilometre(arguments: argparse.Namespace) -> None:
         warm.integrate(
             np.array(frame.depth_mm), np.array(frame.labels_noisy), workload.CAMERA, frame.T_world_camera
         )
-        warm.edges.clusters  # noqa: B018
     stream = workload.kilometre(arguments.seeds[0], arguments.folder)
     occupancy = OccupancyMap(None, protocol(cell, reach))
     # Laps 1 to 4 are 1.2 km; lap 5 comes after them, on the same images as lap 1.
-    taken, edges = [], []
+    taken = []
     gc.disable()
     for frame in (next(stream) for _ in range(5 * LAP)):
         depth, labels = np.array(frame.depth_mm), np.array(frame.labels_noisy)
         start = time.process_time()
         occupancy.integrate(depth, labels, workload.CAMERA, frame.T_world_camera)
         taken.append(1e3 * (time.process_time() - start))
-        start = time.process_time()
-        occupancy.edges.clusters  # noqa: B018  # Renewed when asked for; not read.
-        edges.append(1e3 * (time.process_time() - start))
     gc.enable()
     print(f"dream, cells {cell} m: CPU ms a frame over the same {LAP} images, each lap on new ground")
-    laps, of_edges = np.array(taken).reshape(5, LAP), np.array(edges).reshape(5, LAP)
-    for number, (lap, edge) in enumerate(zip(laps, of_edges, strict=True)):
+    laps = np.array(taken).reshape(5, LAP)
+    for number, lap in enumerate(laps):
         p50, p99 = np.percentile(lap, (50, 99))
-        edge50, edge99 = np.percentile(edge, (50, 99))
-        print(
-            f"  after {0.293 * number:.2f} km: mean {lap.mean():.3f}  p50 {p50:.3f}  p99 {p99:.3f};"
-            f"  frontiers, clusters and inflation p50 {edge50:.3f}  p99 {edge99:.3f}"
-        )
+        print(f"  after {0.293 * number:.2f} km: mean {lap.mean():.3f}  p50 {p50:.3f}  p99 {p99:.3f}")
     print(f"  last against first: p50 {np.median(laps[4]) / np.median(laps[0]):.2f}, ", end="")
     print(f"p99 {np.percentile(laps[4], 99) / np.percentile(laps[0], 99):.2f}")
 
@@ -319,12 +305,12 @@ def memory(arguments: argparse.Namespace) -> None:
             occupancy.integrate(frame.depth_mm, frame.labels_noisy, workload.CAMERA, frame.T_world_camera)
         if sys.stderr.isatty():
             print(f"\r{number + 1} of {SQUARES} squares", end="", file=sys.stderr, flush=True)
-    cells, clusters = occupancy.nbytes, occupancy.edges.nbytes
+    cells = occupancy.nbytes
     explored, surveyed = occupancy.areas()["explored"], SQUARES * (2.0 * workload.HALF) ** 2
     print(f"dream, cells {arguments.cell} m, {SQUARES * LAP} frames over {surveyed / 1e6:.2f} km²")
-    print(f"  cells {cells / 1e6:.1f} MB, clusters of the frontier {clusters / 1e6:.1f} MB")
+    print(f"  cells {cells / 1e6:.1f} MB")
     for name, area in (("surveyed", surveyed), ("explored", explored)):
-        print(f"  {(cells + clusters) / area:.0f} MB a km² {name}, {cells / area:.0f} of them cells")
+        print(f"  {cells / area:.0f} MB a km² {name}")
 
 
 def main() -> None:

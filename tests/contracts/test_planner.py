@@ -90,7 +90,6 @@ def test_deciding_changes_neither_the_observation_nor_the_map(
         "seabed_seen",
         "crossed",
         "traversable",
-        "inflated",
         "standable",
     ):
         np.testing.assert_array_equal(getattr(occupancy, layer), getattr(before, layer))

@@ -15,9 +15,9 @@ from scipy.spatial import cKDTree
 
 from dream.geometry import SE2, Bounds
 from dream.mapping import Completion, OccupancyMap, Region
-from dream.mapping._kernels import progress
+from dream.mapping._kernels import sightlines
+from dream.mapping._kernels.flags import EDGE
 from dream.mapping._kernels.room import segment_is_free
-from dream.mapping.layers import EDGE
 from dream.mapping.visibility import FRACTIONS, RAYS, ray_table
 from dream.types import BoolArray, IntArray
 
@@ -210,21 +210,17 @@ def seeable_at_once(occupancy: OccupancyMap, nodes: Float64Array, candidates: In
     distance = ndimage.distance_transform_edt(node_at < 0)
     candidates = candidates[distance[tuple(candidates.T)] <= reach + 1.1]
     rays = ray_table(reach + 1.0, FRACTIONS // 2, FRACTIONS // 2)
-    found = progress.seeable(
+    found = sightlines.seeable(
         occupancy.solid,
-        (0, 0),
         candidates,
-        node_at,
-        col + east,
-        row + north,
-        reach,
-        protocol.blind / protocol.cell,
-        0.5 * protocol.camera.horizontal_fov,
-        protocol.heading_step,
-        rays.rows,
-        rays.cols,
-        rays.first,
-        rays.last,
+        sightlines.Nodes(node_at, col + east, row + north),
+        sightlines.Sensor(
+            reach,
+            protocol.blind / protocol.cell,
+            0.5 * protocol.camera.horizontal_fov,
+            protocol.heading_step,
+        ),
+        sightlines.Rays(rays.rows, rays.cols, rays.first, rays.last),
     )
     seen: IntArray = candidates[found]
     return seen

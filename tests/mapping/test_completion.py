@@ -25,7 +25,8 @@ from dream.mapping import (
     that_would_show,
     view,
 )
-from dream.mapping._kernels.flags import BARE, CROSSED, EXPLORED, FRONTIER, INFLATED, RETURNED
+from dream.mapping._kernels.flags import BARE, CROSSED, EXPLORED, RETURNED
+from dream.mapping.sightlines import seeable
 from dream.protocol import DREAM_V1, POOL_V1, SurveyProtocol
 from dream.types import BoolArray
 from tests.mapping import completion_from_scratch as scratch
@@ -199,7 +200,6 @@ def test_the_free_moves_are_those_that_are_passable_after_any_change(
     kept = Kept(Bounds(west, south, west + side * cell, south + side * cell) if corner else None, protocol)
     low = (0, 0) if corner else (-40, -50)
     kept.fill("flags", *low, (side, side), BARE_GROUND)
-    pose = SE2(west + 0.5 * side * cell, south + 0.5 * side * cell, 0.0)
     first = round(south / lattice) - 2, round(west / lattice) - 3
     shape = round(side * cell / lattice) + 5, round(side * cell / lattice) + 7
     offsets = np.array([[protocol.offset(h, a) for a in protocol.advances] for h in range(protocol.headings)])
@@ -215,7 +215,7 @@ def test_the_free_moves_are_those_that_are_passable_after_any_change(
         stands = np.zeros(len(starts), np.bool_)
         stands[inside] = kept.map.standable[kept.map.cell_of(*starts[inside].T)]
         expected = (kept.map.passable(starts, ends) & stands).reshape(begin.shape[:-1])
-        np.testing.assert_array_equal(free_moves(kept.map, pose, first, shape), expected)
+        np.testing.assert_array_equal(free_moves(kept.map, first, shape), expected)
         seen |= set(np.unique(expected))
     assert seen == {False, True}
 
@@ -274,10 +274,6 @@ class Kept:
         self.rng = np.random.default_rng(0)
 
     def write(self, name: str, row: int, col: int, cells: npt.NDArray[np.integer[Any]]) -> None:
-        if name == "flags":  # Two of the bits nobody but the edges writes.
-            kept = FRONTIER | INFLATED
-            old = self.map._store.read("flags", (row, col), cells.shape)
-            cells = (cells & ~kept) | (old & kept)
         self.map._write(name, (row, col), cells)
 
     def fill(self, name: str, row: int, col: int, shape: tuple[int, int], value: int) -> None:
@@ -309,8 +305,7 @@ class Kept:
         """Of some cells; `hiding_places` asks so."""
         unobserved = np.argwhere(~self.map.observed)
         cells = np.sort(self.rng.permutation(len(unobserved))[: self.rng.integers(1, 200)])
-        (row, col), (rows, cols) = self.map.low, self.map.shape
-        seen = self.map.progress.seeable(pose, (row, col, row + rows, col + cols), unobserved[cells])
+        seen = unobserved[cells][seeable(self.map, pose, unobserved[cells])]
         expected = scratch.seeable(self.map, scratch.reachable(self.map, pose), unobserved[cells])
         np.testing.assert_array_equal(seen, expected)
 
@@ -386,17 +381,25 @@ def test_a_region_that_vanished_is_gone_whatever_was_asked_first() -> None:
     assert completion.complete
 
 
-def test_an_endless_map_costs_what_was_seen_and_not_the_box_around_it() -> None:
+def test_an_answer_is_found_once_until_the_map_changes() -> None:
     kept = Kept(None, seeable=scratch.seeable_at_once)
     kept.fill("flags", 0, 0, (30, 30), BARE_GROUND)
-    kept.fill("flags", 200_000, 200_000, (30, 30), BARE_GROUND)  # 50 km away: a box of 10 million blocks.
     pose = SE2(15 * DREAM_V1.cell, 15 * DREAM_V1.cell, 0.0)
     completion = check_completion(kept.map, pose)
-    alone = Kept(None)
-    alone.fill("flags", 0, 0, (30, 30), BARE_GROUND)
-    np.testing.assert_array_equal(completion.open_cells[:1], check_completion(alone.map, pose).open_cells[:1])
-    assert check_completion(kept.map, pose) is completion
+    assert check_completion(kept.map, replace(pose, yaw=1.0)) is completion
     assert not completion.open_cells.flags.writeable
+    kept.fill("votes", 0, 0, (2, 2), TARGET)
+    assert len(check_completion(kept.map, pose).regions) == 1
+    kept.map.restrict(Bounds(2.0, 2.0, 4.0, 4.0))
+    assert check_completion(kept.map, pose).regions == ()
+
+
+def test_a_map_without_an_end_that_is_too_wide_to_be_asked_as_a_whole_says_so() -> None:
+    kept = Kept(None)
+    kept.fill("flags", 0, 0, (30, 30), BARE_GROUND)
+    kept.fill("flags", 200_000, 200_000, (30, 30), BARE_GROUND)  # 50 km away: a box of 10 million blocks.
+    with pytest.raises(ValueError, match="window: expected at most 67108864 cells"):
+        check_completion(kept.map, HERE)
 
 
 def test_a_door_that_closes_and_opens_takes_away_and_gives_back_all_behind_it() -> None:

@@ -18,9 +18,7 @@ from dream.mapping._kernels.flags import (
     BARE,
     CROSSED,
     EXPLORED,
-    FRONTIER,
     GROUNDED,
-    INFLATED,
     RETURNED,
     SEABED,
 )
@@ -35,7 +33,6 @@ f32 = np.float32
 
 SHALLOW = replace(DREAM_V1, altitude=0.8, reach=2.4, cell=0.16, band=(0.2, 1.0))
 COARSE = replace(DREAM_V1, altitude=1.3, reach=5.0)
-REST = 0xFF ^ FRONTIER ^ INFLATED
 FAR = 1e6
 
 
@@ -365,7 +362,7 @@ class PlainMap:
     def check(self, occupancy: OccupancyMap) -> None:
         """Byte for byte, everywhere."""
         store = occupancy._store
-        for name, bits in (("log_odds", -1), ("flags", REST), ("votes", 0xFF)):
+        for name, bits in (("log_odds", -1), ("flags", 0xFF), ("votes", 0xFF)):
             mask = store.layers[name][0].type(bits)
             found = store.read(name, self.low, self.flags.shape) & mask
             np.testing.assert_array_equal(found, getattr(self, name), err_msg=name)

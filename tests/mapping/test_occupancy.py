@@ -33,7 +33,7 @@ from tests.mapping.analytic import (
     wall,
 )
 
-LAYERS = ("solid", "target", "explored", "seabed_seen", "crossed", "traversable", "inflated", "standable")
+LAYERS = ("solid", "target", "explored", "seabed_seen", "crossed", "traversable", "standable")
 
 
 def distance_from(occupancy: OccupancyMap, x: float, y: float) -> npt.NDArray[np.float64]:
@@ -118,7 +118,7 @@ def test_explored_only_grows(seed: int) -> None:
             assert not (was & ~getattr(occupancy, name)).any()
             before[name] = getattr(occupancy, name)
         assert not (occupancy.traversable & occupancy.solid).any()
-        assert not (occupancy.standable & occupancy.inflated).any()
+        assert not (occupancy.standable & occupancy.solid).any()
 
 
 def test_a_frame_without_returns_claims_nothing() -> None:
@@ -442,15 +442,16 @@ def test_wherever_in_a_standable_cell_the_whole_body_is_on_traversable_ground(se
         assert occupancy.traversable[occupancy.cell_of(rim_x, rim_y)].all()
 
 
-def test_inflation_reaches_the_body_radius_around_a_solid_cell() -> None:
+def test_the_safety_margin_is_the_body_around_a_solid_cell_and_along_the_bounds() -> None:
     solid = np.zeros((96, 96), np.bool_)
     solid[50, 40] = True
-    occupancy = map_with(solid=solid)
+    occupancy = map_with(explored=np.ones((96, 96), np.bool_), solid=solid)
     x, y = occupancy.center_of(*np.indices((96, 96)))
     cx, cy = occupancy.center_of(50, 40)
     beyond_square = np.hypot(np.maximum(abs(x - cx) - 0.125, 0.0), np.maximum(abs(y - cy) - 0.125, 0.0))
     margin = 0.25 * math.sqrt(0.5)
-    np.testing.assert_array_equal(occupancy.inflated, beyond_square <= DREAM_V1.body_radius + margin)
+    beyond = np.minimum(beyond_square, occupancy.distance_to_bounds)
+    np.testing.assert_array_equal(occupancy.standable, beyond > DREAM_V1.body_radius + margin)
 
 
 @given(seed=st.integers(0, 2**31))

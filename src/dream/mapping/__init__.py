@@ -5,9 +5,7 @@ from dream.mapping.completion import (
     Region,
     check_completion,
     could_hide,
-    free_moves,
     hiding_places,
-    reachable,
     that_would_show,
     to_traverse,
     traversal_margin,
@@ -15,6 +13,7 @@ from dream.mapping.completion import (
 from dream.mapping.drawing import draw_map
 from dream.mapping.frontiers import Frontier, frontiers
 from dream.mapping.gain import gain, visible_weight
+from dream.mapping.lattice import free_moves, reachable
 from dream.mapping.layers import Evidence, Layers, State
 from dream.mapping.nearness import within
 from dream.mapping.occupancy import OccupancyMap

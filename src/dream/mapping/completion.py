@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from dream.geometry import SE2, Bounds
+from dream.mapping.lattice import node_of, reachable
 from dream.mapping.nearness import within
+from dream.mapping.sightlines import seeable
 from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, IntArray
 
 if TYPE_CHECKING:
     from dream.mapping.occupancy import OccupancyMap
-
-Float64Array = npt.NDArray[np.float64]
 
 NO_CELLS: IntArray = np.empty((0, 2), np.intp)
 NO_CELLS.flags.writeable = False
@@ -81,16 +80,65 @@ def check_completion(occupancy: OccupancyMap, pose: SE2) -> Completion:
         occupancy: What is known.
         pose: Where the vehicle is; what is reachable is so from here.
     """
-    completion = occupancy.progress.check(pose, _window(occupancy))
+    question = "completion", node_of(pose, occupancy.protocol)
+    return occupancy.answer(question, lambda: _completion(occupancy, pose))
+
+
+def _completion(occupancy: OccupancyMap, pose: SE2) -> Completion:
+    regions = tuple(_regions(occupancy, pose))
+    if regions:
+        open_cells = np.unique(np.concatenate([region.open_cells for region in regions]), axis=0)
+        sentence = _open_regions(occupancy, regions)
+    else:
+        unobserved = np.argwhere(~occupancy.observed)
+        open_cells = unobserved[seeable(occupancy, pose, unobserved)]
+        sentence = _open_ground(occupancy, open_cells)
     left = _untraversed(occupancy, pose)
-    if not len(left):
-        return completion
-    sentence = completion.open_region
-    if not sentence:
-        x, y = (float(k.mean()) for k in occupancy.center_of(*left.T))
-        sentence = f"{len(left)} target cell{'s' if len(left) != 1 else ''} around ({x:.1f}, {y:.1f}) "
-        sentence += f"{'were' if len(left) != 1 else 'was'} not traversed"
-    return replace(completion, open_region=sentence, untraversed=left)
+    return Completion(
+        regions, _frozen(open_cells), sentence or _left_to_traverse(occupancy, left), _frozen(left)
+    )
+
+
+def _regions(occupancy: OccupancyMap, pose: SE2) -> Iterator[Region]:
+    """Target cells within the smallest group's radius of each other, in the raster order of their first.
+
+    Of those nothing of whose outline lies in the area, none is named.
+    """
+    from scipy import ndimage
+
+    from dream.mapping._kernels import nearness
+
+    protocol, half = occupancy.protocol, 0.5 * occupancy.protocol.cell
+    labels, _ = nearness.linked(occupancy.target, (protocol.group_radius / protocol.cell) ** 2)
+    for number, box in enumerate(ndimage.find_objects(labels), start=1):
+        margin = MARGIN_CELLS + 1  # As far as an outline goes, and one more cell that is not in it.
+        low = [max(side.start - margin, 0) for side in box]
+        window = tuple(slice(a, side.stop + margin) for a, side in zip(low, box, strict=True))
+        mine = labels[window] == number
+        outline = _filled(within(mine, MARGIN_CELLS, 1.0))
+        if not (outline & occupancy.to_see[window]).any():
+            continue
+        candidates = np.argwhere(outline & ~occupancy.observed[window]) + low
+        cells = np.argwhere(mine) + low
+        (west, east), (south, north) = occupancy.center_of(
+            [box[0].start, box[0].stop - 1], [box[1].start, box[1].stop - 1]
+        )
+        yield Region(
+            _frozen(cells),
+            _middle(occupancy, cells),
+            Bounds(float(west) - half, float(south) - half, float(east) + half, float(north) + half),
+            _frozen(candidates[seeable(occupancy, pose, candidates)]),
+        )
+
+
+def _filled(mask: BoolArray) -> BoolArray:
+    """The mask with its holes: what cannot be reached from the border by 4-neighbours."""
+    from scipy import ndimage
+
+    labels, _ = ndimage.label(~mask)
+    outside = np.unique(np.concatenate((labels[0], labels[-1], labels[:, 0], labels[:, -1])))
+    filled: BoolArray = mask | ~np.isin(labels, outside)
+    return filled
 
 
 def to_traverse(occupancy: OccupancyMap) -> BoolArray:
@@ -128,9 +176,7 @@ def _untraversed(occupancy: OccupancyMap, pose: SE2) -> IntArray:
         return NO_CELLS
     near = protocol.traversal - traversal_margin(protocol)
     away, _ = cKDTree(places).query(np.stack(occupancy.center_of(*left.T), axis=-1))
-    left = left[away <= near]
-    left.flags.writeable = False
-    return left
+    return np.asarray(left[away <= near])
 
 
 def hiding_places(occupancy: OccupancyMap, pose: SE2, radius: float) -> BoolArray:
@@ -160,9 +206,8 @@ def that_would_show(occupancy: OccupancyMap, pose: SE2, radius: float, places: B
     """
     cell = occupancy.protocol.cell
     unobserved = np.argwhere(within(places, radius, cell) & ~occupancy.observed)
-    seen = occupancy.progress.seeable(pose, _window(occupancy), unobserved)
     could_be_seen = np.zeros(occupancy.shape, np.bool_)
-    could_be_seen[tuple(seen.T)] = True
+    could_be_seen[tuple(unobserved.T)] = seeable(occupancy, pose, unobserved)
     return places & within(could_be_seen, radius, cell)
 
 
@@ -187,63 +232,50 @@ def could_hide(occupancy: OccupancyMap, radius: float, hopeless: BoolArray) -> B
     return places & ~within(occupancy.seen | hopeless, radius, occupancy.protocol.cell)
 
 
-def reachable(occupancy: OccupancyMap, pose: SE2) -> Float64Array:
-    """The lattice positions to which the protocol's moves lead from a pose over standable ground.
-
-    Args:
-        occupancy: What is known; `passable` decides about each move.
-        pose: Where the vehicle is, snapped to the lattice.
-
-    Returns:
-        (P, 2) metres in the world, the snapped position among them; empty where that is out of bounds.
-    """
-    return occupancy.progress.reachable(pose, _window(occupancy))
+def _middle(occupancy: OccupancyMap, cells: IntArray) -> tuple[float, float]:
+    """World x and y of the mean of cells (n, 2)."""
+    x, y = occupancy.center_of(*cells.mean(axis=0))
+    return float(x), float(y)
 
 
-def free_moves(
-    occupancy: OccupancyMap, pose: SE2, corner: tuple[int, int], shape: tuple[int, int]
-) -> npt.NDArray[np.uint8]:
-    """Which of the protocol's advances are `passable` from the nodes of a part of the lattice.
-
-    Args:
-        occupancy: What is known.
-        pose: Where the vehicle is.
-        corner: Row and column of the first node, which lies at y = row · lattice, x = column · lattice.
-        shape: Rows and columns of nodes.
-
-    Returns:
-        (rows, cols, headings, advances) 1 or 0; 0 from nodes where the vehicle cannot stand.
-    """
-    nodes = (*corner, corner[0] + shape[0], corner[1] + shape[1])
-    return occupancy.progress.free_moves(pose, _window(occupancy), nodes)
-
-
-def _window(occupancy: OccupancyMap) -> tuple[int, int, int, int]:
-    """First row and column, past row and column, in the map's own cells."""
-    (row, col), (rows, cols) = occupancy.low, occupancy.shape
-    return row, col, row + rows, col + cols
-
-
-def describe(regions: Sequence[Region], middle: Callable[[IntArray], tuple[float, float]]) -> str:
-    """The sentence about what is open; `middle` gives the world position in the middle of cells."""
+def _open_regions(occupancy: OccupancyMap, regions: Sequence[Region]) -> str:
+    """The sentence about what is open; empty where nothing is."""
     waiting = [number for number, region in enumerate(regions, start=1) if not region.enclosed]
     if not waiting:
         return ""
     worst = max(waiting, key=lambda number: len(regions[number - 1].open_cells))
-    x, y = middle(regions[worst - 1].open_cells)
-    text = f"region {worst} near ({x:.1f}, {y:.1f}) has {unknown(regions[worst - 1].open_cells)} at its edge"
+    cells = regions[worst - 1].open_cells
+    x, y = _middle(occupancy, cells)
+    text = f"region {worst} near ({x:.1f}, {y:.1f}) has {_unknown(cells)} at its edge"
     others = len(waiting) - 1
     return text + (f"; {others} more region{'s are' if others > 1 else ' is'} open" if others else "")
 
 
-def describe_ground(open_cells: IntArray, middle: Callable[[IntArray], tuple[float, float]]) -> str:
-    """The sentence where no target was seen; see `describe`."""
+def _open_ground(occupancy: OccupancyMap, open_cells: IntArray) -> str:
+    """Likewise, where no target was seen."""
     if not len(open_cells):
         return ""
-    x, y = middle(open_cells)
-    return f"no target was seen, and {unknown(open_cells)} near ({x:.1f}, {y:.1f}) could still be seen"
+    x, y = _middle(occupancy, open_cells)
+    return f"no target was seen, and {_unknown(open_cells)} near ({x:.1f}, {y:.1f}) could still be seen"
 
 
-def unknown(cells: IntArray) -> str:
-    """How many unknown cells."""
+def _left_to_traverse(occupancy: OccupancyMap, left: IntArray) -> str:
+    """Likewise, where all was seen."""
+    if not len(left):
+        return ""
+    x, y = _middle(occupancy, left)
+    several = len(left) != 1
+    return (
+        f"{len(left)} target cell{'s' if several else ''} around ({x:.1f}, {y:.1f}) "
+        f"{'were' if several else 'was'} not traversed"
+    )
+
+
+def _unknown(cells: IntArray) -> str:
     return f"{len(cells)} unknown cell{'s' if len(cells) != 1 else ''}"
+
+
+def _frozen(cells: IntArray) -> IntArray:
+    """The same, read-only."""
+    cells.flags.writeable = False
+    return cells

@@ -11,9 +11,8 @@ import numpy.typing as npt
 
 from dream.geometry import SE3, Camera
 from dream.mapping._kernels import flags
-from dream.mapping._rectangles import Rectangle
 from dream.mapping.blocks import BlockStore
-from dream.mapping.layers import BLOCK, LEVELS, QUANTUM, Evidence, post_bits
+from dream.mapping.layers import BLOCK, LEVELS, QUANTUM, Evidence, Rectangle, post_bits
 from dream.mapping.visibility import RAYS
 from dream.protocol import SurveyProtocol
 from dream.types import Float32Array, IntArray, Label, UInt8Array
@@ -273,12 +272,6 @@ class FrameWindow:
         return known[1]
 
     @property
-    def cells(self) -> Rectangle:
-        """The window."""
-        row, col = self._low
-        return row, col, row + self._side, col + self._side
-
-    @property
     def blocks(self) -> tuple[tuple[int, int], tuple[int, int]] | None:
         """First of the blocks of which the frame says something, and past the last; None without any."""
         first_row, past_row, first_col, past_col, _ = self._outline
@@ -287,12 +280,8 @@ class FrameWindow:
         row, col = (a // BLOCK for a in self._low)
         return (row + first_row, col + first_col), (row + past_row, col + past_col)
 
-    def commit(self, store: BlockStore, stamp: int) -> Rectangle:
-        """Write what was read.
-
-        Returns:
-            Cells among which some became solid or known, or ceased to be.
-        """
+    def commit(self, store: BlockStore, stamp: int) -> None:
+        """Write what was read."""
         from dream.mapping._kernels import evidence as kernels
 
         low = self._low
@@ -301,7 +290,7 @@ class FrameWindow:
             missing = self._touched & (self._table(store, first, list(self._touched.shape)) == 0)
             store.make((first[0] + int(i), first[1] + int(j)) for i, j in np.argwhere(missing))
         pools = store.pools
-        changed = kernels.commit(
+        kernels.commit(
             (pools["log_odds"], pools["flags"], pools["votes"], pools["ground_sum"], pools["ground_count"]),
             store.stamps,
             self._table(store, first, list(self._touched.shape)),
@@ -316,8 +305,6 @@ class FrameWindow:
             self._post_count,
             self.evidence.ground_memory,
         )
-        first_row, past_row, first_col, past_col = changed
-        return low[0] + first_row, low[1] + first_col, low[0] + past_row, low[1] + past_col
 
 
 @lru_cache(maxsize=8)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +10,6 @@ import numpy as np
 from dream.types import IntArray
 
 if TYPE_CHECKING:
-    from dream.mapping.edges import Cluster
     from dream.mapping.occupancy import OccupancyMap
 
 
@@ -19,27 +17,15 @@ if TYPE_CHECKING:
 class Frontier:
     """One cluster of frontier cells."""
 
-    size: int
-    """Number of cells."""
+    cells: IntArray
+    """(n, 2) row and column, in raster order."""
     centroid: tuple[float, float]
     """Mean of the cells' centres, world x and y."""
-    _find: Callable[[], IntArray] = field(repr=False)
-    _map: OccupancyMap = field(repr=False)
-    _stamp: int = field(repr=False)
 
     @property
-    def cells(self) -> IntArray:
-        """(n, 2) row and column, in raster order; found anew each time.
-
-        Raises:
-            RuntimeError: The map has changed since; ask for the frontiers again.
-        """
-        if self._map.stamp != self._stamp:
-            raise RuntimeError(
-                f"cells: expected a frontier of the map as it is, at change {self._map.stamp}, got one "
-                f"from change {self._stamp}. Ask for the frontiers again"
-            )
-        return self._find()
+    def size(self) -> int:
+        """Number of cells."""
+        return len(self.cells)
 
 
 def frontiers(occupancy: OccupancyMap) -> list[Frontier]:
@@ -49,33 +35,23 @@ def frontiers(occupancy: OccupancyMap) -> list[Frontier]:
     diagonally too, are one cluster. Where the map has an area, the cell or a neighbour of it lies there and
     was not observed, be it known or not: nothing else will lead past what the launch alone made known.
     """
-    if occupancy.area is not None:
-        return _frontiers_of_area(occupancy)
-    clusters, low = occupancy.edges.clusters(), occupancy.low
-    middles = np.array([cluster.centroid for cluster in clusters]).reshape(-1, 2) - low
-    x, y = occupancy.center_of(middles[:, 0], middles[:, 1])
-    return [
-        Frontier(cluster.size, place, _reader(cluster, low), occupancy, occupancy.stamp)
-        for cluster, place in zip(clusters, zip(x.tolist(), y.tolist(), strict=True), strict=True)
-    ]
+    return occupancy.answer("frontiers", lambda: _frontiers(occupancy))
 
 
-def _reader(cluster: Cluster, low: tuple[int, int]) -> Callable[[], IntArray]:
-    return lambda: cluster.cells - np.array(low)
+def _frontiers(occupancy: OccupancyMap) -> list[Frontier]:
+    from scipy import ndimage
 
-
-def _frontiers_of_area(occupancy: OccupancyMap) -> list[Frontier]:
-    """Likewise, found from scratch."""
-    from scipy.ndimage import binary_dilation, label
-
-    edge = occupancy.known & ~occupancy.solid & binary_dilation(~occupancy.observed)
-    labels, count = label(edge, np.ones((3, 3)))
+    beyond = ~(occupancy.known if occupancy.area is None else occupancy.observed)
+    # All around a map without an end is unknown.
+    beside = ndimage.binary_dilation(beyond, border_value=0 if occupancy.bounded else 1)
+    labels, count = ndimage.label(occupancy.known & ~occupancy.solid & beside, np.ones((3, 3)))
     cells = np.argwhere(labels)
     members = labels[tuple(cells.T)]
+    order = np.argsort(members, kind="stable")
     found = []
-    for number in range(1, count + 1):
-        mine: IntArray = cells[members == number]
-        x, y = occupancy.center_of(*mine.mean(axis=0))
-        place = float(x), float(y)
-        found.append(Frontier(len(mine), place, mine.copy, occupancy, occupancy.stamp))
+    for mine in np.split(cells[order], np.searchsorted(members[order], np.arange(2, count + 1))):
+        if len(mine):
+            mine.flags.writeable = False
+            x, y = occupancy.center_of(*mine.mean(axis=0))
+            found.append(Frontier(mine, (float(x), float(y))))
     return found

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from dream.geometry import Bounds
 from dream.mapping._kernels import flags
-from dream.mapping._rectangles import Rectangle
+from dream.mapping._kernels.flags import EDGE
 from dream.mapping.blocks import BlockStore
 from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, Float32Array, IntArray
@@ -33,10 +33,12 @@ BLOCK = 64
 """Cells along a block."""
 MOST_CELLS = 1 << 26
 """Of a window whose layers are read, each a byte or more; a map without an end may reach farther."""
-EDGE = 1e-9
-"""Cells: a position on the edge of two is in the upper one, whatever its rounding."""
 QUANTUM = 0.05
 """Log-odds that one unit of the stored bytes stands for."""
+
+
+Rectangle = tuple[int, int, int, int]
+"""First row and column, past row and column."""
 
 
 class State(enum.IntEnum):
@@ -226,6 +228,11 @@ class Layers:
         return self._shape
 
     @property
+    def origin(self) -> tuple[float, float]:
+        """World x and y of the corner of the map's cell (0, 0)."""
+        return self._origin
+
+    @property
     def low(self) -> tuple[int, int]:
         """Row and column in the map of this window's lower left cell."""
         return self._low
@@ -381,11 +388,6 @@ class Layers:
         hull it is seen below its flare.
         """
         return self._layer("traversable", lambda: _is_crossable(self._cells("flags")) & ~self.solid)
-
-    @property
-    def inflated(self) -> BoolArray:
-        """Solid, or so near that the body could touch it from somewhere in the cell."""
-        return self._layer("inflated", lambda: self._flag(flags.INFLATED))
 
     @property
     def standable(self) -> BoolArray:

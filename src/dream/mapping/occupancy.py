@@ -5,8 +5,9 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from collections.abc import Callable, Hashable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -15,14 +16,12 @@ from pydantic import BaseModel, ConfigDict, Field
 from dream import arrays
 from dream.geometry import SE3, Bounds, Camera
 from dream.mapping._kernels import flags
-from dream.mapping._rectangles import Rectangle
+from dream.mapping._kernels.flags import EDGE
 from dream.mapping.blocks import BlockStore
-from dream.mapping.edges import Edges
 from dream.mapping.frame import FrameWindow, unsure
 from dream.mapping.layers import (
     BLOCK,
     CELLS,
-    EDGE,
     POSTS,
     TRAVERSED,
     Evidence,
@@ -32,11 +31,11 @@ from dream.mapping.layers import (
     post_bits,
     probability_of_votes,
 )
-from dream.mapping.progress import Progress
 from dream.protocol import SurveyProtocol
 from dream.traversal import traversed
 from dream.types import BoolArray, Label
 
+T = TypeVar("T")
 Float64Array = npt.NDArray[np.float64]
 
 FORMAT = "dream-map-2"
@@ -50,9 +49,7 @@ MOST_SIDE = 8192
 MOST_CELLS = 1400
 """Of the reach and of the lengths around the vehicle: a window's cells and labels then fit 32 bits."""
 MARGIN_BLOCKS = 1 + MOST_CELLS // BLOCK
-"""Around the bounds, made for inflation at most."""
-MOST_PENDING = 8
-"""Changes that the edges may be behind; the next one takes in all of them."""
+"""Blocks around the bounds that a file may hold, in which nothing is written."""
 FARTHEST = 1 << 30
 """Cells from the origin beyond which there is no map."""
 
@@ -103,6 +100,11 @@ class OccupancyMap(Layers):
             layers[TRAVERSED] = (np.uint8, (BLOCK, BLOCK))
         store = BlockStore(layers)
         if bounds is not None:
+            farthest = FARTHEST * protocol.cell
+            if max(map(abs, (bounds.x_min, bounds.y_min, bounds.x_max, bounds.y_max))) > farthest:
+                raise ValueError(
+                    f"bounds: expected a place within {farthest:g} m of the origin, got {bounds}"
+                )
             for side, length in (("depth", bounds.depth), ("width", bounds.width)):
                 cells = length / protocol.cell
                 if abs(cells - round(cells)) > 1e-6:
@@ -113,13 +115,11 @@ class OccupancyMap(Layers):
         origin = (area.x_min, area.y_min)
         super().__init__(store, (0, 0), area, protocol, evidence or Evidence(), origin, math.nan)
         self._written: tuple[tuple[int, int], tuple[int, int]] | None = None
-        """First block that was written, and the one past the last; others were made for inflation alone."""
+        """First block that was written, and the one past the last; a file may hold others around the bounds."""
         self._bounded = bounds is not None
         self._stamp = 0
         self._frame: FrameWindow | None = None
-        self._edges = Edges(store, self.needed_room, (0, 0, *self.shape) if self._bounded else None)
-        self._pending: list[Rectangle] = []
-        self._progress = Progress(store, protocol, self.evidence, self.needed_room, self._origin)
+        self._answers: dict[Hashable, Any] = {}
 
     # ------------------------------------------------------------------------------------ what goes in
 
@@ -162,16 +162,14 @@ class OccupancyMap(Layers):
             if min(past_row, rows) <= max(row, 0) or min(past_col, cols) <= max(col, 0):
                 raise ValueError(f"area: expected a part of {self.bounds} with a cell in it, got {area}")
         self.area = area
-        self._layers = {}
-        self._progress.restrict(area)
+        self._changed()
 
     def _write(self, name: str, low: tuple[int, int], cells: npt.NDArray[Any]) -> None:
         self._stamp += 1
         for key in self._store.write(name, low, cells):
             self._store.stamps[self._store.slot_of[key]] = self._stamp
             self._extend((key[0], key[1]), (key[0] + 1, key[1] + 1))
-        cells_written = (*low, low[0] + cells.shape[0], low[1] + cells.shape[1])
-        self._changed(cells_written, cells_written)
+        self._changed()
 
     def integrate(
         self,
@@ -221,11 +219,11 @@ class OccupancyMap(Layers):
         window.read(self._store, origin, limits, depth, labels, camera, T_world_camera)
         self._datum = window.datum
         self._stamp += 1
-        outlines = window.commit(self._store, self._stamp)
+        window.commit(self._store, self._stamp)
         blocks = window.blocks
         if blocks is not None:
             self._extend(*blocks)
-        self._changed(outlines, window.cells)
+        self._changed()
         if self.protocol.traversal is not None:
             self._traverse(T_world_camera)
 
@@ -245,13 +243,9 @@ class OccupancyMap(Layers):
             (x - self._origin[0]) / cell + EDGE
         )
 
-    def _changed(self, outlines: Rectangle, written: Rectangle) -> None:
-        """What is solid or known changed in the first rectangle of cells, anything in the second."""
+    def _changed(self) -> None:
         self._layers = {}
-        self._pending.append(outlines)
-        self._progress.update(*written)
-        if len(self._pending) > MOST_PENDING:
-            self._renew_edges()
+        self._answers = {}
 
     def _extend(self, first: tuple[int, int], past: tuple[int, int]) -> None:
         """An endless map has these blocks too; called before `_changed`."""
@@ -265,33 +259,13 @@ class OccupancyMap(Layers):
         self._shape = ((high[0] - low[0]) * BLOCK, (high[1] - low[1]) * BLOCK)
         self.bounds = self._window(self._low, self._shape)
 
-    def _renew_edges(self) -> None:
-        if not self._pending:
-            return
-        for cells in self._pending:
-            self._edges.update(*cells)
-        self._pending = []
-        for name in ("wide flags", "inflated"):
-            self._layers.pop(name, None)
-
-    @property
-    def edges(self) -> Edges:
-        """Frontier and clusters, and the bits of inflation, up to date."""
-        self._renew_edges()
-        return self._edges
-
-    @property
-    def progress(self) -> Progress:
-        """Target regions, what is open about them, and reachable ground, up to date when asked."""
-        return self._progress
-
-    @property
-    def inflated(self) -> BoolArray:
-        """See `Layers.inflated`."""
-        self._renew_edges()
-        return super().inflated
-
     # ---------------------------------------------------------------------------------- what comes out
+
+    def answer(self, question: Hashable, find: Callable[[], T]) -> T:
+        """What was found for a question since the map changed, or is found now."""
+        if question not in self._answers:
+            self._answers[question] = find()
+        return cast(T, self._answers[question])
 
     def over(self, bounds: Bounds) -> Layers:
         """The map over the cells that a box touches, as it is now; inside the map's bounds or not."""
@@ -306,7 +280,6 @@ class OccupancyMap(Layers):
         )
         low = (low_row, low_col)
         window = self._window(low, (past_row - low_row, past_col - low_col))
-        self._renew_edges()
         layers = Layers(
             self._store, low, window, self.protocol, self.evidence, self._origin, self._datum, self.area
         )
@@ -341,6 +314,11 @@ class OccupancyMap(Layers):
         )
 
     @property
+    def bounded(self) -> bool:
+        """Whether there is a survey area, outside of which nothing is ever known."""
+        return self._bounded
+
+    @property
     def stamp(self) -> int:
         """Number of changes so far; `dirty` takes one from before."""
         return self._stamp
@@ -364,10 +342,7 @@ class OccupancyMap(Layers):
     def copy(self) -> OccupancyMap:
         """A map of its own with the same content."""
         other = OccupancyMap(self.bounds if self._bounded else None, self.protocol, self.evidence)
-        edges = self.edges
         other._store = self._store.copy()
-        other._edges = edges.copy(other._store)
-        other._progress = self._progress.copy(other._store)
         other._stamp, other._datum, other.area = self._stamp, self._datum, self.area
         if self._written is not None:
             other._extend(*self._written)
@@ -384,7 +359,6 @@ class OccupancyMap(Layers):
             "stamp": self._stamp,
             "datum": self._datum if math.isfinite(self._datum) else None,
         }
-        self._renew_edges()
         store, used = self._store, 1 + len(self._store)
         keys = np.array(list(store.slot_of), np.int64).reshape(-1, 2)
         held: dict[str, Any] = {
@@ -463,8 +437,6 @@ def _read(content: arrays.Npz) -> OccupancyMap:
     store.stamps[1 : 1 + count] = stamps
     occupancy._stamp = about.stamp
     occupancy._datum = math.nan if about.datum is None else about.datum
-    occupancy._edges = Edges(store, occupancy.needed_room, occupancy._edges.limits)
-    occupancy._progress = occupancy._progress.copy(store)
     occupancy.restrict(about.area)
     written = keys[stamps > 0]
     if len(written):

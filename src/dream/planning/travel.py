@@ -154,7 +154,7 @@ def _free_moves(
     from dream.planning._kernels.search import keep_to
 
     spacing = occupancy.protocol.lattice
-    free = free_moves(occupancy, pose, corner, shape)
+    free = free_moves(occupancy, corner, shape)
     # The vehicle may leave where it is, even where it could not go to now.
     ends = np.add(start[::-1], corner[::-1]) + offsets.reshape(-1, 2)
     # And from exactly there the guard looks at its first move.

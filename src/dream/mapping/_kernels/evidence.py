@@ -15,7 +15,6 @@ from dream.mapping._kernels.flags import (
     DOUBT_BITS,
     EXPLORED,
     GROUNDED,
-    KNOWN,
     RETURNED,
     SEABED,
     WEIGHT,
@@ -502,12 +501,7 @@ def commit(
     post_count,
     memory,
 ):
-    """Write the window, as far as a frame says something of it, into its blocks; see `read_frame`.
-
-    Returns:
-        (first row, past row, first col, past col) of the window in which something became solid or known, or
-        ceased to be; empty where nothing did.
-    """
+    """Write the window, as far as a frame says something of it, into its blocks; see `read_frame`."""
     log_odds_pool, flags_pool, votes_pool, sum_pool, count_pool = pools
     log_odds, bits, votes, touched = said
     posts = side >> post_bits
@@ -522,7 +516,6 @@ def commit(
         post_count.reshape(posts, posts),
         memory,
     )
-    first_row, past_row, first_col, past_col = side, 0, side, 0
     for i in range(clip[0], clip[1]):
         block_row, y = (offset_row + i) >> BLOCK_BITS, (offset_row + i) & (BLOCK - 1)
         j = clip[2]
@@ -538,28 +531,20 @@ def commit(
                     np.uint64(i * side + j),
                     np.uint64(width),
                 )
-                if renew(log_odds_pool, flags_pool, at, log_odds, bits, c, n):
-                    first_row, past_row = min(first_row, i), max(past_row, i + 1)
-                    first_col, past_col = min(first_col, j), max(past_col, j + width)
+                renew(log_odds_pool, flags_pool, at, log_odds, bits, c, n)
                 cast_votes(votes, c, n, votes_pool, at)
             j += width
-    return first_row, past_row, first_col, past_col
 
 
 @njit(cache=True, nogil=True)
 def renew(odds_pool, flags_pool, at, log_odds, bits, c, n):
-    """Write n cells of a row; did one become solid or known, or cease to be?"""
+    """Write n cells of a row: what was explored stays so (Eq. 8)."""
     slot, row, col = at
-    change = np.uint8(0)
     for k in range(n):
         old, odds = flags_pool[slot, row, col + k], log_odds[c + k]
-        solid, was = odds > 0, odds_pool[slot, row, col + k] > 0
-        new = (old | bits[c + k]) & (np.uint8(0xFF) if solid else np.uint8(0xFF ^ GROUNDED))
-        known, knew = solid | ((new & np.uint8(KNOWN)) != 0), was | ((old & np.uint8(KNOWN)) != 0)
-        change |= np.uint8(known ^ knew) | np.uint8(solid ^ was)
-        flags_pool[slot, row, col + k] = new
+        kept = np.uint8(0xFF) if odds > 0 else np.uint8(0xFF ^ GROUNDED)
+        flags_pool[slot, row, col + k] = (old | bits[c + k]) & kept
         odds_pool[slot, row, col + k] = odds
-    return change != 0
 
 
 @njit(cache=True, nogil=True)

@@ -1,4 +1,4 @@
-"""The bits of a cell, and kinds of pixels."""
+"""The bits of a cell, kinds of pixels, and where a cell ends."""
 
 EXPLORED = 1
 """The paper's E_t."""
@@ -12,10 +12,6 @@ RETURNED = 16
 """A return from any height fell in."""
 GROUNDED = 32
 """What is solid here was seen down to the lower edge of the height band."""
-FRONTIER = 64
-"""Free, beside an unknown cell."""
-INFLATED = 128
-"""Solid, or so near that the body could touch it."""
 
 KNOWN = EXPLORED | BARE | CROSSED | RETURNED
 """Any of these, or solid, makes a cell known."""
@@ -28,3 +24,6 @@ WEIGHT = 16
 to its doubt."""
 DOUBT_BITS = 32
 """A cell's doubt is in the bits above so many, its target count in those below."""
+
+EDGE = 1e-9
+"""Cells: a position on the edge of two is in the upper one, whatever its rounding."""

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 
@@ -42,3 +44,38 @@ def within(cells, wide):
             if j >= reached:
                 near[i, j] = True
     return near
+
+
+@njit(cache=True, nogil=True)
+def linked(mask, squared_link):
+    """Components of the cells whose centres lie within a distance (squared, in cells), in raster order.
+
+    Returns:
+        (rows, cols) int32 numbers from 1, 0 where the mask is not; how many.
+    """
+    rows, cols = mask.shape
+    labels = np.zeros((rows, cols), dtype=np.int32)
+    stack = np.empty(rows * cols, dtype=np.int32)
+    reach = math.floor(math.sqrt(squared_link) + 1e-9)
+    count = 0
+    for i in range(rows):
+        for j in range(cols):
+            if not mask[i, j] or labels[i, j] != 0:
+                continue
+            count += 1
+            labels[i, j] = count
+            stack[0] = i * cols + j
+            depth = 1
+            while depth > 0:
+                depth -= 1
+                y, x = stack[depth] // cols, stack[depth] % cols
+                for di in range(-reach, reach + 1):
+                    for dj in range(-reach, reach + 1):
+                        if di * di + dj * dj > squared_link + 1e-9:
+                            continue
+                        a, b = y + di, x + dj
+                        if 0 <= a < rows and 0 <= b < cols and mask[a, b] and labels[a, b] == 0:
+                            labels[a, b] = count
+                            stack[depth] = a * cols + b
+                            depth += 1
+    return labels, count
