@@ -115,7 +115,7 @@ class OccupancyMap(Layers):
         origin = (area.x_min, area.y_min)
         super().__init__(store, (0, 0), area, protocol, evidence or Evidence(), origin, math.nan)
         self._written: tuple[tuple[int, int], tuple[int, int]] | None = None
-        """First block that was written, and the one past the last; a file may hold others around the bounds."""
+        """First block that was written, and the one past the last; others may have come from a file."""
         self._bounded = bounds is not None
         self._stamp = 0
         self._frame: FrameWindow | None = None

@@ -1,4 +1,7 @@
-"""What the points of a frame are: target, obstacle or free (Eq. 2-6).
+"""What the points of a frame are: target, obstacle or free (Eq. 2-6), as an executable specification.
+
+What runs is `mapping/_kernels/pixels.py` (Eq. 1-3) and `mapping/_kernels/evidence.py` (Eq. 4-6), in one pass
+over the pixels; `test_solid_target_and_seabed_are_where_the_paper_s_point_sets_are` holds them to this.
 
 Eq. 1, pixels to world points, is `dream.geometry.Camera.back_project`. Heights are above the local
 seabed, which undulates; the paper's height above a flat one is the special case `ground = 0`.

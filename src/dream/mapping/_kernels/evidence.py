@@ -175,7 +175,8 @@ def count_returns(count, samples, heights, ground, band, weight_of, above, shift
         n = min(np.uint64(count) - first, np.uint64(len(shifts)))
         for k in range(n):
             above[k] = ground[np.uint32(samples[first + k] >> LABEL_BITS)]
-        # By itself, this is vectorised.
+        # By itself, this is vectorised. Fields are below the band, its lower and its upper part, above it.
+        # The band is h_min ≤ h ≤ h_max of Eq. 5, with h above the local seabed.
         for k in range(n):
             height = heights[first + k] - above[k]
             field = np.int32(height >= lower) + np.int32(height > middle) + np.int32(height > upper)
@@ -280,12 +281,14 @@ def weigh(
             # Its pixels' mean confidence, which all that they say counts by.
             trust = sum_sure / (WEIGHT * total)
             bits[c] = RETURNED | (BARE | SEABED if below > 0 else 0) | (SEABED if target > 0 else 0)
-            # Too few for a hit are errors. A vote is a whole one, or none.
+            # Eq. 4: a point is target by its mask, at any height. Its cell has a vote, a whole one or none.
+            # Too few for a hit are errors.
             if total - (band if band < hit_pixels else 0) >= vote_pixels and trust >= 0.5:
                 if target >= vote_share * sum_sure:
                     votes[c] = 1
                 elif target <= against_share * sum_sure:
                     votes[c] = 2
+            # Eq. 5: what is in the band is an obstacle, here whatever its mask: a wreck stops the vehicle.
             if band >= hit_pixels and band >= hit_share * total:
                 up, right = i + 0.5 - camera_row, j + 0.5 - camera_col
                 square = up * up + right * right
@@ -305,6 +308,7 @@ def weigh(
                 log_odds[c] = min(log_odds[c] + part(step, sure), high)
                 if low_band > 0:
                     bits[c] |= GROUNDED
+            # Eq. 6: the rest is free.
             elif band < hit_share * total and below >= miss_pixels:
                 up, right = i + 0.5 - camera_row, j + 0.5 - camera_col
                 # Beside the sector the image shows the foot of a cell at most.
@@ -324,6 +328,8 @@ def part(step, trust):
 @njit(cache=True, nogil=True)
 def cast_rays(x, y, rays, directions, farthest, per_metre, reach, side, log_odds, paths):
     """Walk one frame's rays over the window (Amanatides and Woo, 1987); a solid cell ends a ray.
+
+    The second condition of Eq. 7: nothing solid lies between the vehicle and the cell.
 
     Args:
         x, y: The camera, in cells.
@@ -407,6 +413,7 @@ def explore(
                 continue
             right = j + 0.5 - x
             forward, square = right * forward_x + up * forward_y, right * right + up * up
+            # Eq. 7: within d_max, and within half the field of view of where the camera looks.
             if square > farthest or forward < math.sqrt(square) * cos_half - SECTOR_SLACK:
                 continue
             said = np.uint8(0)
@@ -417,7 +424,7 @@ def explore(
             if level and log_odds[c] <= 0:
                 said |= np.uint8(CROSSED)
             if said:
-                bits[c] |= said
+                bits[c] |= said  # Eq. 8: what was explored stays so, see `renew`.
                 touched[(offset_row + i) >> BLOCK_BITS, (offset_col + j) >> BLOCK_BITS] = True
 
 
@@ -538,7 +545,7 @@ def commit(
 
 @njit(cache=True, nogil=True)
 def renew(odds_pool, flags_pool, at, log_odds, bits, c, n):
-    """Write n cells of a row: what was explored stays so (Eq. 8)."""
+    """Write n cells of a row. What was explored stays so: E_t = E_t−1 ∪ V_t (Eq. 8)."""
     slot, row, col = at
     for k in range(n):
         old, odds = flags_pool[slot, row, col + k], log_odds[c + k]

@@ -198,7 +198,7 @@ def next_run(extremes, row, spans, farthest, nearest, span, most):
 
 @njit(cache=True, nogil=True)
 def pick(z, label, water, nearest, most):
-    """The depth where it counts, else 0."""
+    """The depth where it counts, else 0: z_min ≤ z < z_max (Eq. 2), and something returned."""
     return z if (z > nearest) & (z <= most) & (label != water) else np.float32(0.0)
 
 
@@ -225,7 +225,7 @@ def read_run(pixels, names, at, across, metres, scale, water, nearest, most, n, 
 
 @njit(cache=True, nogil=True)
 def lay_out(metric, columns, first, n, ray):
-    """Offsets from the camera in the world."""
+    """Offsets from the camera in the world, z R K⁻¹ (u, v, 1)ᵀ (Eq. 1): u is in the columns, v in the ray."""
     ray_x, ray_y, ray_z = ray
     for k in range(n):
         z = metric[DEPTH + k]
@@ -248,7 +248,10 @@ def reach_out(metric, farther, first, n):
 
 @njit(cache=True, nogil=True)
 def place(metric, marks, n, frame, square_reach, inside, stride):
-    """Labels to samples, negative where there is none, and offsets to heights; has any a cell?"""
+    """Labels to samples, negative where there is none, and offsets to heights; has any a cell?
+
+    A sample is a valid point (Eq. 3) within the reach and in bounds.
+    """
     left, bottom, up, per_cell = frame
     first_row, past_row, first_col, past_col = inside
     found = np.int32(-1)
