@@ -11,8 +11,11 @@ import pytest
 from dream import commands
 from dream.cli import run_command
 
-DOCS = Path(__file__).parents[2] / "docs"
-PAGES = ("models", "runs", "survey", "worlds")
+ROOT = Path(__file__).parents[2]
+PAGES = {
+    "README": ROOT / "README.md",
+    **{name: ROOT / "docs" / f"{name}.md" for name in ("models", "runs", "survey", "worlds")},
+}
 
 
 def typed(page: str) -> list[str]:
@@ -23,7 +26,7 @@ def typed(page: str) -> list[str]:
     return sorted({line.split(" #")[0].strip() for line in lines})
 
 
-LINES = [(name, line) for name in PAGES for line in typed((DOCS / f"{name}.md").read_text(encoding="utf-8"))]
+LINES = [(name, line) for name, page in PAGES.items() for line in typed(page.read_text(encoding="utf-8"))]
 
 
 @pytest.mark.parametrize(("name", "line"), LINES)
@@ -33,6 +36,14 @@ def test_every_command_on_the_page_is_understood(
     command, *words = shlex.split(line)
     monkeypatch.setattr(getattr(commands, command.capitalize()), "__call__", lambda self: 0)
     assert run_command([command, *words]) == 0
+
+
+def test_every_target_in_the_readme_is_one_of_the_makefile() -> None:
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    told = re.findall(
+        r"^(?:git clone .* && )?make ([a-z-]+)", PAGES["README"].read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert {"run", "tank", "survey"} <= set(told) <= set(targets)
 
 
 @pytest.mark.parametrize("name", PAGES)

@@ -358,8 +358,9 @@ def as_a_dive(run: Path, to: Path, *, stand_in: bool) -> Path:
     tank: Any = SimpleNamespace(world=SimpleNamespace(name="pool/arc")) if stand_in else None
     devices: Any = SimpleNamespace(log=SimpleNamespace(epoch_ns=1_780_000_000_000_000_000))
     unused: Any = None
+    limits: Any = SimpleNamespace(area=Bounds(-2.0, -2.0, 2.0, 2.0))
     begun, start = Dive(stand_in=stand_in), SE2(0.0, 0.0, 0.0)
-    ready = Ready(begun, DREAM_V1, devices, unused, start, dive, tank, unused, Known())
+    ready = Ready(begun, DREAM_V1, devices, limits, start, dive, tank, unused, Known())
     write_config(dive, dive_config(ready, "belief"))
     return dive
 

@@ -433,12 +433,13 @@ def test_a_planner_that_cannot_use_a_survey_says_so_before_it_dives(
 
 def test_without_an_area_there_is_no_dive(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command(["dive"]) == 2
-    assert "--area: expected x_min y_min x_max y_max" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "--area: expected the least x and y and the largest x and y in metres, got none" in said
 
 
 def test_without_a_calibration_there_is_none_either(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command(["dive", "--area", "-1", "-1", "1", "1"]) == 2
-    assert "--calibration: expected OpenCV's YAML" in capsys.readouterr().err
+    assert "--calibration: expected the lens file of the camera, got none" in capsys.readouterr().err
 
 
 def test_without_the_extra_it_says_what_to_install(
