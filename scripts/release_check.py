@@ -3,7 +3,8 @@
 In an empty environment, from an empty folder, with no variables but PATH and HOME: a mission from the first
 compilation to its report, the same without compiling, a picture, a benchmark of one small world, what is said
 of an extra that is missing, and the command that adds it. Another user, who may not write where the package
-lies, gets kernels of their own. At last the lowest versions that the package says to bear.
+lies, gets kernels of their own. The first tutorial is followed to its end. At last the lowest versions that
+the package says to bear.
 """
 
 from __future__ import annotations
@@ -194,6 +195,16 @@ def check(wheel: Path, python: Path, folder: Path, *, lowest: bool) -> None:
     left = sorted(path.name for path in place.here.iterdir())
     if left != ["bench", "reef.png", "runs"]:
         raise Failed(f"expected nothing but bench, reef.png and runs in its folder, got {', '.join(left)}")
+    follows: list[str | Path] = [
+        sys.executable,
+        "-m",
+        "tests.docs.follow",
+        place.env / "bin/dream",
+        "first-mission",
+    ]
+    followed = run(follows, Path.cwd(), {"PATH": os.environ["PATH"], "HOME": str(place.home)})
+    expect(followed.status == 0, "the first tutorial, followed to its end", followed)
+    print(f"  the first tutorial: {followed.wall_s:.0f} s, {followed.cpu_s:.0f} CPU s")
     check_of_another_user(place)
     if lowest:
         check_lowest(wheel, python, folder)

@@ -98,7 +98,7 @@ def test_a_folder_to_watch_that_is_not_there_is_told(run: str, answer: Answer, t
     (tmp_path / "file").touch()
     status, said = answer("watch", run, "--port", "0")
     assert status == 2
-    assert said.startswith(f"dream: {run}: expected the folder of a run, or one that holds some, got none.")
+    assert said.startswith(f"dream: {run}: expected a folder that exists, or one below runs")
 
 
 @pytest.mark.parametrize(

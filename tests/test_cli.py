@@ -403,7 +403,7 @@ def test_a_planner_that_asks_a_model_is_chosen_and_explained_without_its_client_
         (["worlds", "extra"], "dream: expected an option, got extra. Add --help"),
         (
             ["watch", "nosuch"],
-            "dream: nosuch: expected the folder of a run, or one that holds some, got none.",
+            "dream: nosuch: expected a folder that exists, or one below runs, which may still come; got none",
         ),
         (["survey"], "dream: expected a subcommand, got none. There are: add, list,"),
         (["survey", "lst"], 'dream: no subcommand "lst". Did you mean "list"?'),
@@ -697,8 +697,7 @@ def test_a_run_says_once_that_it_compiles(
     took = time.perf_counter() - began
     printed = capsys.readouterr()
     assert (
-        printed.err
-        == "dream: compiling what no command needed here before, and keeping it; this may take a minute\n"
+        printed.err == "dream: compiling what was not used here before; the first time takes about a minute\n"
     )
     said = json.loads(printed.out)
     assert said["steps"] == 2

@@ -73,14 +73,14 @@ def test_where_python_has_no_pip_uv_is_asked(installed: Path, monkeypatch: pytes
     assert extras.how_to_add("rov").startswith(f"uv pip install --python '{installed}' 'onnxruntime")
 
 
-def test_without_metadata_it_is_taken_to_be_run_from_a_clone(
+def test_without_a_clone_and_without_metadata_the_extra_is_named(
     installed: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def nothing(name: str) -> list[str]:
         raise importlib.metadata.PackageNotFoundError(name)
 
     monkeypatch.setattr(importlib.metadata, "requires", nothing)
-    assert extras.how_to_add("rov") == "make setup EXTRAS=rov"
+    assert extras.how_to_add("rov") == "install what the extra rov of DREAM needs"
 
 
 def test_the_first_module_that_is_missing_is_named(clone: Path) -> None:

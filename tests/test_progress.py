@@ -109,7 +109,7 @@ def test_what_is_compiled_is_said(told: Telling, clock: Clock, capsys: pytest.Ca
         end_event(COMPILES)  # type: ignore[no-untyped-call]
         _wait(told, clock, 10)
     assert clock.lines == ["dream: flying: 10 s, compiling", "dream: flying: 20 s"]
-    assert capsys.readouterr().err.count("compiling what no command needed") == 1
+    assert capsys.readouterr().err.count("compiling what was not used") == 1
 
 
 def test_a_terminal_is_shown_all_stages(told: Telling, clock: Clock) -> None:

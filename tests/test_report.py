@@ -627,6 +627,17 @@ def test_the_page_of_a_real_dive_claims_nothing_that_nobody_knows(real_dive: Pat
     assert "1 packet lost" in shown
 
 
+SCROLLED = """() => new Promise((tell) => {
+  let looks = 300;
+  const look = () => {
+    if (document.querySelector(".page").scrollTop > 0) tell(true);
+    else if (--looks) requestAnimationFrame(look);
+    else tell(false);
+  };
+  look();
+})"""
+"""Whether the page moves within some frames."""
+
 LAID_OUT = """() => {
   const box = (node) => node.getBoundingClientRect();
   const page = document.querySelector(".page"), player = document.getElementById("player");
@@ -658,6 +669,8 @@ def test_the_player_covers_nothing_and_the_map_is_readable_on_every_screen(finis
             page = browser.new_page(viewport={"width": width, "height": height})
             page.goto((finished / "report.html").as_uri())
             page.wait_for_selector("html[data-ready]")
+            page.keyboard.press("ArrowDown")
+            assert page.evaluate(SCROLLED)
             found = page.evaluate(LAID_OUT)
             # What scrolls ends where the player begins; nothing else scrolls.
             assert found["page"][0] == 0

@@ -38,8 +38,10 @@ def how_to_add(extra: str) -> str:
     """
     clone, wanted = _clone(), _requirements(extra)
     its_own = clone is not None and Path(sys.prefix).resolve() == (clone / ".venv").resolve()
+    if clone is None and not wanted:
+        return f"install what the extra {extra} of DREAM needs"
     if its_own or not wanted:
-        where = "" if clone in (None, Path.cwd()) else f"-C {shlex.quote(str(clone))} "
+        where = "" if clone == Path.cwd() else f"-C {shlex.quote(str(clone))} "
         return f"make {where}setup EXTRAS={extra}"
     python = shlex.quote(sys.executable)
     installer = f"{python} -m pip install" if _is_there("pip") else f"uv pip install --python {python}"

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import types
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -80,3 +81,12 @@ def test_a_mission_is_flown_into_no_folder_that_is_there_and_by_no_class_without
 
     with pytest.raises(ValueError, match=r"planner: expected a dataclass, .* got Bare"):
         dream.fly_mission(world, Bare(), max_steps=1)
+
+
+def test_what_would_be_scored_by_other_rules_or_flies_no_step_is_refused() -> None:
+    world, planner = dream.make_world("flat/empty", 1), dream.PLANNERS["belief"]
+    changed = replace(dream.protocol_named("dream-v1"), cap=7)
+    with pytest.raises(ValueError, match="protocol: expected dream-v1 as it is, got another"):
+        dream.fly_mission(world, planner, changed)
+    with pytest.raises(ValueError, match="max_steps: expected at least 1, got 0"):
+        dream.fly_mission(world, planner, max_steps=0)

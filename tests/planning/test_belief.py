@@ -522,7 +522,7 @@ def test_ground_that_cannot_be_seen_is_no_risk() -> None:
     decision = Belief(risk=0.0).begin(MISSION).decide(observation, _behind_a_wall())
     assert could_hide(_behind_a_wall(), Belief().size, NOTHING).sum() > 1000
     assert decision.done
-    assert "with a probability of 0.00%; up to 0.00% is accepted" in decision.reasoning.completion
+    assert "with a probability below 0.01%; up to 0.00% is accepted" in decision.reasoning.completion
     assert "and no further patch in ground not searched" in decision.reasoning.distribution
 
 
@@ -590,7 +590,7 @@ def test_ground_looked_at_in_vain_often_enough_is_no_risk() -> None:
     assert not pilot.decide(observation, occupancy).done
     pilot.vain.count[~occupancy.observed] = pilot.patience + 2
     decision = pilot.decide(observation, occupancy)
-    assert "with a probability of 0.00%;" in decision.reasoning.completion
+    assert "with a probability below 0.01%;" in decision.reasoning.completion
     assert decision.done
 
 

@@ -104,6 +104,14 @@ def test_options_may_stand_before_the_file_and_a_file_may_be_an_options_value(
     assert read_config(tmp_path / "folder.py/latest").planner == "lawnmower"
 
 
+def test_the_help_of_a_file_shows_its_own_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["run", str(written(tmp_path)), "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert "--side N" in shown
+    assert "(default: 1)" in shown
+    assert "side: int = 1" not in shown, "what a dataclass says of itself where it has no docstring"
+
+
 def test_what_decided_decides_again(run: Callable[..., tuple[int, str]], tmp_path: Path) -> None:
     path = written(tmp_path)
     assert run(path.name)[0] == 0

@@ -255,7 +255,7 @@ def compiling_told() -> Iterator[None]:
     """Say on standard error, once, where code is compiled within the block: that takes a while."""
     from dream.compiling import noted, when_compiling
 
-    told = "dream: compiling what no command needed here before, and keeping it; this may take a minute"
+    told = "dream: compiling what was not used here before; the first time takes about a minute"
     with telling() as teller:
 
         def note(compiling: bool) -> None:

@@ -24,11 +24,11 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Ground:
-    """What is known of the ground before."""
+    """Where it is, and what is known of it."""
 
     site: First[Path | None] = None
-    """File with name, latitude, longitude, heading_deg and datum of the map. The run keeps it, and all that
-    is seen, for `dream survey`."""
+    """File with name, latitude and longitude of the map's origin; heading_deg, datum, datum_offset and
+    uncertainty may be left out. The run keeps it, and all that is seen, for `dream survey`."""
     from_survey: str | None = None
     """An earlier survey of the same ground, to plan with: its number in the archive, its file, or the folder
     of its run. The planner goes first to what that survey found."""

@@ -22,6 +22,7 @@ import tyro
 
 from dream.names import look_up
 from dream.options import FirstRank
+from dream.planning.own import is_own
 from dream.planning.vlm import Asking
 
 WIDEST = 110
@@ -200,10 +201,13 @@ class _Choices:
 def _listed(choices: _Choices, width: int) -> list[str]:
     """Planners side by side; subcommands in a line each."""
     if choices.default is not None:
-        named = textwrap.wrap(", ".join(choices.kinds), width - 2, break_on_hyphens=False)
+        asking = [name for name, (kind, _) in choices.kinds.items() if hasattr(kind, "max_calls")]
+        names = ", ".join(name for name in choices.kinds if name not in asking)
+        if asking:
+            names += f"; ask a model: {', '.join(asking)}"
         return [
             f"planners, who decide ({choices.default} unless one is named)",
-            *(f"  {n}" for n in named),
+            *(f"  {line}" for line in textwrap.wrap(names, width - 2, break_on_hyphens=False)),
             "",
         ]
     long = max(map(len, choices.kinds))
@@ -217,7 +221,10 @@ def _listed(choices: _Choices, width: int) -> list[str]:
 
 def _about(kind: type) -> tuple[list[str], list[str]]:
     """The paragraphs of a command's docstring, and its examples."""
-    words, _, examples = (inspect.getdoc(kind) or "").partition(EXAMPLES)
+    told = inspect.getdoc(kind) or ""
+    if told.startswith(f"{kind.__name__}("):  # What a dataclass without a docstring gives itself.
+        told = f"{kind.__name__}."
+    words, _, examples = told.partition(EXAMPLES)
     paragraphs = [" ".join(paragraph.split()) for paragraph in words.strip().split("\n\n")]
     return paragraphs, [line.strip() for line in examples.splitlines() if line.strip()]
 
@@ -276,7 +283,7 @@ def _option(kind: type, one: Field[Any], typed: Any, marks: Sequence[Any], defau
             told = f"{told} (required)"
     if typed is not bool and default not in (MISSING, None, "", ()) and (shown := _shown(default)):
         told = f"{told} (default: {shown})"
-    first = any(isinstance(mark, FirstRank) for mark in marks) or default is MISSING
+    first = any(isinstance(mark, FirstRank) for mark in marks) or default is MISSING or is_own(kind)
     return Option(words, told, first, positional)
 
 

@@ -332,7 +332,10 @@ def _print_one(bounds: Bounds, picture: Path | None) -> None:
         else:
             best = "no tour known" if limit.best_tour is None else f"best tour {limit.best_tour} steps"
             print(f"  {name} {best}, no fewer than {limit.lower_bound}")
-    print(f"  {bounds.countable} individuals count; {bounds.cpu_s:.1f} s of processor time")
+    print(
+        f"  {bounds.countable} individuals count; {bounds.cpu_s:.1f} s of processor time, those of earlier "
+        "searches among them"
+    )
     if picture is not None:
         print(f"  picture: {picture}")
 

@@ -63,7 +63,7 @@ class Run:
 
     Examples:
         dream run --world reef/string
-        dream run lawnmower --world wreck/5 --seed 3 --live
+        dream run sixsteps --world reef/mixed --seed 3
     """
 
     planner: ChosenPlanner = PLANNERS["belief"]
@@ -318,7 +318,7 @@ def _print_outcome(
     print(f"{summary['world']} {summary['seed']} · {summary['planner']} · {summary['protocol']}")
     print(f"  {ended} after {summary['steps']} steps" + (", a success" if summary["success"] else ""))
     if summary["ended"] == "cap":
-        print("  the mission was cut off there: --max-steps gives it more")
+        print("  the mission was cut off there; --max-steps says where")
     if summary["ended"] == "aborted":
         print(f"  why: {summary['why']}")
     if steps:

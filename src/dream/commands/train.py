@@ -31,7 +31,7 @@ class Train:
     students fly trials on other reefs, and the best is kept: `uivnav.onnx`, and `uivnav.json`, its card. Try
     it with `dream run uivnav --weights train/uivnav.onnx`.
 
-    With its defaults it makes the network that comes with DREAM, in a quarter of an hour on two cores. It
+    With its defaults it makes the network that comes with DREAM, in some minutes on two cores. It
     never learns from a world of a suite. After an interruption the same command goes on.
 
     Examples:

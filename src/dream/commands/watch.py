@@ -57,8 +57,8 @@ class Watch:
         for run in self.runs:
             if not run.is_dir() and DEFAULT not in (run, *run.parents):
                 raise ValueError(
-                    f"{run}: expected the folder of a run, or one that holds some, got none. What is still "
-                    f"to begin is waited for in {DEFAULT} only"
+                    f"{run}: expected a folder that exists, or one below {DEFAULT}, which may still come; "
+                    "got none"
                 )
         doors = Doors(self.host, token)
         listening = listen(self.host, self.port)

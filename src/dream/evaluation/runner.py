@@ -282,7 +282,8 @@ def fly_mission(
 
     Raises:
         FileExistsError: `record_to` is there already.
-        ValueError: The protocol or the start does not fit the world, or the planner is no dataclass.
+        ValueError: The protocol is changed or does not fit the world, the start is none of the world's, there
+            is no step to fly, or the planner is no dataclass.
     """
     if not hasattr(planner, "__dataclass_fields__"):
         raise ValueError(
@@ -293,7 +294,14 @@ def fly_mission(
     folder = None if record_to is None else Path(record_to)
     if folder is not None and folder.exists():
         raise FileExistsError(f"record_to: expected a folder that is not there yet, got {folder}")
+    if max_steps is not None and max_steps < 1:
+        raise ValueError(f"max_steps: expected at least 1, got {max_steps}")
     rules = protocol or protocol_named(world.protocol)
+    if rules != protocol_named(rules.name):
+        raise ValueError(
+            f"protocol: expected {rules.name} as it is, got another, whose scores compare with nothing. "
+            "Fly it with dream.simulate"
+        )
     chosen: Any = planner
     flight = Flight(
         Case(world.name, world.seed, start),

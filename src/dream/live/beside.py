@@ -91,7 +91,7 @@ def main() -> None:
             return mission_over.is_set()
         if pages.open and not told:
             told = True
-            _say("the page stays until it is closed; Ctrl-C ends it")
+            _say("still serving the page: close it in the browser, or press Ctrl-C")
         return False
 
     doors = Doors()

@@ -110,8 +110,8 @@ def completeness(completion: Completion, hidden: npt.NDArray[np.bool_], group_ra
 def certainty(completion: Completion, risk: float, accepted: float) -> str:
     """Step 3, with the risk of stopping now."""
     return (
-        f"{_closed(completion)}. If it stopped now, it would miss a whole patch with a probability of "
-        f"{risk:.2%}; up to {accepted:.2%} is accepted."
+        f"{_closed(completion)}. If it stopped now, it would miss a whole patch with a probability "
+        f"{'below 0.01%' if risk < 1e-4 else f'of {risk:.2%}'}; up to {accepted:.2%} is accepted."
     )
 
 

@@ -158,4 +158,6 @@ addEventListener("hashchange", follow);
 player.open(steps);
 // A reader first wants to see what came of it; the way there is a press of Home and play away.
 if (!follow()) player.seek(steps.length - 1);
+// So that keys scroll it as they scroll a page without a player.
+document.querySelector(".page").focus({ preventScroll: true });
 document.documentElement.dataset.ready = String(steps.length);

@@ -149,9 +149,11 @@ def _arrow(
 
 def _legend(draw: ImageDraw.ImageDraw, world: World, scale: float, pixels: int) -> None:
     font = ImageFont.load_default(15)
-    groups = len(np.unique(world.targets.group))
-    kind = "patches of hull" if world.targets_are_hull else "individuals"
-    text = f"{world.name}  seed {world.seed}   {len(world.targets):,} {kind} in {groups} groups"
+    count, groups = len(world.targets), len(np.unique(world.targets.group))
+    inside = (
+        f"pieces of hull in {groups} parts" if world.targets_are_hull else f"individuals in {groups} patches"
+    )
+    text = f"{world.name}  seed {world.seed}   {count:,} {inside}; red: start 0, white: other starts"
     draw.text((12, pixels + 13), text, fill=INK, font=font)
     length = 10.0 if world.bounds.width > 15.0 else 1.0
     right, y = pixels - 56.0, pixels + 31.0

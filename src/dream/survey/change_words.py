@@ -107,9 +107,8 @@ def summary(comparison: Comparison) -> list[str]:
     if any(patch.p is not None for patch in comparison.patches):
         how, those = comparison.comparing, _pieces(comparison)[1]
         how_sure.append(
-            f"At most {_percent(how.level)} of the {those} that stayed as they were are called changed by "
-            f"mistake. Of all {those} that are called changed, at most {_percent(how.false)} stayed as they "
-            "were."
+            f"How sure this is: of {those} that stayed as they were, at most {_percent(how.level)} are "
+            f"called changed by mistake; of those called changed, at most {_percent(how.false)} are mistakes."
         )
     if any(patch.verdict == "no change shown" for patch in comparison.patches):
         how_sure.append("Where no change is shown, there may still be one: the intervals say how large.")

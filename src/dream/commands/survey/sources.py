@@ -40,10 +40,11 @@ def archive_at(where: str | None, *, begin: bool = False) -> AbstractContextMana
 
 
 def option(where: str) -> str:
-    """What to add to a command so that it finds an archive from any shell; empty for the default."""
+    """What to add to a command so that it finds an archive from any shell; empty for the default, and for a
+    database, which has its password from elsewhere."""
     from dream.survey.archive import DEFAULT
 
-    return "" if where == DEFAULT else f" --archive {shlex.quote(where)}"
+    return "" if where == DEFAULT or "://" in where else f" --archive {shlex.quote(where)}"
 
 
 def _place(where: str | None) -> str:

@@ -94,7 +94,7 @@ function stateOf(run) {
   }
   const last = run.steps.at(-1);
   if (last?.ended) return ["Ended", "good", last.ended === "done" ? "The planner is done and the map agrees." : "It is out of steps."];
-  if (!last && known(run.compilingSince))
+  if (!last && known(run.compilingSince) && now() - run.compilingSince < 600000)
     return ["Starting", "running", `Its program compiles what it computes with, for ${ago((now() - run.compilingSince) / 1000)} so far. A computer does so once, in a minute or two.`];
   if (!last) return ["Starting", "running", "It makes its world ready; no step is written yet."];
   if (quiet(run)) return ["Silent", "warn", `No step for ${ago(ageOf(run))}: ${known(run.compilingSince) ? "it thinks or compiles" : "it thinks"}, or it was stopped.`];
@@ -407,3 +407,5 @@ addEventListener("hashchange", () => {
 });
 
 connect();
+// So that keys scroll it as they scroll a page without a player.
+document.querySelector(".page").focus({ preventScroll: true });

@@ -45,26 +45,22 @@ def free_moves(room, low, needed, grid, nodes, moves):
     for i in range(rows):
         for j in range(cols):
             closed[i + 1, j + 1] = closed[i, j + 1] + closed[i + 1, j] - closed[i, j] + (room[i, j] <= needed)
-    farthest = math.ceil(np.abs(moves).max() * grid[0] / grid[1]) + 1
     for i in range(nodes[0], nodes[2]):
         for j in range(nodes[1], nodes[3]):
             y, x = place(i, j, grid)
             row, col = math.floor(y) - low[0], math.floor(x) - low[1]
             if not (0 <= row < rows and 0 <= col < cols) or room[row, col] <= needed:
                 continue
-            south, north, west, east = row - farthest, row + farthest + 1, col - farthest, col + farthest + 1
-            if (
-                south >= 0
-                and west >= 0
-                and north <= rows
-                and east <= cols
-                and closed[north, east] - closed[south, east] - closed[north, west] + closed[south, west] == 0
-            ):  # All around is open: so is every move.
-                free[i - nodes[0], j - nodes[1], :] = 1
-                continue
             for k in range(len(moves)):
                 to_y, to_x = place(i + moves[k, 1], j + moves[k, 0], grid)
-                free[i - nodes[0], j - nodes[1], k] = segment_is_free(
+                to_row, to_col = math.floor(to_y) - low[0], math.floor(to_x) - low[1]
+                if not (0 <= to_row < rows and 0 <= to_col < cols) or room[to_row, to_col] <= needed:
+                    continue
+                south, north = min(row, to_row), max(row, to_row) + 1
+                west, east = min(col, to_col), max(col, to_col) + 1
+                shut = closed[north, east] - closed[south, east] - closed[north, west] + closed[south, west]
+                # Where all of the box around it is open, the move is free.
+                free[i - nodes[0], j - nodes[1], k] = shut == 0 or segment_is_free(
                     room, needed, x, y, to_x, to_y, low[0], low[1]
                 )
     return free
