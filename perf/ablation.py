@@ -29,12 +29,12 @@ from dream.evaluation.engines import Failure, Processes, processors
 from dream.evaluation.results import Row, read_results
 from dream.evaluation.runner import Plan, fly_plan
 from dream.evaluation.suites import family_of, suite_named
-from dream.geometry import SE2
 from dream.mapping import OccupancyMap
-from dream.mapping.completion import Completion
 from dream.planning import AnyPlanner, Belief, Lawnmower
 from dream.planning.baselines.sweeping import Sweeping
-from dream.planning.belief import BeliefPilot, FloatArray, Thought, _Expected
+from dream.planning.belief import BeliefPilot, Thought
+from dream.planning.outlook import Outlook
+from dream.planning.sources import Hints, HullSurface, Source
 from dream.planning.travel import Pose
 from dream.planning.walk import rest_of
 from dream.protocol import DREAM_V1
@@ -43,24 +43,14 @@ from stop import fresh_reefs, from_starts
 
 
 @dataclass(frozen=True, slots=True)
-class WithoutHull(Belief):
-    """Believes nothing about a hull; what stands up it sees as it comes by."""
+class Without(Belief):
+    """All sources but one kind."""
 
-    def begin(self, mission: Mission) -> BeliefPilot:
-        """A pilot of its own."""
-        return _WithoutHull(self, mission)
+    left_out: type[Source] = Source
 
-
-@dataclass(slots=True)
-class _WithoutHull(BeliefPilot):
-    def _expected(
-        self,
-        occupancy: OccupancyMap,
-        completion: Completion,
-        pose: SE2,
-        away_from_hull: FloatArray | None,
-    ) -> _Expected:
-        return BeliefPilot._expected(self, occupancy, completion, pose, None)
+    def sources(self, mission: Mission, views: Outlook) -> list[Source]:
+        """Without it."""
+        return [one for one in Belief.sources(self, mission, views) if not isinstance(one, self.left_out)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +75,7 @@ class _InLanes(BeliefPilot):
             decision = self.sweeping.decide(observation, occupancy)
             if not decision.done:
                 return decision
-        return self.act(thought, thought.plan, occupancy)
+        return self.act(thought, thought.plan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,9 +99,10 @@ class _Hesitant(BeliefPilot):
         thought = BeliefPilot.consider(self, observation, occupancy)
         plan, travel = thought.plan, thought.travel
         if plan is not None and plan.choice is not None:
-            rest = rest_of(self.way, travel, thought.moves)
+            rest = rest_of(self.way, travel, thought.scene.moves)
             if len(rest) > 1 and rest[1] != plan.path[1]:
-                new, old = self.look_ahead.judge(self.prospect(thought, occupancy), travel, [plan.path, rest])
+                prospect = self.prospect(thought.expected, thought.scene)
+                new, old = self.look_ahead.judge(prospect, travel, [plan.path, rest])
                 if new.value - old.value < self.more:
                     plan = old.plan
         self.way = [] if plan is None else plan.path
@@ -137,7 +128,7 @@ VARIANTS: dict[str, tuple[str, Belief]] = {
     "no-discount": ("what is seen later is worth as much", replace(WHOLE, discount=1.0)),
     "no-jump": ("never straight to one far view while the sequence shows anything", replace(WHOLE, jump=0.0)),
     "small-groups": ("groups of 1.5 m radius hide, as the protocol promises", replace(WHOLE, size=1.0)),
-    "no-glimpses": ("what lies beyond the reach is not looked at", replace(WHOLE, glimpse=1.0)),
+    "no-glimpses": ("what lies beyond the reach is not looked at", Without(left_out=Hints)),
     "glimpse-10": ("no farther than 10 m", replace(WHOLE, glimpse=1.25)),
     "glimpse-12": ("no farther than 12 m", replace(WHOLE, glimpse=1.5)),
     "glimpse-16": ("no farther than 16 m", replace(WHOLE, glimpse=2.0)),
@@ -148,7 +139,7 @@ VARIANTS: dict[str, tuple[str, Belief]] = {
 """Name → what is different, and the planner."""
 ON_WRECKS: dict[str, tuple[str, Belief]] = {
     "belief": VARIANTS["belief"],
-    "no-hull": ("no belief about the hull", WithoutHull()),
+    "no-hull": ("no belief about the hull", Without(left_out=HullSurface)),
     **{
         name: VARIANTS[name]
         for name in ("greedy", "short", "long", "narrow", "no-tour", "no-discount", "no-jump")

@@ -28,13 +28,12 @@ from dream.evaluation.calibration import NOTHING, Bin, Tally, brier, reliability
 from dream.evaluation.engines import Failure, Processes, processors
 from dream.evaluation.figures import Picture, Theme
 from dream.evaluation.suites import Case, family_of, suite_named
-from dream.geometry import SE2
 from dream.mapping import OccupancyMap, within
-from dream.mapping.completion import Completion
 from dream.mission import explore
 from dream.planning import Belief
-from dream.planning.belief import BeliefPilot, _Expected
+from dream.planning.belief import BeliefPilot
 from dream.planning.distribution import expectation
+from dream.planning.sources import Expected, Scene
 from dream.protocol import protocol_named
 from dream.robots import Teleport
 from dream.sim.worlds import make_world
@@ -67,24 +66,19 @@ class _Forecast:
 class _WatchedPilot(BeliefPilot):
     forecasts: list[_Forecast | None] = field(kw_only=True)
 
-    def _expected(
-        self,
-        occupancy: OccupancyMap,
-        completion: Completion,
-        pose: SE2,
-        away_from_hull: npt.NDArray[np.floating[Any]] | None,
-    ) -> _Expected:
-        expected = BeliefPilot._expected(self, occupancy, completion, pose, away_from_hull)
+    def expect(self, scene: Scene) -> Expected:
+        expected = BeliefPilot.expect(self, scene)
         told = len(self.forecasts) % EVERY == 0
-        self.forecasts.append(self._forecast(occupancy, expected) if told else None)
+        self.forecasts.append(self._forecast(scene.occupancy, expected) if told else None)
         return expected
 
-    def _forecast(self, occupancy: OccupancyMap, expected: _Expected) -> _Forecast:
+    def _forecast(self, occupancy: OccupancyMap, expected: Expected) -> _Forecast:
         planner, protocol = self.planner, self.mission.protocol
         kernel = planner.kernel * protocol.group_radius
         near = within(occupancy.target, 2.0 * kernel, protocol.cell)
         beside = expectation(occupancy, kernel, planner.prior, planner.prior_weight, near)
-        anywhere = in_a_group(expected.hiding, expected.groups, self.size, protocol.cell)
+        size = planner.size_of_groups(self.mission)
+        anywhere = in_a_group(expected.hiding, expected.to_come, size, protocol.cell)
         return _Forecast(
             ~occupancy.observed & occupancy.to_see,
             near,

@@ -17,7 +17,6 @@ import sys
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -29,13 +28,13 @@ from dream.evaluation.metrics import COMPLETE, Scorer
 from dream.evaluation.results import read_results
 from dream.evaluation.statistics import share_interval
 from dream.evaluation.suites import Case, family_of, suite_named
-from dream.geometry import SE2
 from dream.mapping import OccupancyMap, could_hide
-from dream.mapping.completion import Completion
 from dream.mission import explore
 from dream.planning import Belief
-from dream.planning.belief import LEAVE, BeliefPilot, _Expected
+from dream.planning.belief import BeliefPilot
 from dream.planning.distribution import GLIMPSED
+from dream.planning.sources import Expected, Hints, Scene
+from dream.planning.sources.survey import LEAVE
 from dream.protocol import protocol_named
 from dream.robots import Teleport
 from dream.sim.render import Renderer
@@ -67,23 +66,17 @@ class Mission:
     hidden: tuple[tuple[float, ...], ...]
     """Square metres where the middle of a group of each of `RADII` would not have been noticed."""
     hints: tuple[float, float, float, float]
-    """Square metres: `came_true`, `hinted`, `foreseen` and `found` of the planner's `Glimpses` in the end."""
+    """Square metres: `came_true`, `hinted`, `foreseen` and `found` of the planner's `FarHints` in the end."""
 
 
 @dataclass(slots=True)
 class _WatchedPilot(BeliefPilot):
     said: list[tuple[bool, float]] = field(kw_only=True)
 
-    def _expected(
-        self,
-        occupancy: OccupancyMap,
-        completion: Completion,
-        pose: SE2,
-        away_from_hull: npt.NDArray[np.floating[Any]] | None,
-    ) -> _Expected:
-        expected = BeliefPilot._expected(self, occupancy, completion, pose, away_from_hull)
-        targets = np.count_nonzero(occupancy.target) * self.mission.protocol.cell**2
-        looked = expected.hinted <= LEAVE * (targets + expected.hinted)
+    def expect(self, scene: Scene) -> Expected:
+        expected = BeliefPilot.expect(self, scene)
+        completion, targets = scene.completion, np.count_nonzero(scene.occupancy.target)
+        looked = expected.hinted <= LEAVE * (targets * self.mission.protocol.cell**2 + expected.hinted)
         self.said.append((completion.complete and bool(completion.regions) and bool(looked), expected.risk))
         return expected
 
@@ -136,9 +129,9 @@ def flown(task: tuple[Case, str]) -> Mission:
         area = tuple(
             float(could_hide(step.occupancy, radius, nothing).sum()) * protocol.cell**2 for radius in RADII
         )
-    glimpses = planner.pilots[-1].glimpses
-    assert glimpses is not None
-    hints = (glimpses.came_true, glimpses.hinted, glimpses.foreseen, glimpses.found)
+    source = next(source for source in planner.pilots[-1].sources if isinstance(source, Hints))
+    of = source.hints
+    hints = (of.came_true, of.hinted, of.foreseen, of.found)
     return Mission(tuple(coverage), tuple(closed), tuple(risk), step.ended == "done", tuple(hidden), hints)
 
 

@@ -18,9 +18,10 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import sys
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -34,12 +35,11 @@ from dream.evaluation.suites import Case, family_of, suite_named
 from dream.mapping import OccupancyMap, within
 from dream.mission import explore
 from dream.planning import AnyPlanner, Belief
-from dream.planning.belief import NEGLIGIBLE, BeliefPilot, Thought, _Expected
 from dream.planning.hull import PATCH
-from dream.planning.lookahead import LookAhead, Plan, Prospect
-from dream.planning.outlook import Listed
+from dream.planning.lookahead import Prospect
+from dream.planning.outlook import Listed, Outlook
 from dream.planning.rounds import Rounds
-from dream.planning.travel import Travel
+from dream.planning.sources import Expected, HullSurface, Scene, Source, TargetsBeside, Way, Worth
 from dream.protocol import DREAM_V1
 from dream.robots import Teleport
 from dream.sim.files import world_hash
@@ -47,7 +47,7 @@ from dream.sim.render import Renderer
 from dream.sim.visibility import Visibility
 from dream.sim.world import World
 from dream.sim.worlds import make_world
-from dream.types import BoolArray, Decision, IntArray, Mission, Observation
+from dream.types import BoolArray, IntArray, Mission
 
 NEAR = 10
 """Steps within which the view from every lattice node is listed; from every second one beyond."""
@@ -62,24 +62,25 @@ UNTOLD = Belief(glimpse=1.0)
 NEAR_TOLD, FAR_TOLD = "told of what is near", "told of what is far"
 
 
-@dataclass(slots=True)
-class _ToldPilot(BeliefPilot):
+@dataclass(slots=True, eq=False)
+class _ToldHull(HullSurface):
+    """Knows the patches that are really unseen, from when it has found the hull."""
+
     visibility: Visibility = field(kw_only=True)
     shows: dict[int, list[IntArray]] = field(default_factory=dict)
     """By node, the patches that each heading shows."""
     seen: BoolArray = field(init=False)
 
     def __post_init__(self) -> None:
-        BeliefPilot.__post_init__(self)
         self.seen = np.zeros(len(self.visibility), np.bool_)
 
-    def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
-        pose = observation.pose
+    def take(self, scene: Scene) -> None:
+        pose = scene.observation.pose
         self.seen |= self.visibility.seen([[pose.x, pose.y, pose.yaw]])[0]
-        return BeliefPilot.decide(self, observation, occupancy)
+        HullSurface.take(self, scene)
 
-    def _hull_views(self, expected: _Expected, travel: Travel, occupancy: OccupancyMap) -> Listed | None:
-        left = np.flatnonzero(self.visibility.countable & ~self.seen)
+    def listed(self, expected: Expected, scene: Scene) -> Listed | None:
+        travel, left = scene.travel, np.flatnonzero(self.visibility.countable & ~self.seen)
         if not expected.hull.any() or not len(left):
             return None
         rows, cols = np.nonzero(travel.reached)
@@ -87,20 +88,20 @@ class _ToldPilot(BeliefPilot):
         chosen = ((rows + cols) % 2 == 0) | (travel.nearest[rows, cols] <= NEAR)
         points = self.visibility.points[left]
         chosen &= cKDTree(points[:, :2]).query(positions)[0] <= travel.protocol.reach
-        nodes = (rows * self.outlook.cols + cols)[chosen]
+        nodes = (rows * self.views.cols + cols)[chosen]
         self._ask(nodes, positions[chosen])
         number = np.full(len(self.seen), -1)
         number[left] = np.arange(len(left))
         lists = [number[patches] for node in nodes for patches in self.shows[int(node)]]
         lists = [patches[patches >= 0] for patches in lists]
         starts = np.concatenate([[0], np.cumsum([len(patches) for patches in lists], dtype=np.int64)])
-        worth = np.full(len(left), self.planner.eager * PATCH**2)
+        worth = np.full(len(left), self.eager * PATCH**2)
         elements = np.concatenate([np.zeros(0, np.int64), *lists])
         return Listed(worth, np.ones(len(left)), points[:, :2], nodes, starts, elements)
 
     def _ask(self, nodes: IntArray, positions: npt.NDArray[np.float64]) -> None:
         """Have the simulator say what those nodes show that it was not asked about yet."""
-        headings, step = self.mission.protocol.headings, self.mission.protocol.heading_step
+        headings, step = DREAM_V1.headings, DREAM_V1.heading_step
         new = np.array([int(node) not in self.shows for node in nodes], np.bool_)
         yaws = np.tile(np.arange(headings) * step, int(new.sum()))
         shown = self.visibility.seen(np.column_stack([np.repeat(positions[new], headings, axis=0), yaws]))
@@ -108,72 +109,78 @@ class _ToldPilot(BeliefPilot):
             self.shows[int(node)] = [np.flatnonzero(shown[k * headings + j]) for j in range(headings)]
 
 
-@dataclass(slots=True)
-class _ToldOfReefPilot(BeliefPilot):
-    visibility: Visibility = field(kw_only=True)
-    way_round: bool = field(kw_only=True)
+@dataclass(slots=True, eq=False)
+class _ToldOfReef(Source):
+    """Knows the individuals in ground that was not observed, and nothing else counts."""
 
-    def prospect(self, thought: Thought, occupancy: OccupancyMap) -> Prospect:
-        points = self.visibility.points[self.visibility.countable]
-        row, col = occupancy.cell_of(*points[:, :2].T)
-        left = np.zeros(occupancy.shape)
-        np.add.at(left, (row, col), ONE * ~occupancy.observed[row, col])
-        prospect, ground = BeliefPilot.prospect(self, thought, occupancy), self.outlook.on_tiles(left)
-        return replace(prospect, ground=ground, hiding=np.zeros_like(ground), listed=None)
+    visibility: Visibility
+    rounds: Rounds | None
+    """Searches for the shortest way round them; None for the usual look-ahead."""
 
-    @property
-    def look_ahead(self) -> Any:
-        look_ahead = super(_ToldOfReefPilot, self).look_ahead
-        if not self.way_round:
-            return look_ahead
-        total = ONE * int(self.visibility.countable.sum())
-        return _WayRound(look_ahead, self.rounds, (1.0 - COMPLETE) * total)
+    def weigh(self, worth: Worth, expected: Expected, scene: Scene) -> None:
+        worth.ground = ONE * _held(self.visibility, scene.occupancy)
+        worth.search, worth.listed = 0.0, None
 
-
-@dataclass(slots=True)
-class _ToldOfPartPilot(BeliefPilot):
-    visibility: Visibility = field(kw_only=True)
-    beside: bool = field(kw_only=True)
-    """Whether it is told of what lies beside the targets that it has seen; otherwise of all the rest."""
-
-    def prospect(self, thought: Thought, occupancy: OccupancyMap) -> Prospect:
-        prospect, cell = BeliefPilot.prospect(self, thought, occupancy), self.mission.protocol.cell
-        points = self.visibility.points[self.visibility.countable]
-        held = np.zeros(occupancy.shape)
-        held[occupancy.cell_of(*points[:, :2].T)] = 1.0
-        expected = held if self.beside else thought.expected.beside
-        elsewhere = np.zeros_like(held) if self.beside else held
-        near = within(occupancy.target, BESIDE, cell)
-        worth = self.planner.eager * cell**2 * np.where(near, expected, elsewhere)
-        ground = self.outlook.on_tiles(np.where(occupancy.observed, 0.0, worth + NEGLIGIBLE))
-        hiding = prospect.hiding if self.beside else np.zeros_like(prospect.hiding)
-        return replace(prospect, ground=ground, hiding=hiding)
+    def tour(self, expected: Expected, scene: Scene, prospect: Prospect) -> Way | None:
+        if self.rounds is None:
+            return None
+        leave = (1.0 - COMPLETE) * ONE * int(self.visibility.countable.sum())
+        plan = self.rounds.plan(prospect, scene.travel, scene.moves, leave)
+        return None if plan is None else Way(scene.travel, plan, "")
 
 
 @dataclass(frozen=True, slots=True)
-class _WayRound:
-    """The shortest way round all that is left; the usual search where there is none."""
+class _ToldOfPart(Source):
+    """Knows what lies beside the targets that it has seen, or only what lies farther away."""
 
-    look_ahead: LookAhead
-    rounds: Rounds
-    leave: float
+    visibility: Visibility
+    beside: bool
+    eager: float
 
-    def plan(
-        self, prospect: Prospect, travel: Travel, moves: npt.NDArray[np.uint8], known: BoolArray
-    ) -> Plan | None:
-        plan = self.rounds.plan(prospect, travel, moves, self.leave)
-        return plan or self.look_ahead.plan(prospect, travel, moves, known)
+    def weigh(self, worth: Worth, expected: Expected, scene: Scene) -> None:
+        cell = scene.occupancy.protocol.cell
+        held = (_held(self.visibility, scene.occupancy) > 0.0).astype(float)
+        near = within(scene.occupancy.target, BESIDE, cell)
+        told = np.where(near, held, 0.0) if self.beside else np.where(near, expected.beside, held)
+        worth.ground = self.eager * cell**2 * told
+        worth.search *= self.beside
+
+
+def _held(visibility: Visibility, occupancy: OccupancyMap) -> npt.NDArray[np.float64]:
+    """(rows, cols) individuals in each cell."""
+    held = np.zeros(occupancy.shape)
+    np.add.at(held, occupancy.cell_of(*visibility.points[visibility.countable][:, :2].T), 1.0)
+    return held
 
 
 @dataclass(frozen=True, slots=True)
-class _Told:
+class _Told(Belief):
     """The planner that is told."""
 
-    pilot: type[BeliefPilot]
-    knows: dict[str, Any]
+    tell: Callable[[list[Source]], list[Source]] = field(kw_only=True)
+    """What its usual sources become."""
+    glimpse: float = UNTOLD.glimpse
 
-    def begin(self, mission: Mission) -> BeliefPilot:
-        return self.pilot(UNTOLD, mission, **self.knows)
+    def sources(self, mission: Mission, views: Outlook) -> list[Source]:
+        return self.tell(Belief.sources(self, mission, views))
+
+
+def _told_of_hull(visibility: Visibility, sources: list[Source]) -> list[Source]:
+    return [
+        _ToldHull(one.hull, one.views, one.eager, one.accepted, one.alone, visibility=visibility)
+        if isinstance(one, HullSurface)
+        else one
+        for one in sources
+    ]
+
+
+def _told_of_reef(visibility: Visibility, way_round: bool, sources: list[Source]) -> list[Source]:
+    return [*sources, _ToldOfReef(visibility, Rounds() if way_round else None)]
+
+
+def _told_of_part(visibility: Visibility, beside: bool, sources: list[Source]) -> list[Source]:
+    eager = next(one.eager for one in sources if isinstance(one, TargetsBeside))
+    return [*sources, _ToldOfPart(visibility, beside, eager)]
 
 
 def fly(case: Case) -> tuple[Case, dict[str, tuple[int | None, float]]]:
@@ -185,11 +192,10 @@ def fly(case: Case) -> tuple[Case, dict[str, tuple[int | None, float]]]:
     visibility, renderer = Visibility(world, DREAM_V1), Renderer(world)
     found: dict[str, tuple[int | None, float]] = {}
     reef = not world.targets_are_hull
-    knows = {"visibility": visibility}
-    told: dict[str, AnyPlanner | _Told] = {"told": _Told(_ToldPilot, knows)}
+    told = {"told": _Told(tell=partial(_told_of_hull, visibility))}
     if reef:
         told = {
-            name: _Told(_ToldOfReefPilot, {**knows, "way_round": way_round})
+            name: _Told(tell=partial(_told_of_reef, visibility, way_round))
             for name, way_round in (("told", False), ("told, way round", True))
         }
     for name, planner in {"belief": UNTOLD, **told}.items():
@@ -206,10 +212,10 @@ def fly_told_of_parts(case: Case) -> dict[str, int]:
     """Steps to 98.26 % of the missions in a world, by what is told."""
     world = make_world(case.world, case.seed)
     visibility, renderer = Visibility(world, DREAM_V1), Renderer(world)
-    planners: dict[str, AnyPlanner | _Told] = {
+    planners = {
         "belief": UNTOLD,
-        NEAR_TOLD: _Told(_ToldOfPartPilot, {"visibility": visibility, "beside": True}),
-        FAR_TOLD: _Told(_ToldOfPartPilot, {"visibility": visibility, "beside": False}),
+        NEAR_TOLD: _Told(tell=partial(_told_of_part, visibility, True)),
+        FAR_TOLD: _Told(tell=partial(_told_of_part, visibility, False)),
     }
     flown = {
         name: _steps(world, planner, visibility, renderer, case.start)[0]
@@ -219,7 +225,7 @@ def fly_told_of_parts(case: Case) -> dict[str, int]:
 
 
 def _steps(
-    world: World, planner: AnyPlanner | _Told, visibility: Visibility, renderer: Renderer, start: int
+    world: World, planner: AnyPlanner, visibility: Visibility, renderer: Renderer, start: int
 ) -> tuple[int | None, float]:
     """A mission's steps to 98.26 %, and what it saw; on a reef it ends there."""
     scorer = Scorer(world, DREAM_V1, visibility=visibility, renderer=renderer)

@@ -20,11 +20,13 @@ from dream.mapping import OccupancyMap, check_completion
 from dream.mission import Planner
 from dream.orders import BESIDE, Flown, Leg, Orders, Outcome, Side, SideOf, Task, place, sentences, side_of
 from dream.planning import OFFLINE, PLANNERS, Belief
-from dream.planning.belief import BeliefPilot, _away_from_hull
+from dream.planning.belief import BeliefPilot
+from dream.planning.sources import HullSurface
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
 from dream.sim.worlds import make_world
 from dream.types import LOOK_AROUND, Asked, Decision, Exchange, Mission, Observation, Reasoning, Step, Target
+from tests.planning.flights import scene_of, source_of
 
 BOX = Bounds(-20.0, -20.0, 20.0, 20.0)
 NEAR = Bounds(-15.0, 7.0, -11.0, 10.0)
@@ -290,10 +292,12 @@ def test_belief_expects_no_hull_outside_of_the_area(wreck: World) -> None:
     planner, orders = Watched(), Orders((Leg(area=SideOf(Side.NORTH)),))
     *_, last = flight(wreck, planner, orders=orders, max_steps=15)
     pilot, occupancy = planner.pilots[-1], last.occupancy
-    outside = pilot.hull.middles[:, 1] < -DREAM_V1.cell
+    source = source_of(pilot, HullSurface)
+    assert source is not None
+    outside = source.hull.middles[:, 1] < -DREAM_V1.cell
     for area, expects in ((last.leg.area if last.leg else None, False), (None, True)):
         occupancy.restrict(area)
-        hull = pilot._expected_hull(occupancy, _away_from_hull(occupancy))
+        hull = pilot.expect(scene_of(pilot, last.observation, occupancy)).hull
         assert hull[~outside].sum() > 0.0
         assert (hull[outside].sum() > 0.0) == expects
 

@@ -12,8 +12,8 @@ from dream.geometry import Bounds
 from dream.mapping import OccupancyMap, within
 from dream.orders import Flown, Orders, Outcome, SideOf, Task, place
 from dream.planning.approach import Approach
-from dream.planning.belief import STANDS
 from dream.planning.own import check_decision, checked_pilot, is_own, own_file, told_where
+from dream.planning.sources.hull import STANDS
 from dream.types import LOOK_AROUND, UNASKED, Asked, BoolArray, Decision, Mission, Observation, Target
 
 if TYPE_CHECKING:

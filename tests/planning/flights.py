@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import SE3
+from dream.mapping import OccupancyMap
+from dream.planning.belief import BeliefPilot
+from dream.planning.sources import HullSurface, Scene, Source
+from dream.planning.sources.hull import away_from_hull
 from dream.protocol import DREAM_V1
 from dream.types import Observation
+
+S = TypeVar("S", bound=Source)
 
 SIDE = 96
 """Cells along `tests.mapping.analytic.AREA`."""
@@ -34,3 +42,18 @@ def all_but(*boxes: tuple[slice, slice]) -> npt.NDArray[np.bool_]:
     for box in boxes:
         cells[box] = False
     return cells
+
+
+def source_of(pilot: BeliefPilot, kind: type[S]) -> S | None:
+    """That source of a pilot; None where it has none."""
+    return next((source for source in pilot.sources if isinstance(source, kind)), None)
+
+
+def scene_of(pilot: BeliefPilot, observation: Observation, occupancy: OccupancyMap) -> Scene:
+    """What a pilot would have to go by, without having it take in anything."""
+    pose = observation.pose
+    here = (*pilot.views.node(pose.x, pose.y), occupancy.protocol.heading_index(pose.yaw))
+    scene = Scene(observation, occupancy, here, pilot.views, pilot.failed)
+    if source_of(pilot, HullSurface) is not None:
+        scene.away_from_hull = away_from_hull(occupancy)
+    return scene

@@ -111,7 +111,7 @@ def test_a_cell_is_given_up_after_looks_in_vain_until_something_beside_it_is_see
     pose = SE2(-4.0, 2.0, math.pi / 2)
     assert view(occupancy, pose.x, pose.y, pose.yaw)[SLIT].all()
     remains = Remains(MISSION, least=1.0)
-    for _ in range(remains.patience):
+    for _ in range(remains.failed.patience):
         assert remains.worth_looking(occupancy)[SLIT].all()
         remains.look(pose, occupancy)
     assert not remains.worth_looking(occupancy).any()

@@ -29,17 +29,20 @@ from dream.mapping import (
 )
 from dream.mapping.prior import Prior
 from dream.planning import Belief, sentences
-from dream.planning.belief import GIVEN_UP, MOST_VISITS, BeliefPilot, Thought, _away_from_hull
+from dream.planning.belief import BeliefPilot, Thought
 from dream.planning.distribution import GLIMPSED, OBSERVED, Groups, expectation
-from dream.planning.hull import PATCH
+from dream.planning.failed_views import GIVEN_UP
+from dream.planning.hull import PATCH, Hull
 from dream.planning.lookahead import LookAhead, Plan, Prospect
-from dream.planning.travel import careful_travel, nearest_open, travel_from
+from dream.planning.sources import Hints, HullSurface
+from dream.planning.sources.source import MOST_VISITS
+from dream.planning.travel import careful_travel, nearest_open
 from dream.protocol import DREAM_V1, protocol_named
 from dream.sim.world import World
 from dream.sim.worlds import make_world
 from dream.types import BoolArray, Decision, Mission, Observation, Step
 from tests.mapping.analytic import AREA, map_with
-from tests.planning.flights import SIDE, all_but, observed_at
+from tests.planning.flights import SIDE, all_but, observed_at, scene_of, source_of
 from tests.sim.arenas import FLOOR, arena, placed
 
 MISSION = Mission(DREAM_V1, AREA, DREAM_V1.cap)
@@ -296,16 +299,16 @@ def test_new_ground_after_done_is_looked_at() -> None:
 def test_a_refused_done_raises_its_patience_and_only_that_does(sway: float) -> None:
     """Also where the vehicle swims, so that it stays only about where it was."""
     pilot = Belief().begin(MISSION)
-    before = pilot.patience
+    before = pilot.failed.patience
     complete = map_with(explored=all_but())
     for refused in range(4):
         observation = observed_at(3.0 + sway * (refused % 2), -4.0, sway)
         assert pilot.decide(observation, complete).done
-        assert pilot.patience == before + refused
+        assert pilot.failed.patience == before + refused
     assert not pilot.decide(observation, map_with(explored=_half_known())).done
-    assert pilot.patience == before + 4
+    assert pilot.failed.patience == before + 4
     pilot.decide(observation, map_with(explored=_half_known()))
-    assert pilot.patience == before + 4
+    assert pilot.failed.patience == before + 4
 
 
 def test_ground_that_never_shows_is_given_up_then_tried_again_when_refused() -> None:
@@ -359,11 +362,11 @@ def test_it_says_how_much_ground_it_gave_up_and_counts_for_searched(patience: in
     pilot = Belief(patience=patience).begin(MISSION)
     areas = []
     for _ in range(40):
-        dropped = np.count_nonzero(pilot.vain.count >= GIVEN_UP)
+        dropped = np.count_nonzero(pilot.failed.count >= GIVEN_UP)
         decision = toy.step(pilot)
-        area = DREAM_V1.cell**2 * np.count_nonzero(~toy.map.observed & (pilot.vain.count >= patience))
+        area = DREAM_V1.cell**2 * np.count_nonzero(~toy.map.observed & (pilot.failed.count >= patience))
         said = re.search(r"accepted\. (\S+) m² that never came into view", decision.reasoning.completion)
-        if np.count_nonzero(pilot.vain.count >= GIVEN_UP) == dropped:
+        if np.count_nonzero(pilot.failed.count >= GIVEN_UP) == dropped:
             # What is dropped after that was said is told in the next step.
             assert (said is not None) == (area > 0.0)
             if said:
@@ -383,7 +386,7 @@ def test_neither_ground_outside_the_area_nor_what_was_seen_is_among_what_it_gave
     pilot, observation = Belief().begin(MISSION), observed_at(-6.0, -6.0, math.pi)
     assert "given up" not in pilot.decide(observation, occupancy).reasoning.completion
     assert occupancy.observed[:32, 48:56].all()
-    pilot.vain.count[:, 48:72] = pilot.patience
+    pilot.failed.count[:, 48:72] = pilot.failed.patience
     said = pilot.decide(observation, occupancy).reasoning.completion
     assert said.endswith(" 32.0 m² that never came into view were given up and are not counted.")
 
@@ -413,19 +416,19 @@ def test_asked_the_same_for_ever_it_does_not_answer_the_same_for_ever(name: str)
 def test_what_it_gives_up_of_a_hull_is_not_hoped_for_again_from_there() -> None:
     flown = _fly(WRECK, max_steps=16)
     pilot, (observation, occupancy, _) = flown.pilots[-1], flown.asked[-1]
-    away, travel = _away_from_hull(occupancy), travel_from(observation.pose, occupancy)
-    completion = check_completion(occupancy, observation.pose)
-    expected = pilot._expected(occupancy, completion, observation.pose, away)
+    scene, source = scene_of(pilot, observation, occupancy), source_of(pilot, HullSurface)
+    assert source is not None
+    expected = pilot.expect(scene)
 
     def shown() -> tuple[list[int], list[int]]:
-        listed = pilot._hull_views(expected, travel, occupancy)
+        listed = source.listed(expected, scene)
         assert listed is not None
         return listed.nodes.tolist(), np.diff(listed.starts).tolist()
 
     nodes, before = shown()
     most = int(np.argmax(before))
     node, heading = divmod(most, DREAM_V1.headings)
-    pose = (*divmod(nodes[node], pilot.outlook.cols), heading)
+    pose = (*divmod(nodes[node], pilot.views.cols), heading)
     pilot._give_up(Plan([pose, pose], rate=1.0, later=0.0), occupancy)
     again, after = shown()
     assert again == nodes
@@ -433,7 +436,7 @@ def test_what_it_gives_up_of_a_hull_is_not_hoped_for_again_from_there() -> None:
     assert after[most] == 0
     assert all(later <= earlier for earlier, later in zip(before, after, strict=True))
     # Two places on one side of an element, 22.5° by a quarter of the reach, lie nearer together.
-    positions = np.array([pilot.outlook.position(*divmod(one, pilot.outlook.cols)) for one in nodes])
+    positions = np.array([pilot.views.position(*divmod(one, pilot.views.cols)) for one in nodes])
     apart = np.hypot(*(positions - positions[node]).T) > 4.0
     others = [k for k in range(len(before)) if apart[k // DREAM_V1.headings]]
     assert sum(before[k] for k in others) > 100
@@ -472,7 +475,7 @@ def test_certify_sees_all_that_the_default_leaves(start: SE2) -> None:
     for x, y in reachable(last.occupancy, last.observation.pose)[::7]:
         for heading in range(DREAM_V1.headings):
             promised = view(last.occupancy, x, y, heading * DREAM_V1.heading_step) & ~last.occupancy.observed
-            assert (pilot.vain.count[promised] >= Belief().patience).all()
+            assert (pilot.failed.count[promised] >= Belief().patience).all()
 
 
 def _with_a_reef(*unknown: tuple[slice, slice]) -> OccupancyMap:
@@ -530,8 +533,9 @@ def test_hints_that_no_place_can_see_do_not_keep_it_going() -> None:
     observation = observed_at(-6.0, -4.0, 0.0)
     for beyond, done in ((np.s_[:, 50:70, 60:80], True), (np.s_[:, 50:70, 20:30], False)):
         pilot = Belief(risk=0.5).begin(MISSION)
-        assert pilot.glimpses is not None
-        pilot.glimpses._pixels[beyond] = 10
+        source = source_of(pilot, Hints)
+        assert source is not None
+        source.hints._pixels[beyond] = 10
         unseen = map_with(
             solid=_behind_a_wall().solid,
             explored=_behind_a_wall().explored & all_but(beyond[1:]),
@@ -550,8 +554,10 @@ def test_the_risk_knows_what_was_glimpsed(over_the_reef: Flown) -> None:
         hiding = could_hide(occupancy, size, NOTHING)
         if completion.complete:
             hiding &= hiding_places(occupancy, observation.pose, size)
-        assert pilot.glimpses is not None
-        hidden = float(pilot.glimpses.unnoticed(size, occupancy)[hiding].sum()) * square
+        source = source_of(pilot, Hints)
+        assert source is not None
+        evidence = source.hints.evidence(occupancy)
+        hidden = float(evidence.unnoticed(size, DREAM_V1.cell)[hiding].sum()) * square
         groups = Groups(planner.groups, planner.searched)
         groups = groups.after(len(completion.regions), AREA.width * AREA.depth - hidden)
         assert f"with a probability of {GLIMPSED.calibrated(groups.risk(hidden)):.2%};" in said
@@ -565,8 +571,9 @@ def test_in_a_tank_and_with_a_survey_no_hints_are_taken() -> None:
     survey = replace(MISSION, prior=Prior(AREA, DREAM_V1.cell, told, NOTHING, years=1.0))
     for mission in (tank, survey):
         pilot = Belief().begin(mission)
-        assert pilot.glimpses is None
-        assert pilot.calibration is OBSERVED
+        assert source_of(pilot, Hints) is None
+        empty = OccupancyMap(mission.bounds, mission.protocol)
+        assert pilot.expect(scene_of(pilot, observed_at(0.0, 0.0, 0.0), empty)).calibration is OBSERVED
 
 
 def test_while_a_region_is_open_no_group_is_expected_farther_than_any_view_reaches() -> None:
@@ -588,7 +595,7 @@ def test_ground_looked_at_in_vain_often_enough_is_no_risk() -> None:
     pilot, observation = Belief(risk=0.0).begin(MISSION), observed_at(-6.0, 0.0, 0.0)
     occupancy = map_with(explored=_half_known())
     assert not pilot.decide(observation, occupancy).done
-    pilot.vain.count[~occupancy.observed] = pilot.patience + 2
+    pilot.failed.count[~occupancy.observed] = pilot.failed.patience + 2
     decision = pilot.decide(observation, occupancy)
     assert "with a probability below 0.01%;" in decision.reasoning.completion
     assert decision.done
@@ -622,18 +629,24 @@ def test_a_parameter_that_makes_no_sense_is_named(wrong: dict[str, Any]) -> None
         Belief(**wrong)
 
 
+def _hull(pilot: BeliefPilot) -> Hull:
+    source = source_of(pilot, HullSurface)
+    assert source is not None
+    return source.hull
+
+
 def test_on_a_reef_no_hull_is_believed_in(over_the_reef: Flown) -> None:
     (pilot,) = over_the_reef.pilots
     occupancy = over_the_reef.last.occupancy
     assert occupancy.target.any()
     assert not (occupancy.target & occupancy.solid).any()
-    assert not pilot._expected_hull(occupancy, _away_from_hull(occupancy)).any()
+    assert not pilot.expect(scene_of(pilot, over_the_reef.last.observation, occupancy)).hull.any()
 
 
 def test_on_a_wreck_what_is_left_of_the_hull_keeps_it_going() -> None:
     thorough, hasty = (_fly(WRECK, Belief(hull_left=left)) for left in (0.0, 1.0))
     assert thorough.last.index > hasty.last.index
-    assert thorough.pilots[-1].hull.found > hasty.pilots[-1].hull.found > 0.0
+    assert _hull(thorough.pilots[-1]).found > _hull(hasty.pilots[-1]).found > 0.0
     assert thorough.last.ended == hasty.last.ended == "done"
 
 
@@ -645,12 +658,12 @@ def test_with_all_else_seen_it_goes_to_the_side_of_a_hull_that_it_has_not_seen()
     known = map_with(solid=occupancy.solid, explored=explored, target=occupancy.target)
     pilot = first.pilots[-1]
     assert check_completion(known, observation.pose).complete
-    left = pilot.hull.middles[pilot._expected_hull(known, _away_from_hull(known)) > 0.0]
+    left = _hull(pilot).middles[pilot.expect(scene_of(pilot, observation, known)).hull > 0.0]
     assert len(left)
     decision = pilot.decide(observation, known)
     assert not decision.done
     (patches,) = _numbers(r"(\S+) pieces of hull", decision)
-    assert 0.0 < patches <= pilot.hull.unseen + 0.05  # As it is rounded.
+    assert 0.0 < patches <= _hull(pilot).unseen + 0.05  # As it is rounded.
     unbelieving = Belief(hull_left=1.0).begin(MISSION)
     assert unbelieving.decide(observation, known).done
 
@@ -746,10 +759,7 @@ def test_it_says_the_risk_and_the_groups_that_its_model_gives(over_the_reef: Flo
 def test_it_says_what_it_expects_of_a_hull_and_what_it_would_accept(over_the_reef: Flown) -> None:
     flown = _fly(WRECK, max_steps=12)
     pilot, (observation, occupancy, decision) = flown.pilots[-1], flown.asked[-1]
-    away = _away_from_hull(occupancy)
-    expected = pilot._expected(
-        occupancy, check_completion(occupancy, observation.pose), observation.pose, away
-    )
+    expected = pilot.expect(scene_of(pilot, observation, occupancy))
     area, share = PATCH**2 * float(expected.hull.sum()), expected.hull_left
     assert not decision.done
     assert share > 0.005
@@ -795,9 +805,10 @@ class Explained:
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         thought = self.pilot.consider(observation, occupancy)
-        decision = self.pilot.act(thought, thought.plan, occupancy)
+        decision = self.pilot.act(thought, thought.plan)
         if thought.plan is not None and thought.plan.choice is not None:
-            shows = self._shows(thought, thought.plan, self.pilot.prospect(thought, occupancy), occupancy)
+            prospect = self.pilot.prospect(thought.expected, thought.scene)
+            shows = self._shows(thought, thought.plan, prospect, occupancy)
             self.plans.append((thought.plan, decision, shows))
         return decision
 
@@ -807,13 +818,13 @@ class Explained:
         assert plan.choice is not None
         ground, middles, elements = NOTHING.copy(), NOTHING.copy(), set[int]()
         for row, col, heading in plan.path[-1:] if plan.choice.straight else plan.path[1:]:
-            shown, noticed = self.pilot.outlook.shown((row, col, heading))
+            shown, noticed = self.pilot.views.shown((row, col, heading))
             ground, middles = ground | shown, middles | noticed
             if (listed := prospect.listed) is not None:
-                for k in np.flatnonzero(listed.nodes == row * self.pilot.outlook.cols + col):
+                for k in np.flatnonzero(listed.nodes == row * self.pilot.views.cols + col):
                     first, past = listed.starts[k * DREAM_V1.headings + heading :][:2]
                     elements.update(listed.elements[first:past].tolist())
-        ground &= ~occupancy.observed & (self.pilot.vain.count < self.pilot.patience)
+        ground &= ~occupancy.observed & (self.pilot.failed.count < self.pilot.failed.patience)
         square, expected = DREAM_V1.cell**2, thought.expected
         return (
             square * float(expected.beside[ground].sum()),
@@ -875,8 +886,8 @@ def test_whoever_takes_another_plan_is_given_no_reasons_for_this_one() -> None:
     occupancy = map_with(explored=_half_known())
     thought = pilot.consider(observation, occupancy)
     assert thought.plan is not None
-    own = pilot.act(thought, thought.plan, occupancy).reasoning.next_target
-    other = pilot.act(thought, replace(thought.plan, later=0.0), occupancy).reasoning.next_target
+    own = pilot.act(thought, thought.plan).reasoning.next_target
+    other = pilot.act(thought, replace(thought.plan, later=0.0)).reasoning.next_target
     assert thought.why in own
     assert own != thought.why
     assert thought.why

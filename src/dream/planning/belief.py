@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -13,47 +12,44 @@ import numpy.typing as npt
 from dream.geometry import SE2
 from dream.options import First
 from dream.planning import sentences
-from dream.planning.distribution import GLIMPSED, OBSERVED, Calibration, Groups, expectation
-from dream.planning.glimpses import Glimpses
-from dream.planning.hull import PATCH, Hull
+from dream.planning.distribution import Evidence, Groups
+from dream.planning.failed_views import FailedViews
+from dream.planning.far_hints import FarHints
+from dream.planning.hull import Hull
 from dream.planning.lookahead import NOTHING, LookAhead, Plan, Prospect
-from dream.planning.outlook import Listed, Outlook
+from dream.planning.outlook import Outlook
 from dream.planning.parameters import check_count, check_range
-from dream.planning.recall import LIKELY, Recall
-from dream.planning.rounds import Rounds
-from dream.planning.travel import Pose, Travel, careful_standoff, careful_travel, nearest_open, travel_from
-from dream.planning.vain import VainLooks
+from dream.planning.prior_survey import PriorSurvey
+from dream.planning.sources import (
+    Certificate,
+    Expected,
+    HiddenGroups,
+    Hints,
+    HullSurface,
+    Scene,
+    Source,
+    Survey,
+    TargetsBeside,
+    Traversal,
+    Way,
+    Worth,
+)
+from dream.planning.sources.source import MOST_VISITS
+from dream.planning.sources.survey import LEAVE
+from dream.planning.travel import Pose, Travel, careful_travel, nearest_open, travel_from
 from dream.planning.views import all_views_from
 from dream.planning.walk import Walk
-from dream.types import BoolArray, Decision, Float32Array, Mission, Observation, Reasoning
+from dream.types import Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
-    from dream.mapping.completion import Completion, Region
-
-FloatArray = npt.NDArray[np.floating[Any]]
+    from dream.mapping.completion import Completion
 
 NEGLIGIBLE = 1e-9
 """Square metres of targets in ground from which none are expected: what has a weight becomes known when a
 sequence of actions shows it, and can then be crossed."""
-STANDS = 0.5
-"""Square metres of targets that stand up from which on they are a hull. On the reefs of `dev` boulders among
-the targets make up to 0.2 m² seem so; a wreck shows more in the first frame that has it in reach."""
-ADJOINING = 1.5
-"""Metres from hull within reach up to which more hull is believed in."""
 KEEP = 0.01
 """Share of all that is worth looking at that a tour may leave."""
-BENEATH = 0.02
-"""What ground beside and beneath a hull counts: what is to be seen there is the hull itself."""
-NEAR = 5
-"""Steps within which the hull's views are worked out for every second node; within twice as many for every
-fourth, for every sixteenth beyond."""
-LEAVE = 0.015
-"""Share of the targets, seen and foretold or hinted at, that may be left."""
-MOST_VISITS = 3
-"""Of a pose without anything new: then what it headed for is given up; after twice as many, leftovers too."""
-GIVEN_UP = np.iinfo(np.uint16).max // 2
-"""Looks in vain at a cell of which nothing is hoped for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,32 +145,36 @@ class Belief:
         check_range("jump", self.jump, 0.0, 1000.0)
 
     def begin(self, mission: Mission) -> BeliefPilot:
-        """A fresh pilot; it remembers what it looked at in vain and where it has been."""
+        """A fresh pilot; it remembers which views failed and where it has been."""
         return BeliefPilot(self, mission)
 
+    def size_of_groups(self, mission: Mission) -> float:
+        """Radius of the groups that are searched for, metres; a cell's where everything must be seen."""
+        protocol = mission.protocol
+        return 0.5 * protocol.cell if self.certify else self.size * protocol.group_radius
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Expected:
-    """What a pilot believes, over the cells of the map."""
-
-    beside: FloatArray
-    """(rows, cols) probability of a target beside known ones."""
-    hiding: BoolArray
-    """(rows, cols) middles of groups that would not have been noticed."""
-    risk: float
-    """Probability that there is such a group, by how often that came true."""
-    groups: float
-    """How many are to be expected."""
-    hull: FloatArray
-    """(n,) patches to be expected in each element of the hull."""
-    hull_left: float
-    """Share of the hull that is still unseen."""
-    away_from_hull: FloatArray | None
-    """(rows, cols) metres to the nearest target that stands up; None where there is no hull."""
-    rarity: float
-    """How many times as many groups are to be expected where an earlier survey saw none."""
-    hinted: float
-    """Square metres of targets, where some were hinted at beyond the reach and nothing was observed yet."""
+    def sources(self, mission: Mission, views: Outlook) -> list[Source]:
+        """What it expects targets by, in the order in which they are asked; each may be left out."""
+        protocol, size, prior = mission.protocol, self.size_of_groups(mission), mission.prior
+        farthest = self.glimpse * protocol.reach
+        traverses, surveyed = protocol.traversal is not None, prior is not None
+        sources: list[Source] = []
+        # In a tank a look around shows most of what there is, and a survey tells more than hints do.
+        if self.glimpse > 1.0 and not traverses and not surveyed:
+            sources.append(Hints(FarHints(mission, farthest)))
+        blur = self.kernel * protocol.group_radius
+        beside = blur, self.prior, self.prior_weight, self.open_edge, self.eager, self.search
+        sources.append(TargetsBeside(*beside))
+        sources.append(HiddenGroups(size, Groups(self.groups, self.searched), self.search))
+        hull = Hull(mission.bounds, protocol)
+        sources.append(HullSurface(hull, views, self.eager, self.hull_left, self.alone))
+        if traverses:
+            sources.append(Traversal(Walk(mission)))
+        if prior is not None:
+            sources.append(Survey(PriorSurvey(prior, size), Groups(self.arriving, self.searched)))
+        if self.certify:
+            sources.append(Certificate())
+        return sources
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,19 +183,23 @@ class Thought:
 
     pose: SE2
     """Snapped to the lattice: a vehicle that swims is never twice at quite the same place."""
-    travel: Travel
-    moves: npt.NDArray[np.uint8]
-    """See `Outlook.moves`."""
-    completion: Completion
-    expected: _Expected
+    scene: Scene
+    expected: Expected
     reasoning: Reasoning
     """The first three steps."""
     told: tuple[str, str]
     """The first and the third of them in the words that a model is told."""
-    plan: Plan | None = None
+    travel: Travel
+    """The ways that the plan is one of."""
+    plan: Plan | None
     """Where to go; None where the mission should end."""
-    why: str = ""
+    why: str
     """Why this plan; without one, why the mission should end."""
+
+    @property
+    def completion(self) -> Completion:
+        """What is open and what is enclosed."""
+        return self.scene.completion
 
 
 @dataclass(slots=True)
@@ -204,223 +208,42 @@ class BeliefPilot:
 
     planner: Belief
     mission: Mission
-    outlook: Outlook = field(init=False)
-    hull: Hull = field(init=False)
-    vain: VainLooks = field(init=False)
-    patience: int = field(init=False)
-    """Grows with every `done` that was refused."""
+    views: Outlook = field(init=False)
+    """What each pose shows."""
+    sources: list[Source] = field(init=False)
+    """What it expects targets by."""
+    failed: FailedViews = field(init=False)
+    """Its patience grows with every `done` that was refused."""
     claimed: SE2 | None = None
     """Where the last decision was `done`."""
-    walk: Walk | None = field(init=False)
-    """None where the protocol asks for no traversal."""
-    passed_in_vain: BoolArray = field(init=False)
-    """(rows, cols) cells that are not worth another try to traverse them."""
-    recall: Recall | None = field(init=False)
-    """None where there is no earlier survey."""
-    glimpses: Glimpses | None = field(init=False)
-    """None where no frame is looked at beyond the reach: nor is one in a tank, where a look around shows most
-    of what there is, nor with a survey, which tells more."""
-    rounds: Rounds = field(default_factory=Rounds)
     visits: Counter[Pose] = field(default_factory=Counter)
     """How often a pose was returned to since anything was new."""
     news: int = 0
-    """What was `achieved` and patches of hull found when anything was last new."""
+    """What was `achieved` and found by the sources when anything was last new."""
 
     def __post_init__(self) -> None:
-        self.outlook = Outlook(self.mission, self.size)
-        self.hull = Hull(self.mission.bounds, self.mission.protocol)
-        self.vain = VainLooks(self.mission)
-        self.walk = None if self.mission.protocol.traversal is None else Walk(self.mission)
-        self.passed_in_vain = np.zeros_like(self.vain.observed)
-        self.patience = self.planner.patience
-        self.recall = None if self.mission.prior is None else Recall(self.mission.prior, self.size)
-        farthest = self.planner.glimpse * self.mission.protocol.reach
-        hints = self.planner.glimpse > 1.0 and self.walk is None and self.recall is None
-        self.glimpses = Glimpses(self.mission, farthest) if hints else None
-
-    @property
-    def size(self) -> float:
-        """Radius of the groups that are searched for, metres; a cell's where everything must be seen."""
-        protocol = self.mission.protocol
-        return 0.5 * protocol.cell if self.planner.certify else self.planner.size * protocol.group_radius
-
-    @property
-    def calibration(self) -> Calibration:
-        """How often what the model says of hidden groups comes true."""
-        return OBSERVED if self.glimpses is None else GLIMPSED
+        self.views = Outlook(self.mission, self.planner.size_of_groups(self.mission))
+        self.sources = self.planner.sources(self.mission, self.views)
+        self.failed = FailedViews(self.mission, self.planner.patience)
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         """All six steps."""
         thought = self.consider(observation, occupancy)
-        return self.act(thought, thought.plan, occupancy)
+        return self.act(thought, thought.plan)
 
     def consider(self, observation: Observation, occupancy: OccupancyMap) -> Thought:
         """Take in what is new, and think the first four steps."""
-        from dream.mapping import check_completion
-
-        pose, protocol = observation.pose, self.mission.protocol
-        here = (*self.outlook.node(pose.x, pose.y), protocol.heading_index(pose.yaw))
-        # Still there: it was refused. Whoever flies it may also have gone on without it.
-        refused, self.claimed = self.claimed == protocol.snap(pose), None
-        if refused:
-            # It stood still, so that there was no new look; what was given up is worth one more.
-            self.patience += 1
-            np.minimum(self.vain.count, self.patience + 1, out=self.vain.count)
-            if self.passed_in_vain.any():
-                self.passed_in_vain[:] = False
-                self.visits.clear()
-        else:
-            # What it had foretold, with the solids that it knew of then, counts as looked at too.
-            self.vain.note(pose, occupancy, self.outlook.shown(here)[0] if self.news else None)
-        foretold = None
-        if self.recall is not None:
-            self.recall.look(self.outlook.shown(here)[0], occupancy)
-            self.recall.compare(occupancy)
-            foretold = self.recall.solid(occupancy)
-        self.outlook.update(occupancy, foretold)
-        self.hull.integrate(observation)
-        self._try_hull(here)
-        if self.glimpses is not None:
-            self.glimpses.add(observation, occupancy)
-        # Beside a hull every place counts that the guard allows.
-        away_from_hull = _away_from_hull(occupancy)
-        travel = careful_travel(pose, occupancy) if away_from_hull is None else travel_from(pose, occupancy)
-        moves = self.outlook.moves(travel.free, occupancy, careful_standoff(protocol), foretold)
-
+        scene = self.take(observation, occupancy)
         # 1 Distribution: where targets are to be expected.
-        completion = check_completion(occupancy, pose)
-        expected = self._expected(occupancy, completion, pose, away_from_hull)
+        expected = self.expect(scene)
         # 2 Current target area and 3 completion: what is still open.
-        area = nearest_open(completion, travel, occupancy)
-        where, beyond = sentences.distribution(occupancy, completion), ""
-        if self.glimpses is not None:
-            beyond += sentences.hinted(expected.hinted, self.glimpses.precision)
-        if self.recall is not None:
-            beyond += sentences.recalled(self.recall, occupancy)
-        left = self._left(expected, occupancy)
-        target_area = sentences.target_area(area, completion)
-        if self.walk is not None:
-            left += sentences.traversal(occupancy, completion)
-            if len(completion.untraversed):
-                target_area = sentences.left_to_traverse(occupancy, completion)
-        counted = (expected.beside, expected.groups, occupancy)
-        certain, certain_for_models = self._certainty(completion, expected)
-        reasoning = Reasoning(
-            distribution=where + sentences.expectations(*counted) + beyond,
-            target_area=target_area,
-            completion=certain + left,
-        )
-        told = where + sentences.expectations_for_models(*counted) + beyond, certain_for_models + left
-        thought = Thought(protocol.snap(pose), travel, moves, completion, expected, reasoning, told)
-        square = protocol.cell**2
-        leave = LEAVE * (square * np.count_nonzero(occupancy.target) + expected.hinted)
-        enclosed = completion.complete and bool(completion.regions) and expected.hinted <= leave
-        looked_over = expected.hull_left <= self.planner.hull_left
-        if enclosed and looked_over and expected.risk <= self.planner.risk:
-            return replace(thought, why=sentences.enough(self._given_up(occupancy)))
-        # 4 Next target: what was found is traversed first, where the protocol asks for that ...
-        visits = self._visits(travel.start, occupancy)
-        walk = self._walk(thought, travel, moves, visits, occupancy)
-        if walk is not None:
-            return walk
-        # ... and then what shows most soonest, with the tour over what is left.
-        prospect = self.prospect(thought, occupancy)
-        # With a survey the risk may be little long before all ground was searched: then that is done with.
-        sure = self.recall is not None and bool(completion.regions) and looked_over
-        sure = sure and expected.risk <= self.planner.risk
-        plan, why = None, ""
-        if self.recall is not None and self.recall.believed > 0.5:
-            plan, why = self._round(thought, prospect, moves, occupancy), sentences.ROUND
-        if plan is None and not sure:
-            plan = self.look_ahead.plan(prospect, travel, moves, self.outlook.known_tiles(occupancy))
-            why = "" if plan is None or plan.choice is None else sentences.choice(plan.choice)
-        if plan is not None and visits >= MOST_VISITS:
-            self._give_up(plan, occupancy)
-            plan = None
-        if plan is not None:
-            return replace(thought, plan=plan, why=why)
-        near_solids = travel_from(pose, occupancy)
-        walk = self._walk(thought, near_solids, near_solids.free, visits, occupancy)
-        if walk is not None:
-            return walk
-        hiding = np.zeros_like(expected.hiding) if sure else expected.hiding
-        travel, plan = self._leftover(completion, hiding, pose, occupancy)
-        if plan is not None and visits >= 2 * MOST_VISITS:
-            self._give_up(plan, occupancy)
-        why = sentences.LEFTOVER if plan else sentences.nothing_left(self._given_up(occupancy))
-        return replace(thought, travel=travel, plan=plan, why=why)
+        reasoning, told = self._explain(expected, scene)
+        # 4 Next target: what shows most soonest, with the tour over what is left; none where it is complete.
+        way = self._next_target(expected, scene)
+        pose = self.mission.protocol.snap(observation.pose)
+        return Thought(pose, scene, expected, reasoning, told, way.travel, way.plan, way.why)
 
-    def _round(
-        self, thought: Thought, prospect: Prospect, moves: npt.NDArray[np.uint8], occupancy: OccupancyMap
-    ) -> Plan | None:
-        """The way round what is foretold and was not seen yet; None where hardly any of it is left."""
-        assert self.recall is not None
-        square = self.mission.protocol.cell**2
-        unseen = ~occupancy.observed & (self.vain.count < self.patience)
-        known = square * np.count_nonzero(occupancy.target)
-        needed = np.zeros_like(unseen)
-        if thought.completion.regions:
-            needed[tuple(thought.completion.open_cells.T)] = True
-        expected, either = thought.expected, unseen | self.recall.unheard(occupancy)
-        unknown = expected.hiding & ~self.recall.empty
-        intensity = expected.groups / max(square * np.count_nonzero(expected.hiding), square)
-        # What is in plain view comes first; then also what a low rock may hide and what keeps a region open,
-        # which cost more than they bring; then also ground of which the survey knows nothing.
-        for part in range(3):
-            left = either if part else unseen
-            worth = self.recall.weighed(expected.beside, left)
-            worth = np.where(left & (worth >= LIKELY), square * worth, 0.0)
-            leave = LEAVE * (known + float(worth.sum()))
-            hiding = np.zeros_like(worth)
-            if part > 0:
-                # No cell that is needed may be left, and of groups as many as make half the risk accepted.
-                worth[needed & unseen] = 1.1 * leave
-            if part > 1:
-                # Nor any that could hold one, where hardly any risk is accepted.
-                each = (
-                    leave
-                    * square
-                    * intensity
-                    / max(0.5 * self.calibration.uncalibrated(self.planner.risk), 1e-9)
-                )
-                hiding[unknown] = min(each, 1.1 * leave)
-            ahead = replace(
-                prospect, ground=self.outlook.on_tiles(worth), hiding=self.outlook.on_tiles(hiding)
-            )
-            plan = self.rounds.plan(ahead, thought.travel, moves, leave)
-            if plan is not None:
-                return plan
-        return None
-
-    def _walk(
-        self,
-        thought: Thought,
-        travel: Travel,
-        moves: npt.NDArray[np.uint8],
-        visits: int,
-        occupancy: OccupancyMap,
-    ) -> Thought | None:
-        """With the way to traverse what is left; None where no way leads to any of it."""
-        if self.walk is None:
-            return None
-        from dream.mapping import to_traverse
-
-        # Beyond what completion asks for: what no known way leads to may come in reach on the way.
-        left = np.argwhere(to_traverse(occupancy) & ~self.passed_in_vain)
-        if visits > 1:
-            moves = travel.free  # What is unknown stays so from here.
-        while True:
-            path = self.walk.plan(left, travel, moves)
-            passes = self.walk.traverses(path)[tuple(left.T)]
-            if len(path) == 1:
-                return None
-            if visits < MOST_VISITS:
-                plan = Plan(path, rate=0.0, later=0.0, passed=int(passes.sum()))
-                return replace(thought, travel=travel, plan=plan, why=sentences.WALK)
-            self.passed_in_vain[tuple(left[passes].T)] = True
-            left = left[~passes]
-
-    def act(self, thought: Thought, plan: Plan | None, occupancy: OccupancyMap) -> Decision:
+    def act(self, thought: Thought, plan: Plan | None) -> Decision:
         """The first move of a plan; done without one."""
         if plan is None:
             self.claimed = thought.pose
@@ -428,213 +251,140 @@ class BeliefPilot:
         # Whoever takes another plan has reasons of their own.
         why = f" {thought.why}" if plan is thought.plan and thought.why else ""
         # 5 Safety is in the search: its first move is one that the guard lets pass.
+        safety = sentences.safety(thought.scene.occupancy, thought.travel, plan.path[:2])
         # 6 Action: the first of the sequence.
         turn, advance = thought.travel.move(plan.path[0], plan.path[1])
-        return Decision(
-            turn,
-            advance,
-            reasoning=replace(
-                thought.reasoning,
-                next_target=sentences.plan(plan, thought.travel) + why,
-                safety=sentences.safety(occupancy, thought.travel, plan.path[:2]),
-                action=sentences.action(turn, advance),
-            ),
+        reasoning = replace(
+            thought.reasoning,
+            next_target=sentences.plan(plan, thought.travel) + why,
+            safety=safety,
+            action=sentences.action(turn, advance),
         )
+        return Decision(turn, advance, reasoning=reasoning)
 
-    def _left(self, expected: _Expected, occupancy: OccupancyMap) -> str:
-        """What there is to say of step 3 beside certainty."""
-        more = sentences.not_counted(self._given_up(occupancy))
-        if expected.away_from_hull is not None:
-            area = PATCH**2 * float(expected.hull.sum())
-            more += sentences.hull(area, expected.hull_left, self.planner.hull_left)
-        return more + sentences.hints_left(expected.hinted)
+    # ------------------------------------------------------------------------------------- what is believed
 
-    def _certainty(self, completion: Completion, expected: _Expected) -> tuple[str, str]:
-        """How certain it is that all was seen; and the same as models are told it."""
-        if self.planner.certify:
-            unseen = float(expected.hiding.sum()) * self.mission.protocol.cell**2
-            said = sentences.certificate(completion, unseen)
-            return said, said
-        risks = (completion, expected.risk, self.planner.risk)
-        return sentences.certainty(*risks), sentences.certainty_for_models(*risks)
+    def take(self, observation: Observation, occupancy: OccupancyMap) -> Scene:
+        """Hand what is new to all sources."""
+        pose, protocol, views = observation.pose, self.mission.protocol, self.views
+        here = (*views.node(pose.x, pose.y), protocol.heading_index(pose.yaw))
+        # Still there: it was refused. Whoever flies it may also have gone on without it.
+        refused, self.claimed = self.claimed == protocol.snap(pose), None
+        if refused:
+            # It stood still, so that there was no new look; what was given up is worth one more.
+            self.failed.try_again()
+            there_is_more = [source.try_again() for source in self.sources]
+            if any(there_is_more):
+                self.visits.clear()
+        else:
+            # What it had foretold, with the solids that it knew of then, counts as looked at too.
+            self.failed.note(pose, occupancy, views.shown(here)[0] if self.news else None)
+        scene = Scene(observation, occupancy, here, views, self.failed)
+        for source in self.sources:
+            source.take(scene)
+        views.update(occupancy, scene.foretold)
+        return scene
 
-    # ------------------------------------------------------------------------------------- distribution
-
-    def _expected(
-        self,
-        occupancy: OccupancyMap,
-        completion: Completion,
-        pose: SE2,
-        away_from_hull: FloatArray | None,
-    ) -> _Expected:
-        from dream.mapping import could_hide, that_would_show, within
-
-        planner, protocol = self.planner, self.mission.protocol
-        cell = protocol.cell
-        # Of a hull more is believed than hints tell; see `Hull`.
-        glimpses = self.glimpses if away_from_hull is None else None
-        beside, hinted = self._beside(occupancy, completion, glimpses), 0.0
-        places = self._places(occupancy, pose)
-        if glimpses is not None:
-            hoped_for = glimpses.hints(occupancy) & (self.vain.count < self.patience)
-            hoped_for &= within(places, protocol.reach, cell)
-            if completion.seen:
-                # Likewise to what is done with middles of groups below.
-                hopeful = within(places & ~occupancy.observed, protocol.reach, cell)
-                hoped_for &= hopeful | that_would_show(occupancy, pose, 0.5 * cell, hoped_for & ~hopeful)
-            hinted = float(beside[hoped_for].sum()) * cell**2
-        hopeless = ~within(places, protocol.reach, cell) | (self.vain.count >= self.patience)
-        hiding = could_hide(occupancy, self.size, hopeless)
-        if completion.seen:
-            # Here the mission may end, so that what no known place can see is left out: behind a wall, say.
-            # But places that the vehicle might yet get to may see more than that; only elsewhere it is asked.
-            hopeful = within(places & ~occupancy.observed, protocol.reach, cell)
-            hiding &= hopeful | that_would_show(occupancy, pose, self.size, hiding & ~hopeful)
-        unnoticed = None if glimpses is None else glimpses.unnoticed(self.size, occupancy)
-        hidden = float((hiding if unnoticed is None else unnoticed[hiding]).sum()) * cell**2
-        searched = np.count_nonzero(occupancy.to_see) * cell**2 - hidden
-        groups = Groups(planner.groups, planner.searched).after(len(completion.regions), searched)
-        hull = self._expected_hull(occupancy, away_from_hull)
-        if away_from_hull is not None:
-            hidden *= planner.alone
-        risk, rarity = groups.risk(hidden), 1.0
-        if self.recall is not None:
-            searched_cells = occupancy.to_see & ~hiding
-            risk, rarity = self._with_survey(
-                self.recall, groups, completion.regions, searched_cells, hiding, hidden
-            )
-        if planner.certify:
-            risk = float(hiding.any())
-        left = float(hull.sum())
-        return _Expected(
-            beside,
-            hiding,
-            self.calibration.calibrated(risk),
-            groups.intensity * hidden,
-            hull,
-            left / (self.hull.found + left) if left else 0.0,
-            away_from_hull,
-            rarity,
-            hinted,
+    def expect(self, scene: Scene) -> Expected:
+        """Ask all sources, one after the other, what they expect."""
+        occupancy, planner = scene.occupancy, self.planner
+        nothing = np.zeros(occupancy.shape, np.float32)
+        expected = Expected(
+            Evidence.of_map(occupancy),
+            beside=nothing,
+            likely=nothing,
+            hiding=np.zeros(occupancy.shape, np.bool_),
+            unnoticed=np.ones(occupancy.shape, np.float32),
+            groups=Groups(planner.groups, planner.searched),
+            accepted=planner.risk,
         )
+        for source in self.sources:
+            source.expect(expected, scene)
+        return expected
 
-    def _beside(
-        self, occupancy: OccupancyMap, completion: Completion, glimpses: Glimpses | None
-    ) -> Float32Array:
-        """(rows, cols) probability of a target beside those that were seen or hinted at."""
-        from dream.mapping import within
-
-        planner, cell = self.planner, self.mission.protocol.cell
-        hints, evidence = np.zeros_like(occupancy.target), None
-        if glimpses is not None:
-            hints, evidence = glimpses.hints(occupancy), glimpses.evidence(occupancy)
-        if not completion.regions and not hints.any():
-            return np.zeros(occupancy.shape, np.float32)
-        blur = planner.kernel * self.mission.protocol.group_radius
-        near = within(occupancy.target | hints, 2.0 * blur, cell)
-        beside = expectation(occupancy, blur, planner.prior, planner.prior_weight, near, evidence)
-        if glimpses is not None:
-            beside = glimpses.weighed(beside, occupancy)
-        if completion.regions:
-            row, col = completion.open_cells.T
-            # A hole far from all targets must be closed, but holds none more likely than other ground does.
-            least = np.where(near[row, col], planner.open_edge, planner.search)
-            beside[row, col] = np.maximum(beside[row, col], least)
-        return beside
-
-    def _with_survey(
-        self,
-        recall: Recall,
-        groups: Groups,
-        regions: Sequence[Region],
-        searched: BoolArray,
-        hiding: BoolArray,
-        hidden: float,
-    ) -> tuple[float, float]:
-        """The risk, not calibrated, with a survey as far as it is believed, and `_Expected.rarity`.
-
-        Where it saw no group one must have come since. How many do is learnt as the number of groups is, from
-        those that came to such ground, and the ground of which it was searched again.
-        """
-        came, empty = recall.came(regions), recall.empty
-        share = float(np.count_nonzero(hiding & empty)) / max(int(np.count_nonzero(hiding)), 1)
-        again = self.mission.protocol.cell**2 * np.count_nonzero(empty & searched)
-        arriving = self.planner.arriving * max(recall.prior.years, 1.0)
-        coming = Groups(arriving, self.planner.searched).after(came, again)
-        told = 1.0 - (1.0 - groups.risk((1.0 - share) * hidden)) * (1.0 - coming.risk(share * hidden))
-        rarity = min(coming.intensity / groups.intensity, 1.0)
-        believed = recall.believed
-        return (
-            believed * told + (1.0 - believed) * groups.risk(hidden),
-            believed * rarity + 1.0 - believed,
+    def _explain(self, expected: Expected, scene: Scene) -> tuple[Reasoning, tuple[str, str]]:
+        """The first three steps in words; the first and the third in the words that a model is told."""
+        occupancy, completion = scene.occupancy, scene.completion
+        words = [source.words(expected, scene) for source in self.sources]
+        certainties = [source.certainty(expected, scene) for source in self.sources]
+        certain, certain_for_models = [said for said in certainties if said is not None][-1]
+        where = sentences.distribution(occupancy, completion)
+        counted = expected.beside, expected.to_come, occupancy
+        beyond = "".join(said.distribution for said in words)
+        left = sentences.not_counted(self.failed.area_given_up(occupancy))
+        left += "".join(said.completion for said in words)
+        area = sentences.target_area(nearest_open(completion, scene.travel, occupancy), completion)
+        reasoning = Reasoning(
+            distribution=where + sentences.expectations(*counted) + beyond,
+            target_area=next((said.target_area for said in words if said.target_area), area),
+            completion=certain + left,
         )
+        told = where + sentences.expectations_for_models(*counted) + beyond
+        return reasoning, (told, certain_for_models + left)
 
-    def _expected_hull(self, occupancy: OccupancyMap, away_from_hull: FloatArray | None) -> FloatArray:
-        """The belief about the hull, as far as it adjoins hull that was within reach.
-
-        Farther away labels are not trusted, and where no target stands up there is no hull.
-        """
-        if away_from_hull is None or not len(self.hull.weights):
-            return np.zeros(len(self.hull.weights))
-        x, y = self.hull.middles[:, :2].T
-        inside = occupancy.contains(x, y)
-        inside[inside] = occupancy.to_see[occupancy.cell_of(x[inside], y[inside])]
-        away = np.full(len(x), np.inf)
-        away[inside] = away_from_hull[occupancy.cell_of(x[inside], y[inside])]
-        return np.where(away <= ADJOINING, self.hull.weights, 0.0)
-
-    def _places(self, occupancy: OccupancyMap, pose: SE2) -> BoolArray:
-        """(rows, cols) cells that the vehicle might get to, for all that is known."""
-        from scipy.ndimage import label
-
-        protocol = self.mission.protocol
-        room = occupancy.distance_to_solid >= protocol.body_radius + 0.5 * protocol.cell
-        row, col = occupancy.cell_of(pose.x, pose.y)
-        room[max(row - 1, 0) : row + 2, max(col - 1, 0) : col + 2] = True
-        parts, _ = label(room, np.ones((3, 3)))
-        return np.asarray(parts == parts[row, col])
+    def _complete(self, expected: Expected, scene: Scene) -> bool:
+        """Is every region enclosed, and is all else that was expected seen, or unlikely enough?"""
+        completion, square = scene.completion, self.mission.protocol.cell**2
+        leave = LEAVE * (square * np.count_nonzero(scene.occupancy.target) + expected.hinted)
+        enclosed = completion.complete and bool(completion.regions) and expected.hinted <= leave
+        return bool(enclosed and expected.looked_over and expected.searched)
 
     # -------------------------------------------------------------------------------------- next target
 
-    def prospect(self, thought: Thought, occupancy: OccupancyMap) -> Prospect:
+    def _next_target(self, expected: Expected, scene: Scene) -> Way:
+        """Where to go."""
+        if self._complete(expected, scene):
+            return Way(scene.travel, None, sentences.enough(self.failed.area_given_up(scene.occupancy)))
+        visits = self._visits(scene)
+        way = self._errand(scene, scene.travel, scene.moves, visits)
+        if way is not None:
+            return way
+        enough = any(source.enough(expected, scene) for source in self.sources)
+        way = self._look_ahead(expected, scene, enough=enough)
+        if way is not None and visits < MOST_VISITS:
+            return way
+        if way is not None and way.plan is not None:
+            self._give_up(way.plan, scene.occupancy)
+        near_solids = travel_from(scene.observation.pose, scene.occupancy)
+        return self._errand(scene, near_solids, near_solids.free, visits) or self._leftover(
+            expected, scene, visits, enough=enough
+        )
+
+    def _errand(self, scene: Scene, travel: Travel, moves: npt.NDArray[np.uint8], visits: int) -> Way | None:
+        """What some source has to have done first."""
+        errands = (source.errand(scene, travel, moves, visits) for source in self.sources)
+        return next((way for way in errands if way is not None), None)
+
+    def _look_ahead(self, expected: Expected, scene: Scene, *, enough: bool) -> Way | None:
+        """The tour of some source, or what shows most soonest unless enough was searched."""
+        prospect = self.prospect(expected, scene)
+        tours = (source.tour(expected, scene, prospect) for source in self.sources)
+        tour = next((way for way in tours if way is not None), None)
+        if tour is not None or enough:
+            return tour
+        known = self.views.known_tiles(scene.occupancy)
+        plan = self.look_ahead.plan(prospect, scene.travel, scene.moves, known)
+        if plan is None:
+            return None
+        return Way(scene.travel, plan, "" if plan.choice is None else sentences.choice(plan.choice))
+
+    def prospect(self, expected: Expected, scene: Scene) -> Prospect:
         """What is worth looking at, by which plans are chosen."""
-        expected, completion, travel = thought.expected, thought.completion, thought.travel
-        planner, square = self.planner, self.mission.protocol.cell**2
-        todo = ~occupancy.observed & (self.vain.count < self.patience)
-        beside = expected.beside
-        if self.recall is not None:
-            beside = self.recall.weighed(beside, todo)
-            # What keeps a region open must be seen, whatever was foretold there.
-            row, col = completion.open_cells.T
-            beside[row, col] = np.maximum(beside[row, col], expected.beside[row, col])
-        ground = planner.eager * beside * square
-        if not completion.regions and not expected.hiding.any():
-            # Where no target was seen, all ground must be.
-            row, col = completion.open_cells.T
-            ground[row, col] = np.maximum(ground[row, col], planner.search * square)
-        search = planner.search
-        if expected.away_from_hull is not None:
-            ground[expected.away_from_hull <= ADJOINING] *= BENEATH
-            search *= planner.alone
-        if self.walk is not None:
-            # What lies beside targets comes into view where they are traversed; what keeps it open counts.
-            is_open = np.zeros_like(todo)
-            is_open[tuple(completion.open_cells.T)] = True
-            ground[~is_open] = 0.0
-            search *= expected.risk > planner.risk
-        ground = np.where(todo, ground + NEGLIGIBLE, 0.0)
-        hiding = np.where(expected.hiding, search * square, 0.0)
-        if self.recall is not None:
-            hiding[self.recall.empty] *= expected.rarity
-        if self.glimpses is not None and expected.away_from_hull is None:
-            hiding *= self.glimpses.unnoticed(self.size, occupancy)
+        square, views = self.mission.protocol.cell**2, self.views
+        nothing = np.zeros(scene.occupancy.shape)
+        worth = Worth(nothing, 0.0, np.ones_like(nothing))
+        for source in self.sources:
+            source.weigh(worth, expected, scene)
+        left = self.failed.left(scene.occupancy)
+        ground = np.where(left, worth.ground + NEGLIGIBLE, 0.0)
+        hiding = np.where(expected.hiding, worth.search * square, 0.0) * worth.share
         return Prospect(
-            self.outlook,
-            ground=self.outlook.on_tiles(ground),
-            hiding=self.outlook.on_tiles(hiding),
-            targets=self.outlook.on_tiles(np.where(todo, expected.beside * square, 0.0)),
-            hidden=self.outlook.on_tiles(expected.hiding * square),
-            listed=self._hull_views(expected, travel, occupancy),
+            views,
+            ground=views.on_tiles(ground),
+            hiding=views.on_tiles(hiding),
+            targets=views.on_tiles(np.where(left, expected.beside * square, 0.0)),
+            hidden=views.on_tiles(expected.hiding * square),
+            listed=worth.listed,
         )
 
     @property
@@ -650,78 +400,52 @@ class BeliefPilot:
             jump=planner.jump,
         )
 
-    def _hull_views(self, expected: _Expected, travel: Travel, occupancy: OccupancyMap) -> Listed | None:
-        """What of the hull is seen from the nodes around it."""
-        weights = self.planner.eager * PATCH**2 * expected.hull
-        if not weights.any():
-            return None
-        from scipy.spatial import cKDTree
-
-        left = self.hull.middles[weights > 0.0, :2]
-        rows, cols = np.nonzero(travel.reached)
-        positions = travel.position(rows, cols)
-        steps = travel.nearest[rows, cols]
-        chosen = (rows % 4 == 0) & (cols % 4 == 0)
-        chosen |= (rows % 2 == 0) & (cols % 2 == 0) & (steps <= 2 * NEAR)
-        chosen |= ((rows + cols) % 2 == 0) & (steps <= NEAR)
-        chosen &= cKDTree(left).query(positions)[0] <= self.mission.protocol.reach
-        rows, cols, positions = rows[chosen], cols[chosen], positions[chosen]
-        nodes = rows * self.outlook.cols + cols
-        starts, elements = self.hull.visible(positions, weights > 0.0)
-        return Listed(weights, expected.hull, self.hull.middles[:, :2], nodes, starts, elements)
-
-    def _try_hull(self, pose: Pose) -> None:
-        """From there, hope no more for what of the hull should be in view and is still to be seen."""
-        row, col, heading = pose
-        yaw = heading * self.mission.protocol.heading_step
-        self.hull.give_up(self.outlook.position(row, col), yaw)
-
-    def _leftover(
-        self, completion: Completion, hiding: BoolArray, pose: SE2, occupancy: OccupancyMap
-    ) -> tuple[Travel, Plan | None]:
+    def _leftover(self, expected: Expected, scene: Scene, visits: int, *, enough: bool) -> Way:
         """The way to what only the map's own view of some pose still shows, near solid ground if need be."""
         from dream.mapping import within
 
+        occupancy, protocol = scene.occupancy, self.mission.protocol
         weights = np.zeros(occupancy.shape, np.float32)
-        row, col = completion.open_cells.T
+        row, col = scene.completion.open_cells.T
         weights[row, col] = 1.0
-        could_hold = within(hiding, self.size, self.mission.protocol.cell)
-        weights[could_hold & ~occupancy.observed] = 1.0
-        weights[self.vain.count >= self.patience + 2] = 0.0
+        if not enough:
+            could_hold = within(expected.hiding, self.planner.size_of_groups(self.mission), protocol.cell)
+            weights[could_hold & ~occupancy.observed] = 1.0
+        weights[self.failed.count >= self.failed.patience + 2] = 0.0
+        travel = scene.travel
         for search in (careful_travel, travel_from):
-            travel = search(pose, occupancy)
+            travel = search(scene.observation.pose, occupancy)
             views = all_views_from(travel, occupancy, weights)
             best = views.best(views.rates)
             if best is not None and best.rate > NOTHING:
-                return travel, Plan(travel.path(best.pose), rate=0.0, later=0.0, cells=best.gain)
-        return travel, None
+                plan = Plan(travel.path(best.pose), rate=0.0, later=0.0, cells=best.gain)
+                if visits >= 2 * MOST_VISITS:
+                    self._give_up(plan, occupancy)
+                return Way(travel, plan, sentences.LEFTOVER)
+        return Way(travel, None, sentences.nothing_left(self.failed.area_given_up(occupancy)))
 
     # ----------------------------------------------------------------------------------------- watchdog
 
-    def _visits(self, pose: Pose, occupancy: OccupancyMap) -> int:
+    def _visits(self, scene: Scene) -> int:
         """How often it has come to this pose since anything was new."""
-        seen = achieved(occupancy) + int(self.hull.found)
+        seen = achieved(scene.occupancy) + sum(source.found() for source in self.sources)
         if seen != self.news:
             self.news = seen
             self.visits.clear()
-        self.visits[pose] += 1
-        return self.visits[pose]
-
-    def _given_up(self, occupancy: OccupancyMap) -> float:
-        """Square metres to be seen that never were and are hoped for no more: they count as searched."""
-        given_up = ~occupancy.observed & (self.vain.count >= self.patience)
-        return float(np.count_nonzero(given_up)) * self.mission.protocol.cell**2
+        self.visits[scene.travel.start] += 1
+        return self.visits[scene.travel.start]
 
     def _give_up(self, plan: Plan, occupancy: OccupancyMap) -> None:
         """Hope for nothing more from the views of a plan."""
         from dream.mapping import view
 
         for pose in plan.path:
-            ground, middles = self.outlook.shown(pose)
+            ground, middles = self.views.shown(pose)
             yaw = pose[2] * self.mission.protocol.heading_step
-            shown = view(occupancy, *self.outlook.position(*pose[:2]), yaw) | ground | middles
-            self.vain.count[shown & ~occupancy.observed] = GIVEN_UP
-            self._try_hull(pose)
+            shown = view(occupancy, *self.views.position(*pose[:2]), yaw) | ground | middles
+            self.failed.give_up(shown & ~occupancy.observed)
+            for source in self.sources:
+                source.give_up(pose)
 
 
 def achieved(occupancy: OccupancyMap) -> int:
@@ -729,16 +453,3 @@ def achieved(occupancy: OccupancyMap) -> int:
     return int(
         np.count_nonzero(occupancy.observed) + np.count_nonzero(occupancy.traversed & occupancy.target)
     )
-
-
-def _away_from_hull(occupancy: OccupancyMap) -> FloatArray | None:
-    """(rows, cols) metres to the nearest target that stands up from the seabed.
-
-    None where no more of them do than a boulder among targets would make it seem.
-    """
-    from scipy.ndimage import distance_transform_edt
-
-    cell, stands = occupancy.protocol.cell, occupancy.target & occupancy.solid
-    if np.count_nonzero(stands) * cell**2 < STANDS:
-        return None
-    return np.asarray(distance_transform_edt(~stands, cell))

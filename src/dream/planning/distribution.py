@@ -18,13 +18,65 @@ FloatArray = npt.NDArray[np.floating[Any]]
 Cells = BoolArray | Float32Array
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What is known of targets and of ground, where something was observed or only glimpsed."""
+
+    targets: Cells
+    """(rows, cols) share of each cell that is target."""
+    ground: Cells
+    """(rows, cols) share of each cell that was seen."""
+    glimpsed: BoolArray
+    """(rows, cols) cells of which something was seen, but never within reach."""
+    hints: BoolArray
+    """(rows, cols) those of them that seemed to be targets."""
+    precision: float = 1.0
+    """Probability that a hint of a target comes true."""
+    sensitivity: float = 0.0
+    """Probability that a target in ground that was glimpsed is hinted at."""
+
+    @classmethod
+    def of_map(cls, occupancy: OccupancyMap) -> Evidence:
+        """Of what was observed, alone."""
+        nothing = np.zeros(occupancy.shape, np.bool_)
+        return cls(occupancy.target, occupancy.seen, nothing, nothing)
+
+    def weighed(self, beside: Float32Array) -> Float32Array:
+        """(rows, cols) probability of a target, of cells not observed, with what was glimpsed of the cell.
+
+        Where nothing was hinted at by Bayes' rule, bare ground being taken never to hint; a hint is worth
+        what hints are worth, or what lies around where that is more.
+
+        Args:
+            beside: (rows, cols) by what lies around.
+        """
+        missed = (1.0 - self.sensitivity) * beside
+        unhinted = np.where(self.glimpsed, missed / (missed + 1.0 - beside), beside)
+        hinted = np.maximum(self.precision, beside)
+        return np.where(self.hints, hinted, unhinted).astype(np.float32)
+
+    def unnoticed(self, radius: float, cell: float) -> Float32Array:
+        """(rows, cols) probability that a group with its middle there was glimpsed and missed.
+
+        It is 1 where no ground of one was glimpsed.
+
+        Args:
+            radius: Of a group, metres.
+            cell: Metres.
+        """
+        from dream.mapping import within
+
+        near = within(self.glimpsed, radius, cell)
+        return np.where(near, np.float32(1.0 - self.sensitivity), np.float32(1.0))
+
+
 def expectation(
     occupancy: OccupancyMap,
     radius: float,
     prior: float,
     prior_weight: float,
     where: BoolArray,
-    evidence: tuple[Cells, Cells] | None = None,
+    evidence: Evidence | None = None,
 ) -> npt.NDArray[np.float32]:
     """(rows, cols) probability of a target in every cell not observed that is asked about, 0 elsewhere.
 
@@ -37,12 +89,12 @@ def expectation(
         prior: Probability in a cell about which nothing is known.
         prior_weight: How much blurred evidence the prior is worth.
         where: (rows, cols) the cells asked about.
-        evidence: (rows, cols) of targets and of ground, as shares of cells; those of the map unless given.
+        evidence: What is known; what was observed unless given.
     """
     where = where & ~occupancy.observed
-    of_targets, of_ground = (occupancy.target, occupancy.seen) if evidence is None else evidence
-    targets = blurred(of_targets, radius, occupancy, where)
-    observed = blurred(of_ground, radius, occupancy, where)
+    known = Evidence.of_map(occupancy) if evidence is None else evidence
+    targets = blurred(known.targets, radius, occupancy, where)
+    observed = blurred(known.ground, radius, occupancy, where)
     p = (targets + prior * prior_weight) / (observed + prior_weight)
     return np.where(where, np.clip(p, 0.0, 1.0), 0.0).astype(np.float32)
 

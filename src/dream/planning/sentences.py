@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
     from dream.mapping.completion import Completion, Region
     from dream.planning.lookahead import Choice, Plan
-    from dream.planning.recall import Recall
+    from dream.planning.prior_survey import PriorSurvey
 
 COMPASS = ("east", "northeast", "north", "northwest")
 WALK = "What was found is traversed before anything else is looked for."
@@ -70,20 +70,20 @@ def hinted(area: float, precision: float) -> str:
     )
 
 
-def recalled(recall: Recall, occupancy: OccupancyMap) -> str:
+def foretold(survey: PriorSurvey, occupancy: OccupancyMap) -> str:
     """Step 1: what an earlier survey foretells, how far it is believed, and what is other than it was."""
-    left, new, gone = (n * occupancy.protocol.cell**2 for n in recall.told(occupancy))
-    prior = recall.prior
+    left, new, gone = (n * occupancy.protocol.cell**2 for n in survey.told(occupancy))
+    prior = survey.prior
     moved = ""
-    if recall.shift != (0, 0):
-        north, east = (k * prior.cell for k in recall.shift)
+    if survey.shift != (0, 0):
+        north, east = (k * prior.cell for k in survey.shift)
         sides = "west" if east < 0.0 else "east", "south" if north < 0.0 else "north"
         moved = (
             f" It is taken to lie {abs(east):.2f} m {sides[0]} and {abs(north):.2f} m {sides[1]} of where it "
-            f"was told, give or take {recall.spread:.1f} m."
+            f"was told, give or take {survey.spread:.1f} m."
         )
     return (
-        f" The survey {prior.source}, {prior.years:.1f} years old, is believed to {recall.believed:.0%}: "
+        f" The survey {prior.source}, {prior.years:.1f} years old, is believed to {survey.believed:.0%}: "
         f"{left:.1f} m² where it foretells targets are still to be seen; {new:.1f} m² of targets are new, "
         f"{gone:.1f} m² are gone.{moved}"
     )

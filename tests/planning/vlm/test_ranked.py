@@ -112,7 +112,7 @@ def listed(looked_around: tuple[Observation, OccupancyMap]) -> tuple[list[Place]
     observation, occupancy = looked_around
     pilot = Belief().begin(Mission(DREAM_V1, occupancy.bounds, 200))
     thought = pilot.consider(observation, occupancy)
-    return places(pilot, thought, occupancy), pilot, thought
+    return places(pilot, thought), pilot, thought
 
 
 # ------------------------------------------------------------------------------------------------- places
@@ -152,17 +152,14 @@ def test_places_stand_apart(listed: tuple[list[Place], Any, Any]) -> None:
         assert np.hypot(*(found[0].path - place.path[-1]).T).min() >= APART * DREAM_V1.reach
 
 
-def test_a_place_is_worth_the_same_when_it_is_asked_for_again(
-    listed: tuple[list[Place], Any, Any], looked_around: tuple[Observation, OccupancyMap]
-) -> None:
+def test_a_place_is_worth_the_same_when_it_is_asked_for_again(listed: tuple[list[Place], Any, Any]) -> None:
     found, pilot, thought = listed
-    _, occupancy = looked_around
     for place in found[1:]:
-        now = again(pilot, thought, occupancy, place.pose)
+        now = again(pilot, thought, place.pose)
         assert now is not None
         assert now[0].path == place.plan.path
         assert now[1] == pytest.approx(place.loss)
-    assert again(pilot, thought, occupancy, thought.travel.start) is None
+    assert again(pilot, thought, thought.travel.start) is None
 
 
 # ----------------------------------------------------------------------------------------------- question

@@ -19,6 +19,7 @@ from dream.mapping._kernels import flags
 from dream.planning import Belief
 from dream.planning.belief import BeliefPilot, Thought
 from dream.planning.lookahead import Plan, Prospect
+from dream.planning.sources import Expected, Scene
 from dream.planning.travel import Pose, lattice_in
 from dream.planning.views import Views
 from dream.planning.vlm import Ranked, ranked
@@ -293,10 +294,10 @@ class Uneven(BeliefPilot):
 
     turned: Turned = AS_IT_IS
 
-    def prospect(self, thought: Thought, occupancy: OccupancyMap) -> Prospect:
-        prospect = BeliefPilot.prospect(self, thought, occupancy)
+    def prospect(self, expected: Expected, scene: Scene) -> Prospect:
+        prospect = BeliefPilot.prospect(self, expected, scene)
         # There is a row and a column of tiles more than lie between the nodes.
-        side = math.isqrt(self.outlook.tiles)
+        side = math.isqrt(self.views.tiles)
         factor = np.ones((side, side), np.float32)
         factor[:-1, :-1] += self.turned.cells(0.02 * np.random.default_rng(1).random((side - 1, side - 1)))
         worth = factor.ravel()
@@ -314,7 +315,7 @@ class Held:
 
     @property
     def prospect(self) -> Prospect:
-        return self.pilot.prospect(self.thought, self.occupancy)
+        return self.pilot.prospect(self.thought.expected, self.thought.scene)
 
     @property
     def views(self) -> Views:
@@ -322,7 +323,7 @@ class Held:
 
     def places(self, plan: Plan | None) -> list[Place]:
         """Where the offline planner would do that."""
-        return places(self.pilot, replace(self.thought, plan=plan), self.occupancy)
+        return places(self.pilot, replace(self.thought, plan=plan))
 
     def closed(self, place: Place) -> set[tuple[float, float]]:
         """The middles of the regions that it closes."""

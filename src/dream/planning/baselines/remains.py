@@ -7,11 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from dream.geometry import SE2
+from dream.planning.failed_views import FailedViews
 from dream.planning.travel import Pose, Travel, travel_from
-from dream.planning.vain import VainLooks
 from dream.planning.views import View
 from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, Decision, Mission, Reasoning
@@ -20,40 +18,38 @@ if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
 
 MOST_PATIENCE = 8
-"""Looks in vain after which a cell is given up for good."""
+"""Failed views after which a cell is given up for good."""
 
 
 @dataclass(slots=True)
 class Remains:
     """What is left to look at, as one mission remembers it.
 
-    Cells that were looked at in vain are given up. And a rest too small to go for may be what a refused
+    Cells that views failed to show are given up. And a rest too small to go for may be what a refused
     `done` is about, so that a refusal makes smaller rests count.
     """
 
     mission: Mission
     least: float
     """Cells that a view must show to be worth going to."""
-    patience: int = 2
-    """Looks in vain after which a cell is given up."""
     goal: Pose | None = None
     """The pose that was headed for last."""
     refused: bool = False
     """The last decision was `done`."""
     claims: int = 0
     """How often `done` was said."""
-    vain: VainLooks = field(init=False)
+    failed: FailedViews = field(init=False)
 
     def __post_init__(self) -> None:
-        self.vain = VainLooks(self.mission)
+        self.failed = FailedViews(self.mission, patience=2)
 
     def look(self, pose: SE2, occupancy: OccupancyMap) -> None:
         """Take in the observation that was made at `pose` and is in the map."""
-        self.vain.note(pose, occupancy)
+        self.failed.note(pose, occupancy)
 
     def worth_looking(self, occupancy: OccupancyMap) -> BoolArray:
         """(rows, cols) cells that were not observed and are not given up."""
-        return np.asarray(~occupancy.observed & (self.vain.count < self.patience))
+        return self.failed.left(occupancy)
 
     def go(
         self, pose: SE2, travel: Travel, occupancy: OccupancyMap, choose: Callable[[Travel], View | None]
@@ -77,13 +73,13 @@ class Remains:
                     return view, Decision(*way.move(path[0], path[1]))
             if len(ways) == 1:
                 ways.append(travel_from(pose, occupancy))
-            elif not self.refused or (self.least <= 1.0 and self.patience >= MOST_PATIENCE):
+            elif not self.refused or (self.least <= 1.0 and self.failed.patience >= MOST_PATIENCE):
                 self.goal = None
                 return None
             elif self.least > 1.0:
                 self.least = max(1.0, self.least / 2.0)
             else:
-                self.patience += 1
+                self.failed.patience += 1
 
     def done(self, why: str) -> Decision:
         """Say so."""

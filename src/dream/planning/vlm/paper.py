@@ -77,7 +77,7 @@ class _EveryStep:
         answer = self.line.insist(self.line.ask(self._question(observation, occupancy)).answer())
         exchange = answer.exchange
         if answer.reply is None:
-            decision = self.offline.act(thought, thought.plan, occupancy)
+            decision = self.offline.act(thought, thought.plan)
         else:
             decision = _with_its_action(answer.reply.decision)
             exchange = replace(exchange, outcome="followed")

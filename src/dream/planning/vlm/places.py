@@ -12,7 +12,6 @@ from dream.planning.lookahead import NOTHING, Judged, Plan
 from dream.planning.travel import Pose
 
 if TYPE_CHECKING:
-    from dream.mapping import OccupancyMap
     from dream.planning.belief import BeliefPilot, Thought
 
 MOST = 9
@@ -50,18 +49,18 @@ class Place:
         return len(self.plan.path) - 1
 
 
-def places(pilot: BeliefPilot, thought: Thought, occupancy: OccupancyMap) -> list[Place]:
+def places(pilot: BeliefPilot, thought: Thought) -> list[Place]:
     """The end of the offline planner's plan, where it has one, and the best views elsewhere.
 
     Args:
         pilot: Who thought it.
         thought: Of this moment.
-        occupancy: What is known.
 
     Returns:
         The offline planner's own first; at most `MOST`.
     """
-    travel, prospect, ahead = thought.travel, pilot.prospect(thought, occupancy), pilot.look_ahead
+    travel, ahead = thought.travel, pilot.look_ahead
+    prospect = pilot.prospect(thought.expected, thought.scene)
     apart = APART * pilot.mission.protocol.reach
     ways = [] if thought.plan is None else [thought.plan.path]
     taken = [travel.position(row, col) for way in ways for row, col, _ in way]
@@ -91,9 +90,7 @@ def places(pilot: BeliefPilot, thought: Thought, occupancy: OccupancyMap) -> lis
     ]
 
 
-def again(
-    pilot: BeliefPilot, thought: Thought, occupancy: OccupancyMap, pose: Pose
-) -> tuple[Plan, float] | None:
+def again(pilot: BeliefPilot, thought: Thought, pose: Pose) -> tuple[Plan, float] | None:
     """The way from here to a place that was chosen before, and the steps that it costs now.
 
     None where no way leads there any more, where the vehicle is there, and where nothing is left to see.
@@ -102,7 +99,7 @@ def again(
     if travel.steps[pose] <= 0:
         return None
     ways = [travel.path(pose)] if thought.plan is None else [thought.plan.path, travel.path(pose)]
-    judged = pilot.look_ahead.judge(pilot.prospect(thought, occupancy), travel, ways)
+    judged = pilot.look_ahead.judge(pilot.prospect(thought.expected, thought.scene), travel, ways)
     if judged[-1].plan.rate <= NOTHING:
         return None
     return judged[-1].plan, _loss(judged[-1], None if thought.plan is None else judged[0])
@@ -120,9 +117,9 @@ def _closes(pilot: BeliefPilot, thought: Thought, path: list[Pose]) -> tuple[int
     regions = thought.completion.regions
     if all(region.enclosed for region in regions):
         return ()
-    shown = np.zeros_like(pilot.outlook.shown(path[-1])[0])
+    shown = np.zeros_like(pilot.views.shown(path[-1])[0])
     for pose in path[1:]:
-        shown |= pilot.outlook.shown(pose)[0]
+        shown |= pilot.views.shown(pose)[0]
     return tuple(
         number
         for number, region in enumerate(regions, start=1)

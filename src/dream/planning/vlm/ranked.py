@@ -157,7 +157,7 @@ class RankedPilot:
                 break
         plan, why = self._follow(thought, occupancy)
         self.trail.append(observation.pose)
-        decision = self.offline.act(thought, plan, occupancy)
+        decision = self.offline.act(thought, plan)
         if why:
             reasoning = decision.reasoning
             reasoning = replace(reasoning, next_target=f"{reasoning.next_target} {why}")
@@ -205,7 +205,7 @@ class RankedPilot:
         )
         to_end = thought.plan is None
         most = self._affordable(to_end=to_end)
-        choice = [place for place in places(self.offline, thought, occupancy) if place.loss <= most]
+        choice = [place for place in places(self.offline, thought) if place.loss <= most]
         if len(choice) < (1 if to_end else FEWEST):
             return
         votes = []
@@ -335,7 +335,7 @@ class RankedPilot:
         affordable = self._affordable(to_end=asked.to_end)
         standing, short = [], {} if asked.to_end else {0: "the offline planner's own"}
         for k in range(others, len(asked.places)):
-            now = again(self.offline, thought, occupancy, asked.places[k].pose)
+            now = again(self.offline, thought, asked.places[k].pose)
             if now is None:
                 short[k] = "where no way leads any more, or nothing is left to see"
             elif now[1] > affordable:
@@ -369,7 +369,7 @@ class RankedPilot:
             self.chosen = None
         if self.chosen is None:
             return thought.plan, ""
-        now = again(self.offline, thought, occupancy, self.chosen.pose)
+        now = again(self.offline, thought, self.chosen.pose)
         if now is None or now[1] > self._most:
             self.chosen = None
             return thought.plan, ""

@@ -1,4 +1,4 @@
-"""Ground that was looked at in vain, as one mission remembers it."""
+"""Ground that views should have shown and did not, as one mission remembers it."""
 
 from __future__ import annotations
 
@@ -14,9 +14,12 @@ from dream.types import BoolArray, Mission
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
 
+GIVEN_UP = np.iinfo(np.uint16).max // 2
+"""Views that failed at a cell of which nothing is hoped for."""
+
 
 @dataclass(slots=True, eq=False)
-class VainLooks:
+class FailedViews:
     """How often each cell should have been seen and was not.
 
     The map's view of a pose is flat; what stands on the ground may hide a cell that it promises. Without a
@@ -24,10 +27,12 @@ class VainLooks:
     """
 
     mission: Mission
+    patience: int
+    """Failed views after which a cell is given up."""
     count: npt.NDArray[np.uint16] = field(init=False)
-    """(rows, cols) looks in vain since anything beside the cell was observed."""
+    """(rows, cols) views that failed since anything beside the cell was observed."""
     observed: BoolArray = field(init=False)
-    """(rows, cols) what was observed at the last look."""
+    """(rows, cols) what was observed at the last view."""
 
     def __post_init__(self) -> None:
         cell, bounds = self.mission.protocol.cell, self.mission.bounds
@@ -53,3 +58,26 @@ class VainLooks:
             shown |= promised
         self.count[shown & ~occupancy.observed] += 1
         self.observed = occupancy.observed
+
+    @property
+    def given_up(self) -> BoolArray:
+        """(rows, cols) cells that views failed to show as often as patience lasts."""
+        return np.asarray(self.count >= self.patience)
+
+    def left(self, occupancy: OccupancyMap) -> BoolArray:
+        """(rows, cols) cells that were not observed and are not given up."""
+        return np.asarray(~occupancy.observed & ~self.given_up)
+
+    def area_given_up(self, occupancy: OccupancyMap) -> float:
+        """Square metres that were never observed and are given up."""
+        given_up = ~occupancy.observed & self.given_up
+        return float(np.count_nonzero(given_up)) * self.mission.protocol.cell**2
+
+    def give_up(self, cells: BoolArray) -> None:
+        """Hope for nothing more in some cells (rows, cols)."""
+        self.count[cells] = GIVEN_UP
+
+    def try_again(self) -> None:
+        """Have more patience, and look once more at what was given up."""
+        self.patience += 1
+        np.minimum(self.count, self.patience + 1, out=self.count)

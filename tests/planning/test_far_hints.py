@@ -17,12 +17,13 @@ from dream.geometry import SE2, SE3, Bounds
 from dream.mapping import OccupancyMap, within
 from dream.planning import Belief
 from dream.planning.belief import BeliefPilot
-from dream.planning.glimpses import HALF, USUAL, WORTH, Glimpses
+from dream.planning.far_hints import HALF, USUAL, WORTH, FarHints
+from dream.planning.sources import Hints
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
 from dream.types import Label, Mission, Observation, Step
 from tests.mapping.analytic import CAMERA, SEABED, Disc, Pillar, camera_at, render
-from tests.planning.flights import observed_at
+from tests.planning.flights import observed_at, source_of
 from tests.sim.arenas import FLOOR, arena, placed
 
 WIDE = Bounds(-20.0, -20.0, 20.0, 20.0)
@@ -43,13 +44,13 @@ def _map() -> OccupancyMap:
     return OccupancyMap(WIDE, DREAM_V1)
 
 
-def _after(*frames: Observation, farthest: float = FAR) -> tuple[Glimpses, OccupancyMap]:
+def _after(*frames: Observation, farthest: float = FAR) -> tuple[FarHints, OccupancyMap]:
     """What is held of some frames that are in the map."""
-    glimpses, occupancy = Glimpses(MISSION, farthest), _map()
+    far_hints, occupancy = FarHints(MISSION, farthest), _map()
     for frame in frames:
         occupancy.integrate(frame.depth, frame.labels, CAMERA, frame.T_world_camera)
-        glimpses.add(frame, occupancy)
-    return glimpses, occupancy
+        far_hints.add(frame, occupancy)
+    return far_hints, occupancy
 
 
 def _from(frame: Observation) -> npt.NDArray[np.float64]:
@@ -76,8 +77,8 @@ def test_pixels_fall_into_the_cells_that_a_point_by_point_projection_gives(
     x: float, y: float, yaw: float, far: float
 ) -> None:
     frame = _seen(x, y, yaw, REEF, Pillar(5.0, 5.0, 1.0, 1.5))
-    glimpses, occupancy = Glimpses(MISSION, far), _map()
-    glimpses.add(frame, occupancy)
+    far_hints, occupancy = FarHints(MISSION, far), _map()
+    far_hints.add(frame, occupancy)
     points, away = CAMERA.back_project(frame.depth, frame.T_world_camera), _from(frame)
     depth_ok = (frame.depth >= DREAM_V1.min_depth) & (frame.depth <= DREAM_V1.max_depth)
     told = np.isin(frame.labels, (Label.TARGET, Label.SEABED)) & depth_ok & (away > REACH) & (away <= far)
@@ -88,16 +89,16 @@ def test_pixels_fall_into_the_cells_that_a_point_by_point_projection_gives(
             slow[(1, *cell)] += 1
             slow[(0, *cell)] += label == Label.TARGET
     # In single precision a pixel at the very edge of a cell may fall into the next.
-    assert np.abs(glimpses._pixels.astype(int) - slow).sum() <= 0.01 * max(slow.sum(), 100)
+    assert np.abs(far_hints._pixels.astype(int) - slow).sum() <= 0.01 * max(slow.sum(), 100)
     assert slow.any()
 
 
 def test_a_reef_beyond_the_reach_is_hinted_at_where_it_lies_and_nowhere_else() -> None:
-    glimpses, occupancy = _after(_seen(0.0, 0.0, 0.0, REEF))
-    hints, away = glimpses.hints(occupancy), _away(REEF.x, REEF.y)
+    far_hints, occupancy = _after(_seen(0.0, 0.0, 0.0, REEF))
+    hints, away = far_hints.hints(occupancy), _away(REEF.x, REEF.y)
     assert hints.any()
     assert away[hints].max() <= REEF.radius + CELL
-    inside = glimpses.glimpsed(occupancy) & (away <= REEF.radius - CELL)
+    inside = far_hints.glimpsed(occupancy) & (away <= REEF.radius - CELL)
     assert inside.any()
     assert hints[inside].all()
     assert not occupancy.target.any()
@@ -105,18 +106,18 @@ def test_a_reef_beyond_the_reach_is_hinted_at_where_it_lies_and_nowhere_else() -
 
 def test_what_is_within_reach_or_farther_than_is_looked_is_not_glimpsed() -> None:
     for farthest in (11.0, 15.0):
-        glimpses, _ = _after(_seen(0.0, 0.0, 0.0, REEF), farthest=farthest)
-        away = _away(0.0, 0.0)[glimpses._looked_at]
+        far_hints, _ = _after(_seen(0.0, 0.0, 0.0, REEF), farthest=farthest)
+        away = _away(0.0, 0.0)[far_hints._looked_at]
         assert away.min() >= REACH - CELL
         assert farthest - 2.0 < away.max() <= farthest + CELL
 
 
 def test_what_comes_within_reach_is_glimpsed_no_more() -> None:
     far, near = _seen(0.0, 0.0, 0.0, REEF), _seen(6.0, 0.0, 0.0, REEF)
-    glimpses, occupancy = _after(far, near)
+    far_hints, occupancy = _after(far, near)
     assert occupancy.target.any()
-    assert not (glimpses.glimpsed(occupancy) & occupancy.observed).any()
-    assert not glimpses.hints(occupancy)[occupancy.observed].any()
+    assert not (far_hints.glimpsed(occupancy) & occupancy.observed).any()
+    assert not far_hints.hints(occupancy)[occupancy.observed].any()
 
 
 def test_where_nothing_returns_from_beyond_the_reach_nothing_changes() -> None:
@@ -124,14 +125,15 @@ def test_where_nothing_returns_from_beyond_the_reach_nothing_changes() -> None:
     frame = _seen(0.0, 0.0, 0.0, REEF)
     away = _from(frame)
     murky = replace(frame, depth=np.where(away > REACH, np.nan, frame.depth).astype(np.float32))
-    glimpses, occupancy = _after(murky)
-    targets, ground = glimpses.evidence(occupancy)
-    assert not glimpses.glimpsed(occupancy).any()
+    far_hints, occupancy = _after(murky)
+    evidence = far_hints.evidence(occupancy)
+    targets, ground = evidence.targets, evidence.ground
+    assert not far_hints.glimpsed(occupancy).any()
     np.testing.assert_array_equal(targets, occupancy.target)
     np.testing.assert_array_equal(ground, occupancy.seen)
     beside = np.random.default_rng(0).random(occupancy.shape).astype(np.float32)
-    np.testing.assert_array_equal(glimpses.weighed(beside, occupancy), beside)
-    assert (glimpses.unnoticed(3.0, occupancy) == 1.0).all()
+    np.testing.assert_array_equal(far_hints.evidence(occupancy).weighed(beside), beside)
+    assert (far_hints.evidence(occupancy).unnoticed(3.0, CELL) == 1.0).all()
 
 
 # ------------------------------------------------------------------------------------------- what is learnt
@@ -144,43 +146,43 @@ def _lying(frame: Observation, told: Label) -> Observation:
 
 
 def test_before_anything_came_true_hints_are_thought_to_as_usual() -> None:
-    glimpses, _ = _after(_seen(0.0, 0.0, 0.0, REEF))
-    assert glimpses.precision == glimpses.sensitivity == USUAL
+    far_hints, _ = _after(_seen(0.0, 0.0, 0.0, REEF))
+    assert far_hints.precision == far_hints.sensitivity == USUAL
 
 
 def test_what_came_true_is_counted_cell_by_cell() -> None:
     far, near = _seen(0.0, 0.0, 0.0, REEF), _seen(6.0, 0.0, 0.0, REEF)
-    glimpses, before = _after(far)
-    hints, glimpsed = glimpses.hints(before), glimpses.glimpsed(before)
-    glimpses, occupancy = _after(far, near)
+    far_hints, before = _after(far)
+    hints, glimpsed = far_hints.hints(before), far_hints.glimpsed(before)
+    far_hints, occupancy = _after(far, near)
     came, target = occupancy.seen & glimpsed, occupancy.target
     square = CELL**2
-    assert glimpses.hinted == pytest.approx(square * (came & hints).sum())
-    assert glimpses.came_true == pytest.approx(square * (came & hints & target).sum())
-    assert glimpses.found == pytest.approx(square * (came & target).sum())
-    precision = (USUAL * WORTH + glimpses.came_true) / (WORTH + glimpses.hinted)
-    assert glimpses.precision == pytest.approx(precision)
-    assert glimpses.precision > USUAL
-    assert glimpses.sensitivity > USUAL
+    assert far_hints.hinted == pytest.approx(square * (came & hints).sum())
+    assert far_hints.came_true == pytest.approx(square * (came & hints & target).sum())
+    assert far_hints.found == pytest.approx(square * (came & target).sum())
+    precision = (USUAL * WORTH + far_hints.came_true) / (WORTH + far_hints.hinted)
+    assert far_hints.precision == pytest.approx(precision)
+    assert far_hints.precision > USUAL
+    assert far_hints.sensitivity > USUAL
 
 
 def test_hints_that_lie_are_soon_believed_no_more() -> None:
     frames = [_lying(_seen(x, 0.0, 0.0), Label.TARGET) for x in (-10.0, -6.0, -2.0, 2.0, 6.0)]
-    glimpses, occupancy = _after(*frames)
-    assert glimpses.precision < 0.5 * USUAL
-    hints = glimpses.hints(occupancy)
+    far_hints, occupancy = _after(*frames)
+    assert far_hints.precision < 0.5 * USUAL
+    hints = far_hints.hints(occupancy)
     assert hints.any()
-    beside = glimpses.weighed(np.zeros(occupancy.shape, np.float32), occupancy)
-    assert beside[hints] == pytest.approx(glimpses.precision)
+    beside = far_hints.evidence(occupancy).weighed(np.zeros(occupancy.shape, np.float32))
+    assert beside[hints] == pytest.approx(far_hints.precision)
 
 
 def test_who_never_hints_at_what_is_found_later_is_soon_not_relied_on() -> None:
     reef = Disc(0.0, 0.0, 30.0)
     frames = [_lying(_seen(x, 0.0, 0.0, reef), Label.SEABED) for x in (-10.0, -6.0, -2.0, 2.0, 6.0)]
-    glimpses, occupancy = _after(*frames)
-    assert glimpses.sensitivity < 0.5 * USUAL
-    unnoticed = glimpses.unnoticed(3.0, occupancy)
-    assert unnoticed.min() == pytest.approx(1.0 - glimpses.sensitivity)
+    far_hints, occupancy = _after(*frames)
+    assert far_hints.sensitivity < 0.5 * USUAL
+    unnoticed = far_hints.evidence(occupancy).unnoticed(3.0, CELL)
+    assert unnoticed.min() == pytest.approx(1.0 - far_hints.sensitivity)
 
 
 # ------------------------------------------------------------------------------------------ what it is worth
@@ -189,30 +191,31 @@ def test_who_never_hints_at_what_is_found_later_is_soon_not_relied_on() -> None:
 @given(seed=st.integers(0, 1000))
 def test_probabilities_stay_probabilities_and_a_hint_never_lowers_one_that_is_less(seed: int) -> None:
     generator = np.random.default_rng(seed)
-    glimpses, occupancy = _after(_seen(0.0, 0.0, float(generator.uniform(-3.0, 3.0)), REEF))
-    glimpses.came_true, glimpses.hinted, glimpses.foreseen, glimpses.found = generator.uniform(0, 50) * (
+    far_hints, occupancy = _after(_seen(0.0, 0.0, float(generator.uniform(-3.0, 3.0)), REEF))
+    far_hints.came_true, far_hints.hinted, far_hints.foreseen, far_hints.found = generator.uniform(0, 50) * (
         np.array([generator.random(), 1.0, generator.random(), 1.0])
     )
     beside = generator.random(occupancy.shape).astype(np.float32)
-    weighed = glimpses.weighed(beside, occupancy)
-    hints, glimpsed = glimpses.hints(occupancy), glimpses.glimpsed(occupancy)
+    weighed = far_hints.evidence(occupancy).weighed(beside)
+    hints, glimpsed = far_hints.hints(occupancy), far_hints.glimpsed(occupancy)
     assert weighed.min() >= 0.0
     assert weighed.max() <= 1.0
     np.testing.assert_array_equal(weighed[~glimpsed], beside[~glimpsed])
     assert (weighed[glimpsed & ~hints] <= beside[glimpsed & ~hints]).all()
-    np.testing.assert_allclose(weighed[hints], np.maximum(beside[hints], glimpses.precision), rtol=1e-6)
+    np.testing.assert_allclose(weighed[hints], np.maximum(beside[hints], far_hints.precision), rtol=1e-6)
     # Of many such cells: those with a target that went unnoticed, among all without a hint.
-    share = (1.0 - glimpses.sensitivity) * beside / (1.0 - glimpses.sensitivity * beside)
+    share = (1.0 - far_hints.sensitivity) * beside / (1.0 - far_hints.sensitivity * beside)
     np.testing.assert_allclose(weighed[glimpsed & ~hints], share[glimpsed & ~hints], rtol=1e-4)
-    targets, ground = glimpses.evidence(occupancy)
+    evidence = far_hints.evidence(occupancy)
+    targets, ground = evidence.targets, evidence.ground
     assert (targets <= ground + 1e-6).all()
     assert ground.max() <= 1.0
 
 
 def test_a_group_was_noticed_only_where_its_ground_was_glimpsed() -> None:
-    glimpses, occupancy = _after(_seen(0.0, 0.0, 0.0))
-    glimpsed = within(glimpses.glimpsed(occupancy), 3.0, CELL)
-    unnoticed = glimpses.unnoticed(3.0, occupancy)
+    far_hints, occupancy = _after(_seen(0.0, 0.0, 0.0))
+    glimpsed = within(far_hints.glimpsed(occupancy), 3.0, CELL)
+    unnoticed = far_hints.evidence(occupancy).unnoticed(3.0, CELL)
     np.testing.assert_allclose(unnoticed[glimpsed], 1.0 - USUAL)
     assert (unnoticed[~glimpsed] == 1.0).all()
     assert glimpsed.any()
@@ -276,12 +279,13 @@ def test_it_is_not_done_while_much_that_was_hinted_at_was_not_looked_at(
 ) -> None:
     pilot, step = done
     assert pilot.decide(step.observation, step.occupancy).done
-    glimpses = pilot.glimpses
-    assert glimpses is not None
+    source = source_of(pilot, Hints)
+    assert source is not None
+    far_hints = source.hints
     unseen = np.argwhere(~step.occupancy.observed)
     assert len(unseen) > 200
     row, col = unseen[len(unseen) // 2]
-    glimpses._pixels[:, max(row - 8, 0) : row + 8, max(col - 8, 0) : col + 8] = 10
+    far_hints._pixels[:, max(row - 8, 0) : row + 8, max(col - 8, 0) : col + 8] = 10
     pilot.claimed = None
     decision = pilot.decide(step.observation, step.occupancy)
     assert not decision.done
@@ -309,20 +313,20 @@ def test_it_says_how_much_was_hinted_at_and_how_far_that_is_believed() -> None:
         )
         if match is None:
             continue
-        glimpses = pilots[-1].glimpses
-        assert glimpses is not None
-        assert float(match[2]) == pytest.approx(100.0 * glimpses.precision, abs=0.5)
+        source = source_of(pilots[-1], Hints)
+        assert source is not None
+        assert float(match[2]) == pytest.approx(100.0 * source.hints.precision, abs=0.5)
         assert float(match[1]) > 0.0
         said += 1
     assert said
 
 
 def test_half_of_the_pixels_make_a_hint() -> None:
-    glimpses = Glimpses(MISSION, FAR)
-    glimpses._pixels[1, :, :] = 10
-    glimpses._pixels[0, 0, :] = int(10 * HALF)
-    glimpses._pixels[0, 1, :] = int(10 * HALF) - 1
-    hints = glimpses.hints(_map())
+    far_hints = FarHints(MISSION, FAR)
+    far_hints._pixels[1, :, :] = 10
+    far_hints._pixels[0, 0, :] = int(10 * HALF)
+    far_hints._pixels[0, 1, :] = int(10 * HALF) - 1
+    hints = far_hints.hints(_map())
     assert hints[0].all()
     assert not hints[1:].any()
 

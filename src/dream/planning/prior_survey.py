@@ -51,7 +51,7 @@ AROUND = 1.5
 
 
 @dataclass(slots=True, eq=False)
-class Recall:
+class PriorSurvey:
     """A survey, weighed by what a mission sees of the same ground.
 
     What it does: foretells where targets are now, from where they were, from how many live on and from where

@@ -1,4 +1,4 @@
-"""What was glimpsed beyond the reach: hints, believed as far as earlier ones came true."""
+"""Hints from beyond the reach, believed as far as earlier ones came true."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from dream.types import BoolArray, Float32Array, Label, Mission, Observation
+from dream.planning.distribution import Evidence
+from dream.types import BoolArray, Label, Mission, Observation
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
@@ -22,7 +23,7 @@ WORTH = 10.0
 
 
 @dataclass(slots=True, eq=False)
-class Glimpses:
+class FarHints:
     """Labels of ground beyond the reach, weighed by what a mission later sees there.
 
     Labels are trusted within the reach only, and nothing beyond counts as explored. But what a frame shows
@@ -58,7 +59,7 @@ class Glimpses:
 
     def add(self, observation: Observation, occupancy: OccupancyMap) -> None:
         """Learn from what the map holds by now, then take in what this observation shows beyond the reach."""
-        from dream.planning._kernels import glimpses as kernels
+        from dream.planning._kernels import far_hints as kernels
 
         self._learn(occupancy)
         protocol, bounds, camera = self.mission.protocol, self.mission.bounds, observation.camera
@@ -115,40 +116,19 @@ class Glimpses:
         """(rows, cols) those of them that seemed to be targets."""
         return self._hinted & ~occupancy.observed
 
-    def evidence(self, occupancy: OccupancyMap) -> tuple[Float32Array, Float32Array]:
+    def evidence(self, occupancy: OccupancyMap) -> Evidence:
         """What the hints are worth beside what was observed.
 
-        Returns:
-            (rows, cols) targets and (rows, cols) ground that was seen: 1 in what was observed; of a cell
-            that was only glimpsed so much ground as hints are to be relied on, and so much target as they
-            come true.
+        A cell that was only glimpsed counts as so much ground as hints are to be relied on, and as so much
+        target as they come true.
         """
-        ground = self.sensitivity * self.glimpsed(occupancy)
-        targets = self.sensitivity * self.precision * self.hints(occupancy)
-        return (
-            np.where(occupancy.target, 1.0, targets).astype(np.float32),
-            np.where(occupancy.seen, 1.0, ground).astype(np.float32),
+        glimpsed, hints = self.glimpsed(occupancy), self.hints(occupancy)
+        precision, sensitivity = self.precision, self.sensitivity
+        return Evidence(
+            np.where(occupancy.target, 1.0, sensitivity * precision * hints).astype(np.float32),
+            np.where(occupancy.seen, 1.0, sensitivity * glimpsed).astype(np.float32),
+            glimpsed,
+            hints,
+            precision,
+            sensitivity,
         )
-
-    def weighed(self, beside: Float32Array, occupancy: OccupancyMap) -> Float32Array:
-        """(rows, cols) probability of a target, of cells not observed, with what was glimpsed of the cell.
-
-        Where nothing was hinted at by Bayes' rule, bare ground being taken never to hint; a hint is worth
-        what hints are worth, or what lies around where that is more.
-
-        Args:
-            beside: (rows, cols) by what lies around.
-            occupancy: What is known.
-        """
-        missed = (1.0 - self.sensitivity) * beside
-        unhinted = np.where(self.glimpsed(occupancy), missed / (missed + 1.0 - beside), beside)
-        hinted = np.maximum(self.precision, beside)
-        return np.where(self.hints(occupancy), hinted, unhinted).astype(np.float32)
-
-    def unnoticed(self, radius: float, occupancy: OccupancyMap) -> Float32Array:
-        """(rows, cols) probability that a group of that radius with its middle there was glimpsed and missed;
-        1 where no ground of one was glimpsed."""
-        from dream.mapping import within
-
-        near = within(self.glimpsed(occupancy), radius, self.mission.protocol.cell)
-        return np.where(near, np.float32(1.0 - self.sensitivity), np.float32(1.0))

@@ -17,14 +17,15 @@ from dream.mapping.completion import Region
 from dream.mapping.layers import Evidence
 from dream.mapping.prior import Prior
 from dream.planning import Belief, sentences
-from dream.planning.belief import BeliefPilot, _Expected
+from dream.planning.belief import BeliefPilot
 from dream.planning.distribution import OBSERVED
-from dream.planning.recall import BELIEVED, LIKELY, LOOKS, Recall
+from dream.planning.prior_survey import BELIEVED, LIKELY, LOOKS, PriorSurvey
+from dream.planning.sources import Expected, Survey
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
 from dream.types import BoolArray, Mission, Step
 from tests.mapping.analytic import AREA, Disc, empty_map, look_around, map_with
-from tests.planning.flights import observed_at
+from tests.planning.flights import observed_at, scene_of, source_of
 
 SIDE = round(AREA.width / DREAM_V1.cell)
 NOWHERE: BoolArray = np.zeros((SIDE, SIDE), np.bool_)
@@ -43,15 +44,15 @@ def patch(row: int, col: int, half: int = 6) -> BoolArray:
 
 def test_what_is_foretold_is_likeliest_where_it_was_and_never_certain() -> None:
     was = patch(40, 40)
-    recall = Recall(survey(was))
-    assert recall.foretold[40, 40] > 0.7
-    assert LIKELY < recall.foretold[40, 46] < recall.foretold[40, 40]
-    assert 0.0 < recall.foretold[5, 5] < LIKELY
-    assert recall.foretold.max() < 1.0
+    prior_survey = PriorSurvey(survey(was))
+    assert prior_survey.foretold[40, 40] > 0.7
+    assert LIKELY < prior_survey.foretold[40, 46] < prior_survey.foretold[40, 40]
+    assert 0.0 < prior_survey.foretold[5, 5] < LIKELY
+    assert prior_survey.foretold.max() < 1.0
 
 
 def test_the_older_a_survey_the_less_it_foretells_and_the_more_may_have_come() -> None:
-    young, old = (Recall(survey(patch(40, 40), years=years)).foretold for years in (1.0, 8.0))
+    young, old = (PriorSurvey(survey(patch(40, 40), years=years)).foretold for years in (1.0, 8.0))
     assert old[40, 40] < young[40, 40]
     assert old[5, 5] > young[5, 5]
 
@@ -59,17 +60,17 @@ def test_the_older_a_survey_the_less_it_foretells_and_the_more_may_have_come() -
 def test_where_the_survey_saw_nothing_it_foretells_nothing() -> None:
     seen = NOWHERE.copy()
     seen[:, :60] = True
-    recall = Recall(survey(patch(40, 40), seen))
-    assert np.isnan(recall.foretold[:, 60:]).all()
-    assert not np.isnan(recall.foretold[:, :60]).any()
+    prior_survey = PriorSurvey(survey(patch(40, 40), seen))
+    assert np.isnan(prior_survey.foretold[:, 60:]).all()
+    assert not np.isnan(prior_survey.foretold[:, :60]).any()
     beside = np.full(NOWHERE.shape, 0.3, np.float32)
-    np.testing.assert_array_equal(recall.weighed(beside, ~NOWHERE)[:, 60:], beside[:, 60:])
+    np.testing.assert_array_equal(prior_survey.weighed(beside, ~NOWHERE)[:, 60:], beside[:, 60:])
 
 
 def test_a_survey_that_holds_is_believed_and_one_that_does_not_is_not() -> None:
     was = patch(40, 40, 10)
     seen = patch(40, 40, 20)
-    right, elsewhere = Recall(survey(was)), Recall(survey(patch(85, 85, 10)))
+    right, elsewhere = PriorSurvey(survey(was)), PriorSurvey(survey(patch(85, 85, 10)))
     occupancy = heard(seen, was)
     right.compare(occupancy)
     elsewhere.compare(occupancy)
@@ -90,16 +91,16 @@ def blocks(north: int = 0, east: int = 0) -> BoolArray:
 
 
 def test_cells_of_which_nothing_was_heard_say_nothing_about_a_survey() -> None:
-    recall = Recall(survey(patch(40, 40, 10)))
-    recall.compare(map_with(explored=patch(40, 40, 20)))
-    assert recall.believed == pytest.approx(BELIEVED)
+    prior_survey = PriorSurvey(survey(patch(40, 40, 10)))
+    prior_survey.compare(map_with(explored=patch(40, 40, 20)))
+    assert prior_survey.believed == pytest.approx(BELIEVED)
 
 
 def test_the_evidence_for_every_shift_is_what_a_loop_over_the_cells_gives() -> None:
     was, now, of = blocks(), blocks(3, -5), patch(60, 40, 34)
-    recall = Recall(survey(was, seen=patch(40, 44, 36)))
-    evidence = recall.evidence(heard(of, now))
-    p, usual, most = recall.foretold, recall._usual, evidence.shape[0] // 2
+    prior_survey = PriorSurvey(survey(was, seen=patch(40, 44, 36)))
+    evidence = prior_survey.evidence(heard(of, now))
+    p, usual, most = prior_survey.foretold, prior_survey._usual, evidence.shape[0] // 2
     for north, east in ((0, 0), (3, -5), (-most, most), (most, -7)):
         total = 0.0
         for row, col in np.argwhere(of):
@@ -111,36 +112,36 @@ def test_the_evidence_for_every_shift_is_what_a_loop_over_the_cells_gives() -> N
 
 
 def test_a_survey_told_in_the_wrong_place_is_moved_to_the_right_one() -> None:
-    recall = Recall(survey(blocks()))
-    recall.compare(heard(patch(50, 36, 36), blocks(8, -10)))
-    assert recall.shift == (8, -10)
-    assert recall.believed > 0.5
-    assert recall.spread < 1.0
-    assert recall.foretold[38, 20] > 0.5 > recall.foretold[50, 30]
-    assert np.isnan(recall.foretold[:8]).all()
+    prior_survey = PriorSurvey(survey(blocks()))
+    prior_survey.compare(heard(patch(50, 36, 36), blocks(8, -10)))
+    assert prior_survey.shift == (8, -10)
+    assert prior_survey.believed > 0.5
+    assert prior_survey.spread < 1.0
+    assert prior_survey.foretold[38, 20] > 0.5 > prior_survey.foretold[50, 30]
+    assert np.isnan(prior_survey.foretold[:8]).all()
 
 
 def test_the_words_say_by_how_much_a_survey_was_moved() -> None:
-    recall, occupancy = Recall(survey(blocks())), heard(patch(50, 36, 36), blocks(8, -10))
-    assert "taken to lie" not in sentences.recalled(recall, occupancy)
-    recall.compare(occupancy)
-    assert "2.50 m west and 2.00 m north of where it was told" in sentences.recalled(recall, occupancy)
+    prior_survey, occupancy = PriorSurvey(survey(blocks())), heard(patch(50, 36, 36), blocks(8, -10))
+    assert "taken to lie" not in sentences.foretold(prior_survey, occupancy)
+    prior_survey.compare(occupancy)
+    assert "2.50 m west and 2.00 m north of where it was told" in sentences.foretold(prior_survey, occupancy)
 
 
 def test_a_survey_told_in_the_right_place_stays_there() -> None:
-    recall = Recall(survey(blocks()))
-    told = recall.foretold.copy()
-    recall.compare(heard(patch(40, 40, 30), blocks()))
-    assert recall.shift == (0, 0)
-    np.testing.assert_array_equal(recall.foretold, told)
+    prior_survey = PriorSurvey(survey(blocks()))
+    told = prior_survey.foretold.copy()
+    prior_survey.compare(heard(patch(40, 40, 30), blocks()))
+    assert prior_survey.shift == (0, 0)
+    np.testing.assert_array_equal(prior_survey.foretold, told)
 
 
 def test_around_a_target_that_was_not_foretold_it_is_expected_as_without_a_survey() -> None:
-    recall = Recall(survey(patch(40, 40)))
-    recall.compare(heard(patch(80, 80, 4), patch(80, 80, 1)))
-    assert recall.believed > 0.5
+    prior_survey = PriorSurvey(survey(patch(40, 40)))
+    prior_survey.compare(heard(patch(80, 80, 4), patch(80, 80, 1)))
+    assert prior_survey.believed > 0.5
     beside = np.full(NOWHERE.shape, 0.3, np.float32)
-    weighed = recall.weighed(beside, ~NOWHERE)
+    weighed = prior_survey.weighed(beside, ~NOWHERE)
     assert weighed[80, 84] == pytest.approx(0.3)
     assert weighed[60, 80] < 0.1
 
@@ -148,44 +149,42 @@ def test_around_a_target_that_was_not_foretold_it_is_expected_as_without_a_surve
 def test_it_foretells_no_group_where_it_would_have_seen_one() -> None:
     seen = NOWHERE.copy()
     seen[:, :60] = True
-    recall = Recall(survey(patch(40, 40), seen), radius=3.0)
-    assert recall.empty[75, 40]
-    assert not recall.empty[40, 54]  # 2 m from where targets were,
-    assert not recall.empty[75, 80]  # and 5 m from what it saw.
+    prior_survey = PriorSurvey(survey(patch(40, 40), seen), radius=3.0)
+    assert prior_survey.empty[75, 40]
+    assert not prior_survey.empty[40, 54]  # 2 m from where targets were,
+    assert not prior_survey.empty[75, 80]  # and 5 m from what it saw.
 
 
 def test_a_survey_that_foretells_nothing_is_no_reason_to_look_elsewhere_first() -> None:
-    assert not Recall(survey(NOWHERE)).empty.any()
+    assert not PriorSurvey(survey(NOWHERE)).empty.any()
 
 
 def test_where_it_foretells_no_group_moves_with_the_survey() -> None:
-    recall = Recall(survey(blocks()))
-    before = recall.empty.copy()
-    recall.compare(heard(patch(50, 36, 36), blocks(8, -10)))
-    np.testing.assert_array_equal(recall.empty[30:80, 20:60], before[22:72, 30:70])
+    prior_survey = PriorSurvey(survey(blocks()))
+    before = prior_survey.empty.copy()
+    prior_survey.compare(heard(patch(50, 36, 36), blocks(8, -10)))
+    np.testing.assert_array_equal(prior_survey.empty[30:80, 20:60], before[22:72, 30:70])
 
 
 def test_a_group_has_come_where_none_of_it_was_foretold() -> None:
-    recall = Recall(survey(patch(30, 30)))
+    prior_survey = PriorSurvey(survey(patch(30, 30)))
     for target, came in ((patch(30, 30), 0), (patch(75, 75, 2), 1), (patch(30, 30) | patch(75, 75, 2), 1)):
-        assert recall.came(regions_of(target)) == came
+        assert prior_survey.came(regions_of(target)) == came
 
 
 def regions_of(target: BoolArray) -> tuple[Region, ...]:
     return check_completion(map_with(explored=~NOWHERE, target=target), SE2(0.0, 0.0, 0.0)).regions
 
 
-def told_of(
-    prior: Prior | None, target: BoolArray, believed: float = 1.0, arriving: float = 0.5
-) -> _Expected:
+def told_of(prior: Prior | None, target: BoolArray, believed: float = 1.0, arriving: float = 0.5) -> Expected:
     """What a pilot expects that has searched a part of the ground, and seen these targets."""
     pilot = Belief(glimpse=1.0, arriving=arriving).begin(Mission(DREAM_V1, AREA, 200, prior=prior))
     assert isinstance(pilot, BeliefPilot)
     occupancy = map_with(explored=patch(40, 40, 34), target=target)
-    if pilot.recall is not None:
-        pilot.recall.believed = believed
-    pose = SE2(0.0, 0.0, 0.0)
-    return pilot._expected(occupancy, check_completion(occupancy, pose), pose, None)
+    source = source_of(pilot, Survey)
+    if source is not None:
+        source.survey.believed = believed
+    return pilot.expect(scene_of(pilot, observed_at(0.0, 0.0, 0.0), occupancy))
 
 
 def test_where_a_believed_survey_saw_no_group_few_are_to_be_expected() -> None:
@@ -219,29 +218,31 @@ def test_where_no_risk_is_accepted_a_round_leaves_no_ground_that_the_survey_does
     assert isinstance(pilot, BeliefPilot)
     thought = pilot.consider(observed_at(0.0, 0.0, 0.0), map_with(explored=patch(40, 40, 34), target=was))
     assert thought.plan is not None
-    assert pilot.rounds.path == thought.plan.path
+    source = source_of(pilot, Survey)
+    assert source is not None
+    assert source.rounds.path == thought.plan.path
 
 
 def test_a_map_of_nothing_leaves_the_belief_as_it_was() -> None:
-    recall = Recall(survey(patch(40, 40)))
-    recall.compare(OccupancyMap(AREA, DREAM_V1))
-    assert recall.believed == pytest.approx(BELIEVED)
+    prior_survey = PriorSurvey(survey(patch(40, 40)))
+    prior_survey.compare(OccupancyMap(AREA, DREAM_V1))
+    assert prior_survey.believed == pytest.approx(BELIEVED)
 
 
 def test_an_unbelieved_survey_weighs_nothing() -> None:
-    recall = Recall(survey(patch(40, 40)))
-    recall.believed = 0.0
+    prior_survey = PriorSurvey(survey(patch(40, 40)))
+    prior_survey.believed = 0.0
     beside = np.full(NOWHERE.shape, 0.3, np.float32)
-    np.testing.assert_array_equal(recall.weighed(beside, ~NOWHERE), beside)
-    assert recall.solid(OccupancyMap(AREA, DREAM_V1)) is None
+    np.testing.assert_array_equal(prior_survey.weighed(beside, ~NOWHERE), beside)
+    assert prior_survey.solid(OccupancyMap(AREA, DREAM_V1)) is None
 
 
 def test_a_cell_of_which_nothing_is_heard_is_given_up_after_some_looks() -> None:
-    recall, occupancy = Recall(survey(patch(40, 40))), OccupancyMap(AREA, DREAM_V1)
-    assert recall.unheard(occupancy)[40, 40]
+    prior_survey, occupancy = PriorSurvey(survey(patch(40, 40))), OccupancyMap(AREA, DREAM_V1)
+    assert prior_survey.unheard(occupancy)[40, 40]
     for _ in range(LOOKS):
-        recall.look(~NOWHERE, occupancy)
-    assert not recall.unheard(occupancy).any()
+        prior_survey.look(~NOWHERE, occupancy)
+    assert not prior_survey.unheard(occupancy).any()
 
 
 def test_a_prior_of_another_map_is_refused_before_anything_moves(string_reef: World) -> None:
@@ -360,7 +361,7 @@ def test_a_survey_of_bare_ground_alone_lowers_no_risk() -> None:
     assert thoughts[0].completion.complete == thoughts[1].completion.complete
 
 
-def test_without_a_survey_there_is_nothing_to_recall() -> None:
+def test_without_a_survey_nothing_is_foretold() -> None:
     pilot = Belief().begin(Mission(DREAM_V1, AREA, 200))
     assert isinstance(pilot, BeliefPilot)
-    assert pilot.recall is None
+    assert source_of(pilot, Survey) is None

@@ -1,0 +1,134 @@
+"""What is left to see of a hull."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dream.planning import sentences
+from dream.planning.hull import PATCH, Hull
+from dream.planning.outlook import Listed, Outlook
+from dream.planning.sources.source import Expected, FloatArray, Scene, Source, Words, Worth
+from dream.planning.travel import Pose
+from dream.protocol import SurveyProtocol
+
+if TYPE_CHECKING:
+    from dream.mapping import OccupancyMap
+
+STANDS = 0.5
+"""Square metres of targets that stand up from which on they are a hull. On the reefs of `dev` boulders among
+the targets make up to 0.2 m² seem so; a wreck shows more in the first frame that has it in reach."""
+ADJOINING = 1.5
+"""Metres from hull within reach up to which more hull is believed in."""
+BENEATH = 0.02
+"""What ground beside and beneath a hull counts: what is to be seen there is the hull itself."""
+NEAR = 5
+"""Steps within which the hull's views are worked out for every second node; within twice as many for every
+fourth, for every sixteenth beyond."""
+
+
+@dataclass(slots=True, eq=False)
+class HullSurface(Source):
+    """Expects more hull where the surface that was seen goes on; a wreck lies alone."""
+
+    hull: Hull
+    views: Outlook
+    eager: float
+    """Weight of its patches beside other targets."""
+    accepted: float
+    """Share of the hull that may be unseen when the mission ends."""
+    alone: float
+    """Factor on the number of expected groups once a hull was found."""
+
+    def take(self, scene: Scene) -> None:
+        """Add what was seen of it; hope no more for what should be in view from here and is not."""
+        self.hull.integrate(scene.observation)
+        self.give_up(scene.here)
+        scene.away_from_hull = away_from_hull(scene.occupancy)
+
+    def expect(self, expected: Expected, scene: Scene) -> None:
+        """Patches that are still unseen, where there is hull; and hardly any groups elsewhere."""
+        expected.hull = self._adjoining(scene)
+        left = float(expected.hull.sum())
+        expected.hull_left = left / (self.hull.found + left) if left else 0.0
+        expected.looked_over = expected.hull_left <= self.accepted
+        if scene.away_from_hull is not None:
+            expected.hidden *= self.alone
+            expected.probability = expected.groups.risk(expected.hidden)
+
+    def words(self, expected: Expected, scene: Scene) -> Words:
+        """How much of it is unseen."""
+        if scene.away_from_hull is None:
+            return Words()
+        area = PATCH**2 * float(expected.hull.sum())
+        return Words(completion=sentences.hull(area, expected.hull_left, self.accepted))
+
+    def weigh(self, worth: Worth, expected: Expected, scene: Scene) -> None:
+        """Its patches; little of the ground beneath them, and of groups elsewhere."""
+        if scene.away_from_hull is not None:
+            worth.ground[scene.away_from_hull <= ADJOINING] *= BENEATH
+            worth.search *= self.alone
+        worth.listed = self.listed(expected, scene)
+
+    def found(self) -> int:
+        """Patches of hull."""
+        return int(self.hull.found)
+
+    def give_up(self, pose: Pose) -> None:
+        """Hope no more for what should be in view from that side."""
+        row, col, heading = pose
+        self.hull.give_up(self.views.position(row, col), heading * self._protocol.heading_step)
+
+    def listed(self, expected: Expected, scene: Scene) -> Listed | None:
+        """What of the hull is seen from the nodes around it; None where nothing more is expected of it."""
+        weights = self.eager * PATCH**2 * expected.hull
+        if not weights.any():
+            return None
+        from scipy.spatial import cKDTree
+
+        travel, left = scene.travel, self.hull.middles[weights > 0.0, :2]
+        rows, cols = np.nonzero(travel.reached)
+        positions = travel.position(rows, cols)
+        steps = travel.nearest[rows, cols]
+        chosen = (rows % 4 == 0) & (cols % 4 == 0)
+        chosen |= (rows % 2 == 0) & (cols % 2 == 0) & (steps <= 2 * NEAR)
+        chosen |= ((rows + cols) % 2 == 0) & (steps <= NEAR)
+        chosen &= cKDTree(left).query(positions)[0] <= self._protocol.reach
+        rows, cols, positions = rows[chosen], cols[chosen], positions[chosen]
+        nodes = rows * self.views.cols + cols
+        starts, elements = self.hull.visible(positions, weights > 0.0)
+        return Listed(weights, expected.hull, self.hull.middles[:, :2], nodes, starts, elements)
+
+    @property
+    def _protocol(self) -> SurveyProtocol:
+        return self.views.mission.protocol
+
+    def _adjoining(self, scene: Scene) -> FloatArray:
+        """(n,) the belief about the hull, as far as it adjoins hull that was within reach.
+
+        Farther away labels are not trusted, and where no target stands up there is no hull.
+        """
+        away, occupancy, weights = scene.away_from_hull, scene.occupancy, self.hull.weights
+        if away is None or not len(weights):
+            return np.zeros(len(weights))
+        x, y = self.hull.middles[:, :2].T
+        inside = occupancy.contains(x, y)
+        inside[inside] = occupancy.to_see[occupancy.cell_of(x[inside], y[inside])]
+        metres = np.full(len(x), np.inf)
+        metres[inside] = away[occupancy.cell_of(x[inside], y[inside])]
+        return np.where(metres <= ADJOINING, weights, 0.0)
+
+
+def away_from_hull(occupancy: OccupancyMap) -> FloatArray | None:
+    """(rows, cols) metres to the nearest target that stands up from the seabed.
+
+    None where no more of them do than a boulder among targets would make it seem.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    cell, stands = occupancy.protocol.cell, occupancy.target & occupancy.solid
+    if np.count_nonzero(stands) * cell**2 < STANDS:
+        return None
+    return np.asarray(distance_transform_edt(~stands, cell))

@@ -1,0 +1,66 @@
+"""Targets that the protocol wants traversed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.planning import sentences
+from dream.planning.lookahead import Plan
+from dream.planning.sources.source import MOST_VISITS, Expected, Scene, Source, Way, Words, Worth
+from dream.planning.travel import Travel
+from dream.planning.walk import Walk
+from dream.types import BoolArray
+
+
+@dataclass(slots=True, eq=False)
+class Traversal(Source):
+    """Traverses what was found before anything else is looked for."""
+
+    walk: Walk
+    passed_in_vain: BoolArray = field(init=False)
+    """(rows, cols) cells that are not worth another try."""
+
+    def __post_init__(self) -> None:
+        cell, bounds = self.walk.mission.protocol.cell, self.walk.mission.bounds
+        self.passed_in_vain = np.zeros((round(bounds.depth / cell), round(bounds.width / cell)), np.bool_)
+
+    def words(self, expected: Expected, scene: Scene) -> Words:
+        """What was traversed, and what is left."""
+        occupancy, completion = scene.occupancy, scene.completion
+        area = sentences.left_to_traverse(occupancy, completion) if len(completion.untraversed) else ""
+        return Words(target_area=area, completion=sentences.traversal(occupancy, completion))
+
+    def weigh(self, worth: Worth, expected: Expected, scene: Scene) -> None:
+        """What lies beside targets comes into view where they are traversed; what keeps it open counts."""
+        is_open = np.zeros(scene.occupancy.shape, np.bool_)
+        is_open[tuple(scene.completion.open_cells.T)] = True
+        worth.ground[~is_open] = 0.0
+        worth.search *= not expected.searched
+
+    def errand(self, scene: Scene, travel: Travel, moves: npt.NDArray[np.uint8], visits: int) -> Way | None:
+        """The way to traverse what is left; None where no way leads to any of it."""
+        from dream.mapping import to_traverse
+
+        # Beyond what completion asks for: what no known way leads to may come in reach on the way.
+        left = np.argwhere(to_traverse(scene.occupancy) & ~self.passed_in_vain)
+        if visits > 1:
+            moves = travel.free  # What is unknown stays so from here.
+        while True:
+            path = self.walk.plan(left, travel, moves)
+            passes = self.walk.traverses(path)[tuple(left.T)]
+            if len(path) == 1:
+                return None
+            if visits < MOST_VISITS:
+                plan = Plan(path, rate=0.0, later=0.0, passed=int(passes.sum()))
+                return Way(travel, plan, sentences.WALK)
+            self.passed_in_vain[tuple(left[passes].T)] = True
+            left = left[~passes]
+
+    def try_again(self) -> bool:
+        """Whatever was given up is worth one more try."""
+        any_given_up = bool(self.passed_in_vain.any())
+        self.passed_in_vain[:] = False
+        return any_given_up
