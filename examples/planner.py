@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from dream.planning.vain import VainLooks
 
 from dream.commands.bench import fly
 from dream.evaluation.engines import Processes
@@ -24,7 +25,6 @@ from dream.mapping import OccupancyMap, check_completion, within
 from dream.planning import PLANNERS
 from dream.planning.parameters import check_range
 from dream.planning.travel import careful_travel
-from dream.planning.vain import VainLooks
 from dream.planning.views import views_from
 from dream.protocol import DREAM_V1
 from dream.types import Decision, Mission, Observation, Reasoning

@@ -33,9 +33,9 @@ from dream.evaluation.oracle.bounds import known_bounds
 from dream.evaluation.statistics import interval, mean
 from dream.evaluation.suites import Case, family_of, suite_named
 from dream.mapping import OccupancyMap, within
+from dream.mapping.hull import PATCH
 from dream.mission import explore
 from dream.planning import AnyPlanner, Belief
-from dream.planning.hull import PATCH
 from dream.planning.lookahead import Prospect
 from dream.planning.outlook import Listed, Outlook
 from dream.planning.rounds import Rounds

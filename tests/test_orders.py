@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dream.course import found_in
+from dream.course import Planner
 from dream.evaluation.metrics import Scorer
 from dream.evaluation.runner import simulate
 from dream.geometry import Bounds
 from dream.learning.rollouts import Colourless
 from dream.mapping import OccupancyMap, check_completion
-from dream.mission import Planner
+from dream.mapping.targets import target_extent
 from dream.orders import BESIDE, Flown, Leg, Orders, Outcome, Side, SideOf, Task, place, sentences, side_of
 from dream.planning import OFFLINE, PLANNERS, Belief
 from dream.planning.belief import BeliefPilot
@@ -260,7 +260,7 @@ def test_the_side_of_a_wreck_is_where_the_hull_was_found(wreck: World, round_a_w
     assert last.seen[inside].mean() > 0.7
     # It lies where the hull is on the map, as far as that was seen, and so where it is in the world.
     last.restrict(None)
-    known = found_in(last, Target.WRECK)
+    known = target_extent(last, Target.WRECK)
     assert known is not None
     assert area == place(SideOf(Side.NORTH, 1), wreck.bounds, {1: known})
     hull = wreck.targets.position[:, :2].astype(np.float64)

@@ -8,13 +8,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from dream.course import Pilot, Planner
     from dream.evaluation.results import read_results
     from dream.evaluation.runner import fly_mission, simulate
     from dream.geometry import SE2, SE3, Bounds, Camera, camera_mount
     from dream.mapping.frontiers import frontiers
     from dream.mapping.gain import gain
     from dream.mapping.occupancy import OccupancyMap
-    from dream.mission import Pilot, Planner
     from dream.planning import PLANNERS
     from dream.protocol import protocol_named
     from dream.recording import read_config, read_steps, read_summary
@@ -59,13 +59,13 @@ __all__ = [
 ]
 
 _WHERE = {
+    "course": ("Pilot", "Planner"),
     "evaluation.results": ("read_results",),
     "evaluation.runner": ("fly_mission", "simulate"),
     "geometry": ("SE2", "SE3", "Bounds", "Camera", "camera_mount"),
     "mapping.frontiers": ("frontiers",),
     "mapping.gain": ("gain",),
     "mapping.occupancy": ("OccupancyMap",),
-    "mission": ("Pilot", "Planner"),
     "planning": ("PLANNERS",),
     "protocol": ("protocol_named",),
     "recording": ("read_config", "read_steps", "read_summary"),

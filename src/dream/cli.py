@@ -170,7 +170,7 @@ def _own_planner(arguments: Sequence[str]) -> int | None:
     """Where the file of a planner stands in the place of a planner's name; None where none does."""
     from dream import commands
     from dream.commands.help import places_of_names
-    from dream.planning.own import SUFFIX
+    from dream.own_code import SUFFIX
 
     places = places_of_names(arguments, commands.Run)
     return next((place for place in places if arguments[place].endswith(SUFFIX)), None)

@@ -4,21 +4,34 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
-
+from dream.approach import Approach
 from dream.geometry import Bounds
-from dream.mapping import OccupancyMap, within
+from dream.mapping import OccupancyMap
+from dream.mapping.targets import connected_extent, target_extent
 from dream.orders import Flown, Orders, Outcome, SideOf, Task, place
-from dream.planning.approach import Approach
-from dream.planning.own import check_decision, checked_pilot, is_own, own_file, told_where
-from dream.planning.sources.hull import STANDS
-from dream.types import LOOK_AROUND, UNASKED, Asked, BoolArray, Decision, Mission, Observation, Target
+from dream.own_code import check_decision, checked_pilot, is_own, own_file, told_where
+from dream.types import LOOK_AROUND, UNASKED, Asked, Decision, Mission, Observation
 
 if TYPE_CHECKING:
     from dream.mapping.prior import Prior
-    from dream.mission import Pilot, Planner
+
+
+class Pilot(Protocol):
+    """One planner during one mission: what it remembers lives here."""
+
+    def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
+        """The next move. Neither argument is changed."""
+        ...
+
+
+class Planner(Protocol):
+    """A planner's parameters. One planner can fly many missions at once."""
+
+    def begin(self, mission: Mission) -> Pilot:
+        """A fresh pilot for one mission."""
+        ...
 
 
 @dataclass(slots=True, eq=False)
@@ -76,7 +89,7 @@ class Course:
         """
         self._follow()
         leg = self.leg
-        found = found_in(self.occupancy, leg.leg.target) if done or leg.leg.task is Task.FIND else None
+        found = target_extent(self.occupancy, leg.leg.target) if done or leg.leg.task is Task.FIND else None
         if leg.leg.task is Task.FIND and found is not None:
             leg = replace(leg, outcome=Outcome.FOUND)
         elif done:
@@ -94,7 +107,7 @@ class Course:
         if not isinstance(area, SideOf) or area.leg is None:
             return
         of = self.orders.legs[area.leg - 1]
-        self._found[area.leg] = grown(self.occupancy, of.target, self._found[area.leg])
+        self._found[area.leg] = connected_extent(self.occupancy, of.target, self._found[area.leg])
         place_now = place(area, self.occupancy.bounds, self._found)
         if place_now != self.leg.area:
             self.occupancy.restrict(place_now)
@@ -139,42 +152,3 @@ def _told(part: Planner | Pilot, doing: str) -> AbstractContextManager[None]:
     """Have what fails in a planner of one's own told by its line; the package's speak for themselves."""
     file = own_file(type(part)) if is_own(type(part)) else None
     return nullcontext() if file is None else told_where(file, doing=doing)
-
-
-def found_in(occupancy: OccupancyMap, target: Target) -> Bounds | None:
-    """The box around the targets of a kind in the map's area; None where less than `STANDS` m² are known.
-
-    A wreck is what stands up from the seabed, oysters are what does not.
-    """
-    cells = _known(occupancy, target) & occupancy.to_see
-    return _box(cells, occupancy) if np.count_nonzero(cells) * occupancy.protocol.cell**2 >= STANDS else None
-
-
-def grown(occupancy: OccupancyMap, target: Target, found: Bounds) -> Bounds:
-    """The box around all that hangs together with what was found, by what is known of it now."""
-    from scipy.ndimage import label
-
-    protocol = occupancy.protocol
-    cells = _known(occupancy, target)
-    lumps, _ = label(within(cells, 0.5 * protocol.group_radius, protocol.cell), np.ones((3, 3)))
-    south, west = occupancy.cell_of(found.x_min, found.y_min)
-    north, east = occupancy.cell_of(found.x_max, found.y_max)
-    inside = np.s_[south:north, west:east]
-    mine = cells & np.isin(lumps, np.unique(lumps[inside][cells[inside]]))
-    return _box(mine, occupancy) if mine.any() else found
-
-
-def _known(occupancy: OccupancyMap, target: Target) -> BoolArray:
-    """(rows, cols) cells with such targets."""
-    if target is Target.WRECK:
-        return occupancy.target & occupancy.solid
-    return occupancy.target & ~occupancy.solid if target is Target.OYSTERS else occupancy.target
-
-
-def _box(cells: BoolArray, occupancy: OccupancyMap) -> Bounds:
-    """Around some cells, of which there are any."""
-    rows, cols = np.nonzero(cells)
-    west, south = occupancy.center_of(rows.min(), cols.min())
-    east, north = occupancy.center_of(rows.max(), cols.max())
-    half = 0.5 * occupancy.protocol.cell
-    return Bounds(float(west) - half, float(south) - half, float(east) + half, float(north) + half)

@@ -12,7 +12,7 @@ from typing import Protocol
 
 from dream.compiling import working_time
 from dream.control import guard, setpoint
-from dream.course import Course
+from dream.course import Course, Planner
 from dream.mapping import OccupancyMap, check_completion
 from dream.mapping.prior import Prior
 from dream.orders import Orders, everything
@@ -21,7 +21,6 @@ from dream.types import (
     Arrival,
     Decision,
     Guarded,
-    Mission,
     Observation,
     Reasoning,
     Setpoint,
@@ -39,22 +38,6 @@ class Robot(Protocol):
 
     def go_to(self, setpoint: Setpoint) -> Arrival:
         """Turn, then advance. Returns where it really ended; stops at contact."""
-        ...
-
-
-class Pilot(Protocol):
-    """One planner during one mission: what it remembers lives here."""
-
-    def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
-        """The next move. Neither argument is changed."""
-        ...
-
-
-class Planner(Protocol):
-    """A planner's parameters. One planner can fly many missions at once."""
-
-    def begin(self, mission: Mission) -> Pilot:
-        """A fresh pilot for one mission."""
         ...
 
 

@@ -22,13 +22,13 @@ import pytest
 
 from dream.cli import run_command
 from dream.control.health import Watch
+from dream.course import Pilot
 from dream.evaluation import machine, runner
 from dream.evaluation.engines import Engine, Failure, Processes
 from dream.evaluation.metrics import curve
 from dream.evaluation.results import TIMES, Flown, MissionKey, mission_path, read_manifest, read_results
 from dream.evaluation.runner import Ended, Flight, Plan, fly, fly_mission, fly_plan
 from dream.evaluation.suites import SUITES, Case
-from dream.mission import Pilot
 from dream.planning import Lawnmower, RandomWalk
 from dream.protocol import DREAM_V1, DREAM_V1_NAV, POOL_V1, protocol_named, reach_variant
 from dream.recording import read_config, read_steps, read_summary

@@ -27,12 +27,12 @@ from dream.mapping import (
     view,
     visible_weight,
 )
+from dream.mapping.hull import PATCH, Hull
 from dream.mapping.prior import Prior
 from dream.planning import Belief, sentences
 from dream.planning.belief import BeliefPilot, Thought
 from dream.planning.distribution import GLIMPSED, OBSERVED, Groups, expectation
 from dream.planning.failed_views import GIVEN_UP
-from dream.planning.hull import PATCH, Hull
 from dream.planning.lookahead import LookAhead, Plan, Prospect
 from dream.planning.sources import Hints, HullSurface
 from dream.planning.sources.source import MOST_VISITS

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from copy import deepcopy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from hypothesis import strategies as st
 from dream.evaluation.runner import simulate
 from dream.geometry import SE2, SE3, Bounds
 from dream.mapping import OccupancyMap, within
-from dream.planning import Belief
+from dream.planning import Belief, belief
 from dream.planning.belief import BeliefPilot
 from dream.planning.far_hints import HALF, USUAL, WORTH, FarHints
 from dream.planning.sources import Hints
@@ -292,8 +293,34 @@ def test_it_is_not_done_while_much_that_was_hinted_at_was_not_looked_at(
     assert "m² lie where targets were glimpsed beyond the reach" in decision.reasoning.distribution
 
 
+def test_what_may_be_left_is_a_share_of_all_targets_seen_and_hinted_at(
+    done: tuple[BeliefPilot, Step], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pilot, step = done
+    source = source_of(pilot, Hints)
+    assert source is not None
+    row, col = np.argwhere(~step.occupancy.observed)[100]
+    source.hints._pixels[:, max(row - 8, 0) : row + 8, max(col - 8, 0) : col + 8] = 10
+    pilot.claimed = None
+    hinted = deepcopy(pilot).consider(step.observation, step.occupancy).expected.hinted
+    seen = DREAM_V1.cell**2 * np.count_nonzero(step.occupancy.target)
+    assert hinted > 0.1 * seen
+    share = hinted / (seen + hinted)
+    for accepted in (0.99 * share, 1.01 * share):
+        monkeypatch.setattr(belief, "LEAVE", accepted)
+        decision = deepcopy(pilot).decide(step.observation, step.occupancy)
+        assert decision.done == (accepted > share)
+
+
 @pytest.fixture(name="done")
-def _done() -> tuple[BeliefPilot, Step]:
+def _done(ended: tuple[BeliefPilot, Step]) -> tuple[BeliefPilot, Step]:
+    """The same, to do with as one likes."""
+    pilot, step = ended
+    return deepcopy(pilot), step
+
+
+@pytest.fixture(name="ended", scope="module")
+def _ended() -> tuple[BeliefPilot, Step]:
     """A pilot at the end of its mission, in a world that it did not have to see all of."""
     pilots: list[BeliefPilot] = []
     near = arena(targets=placed(0, _clumps(3.0, 0.0, 1.0, 60), (0.3, 0.3, 0.15)))

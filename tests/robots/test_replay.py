@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 
 from dream.control import setpoint
+from dream.course import Planner
 from dream.evaluation.runner import labelled_in
 from dream.geometry import SE2, SE3
 from dream.mapping import OccupancyMap
-from dream.mission import Planner, Robot, explore
+from dream.mission import Robot, explore
 from dream.planning import NearestFrontier, SixSteps
 from dream.protocol import DREAM_V1, DREAM_V1_NAV, SurveyProtocol
 from dream.robots import Anchored, Simulated, Teleport

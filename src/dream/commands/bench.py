@@ -17,8 +17,8 @@ from dream.commands.swim import Swim
 from dream.errors import MissionAborted
 from dream.names import look_up
 from dream.options import First
+from dream.own_code import SUFFIX
 from dream.planning import LABELLED, OFFLINE, PLANNERS, AnyPlanner, Asking, check_installed
-from dream.planning.own import SUFFIX
 from dream.protocol import protocol_named
 from dream.telling import rich_console
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dream.options import First
-from dream.planning import AnyPlanner, Belief
+from dream.planning import AnyPlanner, Belief, planner_name
 
 if TYPE_CHECKING:
     from dream.geometry import Bounds
@@ -77,7 +77,6 @@ class Ground:
             return Known(site)
         from dream.commands.survey.sources import found
         from dream.evaluation.runner import labelled_in
-        from dream.planning.identity import planner_name
         from dream.survey.prior import frames_told, prior_of
         from dream.types import Target
 

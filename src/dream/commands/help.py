@@ -22,7 +22,7 @@ import tyro
 
 from dream.names import look_up
 from dream.options import FirstRank
-from dream.planning.own import is_own
+from dream.own_code import is_own
 from dream.planning.vlm import Asking
 
 WIDEST = 110

@@ -27,9 +27,9 @@ from dream.commands.console import (
 from dream.commands.progress import stage, with_progress
 from dream.names import look_up
 from dream.options import First
-from dream.planning import PLANNERS, AnyPlanner, Asking, check_installed
-from dream.planning.identity import identity, planner_name
-from dream.planning.own import SUFFIX, own_planner
+from dream.own_code import SUFFIX, own_planner
+from dream.planning import PLANNERS, AnyPlanner, Asking, check_installed, planner_name
+from dream.planning.identity import identity
 from dream.versions import commit
 
 if TYPE_CHECKING:

@@ -32,9 +32,8 @@ from dream.commands.swim import Swim
 from dream.ending import also, reason
 from dream.errors import MissionAborted
 from dream.options import First
-from dream.planning import PLANNERS, AnyPlanner, check_installed
-from dream.planning.identity import planner_name
-from dream.planning.own import own_planner
+from dream.own_code import own_planner
+from dream.planning import PLANNERS, AnyPlanner, check_installed, planner_name
 from dream.planning.vlm import WIRE_TEST, Asking, Ranked, stands_in
 from dream.protocol import protocol_named
 

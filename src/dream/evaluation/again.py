@@ -17,9 +17,9 @@ from dream.mapping.prior import Prior
 from dream.mission import explore
 from dream.names import look_up
 from dream.orders import Orders
-from dream.planning import PLANNERS, AnyPlanner, Asking
+from dream.planning import PLANNERS, AnyPlanner, Asking, planner_name
 from dream.planning.baselines.uivnav import weights_sha256
-from dream.planning.identity import code_sha256, planner_name, prompts_sha256
+from dream.planning.identity import code_sha256, prompts_sha256
 from dream.planning.vlm import stands_in
 from dream.planning.vlm.orders import read_orders
 from dream.protocol import SurveyProtocol, protocol_named

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from dream import __version__, recording
+from dream.course import Planner
 from dream.ending import why
 from dream.errors import MissionAborted
 from dream.evaluation import machine
@@ -40,10 +41,10 @@ from dream.evaluation.results import (
 from dream.evaluation.suites import Case
 from dream.mapping import OccupancyMap
 from dream.mapping.prior import Prior
-from dream.mission import Planner, Robot, explore
+from dream.mission import Robot, explore
 from dream.orders import Orders, sentences, written
-from dream.planning import LABELLED, PLANNERS, AnyPlanner
-from dream.planning.identity import files_given, identity, planner_name
+from dream.planning import LABELLED, PLANNERS, AnyPlanner, planner_name
+from dream.planning.identity import files_given, identity
 from dream.planning.vlm.asking import GONE, WHERE_KEPT, Asking
 from dream.protocol import SHOWN, SurveyProtocol, protocol_named
 from dream.robots import Swimming, Teleport

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from dream import __version__
+from dream.course import Planner
 from dream.evaluation.engines import Engine
 from dream.evaluation.locks import alone_at
 from dream.evaluation.machine import libraries, source
@@ -25,7 +26,6 @@ from dream.learning.network import PLANES, Network, import_torch
 from dream.learning.rollouts import TRAINING, VALIDATION, Frames, Lesson, Taught, gather, read, reef_cases
 from dream.learning.training import Training, device_named, fit
 from dream.learning.trials import Outcome, Trial, try_out
-from dream.mission import Planner
 from dream.perception.representation import CLOSEST, HEIGHT, WIDTH
 from dream.planning.baselines import Lawnmower, RandomWalk, UivNav
 from dream.planning.baselines.uivnav import TURNS_DEG

@@ -35,8 +35,8 @@ from dream.sim.worlds import make_world
 from dream.types import Decision, Float32Array, Mission, Observation, UInt8Array
 
 if TYPE_CHECKING:
+    from dream.course import Pilot
     from dream.mapping import OccupancyMap
-    from dream.mission import Pilot
 
 REEFS = (*(f"reef/{family}" for family in REEF_FAMILIES), *(f"reef/{letter}" for letter in LETTERS))
 """The worlds that are learned from; wrecks and the tank are for trying what was learned."""

@@ -9,11 +9,11 @@ from functools import lru_cache
 
 import numpy as np
 
+from dream.course import Planner
 from dream.evaluation.engines import Engine, Failure
 from dream.evaluation.runner import simulate
 from dream.evaluation.suites import Case
 from dream.learning.rollouts import Colourless
-from dream.mission import Planner
 from dream.protocol import protocol_named
 from dream.sim.visibility import Visibility
 from dream.sim.world import World

@@ -1,5 +1,6 @@
 """Observation, Map → Decision."""
 
+from dream.own_code import own_name
 from dream.planning.baselines import (
     Lawnmower,
     NearestFrontier,
@@ -60,6 +61,13 @@ def check_installed(planner: object) -> None:
         planner.check_installed()
 
 
+def planner_name(planner: AnyPlanner) -> str:
+    """The name of a planner on the command line; of one's own, that of its file."""
+    kind = type(planner)
+    names = (name for name, default in PLANNERS.items() if type(default) is kind)
+    return next(names, None) or own_name(kind)
+
+
 __all__ = [
     "LABELLED",
     "OFFLINE",
@@ -79,4 +87,5 @@ __all__ = [
     "UivNav",
     "Vanilla",
     "check_installed",
+    "planner_name",
 ]

@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import SE2
+from dream.mapping.hull import Hull
 from dream.options import First
 from dream.planning import sentences
 from dream.planning.distribution import Evidence, Groups
 from dream.planning.failed_views import FailedViews
 from dream.planning.far_hints import FarHints
-from dream.planning.hull import Hull
 from dream.planning.lookahead import NOTHING, LookAhead, Plan, Prospect
 from dream.planning.outlook import Outlook
 from dream.planning.parameters import check_count, check_range

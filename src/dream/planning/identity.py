@@ -6,17 +6,10 @@ import hashlib
 from dataclasses import asdict
 from typing import Any
 
-from dream.planning import PLANNERS, AnyPlanner, Asking
+from dream.own_code import is_own, own_file, shown
+from dream.planning import AnyPlanner, Asking
 from dream.planning.baselines.uivnav import weights_sha256
-from dream.planning.own import is_own, own_file, own_name, shown
 from dream.planning.vlm.prompts import own_prompts
-
-
-def planner_name(planner: AnyPlanner) -> str:
-    """The name of a planner on the command line; of one's own, that of its file."""
-    kind = type(planner)
-    names = (name for name, default in PLANNERS.items() if type(default) is kind)
-    return next(names, None) or own_name(kind)
 
 
 def identity(name: str, planner: AnyPlanner) -> dict[str, Any]:

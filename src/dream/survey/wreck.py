@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.mapping import Layers as MapLayers
-from dream.planning.hull import PATCH, Hull
+from dream.mapping.hull import PATCH, Hull
 from dream.survey import patches, relief
 from dream.survey.calibration import BETWEEN
 from dream.survey.footprint import Footprint
@@ -101,7 +101,7 @@ def measure_wreck(
 
     The outline is that of the largest piece of what was labelled target, seen from straight above, closed as
     a reef's is; every other piece of at least `SMALLEST_PIECE` is debris. How much of the hull was seen
-    comes from the belief over its surface that planners go by (`planning.hull`).
+    comes from the belief over its surface that planners go by (`mapping.hull`).
 
     Args:
         ground: What all frames together show.

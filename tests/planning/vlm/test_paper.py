@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from dream.course import Planner
 from dream.evaluation.metrics import Scorer
 from dream.evaluation.runner import simulate
 from dream.geometry import Bounds
 from dream.mapping.drawing import EXPLORED, SOLID, TARGET, UNKNOWN
-from dream.mission import Planner
 from dream.planning import Belief
 from dream.planning.vlm import Dream, Vanilla
 from dream.planning.vlm.reply import STEPS

@@ -30,8 +30,7 @@ from dream.commands.progress import stage
 from dream.ending import asked_to_end
 from dream.geometry import Bounds
 from dream.options import First
-from dream.planning import PLANNERS, AnyPlanner, check_installed
-from dream.planning.identity import planner_name
+from dream.planning import PLANNERS, AnyPlanner, check_installed, planner_name
 from dream.protocol import protocol_named
 
 if TYPE_CHECKING:

@@ -7,19 +7,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dream.mapping.hull import PATCH, Hull
+from dream.mapping.targets import is_found, target_cells
 from dream.planning import sentences
-from dream.planning.hull import PATCH, Hull
 from dream.planning.outlook import Listed, Outlook
 from dream.planning.sources.source import Expected, FloatArray, Scene, Source, Words, Worth
 from dream.planning.travel import Pose
 from dream.protocol import SurveyProtocol
+from dream.types import Target
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
 
-STANDS = 0.5
-"""Square metres of targets that stand up from which on they are a hull. On the reefs of `dev` boulders among
-the targets make up to 0.2 m² seem so; a wreck shows more in the first frame that has it in reach."""
 ADJOINING = 1.5
 """Metres from hull within reach up to which more hull is believed in."""
 BENEATH = 0.02
@@ -124,11 +123,11 @@ class HullSurface(Source):
 def away_from_hull(occupancy: OccupancyMap) -> FloatArray | None:
     """(rows, cols) metres to the nearest target that stands up from the seabed.
 
-    None where no more of them do than a boulder among targets would make it seem.
+    None where that is too little for a wreck.
     """
     from scipy.ndimage import distance_transform_edt
 
-    cell, stands = occupancy.protocol.cell, occupancy.target & occupancy.solid
-    if np.count_nonzero(stands) * cell**2 < STANDS:
+    cell, stands = occupancy.protocol.cell, target_cells(occupancy, Target.WRECK)
+    if not is_found(stands, cell):
         return None
     return np.asarray(distance_transform_edt(~stands, cell))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ except ImportError as error:
 from dream.geometry import wrap_angle
 from dream.measurements import Depth
 from dream.robots.bluerov2.standin import motors, telemetry
-from dream.robots.bluerov2.standin.attitude import Ahrs
+from dream.robots.bluerov2.standin.attitude import Ahrs, Origin
 from dream.robots.bluerov2.standin.failsafes import Failsafes
 from dream.robots.bluerov2.standin.helm import ALT_HOLD, GUIDED, MODES, NEED_POSITION, SURFACE, Helm
 from dream.robots.bluerov2.standin.motors import NEUTRAL_PWM, Sticks
@@ -64,17 +64,6 @@ UNASKED = (mav.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT,)
 """Messages that come, but not when they are asked for."""
 
 Send = Callable[[bytes, "Address | None"], None]
-
-
-@dataclass(frozen=True, slots=True)
-class Origin:
-    """Where its estimate has its zero."""
-
-    lat: int
-    """Degrees, times 1e7."""
-    lon: int
-    alt: float
-    """Metres above the sea, as somebody believes."""
 
 
 class Frame(enum.IntEnum):

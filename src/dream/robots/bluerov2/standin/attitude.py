@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from dream.geometry import wrap_angle
 from dream.measurements import Depth, Heading, Imu
@@ -19,6 +20,17 @@ TURNING = 0.05
 SETTLING = (0.3, 0.4, 0.15)
 """Share of a depth error that a reading takes from depth, and how much it changes vertical speed (1/s) and
 bias (1/s²) by it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where its estimate has its zero."""
+
+    lat: int
+    """Degrees, times 1e7."""
+    lon: int
+    alt: float
+    """Metres above the sea, as somebody believes."""
 
 
 class Ahrs:

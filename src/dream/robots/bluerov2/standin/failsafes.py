@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from dream.robots.bluerov2.standin.helm import ALT_HOLD, SURFACE
+from dream.robots.bluerov2.standin.helm import ALT_HOLD, SURFACE, Helm
 from dream.robots.bluerov2.standin.motors import Sticks
-
-if TYPE_CHECKING:
-    from dream.robots.bluerov2.standin.ardusub import ArduSub
+from dream.robots.bluerov2.standin.parameters import Parameters
+from dream.robots.bluerov2.standin.tank import Tank
 
 WARNED_GCS, WARNED_LEAK = 30.0, 20.0
 """Seconds between two warnings of the same."""
@@ -21,6 +20,42 @@ BATTERY = (("low", "BATT_LOW_VOLT", "BATT_FS_LOW_ACT"), ("critical", "BATT_CRT_V
 """Word, voltage and action of the levels of the battery; 2 disarms and 3 surfaces."""
 
 
+class Protected(Protocol):
+    """The autopilot that failsafes act on."""
+
+    @property
+    def tank(self) -> Tank:
+        """Where it swims."""
+        ...
+
+    @property
+    def helm(self) -> Helm:
+        """Mode, sticks and targets."""
+        ...
+
+    @property
+    def parameters(self) -> Parameters:
+        """By their names."""
+        ...
+
+    @property
+    def armed(self) -> bool:
+        """Do its motors run?"""
+        ...
+
+    def set_mode(self, mode: int) -> bool:
+        """Change the mode, where it may be; does it hold now?"""
+        ...
+
+    def disarm(self) -> None:
+        """Stop the motors."""
+        ...
+
+    def say(self, severity: int, text: str) -> None:
+        """A STATUSTEXT."""
+        ...
+
+
 class Failsafes:
     """Checked each beat; each acts once, until what was lost is back.
 
@@ -28,7 +63,7 @@ class Failsafes:
     station that never was is never lost.
     """
 
-    def __init__(self, sub: ArduSub, booted_at: float) -> None:
+    def __init__(self, sub: Protected, booted_at: float) -> None:
         """Since when it runs, in the tank's time."""
         self._sub, self._booted_at = sub, booted_at
         self._piloted_at = self._station_at = -math.inf

@@ -7,18 +7,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from dream.robots.bluerov2.standin import motors
-from dream.robots.bluerov2.standin.attitude import quaternion
-from dream.robots.bluerov2.standin.helm import NEED_POSITION
+from dream.robots.bluerov2.standin.attitude import Ahrs, Origin, quaternion
+from dream.robots.bluerov2.standin.failsafes import Failsafes
+from dream.robots.bluerov2.standin.helm import NEED_POSITION, Helm
 from dream.robots.bluerov2.standin.motors import NEUTRAL_PWM
+from dream.robots.bluerov2.standin.parameters import Parameters
+from dream.robots.bluerov2.standin.tank import Tank
 from dream.vehicle import GRAVITY
-
-if TYPE_CHECKING:
-    from dream.robots.bluerov2.standin.ardusub import ArduSub
 
 Message = Any
 """A message of pymavlink, which has no types."""
@@ -39,7 +39,91 @@ CAPABILITIES = 0x2 | 0x4 | 0x80 | 0x100 | 0x2000
 """MAV_PROTOCOL_CAPABILITY: float parameters, missions, both position targets, MAVLink 2."""
 
 
-def heartbeat(sub: ArduSub) -> Message:
+class Reported(Protocol):
+    """The autopilot whose state is told."""
+
+    @property
+    def tank(self) -> Tank:
+        """Where it swims."""
+        ...
+
+    @property
+    def ahrs(self) -> Ahrs:
+        """Its estimate of attitude and depth."""
+        ...
+
+    @property
+    def helm(self) -> Helm:
+        """Mode, sticks and targets."""
+        ...
+
+    @property
+    def failsafes(self) -> Failsafes:
+        """Is any triggered?"""
+        ...
+
+    @property
+    def parameters(self) -> Parameters:
+        """By their names."""
+        ...
+
+    @property
+    def armed(self) -> bool:
+        """Do its motors run?"""
+        ...
+
+    @property
+    def mode(self) -> int:
+        """custom_mode."""
+        ...
+
+    @property
+    def pulses(self) -> list[int]:
+        """Microseconds to each motor."""
+        ...
+
+    @property
+    def servos(self) -> dict[int, int]:
+        """Microseconds of the outputs that are no motors, by channel."""
+        ...
+
+    @property
+    def tilt(self) -> float:
+        """Radians that the camera looks up."""
+        ...
+
+    @property
+    def position_ok(self) -> bool:
+        """Has it a position?"""
+        ...
+
+    @property
+    def origin(self) -> Origin | None:
+        """Of its estimate; None as long as nobody has told it any."""
+        ...
+
+    @property
+    def altitude(self) -> float:
+        """Metres above the sea, as far as it knows."""
+        ...
+
+    @property
+    def relative_altitude(self) -> float:
+        """Metres above its home."""
+        ...
+
+    @property
+    def clock(self) -> float:
+        """Seconds since it booted, as it counts them."""
+        ...
+
+    @property
+    def boot_ms(self) -> int:
+        """The same in milliseconds."""
+        ...
+
+
+def heartbeat(sub: Reported) -> Message:
     """What it is, and in which mode."""
     flags = mav.MAV_MODE_FLAG_STABILIZE_ENABLED | mav.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
     flags |= mav.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
@@ -55,14 +139,14 @@ def heartbeat(sub: ArduSub) -> Message:
     )
 
 
-def attitude(sub: ArduSub) -> Message:
+def attitude(sub: Reported) -> Message:
     """By its filter."""
     roll, pitch, _ = sub.ahrs.euler
     p, q, r = sub.ahrs.rates
     return mav.MAVLink_attitude_message(sub.boot_ms, roll, -pitch, sub.helm.yaw, p, -q, -r)
 
 
-def attitude_quaternion(sub: ArduSub) -> Message:
+def attitude_quaternion(sub: Reported) -> Message:
     """The same as a quaternion."""
     roll, pitch, _ = sub.ahrs.euler
     p, q, r = sub.ahrs.rates
@@ -70,7 +154,7 @@ def attitude_quaternion(sub: ArduSub) -> Message:
     return mav.MAVLink_attitude_quaternion_message(sub.boot_ms, *wxyz, p, -q, -r)
 
 
-def inertial(sub: ArduSub) -> tuple[int, ...]:
+def inertial(sub: Reported) -> tuple[int, ...]:
     """Milligravities, milliradians a second and milligauss, forward-right-down."""
     fx, fy, fz = sub.tank.imu.specific_force.tolist()
     p, q, r = sub.ahrs.rates
@@ -81,23 +165,23 @@ def inertial(sub: ArduSub) -> tuple[int, ...]:
     return tuple(min(max(round(value), -32768), 32767) for value in (*force, *turn, *field))
 
 
-def raw_imu(sub: ArduSub) -> Message:
+def raw_imu(sub: Reported) -> Message:
     """Inertial unit and compass."""
     return mav.MAVLink_raw_imu_message(int(1e6 * sub.clock), *inertial(sub), 0, 2500)
 
 
-def scaled_imu2(sub: ArduSub) -> Message:
+def scaled_imu2(sub: Reported) -> Message:
     """The same; with milliseconds."""
     return mav.MAVLink_scaled_imu2_message(sub.boot_ms, *inertial(sub), 2500)
 
 
-def scaled_pressure2(sub: ArduSub) -> Message:
+def scaled_pressure2(sub: Reported) -> Message:
     """The Bar30."""
     water = -sub.tank.depth.z * WATER_PRESSURE
     return mav.MAVLink_scaled_pressure2_message(sub.boot_ms, AIR_PRESSURE + water, water, 2000)
 
 
-def vfr_hud(sub: ArduSub) -> Message:
+def vfr_hud(sub: Reported) -> Message:
     """Height above the sea, as far as it knows, and heading."""
     speed = math.hypot(*sub.helm.over_ground) if sub.position_ok else 0.0
     heading = int(math.degrees(sub.helm.yaw) % 360.0)
@@ -105,7 +189,7 @@ def vfr_hud(sub: ArduSub) -> Message:
     return mav.MAVLink_vfr_hud_message(0.0, speed, heading, thrust, sub.altitude, sub.ahrs.climb)
 
 
-def global_position_int(sub: ArduSub) -> Message:
+def global_position_int(sub: Reported) -> Message:
     """Where it is on the globe, and how high: `alt` above the sea, `relative_alt` by rules of its own."""
     origin, (north, east) = sub.origin, sub.helm.here if sub.position_ok else (0.0, 0.0)
     lat = lon = 0
@@ -119,14 +203,14 @@ def global_position_int(sub: ArduSub) -> Message:
     return mav.MAVLink_global_position_int_message(sub.boot_ms, lat, lon, *heights, *speeds, heading)
 
 
-def ahrs2(sub: ArduSub) -> Message:
+def ahrs2(sub: Reported) -> Message:
     """By its second filter: the same attitude, and the height that is relative, rounded."""
     roll, pitch, _ = sub.ahrs.euler
     height = round(sub.relative_altitude, 2)
     return mav.MAVLink_ahrs2_message(roll, -pitch, sub.helm.yaw, height, 0, 0)
 
 
-def nav_controller_output(sub: ArduSub) -> Message:
+def nav_controller_output(sub: Reported) -> Message:
     """What it steers at: heading, and height above where it is."""
     loops = sub.helm.loops
     off = loops.z - sub.ahrs.z if sub.armed else 0.0
@@ -135,7 +219,7 @@ def nav_controller_output(sub: ArduSub) -> Message:
     )
 
 
-def sys_status(sub: ArduSub) -> Message:
+def sys_status(sub: Reported) -> Message:
     """Battery and health."""
     tank = sub.tank
     ready = sub.parameters["BATT_ARM_VOLT"] <= tank.voltage
@@ -149,12 +233,12 @@ def sys_status(sub: ArduSub) -> Message:
     )
 
 
-def system_time(sub: ArduSub) -> Message:
+def system_time(sub: Reported) -> Message:
     """Without a receiver it does not know the time."""
     return mav.MAVLink_system_time_message(0, sub.boot_ms)
 
 
-def gimbal(sub: ArduSub) -> Message:
+def gimbal(sub: Reported) -> Message:
     """The tilt of the camera; a servo mount reports what it was told, about the vehicle."""
     wxyz = quaternion(0.0, sub.tilt, 0.0)
     flags = mav.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME
@@ -163,12 +247,12 @@ def gimbal(sub: ArduSub) -> Message:
     )
 
 
-def cam_tilt(sub: ArduSub) -> Message:
+def cam_tilt(sub: Reported) -> Message:
     """The same, as a share from down to up."""
     return mav.MAVLink_named_value_float_message(sub.boot_ms, b"CamTilt", 0.5 + math.degrees(sub.tilt) / 90.0)
 
 
-def servo_output_raw(sub: ArduSub) -> Message:
+def servo_output_raw(sub: Reported) -> Message:
     """Pulses of motors, lights and tilt."""
     outputs = {**dict(enumerate(sub.pulses, 1)), **sub.servos}
     outputs[TILT_CHANNEL] = round(NEUTRAL_PWM - motors.HALF_PWM * math.degrees(sub.tilt) / 45.0)
@@ -176,7 +260,7 @@ def servo_output_raw(sub: ArduSub) -> Message:
     return mav.MAVLink_servo_output_raw_message(int(1e6 * sub.clock) % (1 << 32), 0, *pulses)
 
 
-def ekf_status_report(sub: ArduSub) -> Message:
+def ekf_status_report(sub: Reported) -> Message:
     """What it has an estimate of."""
     flags = mav.EKF_ATTITUDE | mav.EKF_VELOCITY_HORIZ | mav.EKF_VELOCITY_VERT | mav.EKF_POS_VERT_ABS
     if sub.position_ok:
@@ -187,7 +271,7 @@ def ekf_status_report(sub: ArduSub) -> Message:
     return mav.MAVLink_ekf_status_report_message(flags, 0.05, 0.05, 0.02, 0.05, 0.0)
 
 
-def local_position_ned(sub: ArduSub) -> Message:
+def local_position_ned(sub: Reported) -> Message:
     """Where it is; only while it has a position."""
     north, east = sub.helm.here
     vn, ve = sub.helm.over_ground
@@ -195,7 +279,7 @@ def local_position_ned(sub: ArduSub) -> Message:
     return mav.MAVLink_local_position_ned_message(sub.boot_ms, north, east, -z, vn, ve, -climb)
 
 
-def autopilot_version(sub: ArduSub) -> Message:
+def autopilot_version(sub: Reported) -> Message:
     """Which release it is."""
     major, minor, patch = sub.parameters.firmware.version
     version = major << 24 | minor << 16 | patch << 8 | 255
@@ -204,7 +288,7 @@ def autopilot_version(sub: ArduSub) -> Message:
     )
 
 
-BUILDERS: dict[int, Callable[[ArduSub], Message]] = {
+BUILDERS: dict[int, Callable[[Reported], Message]] = {
     mav.MAVLINK_MSG_ID_ATTITUDE: attitude,
     mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: attitude_quaternion,
     mav.MAVLINK_MSG_ID_RAW_IMU: raw_imu,

@@ -12,7 +12,7 @@ import pytest
 from dream.cli import run_command
 from dream.errors import MissionAborted, PlannerFailed
 from dream.evaluation.runner import simulate
-from dream.planning.own import own_planner
+from dream.own_code import own_planner
 from dream.protocol import DREAM_V1, POOL_V1
 from dream.recording import read_config
 from dream.sim.world import World

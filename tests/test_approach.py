@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
+from dream.approach import PATIENCE, Approach
 from dream.evaluation.runner import simulate
 from dream.geometry import Bounds
 from dream.mapping import OccupancyMap
 from dream.orders import Leg, Orders
 from dream.planning import OFFLINE, PLANNERS
-from dream.planning.approach import PATIENCE, Approach
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
 from dream.types import Mission

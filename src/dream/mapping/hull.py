@@ -62,27 +62,22 @@ class Hull:
             bounds: The survey area; nothing outside is ever known.
             protocol: Camera, reach and altitude.
         """
+        from dream.mapping._kernels import hull as kernels
         from dream.perception.scatter import Scatter
-        from dream.planning._kernels import hull as kernels
 
         self.protocol = protocol
-        self._side = 0.5 * protocol.cell
+        margin = 0.5 * protocol.cell
         # Up to the seabed an altitude lower than at the start, and to hull as high above the camera again.
         heights = 4.0 * protocol.altitude
-        shape = [
-            math.ceil(length / self._side / kernels.BLOCK) * kernels.BLOCK
+        levels, rows, cols = (
+            math.ceil(length / (0.5 * protocol.cell))
             for length in (heights, bounds.depth + protocol.cell, bounds.width + protocol.cell)
-        ]
-        self._voxels = np.zeros(shape, np.uint8)
-        self._solid = np.zeros(shape, np.uint64)
-        self._looks = np.zeros(shape, np.uint8)
-        self._near = np.zeros([n // kernels.BLOCK for n in shape], np.uint8)
-        self._vain = np.zeros((2, *self._near.shape), np.uint64)
-        self._posts = np.zeros((2, *(-(-n // kernels.POST) for n in shape[1:])))
-        self._ground: FloatArray = np.zeros(self._posts.shape[1:])
-        margin = 0.5 * protocol.cell
-        self._corner: FloatArray = np.array([bounds.x_min - margin, bounds.y_min - margin, np.nan])
-        self._box = np.array([*shape, 0, 0, 0], np.int64)
+        )
+        corner = np.array([bounds.x_min - margin, bounds.y_min - margin, np.nan])
+        self._volume = kernels.empty_volume((levels, rows, cols), corner, 0.5 * protocol.cell)
+        self._looks = np.zeros_like(self._volume.voxels)
+        self._vain = np.zeros((2, *self._volume.near.shape), np.uint64)
+        self._ground: FloatArray = np.zeros(self._volume.posts.shape[1:])
         self._seen = 0
         self._scatter = Scatter()
         self._elements = np.zeros((0, 4), np.int32)
@@ -111,60 +106,25 @@ class Hull:
 
     def integrate(self, observation: Observation) -> None:
         """Add what an observation shows, and count it as a look at what it should have shown and did not."""
-        from dream.planning._kernels import hull as kernels
+        from dream.mapping._kernels import hull as kernels
 
         protocol, camera = self.protocol, observation.camera
         T_world_camera = observation.T_world_camera
         place, rotation = T_world_camera.translation, np.ascontiguousarray(T_world_camera.rotation)
-        if math.isnan(self._corner[2]):
-            self._corner[2] = place[2] - 2.0 * protocol.altitude
+        if math.isnan(self._volume.corner[2]):
+            self._volume.corner[2] = place[2] - 2.0 * protocol.altitude
         looked_at, bits = self._looked_at(observation)
         depth, sure, far = self._depths(observation)
-        lens = (camera.fx, camera.fy, camera.cx, camera.cy)
-        self._seen += kernels.mark(
-            self._voxels,
-            self._solid,
-            self._near,
-            self._posts,
-            self._box,
-            sure,
-            observation.labels,
-            int(Label.TARGET),
-            int(Label.SEABED),
-            rotation,
-            place,
-            lens,
-            protocol.returns,
-            protocol.reach,
-            far,
-            self._corner,
-            self._side,
+        labels, target, seabed = observation.labels, int(Label.TARGET), int(Label.SEABED)
+        viewpoint = kernels.Viewpoint(
+            rotation, place, (camera.fx, camera.fy, camera.cx, camera.cy), protocol.returns
         )
-        kernels.fill(
-            self._solid,
-            depth,
-            observation.labels,
-            int(Label.SEABED),
-            rotation,
-            place,
-            lens,
-            protocol.returns,
-            STEEPEST,
-            self._corner,
-            self._side,
-        )
-        kernels.carve(
-            self._voxels,
-            depth,
-            rotation,
-            place,
-            lens,
-            min(CARVED * protocol.reach, protocol.max_depth),
-            0.5 * self._side,
-            self._corner,
-            self._side,
-        )
-        kernels.doubt(self._voxels, self._looks, looked_at)
+        volume = self._volume
+        self._seen += kernels.mark(volume, sure, labels, target, seabed, viewpoint, protocol.reach, far)
+        kernels.fill(volume, depth, labels, seabed, viewpoint, STEEPEST)
+        farthest = min(CARVED * protocol.reach, protocol.max_depth)
+        kernels.carve(volume, depth, viewpoint, farthest, 0.5 * volume.side)
+        kernels.doubt(volume.voxels, self._looks, looked_at)
         level, row, col, kind = looked_at.T
         self._vain[kind, level, row, col] |= bits
         self._ground = self._smooth_ground()
@@ -195,7 +155,7 @@ class Hull:
 
     def give_up(self, position: tuple[float, float], yaw: float) -> None:
         """Hope no more to see from that side what of the hull should be in view and is still to be seen."""
-        from dream.planning._kernels import hull as kernels
+        from dream.mapping._kernels import hull as kernels
 
         if not len(self._weights):
             return
@@ -209,12 +169,12 @@ class Hull:
 
     @property
     def _voxels_of_patch(self) -> float:
-        return SLANT * (PATCH / self._side) ** 2
+        return SLANT * (PATCH / self._volume.side) ** 2
 
     def _depths(self, observation: Observation) -> tuple[Float32Array, Float32Array, int]:
         """Depths, those of them that are marked (NaN elsewhere), and what hull beyond reach is marked as."""
+        from dream.mapping._kernels import hull as kernels
         from dream.perception.scatter import SCATTERS, steadied
-        from dream.planning._kernels import hull as kernels
 
         protocol = self.protocol
         self._scatter.add(observation)
@@ -225,7 +185,7 @@ class Hull:
         error = scatter * depth**2 / np.sqrt(np.maximum(averaged, 1))
         # Within reach a hull counts as seen: there it must be marked, however much all depths scatter.
         at_reach = scatter * (protocol.reach**2 + protocol.altitude**2) / (2 * AROUND + 1)
-        sure = np.where(error <= max(SURE * self._side, at_reach), depth, np.float32(np.nan))
+        sure = np.where(error <= max(SURE * self._volume.side, at_reach), depth, np.float32(np.nan))
         return depth, sure, kernels.HULL | kernels.VAGUE
 
     def _looked_at(self, observation: Observation) -> tuple[IntArray, npt.NDArray[np.uint64]]:
@@ -234,7 +194,7 @@ class Hull:
         By its camera or as `visible` foretold it: the two differ by how well the seabed is known. Counting
         only one of them, a planner that goes by the other could wait for ever.
         """
-        from dream.planning._kernels import hull as kernels
+        from dream.mapping._kernels import hull as kernels
 
         place, yaw = observation.T_world_camera.translation, np.array([observation.pose.yaw])
         foretold = np.append(place[:2], self._ground_at(place[None, :2]) + self.protocol.altitude)
@@ -245,56 +205,58 @@ class Hull:
         self, cameras: FloatArray, yaws: FloatArray, among: BoolArray | None = None
     ) -> tuple[IntArray, IntArray]:
         """CSR over cameras (P, 3) and yaws (K,)."""
-        from dream.planning._kernels import hull as kernels
+        from dream.mapping._kernels import hull as kernels
 
         protocol, camera = self.protocol, self.protocol.camera
         which = np.arange(len(self._weights)) if among is None else np.flatnonzero(among)
         if not len(which):
             return np.zeros(len(cameras) * len(yaws) + 1, np.int64), np.zeros(0, np.int32)
         level, row, col, kind = self._elements[which].T
-        starts, elements = kernels.visible(
-            self._solid,
-            self._middles[which],
-            self._vain[kind, level, row, col],
-            np.ascontiguousarray(cameras),
-            np.stack([np.cos(yaws), np.sin(yaws)], axis=1),
+        level_camera = kernels.LevelCamera(
             (math.cos(protocol.camera_pitch), math.sin(protocol.camera_pitch)),
             (camera.fx, camera.fy, camera.cx, camera.cy),
             (camera.width, camera.height),
             protocol.returns,
             protocol.reach,
+        )
+        starts, elements = kernels.visible(
+            self._volume,
+            self._middles[which],
+            self._vain[kind, level, row, col],
+            np.ascontiguousarray(cameras),
+            np.stack([np.cos(yaws), np.sin(yaws)], axis=1),
+            level_camera,
             OVERLAP,
-            self._corner,
-            self._side,
         )
         return starts, which[elements]
 
     def _list_elements(self) -> None:
-        from dream.planning._kernels import hull as kernels
+        from dream.mapping._kernels import hull as kernels
 
-        low, past = (self._box[:3] - 1) // kernels.BLOCK, self._box[3:] // kernels.BLOCK + 1
-        low, past = np.maximum(low, 0), np.minimum(past, np.array(self._voxels.shape) // kernels.BLOCK)
+        volume = self._volume
+        low, past = (volume.box[:3] - 1) // kernels.BLOCK, volume.box[3:] // kernels.BLOCK + 1
+        low, past = np.maximum(low, 0), np.minimum(past, np.array(volume.voxels.shape) // kernels.BLOCK)
         if (low >= past).any():
             return
         # Elsewhere no voxel counts.
-        near = self._near[low[0] : past[0], low[1] : past[1], low[2] : past[2]].any(axis=0)
+        near = volume.near[low[0] : past[0], low[1] : past[1], low[2] : past[2]].any(axis=0)
         rows, cols = np.nonzero(near)
-        block = kernels.BLOCK * self._side
-        columns = self._corner[:2] + (np.stack([cols + low[2], rows + low[1]], axis=1) + 0.5) * block
-        ground = self._ground_at(columns) - self._corner[2]
+        block = kernels.BLOCK * volume.side
+        columns = volume.corner[:2] + (np.stack([cols + low[2], rows + low[1]], axis=1) + 0.5) * block
+        ground = self._ground_at(columns) - volume.corner[2]
         lowest, highest = np.zeros((2, *near.shape), np.int64)
         for levels, height in ((lowest, 0.0), (highest, self._top)):
-            levels[near] = np.rint((ground + height) / self._side)
+            levels[near] = np.rint((ground + height) / volume.side)
         self._elements, voxel, weights = kernels.list_elements(
-            self._voxels,
-            self._near,
+            volume.voxels,
+            volume.near,
             self._looks,
             WORTH,
             np.concatenate([low, past]),
             lowest,
             highest,
         )
-        self._middles = self._corner + voxel[:, ::-1] * self._side
+        self._middles = volume.corner + voxel[:, ::-1] * volume.side
         self._weights = weights / self._voxels_of_patch
 
     @property
@@ -308,8 +270,8 @@ class Hull:
         """World z of the seabed at each post: from returns where there are any, else from those around."""
         from scipy.ndimage import gaussian_filter
 
-        count = np.minimum(self._posts[1], 20.0)
-        mean = self._posts[0] / np.maximum(self._posts[1], 1.0) - self._datum
+        count = np.minimum(self._volume.posts[1], 20.0)
+        mean = self._volume.posts[0] / np.maximum(self._volume.posts[1], 1.0) - self._datum
         total, weight = np.zeros_like(mean), np.full_like(mean, 1e-9)
         # Each wider blur counts only where the narrower ones say nothing.
         for sigma, share in ((0.6, 1.0), (2.0, 1e-2), (6.0, 1e-4)):
@@ -320,13 +282,13 @@ class Hull:
     @property
     def _datum(self) -> float:
         """World z of the seabed at the start, by the vehicle's altitude."""
-        return float(self._corner[2] + self.protocol.altitude)
+        return float(self._volume.corner[2] + self.protocol.altitude)
 
     def _ground_at(self, positions: npt.NDArray[Any]) -> FloatArray:
         """(n,) world z of the seabed below positions (n, 2)."""
         from scipy.ndimage import map_coordinates
 
-        from dream.planning._kernels import hull as kernels
+        from dream.mapping._kernels import hull as kernels
 
-        at = (positions - self._corner[:2]) / (kernels.POST * self._side) - 0.5
+        at = (positions - self._volume.corner[:2]) / (kernels.POST * self._volume.side) - 0.5
         return np.asarray(map_coordinates(self._ground, at[:, ::-1].T, order=1, mode="nearest"))

@@ -8,9 +8,13 @@ Grids are (levels, rows, cols); level grows with z, row with y, col with x.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
+
+from dream.geometry import FloatArray
 
 FREE, HULL, SEEN, OTHER, VAGUE = 1, 2, 4, 8, 16
 """Bits of a voxel: a ray passed through; the target returned from it, and did so within reach; something else
@@ -25,6 +29,73 @@ PARTS = 4
 """Along a voxel: of each part of it, of 64, is known whether something solid is there."""
 BEARINGS, RANGES = 16, 4
 """Sides from which an element is looked at, 64 in all: 22.5° of bearings by a quarter of the reach."""
+
+
+class Volume(NamedTuple):
+    """What returns and rays have shown, voxel by voxel. The arrays are written in place."""
+
+    voxels: npt.NDArray[np.uint8]
+    """(levels, rows, cols) bits."""
+    solid: npt.NDArray[np.uint64]
+    """(levels, rows, cols) a bit for each part that something returned from."""
+    near: npt.NDArray[np.uint8]
+    """Grid of blocks: does hull lie in or beside the block?"""
+    posts: FloatArray
+    """(2, n, m) sum of the heights of the seabed's returns, metres in the world, and their number."""
+    box: npt.NDArray[np.int64]
+    """(6,) first level, row and column of the hull, and past the last."""
+    corner: FloatArray
+    """(3,) x, y and z of the grid's low corner, metres in the world."""
+    side: float
+    """Metres along a voxel."""
+
+
+class Viewpoint(NamedTuple):
+    """Where a frame was taken, and by what camera."""
+
+    rotation: FloatArray
+    """(3, 3) of `T_world_camera`."""
+    place: FloatArray
+    """(3,) metres in the world."""
+    lens: tuple[float, float, float, float]
+    """fx, fy, cx and cy in pixels."""
+    limits: tuple[float, float]
+    """Least and greatest valid depth, metres."""
+
+
+class LevelCamera(NamedTuple):
+    """The camera of a level vehicle, wherever it is and heads."""
+
+    pitch: tuple[float, float]
+    """Cosine and sine of the angle that it looks down by."""
+    lens: tuple[float, float, float, float]
+    """fx, fy, cx and cy in pixels."""
+    size: tuple[int, int]
+    """Width and height of the image in pixels."""
+    limits: tuple[float, float]
+    """Least and greatest valid depth, metres."""
+    reach: float
+    """Metres over ground."""
+
+
+def empty_volume(shape: tuple[int, int, int], corner: FloatArray, side: float) -> Volume:
+    """Nothing is known yet.
+
+    Args:
+        shape: At least so many levels, rows and columns; made up to whole blocks.
+        corner: (3,) x, y and z of the grid's low corner, metres in the world; kept, not copied.
+        side: Metres along a voxel.
+    """
+    levels, rows, cols = (-(-n // BLOCK) * BLOCK for n in shape)
+    return Volume(
+        np.zeros((levels, rows, cols), np.uint8),
+        np.zeros((levels, rows, cols), np.uint64),
+        np.zeros((levels // BLOCK, rows // BLOCK, cols // BLOCK), np.uint8),
+        np.zeros((2, -(-rows // POST), -(-cols // POST))),
+        np.array([levels, rows, cols, 0, 0, 0], np.int64),
+        corner,
+        side,
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -46,51 +117,25 @@ def _turned(rotation, a, b, z):
 
 
 @njit(cache=True, nogil=True)
-def mark(
-    voxels,
-    solid,
-    near,
-    posts,
-    box,
-    depth,
-    labels,
-    target,
-    seabed,
-    rotation,
-    camera,
-    lens,
-    limits,
-    reach,
-    far,
-    corner,
-    side,
-):
+def mark(volume, depth, labels, target, seabed, viewpoint, reach, far):
     """Mark the voxels that the returns of a frame fall into.
 
     Args:
-        voxels: Grid of uint8 bits, changed.
-        solid: Grid of uint64, a bit for each part that something returned from; changed.
-        near: Grid of blocks, uint8: does hull lie in or beside the block? Changed.
-        posts: (2, n, m) sum of the heights of the seabed's returns and their number; changed.
-        box: (6,) int64 first level, row and column of the hull, and past the last; changed.
+        volume: Changed.
         depth: (H, W) float32 metres along the optical axis; NaN where there is no return.
         labels: (H, W) uint8.
         target: Label of the hull.
         seabed: Label of the seabed.
-        rotation: (3, 3) of `T_world_camera`.
-        camera: (3,) metres in the world.
-        lens: fx, fy, cx and cy in pixels.
-        limits: Least and greatest valid depth.
+        viewpoint: Of the frame.
         reach: Metres over ground within which a return counts as seen.
         far: Bits of a voxel from which the target returned from beyond reach.
-        corner: (3,) x, y and z of the grid's low corner.
-        side: Metres along a voxel.
 
     Returns:
         How many voxels were seen for the first time.
     """
+    voxels, solid, near, posts, box, corner, side = volume
+    rotation, camera, (fx, fy, cx, cy), limits = viewpoint
     levels, rows, cols = voxels.shape
-    fx, fy, cx, cy = lens
     new = 0
     for i in range(depth.shape[0]):
         b = (i + 0.5 - cy) / fy
@@ -129,7 +174,7 @@ def mark(
 
 
 @njit(cache=True, nogil=True)
-def fill(solid, depth, labels, seabed, rotation, camera, lens, limits, steepest, corner, side):
+def fill(volume, depth, labels, seabed, viewpoint, steepest):
     """Mark what is solid between the returns of neighbouring pixels, so that no ray slips through a surface.
 
     Args:
@@ -137,8 +182,9 @@ def fill(solid, depth, labels, seabed, rotation, camera, lens, limits, steepest,
 
     The other arguments are those of `mark`.
     """
+    solid, corner, side = volume.solid, volume.corner, volume.side
+    rotation, camera, (fx, fy, cx, cy), limits = viewpoint
     levels, rows, cols = solid.shape
-    fx, fy, cx, cy = lens
     for i in range(depth.shape[0] - 1):
         for j in range(depth.shape[1] - 1):
             if labels[i, j] == seabed:
@@ -170,7 +216,7 @@ def fill(solid, depth, labels, seabed, rotation, camera, lens, limits, steepest,
 
 
 @njit(cache=True, nogil=True)
-def carve(voxels, depth, rotation, camera, lens, farthest, slack, corner, side):
+def carve(volume, depth, viewpoint, farthest, slack):
     """Mark as free every voxel whose middle is in the image and nearer than what returns there.
 
     Args:
@@ -180,9 +226,10 @@ def carve(voxels, depth, rotation, camera, lens, farthest, slack, corner, side):
 
     The other arguments are those of `mark`.
     """
+    voxels, corner, side = volume.voxels, volume.corner, volume.side
+    rotation, camera, (fx, fy, cx, cy), _ = viewpoint
     levels, rows, cols = voxels.shape
     height, width = depth.shape
-    fx, fy, cx, cy = lens
     # The box around the view: the camera and the corners of the image at the farthest depth.
     low, high = camera.copy(), camera.copy()
     for u in (0.0, float(width)):
@@ -406,8 +453,9 @@ def _is_clear(solid, x, y, z, to_x, to_y, to_z, last):
 
 
 @njit(cache=True, nogil=True)
-def _in_image(dx, dy, dz, cos, sin, pitch, lens, size, limits):
+def _in_image(dx, dy, dz, cos, sin, camera):
     """Is a point, metres from the camera in the world, in the image of a level vehicle heading there?"""
+    pitch, lens, size, limits, _ = camera
     ahead, right = cos * dx + sin * dy, sin * dx - cos * dy
     z = pitch[0] * ahead - pitch[1] * dz
     if not (limits[0] <= z <= limits[1]):
@@ -419,35 +467,30 @@ def _in_image(dx, dy, dz, cos, sin, pitch, lens, size, limits):
 
 
 @njit(cache=True, nogil=True)
-def visible(solid, middles, vain, cameras, headings, pitch, lens, size, limits, reach, last, corner, side):
+def visible(volume, middles, vain, places, headings, camera, last):
     """Which elements each camera sees under each heading; what is not known to be solid hides nothing.
 
     Args:
-        solid: Grid of uint64, a bit for each part.
+        volume: With what is known to be solid.
         middles: (n, 3) metres in the world.
         vain: (n,) uint64, the sides from which each was looked at in vain; from there it is not seen.
-        cameras: (P, 3) metres in the world.
+        places: (P, 3) of cameras, metres in the world.
         headings: (K, 2) cosine and sine.
-        pitch: Cosine and sine of the angle that the camera looks down by.
-        lens: fx, fy, cx and cy in pixels.
-        size: Width and height of the image in pixels.
-        limits: Least and greatest valid depth.
-        reach: Metres over ground.
+        camera: Theirs.
         last: Voxels before an element's middle in which nothing hides it.
-        corner: (3,) x, y and z of the grid's low corner.
-        side: Metres along a voxel.
 
     Returns:
         starts: (P * K + 1,) int64.
-        elements: (m,) int32; those of camera p and heading k from starts[p * K + k] on.
+        elements: (m,) int32; those of place p and heading k from starts[p * K + k] on.
     """
+    solid, corner, side, reach = volume.solid, volume.corner, volume.side, camera.reach
     count = len(headings)
-    starts = np.zeros(len(cameras) * count + 1, np.int64)
+    starts = np.zeros(len(places) * count + 1, np.int64)
     elements = np.empty(4096, np.int32)
     clear = np.empty(len(middles), np.int32)
     total = 0
-    for p in range(len(cameras)):
-        x, y, z = cameras[p]
+    for p in range(len(places)):
+        x, y, z = places[p]
         found = 0
         for e in range(len(middles)):
             dx, dy, dz = middles[e, 0] - x, middles[e, 1] - y, middles[e, 2] - z
@@ -458,7 +501,7 @@ def visible(solid, middles, vain, cameras, headings, pitch, lens, size, limits, 
                 continue
             # Looked at straight, a point is in the image if it ever is.
             over = 1.0 / math.sqrt(squared)
-            if not _in_image(dx, dy, dz, dx * over, dy * over, pitch, lens, size, limits):
+            if not _in_image(dx, dy, dz, dx * over, dy * over, camera):
                 continue
             if _is_clear(
                 solid,
@@ -479,7 +522,7 @@ def visible(solid, middles, vain, cameras, headings, pitch, lens, size, limits, 
         for k in range(count):
             for e in clear[:found]:
                 dx, dy, dz = middles[e, 0] - x, middles[e, 1] - y, middles[e, 2] - z
-                if _in_image(dx, dy, dz, headings[k, 0], headings[k, 1], pitch, lens, size, limits):
+                if _in_image(dx, dy, dz, headings[k, 0], headings[k, 1], camera):
                     elements[total] = e
                     total += 1
             starts[p * count + k + 1] = total

@@ -1,0 +1,154 @@
+"""Where several things stand apart: does the planner `belief` leave one for the next?
+
+    python perf/structures.py wrecks     two wrecks 68 m apart; ten worlds, a quarter of an hour on two cores
+    python perf/structures.py reefs      a wreck with a reef of three patches 40 m off; ten worlds
+    python perf/structures.py wrecks --only 3 4    some of them, by number
+
+Worlds are put together from two of the simulator's, of seeds that no suite has. The cap is 400 steps. It
+prints the share that was seen of each wreck, and of each patch of a reef.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+
+from dream.evaluation.engines import processors
+from dream.evaluation.metrics import Scorer
+from dream.evaluation.runner import simulate
+from dream.geometry import Bounds
+from dream.planning import Belief
+from dream.protocol import DREAM_V1
+from dream.sim.render import Renderer
+from dream.sim.visibility import Visibility
+from dream.sim.world import Instances, Mesh, Terrain, World
+from dream.sim.worlds import make_world
+from dream.types import BoolArray
+
+CAP = 400
+FIRST = 470_001
+"""Of the seeds; no suite has them."""
+COUNT = 10
+APART = {"wrecks": 68.0, "reefs": 40.0}
+"""Metres between the middles of the two arenas."""
+FOUND = 0.9
+"""Share of a wreck that has to be seen."""
+
+
+def joined(west: World, east: World, apart: float) -> World:
+    """Both in one arena, the second so many metres east of the first, which has the starts."""
+    meshes: list[Mesh] = []
+    targets: list[Instances] = []
+    obstacles: list[Instances] = []
+    for world, shift in ((west, 0.0), (east, apart)):
+        for into, instances in ((targets, world.targets), (obstacles, world.obstacles)):
+            into.append(
+                replace(
+                    instances,
+                    mesh=instances.mesh + len(meshes),
+                    position=instances.position + np.array([shift, 0.0, 0.0], np.float32),
+                )
+            )
+        meshes += world.meshes
+    bounds = Bounds(
+        min(west.bounds.x_min, east.bounds.x_min + apart),
+        min(west.bounds.y_min, east.bounds.y_min),
+        max(west.bounds.x_max, east.bounds.x_max + apart),
+        max(west.bounds.y_max, east.bounds.y_max),
+    )
+    return replace(
+        west,
+        name=f"{west.name} and {east.name}",
+        bounds=bounds,
+        terrain=_ground(west, east, apart, bounds),
+        meshes=tuple(meshes),
+        targets=_both(targets),
+        obstacles=_both(obstacles),
+    )
+
+
+def _both(parts: Sequence[Instances]) -> Instances:
+    """One after the other; groups keep apart."""
+    first, second = parts
+    past = int(first.group.max(initial=-1)) + 1
+    second = replace(second, group=np.where(second.group < 0, -1, second.group + past).astype(np.int32))
+    return Instances(
+        *(
+            np.concatenate([getattr(first, name), getattr(second, name)])
+            for name in ("mesh", "position", "wxyz", "scale", "tint", "group")
+        )
+    )
+
+
+def _ground(west: World, east: World, apart: float, bounds: Bounds) -> Terrain:
+    """The seabed of whichever arena is nearer, drawn to the mean of both between them."""
+    ground, margin = west.terrain, 12.0
+    x = np.arange(bounds.x_min - margin, bounds.x_max + margin, ground.spacing)
+    y = np.arange(bounds.y_min - margin, bounds.y_max + margin, ground.spacing)
+    nearness = np.clip((x - 0.5 * apart) / 4.0 + 0.5, 0.0, 1.0)
+    here, there = west.terrain.height(*np.meshgrid(x, y)), east.terrain.height(*np.meshgrid(x - apart, y))
+    heights = ((1.0 - nearness) * here + nearness * there).astype(np.float32)
+    return Terrain(heights, float(x[0]), float(y[0]), ground.spacing)
+
+
+def world_of(kind: str, number: int) -> World:
+    """The n-th of a kind."""
+    seed = FIRST + number
+    west = make_world(f"wreck/{1 + number % 5}", seed)
+    if kind == "wrecks":
+        return joined(west, make_world(f"wreck/{1 + (number + 2) % 5}", seed + 100), APART[kind])
+    return joined(west, make_world("reef/mixed", seed), APART[kind])
+
+
+def flown(task: tuple[str, int]) -> tuple[str, bool]:
+    """A line about one world, and whether all of it was found."""
+    kind, number = task
+    world = world_of(kind, number)
+    visibility, renderer = Visibility(world, DREAM_V1), Renderer(world)
+    scorer = Scorer(world, DREAM_V1, visibility=visibility, renderer=renderer)
+    poses, step = [], None
+    for step in simulate(world, Belief(), DREAM_V1, max_steps=CAP, renderer=renderer):
+        scorer.add(step)
+        poses.append([step.observation.pose.x, step.observation.pose.y, step.observation.pose.yaw])
+    assert step is not None
+    seen: BoolArray = np.any(visibility.seen(poses), axis=0)[visibility.countable]
+    east = visibility.points[visibility.countable][:, 0] > 0.5 * APART[kind]
+    groups = world.targets.group[visibility.countable]
+    if kind == "wrecks":
+        shares = [float(seen[side].mean()) for side in (~east, east)]
+        good = min(shares) >= FOUND
+    else:
+        shares = [float(seen[~east].mean())]
+        shares += [float(seen[groups == group].mean()) for group in np.unique(groups[east])]
+        good = min(shares) > 0.0
+    told = ", ".join(f"{share:.1%}" for share in shares)
+    return f"{number} {world.name}: {step.ended} after {step.index} steps, saw {told}", good
+
+
+def main() -> int:
+    """Fly them and print a line each."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("kind", choices=tuple(APART))
+    parser.add_argument("--only", nargs="*", type=int, help="numbers of worlds, 0 to 9; all unless given")
+    parser.add_argument("--jobs", type=int, default=processors(), help="worlds at a time")
+    options = parser.parse_args()
+    numbers = list(range(COUNT)) if options.only is None else options.only
+    tasks = [(options.kind, number) for number in numbers]
+    found = 0
+    with ProcessPoolExecutor(options.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        for line, good in pool.map(flown, tasks):
+            found += good
+            print(line, flush=True)
+    what = f"at least {FOUND:.0%} of both" if options.kind == "wrecks" else "something of every group"
+    print(f"{found} of {len(tasks)}: {what}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
