@@ -12,7 +12,7 @@ from dream.mapping.targets import is_found, target_cells
 from dream.planning import sentences
 from dream.planning.outlook import Listed, Outlook
 from dream.planning.sources.source import Expected, FloatArray, Scene, Source, Words, Worth
-from dream.planning.travel import Pose
+from dream.planning.travel import Pose, Travel
 from dream.protocol import SurveyProtocol
 from dream.types import Target
 
@@ -23,6 +23,8 @@ ADJOINING = 1.5
 """Metres from hull within reach up to which more hull is believed in."""
 BENEATH = 0.02
 """What ground beside and beneath a hull counts: what is to be seen there is the hull itself."""
+LEAST = 0.25
+"""Patches a step below which what is left of a hull does not hold up the search for others."""
 NEAR = 5
 """Steps within which the hull's views are worked out for every second node; within twice as many for every
 fourth, for every sixteenth beyond."""
@@ -48,12 +50,17 @@ class HullSurface(Source):
         scene.away_from_hull = away_from_hull(scene.occupancy)
 
     def expect(self, expected: Expected, scene: Scene) -> None:
-        """Patches that are still unseen, where there is hull; and hardly any groups elsewhere."""
+        """Patches that are still unseen, where there is hull.
+
+        While a step brings enough of them hardly anything else is expected; then the search goes on.
+        """
         expected.hull = self._adjoining(scene)
         left = float(expected.hull.sum())
         expected.hull_left = left / (self.hull.found + left) if left else 0.0
         expected.looked_over = expected.hull_left <= self.accepted
-        if scene.away_from_hull is not None:
+        expected.hull_views = self.listed(expected, scene)
+        if scene.away_from_hull is not None and best_rate(expected.hull_views, scene.travel) >= LEAST:
+            expected.alone = self.alone
             expected.hidden *= self.alone
             expected.probability = expected.groups.risk(expected.hidden)
 
@@ -68,8 +75,8 @@ class HullSurface(Source):
         """Its patches; little of the ground beneath them, and of groups elsewhere."""
         if scene.away_from_hull is not None:
             worth.ground[scene.away_from_hull <= ADJOINING] *= BENEATH
-            worth.search *= self.alone
-        worth.listed = self.listed(expected, scene)
+            worth.search *= expected.alone
+        worth.listed = expected.hull_views
 
     def found(self) -> int:
         """Patches of hull."""
@@ -118,6 +125,16 @@ class HullSurface(Source):
         metres = np.full(len(x), np.inf)
         metres[inside] = away[occupancy.cell_of(x[inside], y[inside])]
         return np.where(metres <= ADJOINING, weights, 0.0)
+
+
+def best_rate(listed: Listed | None, travel: Travel) -> float:
+    """Patches that the best view of a hull is expected to show for each step there."""
+    if listed is None or not len(listed.elements):
+        return 0.0
+    shown = np.concatenate([[0.0], np.cumsum(listed.expected[listed.elements])])
+    gains = np.diff(shown[listed.starts])
+    steps = travel.steps.reshape(-1, travel.protocol.headings)[listed.nodes].ravel()
+    return float((gains / np.maximum(steps, 1))[steps > 0].max(initial=0.0))
 
 
 def away_from_hull(occupancy: OccupancyMap) -> FloatArray | None:

@@ -128,6 +128,10 @@ class Expected:
     """(n,) patches to be expected in each element of the hull."""
     hull_left: float = 0.0
     """Share of the hull that is still unseen."""
+    hull_views: Listed | None = None
+    """What of that is seen from where."""
+    alone: float = 1.0
+    """How many times as many groups are to be expected beside a hull."""
     looked_over: bool = True
     """No more of a hull is unseen than may be."""
 
