@@ -218,9 +218,6 @@ def test_every_planner_spends_its_steps_on_the_area(name: str, string_reef: Worl
     # What `belief` glimpsed from afar it need not come to.
     assert inside.mean() > (1.3 * outside.mean() if name == "belief" else 0.75)
     assert outside.mean() < 0.45, "nothing else is explored"
-    # Within as many steps the same planner does not see all of the world.
-    *_, whole = flight(string_reef, PLANNERS[name], max_steps=summary["steps"])
-    assert whole.ended == "cap"
 
 
 def test_the_share_counts_only_what_lies_in_the_areas_that_are_mapped(string_reef: World) -> None:

@@ -56,10 +56,6 @@ def difference(truth: EkfState, state: EkfState) -> Array:
     return state.error(truth.pose, truth.velocity, truth.gyro_bias, truth.accelerometer_bias)
 
 
-def packed(state: EkfState) -> kernels.State:
-    return kernels.State(*(getattr(state, name) for name in kernels.State._fields))
-
-
 def fly(chosen: Ekf, state: EkfState, flight: Flight, log: Log, every: int = 10) -> list[EkfState]:
     states = [state]
     for k, imu in enumerate(log.imu, start=1):
@@ -95,9 +91,9 @@ def test_rows_are_slopes_of_the_innovations(seed: int) -> None:
         body = body + np.cross(truth.gyro - truth.gyro_bias, DVL.translation)
         z = float(truth.position[2] + truth.rotation[2] @ np.array(PRESSURE))
         return [
-            kernels.dvl_rows(q, packed(state), DVL.rotation.T @ body, covariance),
-            kernels.depth_rows(q, packed(state), z, 0.01),
-            kernels.heading_rows(packed(state), truth.pose.yaw, 0.01),
+            kernels.dvl_innovation(q, state.packed, DVL.rotation.T @ body, covariance),
+            kernels.depth_innovation(q, state.packed, z, 0.01),
+            kernels.heading_innovation(state.packed, truth.pose.yaw, 0.01),
         ]
 
     for V, _, _ in seen(state):

@@ -67,10 +67,6 @@ def difference(truth: InEkfState, state: InEkfState) -> Array:
     return state.error(truth.pose, truth.velocity, truth.gyro_bias, truth.accelerometer_bias)
 
 
-def packed(state: InEkfState) -> kernels.State:
-    return kernels.State(*(getattr(state, name) for name in kernels.State._fields))
-
-
 def fly(chosen: InEkf, state: InEkfState, flight: Flight, log: Log, every: int = 10) -> list[InEkfState]:
     """The states after every so many samples, measurements included, the first one first."""
     states = [state]
@@ -195,10 +191,10 @@ def test_rows_are_slopes_of_the_innovations(seed: int) -> None:
         body = body + np.cross(truth.gyro - truth.gyro_bias, DVL.translation)
         z = float(truth.position[2] + truth.rotation[2] @ np.array(PRESSURE))
         return [
-            kernels.dvl_rows(q, packed(state), DVL.rotation.T @ body, covariance),
-            kernels.depth_rows(q, packed(state), z, 0.01),
-            kernels.heading_rows(packed(state), truth.pose.yaw, 0.01),
-            kernels.rest_rows(q, packed(replace(state, velocity=state.velocity - truth.velocity))),
+            kernels.dvl_innovation(q, state.packed, DVL.rotation.T @ body, covariance),
+            kernels.depth_innovation(q, state.packed, z, 0.01),
+            kernels.heading_innovation(state.packed, truth.pose.yaw, 0.01),
+            kernels.rest_innovation(q, replace(state, velocity=state.velocity - truth.velocity).packed),
         ]
 
     for V, _, _ in seen(state):
@@ -467,7 +463,7 @@ def test_a_heading_is_refused_where_the_vehicle_stands_on_its_nose() -> None:
     state = FILTER.begin(0.0, SE3(nose_down, np.zeros(3)))
     assert told(FILTER.correct(state, Heading(0.0, 0.3, 0.1))) is Verdict.TOO_STEEP
     assert math.isnan(state.yaw_sigma)
-    _, code, _ = kernels.correct_heading(FILTER.compiled, packed(state), 0.3, 0.1)
+    _, code, _ = kernels.correct_heading(FILTER.compiled, state.packed, 0.3, 0.1)
     assert code == kalman.UNSOUND
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.control.health import Condition
-from dream.estimation.inekf import InEkfState, packed
+from dream.estimation import InEkfState
 from dream.geometry import SE2, SE3, wrap_angle
 from dream.measurements import Depth, Heading, Imu
 from dream.protocol import SurveyProtocol
@@ -77,8 +77,8 @@ class Slow:
                 imu_age=0.0,
                 depth_age=time - self.last_depth,
                 dvl_age=time - self.last_dvl,
-                velocity_sigma=_kernels.velocity_sigma(packed(estimate)),
-                position_sigma=_kernels.position_sigma(packed(estimate)),
+                velocity_sigma=_kernels.velocity_sigma(estimate.packed),
+                position_sigma=_kernels.position_sigma(estimate.packed),
             )
         assert self.condition is Condition.FINE
         target = (goal.x, goal.y, self.seabed + self.protocol.altitude, goal.yaw)

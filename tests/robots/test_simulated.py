@@ -261,7 +261,7 @@ def test_what_cannot_swim_is_refused_by_name(wrong: dict[str, Any], complaint: s
 
 def test_a_beat_of_the_loop_is_the_filter_of_the_package(empty_world: World) -> None:
     """`carried` is `InEkf.predict` and `correct`."""
-    from dream.estimation.inekf import InEkfState, packed
+    from dream.estimation import InEkfState
     from dream.measurements import Depth, Heading, Imu
 
     robot = Simulated(empty_world, DREAM_V1_NAV)
@@ -271,7 +271,7 @@ def test_a_beat_of_the_loop_is_the_filter_of_the_package(empty_world: World) -> 
     gyro, force = rng.normal(0.0, 0.1, 3), np.array([0.1, 0.0, 9.8])
     z, yaw = float(before.position[2]) + 0.02, before.pose.yaw + 0.01
     sample = np.array([*gyro, *force, z, yaw])
-    after = InEkfState(*_kernels.carried(robot._ship, packed(before), sample))
+    after = InEkfState(*_kernels.carried(robot._ship, before.packed, sample))
     slow = filtering.predict(before, Imu(before.time + BEAT, gyro, force), BEAT)
     slow = filtering.correct(slow, Depth(slow.time, z, robot._ship.depth_sigma))
     slow = filtering.correct(slow, Heading(slow.time, yaw, robot._ship.heading_sigma))

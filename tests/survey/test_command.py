@@ -478,30 +478,6 @@ def _other(folder: Path) -> Path:
     return folder / "other.json"
 
 
-def test_what_the_page_says_to_type_works(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """From nothing to a comparison, with missions that are cut short."""
-    pytest.importorskip("rasterio")
-    page = Path(__file__).parents[2].joinpath("docs/survey.md").read_text(encoding="utf-8")
-    typed = page.split("## From nothing to a comparison")[1].split("```sh\n")[1].split("```")[0]
-    typed = typed.replace("\\\n", " ")
-    file, site = re.findall(r"cat > (\S+) <<'SITE'\n(.*?)\nSITE\n", typed, re.DOTALL)[0]
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv(VARIABLE, raising=False)
-    (tmp_path / file).parent.mkdir(exist_ok=True)
-    (tmp_path / file).write_text(site)
-    commands = [shlex.split(line)[1:] for line in typed.splitlines() if line.startswith("dream ")]
-    assert [command[0] for command in commands].count("run") == 2
-    for command in commands:
-        short = ["--max-steps", "5"] if command[0] == "run" else []
-        assert run_command([*command, *short]) == 0, command
-    capsys.readouterr()
-    assert (tmp_path / "runs/change/change.html").is_file()
-    assert (tmp_path / "runs/products/survey.gpkg").is_file()
-    assert (tmp_path / "runs/products/series.png").is_file()
-
-
 def test_of_a_wreck_pieces_are_told_and_of_a_reef_patches(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,25 +4,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from dream.estimation._kernels import cipg as kernels
 from dream.estimation._kernels.groups import quaternion_from
+from dream.estimation.estimator import Estimator, State
 from dream.estimation.instruments import Mounting
-from dream.estimation.intake import Outcome, carried, corrected, plain
+from dream.estimation.intake import plain
 from dream.geometry import SE3
-from dream.measurements import Imu, Measurement
+from dream.measurements import Imu
 
 Float64Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CipgState:
+class CipgState(State):
     """What the observer knows at one time. Vectors are in the world unless named otherwise."""
 
-    time: float
+    kernels: ClassVar[Any] = kernels
+
     rotation: Float64Array
     """(3, 3) base to world."""
     velocity: Float64Array
@@ -41,8 +44,11 @@ class CipgState:
     """Seconds since."""
     window: kernels.Window
     estimate: kernels.Estimate
-    outcome: Outcome | None = None
-    """What became of the last measurement; None where there was none."""
+
+    @property
+    def heading_attitude(self) -> Float64Array:
+        """(3, 3) the reference."""
+        return self.reference
 
     @property
     def pose(self) -> SE3:
@@ -56,7 +62,7 @@ class CipgState:
 
 
 @dataclass(frozen=True, slots=True)
-class Cipg:
+class Cipg(Estimator[CipgState]):
     """Cascaded iteratively preconditioned gradient observer, a reconstruction.
 
     What it does: the first stage fits the attitude at the start of a window of samples to the attitudes
@@ -119,23 +125,9 @@ class Cipg:
             estimate=kernels.Estimate(quaternion_from(rotation), speed.copy(), 1.0, 1.0, 0, 0),
         )
 
-    def predict(self, state: CipgState, imu: Imu, dt: float) -> CipgState:
-        """The state `dt` seconds later, after an inertial sample that stands for all of them.
-
-        Raises:
-            ValueError: The sample is not finite, or `dt` not above 0.
-        """
-        moved = carried(kernels, _parameters(self), _packed(state), imu, dt)
-        return CipgState(*moved, outcome=state.outcome)
-
     def bridge(self, state: CipgState, imu: Imu, dt: float) -> CipgState:
-        """The same where samples are missing: without a covariance, there is nothing to tell of it."""
+        """As `predict`: without a covariance, there is nothing to tell of what is missing."""
         return self.predict(state, imu, dt)
-
-    def correct(self, state: CipgState, measurement: Measurement) -> CipgState:
-        """The state after a measurement of its own time; where that is refused, the outcome says why."""
-        after, outcome = corrected(kernels, _parameters(self), _packed(state), measurement, state.reference)
-        return CipgState(*after, outcome=outcome)
 
     @property
     def compiled(self) -> kernels.Parameters:
@@ -158,7 +150,3 @@ def _parameters(chosen: Cipg) -> kernels.Parameters:
         dvl_position=plain(chosen.mounting.T_base_dvl.translation),
         pressure_position=plain(chosen.mounting.pressure_sensor),
     )
-
-
-def _packed(state: CipgState) -> kernels.State:
-    return kernels.State(*(getattr(state, name) for name in kernels.State._fields))

@@ -4,24 +4,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from dream.estimation._kernels import dead_reckoning as kernels
+from dream.estimation.estimator import Estimator, State
 from dream.estimation.instruments import Mounting
-from dream.estimation.intake import Outcome, carried, corrected, plain
+from dream.estimation.intake import plain
 from dream.geometry import SE3
-from dream.measurements import Imu, Measurement
+from dream.measurements import Imu
 
 Float64Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DeadReckoningState:
+class DeadReckoningState(State):
     """Where the vehicle is by the last readings."""
 
-    time: float
+    kernels: ClassVar[Any] = kernels
+
     rotation: Float64Array
     """(3, 3) base to world."""
     own_velocity: Float64Array
@@ -32,8 +35,11 @@ class DeadReckoningState:
     """(3,) rad/s, the last sample."""
     heading_time: float
     """Of the last heading; NaN before the first."""
-    outcome: Outcome | None = None
-    """What became of the last measurement; None where there was none."""
+
+    @property
+    def heading_attitude(self) -> Float64Array:
+        """(3, 3) the rotation."""
+        return self.rotation
 
     @property
     def pose(self) -> SE3:
@@ -52,7 +58,7 @@ class DeadReckoningState:
 
 
 @dataclass(frozen=True, slots=True)
-class DeadReckoning:
+class DeadReckoning(Estimator[DeadReckoningState]):
     """Attitude by a complementary filter, velocity from the DVL, height from the pressure.
 
     What it does: turns by the gyro, drawn level by the accelerometer and to the north by the compass; moves
@@ -77,23 +83,9 @@ class DeadReckoning:
         position = plain(T_world_base.translation).copy()
         return DeadReckoningState(time, rotation, rotation.T @ plain(velocity), position, np.zeros(3), np.nan)
 
-    def predict(self, state: DeadReckoningState, imu: Imu, dt: float) -> DeadReckoningState:
-        """The state `dt` seconds later, after an inertial sample that stands for all of them.
-
-        Raises:
-            ValueError: The sample is not finite, or `dt` not above 0.
-        """
-        moved = carried(kernels, _parameters(self), _packed(state), imu, dt)
-        return DeadReckoningState(*moved, outcome=state.outcome)
-
     def bridge(self, state: DeadReckoningState, imu: Imu, dt: float) -> DeadReckoningState:
-        """The same where samples are missing: without a covariance, there is nothing to tell of it."""
+        """As `predict`: without a covariance, there is nothing to tell of what is missing."""
         return self.predict(state, imu, dt)
-
-    def correct(self, state: DeadReckoningState, measurement: Measurement) -> DeadReckoningState:
-        """The state after a measurement of its own time; where that is refused, the outcome says why."""
-        after, outcome = corrected(kernels, _parameters(self), _packed(state), measurement, state.rotation)
-        return DeadReckoningState(*after, outcome=outcome)
 
     @property
     def compiled(self) -> kernels.Parameters:
@@ -110,7 +102,3 @@ def _parameters(chosen: DeadReckoning) -> kernels.Parameters:
         dvl_position=plain(chosen.mounting.T_base_dvl.translation),
         pressure_position=plain(chosen.mounting.pressure_sensor),
     )
-
-
-def _packed(state: DeadReckoningState) -> kernels.State:
-    return kernels.State(*(getattr(state, name) for name in kernels.State._fields))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import enum
 import math
 from dataclasses import dataclass
-from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +13,6 @@ from dream.estimation._kernels.sensors import STEEP
 from dream.measurements import Depth, Dvl, Heading, Imu, Measurement
 
 Float64Array = npt.NDArray[np.float64]
-S = TypeVar("S", bound=tuple[Any, ...])
 
 NEAREST_FLOOR = 0.05
 """Metres of altitude below which a DVL of the size of Water Linked's A50 is no use."""
@@ -103,54 +101,6 @@ def too_steep(measurement: Measurement, rotation: Float64Array) -> bool:
     """Is it a heading, and the vehicle upright on its nose or tail?"""
     level = rotation[0, 0] ** 2 + rotation[1, 0] ** 2
     return isinstance(measurement, Heading) and bool(level < STEEP)
-
-
-def carried(kernels: Any, parameters: Any, state: S, imu: Imu, dt: float) -> S:
-    """What an estimator's kernels make of an inertial sample that counts for `dt` seconds.
-
-    Args:
-        kernels: With `predict`.
-        parameters: As it takes them.
-        state: As it takes it.
-        imu: The sample.
-        dt: Seconds.
-
-    Raises:
-        ValueError: The sample is not finite, or `dt` not above 0.
-    """
-    check_sample(imu, dt)
-    rates, forces = plain(imu.angular_velocity), plain(imu.specific_force)
-    moved: S = kernels.predict(parameters, state, rates, forces, dt)
-    return moved
-
-
-def corrected(
-    kernels: Any, parameters: Any, state: S, measurement: Measurement, rotation: Float64Array
-) -> tuple[S, Outcome]:
-    """What an estimator's kernels make of a measurement, and what became of it.
-
-    Args:
-        kernels: With `correct_dvl`, `correct_depth` and `correct_heading`.
-        parameters: As they take them.
-        state: As they take it; given back where the measurement is refused.
-        measurement: Of the state's own time.
-        rotation: (3, 3) by which a heading is judged.
-    """
-    source, refused = source_of(measurement), refusal(measurement)
-    if refused is None and too_steep(measurement, rotation):
-        refused = Verdict.TOO_STEEP
-    if refused is not None:
-        return state, Outcome(source, refused)
-    if isinstance(measurement, Dvl):
-        velocity, covariance = plain(measurement.velocity), plain(measurement.covariance)
-        after, code, nis = kernels.correct_dvl(parameters, state, velocity, covariance)
-    elif isinstance(measurement, Depth):
-        z, sigma = float(measurement.z), float(measurement.sigma)
-        after, code, nis = kernels.correct_depth(parameters, state, z, sigma)
-    else:
-        yaw, sigma = float(measurement.yaw), float(measurement.sigma)
-        after, code, nis = kernels.correct_heading(parameters, state, yaw, sigma)
-    return after, Outcome(source, VERDICTS[code], nis)
 
 
 def finite(imu: Imu) -> bool:

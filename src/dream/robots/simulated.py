@@ -11,8 +11,7 @@ from dream.control._kernels import begin
 from dream.control.autopilot import Autopilot, nominal
 from dream.control.health import Condition, Watch
 from dream.errors import MissionAborted
-from dream.estimation import InEkf, InertialErrors, Mounting, Start
-from dream.estimation.inekf import InEkfState, packed
+from dream.estimation import InEkf, InEkfState, InertialErrors, Mounting, Start
 from dream.geometry import SE2, SE3, wrap_angle
 from dream.protocol import SurveyProtocol
 from dream.robots import _kernels
@@ -181,7 +180,7 @@ class Simulated:
         filtering = motion.estimator
         state = filtering.begin(0.0, *filtering.start.draw(T_world_base, self._rng))
         rates = self._voyage.bias[:3] + motion.imu.gyro_noise / math.sqrt(HELD) * self._rng.standard_normal(3)
-        self._state = self._at_ping = packed(replace(state, gyro_bias=rates))
+        self._state = self._at_ping = replace(state, gyro_bias=rates).packed
 
     def observe(self) -> Observation:
         """One frame from where it really is, with the pose that it believes in; the same until it moves."""

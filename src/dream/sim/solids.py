@@ -218,9 +218,9 @@ class Solids:
         agree about whether there is one. Headings play no part.
         """
         radius, height = protocol.body_radius, protocol.body_height
-        free, least = _kernels.sweep(
-            self.index, start.x, start.y, end.x, end.y, protocol.altitude, radius, height, limit, PACE
-        )
+        # A whole number would have the kernel compiled once more.
+        ends = float(start.x), float(start.y), float(end.x), float(end.y)
+        free, least = _kernels.sweep(self.index, *ends, protocol.altitude, radius, height, float(limit), PACE)
         return Sweep(free, least)
 
     def passes(self, starts: npt.ArrayLike, ends: npt.ArrayLike, protocol: SurveyProtocol) -> BoolArray:

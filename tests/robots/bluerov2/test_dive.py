@@ -100,7 +100,7 @@ def dive(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a dive that ends by itself, on a simulated clock."""
     folder = tmp_path_factory.mktemp("dive") / "2026-01-01T00-00-00_dive_belief"
     folder.mkdir()
-    with Rig(folder, make_world("pool/arc", 1), pictures=10.0, width=320, depth=0.25) as rig:
+    with Rig(folder, make_world("pool/arc", 1), pictures=5.0, width=320, depth=0.25) as rig:
         dived = rigged.dive(rig, folder, max_steps=STEPS, ground=Ground(site=site))
     assert dived.error is None
     assert [finding for finding in dived.found if not finding.ok] == []
@@ -136,7 +136,7 @@ def test_the_tank_is_explored(dive: Path) -> None:
     assert told["coverage"]["instances"] >= 0.95
     assert told["collisions"] == 0
     assert told["position_error_m"]["rmse"] < 0.1
-    assert told["dive"]["pictures_per_s"] > 8.0
+    assert told["dive"]["pictures_per_s"] > 4.0
     assert told["dive"]["log_lost"] == {}
 
 
@@ -420,6 +420,8 @@ def test_a_planner_that_cannot_use_a_survey_says_so_before_it_dives(
         raise ValueError("devices are opened")
 
     monkeypatch.setattr("dream.robots.bluerov2.devices.Devices.__enter__", opening)
+    for rehearsal in ("rehearse_mission", "rehearse_return"):
+        monkeypatch.setattr(f"dream.commands.dive.{rehearsal}", lambda *_: None)
     survey = replace(reef(), began=datetime(2020, 6, 1, tzinfo=UTC))
     files.write(survey, tmp_path / "reef.survey.npz")
     more = ["--from-survey", str(tmp_path / "reef.survey.npz"), "--out", str(tmp_path)]

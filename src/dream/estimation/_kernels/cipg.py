@@ -17,6 +17,7 @@ from dream.estimation._kernels.dead_reckoning import levelled, turned
 from dream.estimation._kernels.groups import (
     apply,
     cross,
+    moved,
     mul,
     normalised,
     quaternion_conjugate,
@@ -105,10 +106,7 @@ class State(NamedTuple):
 def predict(q: Parameters, s: State, gyro: Float64Array, force: Float64Array, dt: float) -> State:
     """Carry the outputs over one inertial sample, and add it to what the window still lacks."""
     whole, once, twice = so3_integrals(dt * gyro)
-    velocity = s.velocity + dt * apply(s.rotation, apply(once, force))
-    position = s.position + dt * s.velocity + dt * dt * apply(s.rotation, apply(twice, force))
-    velocity[2] -= q.gravity * dt
-    position[2] -= 0.5 * q.gravity * dt * dt
+    velocity, position = moved(s.rotation, s.velocity, s.position, once, twice, force, q.gravity, dt)
     level, _, _ = so3_integrals(dt * (gyro + levelled(s.reference, force, q.tilt_time)))
     return State(
         s.time + dt,

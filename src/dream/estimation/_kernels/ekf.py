@@ -5,7 +5,6 @@ The error is q = q̂ ⊗ Exp(δθ), and the difference in all else, ordered (δ�
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +16,7 @@ from dream.estimation._kernels.groups import (
     apply,
     apply_transposed,
     cross,
+    moved,
     mul,
     normalised,
     quaternion_conjugate,
@@ -31,30 +31,32 @@ from dream.estimation._kernels.groups import (
     wrap,
     yaw_of,
 )
-from dream.estimation._kernels.sensors import STEEP, Parameters, gate, gyro_variance, squared_density
+from dream.estimation._kernels.kalman import Innovation
+from dream.estimation._kernels.sensors import (
+    Parameters,
+    add_walks,
+    gyro_variance,
+    squared_densities,
+    yaw_slope,
+)
 
 Float64Array = npt.NDArray[np.float64]
 
 
 class State(NamedTuple):
-    """What the filter knows."""
+    """Fields of `dream.estimation.EkfState`, but for the outcome."""
 
     time: float
-    wxyz: Float64Array
     velocity: Float64Array
     position: Float64Array
     gyro_bias: Float64Array
     accelerometer_bias: Float64Array
     covariance: Float64Array
-    """(15, 15) of the error."""
     gyro: Float64Array
-    """The last sample, its bias included."""
     gyro_variance: float
-    """Of each axis of that sample."""
     begun: float
-    """The time when it began, or began anew after it had been lost."""
     refused_since: Float64Array
-    """(2,) when the DVL and the depth began to be refused; NaN where the last was taken."""
+    wxyz: Float64Array
 
 
 @njit(cache=True, nogil=True)
@@ -63,10 +65,7 @@ def predict(q: Parameters, s: State, gyro: Float64Array, force: Float64Array, dt
     rate, a = gyro - s.gyro_bias, force - s.accelerometer_bias
     R = rotation_from(s.wxyz)
     _, once, twice = so3_integrals(dt * rate)
-    velocity = s.velocity + dt * apply(R, apply(once, a))
-    position = s.position + dt * s.velocity + dt * dt * apply(R, apply(twice, a))
-    velocity[2] -= q.gravity * dt
-    position[2] -= 0.5 * q.gravity * dt * dt
+    velocity, position = moved(R, s.velocity, s.position, once, twice, a, q.gravity, dt)
     F = np.eye(15)
     F[:3, :3] = so3_exp(-dt * rate)
     F[3:6, :3] = -dt * mul(R, skew(a))
@@ -74,17 +73,14 @@ def predict(q: Parameters, s: State, gyro: Float64Array, force: Float64Array, dt
     for i in range(3):
         F[i, 9 + i] = -dt
         F[6 + i, 3 + i] = dt
-    of_gyro = squared_density(gyro, q.gyro_noise, q.gyro_range, q.clipped)
-    of_force = squared_density(force, q.accelerometer_noise, q.accelerometer_range, q.clipped)
+    of_gyro, of_force = squared_densities(q, gyro, force)
     P = F @ s.covariance @ F.T
     for i in range(3):
         P[i, i] += of_gyro * dt
         P[3 + i, 3 + i] += of_force * dt
-        P[9 + i, 9 + i] += q.gyro_walk**2 * dt
-        P[12 + i, 12 + i] += q.accelerometer_walk**2 * dt
+    add_walks(P, q, dt)
     return State(
         s.time + dt,
-        normalised(quaternion_product(s.wxyz, quaternion_exp(dt * rate))),
         velocity,
         position,
         s.gyro_bias.copy(),
@@ -94,14 +90,13 @@ def predict(q: Parameters, s: State, gyro: Float64Array, force: Float64Array, dt
         gyro_variance(q, gyro),
         s.begun,
         s.refused_since.copy(),
+        normalised(quaternion_product(s.wxyz, quaternion_exp(dt * rate))),
     )
 
 
 @njit(cache=True, nogil=True)
-def dvl_rows(
-    q: Parameters, s: State, velocity: Float64Array, covariance: Float64Array
-) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Innovation, its rows and its noise of z = R_dᵀ (Rᵀ v + (ω_m − b_g) × t), in the frame of the DVL."""
+def dvl_innovation(q: Parameters, s: State, velocity: Float64Array, covariance: Float64Array) -> Innovation:
+    """Of a velocity over ground z = R_dᵀ (Rᵀ v + (ω_m − b_g) × t), in the frame of the DVL."""
     R, t = rotation_from(s.wxyz), q.dvl_position
     to_dvl = q.dvl_rotation.T.copy()
     own = apply_transposed(R, s.velocity)
@@ -112,60 +107,46 @@ def dvl_rows(
     H[:, 3:6] = mul(to_dvl, R.T)
     H[:, 9:12] = arm
     N = kalman.floored(covariance, q.dvl_floor) + s.gyro_variance * mul(arm, arm.T)
-    return velocity - expected, H, N
+    return Innovation(velocity - expected, H, N)
 
 
 @njit(cache=True, nogil=True)
-def depth_rows(
-    q: Parameters, s: State, z: float, sigma: float
-) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Innovation, its row and its noise of z = e₃ᵀ (p + R t)."""
+def depth_innovation(q: Parameters, s: State, z: float, sigma: float) -> Innovation:
+    """Of the pressure sensor's height z = e₃ᵀ (p + R t) in the world."""
     R, t = rotation_from(s.wxyz), q.pressure_position
     H = np.zeros((1, 15))
     H[0, :3] = cross(t, R[2])
     H[0, 8] = 1.0
-    return np.array([z - s.position[2] - apply(R, t)[2]]), H, np.array([[sigma * sigma]])
+    return Innovation(np.array([z - s.position[2] - apply(R, t)[2]]), H, np.array([[sigma * sigma]]))
 
 
 @njit(cache=True, nogil=True)
-def heading_rows(s: State, yaw: float, sigma: float) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Innovation, its row and its noise of a yaw; NaN, which is never taken, where the pitch is too steep."""
+def heading_innovation(s: State, yaw: float, sigma: float) -> Innovation:
+    """Of a yaw; NaN, which is never taken, where the pitch is too steep."""
     R = rotation_from(s.wxyz)
-    level = R[0, 0] ** 2 + R[1, 0] ** 2
-    if level < STEEP:
-        level = math.nan
-    about = np.array([-R[2, 0] * R[0, 0] / level, -R[2, 0] * R[1, 0] / level, 1.0])
     H = np.zeros((1, 15))
-    H[0, :3] = apply_transposed(R, about)
-    return np.array([wrap(yaw - yaw_of(R))]), H, np.array([[sigma * sigma]])
+    H[0, :3] = apply_transposed(R, yaw_slope(R))
+    return Innovation(np.array([wrap(yaw - yaw_of(R))]), H, np.array([[sigma * sigma]]))
 
 
 @njit(cache=True, nogil=True)
-def correct(
-    q: Parameters, s: State, V: Float64Array, H: Float64Array, N: Float64Array, sensor: np.int64
-) -> tuple[State, int, float]:
-    """The state after a measurement, what became of it (see `kalman`), and its normalised innovation squared.
-
-    `sensor` is its place in `refused_since`, or negative for one that is refused as long as it disagrees.
-    """
-    limit = gate(q, len(V), s.time - s.begun)
-    code, nis, step, P, since = kalman.correct_in_time(
-        s.covariance, H, V, N, limit, s.time, s.refused_since, sensor, q.patience
-    )
+def correct(q: Parameters, s: State, innovation: Innovation, sensor: np.int64) -> tuple[State, int, float]:
+    """The state after a measurement, with `code` and `nis` of its `kalman.Correction`."""
+    c = kalman.correction(q, s, innovation, sensor)
     after = State(
         s.time,
-        normalised(quaternion_product(s.wxyz, quaternion_exp(step[:3]))),
-        s.velocity + step[3:6],
-        s.position + step[6:9],
-        s.gyro_bias + step[9:12],
-        s.accelerometer_bias + step[12:15],
-        P,
+        s.velocity + c.step[3:6],
+        s.position + c.step[6:9],
+        s.gyro_bias + c.step[9:12],
+        s.accelerometer_bias + c.step[12:15],
+        c.covariance,
         s.gyro,
         s.gyro_variance,
-        s.time if code == kalman.INSISTED else s.begun,
-        since,
+        c.begun,
+        c.refused_since,
+        normalised(quaternion_product(s.wxyz, quaternion_exp(c.step[:3]))),
     )
-    return after, code, nis
+    return after, c.code, c.nis
 
 
 @njit(cache=True, nogil=True)
@@ -173,22 +154,19 @@ def correct_dvl(
     q: Parameters, s: State, velocity: Float64Array, covariance: Float64Array
 ) -> tuple[State, int, float]:
     """After a velocity over ground; see `correct`."""
-    V, H, N = dvl_rows(q, s, velocity, covariance)
-    return correct(q, s, V, H, N, kalman.DVL)
+    return correct(q, s, dvl_innovation(q, s, velocity, covariance), kalman.DVL)
 
 
 @njit(cache=True, nogil=True)
 def correct_depth(q: Parameters, s: State, z: float, sigma: float) -> tuple[State, int, float]:
     """After a depth; see `correct`."""
-    V, H, N = depth_rows(q, s, z, sigma)
-    return correct(q, s, V, H, N, kalman.DEPTH)
+    return correct(q, s, depth_innovation(q, s, z, sigma), kalman.DEPTH)
 
 
 @njit(cache=True, nogil=True)
 def correct_heading(q: Parameters, s: State, yaw: float, sigma: float) -> tuple[State, int, float]:
-    """After a heading; see `correct`."""
-    V, H, N = heading_rows(s, yaw, sigma)
-    return correct(q, s, V, H, N, kalman.OTHER)
+    """After a heading; see `correct`. Iron can turn a compass for long, so it never insists."""
+    return correct(q, s, heading_innovation(s, yaw, sigma), kalman.OTHER)
 
 
 @njit(cache=True, nogil=True)
@@ -212,5 +190,4 @@ def error(
 @njit(cache=True, nogil=True)
 def yaw_variance(s: State) -> float:
     """Of the heading; NaN where the pitch is too steep for one."""
-    _, H, _ = heading_rows(s, 0.0, 0.0)
-    return float(kalman.spread(s.covariance, H)[0, 0])
+    return float(kalman.spread(s.covariance, heading_innovation(s, 0.0, 0.0).H)[0, 0])

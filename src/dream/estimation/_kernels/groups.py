@@ -105,13 +105,31 @@ def _coefficients(t: float) -> tuple[float, float, float, float]:
 
 @njit(cache=True, nogil=True)
 def so3_integrals(turn: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Γ0 = Exp(θ), Γ1 = ∫₀¹ Exp(sθ) ds (the left Jacobian) and Γ2 = ∫₀¹∫₀ˢ Exp(rθ) dr ds, each (3, 3).
-
-    With a constant turn rate, R Γ1 a dt and R Γ2 a dt² are exactly what a constant force adds to velocity and
-    position.
-    """
+    """Γ0 = Exp(θ), Γ1 = ∫₀¹ Exp(sθ) ds (the left Jacobian) and Γ2 = ∫₀¹∫₀ˢ Exp(rθ) dr ds, each (3, 3)."""
     a, b, c, d = _coefficients(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
     return _polynomial(1.0, a, b, turn), _polynomial(1.0, b, c, turn), _polynomial(0.5, c, d, turn)
+
+
+@njit(cache=True, nogil=True)
+def moved(
+    rotation: Float64Array,
+    velocity: Float64Array,
+    position: Float64Array,
+    once: Float64Array,
+    twice: Float64Array,
+    force: Float64Array,
+    gravity: float,
+    dt: float,
+) -> tuple[Float64Array, Float64Array]:
+    """Velocity and position (3,) after `dt`, exactly for a turn rate and a force that are constant in `base`.
+
+    `once` and `twice` are Γ1 and Γ2 of the turn in that time; gravity pulls along −z of the world.
+    """
+    later = velocity + dt * apply(rotation, apply(once, force))
+    there = position + dt * velocity + dt * dt * apply(rotation, apply(twice, force))
+    later[2] -= gravity * dt
+    there[2] -= 0.5 * gravity * dt * dt
+    return later, there
 
 
 @njit(cache=True, nogil=True)

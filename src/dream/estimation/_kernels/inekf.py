@@ -5,7 +5,6 @@ The error is X = Exp(ξ) X̂, b = b̂ + δb, ordered (ξ_R, ξ_v, ξ_p, δb_g, �
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +15,7 @@ from dream.estimation._kernels import kalman
 from dream.estimation._kernels.groups import (
     apply,
     cross,
+    moved,
     mul,
     se23_adjoint,
     se23_exp,
@@ -25,30 +25,32 @@ from dream.estimation._kernels.groups import (
     wrap,
     yaw_of,
 )
-from dream.estimation._kernels.sensors import STEEP, Parameters, gate, gyro_variance, squared_density
+from dream.estimation._kernels.kalman import Innovation
+from dream.estimation._kernels.sensors import (
+    Parameters,
+    add_walks,
+    gyro_variance,
+    squared_densities,
+    yaw_slope,
+)
 
 Float64Array = npt.NDArray[np.float64]
 
 
 class State(NamedTuple):
-    """What the filter knows."""
+    """Fields of `dream.estimation.InEkfState`, but for the outcome."""
 
     time: float
-    rotation: Float64Array
     velocity: Float64Array
     position: Float64Array
     gyro_bias: Float64Array
     accelerometer_bias: Float64Array
     covariance: Float64Array
-    """(15, 15) of the error."""
     gyro: Float64Array
-    """The last sample, its bias included: the lever arm of the DVL needs it."""
     gyro_variance: float
-    """Of each axis of that sample."""
     begun: float
-    """The time when it began, or began anew after it had been lost."""
     refused_since: Float64Array
-    """(2,) when the DVL and the depth began to be refused; NaN where the last was taken."""
+    rotation: Float64Array
 
 
 @njit(cache=True, nogil=True)
@@ -70,23 +72,14 @@ def predict(q: Parameters, s: State, gyro: Float64Array, force: Float64Array, dt
     """
     rate, a = gyro - s.gyro_bias, force - s.accelerometer_bias
     whole, once, twice = so3_integrals(rate * dt)
-    rotation = mul(s.rotation, whole)
-    velocity = s.velocity + dt * apply(s.rotation, apply(once, a))
-    position = s.position + dt * s.velocity + dt * dt * apply(s.rotation, apply(twice, a))
-    velocity[2] -= q.gravity * dt
-    position[2] -= 0.5 * q.gravity * dt * dt
-
-    of_gyro = squared_density(gyro, q.gyro_noise, q.gyro_range, q.clipped)
-    of_force = squared_density(force, q.accelerometer_noise, q.accelerometer_range, q.clipped)
+    velocity, position = moved(s.rotation, s.velocity, s.position, once, twice, a, q.gravity, dt)
+    of_gyro, of_force = squared_densities(q, gyro, force)
     P = s.covariance.copy()
     _add_noise(P, s, of_gyro * dt, of_force * dt)
-    for i in range(9, 12):
-        P[i, i] += q.gyro_walk**2 * dt
-        P[i + 3, i + 3] += q.accelerometer_walk**2 * dt
+    add_walks(P, q, dt)
     P = _carry(_bias_columns(q.gravity, s, dt), q.gravity, dt, P)
     return State(
         s.time + dt,
-        rotation,
         velocity,
         position,
         s.gyro_bias.copy(),
@@ -96,6 +89,7 @@ def predict(q: Parameters, s: State, gyro: Float64Array, force: Float64Array, dt
         gyro_variance(q, gyro),
         s.begun,
         s.refused_since.copy(),
+        mul(s.rotation, whole),
     )
 
 
@@ -161,10 +155,8 @@ def _rows(C: Float64Array, gravity: float, dt: float, M: Float64Array) -> Float6
 
 
 @njit(cache=True, nogil=True)
-def dvl_rows(
-    q: Parameters, s: State, velocity: Float64Array, covariance: Float64Array
-) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Innovation, its rows and its noise of a velocity over ground (3,) in the frame of the DVL.
+def dvl_innovation(q: Parameters, s: State, velocity: Float64Array, covariance: Float64Array) -> Innovation:
+    """Of a velocity over ground (3,) in the frame of the DVL.
 
     The IMU moves with R_d z + t × (ω_m − b_g), t being where the DVL is.
     """
@@ -177,70 +169,53 @@ def dvl_rows(
     to_world = mul(R, q.dvl_rotation)
     N = mul(to_world, mul(kalman.floored(covariance, q.dvl_floor), to_world.T))
     N += s.gyro_variance * mul(arm, arm.T)
-    return apply(R, body) - s.velocity, H, N
+    return Innovation(apply(R, body) - s.velocity, H, N)
 
 
 @njit(cache=True, nogil=True)
-def depth_rows(
-    q: Parameters, s: State, z: float, sigma: float
-) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Innovation, its row and its noise of the pressure sensor's height in the world."""
+def depth_innovation(q: Parameters, s: State, z: float, sigma: float) -> Innovation:
+    """Of the pressure sensor's height in the world."""
     at = s.position + apply(s.rotation, q.pressure_position)
     H = np.zeros((1, 15))
     H[0, 0], H[0, 1], H[0, 8] = at[1], -at[0], 1.0
-    return np.array([z - at[2]]), H, np.array([[sigma * sigma]])
+    return Innovation(np.array([z - at[2]]), H, np.array([[sigma * sigma]]))
 
 
 @njit(cache=True, nogil=True)
-def heading_rows(s: State, yaw: float, sigma: float) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Innovation, its row and its noise of a yaw; NaN, which is never taken, where the pitch is too steep."""
-    R = s.rotation
-    level = R[0, 0] ** 2 + R[1, 0] ** 2
-    if level < STEEP:
-        level = math.nan
+def heading_innovation(s: State, yaw: float, sigma: float) -> Innovation:
+    """Of a yaw; NaN, which is never taken, where the pitch is too steep."""
     H = np.zeros((1, 15))
-    # tanθ (cosψ, sinψ) of the pitch θ, which is positive nose down.
-    H[0, 0], H[0, 1], H[0, 2] = -R[2, 0] * R[0, 0] / level, -R[2, 0] * R[1, 0] / level, 1.0
-    return np.array([wrap(yaw - yaw_of(R))]), H, np.array([[sigma * sigma]])
+    H[0, :3] = yaw_slope(s.rotation)
+    return Innovation(np.array([wrap(yaw - yaw_of(s.rotation))]), H, np.array([[sigma * sigma]]))
 
 
 @njit(cache=True, nogil=True)
-def rest_rows(q: Parameters, s: State) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Innovation, its rows and its noise of a velocity of zero."""
+def rest_innovation(q: Parameters, s: State) -> Innovation:
+    """Of a velocity of zero."""
     H = np.zeros((3, 15))
     H[0, 3] = H[1, 4] = H[2, 5] = 1.0
-    return -s.velocity, H, q.rest_sigma**2 * np.eye(3)
+    return Innovation(-s.velocity, H, q.rest_sigma**2 * np.eye(3))
 
 
 @njit(cache=True, nogil=True)
-def correct(
-    q: Parameters, s: State, V: Float64Array, H: Float64Array, N: Float64Array, sensor: np.int64
-) -> tuple[State, int, float]:
-    """The state after a measurement, what became of it (see `kalman`), and its normalised innovation squared.
-
-    `sensor` is its place in `refused_since`, or negative for one that is refused as long as it disagrees.
-    """
-    limit = gate(q, len(V), s.time - s.begun)
-    code, nis, step, P, since = kalman.correct_in_time(
-        s.covariance, H, V, N, limit, s.time, s.refused_since, sensor, q.patience
-    )
-    turn, velocity, position = se23_exp(step[:9])
-    velocity += apply(turn, s.velocity)
-    position += apply(turn, s.position)
+def correct(q: Parameters, s: State, innovation: Innovation, sensor: np.int64) -> tuple[State, int, float]:
+    """The state after a measurement, with `code` and `nis` of its `kalman.Correction`."""
+    c = kalman.correction(q, s, innovation, sensor)
+    turn, velocity, position = se23_exp(c.step[:9])
     after = State(
         s.time,
-        mul(turn, s.rotation),
-        velocity,
-        position,
-        s.gyro_bias + step[9:12],
-        s.accelerometer_bias + step[12:15],
-        P,
+        velocity + apply(turn, s.velocity),
+        position + apply(turn, s.position),
+        s.gyro_bias + c.step[9:12],
+        s.accelerometer_bias + c.step[12:15],
+        c.covariance,
         s.gyro,
         s.gyro_variance,
-        s.time if code == kalman.INSISTED else s.begun,
-        since,
+        c.begun,
+        c.refused_since,
+        mul(turn, s.rotation),
     )
-    return after, code, nis
+    return after, c.code, c.nis
 
 
 @njit(cache=True, nogil=True)
@@ -248,29 +223,25 @@ def correct_dvl(
     q: Parameters, s: State, velocity: Float64Array, covariance: Float64Array
 ) -> tuple[State, int, float]:
     """After a velocity over ground; see `correct`."""
-    V, H, N = dvl_rows(q, s, velocity, covariance)
-    return correct(q, s, V, H, N, kalman.DVL)
+    return correct(q, s, dvl_innovation(q, s, velocity, covariance), kalman.DVL)
 
 
 @njit(cache=True, nogil=True)
 def correct_depth(q: Parameters, s: State, z: float, sigma: float) -> tuple[State, int, float]:
     """After a depth; see `correct`."""
-    V, H, N = depth_rows(q, s, z, sigma)
-    return correct(q, s, V, H, N, kalman.DEPTH)
+    return correct(q, s, depth_innovation(q, s, z, sigma), kalman.DEPTH)
 
 
 @njit(cache=True, nogil=True)
 def correct_heading(q: Parameters, s: State, yaw: float, sigma: float) -> tuple[State, int, float]:
     """After a heading; see `correct`. Iron can turn a compass for long, so it never insists."""
-    V, H, N = heading_rows(s, yaw, sigma)
-    return correct(q, s, V, H, N, kalman.OTHER)
+    return correct(q, s, heading_innovation(s, yaw, sigma), kalman.OTHER)
 
 
 @njit(cache=True, nogil=True)
 def correct_rest(q: Parameters, s: State) -> tuple[State, int, float]:
     """After the word that the vehicle rests; see `correct`."""
-    V, H, N = rest_rows(q, s)
-    return correct(q, s, V, H, N, kalman.OTHER)
+    return correct(q, s, rest_innovation(q, s), kalman.OTHER)
 
 
 @njit(cache=True, nogil=True)
@@ -312,5 +283,4 @@ def velocity_covariance(s: State) -> Float64Array:
 @njit(cache=True, nogil=True)
 def yaw_variance(s: State) -> float:
     """Of the heading; NaN where the pitch is too steep for one."""
-    _, H, _ = heading_rows(s, 0.0, 0.0)
-    return float(kalman.spread(s.covariance, H)[0, 0])
+    return float(kalman.spread(s.covariance, heading_innovation(s, 0.0, 0.0).H)[0, 0])

@@ -1,14 +1,20 @@
-"""The correction that all filters with a covariance share."""
+"""The correction that the Kalman filters share: a gate, its patience, and Joseph's form.
+
+A filter says what a measurement has to do with its error (`Innovation`), and moves its state by the step that
+comes back (`Correction`); which error that is, is its own affair.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
 from dream.estimation._kernels.groups import mul
+from dream.estimation._kernels.sensors import Parameters, gate
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -19,23 +25,77 @@ DVL, DEPTH, OTHER = np.int64(0), np.int64(1), np.int64(-1)
 """Places of sensors in `refused_since`. Of plain numbers each would have a filter compiled for itself."""
 
 
+class Innovation(NamedTuple):
+    """What a measurement says beyond what was expected: V = H error + noise, to first order."""
+
+    V: Float64Array
+    """(m,)"""
+    H: Float64Array
+    """(m, n) of an error (n,)."""
+    N: Float64Array
+    """(m, m) covariance of the noise."""
+
+
+class Correction(NamedTuple):
+    """What a filter makes of an innovation."""
+
+    code: int
+    """What became of it."""
+    nis: float
+    """Normalised innovation squared Vᵀ S⁻¹ V; NaN where S is not sound."""
+    step: Float64Array
+    """(n,) by which the error is known to differ from zero; zero where the measurement is not taken."""
+    covariance: Float64Array
+    """(n, n) after it; the one before it where the measurement is not taken."""
+    begun: float
+    """The new `begun` of the state."""
+    refused_since: Float64Array
+    """The new `refused_since` of the state."""
+
+
 @njit(cache=True, nogil=True)
-def correct(
-    P: Float64Array, H: Float64Array, V: Float64Array, N: Float64Array, limit: float
+def correction(q: Parameters, s: Any, innovation: Innovation, sensor: np.int64) -> Correction:
+    """How the state of a filter is to be corrected.
+
+    A sensor that has been refused for longer than `patience` is believed: the filter has been too sure of
+    itself, and would shut it out for good. The covariance grows by the factor by which the innovation is
+    beyond the gate; as all of it grows, nothing is learnt that is not observed.
+
+    Args:
+        q: Parameters.
+        s: The state, of any filter.
+        innovation: Of a measurement of the state's own time.
+        sensor: Its place in `refused_since`, or negative for one that is refused as long as it disagrees.
+    """
+    limit = gate(q, len(innovation.V), s.time - s.begun)
+    since = s.refused_since.copy()
+    code, nis, step, P = joseph(s.covariance, innovation, limit)
+    if sensor >= 0:
+        if code == REFUSED and s.time - since[sensor] > q.patience:
+            code, _, step, P = joseph(nis / limit * s.covariance, innovation, math.inf)
+            code = INSISTED if code == TAKEN else code
+        if code != REFUSED:
+            since[sensor] = math.nan
+        elif math.isnan(since[sensor]):
+            since[sensor] = s.time
+    return Correction(code, nis, step, P, s.time if code == INSISTED else s.begun, since)
+
+
+@njit(cache=True, nogil=True)
+def joseph(
+    P: Float64Array, innovation: Innovation, limit: float
 ) -> tuple[int, float, Float64Array, Float64Array]:
-    """One gated Kalman correction in Joseph form.
+    """One gated Kalman correction in Joseph's form.
 
     Args:
         P: (n, n) covariance of the error.
-        H: (m, n) how the innovation depends on the error.
-        V: (m,) the innovation.
-        N: (m, m) its noise.
-        limit: Greatest normalised innovation squared Vᵀ S⁻¹ V that is believed.
+        innovation: What is measured.
+        limit: Greatest normalised innovation squared that is believed.
 
     Returns:
-        What became of it, the normalised innovation squared, the correction (n,) of the state and the new
-        covariance. Where it was not taken, the correction is zero and the covariance P itself.
+        The first four of `Correction`.
     """
+    V, H, N = innovation
     n, m = P.shape[0], len(V)
     B = np.zeros((n, m))
     for i in range(n):
@@ -89,52 +149,6 @@ def correct(
         for k in range(i):
             left[i, k] = left[k, i] = 0.5 * (left[i, k] + left[k, i])
     return TAKEN, nis, step, left
-
-
-@njit(cache=True, nogil=True)
-def correct_in_time(
-    P: Float64Array,
-    H: Float64Array,
-    V: Float64Array,
-    N: Float64Array,
-    limit: float,
-    time: float,
-    refused_since: Float64Array,
-    sensor: np.int64,
-    patience: float,
-) -> tuple[int, float, Float64Array, Float64Array, Float64Array]:
-    """As `correct`, but a sensor that has been refused for longer than `patience` seconds is believed.
-
-    Then the filter has been too sure of itself, and would shut the sensor out for good. Its covariance grows
-    by the factor by which the innovation is beyond the gate; as all of it grows, nothing is learnt that is
-    not observed.
-
-    Args:
-        P: As for `correct`, and so are the next four.
-        H: As said.
-        V: As said.
-        N: As said.
-        limit: As said.
-        time: Now.
-        refused_since: Per sensor, the time of the first refusal in a row; NaN where the last was taken.
-        sensor: Its place there, or negative for one that is refused as long as it disagrees.
-        patience: Seconds.
-
-    Returns:
-        What `correct` does, and the new `refused_since`.
-    """
-    since = refused_since.copy()
-    code, nis, step, after = correct(P, H, V, N, limit)
-    if sensor < 0:
-        return code, nis, step, after, since
-    if code == REFUSED and time - since[sensor] > patience:
-        code, _, step, after = correct(nis / limit * P, H, V, N, math.inf)
-        code = INSISTED if code == TAKEN else code
-    if code != REFUSED:
-        since[sensor] = math.nan
-    elif math.isnan(since[sensor]):
-        since[sensor] = time
-    return code, nis, step, after, since
 
 
 @njit(cache=True, nogil=True)

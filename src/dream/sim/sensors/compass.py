@@ -63,10 +63,13 @@ class Compass:
 
     @property
     def constants(self) -> _kernels.Magnetic:
-        """As the kernels take it."""
+        """As the kernels take it; a whole number among them would have the kernels compiled once more."""
         steel = [[*piece.position, *piece.moment] for piece in self.steel]
         return _kernels.Magnetic(
-            self.noise, self.wander, self.wander_time, np.array(steel, np.float64).reshape(-1, 6)
+            float(self.noise),
+            float(self.wander),
+            float(self.wander_time),
+            np.array(steel, np.float64).reshape(-1, 6),
         )
 
     @property

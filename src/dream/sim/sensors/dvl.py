@@ -111,20 +111,20 @@ class DopplerLog:
 
     @property
     def constants(self) -> _kernels.Acoustic:
-        """As the kernels take it."""
+        """As the kernels take it; a whole number among them would have the kernels compiled once more."""
         return _kernels.Acoustic(
             position=np.array(self.position, np.float64),
             mounting=np.ascontiguousarray(self.T_base_dvl.rotation, np.float64),
             beams=self.beams,
-            min_altitude=self.min_altitude,
-            max_altitude=self.max_altitude,
-            max_incidence=self.max_incidence,
-            max_speed=self.max_speed,
-            dropout=self.dropout,
-            beam_noise=self.beam_noise,
-            latency=self.latency,
-            latency_spread=self.latency_spread,
-            sound_speed=self.sound_speed,
+            min_altitude=float(self.min_altitude),
+            max_altitude=float(self.max_altitude),
+            max_incidence=float(self.max_incidence),
+            max_speed=float(self.max_speed),
+            dropout=float(self.dropout),
+            beam_noise=float(self.beam_noise),
+            latency=float(self.latency),
+            latency_spread=float(self.latency_spread),
+            sound_speed=float(self.sound_speed),
         )
 
     def begin(self, rng: np.random.Generator) -> float:

@@ -58,14 +58,14 @@ class InertialUnit:
 
     @property
     def constants(self) -> _kernels.Inertial:
-        """As the kernels take it."""
+        """As the kernels take it; a whole number among them would have the kernels compiled once more."""
         return _kernels.Inertial(
-            self.gyro_noise,
-            self.gyro_walk,
-            self.accel_noise,
-            self.accel_walk,
-            self.gyro_range,
-            self.accel_range,
+            float(self.gyro_noise),
+            float(self.gyro_walk),
+            float(self.accel_noise),
+            float(self.accel_walk),
+            float(self.gyro_range),
+            float(self.accel_range),
             GRAVITY,
         )
 

@@ -54,9 +54,13 @@ class PressureGauge:
 
     @property
     def constants(self) -> _kernels.Pressure:
-        """As the kernels take it."""
+        """As the kernels take it; a whole number among them would have the kernels compiled once more."""
         return _kernels.Pressure(
-            np.array(self.position, np.float64), self.noise, self.walk, self.resolution, self.max_depth
+            np.array(self.position, np.float64),
+            float(self.noise),
+            float(self.walk),
+            float(self.resolution),
+            float(self.max_depth),
         )
 
     @property
