@@ -137,11 +137,12 @@ def _replies() -> Kind:
 
 
 def _cassette() -> Kind:
-    from dream.planning.vlm.cassette import Outcome, keep, play, prepare
+    from dream.planning.vlm.asking.cassette import keep, play, prepare
+    from dream.planning.vlm.asking.question import RawAnswer
 
     outcomes = (
-        Outcome(('{"direction": "left"}',), "", 1, 2500, 210, 0.0075, 3.25, "painted-1"),
-        Outcome((), "timeout: no answer within 60 s", 1, cost_usd=None, seconds=60.0),
+        RawAnswer(('{"direction": "left"}',), "", 1, 2500, 210, 0.0075, 3.25, "painted-1"),
+        RawAnswer((), "timeout: no answer within 60 s", 1, cost_usd=None, seconds=60.0),
     )
 
     def seeds(folder: Path) -> list[bytes]:
@@ -294,7 +295,7 @@ def _orders() -> Kind:
 
 
 def _reply() -> Kind:
-    from dream.planning.vlm.finding import answer_in
+    from dream.planning.vlm.asking.finding import answer_in
     from dream.planning.vlm.reply import STEPS, dream_reply
     from dream.protocol import DREAM_V1
 

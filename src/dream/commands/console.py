@@ -267,7 +267,7 @@ def compiling_told() -> Iterator[None]:
 
 def tell_lost(record: str | None) -> None:
     """Say on standard error how many exchanges could not be kept in the folder of `--record`, if any."""
-    from dream.planning.vlm.cassette import lost
+    from dream.planning.vlm.asking.cassette import lost
 
     if record is not None and (count := lost[Path(record)]):
         print(f"dream: {record}: {count} exchanges in all were not kept", file=sys.stderr)

@@ -28,7 +28,7 @@ from dream.telling import rich_console
 if TYPE_CHECKING:
     from dream.evaluation.probe import MapQuestion, Reply, Score
     from dream.planning.vlm.asking import Answer, Line, Pending
-    from dream.planning.vlm.reply import Choice
+    from dream.planning.vlm.reply import ChosenAnswer
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,10 +146,10 @@ class Probe:
         """
         kept = _kept(self.asking)
         ends = time.monotonic() + self.limit
-        waiting: dict[int, tuple[MapQuestion, Pending[Choice]]] = {}
+        waiting: dict[int, tuple[MapQuestion, Pending[ChosenAnswer]]] = {}
         while True:
             # What a question costs shows with the first.
-            unpriced = self.asking.max_usd is not None and line.spent.calls == 0
+            unpriced = self.asking.max_usd is not None and line.budget.spent.calls == 0
             room = len(waiting) < (1 if unpriced else self.at_once) and time.monotonic() < ends
             question = next(questions, None) if room else None
             if question is not None:
@@ -174,7 +174,7 @@ def _kept(asking: Asking) -> Line | None:
     return replace(asking, record=None, replay_replies=asking.record).line()
 
 
-def _answer_of(kept: Line, question: MapQuestion) -> Answer[Choice] | None:
+def _answer_of(kept: Line, question: MapQuestion) -> Answer[ChosenAnswer] | None:
     """The answer that was kept; None where the question was not asked, or not answered."""
     try:
         answer = kept.ask(question.asked).answer()
@@ -183,7 +183,7 @@ def _answer_of(kept: Line, question: MapQuestion) -> Answer[Choice] | None:
     return None if answer.reply is None else answer
 
 
-def _reply(question: MapQuestion, answer: Answer[Choice]) -> Reply:
+def _reply(question: MapQuestion, answer: Answer[ChosenAnswer]) -> Reply:
     from dream.evaluation.probe import Reply
 
     given, reason = (None, "") if answer.reply is None else (answer.reply.answer, answer.reply.reason)

@@ -45,7 +45,9 @@ from dream.mission import Robot, explore
 from dream.orders import Orders, sentences, written
 from dream.planning import LABELLED, PLANNERS, AnyPlanner, planner_name
 from dream.planning.identity import files_given, identity
-from dream.planning.vlm.asking import GONE, WHERE_KEPT, Asking
+from dream.planning.vlm.asking import Asking
+from dream.planning.vlm.asking.failures import GONE
+from dream.planning.vlm.asking.options import WHERE_KEPT
 from dream.protocol import SHOWN, SurveyProtocol, protocol_named
 from dream.robots import Swimming, Teleport
 from dream.sim.files import world_hash

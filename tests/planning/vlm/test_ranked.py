@@ -8,20 +8,17 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import wait
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import Any
 
-import numpy as np
 import pytest
 
-from dream.control import guard
 from dream.errors import PlannerFailed
 from dream.evaluation.runner import simulate
-from dream.geometry import SE2, Bounds, wrap_angle
+from dream.geometry import Bounds
 from dream.mapping import OccupancyMap
 from dream.planning import Belief
-from dream.planning.vlm import Ranked, ranked
-from dream.planning.vlm.places import APART, MOST, Place, again, places
+from dream.planning.vlm import Ranked, ranked, ranking_question
+from dream.planning.vlm.places import Place, places
 from dream.planning.vlm.ranked import RankedPilot
 from dream.protocol import DREAM_V1
 from dream.robots.teleport import SPEED, TURN_RATE
@@ -38,7 +35,7 @@ OWN: dict[str, int] = {}
 @pytest.fixture(scope="module", autouse=True)
 def tables() -> Iterator[None]:
     """Which place of each table loses nothing is remembered."""
-    write = ranked._table
+    write = ranking_question.table
 
     def remember(numbered: dict[int, Place]) -> list[str]:
         lines = write(numbered)
@@ -46,7 +43,7 @@ def tables() -> Iterator[None]:
         return lines
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ranked, "_table", remember)
+        patch.setattr(ranking_question, "table", remember)
         yield
 
 
@@ -101,67 +98,6 @@ def moves(steps: list[Step]) -> list[tuple[float, float]]:
     return [(step.decision.turn, step.decision.advance) for step in steps]
 
 
-@pytest.fixture(scope="module")
-def looked_around(string_reef: World) -> tuple[Observation, OccupancyMap]:
-    *_, last = simulate(string_reef, Belief(), DREAM_V1, max_steps=16)
-    return last.observation, last.occupancy
-
-
-@pytest.fixture(scope="module")
-def listed(looked_around: tuple[Observation, OccupancyMap]) -> tuple[list[Place], Any, Any]:
-    observation, occupancy = looked_around
-    pilot = Belief().begin(Mission(DREAM_V1, occupancy.bounds, 200))
-    thought = pilot.consider(observation, occupancy)
-    return places(pilot, thought), pilot, thought
-
-
-# ------------------------------------------------------------------------------------------------- places
-
-
-def test_the_first_place_is_where_the_offline_planner_would_go(listed: tuple[list[Place], Any, Any]) -> None:
-    found, _, thought = listed
-    assert 2 <= len(found) <= MOST
-    assert found[0].plan.path == thought.plan.path
-    assert found[0].loss == 0.0
-    assert all(place.loss >= 0.0 for place in found)
-
-
-def test_every_move_to_every_place_is_one_that_the_guard_lets_pass(
-    listed: tuple[list[Place], Any, Any], looked_around: tuple[Observation, OccupancyMap]
-) -> None:
-    found, _, thought = listed
-    _, occupancy = looked_around
-    for place in found[1:]:
-        for before, after in pairwise(place.plan.path):
-            turn, advance = thought.travel.move(before, after)
-            pose = DREAM_V1.snap(_pose(thought, before))
-            assert not guard(Decision(turn, advance), pose, occupancy, DREAM_V1).note
-
-
-def _pose(thought: Any, node: tuple[int, int, int]) -> SE2:
-    x, y = thought.travel.position(node[0], node[1])
-    return SE2(float(x), float(y), wrap_angle(node[2] * DREAM_V1.heading_step))
-
-
-def test_places_stand_apart(listed: tuple[list[Place], Any, Any]) -> None:
-    found, _, _ = listed
-    ends = np.array([place.path[-1] for place in found])
-    gaps = np.hypot(*(ends[:, None] - ends[None, :]).transpose(2, 0, 1)) + 99.0 * np.eye(len(ends))
-    assert gaps.min() >= APART * DREAM_V1.reach
-    for place in found[1:]:
-        assert np.hypot(*(found[0].path - place.path[-1]).T).min() >= APART * DREAM_V1.reach
-
-
-def test_a_place_is_worth_the_same_when_it_is_asked_for_again(listed: tuple[list[Place], Any, Any]) -> None:
-    found, pilot, thought = listed
-    for place in found[1:]:
-        now = again(pilot, thought, place.pose)
-        assert now is not None
-        assert now[0].path == place.plan.path
-        assert now[1] == pytest.approx(place.loss)
-    assert again(pilot, thought, thought.travel.start) is None
-
-
 # ----------------------------------------------------------------------------------------------- question
 
 
@@ -191,6 +127,14 @@ def test_numbers_change_from_question_to_question(led: Flight) -> None:
 def own_place(question: str) -> int:
     """The number of the offline planner's own place."""
     return OWN["\n".join(line for line in question.splitlines() if line.startswith("|"))]
+
+
+@pytest.mark.parametrize(("count", "asked"), [(1, False), (2, True)])
+def test_one_place_is_no_choice_and_two_are_one(
+    count: int, string_reef: World, monkeypatch: pytest.MonkeyPatch, *, asked: bool
+) -> None:
+    monkeypatch.setattr(ranked, "places", lambda *known: places(*known)[:count])
+    assert bool(fly(ranking(), string_reef, 1).asked) == asked
 
 
 # -------------------------------------------------------------------------------------------------- choice
@@ -294,7 +238,7 @@ def test_by_a_real_clock_an_answer_that_is_not_there_yet_is_not_waited_for(strin
             if step.index == LOOK_AROUND + 5:
                 assert pilot.asked is not None
                 thought_about.set()
-                wait([pending.outcome for _, pending in pilot.asked.votes], timeout=10.0)
+                wait([vote.pending.outcome for vote in pilot.asked.votes], timeout=10.0)
     first = next(step for step in steps if step.decision.exchanges)
     assert first.index == LOOK_AROUND + 6
     assert first.decision.waited == 0.0

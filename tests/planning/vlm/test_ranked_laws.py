@@ -25,6 +25,7 @@ from dream.planning.views import Views
 from dream.planning.vlm import Ranked, ranked
 from dream.planning.vlm.asking import Question
 from dream.planning.vlm.places import APART, Place, places
+from dream.planning.vlm.ranking_question import ranking_question
 from dream.planning.vlm.reply import Ranking
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
@@ -488,9 +489,8 @@ def _rounded(points: set[tuple[float, float]]) -> set[tuple[float, float]]:
 
 def _question(situation: Held, numbered: dict[int, Place]) -> Question[Ranking]:
     """As `RankedPilot` asks it."""
-    asking = Ranked(model="http://127.0.0.1:9/v1", model_name="nobody")
-    pilot = asking.begin(situation.pilot.mission)
-    return pilot._question(situation.observation, situation.thought, situation.occupancy, numbered)
+    mission, thought = situation.pilot.mission, situation.thought
+    return ranking_question(mission, situation.observation, situation.occupancy, thought, [], numbered)
 
 
 def _ranked(question: Question[Ranking]) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from dream.evaluation.probe.scenes import WORLDS, Scene, scenes
 from dream.geometry import SE2
 from dream.planning.vlm import pictures, prompts
 from dream.planning.vlm.asking import Question
-from dream.planning.vlm.reply import Choice, choice_reply
+from dream.planning.vlm.reply import ChosenAnswer, choice_reply
 from dream.types import Mission
 
 QUESTIONS = 200
@@ -66,7 +66,7 @@ class MapQuestion:
         return 1.0 / len(self.choices)
 
     @property
-    def asked(self) -> Question[Choice]:
+    def asked(self) -> Question[ChosenAnswer]:
         """As a model is asked."""
         return Question(
             self.prompt,

@@ -1,6 +1,18 @@
-"""A vision-language model, asked over the wire, decides or advises."""
+"""A vision-language model, asked over the wire, decides or advises.
 
-from dream.planning.vlm.asking import WIRE_TEST, Asking, stands_in
+| room | what stands there |
+|---|---|
+| `paper`, `ranked` | the planners: `Dream` and `Vanilla`; `Ranked` |
+| `places` | what `Ranked` lets a model choose among |
+| `ranking_question`, `votes` | how it is asked to rank them, and what the answers say together |
+| `prompts`, `pictures` | what a model is told and shown |
+| `reply` | what its reply must be, and the decision in it |
+| `orders` | an operator's words, turned into orders |
+| `asking` | who is asked and how, what that may cost, and what is told where no answer comes |
+"""
+
+from dream.planning.vlm.asking import Asking
+from dream.planning.vlm.asking.names import WIRE_TEST, stands_in
 from dream.planning.vlm.paper import Dream, Vanilla
 from dream.planning.vlm.ranked import Ranked
 

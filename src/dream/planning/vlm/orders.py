@@ -13,8 +13,9 @@ from dream.errors import MissionAborted
 from dream.geometry import Bounds
 from dream.orders import MOST_LEGS, Area, Leg, Orders, Side, SideOf, Task, written
 from dream.planning.vlm.asking import Asking, Question
+from dream.planning.vlm.asking.failures import INVALID, REFUSED, TRUNCATED
 from dream.planning.vlm.prompts import chosen, filled
-from dream.planning.vlm.reply import Reply
+from dream.planning.vlm.reply import StrictReply
 from dream.protocol import SurveyProtocol
 from dream.types import Exchange, Target
 
@@ -32,7 +33,7 @@ MOST_STEPS = 1_000_000
 SideName = Literal["north", "northeast", "east", "southeast", "south", "southwest", "west", "northwest"]
 
 
-class WrittenBox(Reply):
+class WrittenBox(StrictReply):
     """A box in the world, metres."""
 
     x_min_m: float
@@ -47,7 +48,7 @@ class WrittenBox(Reply):
         return self
 
 
-class WrittenLeg(Reply):
+class WrittenLeg(StrictReply):
     """See `dream.orders.Leg`."""
 
     task: Literal["map", "find"]
@@ -75,7 +76,7 @@ class WrittenLeg(Reply):
         return None if self.side is None else SideOf(Side(self.side), self.of_leg)
 
 
-class WrittenOrders(Reply):
+class WrittenOrders(StrictReply):
     """Orders as they stand in a file."""
 
     legs: Annotated[list[WrittenLeg], Field(min_length=1, max_length=MOST_LEGS)]
@@ -103,7 +104,7 @@ class AnsweredOrders(WrittenOrders):
     ]
 
 
-class _MissionFile(Reply):
+class _MissionFile(StrictReply):
     format: Literal["dream-mission-1"]
     text: Annotated[str, Field(max_length=MOST_WORDS)]
     orders: WrittenOrders
@@ -178,7 +179,7 @@ def ask_orders(
 
 def _advice(fallback: str) -> str:
     """What may help where no orders came: other words where the model said something, else patience."""
-    said = fallback.partition(":")[0] in ("invalid", "refused", "truncated")
+    said = fallback.partition(":")[0] in (INVALID, REFUSED, TRUNCATED)
     return "Say it in other words" if said else "Try again"
 
 

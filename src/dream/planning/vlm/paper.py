@@ -100,12 +100,7 @@ class _EveryStep:
 
     def _situation(self, pose: SE2, occupancy: OccupancyMap) -> str:
         """What the pictures do not say."""
-        # Every mission begins with a look around, which nobody decides.
-        steps = self.mission.flown + len(self.trail)
-        lines = [
-            f"The robot is at x = {pose.x:g} m, y = {pose.y:g} m and heads towards {pictures.bearing(pose)}.",
-            f"{steps} steps are done; {self.mission.max_steps - steps} are left at most.",
-        ]
+        lines = prompts.progress(self.mission, pose, len(self.trail))
         lines += prompts.area(occupancy)
         if self.last is not None:
             lines.append(self._last_action(pose, occupancy))

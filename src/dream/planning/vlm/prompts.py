@@ -13,8 +13,9 @@ from string import Template
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from dream.geometry import SE2
 from dream.planning.travel import careful_standoff
-from dream.planning.vlm.pictures import FAR, scale_of
+from dream.planning.vlm.pictures import FAR, bearing, scale_of
 from dream.types import Mission
 
 if TYPE_CHECKING:
@@ -173,6 +174,22 @@ def instructions(
 def filled(prompt: Prompt, values: Mapping[str, str]) -> str:
     """Its text with the values in their places; see `PLACES`."""
     return Template(prompt.text).substitute(values)
+
+
+def progress(mission: Mission, pose: SE2, decisions: int) -> list[str]:
+    """Where the vehicle is, and how many steps are done and left.
+
+    Args:
+        mission: How many there are in all, and how many were flown before the first decision.
+        pose: Of the vehicle.
+        decisions: That were made before this one.
+    """
+    # Every mission begins with a look around, which nobody decides.
+    steps = mission.flown + decisions
+    return [
+        f"The robot is at x = {pose.x:g} m, y = {pose.y:g} m and heads towards {bearing(pose)}.",
+        f"{steps} steps are done; {mission.max_steps - steps} are left at most.",
+    ]
 
 
 def area(occupancy: OccupancyMap) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -14,10 +13,11 @@ from dream.planning.belief import Belief, achieved
 from dream.planning.lookahead import Plan
 from dream.planning.parameters import check_count, check_range
 from dream.planning.travel import Pose
-from dream.planning.vlm import pictures, prompts
-from dream.planning.vlm.asking import Answer, Asking, Line, Pending, Question
-from dream.planning.vlm.places import Place, again, places
-from dream.planning.vlm.reply import Ranking, ranked_reply
+from dream.planning.vlm.asking import Answer, Asking, Line
+from dream.planning.vlm.places import again, places
+from dream.planning.vlm.ranking_question import ranking_question
+from dream.planning.vlm.reply import Ranking
+from dream.planning.vlm.votes import Poll, Vote
 from dream.types import Decision, Exchange, Mission, Observation
 
 if TYPE_CHECKING:
@@ -31,12 +31,8 @@ ARRIVED = 0.25
 STUCK = 6
 """Steps without anything new after which the model is not followed, nor asked, for `REST` steps."""
 REST = 10
-AGREED = 2.0 / 3.0
-"""Share of the votes that must have the same place first."""
 FIRST = 1.0
 """Steps that the model's choices may have cost before any share of the way is flown."""
-HISTORY = 8
-"""Past positions in the text."""
 AGREES = "as the offline planner would"
 LATE = "not heard: by then the mission was about to end"
 """Outcomes of an exchange."""
@@ -86,19 +82,6 @@ class Ranked(Asking):
         return RankedPilot(self, mission)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Asked:
-    """A question on its way: the same places once for each vote, under other numbers each time."""
-
-    at: float
-    """Seconds on the mission's clock."""
-    places: list[Place]
-    votes: list[tuple[dict[int, int], Pending[Ranking]]]
-    """Index of the place for each number, and the answer to come."""
-    to_end: bool
-    """Whether the offline planner would have ended the mission."""
-
-
 @dataclass(frozen=True, slots=True)
 class _Chosen:
     """A place that the vehicle goes to on the model's advice."""
@@ -117,7 +100,7 @@ class RankedPilot:
     offline: BeliefPilot = field(init=False)
     trail: list[SE2] = field(default_factory=list)
     """Where it decided."""
-    asked: _Asked | None = None
+    asked: Poll | None = None
     chosen: _Chosen | None = None
     spent: float = 0.0
     """Steps that the model's choices have cost, by expectation."""
@@ -152,7 +135,7 @@ class RankedPilot:
             asked, self.asked = self.asked, None
             in_time = asked.to_end == (thought.plan is None)
             outcome = self._choose(asked, answers, thought, occupancy) if in_time else LATE
-            exchanges += _told(outcome, asked, answers)
+            exchanges += asked.told(outcome, answers)
             if in_time:
                 break
         plan, why = self._follow(thought, occupancy)
@@ -213,11 +196,17 @@ class RankedPilot:
             # Other numbers each time, so that a liking for one of them decides nothing.
             rng = np.random.default_rng([len(self.trail), vote])
             numbers = (1 + rng.permutation(len(choice))).tolist()
-            question = self._question(
-                observation, thought, occupancy, dict(zip(numbers, choice, strict=True))
+            question = ranking_question(
+                self.mission,
+                observation,
+                occupancy,
+                thought,
+                self.trail,
+                dict(zip(numbers, choice, strict=True)),
+                self.line.prompts,
             )
-            votes.append(({number: k for k, number in enumerate(numbers)}, self.line.ask(question)))
-        self.asked = _Asked(observation.time, choice, votes, to_end)
+            votes.append(Vote({number: k for k, number in enumerate(numbers)}, self.line.ask(question)))
+        self.asked = Poll(observation.time, choice, votes, to_end)
 
     def _answers(self, now: float, thought: Thought) -> list[Answer[Ranking]]:
         """All answers, once they are due; earlier where the vehicle waits for them. Empty before."""
@@ -227,14 +216,14 @@ class RankedPilot:
         waits = self.planner.wait or thought.plan is None or last
         if not waits and not self._may_have_come(now):
             return []
-        answers = [self.line.insist(pending.answer()) for _, pending in self.asked.votes]
+        answers = [self.line.insist(vote.pending.answer()) for vote in self.asked.votes]
         return answers if waits or now >= self._due(answers) else []
 
     def _may_have_come(self, now: float) -> bool:
         """Only a simulated clock stands still while an answer that is due by it is awaited."""
         assert self.asked is not None
         if self.planner.latency is None:
-            return all(pending.done() for _, pending in self.asked.votes)
+            return all(vote.pending.done() for vote in self.asked.votes)
         return now >= self.asked.at + self.planner.latency
 
     def _due(self, answers: list[Answer[Ranking]]) -> float:
@@ -253,58 +242,10 @@ class RankedPilot:
         """Steps that a choice may come to cost on the way, when something better comes up."""
         return 2.0 * self.planner.margin
 
-    def _question(
-        self,
-        observation: Observation,
-        thought: Thought,
-        occupancy: OccupancyMap,
-        numbered: dict[int, Place],
-    ) -> Question[Ranking]:
-        from dream.mapping.drawing import Mark
-
-        pose, protocol = observation.pose, self.mission.protocol
-        instructions, version = prompts.instructions(
-            "ranked", self.mission, occupancy, self.line.prompts, count=str(len(numbered))
-        )
-        marks = [Mark(number, place.path) for number, place in sorted(numbered.items())]
-        trail = [(past.x, past.y) for past in (*self.trail, pose)]
-        camera = pictures.camera_picture(observation)
-        for mark in marks:
-            pictures.mark_in_view(camera, observation, mark, protocol.altitude)
-        return Question(
-            version,
-            instructions,
-            self._situation(observation, thought, occupancy, numbered),
-            {
-                "map": pictures.png(pictures.map_picture(occupancy, pose, trail, marks)),
-                "camera": pictures.png(camera),
-            },
-            ranked_reply(list(numbered)),
-        )
-
-    def _situation(
-        self, observation: Observation, thought: Thought, occupancy: OccupancyMap, numbered: dict[int, Place]
-    ) -> str:
-        pose = observation.pose
-        flown = self.mission.flown + len(self.trail)
-        past = "; ".join(f"({p.x:g}, {p.y:g})" for p in self.trail[-HISTORY:]) or "only the start"
-        lines = [
-            f"The robot is at x = {pose.x:g} m, y = {pose.y:g} m and heads towards {pictures.bearing(pose)}.",
-            f"{flown} steps are done; {self.mission.max_steps - flown} are left at most.",
-            f"It came by way of: {past}.",
-            *thought.told,
-            *prompts.area(occupancy),
-        ]
-        if thought.plan is None:
-            lines.append(
-                "By the program's own judgement the mission is complete. These places would be left unseen."
-            )
-        return "\n".join([*lines, "", *_table(numbered)])
-
     # -------------------------------------------------------------------------------------------- choice
 
     def _choose(
-        self, asked: _Asked, answers: list[Answer[Ranking]], thought: Thought, occupancy: OccupancyMap
+        self, asked: Poll, answers: list[Answer[Ranking]], thought: Thought, occupancy: OccupancyMap
     ) -> str:
         """Fuse the ranking with what the offline planner holds of the places now.
 
@@ -313,25 +254,16 @@ class RankedPilot:
         """
         if self.resting:
             return f"not heard: nothing new was seen for {STUCK} steps"
-        heard = [
-            (numbers, answer.reply)
-            for (numbers, _), answer in zip(asked.votes, answers, strict=True)
-            if answer.reply is not None
-        ]
-        if not heard:
+        opinion = asked.opinion(answers)
+        if opinion is None:
             return ""
-        firsts = [numbers[reply.ranking[0]] for numbers, reply in heard]
-        if max(map(firsts.count, firsts)) < AGREED * len(asked.votes):
+        if not opinion.agrees:
             return "not heard: the votes disagree"
-        if asked.to_end and sum(reply.mission_complete for _, reply in heard) > 0.5 * len(heard):
+        if asked.to_end and opinion.complete:
             return f"{AGREES}: the mission is complete"
-        bonus: dict[int, float] = defaultdict(float)
-        for numbers, reply in heard:
-            for rank, number in enumerate(reply.ranking, start=1):
-                bonus[numbers[number]] += self.planner.weight * reply.confidence / rank / len(asked.votes)
+        bonus = opinion.bonus(self.planner.weight)
         # Where it had one, the offline planner's own way is the first: it needs no advice to go there.
-        others = 0 if asked.to_end else 1
-        own = 0.0 if asked.to_end else bonus[0]
+        others, own = (0, 0.0) if asked.to_end else (1, bonus[0])
         affordable = self._affordable(to_end=asked.to_end)
         standing, short = [], {} if asked.to_end else {0: "the offline planner's own"}
         for k in range(others, len(asked.places)):
@@ -343,25 +275,27 @@ class RankedPilot:
             else:
                 standing.append((round(bonus[k] - now[1], 6), -k, now[1]))
                 short[k] = f"which costs {now[1]:.1f} steps, its rank is worth {max(bonus[k] - own, 0.0):.1f}"
-        first = max(firsts, key=firsts.count)
+        first = opinion.first
         lost = f"place {{{first}}}, {short.get(first, '')}"
         if not standing or max(standing)[0] <= own:
             return AGREES if first < others else f"overruled: {lost}"
         _, behind, loss = max(standing)
-        place = asked.places[-behind]
-        numbers, reply = heard[0]
-        number = next(n for n, index in numbers.items() if index == -behind)
+        self._take(asked, -behind, loss, *opinion.rank(-behind))
+        instead = "the end of the mission" if asked.to_end else "place {0}"
+        dearer = "" if -behind == first else f"; its first was {lost}"
+        return f"followed: place {{{-behind}}} instead of {instead}{dearer}"
+
+    def _take(self, asked: Poll, k: int, loss: float, number: int, rank: int) -> None:
+        """Go to a place from now on."""
+        place = asked.places[k]
         self.spent += loss
         self.chosen = _Chosen(
             place.pose,
             f"The model ranked place {number} of {len(asked.places)} "
-            f"{_ordinal(1 + reply.ranking.index(number))}; it costs {loss:.1f} steps by expectation.",
+            f"{_ordinal(rank)}; it costs {loss:.1f} steps by expectation.",
         )
         x, y = place.path[-1]
         self.heading_for = SE2(float(x), float(y), 0.0)
-        instead = "the end of the mission" if asked.to_end else "place {0}"
-        dearer = "" if -behind == first else f"; its first was {lost}"
-        return f"followed: place {{{-behind}}} instead of {instead}{dearer}"
 
     def _follow(self, thought: Thought, occupancy: OccupancyMap) -> tuple[Plan | None, str]:
         """The plan to carry out, and why it is not the offline planner's own."""
@@ -379,46 +313,6 @@ class RankedPilot:
 def _walks(thought: Thought) -> bool:
     """Is it about to traverse what was found? The way to do that is no matter of opinion."""
     return thought.plan is not None and thought.plan.passed > 0
-
-
-def _told(outcome: str, asked: _Asked, answers: list[Answer[Ranking]]) -> list[Exchange]:
-    """The exchanges, with what came of them in the numbers of each."""
-    told = []
-    for (numbers, _), answer in zip(asked.votes, answers, strict=True):
-        names = sorted(numbers, key=numbers.__getitem__)
-        counted = answer.reply is not None
-        told.append(replace(answer.exchange, outcome=outcome.format(*names) if counted else ""))
-    return told
-
-
-def _table(numbered: dict[int, Place]) -> list[str]:
-    """What the program has calculated of each place, as lines of Markdown."""
-    columns = (
-        "number",
-        "position",
-        "steps away",
-        "looks towards",
-        "targets expected, m2",
-        "search area cleared, m2",
-        "hull patches expected",
-        "closes",
-    )
-    lines = [" | ".join(columns), " | ".join("---" for _ in columns)]
-    for number, place in sorted(numbered.items()):
-        x, y = place.path[-1]
-        plan = place.plan
-        cells = (
-            str(number),
-            f"({x:g}, {y:g})",
-            str(place.steps),
-            pictures.bearing(SE2(0.0, 0.0, place.yaw)),
-            f"{plan.targets:.1f}",
-            f"{plan.cleared:.0f}",
-            f"{plan.patches:.1f}",
-            ", ".join(f"region {k}" for k in place.closes) or "none",
-        )
-        lines.append(" | ".join(cells))
-    return [f"| {line} |" for line in lines]
 
 
 def _ordinal(rank: int) -> str:

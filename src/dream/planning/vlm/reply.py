@@ -26,13 +26,13 @@ Sentences = Annotated[str, Field(max_length=MOST_WORDS)]
 STEPS = ("distribution", "target_area", "completion", "next_target", "safety", "action")
 
 
-class Reply(BaseModel):
+class StrictReply(BaseModel):
     """Text from a stranger: bounded, and nothing in it that was not asked for."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class Reasoned(Reply):
+class Reasoned(StrictReply):
     """The six reasoning steps, which come before the answer."""
 
     distribution: Sentences
@@ -48,7 +48,7 @@ class Reasoned(Reply):
         return Reasoning(**{step: getattr(self, step) for step in STEPS})
 
 
-class Acting(Reply):
+class Acting(StrictReply):
     """A reply that gives an action; `actions` adds the fields of a protocol."""
 
     @model_validator(mode="after")
@@ -107,14 +107,14 @@ def ranked_reply(numbers: Sequence[int]) -> type[Ranking]:
     return create_model("RankedPlaces", __base__=Ranking, ranking=(kind, ...))
 
 
-class Choice(Reply):
+class ChosenAnswer(StrictReply):
     """A reply that picks one of the answers that are offered; `choice_reply` adds them."""
 
     reason: Sentences
     answer: str
 
 
-def choice_reply(choices: Sequence[str]) -> type[Choice]:
+def choice_reply(choices: Sequence[str]) -> type[ChosenAnswer]:
     """A short reason, then one of the answers.
 
     Args:
@@ -122,7 +122,7 @@ def choice_reply(choices: Sequence[str]) -> type[Choice]:
     """
     answer: Any = Literal[tuple(choices)]
     kind = Annotated[answer, BeforeValidator(_as_text)]
-    return create_model("Choice", __base__=Choice, answer=(kind, ...))
+    return create_model("Choice", __base__=ChosenAnswer, answer=(kind, ...))
 
 
 def _as_text(value: Any) -> Any:

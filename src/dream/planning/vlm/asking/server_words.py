@@ -1,25 +1,14 @@
-"""What may be told of a server's and a model's words: one short line, without keys and control characters."""
+"""What a server says is wrong with a request, and what it will never take, by its words."""
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Mapping
-from functools import cache
 
-from dream.telling import one_line
+from dream.planning.vlm.asking.scrubbing import wary_line
 
-LEAST_KEY = 8
-"""Characters of a key that is looked for in what a model writes."""
-LONG_WORD = 16
-"""Characters of a word with digits in it that may be part of a key."""
 MOST_SAID = 200
 """Characters of what a server says is wrong with a request."""
-NO_SUCH_REQUEST = (400, 413, 415, 422, 501)
-"""HTTP statuses of a request that the server does not take, whoever sends it and whenever."""
-TOO_MANY = 429
-"""HTTP status of a request that comes too soon; the client waits as long as it is told, and asks again."""
-
 PICTURE, CONTEXT, FORMAT, MODEL, ADDRESS = "picture", "context", "format", "model", "address"
 """What a server will never take, as far as its words tell."""
 
@@ -92,22 +81,4 @@ def said(body: object) -> str:
             told = told[name]
     if not isinstance(told, str) or told.lstrip().startswith("<"):
         return ""
-    # Before they are cleaned: what cannot be printed is then shown by digits.
-    words = plain(told[: 20 * MOST_SAID]).split()
-    line = " ".join("..." if len(word) >= LONG_WORD and re.search(r"\d", word) else word for word in words)
-    return one_line(line)[:MOST_SAID]
-
-
-def plain(text: str) -> str:
-    """What a model wrote, without keys, and without halves of surrogate pairs, which no file could hold."""
-    for name, value in os.environ.items():
-        if name.endswith("_KEY") and len(value.strip()) >= LEAST_KEY:
-            text = _spelt(value.strip()).sub("[key]", text)
-    return text.encode(errors="replace").decode()
-
-
-@cache
-def _spelt(key: str) -> re.Pattern[str]:
-    """A key in all the ways in which JSON may spell it."""
-    ways = (rf"(?:\\?{re.escape(c)}|\\u(?i:{ord(c):04x}))" for c in key)
-    return re.compile("".join(ways))
+    return wary_line(told, MOST_SAID)

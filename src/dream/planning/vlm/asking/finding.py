@@ -7,8 +7,7 @@ import re
 
 from pydantic import BaseModel, ValidationError
 
-from dream.planning.vlm.server_words import plain
-from dream.telling import one_line
+from dream.planning.vlm.asking.scrubbing import plain_line
 
 MOST_SEARCHED = 1 << 16
 """Characters at the end of a reply in which its answer is looked for; a whole answer has ten thousand."""
@@ -80,7 +79,7 @@ def lacking(text: str, reply: type[BaseModel]) -> str:
         faults = error.errors(include_url=False, include_input=False, include_context=False)
         told = [f"{_place(fault['loc'])}: {_words(fault['msg'])}" for fault in faults[:MOST_LACKS]]
         more = [f"{len(faults) - MOST_LACKS} more"] if len(faults) > MOST_LACKS else []
-        return one_line(plain("; ".join([*told, *more])))[:MOST_LACKING]
+        return plain_line("; ".join([*told, *more]), MOST_LACKING)
     return ""
 
 

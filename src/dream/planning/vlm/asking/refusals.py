@@ -6,22 +6,12 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from dream.planning.vlm.server_words import (
-    ADDRESS,
-    CONTEXT,
-    MODEL,
-    NO_SUCH_REQUEST,
-    TOO_MANY,
-    never,
-    said,
-)
+from dream.planning.vlm.asking.server_words import CONTEXT, never, said
 
-DENIED = "denied"
-"""How the reason begins where a model cannot be asked at all."""
-QUOTA = "quota"
-"""How it begins where nothing is left to spend."""
-REJECTED = "rejected"
-"""How it begins where the server takes no such request."""
+NO_SUCH_REQUEST = (400, 413, 415, 422, 501)
+"""HTTP statuses of a request that the server does not take, whoever sends it and whenever."""
+TOO_MANY = 429
+"""HTTP status of a request that comes too soon; the client waits as long as it is told, and asks again."""
 BOUNDS = ("max_tokens", "max_completion_tokens", "")
 """What a server may call the most tokens of a reply; the last is none. Most know the first; OpenAI's models
 that think only the second, which llama-cpp-python and some Ollama ignore (llama-cpp-python issue 1907)."""
@@ -48,22 +38,9 @@ class Refusal:
         """Would the same request be turned away again?"""
         return self.status in NO_SUCH_REQUEST or (self.status != TOO_MANY and bool(self.about))
 
-    @property
-    def reason(self) -> str:
-        """Why there is no answer."""
-        status = f"HTTP {self.status}"
-        if self.within:
-            status = "HTTP 200 with an error" + ("" if self.status == 200 else f" {self.status}")
-        told = f"{status}: {self.words}" if self.words else status
-        if self.status in (401, 403):  # Such words tend to hold what was sent as a key.
-            return f"{DENIED}: {status}"
-        if self.status == 402:
-            return f"{QUOTA}: nothing is left to spend there"
-        if self.status == TOO_MANY:
-            return "rate limit: the server asks to wait"
-        if self.status == 404 or self.about in (MODEL, ADDRESS):
-            return f"{DENIED}: {told}"
-        return f"{REJECTED if self.lasting else 'server'}: {told}"
+
+class TooLongError(ValueError):
+    """A reply that is not read to its end."""
 
 
 class ErrorInReplyError(Exception):

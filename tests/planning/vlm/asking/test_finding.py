@@ -9,11 +9,11 @@ import time
 
 import pytest
 
-from dream.planning.vlm import finding
-from dream.planning.vlm.finding import answer_in, fits, lacking
+from dream.planning.vlm.asking import finding
+from dream.planning.vlm.asking.finding import answer_in, fits, lacking
 from dream.planning.vlm.reply import dream_reply
 from dream.protocol import DREAM_V1
-from tests.planning.vlm.counting import SO, Number
+from tests.planning.vlm.asking.counting import SO, Number
 
 DRAFT = '{"why": "draft", "number": 9}'
 

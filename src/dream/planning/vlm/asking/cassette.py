@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dream.files import whole_or_nothing
+from dream.planning.vlm.asking.question import RawAnswer
 
 FORMAT = "dream-exchange-1"
 MOST_BYTES = 16 << 20
@@ -27,25 +25,7 @@ lost: Counter[Path] = Counter()
 """Exchanges that this process could not keep, by folder."""
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """What came of a question, before it was checked."""
-
-    replies: tuple[str, ...] = ()
-    fallback: str = ""
-    requests: int = 0
-    tokens_in: int = 0
-    tokens_out: int = 0
-    cost_usd: float | None = 0.0
-    seconds: float = 0.0
-    answered_by: str = ""
-
-    def lasting(self, seconds: float) -> Outcome:
-        """The same, with the time that it took."""
-        return replace(self, seconds=round(seconds, 3))
-
-
-class _Kept(BaseModel):
+class _KeptExchange(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     format: str = Field(pattern=f"^{FORMAT}$")
@@ -61,14 +41,6 @@ class _Kept(BaseModel):
     cost_usd: float | None
     seconds: float = Field(ge=0.0)
     answered_by: str = ""
-
-
-def key_of(texts: list[Any], pictures: Mapping[str, bytes]) -> str:
-    """Hash of a question: texts and schemas as JSON, and pictures."""
-    whole = hashlib.sha256(json.dumps(texts, sort_keys=True).encode())
-    for name, png in pictures.items():
-        whole.update(f"\n{name}:{_sha(png)}".encode())
-    return whole.hexdigest()[:32]
 
 
 def prepare(folder: Path) -> None:
@@ -92,14 +64,14 @@ def forget(folder: Path, key: str) -> None:
 
 
 def keep(
-    folder: Path, key: str, outcome: Outcome, prompt: str, question: str, pictures: Mapping[str, bytes]
+    folder: Path, key: str, outcome: RawAnswer, prompt: str, question: str, pictures: Mapping[str, bytes]
 ) -> None:
     """Write an exchange, whole or not at all. The key of a model is in none of what is written."""
     for png in pictures.values():
         path = folder / "pictures" / f"{_sha(png)}.png"
         if not path.exists():
             _replace(path, png)
-    kept = _Kept(
+    kept = _KeptExchange(
         format=FORMAT,
         prompt=prompt,
         question=question,
@@ -121,7 +93,7 @@ def holds(folder: Path, key: str) -> bool:
     return (folder / f"{key}.json").is_file()
 
 
-def play(folder: Path, key: str, prompt: str) -> Outcome:
+def play(folder: Path, key: str, prompt: str) -> RawAnswer:
     """An exchange that was kept.
 
     Raises:
@@ -138,10 +110,10 @@ def play(folder: Path, key: str, prompt: str) -> Outcome:
     if path.stat().st_size > MOST_BYTES:
         raise ValueError(f"{path}: expected at most {MOST_BYTES} bytes, got more")
     try:
-        kept = _Kept.model_validate_json(path.read_bytes())
+        kept = _KeptExchange.model_validate_json(path.read_bytes())
     except ValidationError as error:
         raise ValueError(f"{path}: expected a kept exchange, got {error.errors()[0]['msg']}") from error
-    return Outcome(
+    return RawAnswer(
         kept.replies,
         kept.fallback,
         kept.requests,
