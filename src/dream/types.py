@@ -19,7 +19,7 @@ from dream.geometry import SE2, SE3, Bounds, Camera
 from dream.protocol import SurveyProtocol
 
 if TYPE_CHECKING:
-    from dream.mapping import OccupancyMap
+    from dream.mapping.occupancy import OccupancyMap
     from dream.mapping.prior import Prior
     from dream.orders import Flown
 

@@ -16,9 +16,9 @@ from scipy.spatial import cKDTree
 from dream.geometry import SE2, Bounds
 from dream.mapping import Completion, OccupancyMap, Region
 from dream.mapping._kernels import sightlines
-from dream.mapping._kernels.flags import EDGE
+from dream.mapping._kernels.flags import EDGE, RAYS
 from dream.mapping._kernels.room import segment_is_free
-from dream.mapping.visibility import FRACTIONS, RAYS, ray_table
+from dream.mapping.visibility import FRACTIONS, ray_table
 from dream.types import BoolArray, IntArray
 
 Float64Array = npt.NDArray[np.float64]
@@ -220,7 +220,7 @@ def seeable_at_once(occupancy: OccupancyMap, nodes: Float64Array, candidates: In
             0.5 * protocol.camera.horizontal_fov,
             protocol.heading_step,
         ),
-        sightlines.Rays(rays.rows, rays.cols, rays.first, rays.last),
+        rays,
     )
     seen: IntArray = candidates[found]
     return seen

@@ -26,6 +26,7 @@ from dream.mapping import (
     view,
 )
 from dream.mapping._kernels.flags import BARE, CROSSED, EXPLORED, RETURNED
+from dream.mapping.lattice import nodes_in
 from dream.mapping.sightlines import seeable
 from dream.protocol import DREAM_V1, POOL_V1, SurveyProtocol
 from dream.types import BoolArray
@@ -200,8 +201,7 @@ def test_the_free_moves_are_those_that_are_passable_after_any_change(
     kept = Kept(Bounds(west, south, west + side * cell, south + side * cell) if corner else None, protocol)
     low = (0, 0) if corner else (-40, -50)
     kept.fill("flags", *low, (side, side), BARE_GROUND)
-    first = round(south / lattice) - 2, round(west / lattice) - 3
-    shape = round(side * cell / lattice) + 5, round(side * cell / lattice) + 7
+    first, shape = nodes_in(kept.map.bounds, protocol)
     offsets = np.array([[protocol.offset(h, a) for a in protocol.advances] for h in range(protocol.headings)])
     row, col = np.indices(shape)
     begin = np.broadcast_to(
@@ -215,7 +215,7 @@ def test_the_free_moves_are_those_that_are_passable_after_any_change(
         stands = np.zeros(len(starts), np.bool_)
         stands[inside] = kept.map.standable[kept.map.cell_of(*starts[inside].T)]
         expected = (kept.map.passable(starts, ends) & stands).reshape(begin.shape[:-1])
-        np.testing.assert_array_equal(free_moves(kept.map, first, shape), expected)
+        np.testing.assert_array_equal(free_moves(kept.map), expected)
         seen |= set(np.unique(expected))
     assert seen == {False, True}
 

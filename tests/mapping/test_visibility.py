@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 from dream.geometry import Bounds
 from dream.mapping import OccupancyMap, view
+from dream.mapping._kernels.flags import RAYS
 from dream.mapping._kernels.sight import SECTOR_SLACK
-from dream.mapping.visibility import RAYS, locate, visible_sector
+from dream.mapping.visibility import locate, visible_sector
 from dream.protocol import DREAM_V1, SurveyProtocol
 from dream.types import BoolArray
 from tests.mapping.analytic import empty_map, look, map_with

@@ -16,11 +16,12 @@ from hypothesis import strategies as st
 from dream.geometry import SE2, Bounds
 from dream.mapping import OccupancyMap
 from dream.mapping._kernels import flags
+from dream.mapping.lattice import offsets_of
 from dream.planning._kernels import lookahead
 from dream.planning._kernels.lookahead import FREE, UNKNOWN, Views
 from dream.planning.lookahead import NOTHING, SERVICE, LookAhead, Plan, Prospect
 from dream.planning.outlook import Listed, Outlook
-from dream.planning.travel import Pose, Travel, careful_standoff, careful_travel, offsets_of
+from dream.planning.travel import Pose, Travel, careful_standoff, careful_travel
 from dream.protocol import DREAM_V1
 from dream.types import BoolArray, Mission
 from tests.planning.views import shown_by

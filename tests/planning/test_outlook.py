@@ -12,9 +12,10 @@ from scipy.spatial import cKDTree
 
 from dream.geometry import Bounds
 from dream.mapping import OccupancyMap, view
+from dream.mapping.lattice import offsets_of
 from dream.planning._kernels.lookahead import BEARINGS, FREE, UNKNOWN
 from dream.planning.outlook import Listed, Outlook
-from dream.planning.travel import careful_standoff, offsets_of
+from dream.planning.travel import careful_standoff
 from dream.protocol import DREAM_V1
 from dream.types import BoolArray, Mission
 from tests.mapping.analytic import AREA

@@ -12,8 +12,9 @@ import pytest
 from dream.control import guard, setpoint
 from dream.geometry import SE2, Bounds
 from dream.mapping import OccupancyMap
+from dream.mapping.lattice import offsets_of
 from dream.planning._kernels.search import keep_to, search
-from dream.planning.travel import UNREACHED, Travel, offsets_of, travel_from
+from dream.planning.travel import UNREACHED, Travel, travel_from
 from dream.protocol import DREAM_V1
 from dream.types import Decision
 

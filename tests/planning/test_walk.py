@@ -15,9 +15,10 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 
 from dream.geometry import SE2
 from dream.mapping import OccupancyMap, traversal_margin
+from dream.mapping.lattice import offsets_of
 from dream.planning._kernels import walk as kernels
 from dream.planning._kernels.lookahead import FREE, UNKNOWN
-from dream.planning.travel import Pose, Travel, careful_travel, offsets_of
+from dream.planning.travel import Pose, Travel, careful_travel
 from dream.planning.walk import HORIZON, Walk
 from dream.protocol import POOL_V1
 from dream.traversal import traversed

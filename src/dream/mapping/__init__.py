@@ -14,7 +14,7 @@ from dream.mapping.drawing import draw_map
 from dream.mapping.frontiers import Frontier, frontiers
 from dream.mapping.gain import gain, visible_weight
 from dream.mapping.lattice import free_moves, reachable
-from dream.mapping.layers import Evidence, Layers, State
+from dream.mapping.layers import Evidence, Layers
 from dream.mapping.nearness import within
 from dream.mapping.occupancy import OccupancyMap
 from dream.mapping.visibility import view
@@ -26,7 +26,6 @@ __all__ = [
     "Layers",
     "OccupancyMap",
     "Region",
-    "State",
     "check_completion",
     "could_hide",
     "draw_map",

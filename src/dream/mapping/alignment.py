@@ -21,8 +21,6 @@ EAST, NORTH, TARGET, HEIGHT = range(4)
 PART = 0.125
 """Metres: what falls into a square of this side is one ground point, so that what is near, and shown by more
 pixels, does not outweigh what is far."""
-PIXELS = 1
-"""Of the rows and columns of an image every so many-th is looked at."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,18 +135,7 @@ def ground_points(
     """
     camera.check(depth, "depth")
     camera.check(labels, "labels")
-    half = 0.5 * (PIXELS - 1) / PIXELS
-    depth, labels = depth[::PIXELS, ::PIXELS], labels[::PIXELS, ::PIXELS]
-    # The first pixel's centre, half a pixel from the corner, stays where it was.
-    thinned = Camera(
-        width=depth.shape[1],
-        height=depth.shape[0],
-        fx=camera.fx / PIXELS,
-        fy=camera.fy / PIXELS,
-        cx=camera.cx / PIXELS + half,
-        cy=camera.cy / PIXELS + half,
-    )
-    offsets = thinned.back_project(depth, SE3(T_world_camera.rotation, np.zeros(3)))
+    offsets = camera.back_project(depth, SE3(T_world_camera.rotation, np.zeros(3)))
     least, greatest = protocol.returns
     counts = (depth > least) & (depth <= greatest) & (labels != Label.WATER)
     counts &= np.hypot(offsets[..., 0], offsets[..., 1]) <= protocol.reach

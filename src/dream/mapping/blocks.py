@@ -36,6 +36,9 @@ class BlockStore:
         self.layers = {name: (np.dtype(dtype), shape) for name, (dtype, shape) in layers.items()}
         self.slot_of: dict[Key, int] = {}
         """Slot of every block made."""
+        self.first: Key = ()
+        """Least coordinates of any block, empty where there is none, and one past the greatest."""
+        self.past: Key = ()
         self.pools = {name: np.zeros((2, *shape), dtype) for name, (dtype, shape) in self.layers.items()}
         """Replaced when they grow: take them anew after `make`."""
         self.stamps: Int64Array = np.zeros(2, np.int64)
@@ -62,6 +65,8 @@ class BlockStore:
             self.stamps = grown(self.stamps, capacity, 1 + len(self))
         for key in new:
             self.slot_of[key] = len(self.slot_of) + 1
+            self.first = tuple(map(min, self.first or key, key))
+            self.past = tuple(max(a, i + 1) for a, i in zip(self.past or key, key, strict=True))
 
     def table(self, low: Sequence[int], shape: Sequence[int]) -> IntArray:
         """Slots of a box of blocks, of the given shape; 0 where there is none."""
@@ -125,7 +130,7 @@ class BlockStore:
     def copy(self) -> BlockStore:
         """A store of its own with the same content."""
         other = BlockStore(self.layers)
-        other.slot_of = dict(self.slot_of)
+        other.slot_of, other.first, other.past = dict(self.slot_of), self.first, self.past
         used = 1 + len(self)
         other.pools = {name: grown(pool, max(used, 2), used) for name, pool in self.pools.items()}
         other.stamps = grown(self.stamps, max(used, 2), used)

@@ -11,17 +11,30 @@ import numpy.typing as npt
 
 from dream.geometry import SE3, Camera
 from dream.mapping._kernels import flags
+from dream.mapping._kernels.flags import BLOCK, RAYS
+from dream.mapping._kernels.window import (
+    Image,
+    Pools,
+    Posts,
+    Rule,
+    Runs,
+    Said,
+    Samples,
+    Scratch,
+    Seabed,
+    Sector,
+    View,
+    Window,
+)
 from dream.mapping.blocks import BlockStore
-from dream.mapping.layers import BLOCK, LEVELS, QUANTUM, Evidence, Rectangle, post_bits
-from dream.mapping.visibility import RAYS
+from dream.mapping.layers import LEVELS, QUANTUM, Evidence, Rectangle, post_bits
 from dream.protocol import SurveyProtocol
-from dream.types import Float32Array, IntArray, Label, UInt8Array
+from dream.types import Float32Array, Label, UInt8Array
 
 PIXELS_ACROSS = 4
 """Pixels that are looked at along the side of a cell that faces the camera; what is nearer is thinned."""
 THINNINGS = 2
 """How often rows and columns may be halved, at most."""
-MOST_TABLES = 8
 MARGIN = 2
 """Cells around what a camera can see."""
 LOWER_PART = 0.25
@@ -47,62 +60,56 @@ class FrameWindow:
         self.evidence = evidence
         self.pixels = pixels
         self.datum = math.nan
+        """World z of the seabed below the camera, as the altitude has it."""
         self._bits = post_bits(protocol)
         post = 1 << self._bits
         reach = math.ceil(protocol.reach / protocol.cell)
         # The window's low corner lies on a post; two cells are for rounding.
-        self._side = -(-(2 * reach + 3 + post) // post) * post
+        self._side = side = -(-(2 * reach + 3 + post) // post) * post
         self._half = reach + 1
-        self._posts = self._side >> self._bits
-        cells = self._side**2
-        at = np.arange(self._side) >> self._bits
-        self._post_of = (at[:, None] * self._posts + at[None, :]).astype(np.int32).ravel()
-        self._samples = np.empty(pixels + 1, np.int32)
-        self._heights = np.empty(pixels + 1, np.float32)
-        self._farthest = np.empty(RAYS, np.float32)
-        self._post_sum, self._post_count = np.empty(self._posts**2), np.empty(self._posts**2)
-        self._prior = np.empty(self._posts**2)
-        self._row_scratch = (
+        self._posts = side >> self._bits
+        self._first = (0, 0)
+        """The first block around the window."""
+        at = np.arange(side) >> self._bits
+        self._seabed = Seabed(
+            post_of=(at[:, None] * self._posts + at[None, :]).astype(np.int32).ravel(),
+            prior=np.empty(self._posts**2),
+            prior_room=protocol.band[0],
+            total=np.empty(self._posts**2),
+            points=np.empty(self._posts**2),
+        )
+        self._samples = Samples(
+            np.empty(pixels + 1, np.int32), np.empty(pixels + 1, np.float32), np.empty(RAYS, np.float32)
+        )
+        self._runs = Runs(
             np.empty(6 * pixels, np.float32),
+            np.empty((2, pixels), np.uint32),
             np.empty(4 * RUN, np.float32),
             np.empty(RUN, np.int32),
         )
-        self._extremes = np.empty((2, pixels), np.uint32)
+        self._table = np.zeros((0, 0), np.int64)
+        """Slots of the blocks from there on."""
         most_posts = (-(-self._posts // (1 << LEVELS)) + 5) << LEVELS
-        self._scratch = (
-            np.empty(cells, np.float32),
-            np.empty(cells, np.uint64),
-            np.empty(cells, np.int64),
-            np.empty(cells, np.uint8),
-            np.empty(cells, np.uint8),
-            np.empty((LEVELS + 1, 3, most_posts, most_posts)),
-            np.empty((self._posts + 2, self._side + 2 * post), np.float32),
+        self._grids = np.empty((LEVELS + 1, 3, most_posts, most_posts))
+        self._scratch = Scratch(
+            ground=np.empty(side**2, np.float32),
+            counts=np.empty(side**2, np.uint64),
+            targets=np.empty(side**2, np.int64),
+            flags=np.empty(side**2, np.uint8),
+            paths=np.empty(side**2, np.uint8),
+            wide=np.empty((self._posts + 2, side + 2 * post), np.float32),
+            above=self._runs.metric,
+            shifts=self._runs.marks,
         )
-        self._said = (np.empty(cells, np.int8), np.empty(cells, np.uint8), np.empty(cells, np.uint8))
-        self._touched = np.zeros((0, 0), np.bool_)
-        self._outline = (0, 0, 0, 0, 0)
-        self._low = (0, 0)
-        self._clip = (0, 0, 0, 0)
+        self._said = Said(
+            np.empty(side**2, np.int8),
+            np.empty(side**2, np.uint8),
+            np.empty(side**2, np.uint8),
+            np.zeros((0, 0), np.bool_),
+        )
+        self._rule = _rule(protocol, evidence)
         bearings = (np.arange(RAYS) + 0.5) * (2.0 * math.pi / RAYS)
         self._directions = np.column_stack([np.cos(bearings), np.sin(bearings)])
-        low, high = evidence.clamp
-        lower, upper = protocol.band
-        self._band = (lower, lower + LOWER_PART * (upper - lower), upper)
-        self._rule = (
-            (round(evidence.step / QUANTUM), round(evidence.doubt / QUANTUM)),
-            (math.ceil(low / QUANTUM - 1e-9), math.floor(high / QUANTUM + 1e-9)),
-            (
-                evidence.min_pixels,
-                evidence.min_share,
-                evidence.peak_share,
-                evidence.min_ground,
-                evidence.vote_pixels,
-                evidence.vote_share,
-                evidence.against_share,
-            ),
-            evidence.range_noise,
-        )
-        self._tables: dict[tuple[int, ...], tuple[int, IntArray]] = {}
 
     def read(
         self,
@@ -125,186 +132,184 @@ class FrameWindow:
         from dream.mapping._kernels import evidence as kernels
         from dream.mapping._kernels import pixels
 
-        protocol, evidence, side = self.protocol, self.evidence, self._side
-        cell, t = protocol.cell, T_world_camera.translation
-        x, y = (float(t[0]) - origin[0]) / cell, (float(t[1]) - origin[1]) / cell
-        row, col = math.floor(y), math.floor(x)
-        low = tuple((a - self._half) >> self._bits << self._bits for a in (row, col))
-        self._low = (low[0], low[1])
-        rotation = T_world_camera.rotation.tolist()
-        box = _overlook(camera, rotation, protocol.reach / cell, y, x)
-        first_row, first_col, past_row, past_col = limits
-        self._clip = (
-            min(max(first_row, box[0], low[0]) - low[0], side),
-            max(min(past_row, box[2], low[0] + side) - low[0], 0),
-            min(max(first_col, box[1], low[1]) - low[1], side),
-            max(min(past_col, box[3], low[1] + side) - low[1], 0),
-        )
-        self.datum = float(t[2]) - protocol.altitude
-
-        # ---- which posts the window's ground depends on
-        coarse, per_block = 1 << LEVELS, BLOCK >> self._bits
-        first = [a >> self._bits for a in low]
-        wide = [(a // coarse - 2) * coarse for a in first]
-        shape = [(-(-(a + self._posts) // coarse) + 2) * coarse - b for a, b in zip(first, wide, strict=True)]
-        post_table = self._table(
-            store,
-            [a // per_block for a in wide],
-            [(a % per_block + n - 1) // per_block + 1 for a, n in zip(wide, shape, strict=True)],
-        )
-        post_window = (*shape, first[0] - wide[0], first[1] - wide[1])
-        ground_rule = (LEVELS, evidence.ground_share, evidence.ground_pixels, self.datum)
-        pools = store.pools
-
+        protocol, (x, y, z) = self.protocol, T_world_camera.translation.tolist()
+        x, y = (x - origin[0]) / protocol.cell, (y - origin[1]) / protocol.cell
+        self.datum = z - protocol.altitude
+        overlook = _overlook(camera, T_world_camera.rotation.tolist(), protocol.reach / protocol.cell, y, x)
+        self._window = window = self._around(x, y, origin, limits, overlook)
+        posts, pools = self._posts_around(window), _pools(store)
+        per_block = BLOCK >> self._bits
+        blocks = -(-(posts.row + posts.rows) // per_block), -(-(posts.col + posts.cols) // per_block)
+        self._table = store.table(self._first, blocks)
+        if self._said.touched.shape != blocks:
+            self._said = self._said._replace(touched=np.zeros(blocks, np.bool_))
         soft = bool(np.issubdtype(labels.dtype, np.floating))
         if soft:
-            kernels.ground_before(
-                pools["ground_sum"],
-                pools["ground_count"],
-                post_table,
-                wide[0] % per_block,
-                wide[1] % per_block,
-                post_window,
-                ground_rule,
-                self._posts,
-                self._scratch[5],
-                self._prior,
-            )
-        self._post_sum[:], self._post_count[:] = 0.0, 0.0
-        under = ((row - low[0]) >> self._bits) * self._posts + ((col - low[1]) >> self._bits)
-        self._post_sum[under], self._post_count[under] = self.datum, 1.0
+            kernels.ground_before(pools, self._table, posts, self._posts, self._seabed.prior)
+        self._seabed.total[:], self._seabed.points[:] = 0.0, 0.0
+        under = (int(window.y) >> self._bits) * self._posts + (int(window.x) >> self._bits)
+        self._seabed.total[under], self._seabed.points[under] = self.datum, 1.0
         unit, cuts, raw = _cuts(protocol, camera, depth.dtype == np.uint16)
-        lines, metric, marks = self._row_scratch
         count = pixels.project(
-            depth,
-            depth.view(raw.dtype),
-            unit,
-            labels,
-            255.0 if soft else 1.0,
-            labels.dtype.type(-1.0 if soft else Label.WATER),
-            _KIND_OF_PROBABILITY if soft else _KIND_OF_LABEL,
-            (camera.fx, camera.fy, camera.cx, camera.cy),
-            T_world_camera.rotation,
-            t,
-            (origin[0] + low[1] * cell, origin[1] + low[0] * cell),
-            cell,
-            (*protocol.returns, protocol.reach),
-            cuts,
-            raw,
-            side,
-            self._clip,
-            self._post_of,
-            self._prior,
-            protocol.band[0],
+            Image(
+                depth,
+                depth.view(raw.dtype),
+                unit,
+                labels,
+                255.0 if soft else 1.0,
+                labels.dtype.type(-1.0 if soft else Label.WATER),
+                _KIND_OF_PROBABILITY if soft else _KIND_OF_LABEL,
+            ),
+            View(
+                camera.fx,
+                camera.fy,
+                camera.cx,
+                camera.cy,
+                T_world_camera.rotation,
+                T_world_camera.translation,
+                *protocol.returns,
+                protocol.reach,
+                cuts,
+                raw,
+            ),
+            window,
+            self._seabed,
             self._samples,
-            self._heights,
-            self._post_sum,
-            self._post_count,
-            self._farthest,
-            (lines, self._extremes.view(raw.dtype), metric, marks),
+            self._runs._replace(extremes=self._runs.extremes.view(raw.dtype)),
         )
-        offset = (low[0] % BLOCK, low[1] % BLOCK)
-        blocks = [(a + side - 1) // BLOCK + 1 for a in offset]
-        if self._touched.shape != tuple(blocks):
-            self._touched = np.zeros(blocks, np.bool_)
-        self._outline = kernels.read_frame(
-            (pools["log_odds"], pools["flags"], pools["ground_sum"], pools["ground_count"]),
-            (self._table(store, [a // BLOCK for a in low], blocks), post_table),
-            (*offset, wide[0] % per_block, wide[1] % per_block),
-            post_window,
-            ground_rule,
+        kernels.read_frame(
+            pools,
+            self._table,
+            posts,
+            window,
             self._samples,
-            self._heights,
             count,
-            self._post_sum,
-            self._post_count,
+            self._seabed,
+            _sector(protocol, camera, T_world_camera),
+            self._directions,
+            self._rule._replace(weight_of=_WEIGHT_OF_PROBABILITY) if soft else self._rule,
+            self._scratch,
+            self._said,
+        )
+
+    def _around(
+        self, x: float, y: float, origin: tuple[float, float], limits: Rectangle, overlook: Rectangle
+    ) -> Window:
+        """The window for a camera at (x, y), in cells; what is written lies in both rectangles of cells."""
+        side, cell = self._side, self.protocol.cell
+        row, col = ((math.floor(a) - self._half) >> self._bits << self._bits for a in (y, x))
+        # Its posts depend on those up to two of the coarsest away.
+        coarse = 1 << LEVELS + self._bits
+        self._first = (row // coarse - 2) * coarse // BLOCK, (col // coarse - 2) * coarse // BLOCK
+        first_row, first_col = max(limits[0], overlook[0], row), max(limits[1], overlook[1], col)
+        past_row, past_col = min(limits[2], overlook[2], row + side), min(limits[3], overlook[3], col + side)
+        return Window(
             side,
             self._bits,
-            self._band,
-            _WEIGHT_OF_PROBABILITY if soft else _WEIGHT_OF_LABEL,
-            (x - low[1], y - low[0]),
+            row - self._first[0] * BLOCK,
+            col - self._first[1] * BLOCK,
+            min(first_row - row, side),
+            max(past_row - row, 0),
+            min(first_col - col, side),
+            max(past_col - col, 0),
+            x - col,
+            y - row,
+            origin[0] + col * cell,
+            origin[1] + row * cell,
             cell,
-            self._rule,
-            self._sector(camera, rotation),
-            self._farthest,
-            self._directions,
-            self._clip,
-            (*self._scratch, metric, marks),
-            (*self._said, self._touched),
         )
 
-    def _sector(
-        self, camera: Camera, rotation: list[list[float]]
-    ) -> tuple[int, int, float, float, float, float, float, bool]:
-        """First and last ray, forward direction, half angle's cosine, reach, blind distance, level seen?"""
-        protocol, forward = self.protocol, [row[2] for row in rotation]
-        level_part = math.hypot(forward[0], forward[1])
-        if level_part < 0.1:  # Looking straight down there is no sector; the direct returns are all.
-            return 0, -1, 0.0, 0.0, -1.0, 0.0, 0.0, False
-        pitch = math.atan2(-forward[2], level_part)
-        left, right = _sides(camera)
-        yaw, half = math.atan2(forward[1], forward[0]) + 0.5 * (left + right), 0.5 * camera.horizontal_fov
-        steepest = math.atan((camera.height - camera.cy) / camera.fy) + pitch
-        if steepest <= 0.0:  # All of the image is above the horizon.
-            blind = math.inf
-        else:
-            blind = protocol.altitude / math.tan(steepest) if steepest < 0.5 * math.pi else 0.0
-        per_radian, per_metre = RAYS / (2.0 * math.pi), 1.0 / protocol.cell
-        return (
-            math.floor((yaw - half) * per_radian) - 1,
-            math.floor((yaw + half) * per_radian) + 1,
-            math.cos(yaw),
-            math.sin(yaw),
-            math.cos(half),
-            protocol.reach * per_metre,
-            blind * per_metre,
-            math.atan(camera.cy / camera.fy) >= pitch,
+    def _posts_around(self, window: Window) -> Posts:
+        """The posts that the window's ground depends on."""
+        coarse, margin = 1 << LEVELS, 2 << LEVELS
+        row, col = window.row >> self._bits, window.col >> self._bits
+        low_row, low_col = row // coarse * coarse - margin, col // coarse * coarse - margin
+        return Posts(
+            low_row,
+            low_col,
+            -(-(row + self._posts) // coarse) * coarse + margin - low_row,
+            -(-(col + self._posts) // coarse) * coarse + margin - low_col,
+            row - low_row,
+            col - low_col,
+            LEVELS,
+            self.evidence.ground_share,
+            self.evidence.ground_pixels,
+            self.datum,
+            self._grids,
         )
-
-    def _table(self, store: BlockStore, low: list[int], shape: list[int]) -> IntArray:
-        """`BlockStore.table`; mostly it is the same as before."""
-        key = (*low, *shape)
-        known = self._tables.get(key)
-        if known is None or known[0] != len(store):
-            if len(self._tables) >= MOST_TABLES:
-                self._tables = {}
-            known = self._tables[key] = (len(store), store.table(low, shape))
-        return known[1]
-
-    @property
-    def blocks(self) -> tuple[tuple[int, int], tuple[int, int]] | None:
-        """First of the blocks of which the frame says something, and past the last; None without any."""
-        first_row, past_row, first_col, past_col, _ = self._outline
-        if first_row >= past_row:
-            return None
-        row, col = (a // BLOCK for a in self._low)
-        return (row + first_row, col + first_col), (row + past_row, col + past_col)
 
     def commit(self, store: BlockStore, stamp: int) -> None:
         """Write what was read."""
         from dream.mapping._kernels import evidence as kernels
 
-        low = self._low
-        first = [a // BLOCK for a in low]
-        if self._outline[-1] > 0:
-            missing = self._touched & (self._table(store, first, list(self._touched.shape)) == 0)
-            store.make((first[0] + int(i), first[1] + int(j)) for i, j in np.argwhere(missing))
-        pools = store.pools
+        missing = self._said.touched & (self._table == 0)
+        if missing.any():
+            row, col = self._first
+            store.make((row + i, col + j) for i, j in np.argwhere(missing).tolist())
+            self._table = store.table(self._first, missing.shape)
         kernels.commit(
-            (pools["log_odds"], pools["flags"], pools["votes"], pools["ground_sum"], pools["ground_count"]),
+            _pools(store),
             store.stamps,
-            self._table(store, first, list(self._touched.shape)),
-            low[0] % BLOCK,
-            low[1] % BLOCK,
-            self._side,
-            self._clip,
-            (*self._said, self._touched),
+            self._table,
+            self._window,
+            self._said,
+            self._seabed,
             stamp,
-            self._bits,
-            self._post_sum,
-            self._post_count,
             self.evidence.ground_memory,
         )
+
+
+def _pools(store: BlockStore) -> Pools:
+    return Pools(*(store.pools[name] for name in Pools._fields))
+
+
+def _rule(protocol: SurveyProtocol, evidence: Evidence) -> Rule:
+    low, high = evidence.clamp
+    lower, upper = protocol.band
+    return Rule(
+        step=round(evidence.step / QUANTUM),
+        doubt=round(evidence.doubt / QUANTUM),
+        lowest=math.ceil(low / QUANTUM - 1e-9),
+        highest=math.floor(high / QUANTUM + 1e-9),
+        hit_pixels=evidence.min_pixels,
+        hit_share=evidence.min_share,
+        peak_share=evidence.peak_share,
+        miss_pixels=evidence.min_ground,
+        vote_pixels=evidence.vote_pixels,
+        vote_share=evidence.vote_share,
+        against_share=evidence.against_share,
+        noise=evidence.range_noise,
+        lower=lower,
+        middle=lower + LOWER_PART * (upper - lower),
+        upper=upper,
+        weight_of=_WEIGHT_OF_LABEL,
+    )
+
+
+def _sector(protocol: SurveyProtocol, camera: Camera, T_world_camera: SE3) -> Sector:
+    forward = T_world_camera.rotation[:, 2].tolist()
+    level_part = math.hypot(forward[0], forward[1])
+    if level_part < 0.1:  # Looking straight down there is no sector; the direct returns are all.
+        return Sector(0, -1, 0.0, 0.0, -1.0, 0.0, 0.0, False)
+    pitch = math.atan2(-forward[2], level_part)
+    left, right = _sides(camera)
+    yaw, half = math.atan2(forward[1], forward[0]) + 0.5 * (left + right), 0.5 * camera.horizontal_fov
+    steepest = math.atan((camera.height - camera.cy) / camera.fy) + pitch
+    if steepest <= 0.0:  # All of the image is above the horizon.
+        blind = math.inf
+    else:
+        blind = protocol.altitude / math.tan(steepest) if steepest < 0.5 * math.pi else 0.0
+    per_radian, per_metre = RAYS / (2.0 * math.pi), 1.0 / protocol.cell
+    return Sector(
+        math.floor((yaw - half) * per_radian) - 1,
+        math.floor((yaw + half) * per_radian) + 1,
+        math.cos(yaw),
+        math.sin(yaw),
+        math.cos(half),
+        protocol.reach * per_metre,
+        blind * per_metre,
+        math.atan(camera.cy / camera.fy) >= pitch,
+    )
 
 
 @lru_cache(maxsize=8)

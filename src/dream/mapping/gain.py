@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from dream.mapping.visibility import FRACTIONS, RAYS, Int32Array, RayTable, ray_table
+from dream.mapping._kernels.flags import RAYS
+from dream.mapping.visibility import FRACTIONS, Int32Array, RayTable, ray_table
 from dream.types import BoolArray, Float32Array
 
 if TYPE_CHECKING:
@@ -56,8 +56,7 @@ def visible_weight(
     return _sweep(occupancy, positions, weights, headings, None)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sweep:
+class Sweep(NamedTuple):
     """A ray table made ready for one sweep; `_kernels.sight.sweep_gain` says how it is read."""
 
     ranks: Int32Array
@@ -69,16 +68,20 @@ class Sweep:
     """(n,) cells that lie in the sectors of the same headings have the same number."""
     skip: int
     """Number of cells before the first that lies in any sector."""
-    first: Int64Array
-    """(groups,) the first heading."""
-    count: Int64Array
+    first_heading: Int64Array
+    """(groups,)"""
+    headings: Int64Array
     """(groups,) how many headings there are from there on."""
 
 
 @lru_cache(maxsize=2 * FRACTIONS * FRACTIONS)
-def sweep_table(table: RayTable, protocol: SurveyProtocol, headings: int) -> Sweep:
-    """The sweep over that table."""
-    cells, span = len(table.rows), _span(table)
+def sweep_table(
+    protocol: SurveyProtocol, fraction_x: int, fraction_y: int, headings: int
+) -> tuple[RayTable, Sweep]:
+    """What lies around a place inside its cell, see `ray_table`, and the sweep over it."""
+    table = ray_table(protocol.reach / protocol.cell, fraction_x, fraction_y)
+    cells = len(table.rows)
+    span = int(max(np.abs(table.rows).max(), np.abs(table.cols).max()))
     ranks = np.full((2 * span + 1, 2 * span + 1), cells, np.int32)
     ranks[table.rows + span, table.cols + span] = np.arange(cells)
     level = np.frexp(table.last - table.first + 1)[1] - 1
@@ -91,7 +94,7 @@ def sweep_table(table: RayTable, protocol: SurveyProtocol, headings: int) -> Swe
     )
     first, count = pairs.T.copy()
     skip = int(np.argmax(count[group.ravel()] > 0))
-    return Sweep(ranks, head, tail, group.ravel().astype(np.uint32), skip, first, count)
+    return table, Sweep(ranks, head, tail, group.ravel().astype(np.uint32), skip, first, count)
 
 
 def sector_headings(
@@ -108,10 +111,6 @@ def sector_headings(
     count = np.minimum(np.maximum(last - first + 1, 0), headings)
     count[table.distance < protocol.blind / protocol.cell - 1e-6] = 0
     return np.where(count > 0, first % headings, 0), count
-
-
-def _span(table: RayTable) -> int:
-    return int(max(np.abs(table.rows).max(), np.abs(table.cols).max()))
 
 
 def _sweep(
@@ -136,8 +135,7 @@ def _sweep(
     if headings < 1:
         raise ValueError(f"headings: expected at least 1, got {headings}")
     gains = np.zeros((len(points), headings), np.float32)
-    radius = protocol.reach / protocol.cell
-    span = math.ceil(radius) + 1
+    span = math.ceil(protocol.reach / protocol.cell) + 1
     origin = np.array([occupancy.bounds.x_min, occupancy.bounds.y_min])
     in_cells = (points - origin) / protocol.cell
     near = np.flatnonzero(((in_cells > -span) & (in_cells < np.add(occupancy.shape[::-1], span))).all(axis=1))
@@ -159,25 +157,9 @@ def _sweep(
         kinds, kind_of = np.unique(fraction[members] @ (FRACTIONS, 1), return_inverse=True)
         for kind, fractions in enumerate(kinds):
             mine = members[kind_of == kind]
-            table = ray_table(radius, int(fractions) // FRACTIONS, int(fractions) % FRACTIONS)
-            sweep = sweep_table(table, protocol, headings)
-            gains[near[mine]] = sight.sweep_gain(
-                values,
-                columns,
-                starts,
-                place[mine, 1] - low[1],
-                place[mine, 0] - low[0],
-                sweep.ranks,
-                table.rows,
-                table.cols,
-                sweep.head,
-                sweep.tail,
-                sweep.group,
-                sweep.skip,
-                sweep.first,
-                sweep.count,
-                headings,
-            )
+            table, sweep = sweep_table(protocol, *divmod(int(fractions), FRACTIONS), headings)
+            rows, cols = place[mine, 1] - low[1], place[mine, 0] - low[0]
+            gains[near[mine]] = sight.sweep_gain(values, columns, starts, rows, cols, table, sweep, headings)
     return gains
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from dream.geometry import SE2
+from dream.geometry import SE2, Bounds
 from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, IntArray
 
@@ -34,32 +34,19 @@ def reachable(occupancy: OccupancyMap, pose: SE2) -> Float64Array:
         (P, 2) metres in the world by row, then column, the snapped position among them; empty where that is
         out of bounds.
     """
-    first, _ = nodes_of(occupancy)
+    first, _ = nodes_in(occupancy.bounds, occupancy.protocol)
     nodes = np.add(np.argwhere(reached(occupancy, pose)), first)
     positions: Float64Array = np.multiply(nodes[:, ::-1], occupancy.protocol.lattice)
     return positions
 
 
-def free_moves(occupancy: OccupancyMap, corner: tuple[int, int], shape: tuple[int, int]) -> UInt8Array:
-    """Which of the protocol's advances are `passable` from the nodes of a part of the lattice.
-
-    Args:
-        occupancy: What is known.
-        corner: Row and column of the first node, which lies at y = row · lattice, x = column · lattice.
-        shape: Rows and columns of nodes.
+def free_moves(occupancy: OccupancyMap) -> UInt8Array:
+    """Which of the protocol's advances are `passable` from the nodes in the bounds; see `nodes_in`.
 
     Returns:
         (rows, cols, headings, advances) 1 or 0; 0 from nodes where the vehicle cannot stand.
     """
-    _, move_of = moves_of(occupancy.protocol)
-    free = np.zeros((*shape, *move_of.shape), np.uint8)
-    (row, col), (rows, cols) = nodes_of(occupancy)
-    first = max(row, corner[0]), max(col, corner[1])
-    past = min(row + rows, corner[0] + shape[0]), min(col + cols, corner[1] + shape[1])
-    if first[0] < past[0] and first[1] < past[1]:
-        known = _free(occupancy)[first[0] - row : past[0] - row, first[1] - col : past[1] - col]
-        there = slice(first[0] - corner[0], past[0] - corner[0])
-        free[there, first[1] - corner[1] : past[1] - corner[1]] = known[:, :, move_of]
+    free: UInt8Array = _free(occupancy)[:, :, moves_of(occupancy.protocol)[1]]
     return free
 
 
@@ -68,12 +55,21 @@ def node_of(pose: SE2, protocol: SurveyProtocol) -> tuple[int, int]:
     return round(pose.y / protocol.lattice), round(pose.x / protocol.lattice)
 
 
-def nodes_of(occupancy: OccupancyMap) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Row and column of the first node in the bounds; how many rows and columns of them there are."""
-    bounds, lattice = occupancy.bounds, occupancy.protocol.lattice
+def nodes_in(bounds: Bounds, protocol: SurveyProtocol) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Row and column of the first node in bounds; how many rows and columns of them there are.
+
+    The node (row, col) lies at y = row · lattice, x = col · lattice.
+    """
+    lattice = protocol.lattice
     row, col = (math.ceil(edge / lattice - BEYOND) for edge in (bounds.y_min, bounds.x_min))
     last_row, last_col = (math.floor(edge / lattice + BEYOND) for edge in (bounds.y_max, bounds.x_max))
     return (row, col), (last_row + 1 - row, last_col + 1 - col)
+
+
+def offsets_of(protocol: SurveyProtocol) -> npt.NDArray[np.int64]:
+    """(headings, advances, 2) lattice steps east and north of each advance."""
+    offsets = [[protocol.offset(h, a) for a in protocol.advances] for h in range(protocol.headings)]
+    return np.array(offsets, np.int64)
 
 
 @lru_cache(maxsize=8)
@@ -83,15 +79,9 @@ def moves_of(protocol: SurveyProtocol) -> tuple[IntArray, IntArray]:
     Returns:
         (n, 2) lattice steps east and north, none at all among them; (headings, advances) which of them it is.
     """
-    offsets = [
-        [protocol.offset(heading, advance) for advance in protocol.advances]
-        for heading in range(protocol.headings)
-    ]
+    offsets = [[tuple(offset) for offset in row] for row in offsets_of(protocol).tolist()]
     moves = sorted({(0, 0)}.union(*offsets))
-    return (
-        np.array(moves, np.int64),
-        np.array([[moves.index(offset) for offset in row] for row in offsets], np.int64),
-    )
+    return np.array(moves, np.int64), np.array([[moves.index(o) for o in row] for row in offsets], np.int64)
 
 
 def grid_of(occupancy: OccupancyMap) -> tuple[float, float, float, float]:
@@ -105,7 +95,7 @@ def _free(occupancy: OccupancyMap) -> UInt8Array:
     from dream.mapping._kernels import lattice as kernels
 
     def find() -> UInt8Array:
-        (row, col), (rows, cols) = nodes_of(occupancy)
+        (row, col), (rows, cols) = nodes_in(occupancy.bounds, occupancy.protocol)
         moves, _ = moves_of(occupancy.protocol)
         free: UInt8Array = kernels.free_moves(
             occupancy.room,
@@ -127,7 +117,7 @@ def reached(occupancy: OccupancyMap, pose: SE2) -> BoolArray:
     start = node_of(pose, occupancy.protocol)
 
     def find() -> BoolArray:
-        (row, col), (rows, cols) = nodes_of(occupancy)
+        (row, col), (rows, cols) = nodes_in(occupancy.bounds, occupancy.protocol)
         if not (0 <= start[0] - row < rows and 0 <= start[1] - col < cols):
             return np.zeros((rows, cols), np.bool_)
         found: BoolArray = kernels.reach(

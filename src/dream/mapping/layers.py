@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import enum
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -29,8 +28,6 @@ POST = 0.64
 """Metres between posts, about: as far as the seabed is smooth."""
 LEVELS = 3
 """Coarser grids that fill the gaps between posts."""
-BLOCK = 64
-"""Cells along a block."""
 MOST_CELLS = 1 << 26
 """Of a window whose layers are read, each a byte or more; a map without an end may reach farther."""
 QUANTUM = 0.05
@@ -39,14 +36,6 @@ QUANTUM = 0.05
 
 Rectangle = tuple[int, int, int, int]
 """First row and column, past row and column."""
-
-
-class State(enum.IntEnum):
-    """What is known of a cell."""
-
-    UNKNOWN = 0
-    FREE = 1
-    SOLID = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -294,16 +283,6 @@ class Layers:
     def _flag(self, bits: int) -> BoolArray:
         marked: BoolArray = (self._cells("flags") & bits) != 0
         return marked
-
-    @property
-    def state(self) -> npt.NDArray[np.uint8]:
-        """uint8 values of `State`."""
-        return self._layer(
-            "state",
-            lambda: np.where(self.solid, State.SOLID, np.where(self.known, State.FREE, State.UNKNOWN)).astype(
-                np.uint8
-            ),
-        )
 
     @property
     def known(self) -> BoolArray:

@@ -16,11 +16,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from dream import arrays
 from dream.geometry import SE3, Bounds, Camera
 from dream.mapping._kernels import flags
-from dream.mapping._kernels.flags import EDGE
+from dream.mapping._kernels.flags import BLOCK, EDGE
 from dream.mapping.blocks import BlockStore
 from dream.mapping.frame import FrameWindow, unsure
 from dream.mapping.layers import (
-    BLOCK,
     CELLS,
     POSTS,
     TRAVERSED,
@@ -114,8 +113,6 @@ class OccupancyMap(Layers):
         area = bounds or Bounds(0.0, 0.0, protocol.cell, protocol.cell)
         origin = (area.x_min, area.y_min)
         super().__init__(store, (0, 0), area, protocol, evidence or Evidence(), origin, math.nan)
-        self._written: tuple[tuple[int, int], tuple[int, int]] | None = None
-        """First block that was written, and the one past the last; others may have come from a file."""
         self._bounded = bounds is not None
         self._stamp = 0
         self._frame: FrameWindow | None = None
@@ -168,7 +165,6 @@ class OccupancyMap(Layers):
         self._stamp += 1
         for key in self._store.write(name, low, cells):
             self._store.stamps[self._store.slot_of[key]] = self._stamp
-            self._extend((key[0], key[1]), (key[0] + 1, key[1] + 1))
         self._changed()
 
     def integrate(
@@ -220,9 +216,6 @@ class OccupancyMap(Layers):
         self._datum = window.datum
         self._stamp += 1
         window.commit(self._store, self._stamp)
-        blocks = window.blocks
-        if blocks is not None:
-            self._extend(*blocks)
         self._changed()
         if self.protocol.traversal is not None:
             self._traverse(T_world_camera)
@@ -244,20 +237,14 @@ class OccupancyMap(Layers):
         )
 
     def _changed(self) -> None:
+        """Forget what was read; an endless map has the blocks that were made since, too."""
         self._layers = {}
         self._answers = {}
-
-    def _extend(self, first: tuple[int, int], past: tuple[int, int]) -> None:
-        """An endless map has these blocks too; called before `_changed`."""
-        low, high = self._written or (first, past)
-        low = (min(low[0], first[0]), min(low[1], first[1]))
-        high = (max(high[0], past[0]), max(high[1], past[1]))
-        if self._bounded or self._written == (low, high):
-            return
-        self._written = (low, high)
-        self._low = (low[0] * BLOCK, low[1] * BLOCK)
-        self._shape = ((high[0] - low[0]) * BLOCK, (high[1] - low[1]) * BLOCK)
-        self.bounds = self._window(self._low, self._shape)
+        if not self._bounded and len(self._store):
+            (row, col), (past_row, past_col) = self._store.first, self._store.past
+            self._low = row * BLOCK, col * BLOCK
+            self._shape = (past_row - row) * BLOCK, (past_col - col) * BLOCK
+            self.bounds = self._window(self._low, self._shape)
 
     # ---------------------------------------------------------------------------------- what comes out
 
@@ -319,20 +306,6 @@ class OccupancyMap(Layers):
         return self._bounded
 
     @property
-    def stamp(self) -> int:
-        """Number of changes so far; `dirty` takes one from before."""
-        return self._stamp
-
-    def dirty(self, since: int = 0) -> list[Bounds]:
-        """The blocks that were written after a stamp, as boxes in the world."""
-        stamps = self._store.stamps
-        return [
-            self._window((row * BLOCK, col * BLOCK), (BLOCK, BLOCK))
-            for (row, col), slot in self._store.slot_of.items()
-            if stamps[slot] > since
-        ]
-
-    @property
     def nbytes(self) -> int:
         """Bytes that the cells take."""
         return self._store.nbytes
@@ -344,8 +317,7 @@ class OccupancyMap(Layers):
         other = OccupancyMap(self.bounds if self._bounded else None, self.protocol, self.evidence)
         other._store = self._store.copy()
         other._stamp, other._datum, other.area = self._stamp, self._datum, self.area
-        if self._written is not None:
-            other._extend(*self._written)
+        other._changed()
         return other
 
     def save(self, path: str | Path) -> None:
@@ -438,10 +410,6 @@ def _read(content: arrays.Npz) -> OccupancyMap:
     occupancy._stamp = about.stamp
     occupancy._datum = math.nan if about.datum is None else about.datum
     occupancy.restrict(about.area)
-    written = keys[stamps > 0]
-    if len(written):
-        first, last = written.min(axis=0), written.max(axis=0)
-        occupancy._extend((int(first[0]), int(first[1])), (int(last[0]) + 1, int(last[1]) + 1))
     return occupancy
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dream.geometry import SE2
-from dream.mapping.lattice import grid_of, node_of, nodes_of, reached
+from dream.mapping.lattice import grid_of, node_of, nodes_in, reached
 from dream.mapping.nearness import within
 from dream.mapping.visibility import FRACTIONS, ray_table
 from dream.types import BoolArray, IntArray
@@ -45,8 +45,7 @@ def seeable(occupancy: OccupancyMap, pose: SE2, cells: IntArray) -> BoolArray:
             protocol.heading_step,
         )
         rays = ray_table(reach + 1.0, FRACTIONS // 2, FRACTIONS // 2)
-        table = kernels.Rays(rays.rows, rays.cols, rays.first, rays.last)
-        found = kernels.seeable(occupancy.solid, asked, nodes, sensor, table)
+        found = kernels.seeable(occupancy.solid, asked, nodes, sensor, rays)
         answers[tuple(asked[found].T)] = SEEN
     seen: BoolArray = answers[tuple(cells.T)] == SEEN
     return seen
@@ -56,7 +55,7 @@ def _nodes_by_cell(occupancy: OccupancyMap, pose: SE2) -> tuple[Nodes, BoolArray
     """The reachable positions, and (rows, cols) the cells that some of them is near enough to see."""
     from dream.mapping._kernels import sightlines as kernels
 
-    first, _ = nodes_of(occupancy)
+    first, _ = nodes_in(occupancy.bounds, occupancy.protocol)
     nodes: Nodes = kernels.nodes_by_cell(
         reached(occupancy, pose), first, grid_of(occupancy), occupancy.low, occupancy.shape
     )

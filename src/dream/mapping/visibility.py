@@ -9,20 +9,18 @@ exact: along a ray, cells follow each other in the order of their centres' dista
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from dream.mapping._kernels.flags import RAYS
 from dream.types import BoolArray
 
 if TYPE_CHECKING:
     from dream.mapping.occupancy import OccupancyMap
 
-RAYS = 1024
-"""Rays in a full turn. At 8 m they are 5 cm apart, so that several cross every cell."""
 FRACTIONS = 8
 """Positions are resolved to this part of a cell; those of a protocol's lattice fall on it exactly."""
 
@@ -30,8 +28,7 @@ Int32Array = npt.NDArray[np.int32]
 Float64Array = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RayTable:
+class RayTable(NamedTuple):
     """The surroundings of a position from near to far, and the rays that cross them. Lengths in cells."""
 
     rows: Int32Array
@@ -129,20 +126,7 @@ def visible_sector(
     from dream.mapping._kernels import sight
 
     visible: BoolArray = sight.cast_sector(
-        solid,
-        row,
-        col,
-        table.rows,
-        table.cols,
-        table.x,
-        table.y,
-        table.distance,
-        table.first,
-        table.last,
-        math.cos(yaw),
-        math.sin(yaw),
-        math.cos(half_angle),
-        blind,
+        solid, row, col, table, math.cos(yaw), math.sin(yaw), math.cos(half_angle), blind
     )
     return visible
 

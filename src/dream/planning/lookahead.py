@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from dream.mapping.lattice import offsets_of
 from dream.planning.outlook import Listed, Outlook
-from dream.planning.travel import IntArray, Pose, Travel, offsets_of
+from dream.planning.travel import IntArray, Pose, Travel
 from dream.planning.views import Views as PoseViews
 from dream.types import BoolArray, Float32Array
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from dream.planning.travel import IntArray, Pose, lattice_in, offsets_of
+from dream.mapping.lattice import nodes_in, offsets_of
+from dream.planning.travel import IntArray, Pose
 from dream.types import BoolArray, Float32Array, Mission
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ class Outlook:
 
         protocol, bounds = self.mission.protocol, self.mission.bounds
         lattice, cell = protocol.lattice, protocol.cell
-        self.west, self.south, self.cols, self.rows = lattice_in(bounds, protocol)
+        (self.south, self.west), (self.rows, self.cols) = nodes_in(bounds, protocol)
         self._pad = math.ceil((protocol.reach + self.notice) / lattice) + 2
         self._stride = self.cols + 2 * self._pad
         self.tiles = self._stride * (self.rows + 2 * self._pad)

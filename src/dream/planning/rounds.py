@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from dream.mapping.lattice import offsets_of
 from dream.planning.lookahead import Plan, Prospect
 from dream.planning.outlook import Outlook
-from dream.planning.travel import UNREACHED, IntArray, Pose, Travel, offsets_of
+from dream.planning.travel import UNREACHED, IntArray, Pose, Travel
 from dream.planning.walk import rest_of
 from dream.types import BoolArray, Float32Array
 

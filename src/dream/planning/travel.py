@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from dream.geometry import SE2, Bounds, wrap_angle
+from dream.geometry import SE2, wrap_angle
+from dream.mapping.lattice import free_moves, nodes_in, offsets_of
 from dream.protocol import SurveyProtocol
 
 if TYPE_CHECKING:
@@ -91,21 +91,6 @@ class Travel:
         return turn, advance
 
 
-def lattice_in(bounds: Bounds, protocol: SurveyProtocol) -> tuple[int, int, int, int]:
-    """West, south, columns and rows of the nodes in bounds; see `Travel`."""
-    spacing = protocol.lattice
-    west, south = math.ceil(bounds.x_min / spacing - 1e-9), math.ceil(bounds.y_min / spacing - 1e-9)
-    cols = math.floor(bounds.x_max / spacing + 1e-9) - west + 1
-    rows = math.floor(bounds.y_max / spacing + 1e-9) - south + 1
-    return west, south, cols, rows
-
-
-def offsets_of(protocol: SurveyProtocol) -> npt.NDArray[np.int64]:
-    """(headings, advances, 2) lattice steps (east, north)."""
-    offsets = [[protocol.offset(h, a) for a in protocol.advances] for h in range(protocol.headings)]
-    return np.array(offsets, np.int64)
-
-
 def travel_from(pose: SE2, occupancy: OccupancyMap, *, standoff: float = 0.0) -> Travel:
     """Search from `pose` over all moves of the protocol that stay on standable ground.
 
@@ -118,14 +103,14 @@ def travel_from(pose: SE2, occupancy: OccupancyMap, *, standoff: float = 0.0) ->
 
     protocol = occupancy.protocol
     bounds, spacing = occupancy.bounds, protocol.lattice
-    west, south, cols, rows = lattice_in(bounds, protocol)
+    (south, west), (rows, cols) = nodes_in(bounds, protocol)
     offsets = offsets_of(protocol)
     row, col = round(pose.y / spacing) - south, round(pose.x / spacing) - west
     if not (0 <= row < rows and 0 <= col < cols):
         raise ValueError(f"pose: expected a position inside {bounds}, got ({pose.x}, {pose.y})")
     turns = np.array(protocol.turns, dtype=np.int64)
     allowed = occupancy.standable & (occupancy.distance_to_solid >= standoff)
-    edges = _free_moves(pose, occupancy, allowed, offsets, (rows, cols), (south, west), (row, col))
+    edges = _free_moves(pose, occupancy, allowed, offsets, (south, west), (row, col))
     steps, parent, nearest = search(edges, offsets, turns, row, col, protocol.heading_index(pose.yaw))
     return Travel(protocol, west, south, steps, nearest, parent, edges)
 
@@ -145,16 +130,15 @@ def _free_moves(
     occupancy: OccupancyMap,
     allowed: npt.NDArray[np.bool_],
     offsets: IntArray,
-    shape: tuple[int, int],
     corner: tuple[int, int],
     start: tuple[int, int],
 ) -> npt.NDArray[np.uint8]:
     """(rows, cols, headings, advances): is the whole move free, and its end allowed?"""
-    from dream.mapping import free_moves
     from dream.planning._kernels.search import keep_to
 
     spacing = occupancy.protocol.lattice
-    free = free_moves(occupancy, corner, shape)
+    free = free_moves(occupancy)
+    shape = free.shape[:2]
     # The vehicle may leave where it is, even where it could not go to now.
     ends = np.add(start[::-1], corner[::-1]) + offsets.reshape(-1, 2)
     # And from exactly there the guard looks at its first move.

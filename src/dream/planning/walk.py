@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dream.planning.travel import UNREACHED, IntArray, Pose, Travel, lattice_in, offsets_of
+from dream.mapping.lattice import nodes_in, offsets_of
+from dream.planning.travel import UNREACHED, IntArray, Pose, Travel
 from dream.traversal import traversed
 from dream.types import BoolArray, Mission
 
@@ -62,7 +63,7 @@ class Walk:
         rows, cols = round(bounds.depth / cell), round(bounds.width / cell)
         self._stride = cols + 2 * self._pad
         self._shape = rows + 2 * self._pad, self._stride
-        west, south, *_ = lattice_in(bounds, protocol)
+        (south, west), _ = nodes_in(bounds, protocol)
         # All nodes lie at the same place in their cells.
         x, y = (
             (west * protocol.lattice - bounds.x_min) / cell,

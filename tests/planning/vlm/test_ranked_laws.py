@@ -16,11 +16,12 @@ from dream.evaluation.runner import simulate
 from dream.geometry import SE2, Bounds
 from dream.mapping import OccupancyMap
 from dream.mapping._kernels import flags
+from dream.mapping.lattice import nodes_in
 from dream.planning import Belief
 from dream.planning.belief import BeliefPilot, Thought
 from dream.planning.lookahead import Plan, Prospect
 from dream.planning.sources import Expected, Scene
-from dream.planning.travel import Pose, lattice_in
+from dream.planning.travel import Pose
 from dream.planning.views import Views
 from dream.planning.vlm import Ranked, ranked
 from dream.planning.vlm.asking import Question
@@ -192,7 +193,7 @@ def _feasible(sent: Sent) -> set[int]:
 
 def _reached(pose: SE2, occupancy: OccupancyMap) -> dict[tuple[int, int, int], int]:
     """Fewest steps to each x, y (nodes) and heading by moves that the guard lets pass: a slow search."""
-    west, south, cols, rows = lattice_in(occupancy.bounds, DREAM_V1)
+    (south, west), (rows, cols) = nodes_in(occupancy.bounds, DREAM_V1)
     nodes = [(x + west, y + south) for y in range(rows) for x in range(cols)]
     starts = LATTICE * np.array(nodes, np.float64)
     free = {}

@@ -11,20 +11,20 @@ from numba import njit
 
 from dream.mapping._kernels.flags import (
     BARE,
+    BLOCK,
+    BLOCK_BITS,
     CROSSED,
     DOUBT_BITS,
     EXPLORED,
     GROUNDED,
+    RAY_MASK,
     RETURNED,
     SEABED,
     WEIGHT,
 )
 from dream.mapping._kernels.pixels import LABEL_BITS, LABEL_MASK
-from dream.mapping._kernels.sight import RAY_MASK, SECTOR_SLACK
+from dream.mapping._kernels.sight import SECTOR_SLACK
 
-BLOCK_BITS = 6
-BLOCK = 1 << BLOCK_BITS
-"""Cells along a block."""
 FIELD_BITS = 16
 """A cell's counts are four fields of so many bits: pixels below the height band, in its lower part, in its
 upper part, and above it."""
@@ -123,24 +123,24 @@ def push(posts, level, rows, cols, trust, first_row, past_row, first_col, past_c
 
 
 @njit(cache=True, nogil=True)
-def spread_ground(posts, low_row, low_col, post_bits, side, wide, ground):
+def spread_ground(posts, window, wide, ground):
     """Height at every cell's centre of the window, bilinear between the posts' centres.
 
     Args:
-        posts: See `smooth_ground`. The window's first is at low_row, low_col, and there is one more around.
-        low_row, low_col: See `posts`.
-        post_bits: A post is 2 to this many cells wide.
-        side: Cells along the window.
-        wide: (posts along the window + 2, as many times their width) float32, scratch.
+        posts: `Posts` with heights of the window's and of one more around.
+        window: A `Window`.
+        wide: See `Scratch`.
         ground: (side²) float32, out.
     """
+    side, post_bits = window.side, window.post_bits
+    low_row, low_col = posts.first_row, posts.first_col
     width, count = 1 << post_bits, (side >> post_bits) + 2
     half = width >> 1
     # First along the rows of posts, then between them.
     for p in range(count):
         for q in range(count - 1):
-            a = np.float32(posts[0, MEAN, low_row - 1 + p, low_col - 1 + q])
-            rise = np.float32(posts[0, MEAN, low_row - 1 + p, low_col + q]) - a
+            a = np.float32(posts.grids[0, MEAN, low_row - 1 + p, low_col - 1 + q])
+            rise = np.float32(posts.grids[0, MEAN, low_row - 1 + p, low_col + q]) - a
             for k in range(width):
                 wide[p, q * width + k] = a + rise * np.float32((k + 0.5) / width)
     # The first post's centre lies half a post before the window. Unsigned, see `clear`.
@@ -158,23 +158,23 @@ def spread_ground(posts, low_row, low_col, post_bits, side, wide, ground):
 
 
 @njit(cache=True, nogil=True)
-def count_returns(count, samples, heights, ground, band, weight_of, above, shifts, counts, targets):
+def count_returns(count, samples, rule, scratch):
     """Sort the samples of every cell by their height above the seabed; see `FIELD_BITS`.
 
     Args:
         count: How many samples there are.
-        samples, heights: See `project`.
-        ground: (side²) height of the seabed.
-        band: Three heights, which part the fields.
-        weight_of: (256,) int64, target weight and doubt of every label; see `DOUBT_BITS`.
-        above, shifts: (n or more) float32 and (n) int32, scratch for n samples at a time.
-        counts, targets: (side²), added to.
+        samples: `Samples`.
+        rule: A `Rule`.
+        scratch: `Scratch` with the ground; counts and targets are added to.
     """
-    lower, middle, upper = np.float32(band[0]), np.float32(band[1]), np.float32(band[2])
+    cells, heights, weight_of = samples.cells, samples.heights, rule.weight_of
+    ground, counts, targets = scratch.ground, scratch.counts, scratch.targets
+    above, shifts = scratch.above, scratch.shifts
+    lower, middle, upper = np.float32(rule.lower), np.float32(rule.middle), np.float32(rule.upper)
     for first in range(np.uint64(0), np.uint64(count), np.uint64(len(shifts))):
         n = min(np.uint64(count) - first, np.uint64(len(shifts)))
         for k in range(n):
-            above[k] = ground[np.uint32(samples[first + k] >> LABEL_BITS)]
+            above[k] = ground[np.uint32(cells[first + k] >> LABEL_BITS)]
         # By itself, this is vectorised. Fields are below the band, its lower and its upper part, above it.
         # The band is h_min ≤ h ≤ h_max of Eq. 5, with h above the local seabed.
         for k in range(n):
@@ -182,7 +182,7 @@ def count_returns(count, samples, heights, ground, band, weight_of, above, shift
             field = np.int32(height >= lower) + np.int32(height > middle) + np.int32(height > upper)
             shifts[k] = np.int32(field * np.int32(FIELD_BITS))
         for k in range(n):
-            label, cell = samples[first + k] & LABEL_MASK, np.uint32(samples[first + k] >> LABEL_BITS)
+            label, cell = cells[first + k] & LABEL_MASK, np.uint32(cells[first + k] >> LABEL_BITS)
             counts[cell] += np.uint64(1) << np.uint64(shifts[k])
             weight = weight_of[label]
             if weight:
@@ -190,10 +190,17 @@ def count_returns(count, samples, heights, ground, band, weight_of, above, shift
 
 
 @njit(cache=True, nogil=True)
-def clear(side, clip, counts, targets, bits, votes, paths):
-    """Zeros over a part of the window."""
-    first_row, past_row, first_col, past_col = clip
-    for i in range(first_row, past_row):
+def clear(window, scratch, said):
+    """Zeros over the part of the window that is written."""
+    side, first_col, past_col = window.side, window.first_col, window.past_col
+    counts, targets, paths, bits, votes = (
+        scratch.counts,
+        scratch.targets,
+        scratch.paths,
+        said.bits,
+        said.votes,
+    )
+    for i in range(window.first_row, window.past_row):
         # Unsigned, no index is taken for one from the end, and the loop is vectorised.
         for c in range(np.uint64(i * side + first_col), np.uint64(i * side + past_col)):
             counts[c] = 0
@@ -220,60 +227,24 @@ def reaches_down(flags, side, row, col):
 
 
 @njit(cache=True, nogil=True)
-def weigh(
-    counts,
-    targets,
-    side,
-    camera_row,
-    camera_col,
-    sector,
-    steps,
-    clamp,
-    least,
-    noise,
-    size,
-    log_odds,
-    flags,
-    bits,
-    votes,
-    offset_row,
-    offset_col,
-    clip,
-    touched,
-):
-    """One step of log-odds and one vote per cell that has returns.
-
-    Args:
-        counts: (side²) uint64, see `FIELD_BITS`.
-        targets: (side²) int64, in parts of `WEIGHT`, and the doubt; see `DOUBT_BITS`.
-        side: Cells along the window.
-        camera_row, camera_col: The camera, in cells.
-        sector: See `read_frame`.
-        steps: (hit or miss, miss where what is solid was not seen to reach down), log-odds units.
-        clamp: (lowest, highest) log-odds.
-        least: (pixels of a hit, their share of the cell's, their share of what lies just behind, pixels of a
-            miss, pixels of a vote, target share of a yes, most of a no).
-        noise: Standard deviation of the depth, as a multiple of its square.
-        size: Metres a cell.
-        log_odds: (side²) int8, changed.
-        flags: (side²) uint8 as they were.
-        bits: (side²) uint8, out: flags to set.
-        votes: (side²) uint8, out: 1 target, 2 another thing, 0 no vote.
-        offset_row, offset_col: The window's low corner inside the first block.
-        clip: See `read_frame`.
-        touched: (block rows, block cols) bool, out: blocks of which the frame says something.
-    """
-    first_row, past_row, first_col, past_col = clip
-    step, doubt = steps
-    low, high = clamp
-    _, _, forward_x, forward_y, cos_half, _, _, _ = sector
-    hit_pixels, hit_share, peak_share, miss_pixels, vote_pixels, vote_share, against_share = least
+def weigh(window, sector, rule, scratch, said):
+    """One step of log-odds and one vote per cell that has returns."""
+    side, size, camera_row, camera_col = window.side, window.cell, window.y, window.x
+    first_row, past_row, first_col, past_col = (
+        window.first_row,
+        window.past_row,
+        window.first_col,
+        window.past_col,
+    )
+    counts, targets, flags = scratch.counts, scratch.targets, scratch.flags
+    log_odds, bits, votes, touched = said
+    step, low, high = rule.step, rule.lowest, rule.highest
     for i in range(first_row, past_row):
         for j in range(first_col, past_col):
             c = i * side + j
             if counts[c] == 0:
                 continue
-            touched[(offset_row + i) >> BLOCK_BITS, (offset_col + j) >> BLOCK_BITS] = True
+            touched[(window.row + i) >> BLOCK_BITS, (window.col + j) >> BLOCK_BITS] = True
             below, low_band = field_of(counts[c], 0), field_of(counts[c], 1)
             band = low_band + field_of(counts[c], 2)
             total = below + band + field_of(counts[c], 3)
@@ -283,16 +254,16 @@ def weigh(
             bits[c] = RETURNED | (BARE | SEABED if below > 0 else 0) | (SEABED if target > 0 else 0)
             # Eq. 4: a point is target by its mask, at any height. Its cell has a vote, a whole one or none.
             # Too few for a hit are errors.
-            if total - (band if band < hit_pixels else 0) >= vote_pixels and trust >= 0.5:
-                if target >= vote_share * sum_sure:
+            if total - (band if band < rule.hit_pixels else 0) >= rule.vote_pixels and trust >= 0.5:
+                if target >= rule.vote_share * sum_sure:
                     votes[c] = 1
-                elif target <= against_share * sum_sure:
+                elif target <= rule.against_share * sum_sure:
                     votes[c] = 2
             # Eq. 5: what is in the band is an obstacle, here whatever its mask: a wreck stops the vehicle.
-            if band >= hit_pixels and band >= hit_share * total:
+            if band >= rule.hit_pixels and band >= rule.hit_share * total:
                 up, right = i + 0.5 - camera_row, j + 0.5 - camera_col
                 square = up * up + right * right
-                away, scatter = math.sqrt(square), noise * size * square
+                away, scatter = math.sqrt(square), rule.noise * size * square
                 peak = band
                 for k in range(1, math.ceil(2.0 * scatter - 0.3) + 1):
                     a = math.floor(i + 0.5 + k * up / away)
@@ -300,7 +271,7 @@ def weigh(
                     if first_row <= a < past_row and first_col <= b < past_col:
                         beyond = a * side + b
                         peak = max(peak, field_of(counts[beyond], 1) + field_of(counts[beyond], 2))
-                if band < peak_share * peak:
+                if band < rule.peak_share * peak:
                     # What scatters to this side of a surface passed through here more often than it ended.
                     log_odds[c] = max(log_odds[c] - part(step // 2, trust), low)
                     continue
@@ -309,14 +280,17 @@ def weigh(
                 if low_band > 0:
                     bits[c] |= GROUNDED
             # Eq. 6: the rest is free.
-            elif band < hit_share * total and below >= miss_pixels:
+            elif band < rule.hit_share * total and below >= rule.miss_pixels:
                 up, right = i + 0.5 - camera_row, j + 0.5 - camera_col
                 # Beside the sector the image shows the foot of a cell at most.
                 distance = math.sqrt(up * up + right * right)
-                if right * forward_x + up * forward_y < distance * cos_half - SECTOR_SLACK:
+                if (
+                    right * sector.forward_x + up * sector.forward_y
+                    < distance * sector.cos_half - SECTOR_SLACK
+                ):
                     continue
                 down = log_odds[c] <= 0 or reaches_down(flags, side, i, j)
-                log_odds[c] = max(log_odds[c] - part(step if down else doubt, trust), low)
+                log_odds[c] = max(log_odds[c] - part(step if down else rule.doubt, trust), low)
 
 
 @njit(cache=True, nogil=True)
@@ -326,23 +300,21 @@ def part(step, trust):
 
 
 @njit(cache=True, nogil=True)
-def cast_rays(x, y, rays, directions, farthest, per_metre, reach, side, log_odds, paths):
+def cast_rays(window, sector, directions, farthest, log_odds, paths):
     """Walk one frame's rays over the window (Amanatides and Woo, 1987); a solid cell ends a ray.
 
     The second condition of Eq. 7: nothing solid lies between the vehicle and the cell.
 
     Args:
-        x, y: The camera, in cells.
-        rays: (first, last) ray of the sector; beyond a full turn where it wraps.
-        directions: (rays, 2) cosine and sine.
-        farthest: (rays,) metres that a ray is known to have run; nothing is claimed beyond.
-        per_metre: Cells.
-        reach: Cells; no cell so near lies outside the window.
-        side: Cells along the window.
-        log_odds: (side²), not above 0 out of bounds.
-        paths: (side²) uint8, out: `RAN` where a ray came, `ENDED` where one would have come.
+        window: A `Window`.
+        sector: A `Sector`.
+        directions: (RAYS, 2) cosine and sine.
+        farthest: See `Samples`.
+        log_odds: (side²).
+        paths: (side²), added to: `RAN`, `ENDED`.
     """
-    for number in range(rays[0], rays[1] + 1):
+    x, y, side, reach, per_metre = window.x, window.y, window.side, sector.reach, 1.0 / window.cell
+    for number in range(sector.first, sector.last + 1):
         ray = number & RAY_MASK
         if farthest[ray] <= 0.0:
             continue
@@ -385,29 +357,16 @@ def lines_within(distance, first, between):
 
 
 @njit(cache=True, nogil=True)
-def explore(
-    x,
-    y,
-    sector,
-    side,
-    clip,
-    counts,
-    miss,
-    lowest,
-    paths,
-    log_odds,
-    bits,
-    offset_row,
-    offset_col,
-    touched,
-):
+def explore(window, sector, rule, scratch, said):
     """Explore and cross what the rays reach of the sector; wear down what all pass without a return."""
-    _, _, forward_x, forward_y, cos_half, reach, blind, level = sector
-    first_row, past_row, first_col, past_col = clip
+    x, y, side, reach, cos_half = window.x, window.y, window.side, sector.reach, sector.cos_half
+    forward_x, forward_y, blind = sector.forward_x, sector.forward_y, sector.blind
+    counts, paths = scratch.counts, scratch.paths
+    log_odds, bits, _, touched = said
     farthest = (reach + SECTOR_SLACK) ** 2
-    for i in range(first_row, past_row):
+    for i in range(window.first_row, window.past_row):
         up = i + 0.5 - y
-        for j in range(first_col, past_col):
+        for j in range(window.first_col, window.past_col):
             c = i * side + j
             if not paths[c] & RAN:
                 continue
@@ -420,12 +379,12 @@ def explore(
             if forward >= blind - SECTOR_SLACK:
                 said |= np.uint8(EXPLORED)
                 if counts[c] == 0 and not paths[c] & ENDED:
-                    log_odds[c] = max(log_odds[c] - miss, lowest)
-            if level and log_odds[c] <= 0:
+                    log_odds[c] = max(log_odds[c] - rule.step, rule.lowest)
+            if sector.level and log_odds[c] <= 0:
                 said |= np.uint8(CROSSED)
             if said:
                 bits[c] |= said  # Eq. 8: what was explored stays so, see `renew`.
-                touched[(offset_row + i) >> BLOCK_BITS, (offset_col + j) >> BLOCK_BITS] = True
+                touched[(window.row + i) >> BLOCK_BITS, (window.col + j) >> BLOCK_BITS] = True
 
 
 # ---------------------------------------------------------------------------------------------------
@@ -434,37 +393,22 @@ def explore(
 
 
 @njit(cache=True, nogil=True)
-def outline(touched, table):
-    """(first row, past row, first col, past col) of the blocks touched, and how many of them are missing."""
-    rows, cols = touched.shape
-    first_row, past_row, first_col, past_col, missing = rows, 0, cols, 0, 0
-    for i in range(rows):
-        for j in range(cols):
-            if touched[i, j]:
-                first_row, past_row = min(first_row, i), max(past_row, i + 1)
-                first_col, past_col = min(first_col, j), max(past_col, j + 1)
-                missing += table[i, j] == 0
-    return first_row, past_row, first_col, past_col, missing
-
-
-@njit(cache=True, nogil=True)
-def gather(log_odds_pool, flags_pool, table, offset_row, offset_col, side, clip, log_odds, flags):
-    """Copy two layers of a part of the window out of their blocks.
+def gather(pools, table, window, log_odds, flags):
+    """Copy two layers of the part of the window that is written out of their blocks.
 
     Args:
-        log_odds_pool, flags_pool: (slots, BLOCK, BLOCK).
-        table: (block rows, block cols) slots.
-        offset_row, offset_col: The window's low corner inside the first block.
-        side: Cells along the window.
-        clip: (first row, past row, first col, past col).
+        pools: `Pools`.
+        table: (block rows, block cols) slots of the blocks around the window.
+        window: A `Window`.
         log_odds, flags: (side²), out.
     """
-    first_row, past_row, first_col, past_col = clip
-    for i in range(first_row, past_row):
-        block_row, y = (offset_row + i) >> BLOCK_BITS, (offset_row + i) & (BLOCK - 1)
+    log_odds_pool, flags_pool, side = pools.log_odds, pools.flags, window.side
+    first_col, past_col = window.first_col, window.past_col
+    for i in range(window.first_row, window.past_row):
+        block_row, y = (window.row + i) >> BLOCK_BITS, (window.row + i) & (BLOCK - 1)
         j = first_col
         while j < past_col:
-            block_col, x = (offset_col + j) >> BLOCK_BITS, (offset_col + j) & (BLOCK - 1)
+            block_col, x = (window.col + j) >> BLOCK_BITS, (window.col + j) & (BLOCK - 1)
             width = min(BLOCK - x, past_col - j)
             # Slot 0 holds zeros. Unsigned, see `clear`.
             slot, row, col = np.uint64(table[block_row, block_col]), np.uint64(y), np.uint64(x)
@@ -476,76 +420,62 @@ def gather(log_odds_pool, flags_pool, table, offset_row, offset_col, side, clip,
 
 
 @njit(cache=True, nogil=True)
-def gather_posts(sum_pool, count_pool, table, offset_row, offset_col, rows, cols, posts):
-    """Copy a window of (rows, cols) posts out of their blocks; see `smooth_ground`."""
-    n = sum_pool.shape[1]
+def gather_posts(pools, table, posts):
+    """Copy the posts that the window's ground depends on out of their blocks."""
+    sum_pool, count_pool, grids = pools.ground_sum, pools.ground_count, posts.grids
+    n, rows, cols = sum_pool.shape[1], posts.rows, posts.cols
     for i in range(rows):
-        block_row, y = (offset_row + i) // n, (offset_row + i) % n
+        block_row, y = (posts.row + i) // n, (posts.row + i) % n
         j = 0
         while j < cols:
-            block_col, x = (offset_col + j) // n, (offset_col + j) % n
+            block_col, x = (posts.col + j) // n, (posts.col + j) % n
             width = min(n - x, cols - j)
             slot = table[block_row, block_col]
             for k in range(width):
-                posts[0, SUM, i, j + k] = sum_pool[slot, y, x + k]
-                posts[0, COUNT, i, j + k] = count_pool[slot, y, x + k]
+                grids[0, SUM, i, j + k] = sum_pool[slot, y, x + k]
+                grids[0, COUNT, i, j + k] = count_pool[slot, y, x + k]
             j += width
 
 
 @njit(cache=True, nogil=True)
-def commit(
-    pools,
-    stamps,
-    table,
-    offset_row,
-    offset_col,
-    side,
-    clip,
-    said,
-    stamp,
-    post_bits,
-    post_sum,
-    post_count,
-    memory,
-):
-    """Write the window, as far as a frame says something of it, into its blocks; see `read_frame`."""
-    log_odds_pool, flags_pool, votes_pool, sum_pool, count_pool = pools
-    log_odds, bits, votes, touched = said
-    posts = side >> post_bits
-    commit_ground(
-        sum_pool,
-        count_pool,
-        table,
-        touched,
-        offset_row >> post_bits,
-        offset_col >> post_bits,
-        post_sum.reshape(posts, posts),
-        post_count.reshape(posts, posts),
-        memory,
-    )
-    for i in range(clip[0], clip[1]):
-        block_row, y = (offset_row + i) >> BLOCK_BITS, (offset_row + i) & (BLOCK - 1)
-        j = clip[2]
-        while j < clip[3]:
-            block_col, x = (offset_col + j) >> BLOCK_BITS, (offset_col + j) & (BLOCK - 1)
-            width = min(BLOCK - x, clip[3] - j)
-            if touched[block_row, block_col]:
+def commit(pools, stamps, table, window, said, seabed, stamp, memory):
+    """Write the window, as far as a frame says something of it, into its blocks.
+
+    Args:
+        pools: `Pools`.
+        stamps: (slots,) int64, out: `stamp` in those that are written.
+        table: (block rows, block cols) slots of the blocks around the window, made where `said.touched`.
+        window: A `Window`.
+        said: What `read_frame` found.
+        seabed: A `Seabed`.
+        stamp: Number of the change.
+        memory: Points of the seabed that a post remembers.
+    """
+    commit_ground(pools, table, window, said.touched, seabed, memory)
+    for i in range(window.first_row, window.past_row):
+        block_row, y = (window.row + i) >> BLOCK_BITS, (window.row + i) & (BLOCK - 1)
+        j = window.first_col
+        while j < window.past_col:
+            block_col, x = (window.col + j) >> BLOCK_BITS, (window.col + j) & (BLOCK - 1)
+            width = min(BLOCK - x, window.past_col - j)
+            if said.touched[block_row, block_col]:
                 slot = table[block_row, block_col]
                 stamps[slot] = stamp
                 # Unsigned, see `clear`.
                 at, c, n = (
                     (np.uint64(slot), np.uint64(y), np.uint64(x)),
-                    np.uint64(i * side + j),
+                    np.uint64(i * window.side + j),
                     np.uint64(width),
                 )
-                renew(log_odds_pool, flags_pool, at, log_odds, bits, c, n)
-                cast_votes(votes, c, n, votes_pool, at)
+                renew(pools, at, said, c, n)
+                cast_votes(said.votes, c, n, pools.votes, at)
             j += width
 
 
 @njit(cache=True, nogil=True)
-def renew(odds_pool, flags_pool, at, log_odds, bits, c, n):
+def renew(pools, at, said, c, n):
     """Write n cells of a row. What was explored stays so: E_t = E_t−1 ∪ V_t (Eq. 8)."""
+    odds_pool, flags_pool, log_odds, bits = pools.log_odds, pools.flags, said.log_odds, said.bits
     slot, row, col = at
     for k in range(n):
         old, odds = flags_pool[slot, row, col + k], log_odds[c + k]
@@ -573,18 +503,21 @@ def cast_votes(votes, c, n, pool, at):
 
 
 @njit(cache=True, nogil=True)
-def commit_ground(sum_pool, count_pool, table, touched, offset_row, offset_col, total, count, memory):
-    """Add a window of (rows, cols) posts to the blocks touched; a post remembers `memory` points."""
-    n = sum_pool.shape[1]
-    for i in range(total.shape[0]):
-        for j in range(total.shape[1]):
+def commit_ground(pools, table, window, touched, seabed, memory):
+    """Add the window's posts to the blocks touched; a post remembers `memory` points."""
+    sum_pool, count_pool = pools.ground_sum, pools.ground_count
+    n, side = sum_pool.shape[1], window.side >> window.post_bits
+    first_row, first_col = window.row >> window.post_bits, window.col >> window.post_bits
+    total, count = seabed.total.reshape(side, side), seabed.points.reshape(side, side)
+    for i in range(side):
+        for j in range(side):
             if count[i, j] == 0.0:
                 continue
-            at = (offset_row + i) // n, (offset_col + j) // n
+            at = (first_row + i) // n, (first_col + j) // n
             if not touched[at]:
                 continue
             slot = table[at]
-            y, x = (offset_row + i) % n, (offset_col + j) % n
+            y, x = (first_row + i) % n, (first_col + j) % n
             points = count_pool[slot, y, x] + count[i, j]
             mean = (sum_pool[slot, y, x] + total[i, j]) / points
             points = min(points, memory)
@@ -598,137 +531,59 @@ def commit_ground(sum_pool, count_pool, table, touched, offset_row, offset_col, 
 
 
 @njit(cache=True, nogil=True)
-def ground_before(
-    sum_pool, count_pool, table, offset_row, offset_col, post_window, ground_rule, side, posts, prior
-):
-    """(side²) heights of the seabed at the window's posts, before a frame, into `prior`; see `read_frame`."""
-    rows, cols, first_row, first_col = post_window
-    levels, share, trust, datum = ground_rule
-    gather_posts(sum_pool, count_pool, table, offset_row, offset_col, rows, cols, posts)
-    region = (first_row, first_row + side, first_col, first_col + side)
-    smooth_ground(posts, rows, cols, levels, share, trust, datum, region)
-    for i in range(side):
-        for j in range(side):
-            prior[i * side + j] = posts[0, MEAN, first_row + i, first_col + j]
+def smooth_around(posts, side, margin):
+    """Heights of the window's (side, side) posts, and of so many around, from the sums and counts there."""
+    region = (
+        posts.first_row - margin,
+        posts.first_row + side + margin,
+        posts.first_col - margin,
+        posts.first_col + side + margin,
+    )
+    smooth_ground(
+        posts.grids, posts.rows, posts.cols, posts.levels, posts.share, posts.trust, posts.datum, region
+    )
 
 
 @njit(cache=True, nogil=True)
-def read_frame(
-    pools,
-    tables,
-    offsets,
-    post_window,
-    ground_rule,
-    samples,
-    heights,
-    count,
-    post_sum,
-    post_count,
-    side,
-    post_bits,
-    band,
-    weight_of,
-    camera,
-    size,
-    rule,
-    sector,
-    farthest,
-    directions,
-    clip,
-    scratch,
-    out,
-):
+def ground_before(pools, table, posts, side, prior):
+    """(side²) heights of the seabed at the window's posts, before a frame, into `prior`."""
+    gather_posts(pools, table, posts)
+    smooth_around(posts, side, 0)
+    for i in range(side):
+        for j in range(side):
+            prior[i * side + j] = posts.grids[0, MEAN, posts.first_row + i, posts.first_col + j]
+
+
+@njit(cache=True, nogil=True)
+def read_frame(pools, table, posts, window, samples, count, seabed, sector, directions, rule, scratch, said):
     """What a frame's samples say of every cell of the window.
 
     Args:
-        pools: The map's (log_odds, flags, ground_sum, ground_count).
-        tables: Slots of the blocks around the window's cells, and around the posts that its ground
-            depends on.
-        offsets: (row, col) of the window's low corner in the first of those blocks, cells and posts.
-        post_window: (rows, cols) of those posts and (row, col) of the window's first among them.
-        ground_rule: (levels, share, trust, datum); see `smooth_ground`.
-        samples, heights, count: What `project` found.
-        post_sum, post_count: (posts²) likewise.
-        side: Cells along the window.
-        post_bits: A post is 2 to this many cells wide.
-        band: Three heights; see `count_returns`.
-        weight_of: (256,) int64, target weight and doubt of every label; see `DOUBT_BITS`.
-        camera: (x, y) in cells of the window.
-        size: Metres a cell.
-        rule: (steps, clamp, least, noise); see `weigh`.
-        sector: (first ray, last ray, forward x, forward y, cosine of half its angle, reach, blind, level);
-            lengths in cells. No ray where it is not a sector.
-        farthest: (rays,); see `cast_rays`.
-        directions: (rays, 2); likewise.
-        clip: (first row, past row, first col, past col) of the window that lie in bounds and around what the
-            frame may show; nothing else is written.
-        scratch: (ground, counts, targets, flags, paths), (side²) each; posts, see `smooth_ground`; wide,
-            see `spread_ground`; above and shifts, see `count_returns`.
-        out: (log_odds, bits, votes, touched) after the frame; see `weigh`.
-
-    Returns:
-        See `outline`.
+        pools: The map's `Pools`.
+        table: (block rows, block cols) slots of the blocks around the window.
+        posts: `Posts`.
+        window: A `Window`.
+        samples, count, seabed: What `project` found.
+        sector: A `Sector`.
+        directions: See `cast_rays`.
+        rule: A `Rule`.
+        scratch: `Scratch`.
+        said: `Said`, out.
     """
-    log_odds_pool, flags_pool, sum_pool, count_pool = pools
-    table, post_table = tables
-    offset_row, offset_col, post_row, post_col = offsets
-    rows, cols, first_row, first_col = post_window
-    levels, share, trust, datum = ground_rule
-    ground, counts, targets, flags, paths, posts, wide, above, shifts = scratch
-    log_odds, bits, votes, touched = out
-    gather_posts(sum_pool, count_pool, post_table, post_row, post_col, rows, cols, posts)
-    n = side >> post_bits
+    gather_posts(pools, table, posts)
+    n = window.side >> window.post_bits
     for i in range(n):
         for j in range(n):
-            posts[0, SUM, first_row + i, first_col + j] += post_sum[i * n + j]
-            posts[0, COUNT, first_row + i, first_col + j] += post_count[i * n + j]
-    region = (first_row - 1, first_row + n + 1, first_col - 1, first_col + n + 1)
-    smooth_ground(posts, rows, cols, levels, share, trust, datum, region)
-    spread_ground(posts, first_row, first_col, post_bits, side, wide, ground)
+            posts.grids[0, SUM, posts.first_row + i, posts.first_col + j] += seabed.total[i * n + j]
+            posts.grids[0, COUNT, posts.first_row + i, posts.first_col + j] += seabed.points[i * n + j]
+    smooth_around(posts, n, 1)
+    spread_ground(posts, window, scratch.wide, scratch.ground)
 
-    clear(side, clip, counts, targets, bits, votes, paths)
-    count_returns(count, samples, heights, ground, band, weight_of, above, shifts, counts, targets)
-    gather(log_odds_pool, flags_pool, table, offset_row, offset_col, side, clip, log_odds, flags)
-    touched[:] = False
-    steps, clamp, least, noise = rule
-    x, y = camera
-    weigh(
-        counts,
-        targets,
-        side,
-        y,
-        x,
-        sector,
-        steps,
-        clamp,
-        least,
-        noise,
-        size,
-        log_odds,
-        flags,
-        bits,
-        votes,
-        offset_row,
-        offset_col,
-        clip,
-        touched,
-    )
-    if sector[0] <= sector[1]:
-        cast_rays(x, y, sector[:2], directions, farthest, 1.0 / size, sector[5], side, log_odds, paths)
-        explore(
-            x,
-            y,
-            sector,
-            side,
-            clip,
-            counts,
-            steps[0],
-            clamp[0],
-            paths,
-            log_odds,
-            bits,
-            offset_row,
-            offset_col,
-            touched,
-        )
-    return outline(touched, table)
+    clear(window, scratch, said)
+    count_returns(count, samples, rule, scratch)
+    gather(pools, table, window, said.log_odds, scratch.flags)
+    said.touched[:] = False
+    weigh(window, sector, rule, scratch, said)
+    if sector.first <= sector.last:
+        cast_rays(window, sector, directions, samples.farthest, said.log_odds, scratch.paths)
+        explore(window, sector, rule, scratch, said)

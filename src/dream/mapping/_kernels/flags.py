@@ -1,4 +1,4 @@
-"""The bits of a cell, kinds of pixels, and where a cell ends."""
+"""What kernels of the map and their callers agree on: bits of a cell, kinds of pixels, lengths in cells."""
 
 EXPLORED = 1
 """The paper's E_t."""
@@ -27,3 +27,11 @@ DOUBT_BITS = 32
 
 EDGE = 1e-9
 """Cells: a position on the edge of two is in the upper one, whatever its rounding."""
+
+BLOCK_BITS = 6
+BLOCK = 1 << BLOCK_BITS
+"""Cells along a block."""
+RAYS = 1024
+"""Rays in a full turn: a power of two. At 8 m they are 5 cm apart, so that several cross every cell."""
+RAY_MASK = RAYS - 1
+"""Wrapping is one `and`."""

@@ -1,8 +1,4 @@
-"""Pixels of a frame to samples: a cell of the window, a label and a height each.
-
-The window is a square of cells around the camera with the reach inside; flat indices are `row * side + col`.
-Its low corner is a multiple of a post of the ground.
-"""
+"""Pixels of a frame to samples: a cell of the window, a label and a height each."""
 
 # mypy: disable-error-code="no-untyped-def"
 
@@ -13,8 +9,7 @@ import math
 import numpy as np
 from numba import njit
 
-from dream.mapping._kernels.flags import GROUND, UNSURE
-from dream.mapping._kernels.sight import RAY_MASK
+from dream.mapping._kernels.flags import GROUND, RAY_MASK, RAYS, UNSURE
 
 SPAN = 128
 """Pixels of a row of which it is asked whether any is far enough, before they are looked at."""
@@ -34,118 +29,79 @@ GROUND_STEP = 8
 
 
 @njit(cache=True, nogil=True)
-def project(
-    depth,
-    bits,
-    unit,
-    labels,
-    label_scale,
-    water,
-    kind_of,
-    intrinsics,
-    R,
-    t,
-    low,
-    size,
-    limits,
-    cuts,
-    raw,
-    side,
-    clip,
-    post_of,
-    prior,
-    prior_room,
-    samples,
-    heights,
-    post_sum,
-    post_count,
-    farthest,
-    scratch,
-):
+def project(image, view, window, seabed, samples, runs):
     """Window cell and world height of the pixels that count; seabed sums by post; farthest return by ray.
 
     Of what lies between `cuts[k]` and `cuts[k - 1]` every 2ᵏ-th row and 2ᵏ⁺¹-th column is taken:
     enough to fill a cell. Near the horizon every row is, see `EDGE_ON`.
 
     Args:
-        depth: (H, W) of `unit` metres.
-        bits: (H, W) the same as unsigned integers, which are in the same order.
-        unit: Metres.
-        labels: (H, W), times `label_scale` an index into `kind_of`.
-        label_scale: See `labels`.
-        water: What `labels` holds where there is no return.
-        kind_of: (256,) uint8.
-        intrinsics: (fx, fy, cx, cy).
-        R: (3, 3), camera to world.
-        t: (3,), likewise.
-        low: World x and y of the window's low corner.
-        size: Metres a cell.
-        limits: (least and greatest depth that is a return, reach), metres.
-        cuts: (levels,) float32 metres, falling.
-        raw: (levels + 2,) `max_depth`, the cuts and `min_depth` as `bits`.
-        side: Cells along the window.
-        clip: (first row, past row, first col, past col) of the window that lie in bounds.
-        post_of: (side²) int32, the post of every cell.
-        prior: (post_side²) float64, height of the seabed before this frame.
-        prior_room: Metres from there within which an unsure pixel is seabed.
-        samples: (H W + 1) int32, out: flat cell and label, see `LABEL_BITS`.
-        heights: (H W + 1) float32, out: world z.
-        post_sum, post_count: (post_side²) float64, added to.
-        farthest: (rays,) float32, out: metres over ground to the farthest return in that direction.
-        scratch: (6 W) float32, (2, H W) of the type of `bits`, (4 RUN) float32 and (RUN) int32, or more.
+        image: An `Image`.
+        view: A `View`.
+        window: A `Window`.
+        seabed: A `Seabed`, whose sums are added to.
+        samples: `Samples`, out.
+        runs: `Runs`.
 
     Returns:
         Number of samples.
     """
-    fx, fy, cx, cy = intrinsics
-    min_depth, max_depth, reach = limits
+    R, t, cuts, farthest = view.rotation, view.translation, view.cuts, samples.farthest
+    depth, labels, water = image.depth, image.labels, image.water
     height, width = depth.shape
     f32 = np.float32
-    metres, scale = f32(unit), f32(label_scale)
-    frame = (f32((t[0] - low[0]) / size), f32((t[1] - low[1]) / size), f32(t[2]), f32(1.0 / size))
-    square_reach = f32(reach * reach)
-    inside = (f32(clip[0]), f32(clip[1]), f32(clip[2]), f32(clip[3]))
-    stride = f32(side)
-    lines, extremes, metric, marks = scratch
+    metres, scale = f32(image.unit), f32(image.label_scale)
+    size = window.cell
+    frame = (f32((t[0] - window.west) / size), f32((t[1] - window.south) / size), f32(t[2]), f32(1.0 / size))
+    square_reach = f32(view.reach * view.reach)
+    inside = (f32(window.first_row), f32(window.past_row), f32(window.first_col), f32(window.past_col))
+    stride = f32(window.side)
+    lines, extremes, metric, marks = runs
     columns, farther = lines[: 3 * width].reshape(3, width), lines[3 * width : 6 * width].reshape(3, width)
     pixels, names = depth.ravel(), labels.ravel()
-    per_radian = (RAY_MASK + 1) / (2.0 * math.pi)
+    per_radian = RAYS / (2.0 * math.pi)
     farthest[:] = f32(0.0)
     count = np.uint64(0)
     spans = (width + SPAN - 1) // SPAN
-    find_extremes(bits, spans, extremes)
+    find_extremes(image.bits, spans, extremes)
     for level in range(len(cuts) + 1):
         step = 1 << level
         across = 2 * step
-        spread = max(math.ceil(across * per_radian / fx), 5)
-        nearest = f32(min_depth) if level == len(cuts) else max(cuts[level], f32(min_depth))
-        most = f32(max_depth) if level == 0 else min(cuts[level - 1], f32(max_depth))
+        spread = max(math.ceil(across * per_radian / view.fx), 5)
+        nearest = f32(view.min_depth) if level == len(cuts) else max(cuts[level], f32(view.min_depth))
+        most = f32(view.max_depth) if level == 0 else min(cuts[level - 1], f32(view.max_depth))
         n = (width + across - 1) // across
         for k in range(n):
-            a = (k * across + 0.5 - cx) / fx
+            a = (k * across + 0.5 - view.cx) / view.fx
             for axis in range(3):
                 columns[axis, k] = R[axis, 0] * a
         farther[:] = f32(0.0)
         for v in range(height):
-            b = (v + 0.5 - cy) / fy
+            b = (v + 0.5 - view.cy) / view.fy
             if v % step > 0 and abs(R[2, 1] * b + R[2, 2]) > EDGE_ON:
                 continue
             ray = (f32(R[0, 1] * b + R[0, 2]), f32(R[1, 1] * b + R[1, 2]), f32(R[2, 1] * b + R[2, 2]))
             span = 0
             while True:
                 begin, span = next_run(
-                    extremes, v * spans, spans, raw[level], raw[level + 1], span, RUN * across // SPAN
+                    extremes,
+                    v * spans,
+                    spans,
+                    view.raw[level],
+                    view.raw[level + 1],
+                    span,
+                    RUN * across // SPAN,
                 )
                 if begin == span:
                     break
                 first, run = begin * SPAN // across, min(span * SPAN // across, n) - begin * SPAN // across
-                size, column, at = np.uint64(run), np.uint64(first), np.uint64(v * width + first * across)
-                read_run(pixels, names, at, across, metres, scale, water, nearest, most, size, metric, marks)
-                lay_out(metric, columns, column, size, ray)
-                reach_out(metric, farther, column, size)
-                if place(metric, marks, size, frame, square_reach, inside, stride):
-                    sum_ground(marks, metric, size, kind_of, post_of, prior, prior_room, post_sum, post_count)
-                    count = keep(marks, metric, size, count, samples, heights)
+                n_run, column, at = np.uint64(run), np.uint64(first), np.uint64(v * width + first * across)
+                read_run(pixels, names, at, across, metres, scale, water, nearest, most, n_run, metric, marks)
+                lay_out(metric, columns, column, n_run, ray)
+                reach_out(metric, farther, column, n_run)
+                if place(metric, marks, n_run, frame, square_reach, inside, stride):
+                    sum_ground(marks, metric, n_run, image.kind_of, seabed)
+                    count = keep(marks, metric, n_run, count, samples)
         for k in range(n):
             square = farther[2, k]
             if square > 0.0:
@@ -270,23 +226,24 @@ def place(metric, marks, n, frame, square_reach, inside, stride):
 
 
 @njit(cache=True, nogil=True)
-def keep(marks, metric, n, count, samples, heights):
+def keep(marks, metric, n, count, samples):
     """Append those that have a cell; how many there are now."""
+    cells, heights = samples.cells, samples.heights
     for k in range(n):
         # Written in any case, since a branch could not be foreseen.
-        samples[count], heights[count] = marks[k], metric[UP + k]
+        cells[count], heights[count] = marks[k], metric[UP + k]
         count += np.uint64(marks[k] >= 0)
     return count
 
 
 @njit(cache=True, nogil=True)
-def sum_ground(marks, metric, n, kind_of, post_of, prior, prior_room, post_sum, post_count):
+def sum_ground(marks, metric, n, kind_of, seabed):
     """Add some of the seabed's samples to their posts."""
     for k in range(np.uint64(0), n, np.uint64(GROUND_STEP)):
         if marks[k] < 0:
             continue
         kind, height = kind_of[marks[k] & LABEL_MASK], metric[UP + k]
-        post = post_of[marks[k] >> LABEL_BITS]
-        if kind == GROUND or (kind == UNSURE and abs(height - prior[post]) <= prior_room):
-            post_sum[post] += height
-            post_count[post] += 1.0
+        post = seabed.post_of[marks[k] >> LABEL_BITS]
+        if kind == GROUND or (kind == UNSURE and abs(height - seabed.prior[post]) <= seabed.prior_room):
+            seabed.total[post] += height
+            seabed.points[post] += 1.0

@@ -7,8 +7,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-RAY_MASK = 1023
-"""Rays in a full turn, less one: a power of two, so that wrapping is one `and`."""
+from dream.mapping._kernels.flags import RAY_MASK, RAYS
+
 SECTOR_SLACK = 1e-6
 """Cells whose centre lies on the edge of the sector belong to it, whatever the rounding."""
 STRETCH = 16
@@ -34,26 +34,21 @@ def block(blocked, first, last):
 
 
 @njit(cache=True, nogil=True)
-def cast_sector(
-    solid,
-    row,
-    col,
-    t_rows,
-    t_cols,
-    t_x,
-    t_y,
-    t_distance,
-    t_first,
-    t_last,
-    forward_x,
-    forward_y,
-    cos_half,
-    blind,
-):
-    """Cells with their centre in the sector that some ray reaches; a solid cell ends its rays."""
+def cast_sector(solid, row, col, table, forward_x, forward_y, cos_half, blind):
+    """Cells with their centre in the sector that some ray reaches; a solid cell ends its rays.
+
+    Args:
+        solid: (rows, cols).
+        row, col: The observer's cell.
+        table: A `visibility.RayTable`.
+        forward_x, forward_y: Direction of the sector's middle.
+        cos_half: Cosine of half its angle.
+        blind: Cells; what is less far ahead is not seen.
+    """
+    t_rows, t_cols, t_x, t_y, t_distance, t_first, t_last = table
     rows, cols = solid.shape
     visible = np.zeros((rows, cols), dtype=np.bool_)
-    blocked = np.zeros(RAY_MASK + 1, dtype=np.bool_)
+    blocked = np.zeros(RAYS, dtype=np.bool_)
     for k in range(len(t_rows)):
         i, j = row + t_rows[k], col + t_cols[k]
         if i < 0 or i >= rows or j < 0 or j >= cols:
@@ -110,7 +105,7 @@ def measure_rays(columns, starts, row, col, ranks, t_head, t_tail, depth):
     the single rays.
     """
     side = len(ranks)
-    rays = RAY_MASK + 1
+    rays = RAYS
     levels = len(depth) // rays
     depth[:] = ENDLESS
     low, high = col - side // 2, col + side // 2
@@ -150,23 +145,7 @@ def measure_rays(columns, starts, row, col, ranks, t_head, t_tail, depth):
 
 
 @njit(cache=True, nogil=True)
-def sweep_gain(
-    values,
-    columns,
-    starts,
-    position_rows,
-    position_cols,
-    ranks,
-    t_rows,
-    t_cols,
-    t_head,
-    t_tail,
-    t_group,
-    skip,
-    g_first,
-    g_count,
-    headings,
-):
+def sweep_gain(values, columns, starts, position_rows, position_cols, table, sweep, headings):
     """Sum of the weights of the visible cells, for every position and heading, one sweep a position.
 
     A cell is visible when the longest of its rays gets to its rank. Which ones are follows no pattern that a
@@ -174,22 +153,16 @@ def sweep_gain(
 
     Args:
         values: (rows, cols) float32, the window's weights.
-        columns: Its solid cells, from `list_blocks`.
-        starts: See `columns`.
-        position_rows: Cells of the positions in the window; the whole table fits in around them.
-        position_cols: See `position_rows`.
-        ranks: (side, side) index into the table by row and column from the observer's, its length beyond.
-        t_rows: (n,) the table, from near to far.
-        t_cols: See `t_rows`.
-        t_head: (n + 1,) see `measure_rays`; the last is a place beyond all rays.
-        t_tail: See `t_head`.
-        t_group: (n,) cells of a group lie in the sectors of the same headings.
-        skip: Cells of the table that come before the first that lies in any sector.
-        g_first: (groups,) the first of those headings.
-        g_count: (groups,) how many there are from there on.
+        columns, starts: Its solid cells, from `list_blocks`.
+        position_rows, position_cols: Cells of the positions in the window; the whole table fits in around
+            them.
+        table: A `visibility.RayTable`.
+        sweep: A `gain.Sweep` over it.
         headings: In a full turn.
     """
-    rays = RAY_MASK + 1
+    t_rows, t_cols = table.rows, table.cols
+    ranks, t_head, t_tail, t_group, skip, g_first, g_count = sweep
+    rays = RAYS
     levels = int(t_head[-1]) // rays
     cells, groups = len(t_rows), len(g_first)
     gains = np.zeros((len(position_rows), headings), dtype=np.float32)

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from dream.mapping._kernels.flags import EDGE
+from dream.mapping._kernels.flags import EDGE, RAY_MASK, RAYS
 from dream.mapping._kernels.lattice import place
-from dream.mapping._kernels.sight import RAY_MASK, any_open
+from dream.mapping._kernels.sight import any_open
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -35,15 +35,6 @@ class Sensor(NamedTuple):
     blind: float
     half_angle: float
     heading_step: float
-
-
-class Rays(NamedTuple):
-    """The ray table of an observer in the middle of its cell; see `visibility.RayTable`."""
-
-    rows: npt.NDArray[np.int32]
-    cols: npt.NDArray[np.int32]
-    first: npt.NDArray[np.int32]
-    last: npt.NDArray[np.int32]
 
 
 @njit(cache=True, nogil=True)
@@ -100,7 +91,7 @@ def sees(solid, x, y, row, col, sensor):
         # The angle from the centre's bearing to the corner's.
         side = math.atan2(to_x * corner_y - to_y * corner_x, to_x * corner_x + to_y * corner_y)
         low, high = min(low, side), max(high, side)
-    per_radian = (RAY_MASK + 1) / (2.0 * math.pi)
+    per_radian = RAYS / (2.0 * math.pi)
     first = math.ceil((bearing + low) * per_radian - 0.5)
     last = math.floor((bearing + high) * per_radian - 0.5)
     for ray in range(first, last + 1):  # noqa: SIM110
@@ -142,18 +133,19 @@ def seeable(solid, candidates, nodes, sensor, rays):
     Args:
         solid: (rows, cols).
         candidates: (n, 2) row and column.
-        nodes, sensor, rays: From where, by what, and along what.
+        nodes, sensor: From where, and by what.
+        rays: The `visibility.RayTable` of an observer in the middle of its cell.
 
     Returns:
         (n,) bool.
     """
     rows, cols = solid.shape
     found = np.zeros(len(candidates), dtype=np.bool_)
-    blocked = np.empty(RAY_MASK + 1, dtype=np.bool_)
+    blocked = np.empty(RAYS, dtype=np.bool_)
     for c in range(len(candidates)):
         row, col = candidates[c, 0], candidates[c, 1]
         blocked[:] = False
-        running = RAY_MASK + 1
+        running = RAYS
         nearest = True
         for k in range(len(rays.rows)):
             i, j = row + rays.rows[k], col + rays.cols[k]
