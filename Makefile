@@ -9,7 +9,7 @@ UV := env -u VIRTUAL_ENV -u UV_PYTHON -u UV_PROJECT_ENVIRONMENT -u UV_PROJECT -u
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help run tank survey setup setup-tank setup-survey setup-dev setup-ray setup-train setup-checkers setup-perf \
-	test test-slow test-ray test-train test-checkers check results perf wheel release-check clean
+	test test-slow test-bounds test-ray test-train test-checkers check results perf wheel release-check clean
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
 
@@ -62,9 +62,17 @@ test: setup-dev ## Run the tests, and list what was skipped
 	@$(BIN)/pytest -n 3 --dist loadscope -rfEs
 
 test-slow: export OPENBLAS_NUM_THREADS := 1
-test-slow: setup-dev ## Run the tests that `make test` leaves out: all faults, every processor, new examples
+test-slow: setup-dev ## Run what `make test` leaves out: all faults, every processor, new examples, checked indices
 	@$(BIN)/pytest -m rare -rfEs
 	@$(BIN)/pytest -n 3 -m "hypothesis and not rare" --hypothesis-profile=search -rfE
+	@$(MAKE) --no-print-directory test-bounds
+
+# In a new folder: what numba has kept knows neither of this setting nor of changes in other files.
+test-bounds: export OPENBLAS_NUM_THREADS := 1
+test-bounds: setup-dev ## Run the tests of map, planners and simulator on kernels that check every index
+	@kernels=$$(mktemp -d) && trap 'rm -rf "$$kernels"' EXIT && trap 'exit 130' INT && trap 'exit 143' TERM && \
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$$kernels $(BIN)/pytest -n 2 --dist loadscope -rfEs \
+		tests/mapping tests/planning tests/sim
 
 test-ray: setup-ray ## Run the tests that need Ray, an optional extra
 	@$(BIN)/pytest tests/evaluation/test_engines.py

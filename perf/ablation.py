@@ -34,7 +34,7 @@ from dream.planning import AnyPlanner, Belief, Lawnmower
 from dream.planning.baselines.sweeping import Sweeping
 from dream.planning.belief import BeliefPilot, Thought
 from dream.planning.outlook import Outlook
-from dream.planning.sources import Hints, HullSurface, Source
+from dream.planning.sources import BeliefSource, HintedTargets, HullSurface
 from dream.planning.travel import Pose
 from dream.planning.walk import rest_of
 from dream.protocol import DREAM_V1
@@ -46,9 +46,9 @@ from stop import fresh_reefs, from_starts
 class Without(Belief):
     """All sources but one kind."""
 
-    left_out: type[Source] = Source
+    left_out: type[BeliefSource] = BeliefSource
 
-    def sources(self, mission: Mission, views: Outlook) -> list[Source]:
+    def sources(self, mission: Mission, views: Outlook) -> list[BeliefSource]:
         """Without it."""
         return [one for one in Belief.sources(self, mission, views) if not isinstance(one, self.left_out)]
 
@@ -99,9 +99,9 @@ class _Hesitant(BeliefPilot):
         thought = BeliefPilot.consider(self, observation, occupancy)
         plan, travel = thought.plan, thought.travel
         if plan is not None and plan.choice is not None:
-            rest = rest_of(self.way, travel, thought.scene.moves)
+            rest = rest_of(self.way, travel, thought.situation.moves)
             if len(rest) > 1 and rest[1] != plan.path[1]:
-                prospect = self.prospect(thought.expected, thought.scene)
+                prospect = self.prospect(thought.expected, thought.situation)
                 new, old = self.look_ahead.judge(prospect, travel, [plan.path, rest])
                 if new.value - old.value < self.more:
                     plan = old.plan
@@ -128,7 +128,7 @@ VARIANTS: dict[str, tuple[str, Belief]] = {
     "no-discount": ("what is seen later is worth as much", replace(WHOLE, discount=1.0)),
     "no-jump": ("never straight to one far view while the sequence shows anything", replace(WHOLE, jump=0.0)),
     "small-groups": ("groups of 1.5 m radius hide, as the protocol promises", replace(WHOLE, size=1.0)),
-    "no-glimpses": ("what lies beyond the reach is not looked at", Without(left_out=Hints)),
+    "no-glimpses": ("what lies beyond the reach is not looked at", Without(left_out=HintedTargets)),
     "glimpse-10": ("no farther than 10 m", replace(WHOLE, glimpse=1.25)),
     "glimpse-12": ("no farther than 12 m", replace(WHOLE, glimpse=1.5)),
     "glimpse-16": ("no farther than 16 m", replace(WHOLE, glimpse=2.0)),

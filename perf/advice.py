@@ -40,7 +40,7 @@ from dream.sim.worlds import make_world
 from dream.standin import chat
 from dream.standin.chat import Json
 from dream.standin.faults import Delivery
-from dream.standin.server import StandIn
+from dream.standin.server import ModelStandIn
 
 ADVISERS = ("silent", "knowing", "random", "first", "last", "doubting", "opposed")
 WORLDS = [f"reef/{kind}:{seed}" for seed in (103, 104) for kind in ("string", "patch", "mixed", "fringing")]
@@ -94,7 +94,7 @@ def advice(adviser: str, question: str, truth: Truth) -> dict[str, Any]:
     return {**said, "ranking": numbers, "confidence": confidence, "mission_complete": complete}
 
 
-class Adviser(StandIn):
+class Adviser(ModelStandIn):
     """Speaks as models do, and says what an adviser says."""
 
     def __init__(self, name: str, truth: Truth) -> None:

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import fftconvolve
 
-from dream.evaluation.calibration import NOTHING, Bin, Tally, brier, reliability_curve, tally
+from dream.evaluation.calibration import NOTHING, Bin, ForecastTally, brier, reliability_curve, tally
 from dream.evaluation.engines import Failure, Processes, processors
 from dream.evaluation.figures import Picture, Theme
 from dream.evaluation.suites import Case, family_of, suite_named
@@ -33,7 +33,7 @@ from dream.mission import explore
 from dream.planning import Belief
 from dream.planning.belief import BeliefPilot
 from dream.planning.distribution import expectation
-from dream.planning.sources import Expected, Scene
+from dream.planning.sources import Expected, Situation
 from dream.protocol import protocol_named
 from dream.robots import Teleport
 from dream.sim.worlds import make_world
@@ -66,10 +66,10 @@ class _Forecast:
 class _WatchedPilot(BeliefPilot):
     forecasts: list[_Forecast | None] = field(kw_only=True)
 
-    def expect(self, scene: Scene) -> Expected:
-        expected = BeliefPilot.expect(self, scene)
+    def expect(self, situation: Situation) -> Expected:
+        expected = BeliefPilot.expect(self, situation)
         told = len(self.forecasts) % EVERY == 0
-        self.forecasts.append(self._forecast(scene.occupancy, expected) if told else None)
+        self.forecasts.append(self._forecast(situation.occupancy, expected) if told else None)
         return expected
 
     def _forecast(self, occupancy: OccupancyMap, expected: Expected) -> _Forecast:
@@ -119,8 +119,8 @@ class _Watched:
 class Flown:
     """What one mission's forecasts came to."""
 
-    beside: Tally
-    anywhere: Tally
+    beside: ForecastTally
+    anywhere: ForecastTally
     area: tuple[tuple[float, float], ...]
     """At each look: square metres of targets to be expected beside known ones, by its words; and how many
     there were."""

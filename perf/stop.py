@@ -33,7 +33,7 @@ from dream.mission import explore
 from dream.planning import Belief
 from dream.planning.belief import BeliefPilot
 from dream.planning.distribution import GLIMPSED
-from dream.planning.sources import Expected, Hints, Scene
+from dream.planning.sources import Expected, HintedTargets, Situation
 from dream.planning.sources.survey import LEAVE
 from dream.protocol import protocol_named
 from dream.robots import Teleport
@@ -73,9 +73,9 @@ class Mission:
 class _WatchedPilot(BeliefPilot):
     said: list[tuple[bool, float]] = field(kw_only=True)
 
-    def expect(self, scene: Scene) -> Expected:
-        expected = BeliefPilot.expect(self, scene)
-        completion, targets = scene.completion, np.count_nonzero(scene.occupancy.target)
+    def expect(self, situation: Situation) -> Expected:
+        expected = BeliefPilot.expect(self, situation)
+        completion, targets = situation.completion, np.count_nonzero(situation.occupancy.target)
         looked = expected.hinted <= LEAVE * (targets * self.mission.protocol.cell**2 + expected.hinted)
         self.said.append((completion.complete and bool(completion.regions) and bool(looked), expected.risk))
         return expected
@@ -129,7 +129,7 @@ def flown(task: tuple[Case, str]) -> Mission:
         area = tuple(
             float(could_hide(step.occupancy, radius, nothing).sum()) * protocol.cell**2 for radius in RADII
         )
-    source = next(source for source in planner.pilots[-1].sources if isinstance(source, Hints))
+    source = next(source for source in planner.pilots[-1].sources if isinstance(source, HintedTargets))
     of = source.hints
     hints = (of.came_true, of.hinted, of.foreseen, of.found)
     return Mission(tuple(coverage), tuple(closed), tuple(risk), step.ended == "done", tuple(hidden), hints)
@@ -247,7 +247,7 @@ def main() -> int:
         ("of targets were hinted at first", foreseen, found),
     ):
         shares, all_of_them = part[whole > 0.0] / whole[whole > 0.0], part.sum() / whole.sum()
-        print(f"Hints: {all_of_them:.1%} {what}; {shares.min():.1%} to {shares.max():.1%} by mission")
+        print(f"HintedTargets: {all_of_them:.1%} {what}; {shares.min():.1%} to {shares.max():.1%} by mission")
     if options.bench is not None:
         print("\n| stop | missed 98.26 % | mean step | mean coverage | 98.26 % seen after |")
         print("|---|--:|--:|--:|--:|")

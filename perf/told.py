@@ -39,7 +39,7 @@ from dream.planning import AnyPlanner, Belief
 from dream.planning.lookahead import Prospect
 from dream.planning.outlook import Listed, Outlook
 from dream.planning.rounds import Rounds
-from dream.planning.sources import Expected, HullSurface, Scene, Source, TargetsBeside, Way, Worth
+from dream.planning.sources import BeliefSource, Expected, HullSurface, Situation, TargetsBeside, Way, Worth
 from dream.protocol import DREAM_V1
 from dream.robots import Teleport
 from dream.sim.files import world_hash
@@ -74,13 +74,13 @@ class _ToldHull(HullSurface):
     def __post_init__(self) -> None:
         self.seen = np.zeros(len(self.visibility), np.bool_)
 
-    def take(self, scene: Scene) -> None:
-        pose = scene.observation.pose
+    def take(self, situation: Situation) -> None:
+        pose = situation.observation.pose
         self.seen |= self.visibility.seen([[pose.x, pose.y, pose.yaw]])[0]
-        HullSurface.take(self, scene)
+        HullSurface.take(self, situation)
 
-    def listed(self, expected: Expected, scene: Scene) -> Listed | None:
-        travel, left = scene.travel, np.flatnonzero(self.visibility.countable & ~self.seen)
+    def listed(self, expected: Expected, situation: Situation) -> Listed | None:
+        travel, left = situation.travel, np.flatnonzero(self.visibility.countable & ~self.seen)
         if not expected.hull.any() or not len(left):
             return None
         rows, cols = np.nonzero(travel.reached)
@@ -110,37 +110,37 @@ class _ToldHull(HullSurface):
 
 
 @dataclass(slots=True, eq=False)
-class _ToldOfReef(Source):
+class _ToldOfReef(BeliefSource):
     """Knows the individuals in ground that was not observed, and nothing else counts."""
 
     visibility: Visibility
     rounds: Rounds | None
     """Searches for the shortest way round them; None for the usual look-ahead."""
 
-    def weigh(self, worth: Worth, expected: Expected, scene: Scene) -> None:
-        worth.ground = ONE * _held(self.visibility, scene.occupancy)
+    def weigh(self, worth: Worth, expected: Expected, situation: Situation) -> None:
+        worth.ground = ONE * _held(self.visibility, situation.occupancy)
         worth.search, worth.listed = 0.0, None
 
-    def tour(self, expected: Expected, scene: Scene, prospect: Prospect) -> Way | None:
+    def tour(self, expected: Expected, situation: Situation, prospect: Prospect) -> Way | None:
         if self.rounds is None:
             return None
         leave = (1.0 - COMPLETE) * ONE * int(self.visibility.countable.sum())
-        plan = self.rounds.plan(prospect, scene.travel, scene.moves, leave)
-        return None if plan is None else Way(scene.travel, plan, "")
+        plan = self.rounds.plan(prospect, situation.travel, situation.moves, leave)
+        return None if plan is None else Way(situation.travel, plan, "")
 
 
 @dataclass(frozen=True, slots=True)
-class _ToldOfPart(Source):
+class _ToldOfPart(BeliefSource):
     """Knows what lies beside the targets that it has seen, or only what lies farther away."""
 
     visibility: Visibility
     beside: bool
     eager: float
 
-    def weigh(self, worth: Worth, expected: Expected, scene: Scene) -> None:
-        cell = scene.occupancy.protocol.cell
-        held = (_held(self.visibility, scene.occupancy) > 0.0).astype(float)
-        near = within(scene.occupancy.target, BESIDE, cell)
+    def weigh(self, worth: Worth, expected: Expected, situation: Situation) -> None:
+        cell = situation.occupancy.protocol.cell
+        held = (_held(self.visibility, situation.occupancy) > 0.0).astype(float)
+        near = within(situation.occupancy.target, BESIDE, cell)
         told = np.where(near, held, 0.0) if self.beside else np.where(near, expected.beside, held)
         worth.ground = self.eager * cell**2 * told
         worth.search *= self.beside
@@ -157,15 +157,15 @@ def _held(visibility: Visibility, occupancy: OccupancyMap) -> npt.NDArray[np.flo
 class _Told(Belief):
     """The planner that is told."""
 
-    tell: Callable[[list[Source]], list[Source]] = field(kw_only=True)
+    tell: Callable[[list[BeliefSource]], list[BeliefSource]] = field(kw_only=True)
     """What its usual sources become."""
     glimpse: float = UNTOLD.glimpse
 
-    def sources(self, mission: Mission, views: Outlook) -> list[Source]:
+    def sources(self, mission: Mission, views: Outlook) -> list[BeliefSource]:
         return self.tell(Belief.sources(self, mission, views))
 
 
-def _told_of_hull(visibility: Visibility, sources: list[Source]) -> list[Source]:
+def _told_of_hull(visibility: Visibility, sources: list[BeliefSource]) -> list[BeliefSource]:
     return [
         _ToldHull(one.hull, one.views, one.eager, one.accepted, one.alone, visibility=visibility)
         if isinstance(one, HullSurface)
@@ -174,11 +174,11 @@ def _told_of_hull(visibility: Visibility, sources: list[Source]) -> list[Source]
     ]
 
 
-def _told_of_reef(visibility: Visibility, way_round: bool, sources: list[Source]) -> list[Source]:
+def _told_of_reef(visibility: Visibility, way_round: bool, sources: list[BeliefSource]) -> list[BeliefSource]:
     return [*sources, _ToldOfReef(visibility, Rounds() if way_round else None)]
 
 
-def _told_of_part(visibility: Visibility, beside: bool, sources: list[Source]) -> list[Source]:
+def _told_of_part(visibility: Visibility, beside: bool, sources: list[BeliefSource]) -> list[BeliefSource]:
     eager = next(one.eager for one in sources if isinstance(one, TargetsBeside))
     return [*sources, _ToldOfPart(visibility, beside, eager)]
 

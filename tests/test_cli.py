@@ -34,7 +34,7 @@ from dream.compiling import COMPILES
 from dream.evaluation import runner
 from dream.evaluation.locks import alone_at
 from dream.evaluation.oracle import bounds as bounds_module
-from dream.evaluation.oracle.bounds import Bounds
+from dream.evaluation.oracle.bounds import OracleBounds
 from dream.evaluation.results import read_results
 from dream.evaluation.runner import simulate
 from dream.evaluation.suites import SUITES, Case
@@ -832,7 +832,7 @@ def test_a_check_of_the_bounds_of_a_suite_fails_where_none_is_known_or_one_does_
     assert run_command(["oracle", "--world", "flat/empty", "--budget", "0", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     line = found | {"tour": [], "tour_t98": [], "witnesses": [], "witnesses_t98": []}
-    good = Bounds.from_dict(line)
+    good = OracleBounds.from_dict(line)
     stale = replace(good, seed=2, world_hash="0" * 64)
     many = replace(good, countable=7)
     for bounds, verdict in (good, "holds"), (many, "countable: expected 0, got 7"):
@@ -857,9 +857,9 @@ def test_oracle_flies_its_tours_before_it_tells_them(
 ) -> None:
     tighten = bounds_module.tighten
 
-    def made_up(*arguments: Any, **options: Any) -> Iterator[Bounds]:
+    def made_up(*arguments: Any, **options: Any) -> Iterator[OracleBounds]:
         for found in tighten(*arguments, **options):
-            yield Bounds.from_dict(found.as_dict() | MADE_UP)
+            yield OracleBounds.from_dict(found.as_dict() | MADE_UP)
 
     monkeypatch.setattr(bounds_module, "tighten", made_up)
     assert run_command(["oracle", "--world", "flat/empty", "--budget", "0"]) == 1
@@ -873,7 +873,7 @@ def test_an_interrupted_search_tells_what_it_found(
 ) -> None:
     tighten = bounds_module.tighten
 
-    def interrupted(*arguments: Any, **options: Any) -> Iterator[Bounds]:
+    def interrupted(*arguments: Any, **options: Any) -> Iterator[OracleBounds]:
         yield from tighten(*arguments, **options)
         raise KeyboardInterrupt
 

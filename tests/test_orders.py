@@ -26,7 +26,7 @@ from dream.protocol import DREAM_V1
 from dream.sim.world import World
 from dream.sim.worlds import make_world
 from dream.types import LOOK_AROUND, Asked, Decision, Exchange, Mission, Observation, Reasoning, Step, Target
-from tests.planning.flights import scene_of, source_of
+from tests.planning.flights import situation_of, source_of
 
 BOX = Bounds(-20.0, -20.0, 20.0, 20.0)
 NEAR = Bounds(-15.0, 7.0, -11.0, 10.0)
@@ -294,7 +294,7 @@ def test_belief_expects_no_hull_outside_of_the_area(wreck: World) -> None:
     outside = source.hull.middles[:, 1] < -DREAM_V1.cell
     for area, expects in ((last.leg.area if last.leg else None, False), (None, True)):
         occupancy.restrict(area)
-        hull = pilot.expect(scene_of(pilot, last.observation, occupancy)).hull
+        hull = pilot.expect(situation_of(pilot, last.observation, occupancy)).hull
         assert hull[~outside].sum() > 0.0
         assert (hull[outside].sum() > 0.0) == expects
 

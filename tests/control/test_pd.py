@@ -6,12 +6,16 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
-from dream.control import Pd
-from dream.geometry import SE2, wrap_angle
+from dream.control import Pd, _kernels
+from dream.control.autopilot import Autopilot, nominal
+from dream.geometry import SE2, SE3, wrap_angle
+from dream.sim.vehicle import BLUEROV2_HEAVY
 from dream.types import BodyVelocity, Setpoint
 
+Array = npt.NDArray[np.float64]
 HEADINGS = [math.radians(degrees) for degrees in range(-180, 180, 15)]
 STILL = BodyVelocity(0.0, 0.0, 0.0, 0.0)
 BEAT = 0.05
@@ -70,6 +74,55 @@ def test_it_is_the_law_in_matrices(yaw: float) -> None:
     told = law.track(pose, BodyVelocity(0.2, -0.1, 0.3, 0.05), goal)
     assert (told.surge, told.sway, told.heave) == pytest.approx((u, v, 0.0))
     assert told.yaw_rate == pytest.approx(1.3 * 0.4 - 0.3 * 0.05)
+
+
+def flying(pose: SE2, velocity: BodyVelocity, goal: Setpoint) -> tuple[Array, Array]:
+    """Of the loop that flies, about a reference at rest: what velocities lack, and what it does about it.
+
+    Both of surge, sway, heave and yaw. What it does are accelerations of a vehicle that has no drag, and that
+    nothing pushes or lifts.
+    """
+    gains, model = Autopilot().gains, nominal(BLUEROV2_HEAVY.hull, BLUEROV2_HEAVY.thrusters)
+    model = model._replace(linear=np.zeros(6), quadratic=np.zeros(6), lift=0.0)
+    memory = _kernels.begin(np.array([goal.x, goal.y, -3.0]), goal.yaw, 0.0)
+    at = SE3.level(pose.x, pose.y, -3.0, pose.yaw)
+    R = at.rotation.astype(np.float64)
+    over_ground = R @ [velocity.surge, velocity.sway, 0.0]
+    rates = np.array([0.0, 0.0, velocity.yaw_rate])
+    wrench, error, _ = _kernels.wrench(
+        memory, (0.0, 0.0, 0.0, 0.0), R, at.translation.astype(np.float64), over_ground, rates, gains, model
+    )
+    return np.append(R.T @ error[:3], error[3]), (wrench / model.inertia)[[0, 1, 2, 5]]
+
+
+def numbers(velocity: BodyVelocity) -> tuple[float, float, float, float]:
+    return velocity.surge, velocity.sway, velocity.heave, velocity.yaw_rate
+
+
+@pytest.mark.parametrize("yaw", HEADINGS)
+def test_the_loop_that_flies_follows_a_reference_at_rest_by_this_law(yaw: float) -> None:
+    pilot = Autopilot()
+    pose, goal = SE2(1.0, 2.0, yaw), Setpoint(-2.0, 2.5, wrap_angle(yaw + 2.8), 2.0)
+    moving = BodyVelocity(0.3, -0.2, 0.0, 0.4)
+    # With nothing taken off, to be at a velocity; with all of it, what is lacking of that.
+    asked = Pd(K_p=pilot.position, K_d=0.0, k_psi=pilot.yaw, k_r=0.0).track(pose, moving, goal)
+    lacked = Pd(K_p=pilot.position, K_d=1.0, k_psi=pilot.yaw, k_r=1.0).track(pose, moving, goal)
+    at_rest, _ = flying(pose, STILL, goal)
+    assert at_rest == pytest.approx(numbers(asked), abs=1e-12)
+    lacking, done = flying(pose, moving, goal)
+    assert lacking == pytest.approx(numbers(lacked), abs=1e-12)
+    # The second loop, and the rate at which what the law asks for falls while the vehicle moves.
+    accelerations = (
+        pilot.velocity * lacked.surge - pilot.position * moving.surge,
+        pilot.velocity * lacked.sway - pilot.position * moving.sway,
+        0.0,
+        pilot.yaw_rate * lacked.yaw_rate - pilot.yaw * moving.yaw_rate,
+    )
+    assert done == pytest.approx(accelerations, abs=1e-12)
+
+
+def test_of_a_reference_that_moves_the_velocity_is_added() -> None:
+    assert _kernels.track(2.0, 0.3, 0.4, 1.5, 1.0) == pytest.approx(0.4 + 1.5 * 2.0 - 0.3)
 
 
 def test_it_turns_the_short_way() -> None:

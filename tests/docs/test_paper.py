@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 DOCS = Path(__file__).parents[2] / "docs"
+PACKAGE = DOCS.parent / "src" / "dream"
 LINK = re.compile(r"\[(`[^]]*`)\]\(([^)]+\.py)\)")
 
 
@@ -29,11 +31,16 @@ def named_in(text: str) -> set[int]:
 
 
 def source_of(file: Path, name: str) -> str:
+    """Of a function, or of a method as Class.method."""
     text = file.read_text(encoding="utf-8")
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.FunctionDef) and node.name == name.split(".")[-1]:
-            return ast.get_source_segment(text, node) or ""
-    raise AssertionError(f"{file.name} has no function {name}")
+    within: ast.AST = ast.parse(text)
+    for part in name.split("."):
+        kinds = (ast.FunctionDef, ast.ClassDef)
+        named = (node for node in ast.walk(within) if isinstance(node, kinds) and node.name == part)
+        found = next(named, None)
+        assert found is not None, f"{file.name} has no {name}"
+        within = found
+    return ast.get_source_segment(text, within) or ""
 
 
 @pytest.mark.parametrize(("equation", "name", "file"), rows())
@@ -41,5 +48,47 @@ def test_a_function_that_the_page_names_names_its_equation(equation: int, name: 
     assert equation in named_in(source_of((DOCS / file).resolve(), name))
 
 
-def test_the_page_has_every_equation_of_the_map() -> None:
-    assert {equation for equation, _, _ in rows()} >= set(range(1, 9))
+def test_the_page_has_every_equation() -> None:
+    assert {equation for equation, _, _ in rows()} == set(range(1, 12))
+
+
+def running() -> list[tuple[str, str, str]]:
+    """What the page says runs: an equation or the completion rule, a function, and its file."""
+    found = []
+    for line in (DOCS / "paper.md").read_text(encoding="utf-8").splitlines():
+        if line.startswith(("| Eq. ", "| completion rule ")):
+            what, runs = (cell.strip() for cell in line.split("|")[1:3])
+            for names, file in LINK.findall(runs):
+                found += [(what.split(",")[0], name, file) for name in re.findall(r"`([^`]+)`", names)]
+    return found
+
+
+@cache
+def called() -> set[str]:
+    """Names that are called in the package, by others than a function or class of that name."""
+    found: set[str] = set()
+    for file in PACKAGE.rglob("*.py"):
+        for function in ast.parse(file.read_text(encoding="utf-8")).body:
+            for node in ast.walk(function):
+                if isinstance(node, ast.Call):
+                    name = getattr(node.func, "id", getattr(node.func, "attr", None))
+                    if name is not None and name != getattr(function, "name", None):
+                        found.add(name)
+    return found
+
+
+def test_two_clicks_lead_from_the_readme_to_every_equation_where_it_runs() -> None:
+    readme = (DOCS.parent / "README.md").read_text(encoding="utf-8")
+    assert "](docs/paper.md)" in readme
+    assert {what for what, _, _ in running()} == {*(f"Eq. {n}" for n in range(1, 12)), "completion rule"}
+
+
+@pytest.mark.parametrize(("what", "name", "file"), running())
+def test_what_the_page_says_runs_is_called_and_says_what_it_is(what: str, name: str, file: str) -> None:
+    path = (DOCS / file).resolve()
+    assert name.split(".")[-1] in called(), f"nothing in the package calls {name}"
+    if what == "completion rule":
+        assert "the paper's rule" in (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "")
+        assert source_of(path, name.split(".")[-1])
+    else:
+        assert int(what.removeprefix("Eq. ")) in named_in(source_of(path, name))

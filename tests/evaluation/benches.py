@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dream.evaluation.metrics import MILESTONES, curve
-from dream.evaluation.oracle.bounds import Bounds, Limit
+from dream.evaluation.oracle.bounds import Limit, OracleBounds
 from dream.evaluation.results import Flown, Row, Trace, write_manifest, write_tables
 from dream.evaluation.suites import SUITES, Case
 from dream.types import LOOK_AROUND
@@ -167,10 +167,12 @@ def paper_missions(planners: Mapping[str, float] = PACES, cases: Sequence[Case] 
     return found
 
 
-def bounds(case: Case, t98: tuple[int, int | None], full: tuple[int, int | None]) -> Bounds:
+def bounds(case: Case, t98: tuple[int, int | None], full: tuple[int, int | None]) -> OracleBounds:
     """Bounds that nobody certified: lower bound and best tour of each share."""
     of_full, of_t98 = (
         Limit(lower, tour, (), (0,) * (tour - LOOK_AROUND) if tour is not None else ())
         for lower, tour in (full, t98)
     )
-    return Bounds(case.world, case.seed, case.start, "dream-v1", "made", 400, of_full, of_t98, cpu_s=1.0)
+    return OracleBounds(
+        case.world, case.seed, case.start, "dream-v1", "made", 400, of_full, of_t98, cpu_s=1.0
+    )

@@ -24,7 +24,7 @@ from dream.commands import Bench
 from dream.commands.console import _Scores
 from dream.evaluation.comparison import compare, family
 from dream.evaluation.figures import shown_cases
-from dream.evaluation.oracle.bounds import Bounds
+from dream.evaluation.oracle.bounds import OracleBounds
 from dream.evaluation.report import repeating_command, sections, write_report, write_results
 from dream.evaluation.results import Results, read_results
 from dream.evaluation.runner import Ended, Plan
@@ -95,7 +95,7 @@ def paper(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     write_bench(folder, paper_missions(), PAPER, list(PACES))
     with pytest.MonkeyPatch.context() as patch:
 
-        def known(protocol: str, world: str, seed: int, start: int, world_hash: str) -> Bounds | None:
+        def known(protocol: str, world: str, seed: int, start: int, world_hash: str) -> OracleBounds | None:
             case = Case(world, seed, start)
             return bounds(case, (20, 24), (22, None)) if world == "reef/L" else None
 

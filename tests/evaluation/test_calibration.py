@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dream.evaluation.calibration import PROBABILITIES, Tally, brier, reliability_curve, tally
+from dream.evaluation.calibration import PROBABILITIES, ForecastTally, brier, reliability_curve, tally
 
 FORECASTS = st.lists(st.tuples(st.floats(0.0, 1.0), st.booleans()), min_size=1, max_size=40)
 
 
-def _tally(forecasts: list[tuple[float, bool]]) -> Tally:
+def _tally(forecasts: list[tuple[float, bool]]) -> ForecastTally:
     told, true = zip(*forecasts, strict=True)
     return tally(np.array(told), np.array(true))
 

@@ -27,7 +27,7 @@ from dream.evaluation.comparison import (
     groups,
     what_is_missing,
 )
-from dream.evaluation.oracle.bounds import Bounds
+from dream.evaluation.oracle.bounds import OracleBounds
 from dream.evaluation.paper_tables import UNMEASURED, paper_tables, published_tables
 from dream.evaluation.report import warnings
 from dream.evaluation.results import Flown, Results
@@ -68,11 +68,13 @@ def comparison(
 
 
 @pytest.fixture
-def known(monkeypatch: pytest.MonkeyPatch) -> dict[Case, Bounds]:
+def known(monkeypatch: pytest.MonkeyPatch) -> dict[Case, OracleBounds]:
     """What is certified, by case; empty at first."""
-    found: dict[Case, Bounds] = {}
+    found: dict[Case, OracleBounds] = {}
 
-    def known_bounds(protocol: str, world: str, seed: int, start: int, world_hash: str) -> Bounds | None:
+    def known_bounds(
+        protocol: str, world: str, seed: int, start: int, world_hash: str
+    ) -> OracleBounds | None:
         assert (protocol, world_hash) == ("dream-v1", "made")
         return found.get(Case(world, seed, start))
 
@@ -291,7 +293,7 @@ def test_wrecks_stand_design_by_design_where_there_are_several_of_each() -> None
     assert "designs" not in tables.against_the_best_baseline(one_each).notes[0]
 
 
-def test_ratios_stand_side_by_side_and_leave_collisions_out(known: dict[Case, Bounds]) -> None:
+def test_ratios_stand_side_by_side_and_leave_collisions_out(known: dict[Case, OracleBounds]) -> None:
     known[L1] = bounds(L1, (25, 40), (30, None))
     known[L2] = bounds(L2, (20, 20), (20, 20))
     missions = [flown(L1, "sixsteps", FAST), flown(L2, "sixsteps", replace(FAST, collides_at=9))]
@@ -305,7 +307,7 @@ def test_ratios_stand_side_by_side_and_leave_collisions_out(known: dict[Case, Bo
     assert line["soft SPL"] == f"{0.5 * 25 / 60:.2f}"
 
 
-def test_ratios_that_hold_unreached_marks_say_so(known: dict[Case, Bounds]) -> None:
+def test_ratios_that_hold_unreached_marks_say_so(known: dict[Case, OracleBounds]) -> None:
     for case in (L1, L2):
         known[case] = bounds(case, (25, 40), (30, 50))
     known[W1] = bounds(W1, (25, None), (30, None))
@@ -331,7 +333,7 @@ def test_ratios_that_hold_unreached_marks_say_so(known: dict[Case, Bounds]) -> N
     assert "≥ 5.00 │" in summary
 
 
-def test_the_summary_says_of_how_many_missions_a_ratio_is(known: dict[Case, Bounds]) -> None:
+def test_the_summary_says_of_how_many_missions_a_ratio_is(known: dict[Case, OracleBounds]) -> None:
     known[L1] = bounds(L1, (25, 40), (30, 50))
     missions = [flown(case, "sixsteps", FAST) for case in (L1, L2, W1)]
     summary = summary_of(results(missions, (L1, L2, W1), ["sixsteps"]), width=120)
@@ -341,19 +343,21 @@ def test_the_summary_says_of_how_many_missions_a_ratio_is(known: dict[Case, Boun
     assert f" {NONE} │" in wrecks
 
 
-def test_missions_too_short_for_any_tour_have_no_ratio(known: dict[Case, Bounds]) -> None:
+def test_missions_too_short_for_any_tour_have_no_ratio(known: dict[Case, OracleBounds]) -> None:
     known[L1] = bounds(L1, (60, 90), (95, 120))
     cut = comparison(flown(L1, "sixsteps", SLOW, cap=80), cases=[L1], planners=["sixsteps"], max_steps=80)
     line = row(tables.efficiency(cut, "All", (L1,)), "sixsteps")
     assert {line[heading] for heading in line if "÷" in heading} == {NONE}
 
 
-def test_without_bounds_there_are_no_ratios(known: dict[Case, Bounds]) -> None:
+def test_without_bounds_there_are_no_ratios(known: dict[Case, OracleBounds]) -> None:
     line = row(tables.efficiency(comparison(*three_each()), "All", (L1, L2, W1)), "sixsteps")
     assert set(line.values()) == {"sixsteps", NONE}
 
 
-def test_the_table_of_bounds_never_calls_a_tour_the_optimum_without_proof(known: dict[Case, Bounds]) -> None:
+def test_the_table_of_bounds_never_calls_a_tour_the_optimum_without_proof(
+    known: dict[Case, OracleBounds],
+) -> None:
     known[L1] = bounds(L1, (25, 40), (30, None))
     known[L2] = bounds(L2, (20, 20), (21, 21))
     table = tables.bounds_table(comparison(*three_each()))
@@ -363,7 +367,7 @@ def test_the_table_of_bounds_never_calls_a_tour_the_optimum_without_proof(known:
     )
 
 
-def test_a_mission_below_a_certified_bound_is_told(known: dict[Case, Bounds]) -> None:
+def test_a_mission_below_a_certified_bound_is_told(known: dict[Case, OracleBounds]) -> None:
     known[L1] = bounds(L1, (50, 50), (51, 51))
     known[L2] = bounds(L2, (51, 60), (51, 60))
     assert contradictions(comparison(flown(L1, "sixsteps", FAST))) == [
@@ -372,7 +376,7 @@ def test_a_mission_below_a_certified_bound_is_told(known: dict[Case, Bounds]) ->
     assert not contradictions(comparison(flown(L2, "sixsteps", replace(FAST, collides_at=3))))
 
 
-def test_the_look_around_is_below_a_bound_that_comes_after_it(known: dict[Case, Bounds]) -> None:
+def test_the_look_around_is_below_a_bound_that_comes_after_it(known: dict[Case, OracleBounds]) -> None:
     known[L1] = bounds(L1, (3, 3), (3, 3))
     told = contradictions(comparison(flown(L1, "sixsteps", Made(2, 10))))
     assert told[0] == "sixsteps took 2 steps to t98 in reef/L 1, below the bound 3"

@@ -10,12 +10,12 @@ import numpy.typing as npt
 from dream.geometry import SE3
 from dream.mapping import OccupancyMap
 from dream.planning.belief import BeliefPilot
-from dream.planning.sources import HullSurface, Scene, Source
+from dream.planning.sources import BeliefSource, HullSurface, Situation
 from dream.planning.sources.hull import away_from_hull
 from dream.protocol import DREAM_V1
 from dream.types import Observation
 
-S = TypeVar("S", bound=Source)
+S = TypeVar("S", bound=BeliefSource)
 
 SIDE = 96
 """Cells along `tests.mapping.analytic.AREA`."""
@@ -49,11 +49,11 @@ def source_of(pilot: BeliefPilot, kind: type[S]) -> S | None:
     return next((source for source in pilot.sources if isinstance(source, kind)), None)
 
 
-def scene_of(pilot: BeliefPilot, observation: Observation, occupancy: OccupancyMap) -> Scene:
+def situation_of(pilot: BeliefPilot, observation: Observation, occupancy: OccupancyMap) -> Situation:
     """What a pilot would have to go by, without having it take in anything."""
     pose = observation.pose
     here = (*pilot.views.node(pose.x, pose.y), occupancy.protocol.heading_index(pose.yaw))
-    scene = Scene(observation, occupancy, here, pilot.views, pilot.failed)
+    situation = Situation(observation, occupancy, here, pilot.views, pilot.failed)
     if source_of(pilot, HullSurface) is not None:
-        scene.away_from_hull = away_from_hull(occupancy)
-    return scene
+        situation.away_from_hull = away_from_hull(occupancy)
+    return situation

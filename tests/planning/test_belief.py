@@ -34,7 +34,7 @@ from dream.planning.belief import BeliefPilot, Thought
 from dream.planning.distribution import GLIMPSED, OBSERVED, Groups, expectation
 from dream.planning.failed_views import GIVEN_UP
 from dream.planning.lookahead import LookAhead, Plan, Prospect
-from dream.planning.sources import Hints, HullSurface
+from dream.planning.sources import HintedTargets, HullSurface
 from dream.planning.sources.source import MOST_VISITS
 from dream.planning.travel import careful_travel, nearest_open
 from dream.protocol import DREAM_V1, protocol_named
@@ -42,7 +42,7 @@ from dream.sim.world import World
 from dream.sim.worlds import make_world
 from dream.types import BoolArray, Decision, Mission, Observation, Step
 from tests.mapping.analytic import AREA, map_with
-from tests.planning.flights import SIDE, all_but, observed_at, scene_of, source_of
+from tests.planning.flights import SIDE, all_but, observed_at, situation_of, source_of
 from tests.sim.arenas import FLOOR, arena, placed
 
 MISSION = Mission(DREAM_V1, AREA, DREAM_V1.cap)
@@ -416,7 +416,7 @@ def test_asked_the_same_for_ever_it_does_not_answer_the_same_for_ever(name: str)
 def test_what_it_gives_up_of_a_hull_is_not_hoped_for_again_from_there() -> None:
     flown = _fly(WRECK, max_steps=16)
     pilot, (observation, occupancy, _) = flown.pilots[-1], flown.asked[-1]
-    scene, source = scene_of(pilot, observation, occupancy), source_of(pilot, HullSurface)
+    scene, source = situation_of(pilot, observation, occupancy), source_of(pilot, HullSurface)
     assert source is not None
     expected = pilot.expect(scene)
 
@@ -533,7 +533,7 @@ def test_hints_that_no_place_can_see_do_not_keep_it_going() -> None:
     observation = observed_at(-6.0, -4.0, 0.0)
     for beyond, done in ((np.s_[:, 50:70, 60:80], True), (np.s_[:, 50:70, 20:30], False)):
         pilot = Belief(risk=0.5).begin(MISSION)
-        source = source_of(pilot, Hints)
+        source = source_of(pilot, HintedTargets)
         assert source is not None
         source.hints._pixels[beyond] = 10
         unseen = map_with(
@@ -554,7 +554,7 @@ def test_the_risk_knows_what_was_glimpsed(over_the_reef: Flown) -> None:
         hiding = could_hide(occupancy, size, NOTHING)
         if completion.complete:
             hiding &= hiding_places(occupancy, observation.pose, size)
-        source = source_of(pilot, Hints)
+        source = source_of(pilot, HintedTargets)
         assert source is not None
         evidence = source.hints.evidence(occupancy)
         hidden = float(evidence.unnoticed(size, DREAM_V1.cell)[hiding].sum()) * square
@@ -571,9 +571,9 @@ def test_in_a_tank_and_with_a_survey_no_hints_are_taken() -> None:
     survey = replace(MISSION, prior=Prior(AREA, DREAM_V1.cell, told, NOTHING, years=1.0))
     for mission in (tank, survey):
         pilot = Belief().begin(mission)
-        assert source_of(pilot, Hints) is None
+        assert source_of(pilot, HintedTargets) is None
         empty = OccupancyMap(mission.bounds, mission.protocol)
-        assert pilot.expect(scene_of(pilot, observed_at(0.0, 0.0, 0.0), empty)).calibration is OBSERVED
+        assert pilot.expect(situation_of(pilot, observed_at(0.0, 0.0, 0.0), empty)).calibration is OBSERVED
 
 
 def test_while_a_region_is_open_no_group_is_expected_farther_than_any_view_reaches() -> None:
@@ -640,7 +640,7 @@ def test_on_a_reef_no_hull_is_believed_in(over_the_reef: Flown) -> None:
     occupancy = over_the_reef.last.occupancy
     assert occupancy.target.any()
     assert not (occupancy.target & occupancy.solid).any()
-    assert not pilot.expect(scene_of(pilot, over_the_reef.last.observation, occupancy)).hull.any()
+    assert not pilot.expect(situation_of(pilot, over_the_reef.last.observation, occupancy)).hull.any()
 
 
 def test_on_a_wreck_what_is_left_of_the_hull_keeps_it_going() -> None:
@@ -658,7 +658,7 @@ def test_with_all_else_seen_it_goes_to_the_side_of_a_hull_that_it_has_not_seen()
     known = map_with(solid=occupancy.solid, explored=explored, target=occupancy.target)
     pilot = first.pilots[-1]
     assert check_completion(known, observation.pose).complete
-    left = _hull(pilot).middles[pilot.expect(scene_of(pilot, observation, known)).hull > 0.0]
+    left = _hull(pilot).middles[pilot.expect(situation_of(pilot, observation, known)).hull > 0.0]
     assert len(left)
     decision = pilot.decide(observation, known)
     assert not decision.done
@@ -759,7 +759,7 @@ def test_it_says_the_risk_and_the_groups_that_its_model_gives(over_the_reef: Flo
 def test_it_says_what_it_expects_of_a_hull_and_what_it_would_accept(over_the_reef: Flown) -> None:
     flown = _fly(WRECK, max_steps=12)
     pilot, (observation, occupancy, decision) = flown.pilots[-1], flown.asked[-1]
-    expected = pilot.expect(scene_of(pilot, observation, occupancy))
+    expected = pilot.expect(situation_of(pilot, observation, occupancy))
     area, share = PATCH**2 * float(expected.hull.sum()), expected.hull_left
     assert not decision.done
     assert share > 0.005
@@ -807,7 +807,7 @@ class Explained:
         thought = self.pilot.consider(observation, occupancy)
         decision = self.pilot.act(thought, thought.plan)
         if thought.plan is not None and thought.plan.choice is not None:
-            prospect = self.pilot.prospect(thought.expected, thought.scene)
+            prospect = self.pilot.prospect(thought.expected, thought.situation)
             shows = self._shows(thought, thought.plan, prospect, occupancy)
             self.plans.append((thought.plan, decision, shows))
         return decision

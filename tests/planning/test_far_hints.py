@@ -19,7 +19,7 @@ from dream.mapping import OccupancyMap, within
 from dream.planning import Belief, belief
 from dream.planning.belief import BeliefPilot
 from dream.planning.far_hints import HALF, USUAL, WORTH, FarHints
-from dream.planning.sources import Hints
+from dream.planning.sources import HintedTargets
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
 from dream.types import Label, Mission, Observation, Step
@@ -280,7 +280,7 @@ def test_it_is_not_done_while_much_that_was_hinted_at_was_not_looked_at(
 ) -> None:
     pilot, step = done
     assert pilot.decide(step.observation, step.occupancy).done
-    source = source_of(pilot, Hints)
+    source = source_of(pilot, HintedTargets)
     assert source is not None
     far_hints = source.hints
     unseen = np.argwhere(~step.occupancy.observed)
@@ -297,7 +297,7 @@ def test_what_may_be_left_is_a_share_of_all_targets_seen_and_hinted_at(
     done: tuple[BeliefPilot, Step], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pilot, step = done
-    source = source_of(pilot, Hints)
+    source = source_of(pilot, HintedTargets)
     assert source is not None
     row, col = np.argwhere(~step.occupancy.observed)[100]
     source.hints._pixels[:, max(row - 8, 0) : row + 8, max(col - 8, 0) : col + 8] = 10
@@ -340,7 +340,7 @@ def test_it_says_how_much_was_hinted_at_and_how_far_that_is_believed() -> None:
         )
         if match is None:
             continue
-        source = source_of(pilots[-1], Hints)
+        source = source_of(pilots[-1], HintedTargets)
         assert source is not None
         assert float(match[2]) == pytest.approx(100.0 * source.hints.precision, abs=0.5)
         assert float(match[1]) > 0.0

@@ -20,12 +20,12 @@ from dream.planning import Belief, sentences
 from dream.planning.belief import BeliefPilot
 from dream.planning.distribution import OBSERVED
 from dream.planning.prior_survey import BELIEVED, LIKELY, LOOKS, PriorSurvey
-from dream.planning.sources import Expected, Survey
+from dream.planning.sources import Expected, ForetoldTargets
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
 from dream.types import BoolArray, Mission, Step
 from tests.mapping.analytic import AREA, Disc, empty_map, look_around, map_with
-from tests.planning.flights import observed_at, scene_of, source_of
+from tests.planning.flights import observed_at, situation_of, source_of
 
 SIDE = round(AREA.width / DREAM_V1.cell)
 NOWHERE: BoolArray = np.zeros((SIDE, SIDE), np.bool_)
@@ -181,10 +181,10 @@ def told_of(prior: Prior | None, target: BoolArray, believed: float = 1.0, arriv
     pilot = Belief(glimpse=1.0, arriving=arriving).begin(Mission(DREAM_V1, AREA, 200, prior=prior))
     assert isinstance(pilot, BeliefPilot)
     occupancy = map_with(explored=patch(40, 40, 34), target=target)
-    source = source_of(pilot, Survey)
+    source = source_of(pilot, ForetoldTargets)
     if source is not None:
         source.survey.believed = believed
-    return pilot.expect(scene_of(pilot, observed_at(0.0, 0.0, 0.0), occupancy))
+    return pilot.expect(situation_of(pilot, observed_at(0.0, 0.0, 0.0), occupancy))
 
 
 def test_where_a_believed_survey_saw_no_group_few_are_to_be_expected() -> None:
@@ -218,7 +218,7 @@ def test_where_no_risk_is_accepted_a_round_leaves_no_ground_that_the_survey_does
     assert isinstance(pilot, BeliefPilot)
     thought = pilot.consider(observed_at(0.0, 0.0, 0.0), map_with(explored=patch(40, 40, 34), target=was))
     assert thought.plan is not None
-    source = source_of(pilot, Survey)
+    source = source_of(pilot, ForetoldTargets)
     assert source is not None
     assert source.rounds.path == thought.plan.path
 
@@ -364,4 +364,4 @@ def test_a_survey_of_bare_ground_alone_lowers_no_risk() -> None:
 def test_without_a_survey_nothing_is_foretold() -> None:
     pilot = Belief().begin(Mission(DREAM_V1, AREA, 200))
     assert isinstance(pilot, BeliefPilot)
-    assert source_of(pilot, Survey) is None
+    assert source_of(pilot, ForetoldTargets) is None

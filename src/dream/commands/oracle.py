@@ -27,13 +27,13 @@ from dream.protocol import SurveyProtocol, protocol_named
 from dream.telling import rich_console
 
 if TYPE_CHECKING:
-    from dream.evaluation.oracle.bounds import Bounds
+    from dream.evaluation.oracle.bounds import OracleBounds
     from dream.evaluation.results import Results
     from dream.evaluation.suites import Case
     from dream.sim.world import World
 
 Key = tuple[str, str, int, int]
-"""What `Bounds.key` gives."""
+"""What `OracleBounds.key` gives."""
 DEFAULT_WORLD = "reef/string"
 
 
@@ -183,8 +183,8 @@ class Oracle:
         return self.protocol or "dream-v1", case.world, case.seed, case.start
 
     def _search(
-        self, cases: Sequence[Case], kept: Mapping[Key, Bounds]
-    ) -> Iterator[tuple[Case, Bounds | str]]:
+        self, cases: Sequence[Case], kept: Mapping[Key, OracleBounds]
+    ) -> Iterator[tuple[Case, OracleBounds | str]]:
         """Each case with its bounds, or with what was wrong, in the order in which they end."""
         if not cases:
             return
@@ -207,7 +207,7 @@ class Oracle:
             }
             try:
                 for future in as_completed(running):
-                    found: Bounds | str
+                    found: OracleBounds | str
                     try:
                         found = future.result()
                     except ValueError as error:
@@ -259,11 +259,11 @@ def _search_case(
     case: Case,
     protocol: str,
     budget_s: float,
-    kept: Bounds | None,
+    kept: OracleBounds | None,
     results: Results | None,
     *,
     again: bool,
-) -> Bounds:
+) -> OracleBounds:
     """The bounds of a case, its tours flown: those kept, where they are of this very world and will do."""
     from dream.evaluation.oracle.bounds import bound, drive, known_bounds, walks_of
     from dream.sim.files import world_hash
@@ -302,7 +302,7 @@ def _results(folder: Path | None) -> Results | None:
     return None if folder is None else read_kept(folder)
 
 
-def _last(states: Iterator[Bounds], budget_s: float) -> tuple[Bounds, bool]:
+def _last(states: Iterator[OracleBounds], budget_s: float) -> tuple[OracleBounds, bool]:
     """The last of some bounds, and whether the user ended them; they are told of meanwhile."""
     with stage("finding what each pose shows"):
         found = next(states)
@@ -317,14 +317,14 @@ def _last(states: Iterator[Bounds], budget_s: float) -> tuple[Bounds, bool]:
     return found, False
 
 
-def _ends(bounds: Bounds) -> str:
+def _ends(bounds: OracleBounds) -> str:
     return (
         f"100 % in {bounds.full.lower_bound} to {bounds.full.best_tour or '?'} steps, "
         f"98.26 % in {bounds.t98.lower_bound} to {bounds.t98.best_tour or '?'}"
     )
 
 
-def _print_one(bounds: Bounds, picture: Path | None) -> None:
+def _print_one(bounds: OracleBounds, picture: Path | None) -> None:
     print(f"{bounds.world} {bounds.seed} · start {bounds.start} · {bounds.protocol}")
     for name, limit in (("100 %   ", bounds.full), ("98.26 % ", bounds.t98)):
         if limit.status == "optimal":
@@ -340,7 +340,7 @@ def _print_one(bounds: Bounds, picture: Path | None) -> None:
         print(f"  picture: {picture}")
 
 
-def _print_table(found: Sequence[Bounds]) -> None:
+def _print_table(found: Sequence[OracleBounds]) -> None:
     import sys
 
     from rich.table import Table
@@ -358,7 +358,7 @@ def _print_table(found: Sequence[Bounds]) -> None:
     rich_console(width=None if sys.stdout.isatty() else 120).print(table)
 
 
-def _draw(bounds: Bounds, world: World, protocol: SurveyProtocol, path: Path) -> None:
+def _draw(bounds: OracleBounds, world: World, protocol: SurveyProtocol, path: Path) -> None:
     """Save the chart with the best tour over it: a line, and at every step where it looks."""
     import numpy as np
     from PIL import ImageDraw

@@ -1,4 +1,4 @@
-"""Decision → Setpoint → BodyVelocity."""
+"""Decision → Setpoint → BodyVelocity (`Pd`), or thruster commands (`autopilot`)."""
 
 from dream.control.guard import guard
 from dream.control.pd import Pd

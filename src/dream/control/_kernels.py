@@ -1,4 +1,4 @@
-"""Kernels of the autopilot: reference, velocity loop, disturbance, allocation, health.
+"""Kernels of the autopilot: reference, the paper's law, velocity loop, disturbance, allocation, health.
 
 All take plain numbers, float64 arrays and tuples of those. What a controller remembers is one vector of
 `MEMORY` numbers: the reference's position (3) in the world and its yaw, its velocity (3) and yaw rate, what
@@ -87,6 +87,27 @@ class Limits(NamedTuple):
 def wrapped(angle: float) -> float:
     """The same direction in [−π, π)."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+@njit(cache=True, nogil=True)
+def into_body(yaw: float, east: float, north: float) -> tuple[float, float]:
+    """A horizontal vector ahead and to the left: R(ψ̂)ᵀ of Eq. 9, e_p = R(ψ̂)ᵀ (p* − p̂)."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    return c * east + s * north, -s * east + c * north
+
+
+@njit(cache=True, nogil=True)
+def track(error: float, velocity: float, reference_velocity: float, gain: float, damping: float) -> float:
+    """The paper's law along one axis: u and v of Eq. 10, K_p e_p − K_d v̂, and r of Eq. 11, k_ψ ψ̃ − k_r r̂.
+
+    Args:
+        error: Metres or radians that it lacks.
+        velocity: m/s or rad/s, by the estimate.
+        reference_velocity: m/s or rad/s of what is followed, which is added; 0 for a goal at rest.
+        gain: 1/s, K_p or k_ψ.
+        damping: Share of the velocity that is taken off, K_d or k_r.
+    """
+    return reference_velocity + gain * error - damping * velocity
 
 
 @njit(cache=True, nogil=True)
@@ -195,6 +216,9 @@ def wrench(
 ) -> tuple[Float64Array, Float64Array, tuple[float, float]]:
     """The wrench in `base` that follows the reference, and what the velocities lack.
 
+    What they lack is the paper's law (Eq. 9 to 11) about the reference, with all of the velocity taken off:
+    K_d = k_r = 1. The law's gain is the same along all axes, so that R(ψ̂)ᵀ of Eq. 9 may come last.
+
     Args:
         memory: With the reference.
         acceleration: Of the reference.
@@ -211,12 +235,15 @@ def wrench(
     """
     error, wanted, out, along_drag = np.empty(4), np.empty(3), np.empty(6), 0.0
     for i in range(3):
-        error[i] = memory[4 + i] + gains.position * (memory[i] - position[i]) - velocity[i]
+        # Eq. 10, in the world: v_r + K_p (p_r − p̂) − v̂.
+        error[i] = track(memory[i] - position[i], velocity[i], memory[4 + i], gains.position, 1.0)
+        # What Eq. 10 asks for changes at v̇_r + K_p (v_r − v̂); to that comes what is lacking of it.
         wanted[i] = (
             acceleration[i] + gains.position * (memory[4 + i] - velocity[i]) + gains.velocity * error[i]
         )
     for i in range(3):
         along = speed = push = lack = 0.0
+        # Eq. 9: from the world into the body.
         for j in range(3):
             along += rotation[j, i] * wanted[j]
             speed += rotation[j, i] * memory[4 + j]
@@ -237,7 +264,8 @@ def wrench(
     pitch = -math.asin(min(max(rotation[2, 0], -1.0), 1.0))
     out[3], out[4] = righting(roll, pitch, rates, gains, nominal)
     r, yaw = memory[7], math.atan2(rotation[1, 0], rotation[0, 0])
-    error[3] = r + gains.yaw * wrapped(memory[3] - yaw) - rates[2]
+    # Eq. 11: r_r + k_ψ ψ̃ − r̂, and how fast that changes, as above.
+    error[3] = track(wrapped(memory[3] - yaw), rates[2], r, gains.yaw, 1.0)
     spin = acceleration[3] + gains.yaw * (r - rates[2]) + gains.yaw_rate * error[3]
     drag = drag_of(nominal.linear[5], nominal.quadratic[5], r)
     out[5] = nominal.inertia[5] * spin + memory[13] * drag - memory[11]

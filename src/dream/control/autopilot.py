@@ -20,13 +20,13 @@ class Autopilot:
     """Follows a reference to the goal, by a velocity loop on a model of the vehicle.
 
     What it does: a reference goes straight to the goal, within limits of speed and acceleration. The paper's
-    proportional law (`Pd`) turns what the position lacks into a velocity; a second loop turns what the
-    velocity lacks into a wrench, adds what acceleration and drag of the reference need by the model, and
-    takes off what pushes the vehicle by its own account: all that the velocities fell short of until now.
-    That push is held in the world, where a current stays when the vehicle turns, and drag is that of the way
-    through such a current; what they fell short of on the way, along the model's drag, also corrects how much
-    of that drag there is. Neither is learnt while a
-    thruster saturates. Where the frame can, roll and pitch are brought back to level.
+    law (Eq. 9 to 11, `_kernels.track`) turns what the position lacks of that reference into a velocity, and
+    takes off the velocity that is there (K_d = k_r = 1). A second loop turns the rest into a wrench, adds
+    what acceleration and drag of the reference need by the model, and takes off what pushes the vehicle by
+    its own account: all that the velocities fell short of until now. That push is held in the world, where a
+    current stays when the vehicle turns, and drag is that of the way through such a current; what they fell
+    short of on the way, along the model's drag, also corrects how much of that drag there is. Neither is
+    learnt while a thruster saturates. Where the frame can, roll and pitch are brought back to level.
 
     Reference: Fossen, *Handbook of Marine Craft Hydrodynamics and Motion Control* (2011), chapters 10
     (reference models) and 12 (model-based PID, allocation); Slotine and Li, *Applied Nonlinear Control*
@@ -38,13 +38,13 @@ class Autopilot:
     """
 
     position: float = 2.5
-    """1/s: m/s for a metre."""
+    """1/s: m/s for a metre, K_p of the paper's law."""
     velocity: float = 6.0
     """1/s: m/s² for a m/s. Half of what a thruster's lag of 0.08 s would bear."""
     disturbance: float = 2.0
     """1/s²: how fast a push is learnt."""
     yaw: float = 4.0
-    """1/s: rad/s for a radian."""
+    """1/s: rad/s for a radian, k_ψ of the paper's law."""
     yaw_rate: float = 8.0
     """1/s: rad/s² for a rad/s."""
     yaw_disturbance: float = 4.0

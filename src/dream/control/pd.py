@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
+from dream.control import _kernels
 from dream.geometry import SE2, wrap_angle
 from dream.types import BodyVelocity, Setpoint
 
@@ -16,7 +17,7 @@ class Pd:
     What it does: turns the error of the position from the world into the body by the heading that is
     estimated, and asks for velocities in proportion to it, less some of those it has:
     e_p = R(ψ̂)ᵀ (p* − p̂), [u, v] = K_p e_p − K_d [û, v̂], r = k_ψ ψ̃ − k_r r̂, with ψ̃ = ψ* − ψ̂ wrapped.
-    Heave belongs to the depth hold.
+    Heave belongs to the depth hold. `Autopilot` follows its moving reference by the same kernel.
 
     Reference: DREAM (arXiv 2509.13666). It prints R(ψ̃), the heading error, in place of R(ψ̂): then a vehicle
     that has turned to where it should look is driven as if it headed east, and away from its goal wherever
@@ -49,13 +50,11 @@ class Pd:
             velocity: What it does over ground, by the estimate.
             setpoint: Where it should be.
         """
-        east, north = setpoint.x - pose.x, setpoint.y - pose.y
-        c, s = math.cos(pose.yaw), math.sin(pose.yaw)
-        ahead, left = c * east + s * north, -s * east + c * north
+        e_x, e_y = _kernels.into_body(pose.yaw, setpoint.x - pose.x, setpoint.y - pose.y)  # Eq. 9
         turn = wrap_angle(setpoint.yaw - pose.yaw)
         return BodyVelocity(
-            surge=self.K_p * ahead - self.K_d * velocity.surge,
-            sway=self.K_p * left - self.K_d * velocity.sway,
+            surge=_kernels.track(e_x, velocity.surge, 0.0, self.K_p, self.K_d),  # Eq. 10
+            sway=_kernels.track(e_y, velocity.sway, 0.0, self.K_p, self.K_d),
             heave=0.0,
-            yaw_rate=self.k_psi * turn - self.k_r * velocity.yaw_rate,
+            yaw_rate=_kernels.track(turn, velocity.yaw_rate, 0.0, self.k_psi, self.k_r),  # Eq. 11
         )

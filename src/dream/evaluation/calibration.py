@@ -18,7 +18,7 @@ PROBABILITIES = (0.0, 0.003, 0.01, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tally:
+class ForecastTally:
     """The forecasts of one world, bin by bin: sums, which add up over a mission's steps."""
 
     count: FloatArray
@@ -30,8 +30,8 @@ class Tally:
     squares: float
     """Sum of the squared differences."""
 
-    def __add__(self, other: Tally) -> Tally:
-        return Tally(
+    def __add__(self, other: ForecastTally) -> ForecastTally:
+        return ForecastTally(
             self.count + other.count,
             self.told + other.told,
             self.true + other.true,
@@ -68,7 +68,7 @@ class Bin:
     """Share that came true; the interval resamples worlds."""
 
 
-def tally(told: npt.NDArray[np.floating[Any]], true: BoolArray) -> Tally:
+def tally(told: npt.NDArray[np.floating[Any]], true: BoolArray) -> ForecastTally:
     """Sums over forecasts.
 
     Args:
@@ -86,14 +86,14 @@ def tally(told: npt.NDArray[np.floating[Any]], true: BoolArray) -> Tally:
     bins = len(PROBABILITIES) - 1
     which = np.clip(np.searchsorted(PROBABILITIES, p, side="right") - 1, 0, bins - 1)
     sums = [np.bincount(which, weights, bins).astype(np.float64) for weights in (np.ones(len(p)), p, true)]
-    return Tally(sums[0], sums[1], sums[2], float(((p - true) ** 2).sum()))
+    return ForecastTally(sums[0], sums[1], sums[2], float(((p - true) ** 2).sum()))
 
 
 NOTHING = tally(np.zeros(0), np.zeros(0, np.bool_))
 """Of no forecasts."""
 
 
-def brier(tallies: Sequence[Tally]) -> Brier:
+def brier(tallies: Sequence[ForecastTally]) -> Brier:
     """Over all forecasts of all worlds; ValueError where there are none."""
     whole = sum(tallies, NOTHING)
     total = float(whole.count.sum())
@@ -111,7 +111,7 @@ def brier(tallies: Sequence[Tally]) -> Brier:
     )
 
 
-def reliability_curve(tallies: Sequence[Tally], strata: Sequence[str], *, seed: int = 0) -> list[Bin]:
+def reliability_curve(tallies: Sequence[ForecastTally], strata: Sequence[str], *, seed: int = 0) -> list[Bin]:
     """The bins that hold forecasts, each with what was told and what came true.
 
     Args:

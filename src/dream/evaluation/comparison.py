@@ -17,7 +17,7 @@ from dream.planning import PLANNERS
 from dream.planning.vlm import stands_in
 
 if TYPE_CHECKING:
-    from dream.evaluation.oracle.bounds import Bounds, Limit
+    from dream.evaluation.oracle.bounds import Limit, OracleBounds
 
 FAMILIES = {
     "fringing": "Fringing reefs",
@@ -58,7 +58,7 @@ class Comparison:
     cases: tuple[Case, ...]
     rows: Mapping[tuple[Case, str], Row]
     """Finished missions."""
-    bounds: Mapping[Case, Bounds]
+    bounds: Mapping[Case, OracleBounds]
     """Where they are known."""
     protocol: str
     horizon: int
@@ -195,7 +195,7 @@ def compare(results: Results) -> Comparison:
         for name, parameters in given.items()
     }
     rows: dict[tuple[Case, str], Row] = {}
-    bounds: dict[Case, Bounds] = {}
+    bounds: dict[Case, OracleBounds] = {}
     for row in results.rows:
         case = Case(row.world, row.seed, row.start)
         cases.setdefault(case)
@@ -299,7 +299,7 @@ def is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
-def _bounds(row: Row) -> Bounds | None:
+def _bounds(row: Row) -> OracleBounds | None:
     from dream.evaluation.oracle.bounds import known_bounds
 
     return known_bounds(row.protocol, row.world, row.seed, row.start, row.world_hash)

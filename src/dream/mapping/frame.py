@@ -13,18 +13,18 @@ from dream.geometry import SE3, Camera
 from dream.mapping._kernels import flags
 from dream.mapping._kernels.flags import BLOCK, RAYS
 from dream.mapping._kernels.window import (
+    CellWindow,
+    FrameFindings,
+    FrameView,
     Image,
     Pools,
     Posts,
-    Rule,
     Runs,
-    Said,
     Samples,
     Scratch,
-    Seabed,
+    SeabedSamples,
     Sector,
-    View,
-    Window,
+    WeighingRule,
 )
 from dream.mapping.blocks import BlockStore
 from dream.mapping.layers import LEVELS, QUANTUM, Evidence, Rectangle, post_bits
@@ -71,7 +71,7 @@ class FrameWindow:
         self._first = (0, 0)
         """The first block around the window."""
         at = np.arange(side) >> self._bits
-        self._seabed = Seabed(
+        self._seabed = SeabedSamples(
             post_of=(at[:, None] * self._posts + at[None, :]).astype(np.int32).ravel(),
             prior=np.empty(self._posts**2),
             prior_room=protocol.band[0],
@@ -101,7 +101,7 @@ class FrameWindow:
             above=self._runs.metric,
             shifts=self._runs.marks,
         )
-        self._said = Said(
+        self._said = FrameFindings(
             np.empty(side**2, np.int8),
             np.empty(side**2, np.uint8),
             np.empty(side**2, np.uint8),
@@ -160,7 +160,7 @@ class FrameWindow:
                 labels.dtype.type(-1.0 if soft else Label.WATER),
                 _KIND_OF_PROBABILITY if soft else _KIND_OF_LABEL,
             ),
-            View(
+            FrameView(
                 camera.fx,
                 camera.fy,
                 camera.cx,
@@ -194,7 +194,7 @@ class FrameWindow:
 
     def _around(
         self, x: float, y: float, origin: tuple[float, float], limits: Rectangle, overlook: Rectangle
-    ) -> Window:
+    ) -> CellWindow:
         """The window for a camera at (x, y), in cells; what is written lies in both rectangles of cells."""
         side, cell = self._side, self.protocol.cell
         row, col = ((math.floor(a) - self._half) >> self._bits << self._bits for a in (y, x))
@@ -203,7 +203,7 @@ class FrameWindow:
         self._first = (row // coarse - 2) * coarse // BLOCK, (col // coarse - 2) * coarse // BLOCK
         first_row, first_col = max(limits[0], overlook[0], row), max(limits[1], overlook[1], col)
         past_row, past_col = min(limits[2], overlook[2], row + side), min(limits[3], overlook[3], col + side)
-        return Window(
+        return CellWindow(
             side,
             self._bits,
             row - self._first[0] * BLOCK,
@@ -219,7 +219,7 @@ class FrameWindow:
             cell,
         )
 
-    def _posts_around(self, window: Window) -> Posts:
+    def _posts_around(self, window: CellWindow) -> Posts:
         """The posts that the window's ground depends on."""
         coarse, margin = 1 << LEVELS, 2 << LEVELS
         row, col = window.row >> self._bits, window.col >> self._bits
@@ -263,10 +263,10 @@ def _pools(store: BlockStore) -> Pools:
     return Pools(*(store.pools[name] for name in Pools._fields))
 
 
-def _rule(protocol: SurveyProtocol, evidence: Evidence) -> Rule:
+def _rule(protocol: SurveyProtocol, evidence: Evidence) -> WeighingRule:
     low, high = evidence.clamp
     lower, upper = protocol.band
-    return Rule(
+    return WeighingRule(
         step=round(evidence.step / QUANTUM),
         doubt=round(evidence.doubt / QUANTUM),
         lowest=math.ceil(low / QUANTUM - 1e-9),

@@ -13,7 +13,7 @@ from dream.geometry import SE2
 from dream.mapping.hull import Hull
 from dream.options import First
 from dream.planning import sentences
-from dream.planning.distribution import Evidence, Groups
+from dream.planning.distribution import Groups, TargetEvidence
 from dream.planning.failed_views import FailedViews
 from dream.planning.far_hints import FarHints
 from dream.planning.lookahead import NOTHING, LookAhead, Plan, Prospect
@@ -21,16 +21,16 @@ from dream.planning.outlook import Outlook
 from dream.planning.parameters import check_count, check_range
 from dream.planning.prior_survey import PriorSurvey
 from dream.planning.sources import (
-    Certificate,
+    AllGround,
+    BeliefSource,
     Expected,
+    ForetoldTargets,
     HiddenGroups,
-    Hints,
+    HintedTargets,
     HullSurface,
-    Scene,
-    Source,
-    Survey,
+    Situation,
     TargetsBeside,
-    Traversal,
+    TargetsToTraverse,
     Way,
     Worth,
 )
@@ -153,15 +153,15 @@ class Belief:
         protocol = mission.protocol
         return 0.5 * protocol.cell if self.certify else self.size * protocol.group_radius
 
-    def sources(self, mission: Mission, views: Outlook) -> list[Source]:
+    def sources(self, mission: Mission, views: Outlook) -> list[BeliefSource]:
         """What it expects targets by, in the order in which they are asked; each may be left out."""
         protocol, size, prior = mission.protocol, self.size_of_groups(mission), mission.prior
         farthest = self.glimpse * protocol.reach
         traverses, surveyed = protocol.traversal is not None, prior is not None
-        sources: list[Source] = []
+        sources: list[BeliefSource] = []
         # In a tank a look around shows most of what there is, and a survey tells more than hints do.
         if self.glimpse > 1.0 and not traverses and not surveyed:
-            sources.append(Hints(FarHints(mission, farthest)))
+            sources.append(HintedTargets(FarHints(mission, farthest)))
         blur = self.kernel * protocol.group_radius
         beside = blur, self.prior, self.prior_weight, self.open_edge, self.eager, self.search
         sources.append(TargetsBeside(*beside))
@@ -169,11 +169,11 @@ class Belief:
         hull = Hull(mission.bounds, protocol)
         sources.append(HullSurface(hull, views, self.eager, self.hull_left, self.alone))
         if traverses:
-            sources.append(Traversal(Walk(mission)))
+            sources.append(TargetsToTraverse(Walk(mission)))
         if prior is not None:
-            sources.append(Survey(PriorSurvey(prior, size), Groups(self.arriving, self.searched)))
+            sources.append(ForetoldTargets(PriorSurvey(prior, size), Groups(self.arriving, self.searched)))
         if self.certify:
-            sources.append(Certificate())
+            sources.append(AllGround())
         return sources
 
 
@@ -183,7 +183,7 @@ class Thought:
 
     pose: SE2
     """Snapped to the lattice: a vehicle that swims is never twice at quite the same place."""
-    scene: Scene
+    situation: Situation
     expected: Expected
     reasoning: Reasoning
     """The first three steps."""
@@ -199,7 +199,7 @@ class Thought:
     @property
     def completion(self) -> Completion:
         """What is open and what is enclosed."""
-        return self.scene.completion
+        return self.situation.completion
 
 
 @dataclass(slots=True)
@@ -210,7 +210,7 @@ class BeliefPilot:
     mission: Mission
     views: Outlook = field(init=False)
     """What each pose shows."""
-    sources: list[Source] = field(init=False)
+    sources: list[BeliefSource] = field(init=False)
     """What it expects targets by."""
     failed: FailedViews = field(init=False)
     """Its patience grows with every `done` that was refused."""
@@ -233,15 +233,15 @@ class BeliefPilot:
 
     def consider(self, observation: Observation, occupancy: OccupancyMap) -> Thought:
         """Take in what is new, and think the first four steps."""
-        scene = self.take(observation, occupancy)
+        situation = self.take(observation, occupancy)
         # 1 Distribution: where targets are to be expected.
-        expected = self.expect(scene)
+        expected = self.expect(situation)
         # 2 Current target area and 3 completion: what is still open.
-        reasoning, told = self._explain(expected, scene)
+        reasoning, told = self._explain(expected, situation)
         # 4 Next target: what shows most soonest, with the tour over what is left; none where it is complete.
-        way = self._next_target(expected, scene)
+        way = self._next_target(expected, situation)
         pose = self.mission.protocol.snap(observation.pose)
-        return Thought(pose, scene, expected, reasoning, told, way.travel, way.plan, way.why)
+        return Thought(pose, situation, expected, reasoning, told, way.travel, way.plan, way.why)
 
     def act(self, thought: Thought, plan: Plan | None) -> Decision:
         """The first move of a plan; done without one."""
@@ -251,7 +251,7 @@ class BeliefPilot:
         # Whoever takes another plan has reasons of their own.
         why = f" {thought.why}" if plan is thought.plan and thought.why else ""
         # 5 Safety is in the search: its first move is one that the guard lets pass.
-        safety = sentences.safety(thought.scene.occupancy, thought.travel, plan.path[:2])
+        safety = sentences.safety(thought.situation.occupancy, thought.travel, plan.path[:2])
         # 6 Action: the first of the sequence.
         turn, advance = thought.travel.move(plan.path[0], plan.path[1])
         reasoning = replace(
@@ -264,7 +264,7 @@ class BeliefPilot:
 
     # ------------------------------------------------------------------------------------- what is believed
 
-    def take(self, observation: Observation, occupancy: OccupancyMap) -> Scene:
+    def take(self, observation: Observation, occupancy: OccupancyMap) -> Situation:
         """Hand what is new to all sources."""
         pose, protocol, views = observation.pose, self.mission.protocol, self.views
         here = (*views.node(pose.x, pose.y), protocol.heading_index(pose.yaw))
@@ -279,18 +279,18 @@ class BeliefPilot:
         else:
             # What it had foretold, with the solids that it knew of then, counts as looked at too.
             self.failed.note(pose, occupancy, views.shown(here)[0] if self.news else None)
-        scene = Scene(observation, occupancy, here, views, self.failed)
+        situation = Situation(observation, occupancy, here, views, self.failed)
         for source in self.sources:
-            source.take(scene)
-        views.update(occupancy, scene.foretold)
-        return scene
+            source.take(situation)
+        views.update(occupancy, situation.foretold)
+        return situation
 
-    def expect(self, scene: Scene) -> Expected:
+    def expect(self, situation: Situation) -> Expected:
         """Ask all sources, one after the other, what they expect."""
-        occupancy, planner = scene.occupancy, self.planner
+        occupancy, planner = situation.occupancy, self.planner
         nothing = np.zeros(occupancy.shape, np.float32)
         expected = Expected(
-            Evidence.of_map(occupancy),
+            TargetEvidence.of_map(occupancy),
             beside=nothing,
             likely=nothing,
             hiding=np.zeros(occupancy.shape, np.bool_),
@@ -299,21 +299,21 @@ class BeliefPilot:
             accepted=planner.risk,
         )
         for source in self.sources:
-            source.expect(expected, scene)
+            source.expect(expected, situation)
         return expected
 
-    def _explain(self, expected: Expected, scene: Scene) -> tuple[Reasoning, tuple[str, str]]:
+    def _explain(self, expected: Expected, situation: Situation) -> tuple[Reasoning, tuple[str, str]]:
         """The first three steps in words; the first and the third in the words that a model is told."""
-        occupancy, completion = scene.occupancy, scene.completion
-        words = [source.words(expected, scene) for source in self.sources]
-        certainties = [source.certainty(expected, scene) for source in self.sources]
+        occupancy, completion = situation.occupancy, situation.completion
+        words = [source.words(expected, situation) for source in self.sources]
+        certainties = [source.certainty(expected, situation) for source in self.sources]
         certain, certain_for_models = [said for said in certainties if said is not None][-1]
         where = sentences.distribution(occupancy, completion)
         counted = expected.beside, expected.to_come, occupancy
         beyond = "".join(said.distribution for said in words)
         left = sentences.not_counted(self.failed.area_given_up(occupancy))
         left += "".join(said.completion for said in words)
-        area = sentences.target_area(nearest_open(completion, scene.travel, occupancy), completion)
+        area = sentences.target_area(nearest_open(completion, situation.travel, occupancy), completion)
         reasoning = Reasoning(
             distribution=where + sentences.expectations(*counted) + beyond,
             target_area=next((said.target_area for said in words if said.target_area), area),
@@ -322,60 +322,64 @@ class BeliefPilot:
         told = where + sentences.expectations_for_models(*counted) + beyond
         return reasoning, (told, certain_for_models + left)
 
-    def _complete(self, expected: Expected, scene: Scene) -> bool:
+    def _complete(self, expected: Expected, situation: Situation) -> bool:
         """Is every region enclosed, and is all else that was expected seen, or unlikely enough?"""
-        completion, square = scene.completion, self.mission.protocol.cell**2
-        leave = LEAVE * (square * np.count_nonzero(scene.occupancy.target) + expected.hinted)
+        completion, square = situation.completion, self.mission.protocol.cell**2
+        leave = LEAVE * (square * np.count_nonzero(situation.occupancy.target) + expected.hinted)
         enclosed = completion.complete and bool(completion.regions) and expected.hinted <= leave
         return bool(enclosed and expected.looked_over and expected.searched)
 
     # -------------------------------------------------------------------------------------- next target
 
-    def _next_target(self, expected: Expected, scene: Scene) -> Way:
+    def _next_target(self, expected: Expected, situation: Situation) -> Way:
         """Where to go."""
-        if self._complete(expected, scene):
-            return Way(scene.travel, None, sentences.enough(self.failed.area_given_up(scene.occupancy)))
-        visits = self._visits(scene)
-        way = self._errand(scene, scene.travel, scene.moves, visits)
+        if self._complete(expected, situation):
+            return Way(
+                situation.travel, None, sentences.enough(self.failed.area_given_up(situation.occupancy))
+            )
+        visits = self._visits(situation)
+        way = self._errand(situation, situation.travel, situation.moves, visits)
         if way is not None:
             return way
-        enough = any(source.enough(expected, scene) for source in self.sources)
-        way = self._look_ahead(expected, scene, enough=enough)
+        enough = any(source.enough(expected, situation) for source in self.sources)
+        way = self._look_ahead(expected, situation, enough=enough)
         if way is not None and visits < MOST_VISITS:
             return way
         if way is not None and way.plan is not None:
-            self._give_up(way.plan, scene.occupancy)
-        near_solids = travel_from(scene.observation.pose, scene.occupancy)
-        return self._errand(scene, near_solids, near_solids.free, visits) or self._leftover(
-            expected, scene, visits, enough=enough
+            self._give_up(way.plan, situation.occupancy)
+        near_solids = travel_from(situation.observation.pose, situation.occupancy)
+        return self._errand(situation, near_solids, near_solids.free, visits) or self._leftover(
+            expected, situation, visits, enough=enough
         )
 
-    def _errand(self, scene: Scene, travel: Travel, moves: npt.NDArray[np.uint8], visits: int) -> Way | None:
+    def _errand(
+        self, situation: Situation, travel: Travel, moves: npt.NDArray[np.uint8], visits: int
+    ) -> Way | None:
         """What some source has to have done first."""
-        errands = (source.errand(scene, travel, moves, visits) for source in self.sources)
+        errands = (source.errand(situation, travel, moves, visits) for source in self.sources)
         return next((way for way in errands if way is not None), None)
 
-    def _look_ahead(self, expected: Expected, scene: Scene, *, enough: bool) -> Way | None:
+    def _look_ahead(self, expected: Expected, situation: Situation, *, enough: bool) -> Way | None:
         """The tour of some source, or what shows most soonest unless enough was searched."""
-        prospect = self.prospect(expected, scene)
-        tours = (source.tour(expected, scene, prospect) for source in self.sources)
+        prospect = self.prospect(expected, situation)
+        tours = (source.tour(expected, situation, prospect) for source in self.sources)
         tour = next((way for way in tours if way is not None), None)
         if tour is not None or enough:
             return tour
-        known = self.views.known_tiles(scene.occupancy)
-        plan = self.look_ahead.plan(prospect, scene.travel, scene.moves, known)
+        known = self.views.known_tiles(situation.occupancy)
+        plan = self.look_ahead.plan(prospect, situation.travel, situation.moves, known)
         if plan is None:
             return None
-        return Way(scene.travel, plan, "" if plan.choice is None else sentences.choice(plan.choice))
+        return Way(situation.travel, plan, "" if plan.choice is None else sentences.choice(plan.choice))
 
-    def prospect(self, expected: Expected, scene: Scene) -> Prospect:
+    def prospect(self, expected: Expected, situation: Situation) -> Prospect:
         """What is worth looking at, by which plans are chosen."""
         square, views = self.mission.protocol.cell**2, self.views
-        nothing = np.zeros(scene.occupancy.shape)
+        nothing = np.zeros(situation.occupancy.shape)
         worth = Worth(nothing, 0.0, np.ones_like(nothing))
         for source in self.sources:
-            source.weigh(worth, expected, scene)
-        left = self.failed.left(scene.occupancy)
+            source.weigh(worth, expected, situation)
+        left = self.failed.left(situation.occupancy)
         ground = np.where(left, worth.ground + NEGLIGIBLE, 0.0)
         hiding = np.where(expected.hiding, worth.search * square, 0.0) * worth.share
         return Prospect(
@@ -400,21 +404,21 @@ class BeliefPilot:
             jump=planner.jump,
         )
 
-    def _leftover(self, expected: Expected, scene: Scene, visits: int, *, enough: bool) -> Way:
+    def _leftover(self, expected: Expected, situation: Situation, visits: int, *, enough: bool) -> Way:
         """The way to what only the map's own view of some pose still shows, near solid ground if need be."""
         from dream.mapping import within
 
-        occupancy, protocol = scene.occupancy, self.mission.protocol
+        occupancy, protocol = situation.occupancy, self.mission.protocol
         weights = np.zeros(occupancy.shape, np.float32)
-        row, col = scene.completion.open_cells.T
+        row, col = situation.completion.open_cells.T
         weights[row, col] = 1.0
         if not enough:
             could_hold = within(expected.hiding, self.planner.size_of_groups(self.mission), protocol.cell)
             weights[could_hold & ~occupancy.observed] = 1.0
         weights[self.failed.count >= self.failed.patience + 2] = 0.0
-        travel = scene.travel
+        travel = situation.travel
         for search in (careful_travel, travel_from):
-            travel = search(scene.observation.pose, occupancy)
+            travel = search(situation.observation.pose, occupancy)
             views = all_views_from(travel, occupancy, weights)
             best = views.best(views.rates)
             if best is not None and best.rate > NOTHING:
@@ -426,14 +430,14 @@ class BeliefPilot:
 
     # ----------------------------------------------------------------------------------------- watchdog
 
-    def _visits(self, scene: Scene) -> int:
+    def _visits(self, situation: Situation) -> int:
         """How often it has come to this pose since anything was new."""
-        seen = achieved(scene.occupancy) + sum(source.found() for source in self.sources)
+        seen = achieved(situation.occupancy) + sum(source.found() for source in self.sources)
         if seen != self.news:
             self.news = seen
             self.visits.clear()
-        self.visits[scene.travel.start] += 1
-        return self.visits[scene.travel.start]
+        self.visits[situation.travel.start] += 1
+        return self.visits[situation.travel.start]
 
     def _give_up(self, plan: Plan, occupancy: OccupancyMap) -> None:
         """Hope for nothing more from the views of a plan."""

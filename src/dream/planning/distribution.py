@@ -19,7 +19,7 @@ Cells = BoolArray | Float32Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
+class TargetEvidence:
     """What is known of targets and of ground, where something was observed or only glimpsed."""
 
     targets: Cells
@@ -36,7 +36,7 @@ class Evidence:
     """Probability that a target in ground that was glimpsed is hinted at."""
 
     @classmethod
-    def of_map(cls, occupancy: OccupancyMap) -> Evidence:
+    def of_map(cls, occupancy: OccupancyMap) -> TargetEvidence:
         """Of what was observed, alone."""
         nothing = np.zeros(occupancy.shape, np.bool_)
         return cls(occupancy.target, occupancy.seen, nothing, nothing)
@@ -76,7 +76,7 @@ def expectation(
     prior: float,
     prior_weight: float,
     where: BoolArray,
-    evidence: Evidence | None = None,
+    evidence: TargetEvidence | None = None,
 ) -> npt.NDArray[np.float32]:
     """(rows, cols) probability of a target in every cell not observed that is asked about, 0 elsewhere.
 
@@ -92,7 +92,7 @@ def expectation(
         evidence: What is known; what was observed unless given.
     """
     where = where & ~occupancy.observed
-    known = Evidence.of_map(occupancy) if evidence is None else evidence
+    known = TargetEvidence.of_map(occupancy) if evidence is None else evidence
     targets = blurred(known.targets, radius, occupancy, where)
     observed = blurred(known.ground, radius, occupancy, where)
     p = (targets + prior * prior_weight) / (observed + prior_weight)

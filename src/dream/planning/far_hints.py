@@ -1,4 +1,4 @@
-"""Hints from beyond the reach, believed as far as earlier ones came true."""
+"""HintedTargets from beyond the reach, believed as far as earlier ones came true."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from dream.planning.distribution import Evidence
+from dream.planning.distribution import TargetEvidence
 from dream.types import BoolArray, Label, Mission, Observation
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ class FarHints:
         """(rows, cols) those of them that seemed to be targets."""
         return self._hinted & ~occupancy.observed
 
-    def evidence(self, occupancy: OccupancyMap) -> Evidence:
+    def evidence(self, occupancy: OccupancyMap) -> TargetEvidence:
         """What the hints are worth beside what was observed.
 
         A cell that was only glimpsed counts as so much ground as hints are to be relied on, and as so much
@@ -124,7 +124,7 @@ class FarHints:
         """
         glimpsed, hints = self.glimpsed(occupancy), self.hints(occupancy)
         precision, sensitivity = self.precision, self.sensitivity
-        return Evidence(
+        return TargetEvidence(
             np.where(occupancy.target, 1.0, sensitivity * precision * hints).astype(np.float32),
             np.where(occupancy.seen, 1.0, sensitivity * glimpsed).astype(np.float32),
             glimpsed,

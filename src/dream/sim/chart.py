@@ -20,7 +20,7 @@ PAPER = (246, 244, 238)
 _Coordinate = TypeVar("_Coordinate", float, npt.NDArray[np.float64])
 
 
-class _Sheet(NamedTuple):
+class _ChartSheet(NamedTuple):
     """How metres of the world lie on the picture."""
 
     west: float
@@ -43,7 +43,7 @@ def chart(world: World, *, pixels: int = 900) -> Image.Image:
     bounds = world.bounds
     pad = 0.04 * max(bounds.width, bounds.depth)
     scale = pixels / (max(bounds.width, bounds.depth) + 2.0 * pad)
-    sheet = _Sheet(bounds.x_min - pad, bounds.y_max + pad, scale)
+    sheet = _ChartSheet(bounds.x_min - pad, bounds.y_max + pad, scale)
     image = _seabed(world, sheet, pixels)
     draw = ImageDraw.Draw(image)
     groups = np.unique(world.targets.group)
@@ -70,7 +70,7 @@ def chart(world: World, *, pixels: int = 900) -> Image.Image:
     return page
 
 
-def _seabed(world: World, sheet: _Sheet, pixels: int) -> Image.Image:
+def _seabed(world: World, sheet: _ChartSheet, pixels: int) -> Image.Image:
     """Sand lit from the north-west, darker where it is deeper; slopes are exaggerated."""
     line = (np.arange(pixels) + 0.5) / sheet.scale
     x, y = np.meshgrid(sheet.west + line, sheet.north - line)
@@ -86,7 +86,7 @@ def _seabed(world: World, sheet: _Sheet, pixels: int) -> Image.Image:
 def _dots(
     draw: ImageDraw.ImageDraw,
     world: World,
-    sheet: _Sheet,
+    sheet: _ChartSheet,
     colors: dict[int, tuple[int, int, int]],
 ) -> None:
     """Individuals too small to draw by their triangles: a dot each, as wide as they are, upper ones last."""
@@ -105,7 +105,7 @@ def _triangles(
     draw: ImageDraw.ImageDraw,
     world: World,
     instances: Instances,
-    sheet: _Sheet,
+    sheet: _ChartSheet,
     colors: dict[int, tuple[int, int, int]],
 ) -> None:
     """All triangles from above, lowest first, lit from the north-west; high ones are lighter."""

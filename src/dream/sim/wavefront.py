@@ -67,7 +67,7 @@ def read_meshes(
         What is refused is among what is said; the meshes then are not all, or not whole.
     """
     content = _parsed(path)
-    objects, told = content.objects, _Told(path.name)
+    objects, told = content.objects, _Notes(path.name)
     told.lines(content.refused)
     triangles = sum(len(one.faces) + sum(len(face) - 3 for face in one.faces) for one in objects)
     faces = sum(len(one.faces) for one in objects)
@@ -109,7 +109,7 @@ def read_meshes(
 
 
 @dataclass(slots=True)
-class _Told:
+class _Notes:
     """What is said of one file."""
 
     file: str
@@ -236,7 +236,7 @@ def _face(values: list[str], vertices: int, content: _Content) -> list[int]:
     return [corner - 1 for corner in corners]
 
 
-def _colored(objects: list[_Object], table: Float64Array, told: _Told) -> None:
+def _colored(objects: list[_Object], table: Float64Array, told: _Notes) -> None:
     """Colours as they are from 0 to 1, in place; those from 0 to 255 are divided."""
     good = (table[:, 3:] >= 0.0) & (table[:, 3:] <= 1.0) | np.isnan(table[:, :1])
     if good.all():
@@ -255,7 +255,7 @@ def _colored(objects: list[_Object], table: Float64Array, told: _Told) -> None:
             told.refused(f"object {number}: expected colours from 0 to 1, got {colors[~fine][0]:g}")
 
 
-def _mesh(number: int, one: _Object, table: Float64Array, two_sided: bool, told: _Told) -> Mesh:
+def _mesh(number: int, one: _Object, table: Float64Array, two_sided: bool, told: _Notes) -> Mesh:
     """One object as a mesh; empty where it cannot be."""
     if not one.faces:
         told.refused(
@@ -282,7 +282,7 @@ def _mesh(number: int, one: _Object, table: Float64Array, two_sided: bool, told:
     return Mesh(points, corners.astype(np.int32), levels, two_sided)
 
 
-def _split(one: _Object, table: Float64Array, told: _Told) -> list[list[int]]:
+def _split(one: _Object, table: Float64Array, told: _Notes) -> list[list[int]]:
     """The faces of an object as triangles."""
     triangles: list[list[int]] = []
     for face, line in zip(one.faces, one.lines, strict=True):
@@ -327,7 +327,7 @@ def _flat(meshes: list[Mesh]) -> int:
         return int((np.cross(b - a, c - a) == 0.0).all(axis=1).sum())
 
 
-def _oriented(meshes: list[Mesh], names: list[str], standing: Standing | None, told: _Told) -> list[Mesh]:
+def _oriented(meshes: list[Mesh], names: list[str], standing: Standing | None, told: _Notes) -> list[Mesh]:
     """All meshes with their faces outwards, as far as they show where that is."""
     turn = turned(meshes, standing)
     done = []

@@ -17,7 +17,7 @@ from dream.standin.eyes import Chart
 from dream.standin.ground import Ground, Ints, sees, understand
 from dream.standin.marks import read_marks
 from dream.standin.sight import Bool, Floats, UnreadableError
-from dream.standin.views import View
+from dream.standin.views import CameraView
 from dream.standin.way import UNREACHED, Moves, Ways, ways
 
 HALF_VIEW = math.radians(38.0)
@@ -42,7 +42,7 @@ class Scene:
 
     chart: Chart
     ground: Ground
-    view: View | None
+    view: CameraView | None
     """None where the pictures of the camera were not sent."""
 
 

@@ -20,7 +20,7 @@ PATIENCE = 60.0
 """Seconds without a byte after which a connection is closed."""
 
 
-class StandIn(ThreadingHTTPServer):
+class ModelStandIn(ThreadingHTTPServer):
     """A stand-in for a model, listening."""
 
     daemon_threads = True
@@ -65,7 +65,7 @@ class StandIn(ThreadingHTTPServer):
 class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     timeout = PATIENCE
-    server: StandIn
+    server: ModelStandIn
 
     def do_POST(self) -> None:
         """Answer a question."""
@@ -127,15 +127,15 @@ class _Handler(BaseHTTPRequestHandler):
             self.close_connection = True
 
 
-_STARTED: dict[str, StandIn] = {}
+_STARTED: dict[str, ModelStandIn] = {}
 _STARTING = threading.Lock()
 
 
-def server(fault: str = "") -> StandIn:
+def server(fault: str = "") -> ModelStandIn:
     """The stand-in of this process with that fault; started when first asked for."""
     with _STARTING:
         if fault not in _STARTED:
-            _STARTED[fault] = started = StandIn(fault)
+            _STARTED[fault] = started = ModelStandIn(fault)
             name = f"stand-in {fault}".strip()
             threading.Thread(target=started.serve_forever, name=name, daemon=True).start()
         return _STARTED[fault]

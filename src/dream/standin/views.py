@@ -17,7 +17,7 @@ FEW_COLORS = 16
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class CameraView:
     """What the camera sees."""
 
     free: float
@@ -28,7 +28,7 @@ class View:
     """Part of the picture that is target and within 5 m of the camera, 0 to 1."""
 
 
-def read_views(camera: UInt8, depth: UInt8, labels: UInt8) -> View:
+def read_views(camera: UInt8, depth: UInt8, labels: UInt8) -> CameraView:
     """What three pictures of one view show.
 
     Args:
@@ -82,7 +82,7 @@ def read_views(camera: UInt8, depth: UInt8, labels: UInt8) -> View:
     metres = FAR * (1.0 - depth / 255.0)
     middle = slice(depth.shape[1] * 2 // 5, depth.shape[1] * 3 // 5)
     ahead = metres[:, middle][black[:, middle]]
-    return View(
+    return CameraView(
         free=float(ahead.min()) if ahead.size else FAR,
         target=float(green.mean()),
         near_target=float((green & (metres < 5.0)).mean()),

@@ -18,8 +18,8 @@ from dream.evaluation.metrics import COMPLETE, Scorer
 from dream.evaluation.oracle import bounds as bounds_module
 from dream.evaluation.oracle.bounds import (
     KNOWN,
-    Bounds,
     Limit,
+    OracleBounds,
     bound,
     check,
     drive,
@@ -36,7 +36,7 @@ from dream.evaluation.oracle.graph import pose_graph
 from dream.evaluation.oracle.tours import best_tour, missed, trimmed
 from dream.evaluation.results import Results, Trace
 from dream.evaluation.suites import Case, suite_named
-from dream.geometry import Bounds as Box
+from dream.geometry import Bounds
 from dream.mapping import OccupancyMap
 from dream.protocol import DREAM_V1
 from dream.robots import Teleport
@@ -68,13 +68,13 @@ def world() -> World:
 
 
 @pytest.fixture(scope="module")
-def found(world: World) -> Bounds:
+def found(world: World) -> OracleBounds:
     # On a machine that has to compile the searches first, the first budget goes into that.
     found = bound(world, DREAM_V1, budget_s=3.0)
     return bound(world, DREAM_V1, budget_s=5.0, known=found)
 
 
-def test_both_ends_are_found_and_hold(world: World, found: Bounds) -> None:
+def test_both_ends_are_found_and_hold(world: World, found: OracleBounds) -> None:
     assert found.countable == COUNT
     for limit in (found.full, found.t98):
         assert limit.best_tour is not None
@@ -84,7 +84,7 @@ def test_both_ends_are_found_and_hold(world: World, found: Bounds) -> None:
     check(found, world)
 
 
-def test_what_certifies_a_share_certifies_all(world: World, found: Bounds) -> None:
+def test_what_certifies_a_share_certifies_all(world: World, found: OracleBounds) -> None:
     weaker = replace(found.full, lower_bound=found.t98.lower_bound, witnesses=found.t98.witnesses)
     check(replace(found, full=weaker), world)
 
@@ -101,7 +101,9 @@ def test_a_search_yields_ends_that_only_close_in(world: World) -> None:
     assert replace(resumed, cpu_s=0.0) == replace(states[-1], cpu_s=0.0)
 
 
-def test_a_tour_flown_in_the_simulator_scores_its_share_at_its_step(world: World, found: Bounds) -> None:
+def test_a_tour_flown_in_the_simulator_scores_its_share_at_its_step(
+    world: World, found: OracleBounds
+) -> None:
     drive(found, world)
     poses = tour_poses(found, world, DREAM_V1)
     assert len(poses) + LOOK_AROUND - 1 == found.full.best_tour
@@ -112,9 +114,9 @@ def test_a_tour_flown_in_the_simulator_scores_its_share_at_its_step(world: World
 # Around the start: in all of a world a graph takes long, and a tour of a wreck is flown for long.
 @pytest.mark.parametrize(
     ("name", "area"),
-    [("reef/string", Box(-20.0, 0.0, 0.0, 20.0)), ("wreck/1", Box(-20.0, -12.0, -4.0, 4.0))],
+    [("reef/string", Bounds(-20.0, 0.0, 0.0, 20.0)), ("wreck/1", Bounds(-20.0, -12.0, -4.0, 4.0))],
 )
-def test_a_mission_that_flies_a_tour_is_scored_as_the_tour_says(name: str, area: Box) -> None:
+def test_a_mission_that_flies_a_tour_is_scored_as_the_tour_says(name: str, area: Bounds) -> None:
     whole = make_world(name, 1)
     world = replace(whole, bounds=area, starts=whole.starts[:1])
     visibility = Visibility(world, DREAM_V1)
@@ -153,37 +155,37 @@ def test_a_mission_that_flies_a_tour_is_scored_as_the_tour_says(name: str, area:
         for share, part in parts.items()
         if part is not None
     }
-    told = Bounds(
+    told = OracleBounds(
         name, 1, 0, "dream-v1", world_hash(world), count, limits["t100"], limits["t98"], cpu_s=0.0
     )  # fmt: skip
     drive(told, world, visibility=visibility)
 
 
-def _turned(found: Bounds) -> Bounds:
+def _turned(found: OracleBounds) -> OracleBounds:
     """The first action another one: all that comes after happens elsewhere."""
     tour = found.full.tour
     return replace(found, full=replace(found.full, tour=((tour[0] + 3) % 20, *tour[1:])))
 
 
-def _cut(found: Bounds) -> Bounds:
+def _cut(found: OracleBounds) -> OracleBounds:
     limit = found.full
     return replace(found, full=replace(limit, tour=limit.tour[:-1], best_tour=(limit.best_tour or 0) - 1))
 
 
-def _stretched(found: Bounds) -> Bounds:
+def _stretched(found: OracleBounds) -> OracleBounds:
     limit = found.t98
     return replace(found, t98=replace(limit, tour=(*limit.tour, 1), best_tour=(limit.best_tour or 0) + 1))
 
 
-def _into_the_wall(found: Bounds) -> Bounds:
+def _into_the_wall(found: OracleBounds) -> OracleBounds:
     return replace(found, full=replace(found.full, tour=(1,) * 30, best_tour=33))
 
 
-def _over_the_edge(found: Bounds) -> Bounds:
+def _over_the_edge(found: OracleBounds) -> OracleBounds:
     return replace(found, full=replace(found.full, tour=(22,) + (1,) * 29, best_tour=33))
 
 
-def _no_action(found: Bounds) -> Bounds:
+def _no_action(found: OracleBounds) -> OracleBounds:
     return replace(found, t98=replace(found.t98, tour=(99, *found.t98.tour[1:])))
 
 
@@ -202,13 +204,15 @@ def _no_action(found: Bounds) -> Bounds:
     ],
 )
 def test_a_tampered_tour_is_refused(
-    tamper: Callable[[Bounds], Bounds], complaint: str, world: World, found: Bounds
+    tamper: Callable[[OracleBounds], OracleBounds], complaint: str, world: World, found: OracleBounds
 ) -> None:
     with pytest.raises(ValueError, match=complaint):
         drive(tamper(found), world)
 
 
-def test_a_lower_bound_that_its_witnesses_do_not_certify_is_refused(world: World, found: Bounds) -> None:
+def test_a_lower_bound_that_its_witnesses_do_not_certify_is_refused(
+    world: World, found: OracleBounds
+) -> None:
     with pytest.raises(ValueError, match="do not certify"):
         check(replace(found, full=replace(found.full, witnesses=())), world)
     too_high = replace(found.full, lower_bound=(found.full.best_tour or 0) + 1)
@@ -240,7 +244,7 @@ def test_how_many_may_be_missed() -> None:
     assert (may_miss_t98(2958), may_miss_t98(877)) == (51, 15)
 
 
-def test_bounds_are_read_as_they_were_written(found: Bounds, tmp_path: Path) -> None:
+def test_bounds_are_read_as_they_were_written(found: OracleBounds, tmp_path: Path) -> None:
     other = replace(found, seed=2, full=replace(found.full, best_tour=None, tour=()))
     write_bounds(tmp_path / "some.jsonl", [found, other])
     assert read_bounds(tmp_path / "some.jsonl") == [found, other]
@@ -263,7 +267,7 @@ def test_bounds_are_read_as_they_were_written(found: Bounds, tmp_path: Path) -> 
     ],
 )
 def test_a_damaged_line_is_named(
-    change: dict[str, Any], complaint: str, found: Bounds, tmp_path: Path
+    change: dict[str, Any], complaint: str, found: OracleBounds, tmp_path: Path
 ) -> None:
     path = tmp_path / "some.jsonl"
     good = json.dumps(found.as_dict())
@@ -274,20 +278,20 @@ def test_a_damaged_line_is_named(
 
 
 @pytest.mark.parametrize("line", ["", "{", "[1]", "[" * 100_000])
-def test_a_line_that_is_no_record_is_named(line: str, found: Bounds, tmp_path: Path) -> None:
+def test_a_line_that_is_no_record_is_named(line: str, found: OracleBounds, tmp_path: Path) -> None:
     path = tmp_path / "some.jsonl"
     path.write_text(json.dumps(found.as_dict()) + "\n" + line + "\n")
     with pytest.raises(ValueError, match="line 2: "):
         read_bounds(path)
 
 
-def test_a_mission_must_not_stand_in_a_file_twice(found: Bounds, tmp_path: Path) -> None:
+def test_a_mission_must_not_stand_in_a_file_twice(found: OracleBounds, tmp_path: Path) -> None:
     write_bounds(tmp_path / "some.jsonl", [found, found])
     with pytest.raises(ValueError, match=r"line 2: .* stands there twice"):
         read_bounds(tmp_path / "some.jsonl")
 
 
-def test_missions_flown_are_walks_to_begin_with(world: World, found: Bounds) -> None:
+def test_missions_flown_are_walks_to_begin_with(world: World, found: OracleBounds) -> None:
     poses = tour_poses(found, world, DREAM_V1)
     graph = pose_graph(world, DREAM_V1)
     looks = np.repeat(poses[:1], LOOK_AROUND, axis=0)
@@ -313,12 +317,14 @@ def test_what_makes_no_sense_is_refused(arguments: dict[str, Any], complaint: st
         bound(world, DREAM_V1, **{"budget_s": 1.0} | arguments)
 
 
-def test_bounds_of_another_mission_are_no_beginning(world: World, found: Bounds) -> None:
+def test_bounds_of_another_mission_are_no_beginning(world: World, found: OracleBounds) -> None:
     with pytest.raises(ValueError, match="known bounds: expected those of"):
         bound(world, DREAM_V1, budget_s=1.0, known=replace(found, world_hash="0" * 64))
 
 
-def test_known_bounds_are_those_of_this_very_world(monkeypatch: pytest.MonkeyPatch, found: Bounds) -> None:
+def test_known_bounds_are_those_of_this_very_world(
+    monkeypatch: pytest.MonkeyPatch, found: OracleBounds
+) -> None:
     monkeypatch.setattr(bounds_module, "every_known", lambda: {found.key: found})
     assert known_bounds(*found.key, found.world_hash) == found
     assert known_bounds(*found.key, "0" * 64) is None

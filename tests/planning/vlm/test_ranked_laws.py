@@ -20,7 +20,7 @@ from dream.mapping.lattice import nodes_in
 from dream.planning import Belief
 from dream.planning.belief import BeliefPilot, Thought
 from dream.planning.lookahead import Plan, Prospect
-from dream.planning.sources import Expected, Scene
+from dream.planning.sources import Expected, Situation
 from dream.planning.travel import Pose
 from dream.planning.views import Views
 from dream.planning.vlm import Ranked, ranked
@@ -296,7 +296,7 @@ class Uneven(BeliefPilot):
 
     turned: Turned = AS_IT_IS
 
-    def prospect(self, expected: Expected, scene: Scene) -> Prospect:
+    def prospect(self, expected: Expected, scene: Situation) -> Prospect:
         prospect = BeliefPilot.prospect(self, expected, scene)
         # There is a row and a column of tiles more than lie between the nodes.
         side = math.isqrt(self.views.tiles)
@@ -317,7 +317,7 @@ class Held:
 
     @property
     def prospect(self) -> Prospect:
-        return self.pilot.prospect(self.thought.expected, self.thought.scene)
+        return self.pilot.prospect(self.thought.expected, self.thought.situation)
 
     @property
     def views(self) -> Views:

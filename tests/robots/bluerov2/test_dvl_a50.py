@@ -31,7 +31,7 @@ from dream.robots.bluerov2.dvl_a50 import (
 )
 from dream.robots.bluerov2.standin.a50 import A50, DvlFaults
 from dream.robots.bluerov2.standin.lockstep import LockStep
-from dream.robots.bluerov2.standin.memory import Pipe
+from dream.robots.bluerov2.standin.memory import MemoryStream
 from dream.robots.bluerov2.standin.tank import BEAT, Tank
 from dream.sim.world import World
 from dream.sim.worlds import make_world
@@ -440,7 +440,7 @@ class Saying:
         )
 
     def _dial(self) -> Stream:
-        pipe = Pipe(self.clock)
+        pipe = MemoryStream(self.clock)
 
         def say() -> None:
             for number in itertools.count():
@@ -840,7 +840,7 @@ def test_cut_off_it_connects_anew_and_closed_it_waits_for_nothing(pool: World) -
 
 def test_both_ends_of_a_pipe_say_when_the_other_is_gone() -> None:
     clock = LockStep()
-    pipe = Pipe(clock)
+    pipe = MemoryStream(clock)
     with pytest.raises(BlockingIOError):
         pipe.far.recv(100)
     with pytest.raises(TimeoutError):

@@ -20,7 +20,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from dream.geometry import wrap_angle
 from dream.measurements import Depth, Heading, Imu
 from dream.robots.bluerov2.mavlink import LIFELINE, LOST, PERIOD, RATES, REASON, Link, Refused, Restored
-from dream.robots.bluerov2.motion import LONGEST, Motion
+from dream.robots.bluerov2.motion import LONGEST, ExpiringOrders
 from dream.robots.bluerov2.reports import GRAVITY, SEA
 from dream.robots.bluerov2.standin.ardusub import ArduSub
 from dream.robots.bluerov2.standin.lockstep import LockStep
@@ -449,7 +449,7 @@ def test_leaving_guided_first_clears_velocity_and_yaw_rate(dive: Dive) -> None:
 
 
 def test_sticks_are_no_order_in_guided_nor_a_velocity_elsewhere() -> None:
-    motion = Motion()
+    motion = ExpiringOrders()
     motion.command(FASTER, 0.4, 0.0)
     assert motion.due(0.1, guided=True) == (NEUTRAL, FASTER)
     assert motion.due(0.1, guided=False) == (NEUTRAL, None)

@@ -69,7 +69,7 @@ class Limit:
 
 
 @dataclass(frozen=True, slots=True)
-class Bounds:
+class OracleBounds:
     """What is known of one mission: a world, one of its starts, a protocol."""
 
     world: str
@@ -119,7 +119,7 @@ class Bounds:
         }
 
     @staticmethod
-    def from_dict(record: Any) -> Bounds:
+    def from_dict(record: Any) -> OracleBounds:
         """The bounds that `as_dict` gave.
 
         Raises:
@@ -163,7 +163,7 @@ class _Line(BaseModel):
     witnesses: _Witnesses
     witnesses_t98: _Witnesses
 
-    def bounds(self) -> Bounds:
+    def bounds(self) -> OracleBounds:
         full = _limit("", self.lower_bound, self.best_tour, self.status, self.tour, self.witnesses)
         t98 = _limit(
             "_t98",
@@ -173,7 +173,7 @@ class _Line(BaseModel):
             self.tour_t98,
             self.witnesses_t98,
         )
-        return Bounds(
+        return OracleBounds(
             self.world, self.seed, self.start, self.protocol, self.world_hash, self.countable, full, t98,
             self.cpu_s,
         )  # fmt: skip
@@ -212,11 +212,11 @@ def tighten(
     *,
     start: int = 0,
     budget_s: float,
-    known: Bounds | None = None,
+    known: OracleBounds | None = None,
     hints: Callable[[PoseGraph], Iterable[Walk]] | None = None,
     seed: int = 0,
     visibility: Visibility | None = None,
-) -> Iterator[Bounds]:
+) -> Iterator[OracleBounds]:
     """Close in on the fewest steps from both sides, yielding what is known after every search.
 
     A tour prunes the search for the lower bound; the walks which that search met are where the next search
@@ -262,8 +262,8 @@ def tighten(
         walks[share] = list(hints(graph)) if hints else []
     spent = known.cpu_s if known else 0.0
 
-    def bounds() -> Bounds:
-        return Bounds(
+    def bounds() -> OracleBounds:
+        return OracleBounds(
             world.name, world.seed, start, protocol.name, digest, count, limits["full"], limits["t98"],
             round(spent + thread_time() - began, 1),
         )  # fmt: skip
@@ -297,11 +297,11 @@ def bound(
     *,
     start: int = 0,
     budget_s: float,
-    known: Bounds | None = None,
+    known: OracleBounds | None = None,
     hints: Callable[[PoseGraph], Iterable[Walk]] | None = None,
     seed: int = 0,
     visibility: Visibility | None = None,
-) -> Bounds:
+) -> OracleBounds:
     """The last of `tighten`."""
     steps = tighten(
         world, protocol, start=start, budget_s=budget_s, known=known, hints=hints, seed=seed,
@@ -374,7 +374,7 @@ def _better_bound(
     return replace(limit, lower_bound=lower, witnesses=every)
 
 
-def drive(bounds: Bounds, world: World, *, visibility: Visibility | None = None) -> None:
+def drive(bounds: OracleBounds, world: World, *, visibility: Visibility | None = None) -> None:
     """Fly both tours in the simulator: the look-around and every action, and score what they see.
 
     What counts is what `metrics.Scorer` calls the instances, from the poses where the simulator arrives.
@@ -398,7 +398,7 @@ def drive(bounds: Bounds, world: World, *, visibility: Visibility | None = None)
                 raise ValueError(f"tour to {name}: expected it at step {limit.best_tour}, got {got}")
 
 
-def _check_mission(bounds: Bounds, world: World, countable: int) -> None:
+def _check_mission(bounds: OracleBounds, world: World, countable: int) -> None:
     digest = world_hash(world)
     if bounds.world_hash != digest:
         raise ValueError(f"world_hash: expected {digest[:12]}…, got {bounds.world_hash[:12]}…")
@@ -440,7 +440,7 @@ def _drive(
     return None
 
 
-def tour_poses(bounds: Bounds, world: World, protocol: SurveyProtocol) -> npt.NDArray[np.float64]:
+def tour_poses(bounds: OracleBounds, world: World, protocol: SurveyProtocol) -> npt.NDArray[np.float64]:
     """(n + 1, 3) x, y and yaw after the look-around and after every action of the tour to 100 %."""
     poses = [protocol.snap(world.starts[bounds.start])]
     poses[0] = replace(poses[0], yaw=wrap_angle(poses[0].yaw + LOOK_AROUND * 0.5 * math.pi))
@@ -461,7 +461,7 @@ def _decisions(tour: Walk, protocol: SurveyProtocol) -> list[Decision]:
     ]
 
 
-def check(bounds: Bounds, world: World) -> None:
+def check(bounds: OracleBounds, world: World) -> None:
     """Fly both tours and search again that no shorter walk passes the witnesses.
 
     Raises:
@@ -492,10 +492,10 @@ def check(bounds: Bounds, world: World) -> None:
 
 
 def walks_of(
-    results: Results, bounds: Bounds | tuple[str, str, int, int]
+    results: Results, bounds: OracleBounds | tuple[str, str, int, int]
 ) -> Callable[[PoseGraph], list[Walk]]:
     """What the missions of a benchmark folder did after the look-around, as walks to begin with."""
-    key = bounds.key if isinstance(bounds, Bounds) else bounds
+    key = bounds.key if isinstance(bounds, OracleBounds) else bounds
     traces = [trace for mission, trace in results.traces.items() if mission[:4] == key]
 
     def walks(graph: PoseGraph) -> list[Walk]:
@@ -505,7 +505,7 @@ def walks_of(
     return walks
 
 
-def read_bounds(path: Path) -> list[Bounds]:
+def read_bounds(path: Path) -> list[OracleBounds]:
     """All lines of a file of bounds.
 
     Raises:
@@ -516,13 +516,13 @@ def read_bounds(path: Path) -> list[Bounds]:
         return _read(file, str(path))
 
 
-def _read(lines: Iterable[str], name: str) -> list[Bounds]:
-    found: dict[tuple[str, str, int, int], Bounds] = {}
+def _read(lines: Iterable[str], name: str) -> list[OracleBounds]:
+    found: dict[tuple[str, str, int, int], OracleBounds] = {}
     for number, line in enumerate(lines, 1):
         try:
             if len(line) > LONGEST_LINE:
                 raise ValueError(f"expected at most {LONGEST_LINE} characters, got {len(line)}")
-            bounds = Bounds.from_dict(json.loads(line))
+            bounds = OracleBounds.from_dict(json.loads(line))
             if bounds.key in found:
                 raise ValueError(f"{bounds.key} stands there twice")
         except (ValueError, RecursionError) as error:
@@ -531,13 +531,13 @@ def _read(lines: Iterable[str], name: str) -> list[Bounds]:
     return list(found.values())
 
 
-def write_bounds(path: Path, every: Sequence[Bounds]) -> None:
+def write_bounds(path: Path, every: Sequence[OracleBounds]) -> None:
     """Write a file of bounds, whole or not at all."""
     lines = (json.dumps(bounds.as_dict(), allow_nan=False, separators=(",", ":")) for bounds in every)
     write_whole(path, "".join(line + "\n" for line in lines).encode())
 
 
-def known_bounds(protocol: str, world: str, seed: int, start: int, world_hash: str) -> Bounds | None:
+def known_bounds(protocol: str, world: str, seed: int, start: int, world_hash: str) -> OracleBounds | None:
     """The bounds of a mission that come with the package; None where there are none, or of another world.
 
     Raises:
@@ -548,8 +548,8 @@ def known_bounds(protocol: str, world: str, seed: int, start: int, world_hash: s
 
 
 @functools.cache
-def every_known() -> dict[tuple[str, str, int, int], Bounds]:
-    """All bounds that come with the package, by `Bounds.key`, be their worlds today's or not.
+def every_known() -> dict[tuple[str, str, int, int], OracleBounds]:
+    """All bounds that come with the package, by `OracleBounds.key`, be their worlds today's or not.
 
     Those of a protocol hold under its noisy variants too.
 
@@ -557,7 +557,7 @@ def every_known() -> dict[tuple[str, str, int, int], Bounds]:
         ValueError: A file of the package is damaged; names file and line.
     """
     folder = importlib.resources.files("dream.evaluation.oracle") / "known"
-    found: dict[tuple[str, str, int, int], Bounds] = {}
+    found: dict[tuple[str, str, int, int], OracleBounds] = {}
     for suite in KNOWN:
         with contextlib.suppress(FileNotFoundError):
             lines = (folder / f"{suite}.jsonl").read_text(encoding="utf-8").splitlines()

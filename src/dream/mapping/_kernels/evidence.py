@@ -128,7 +128,7 @@ def spread_ground(posts, window, wide, ground):
 
     Args:
         posts: `Posts` with heights of the window's and of one more around.
-        window: A `Window`.
+        window: A `CellWindow`.
         wide: See `Scratch`.
         ground: (side²) float32, out.
     """
@@ -164,7 +164,7 @@ def count_returns(count, samples, rule, scratch):
     Args:
         count: How many samples there are.
         samples: `Samples`.
-        rule: A `Rule`.
+        rule: A `WeighingRule`.
         scratch: `Scratch` with the ground; counts and targets are added to.
     """
     cells, heights, weight_of = samples.cells, samples.heights, rule.weight_of
@@ -306,7 +306,7 @@ def cast_rays(window, sector, directions, farthest, log_odds, paths):
     The second condition of Eq. 7: nothing solid lies between the vehicle and the cell.
 
     Args:
-        window: A `Window`.
+        window: A `CellWindow`.
         sector: A `Sector`.
         directions: (RAYS, 2) cosine and sine.
         farthest: See `Samples`.
@@ -399,7 +399,7 @@ def gather(pools, table, window, log_odds, flags):
     Args:
         pools: `Pools`.
         table: (block rows, block cols) slots of the blocks around the window.
-        window: A `Window`.
+        window: A `CellWindow`.
         log_odds, flags: (side²), out.
     """
     log_odds_pool, flags_pool, side = pools.log_odds, pools.flags, window.side
@@ -445,9 +445,9 @@ def commit(pools, stamps, table, window, said, seabed, stamp, memory):
         pools: `Pools`.
         stamps: (slots,) int64, out: `stamp` in those that are written.
         table: (block rows, block cols) slots of the blocks around the window, made where `said.touched`.
-        window: A `Window`.
+        window: A `CellWindow`.
         said: What `read_frame` found.
-        seabed: A `Seabed`.
+        seabed: A `SeabedSamples`.
         stamp: Number of the change.
         memory: Points of the seabed that a post remembers.
     """
@@ -562,13 +562,13 @@ def read_frame(pools, table, posts, window, samples, count, seabed, sector, dire
         pools: The map's `Pools`.
         table: (block rows, block cols) slots of the blocks around the window.
         posts: `Posts`.
-        window: A `Window`.
+        window: A `CellWindow`.
         samples, count, seabed: What `project` found.
         sector: A `Sector`.
         directions: See `cast_rays`.
-        rule: A `Rule`.
+        rule: A `WeighingRule`.
         scratch: `Scratch`.
-        said: `Said`, out.
+        said: `FrameFindings`, out.
     """
     gather_posts(pools, table, posts)
     n = window.side >> window.post_bits

@@ -37,9 +37,9 @@ def project(image, view, window, seabed, samples, runs):
 
     Args:
         image: An `Image`.
-        view: A `View`.
-        window: A `Window`.
-        seabed: A `Seabed`, whose sums are added to.
+        view: A `FrameView`.
+        window: A `CellWindow`.
+        seabed: A `SeabedSamples`, whose sums are added to.
         samples: `Samples`, out.
         runs: `Runs`.
 

@@ -16,7 +16,7 @@ Float64Array = npt.NDArray[np.float64]
 Int32Array = npt.NDArray[np.int32]
 
 
-class Window(NamedTuple):
+class CellWindow(NamedTuple):
     """A square of cells around the camera with the reach inside; its low corner lies on a post."""
 
     side: int
@@ -57,7 +57,7 @@ class Image(NamedTuple):
     """(256,) `GROUND`, `THING` or `UNSURE`."""
 
 
-class View(NamedTuple):
+class FrameView(NamedTuple):
     """The camera, where it was, and which depths count."""
 
     fx: float
@@ -80,7 +80,7 @@ class View(NamedTuple):
     """(levels + 2,) `max_depth`, the cuts and `min_depth` as the image's `bits`."""
 
 
-class Seabed(NamedTuple):
+class SeabedSamples(NamedTuple):
     """What a frame's samples say of the seabed's height, by post of the window."""
 
     post_of: Int32Array
@@ -149,7 +149,7 @@ class Posts(NamedTuple):
     """(levels + 1, 3, rows or more, cols or more), out."""
 
 
-class Rule(NamedTuple):
+class WeighingRule(NamedTuple):
     """How samples are weighed; log-odds in units of `layers.QUANTUM`."""
 
     step: int
@@ -198,7 +198,7 @@ class Sector(NamedTuple):
     """Whether the horizon is in the image."""
 
 
-class Said(NamedTuple):
+class FrameFindings(NamedTuple):
     """What a frame says."""
 
     log_odds: npt.NDArray[np.int8]

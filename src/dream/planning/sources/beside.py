@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from dream.planning.distribution import expectation
-from dream.planning.sources.source import Expected, Scene, Source, Worth
+from dream.planning.sources.source import BeliefSource, Expected, Situation, Worth
 
 
 @dataclass(frozen=True, slots=True)
-class TargetsBeside(Source):
+class TargetsBeside(BeliefSource):
     """Expects targets around those that were seen or hinted at, and whatever keeps a region open."""
 
     blur: float
@@ -27,11 +27,11 @@ class TargetsBeside(Source):
     search: float
     """Square metres of targets to be expected for each square metre of ground that is searched."""
 
-    def expect(self, expected: Expected, scene: Scene) -> None:
+    def expect(self, expected: Expected, situation: Situation) -> None:
         """The probability of a target in each cell not observed, and how much of that is hinted at."""
         from dream.mapping import within
 
-        occupancy, completion, evidence = scene.occupancy, scene.completion, expected.evidence
+        occupancy, completion, evidence = situation.occupancy, situation.completion, expected.evidence
         if not completion.regions and not evidence.hints.any():
             return
         cell = occupancy.protocol.cell
@@ -46,14 +46,14 @@ class TargetsBeside(Source):
             beside[row, col] = np.maximum(beside[row, col], least)
         expected.beside = expected.likely = beside
         if evidence.hints.any():
-            hoped_for = evidence.hints & ~scene.failed.given_up & scene.near_places
-            hoped_for = scene.hopeful(hoped_for, 0.5 * cell)
+            hoped_for = evidence.hints & ~situation.failed.given_up & situation.near_places
+            hoped_for = situation.hopeful(hoped_for, 0.5 * cell)
             expected.hinted = float(beside[hoped_for].sum()) * cell**2
 
-    def weigh(self, worth: Worth, expected: Expected, scene: Scene) -> None:
+    def weigh(self, worth: Worth, expected: Expected, situation: Situation) -> None:
         """What is likely to be seen; where no target was seen, all ground must be."""
-        square = scene.occupancy.protocol.cell**2
+        square = situation.occupancy.protocol.cell**2
         worth.ground = self.eager * expected.likely * square
-        if not scene.completion.regions and not expected.hiding.any():
-            row, col = scene.completion.open_cells.T
+        if not situation.completion.regions and not expected.hiding.any():
+            row, col = situation.completion.open_cells.T
             worth.ground[row, col] = np.maximum(worth.ground[row, col], self.search * square)

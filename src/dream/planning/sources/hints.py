@@ -7,26 +7,26 @@ from dataclasses import dataclass
 from dream.planning import sentences
 from dream.planning.distribution import GLIMPSED
 from dream.planning.far_hints import FarHints
-from dream.planning.sources.source import Expected, Scene, Source, Words
+from dream.planning.sources.source import BeliefSource, Expected, Situation, Words
 
 
 @dataclass(frozen=True, slots=True)
-class Hints(Source):
+class HintedTargets(BeliefSource):
     """Lets what was glimpsed count as evidence, as far as hints came true so far."""
 
     hints: FarHints
 
-    def take(self, scene: Scene) -> None:
+    def take(self, situation: Situation) -> None:
         """Weigh earlier hints, and add those of this observation."""
-        self.hints.add(scene.observation, scene.occupancy)
+        self.hints.add(situation.observation, situation.occupancy)
 
-    def expect(self, expected: Expected, scene: Scene) -> None:
-        """Evidence, unless there is a hull, of which more is believed than hints tell."""
+    def expect(self, expected: Expected, situation: Situation) -> None:
+        """TargetEvidence, unless there is a hull, of which more is believed than hints tell."""
         expected.calibration = GLIMPSED
-        if scene.away_from_hull is None:
-            expected.evidence = self.hints.evidence(scene.occupancy)
+        if situation.away_from_hull is None:
+            expected.evidence = self.hints.evidence(situation.occupancy)
 
-    def words(self, expected: Expected, scene: Scene) -> Words:
+    def words(self, expected: Expected, situation: Situation) -> Words:
         """How much is hinted at, and how far that is believed."""
         return Words(
             distribution=sentences.hinted(expected.hinted, self.hints.precision),

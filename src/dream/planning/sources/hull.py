@@ -11,7 +11,7 @@ from dream.mapping.hull import PATCH, Hull
 from dream.mapping.targets import is_found, target_cells
 from dream.planning import sentences
 from dream.planning.outlook import Listed, Outlook
-from dream.planning.sources.source import Expected, FloatArray, Scene, Source, Words, Worth
+from dream.planning.sources.source import BeliefSource, Expected, FloatArray, Situation, Words, Worth
 from dream.planning.travel import Pose, Travel
 from dream.protocol import SurveyProtocol
 from dream.types import Target
@@ -31,7 +31,7 @@ fourth, for every sixteenth beyond."""
 
 
 @dataclass(slots=True, eq=False)
-class HullSurface(Source):
+class HullSurface(BeliefSource):
     """Expects more hull where the surface that was seen goes on; a wreck lies alone."""
 
     hull: Hull
@@ -43,38 +43,38 @@ class HullSurface(Source):
     alone: float
     """Factor on the number of expected groups once a hull was found."""
 
-    def take(self, scene: Scene) -> None:
+    def take(self, situation: Situation) -> None:
         """Add what was seen of it; hope no more for what should be in view from here and is not."""
-        self.hull.integrate(scene.observation)
-        self.give_up(scene.here)
-        scene.away_from_hull = away_from_hull(scene.occupancy)
+        self.hull.integrate(situation.observation)
+        self.give_up(situation.here)
+        situation.away_from_hull = away_from_hull(situation.occupancy)
 
-    def expect(self, expected: Expected, scene: Scene) -> None:
+    def expect(self, expected: Expected, situation: Situation) -> None:
         """Patches that are still unseen, where there is hull.
 
         While a step brings enough of them hardly anything else is expected; then the search goes on.
         """
-        expected.hull = self._adjoining(scene)
+        expected.hull = self._adjoining(situation)
         left = float(expected.hull.sum())
         expected.hull_left = left / (self.hull.found + left) if left else 0.0
         expected.looked_over = expected.hull_left <= self.accepted
-        expected.hull_views = self.listed(expected, scene)
-        if scene.away_from_hull is not None and best_rate(expected.hull_views, scene.travel) >= LEAST:
+        expected.hull_views = self.listed(expected, situation)
+        if situation.away_from_hull is not None and best_rate(expected.hull_views, situation.travel) >= LEAST:
             expected.alone = self.alone
             expected.hidden *= self.alone
             expected.probability = expected.groups.risk(expected.hidden)
 
-    def words(self, expected: Expected, scene: Scene) -> Words:
+    def words(self, expected: Expected, situation: Situation) -> Words:
         """How much of it is unseen."""
-        if scene.away_from_hull is None:
+        if situation.away_from_hull is None:
             return Words()
         area = PATCH**2 * float(expected.hull.sum())
         return Words(completion=sentences.hull(area, expected.hull_left, self.accepted))
 
-    def weigh(self, worth: Worth, expected: Expected, scene: Scene) -> None:
+    def weigh(self, worth: Worth, expected: Expected, situation: Situation) -> None:
         """Its patches; little of the ground beneath them, and of groups elsewhere."""
-        if scene.away_from_hull is not None:
-            worth.ground[scene.away_from_hull <= ADJOINING] *= BENEATH
+        if situation.away_from_hull is not None:
+            worth.ground[situation.away_from_hull <= ADJOINING] *= BENEATH
             worth.search *= expected.alone
         worth.listed = expected.hull_views
 
@@ -87,14 +87,14 @@ class HullSurface(Source):
         row, col, heading = pose
         self.hull.give_up(self.views.position(row, col), heading * self._protocol.heading_step)
 
-    def listed(self, expected: Expected, scene: Scene) -> Listed | None:
+    def listed(self, expected: Expected, situation: Situation) -> Listed | None:
         """What of the hull is seen from the nodes around it; None where nothing more is expected of it."""
         weights = self.eager * PATCH**2 * expected.hull
         if not weights.any():
             return None
         from scipy.spatial import cKDTree
 
-        travel, left = scene.travel, self.hull.middles[weights > 0.0, :2]
+        travel, left = situation.travel, self.hull.middles[weights > 0.0, :2]
         rows, cols = np.nonzero(travel.reached)
         positions = travel.position(rows, cols)
         steps = travel.nearest[rows, cols]
@@ -111,12 +111,12 @@ class HullSurface(Source):
     def _protocol(self) -> SurveyProtocol:
         return self.views.mission.protocol
 
-    def _adjoining(self, scene: Scene) -> FloatArray:
+    def _adjoining(self, situation: Situation) -> FloatArray:
         """(n,) the belief about the hull, as far as it adjoins hull that was within reach.
 
         Farther away labels are not trusted, and where no target stands up there is no hull.
         """
-        away, occupancy, weights = scene.away_from_hull, scene.occupancy, self.hull.weights
+        away, occupancy, weights = situation.away_from_hull, situation.occupancy, self.hull.weights
         if away is None or not len(weights):
             return np.zeros(len(weights))
         x, y = self.hull.middles[:, :2].T

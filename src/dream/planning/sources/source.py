@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.mapping.completion import Completion
-from dream.planning.distribution import OBSERVED, Calibration, Evidence, Groups
+from dream.planning.distribution import OBSERVED, Calibration, Groups, TargetEvidence
 from dream.planning.failed_views import FailedViews
 from dream.planning.lookahead import Plan, Prospect
 from dream.planning.outlook import Listed, Outlook
@@ -27,7 +27,7 @@ MOST_VISITS = 3
 
 
 @dataclass(eq=False)
-class Scene:
+class Situation:
     """What one step has to go by. What is worked out of it is kept."""
 
     observation: Observation
@@ -100,7 +100,7 @@ class Scene:
 class Expected:
     """What is believed, over the cells of the map; each source adds to it in turn."""
 
-    evidence: Evidence
+    evidence: TargetEvidence
     """What beliefs about targets rest on."""
     beside: Float32Array
     """(rows, cols) probability of a target beside known ones."""
@@ -184,45 +184,47 @@ class Way:
     why: str
 
 
-class Source:
+class BeliefSource:
     """One reason to look somewhere. What a source does not say, it has no part in.
 
     A planner asks its sources in turn, in the order of this class: `take`, then `expect`, `words`, `worth`.
     """
 
-    def take(self, scene: Scene) -> None:
+    def take(self, situation: Situation) -> None:
         """Learn from what is new. Only `observation`, `occupancy`, `here` and `views` are there yet."""
 
-    def expect(self, expected: Expected, scene: Scene) -> None:
+    def expect(self, expected: Expected, situation: Situation) -> None:
         """Add what it believes, after the sources before it."""
 
-    def certainty(self, expected: Expected, scene: Scene) -> tuple[str, str] | None:
+    def certainty(self, expected: Expected, situation: Situation) -> tuple[str, str] | None:
         """How certain it is that all was seen, and the same as models are told it."""
         return None
 
-    def words(self, expected: Expected, scene: Scene) -> Words:
+    def words(self, expected: Expected, situation: Situation) -> Words:
         """What it adds to the reasoning."""
         return Words()
 
-    def weigh(self, worth: Worth, expected: Expected, scene: Scene) -> None:
+    def weigh(self, worth: Worth, expected: Expected, situation: Situation) -> None:
         """Add what there is to see by it."""
 
-    def errand(self, scene: Scene, travel: Travel, moves: npt.NDArray[np.uint8], visits: int) -> Way | None:
+    def errand(
+        self, situation: Situation, travel: Travel, moves: npt.NDArray[np.uint8], visits: int
+    ) -> Way | None:
         """What has to be done before anything else is looked for.
 
         Args:
-            scene: Of this step.
+            situation: Of this step.
             travel: Known ways.
             moves: See `Outlook.moves`; of these ways.
             visits: How often the vehicle has been here since anything was new.
         """
         return None
 
-    def tour(self, expected: Expected, scene: Scene, prospect: Prospect) -> Way | None:
+    def tour(self, expected: Expected, situation: Situation, prospect: Prospect) -> Way | None:
         """The way round all that is left, where it is known what that is."""
         return None
 
-    def enough(self, expected: Expected, scene: Scene) -> bool:
+    def enough(self, expected: Expected, situation: Situation) -> bool:
         """Nothing more has to be searched for, though ground is left to search."""
         return False
 

@@ -11,14 +11,14 @@ from dream.planning.distribution import Groups
 from dream.planning.lookahead import Prospect
 from dream.planning.prior_survey import LIKELY, PriorSurvey
 from dream.planning.rounds import Rounds
-from dream.planning.sources.source import Expected, Scene, Source, Way, Words, Worth
+from dream.planning.sources.source import BeliefSource, Expected, Situation, Way, Words, Worth
 
 LEAVE = 0.015
 """Share of the targets, seen and foretold or hinted at, that may be left."""
 
 
 @dataclass(slots=True, eq=False)
-class Survey(Source):
+class ForetoldTargets(BeliefSource):
     """Expects targets where they were, as far as the survey turns out to be right, and flies round them."""
 
     survey: PriorSurvey
@@ -27,20 +27,20 @@ class Survey(Source):
     rounds: Rounds = field(default_factory=Rounds)
     """The way round what is foretold."""
 
-    def take(self, scene: Scene) -> None:
+    def take(self, situation: Situation) -> None:
         """Compare it with what was seen; what stood is taken for solid."""
-        self.survey.look(scene.views.shown(scene.here)[0], scene.occupancy)
-        self.survey.compare(scene.occupancy)
-        scene.foretold = self.survey.solid(scene.occupancy)
+        self.survey.look(situation.views.shown(situation.here)[0], situation.occupancy)
+        self.survey.compare(situation.occupancy)
+        situation.foretold = self.survey.solid(situation.occupancy)
 
-    def expect(self, expected: Expected, scene: Scene) -> None:
+    def expect(self, expected: Expected, situation: Situation) -> None:
         """Targets where they were; where it saw no group one must have come since.
 
         How many come is learnt as the number of groups is, from those that came to such ground, and the
         ground of which it was searched again.
         """
-        survey, occupancy, groups = self.survey, scene.occupancy, expected.groups
-        regions, hidden = scene.completion.regions, expected.hidden
+        survey, occupancy, groups = self.survey, situation.occupancy, expected.groups
+        regions, hidden = situation.completion.regions, expected.hidden
         came, empty = survey.came(regions), survey.empty
         share = float(np.count_nonzero(expected.hiding & empty)) / max(
             int(np.count_nonzero(expected.hiding)), 1
@@ -54,34 +54,34 @@ class Survey(Source):
         believed = survey.believed
         expected.probability = believed * told + (1.0 - believed) * groups.risk(hidden)
         expected.rarity = believed * rarity + 1.0 - believed
-        expected.likely = survey.weighed(expected.beside, scene.failed.left(occupancy))
+        expected.likely = survey.weighed(expected.beside, situation.failed.left(occupancy))
         # What keeps a region open must be seen, whatever was foretold there.
-        row, col = scene.completion.open_cells.T
+        row, col = situation.completion.open_cells.T
         expected.likely[row, col] = np.maximum(expected.likely[row, col], expected.beside[row, col])
 
-    def words(self, expected: Expected, scene: Scene) -> Words:
+    def words(self, expected: Expected, situation: Situation) -> Words:
         """What it foretells, how far it is believed, and what is other than it was."""
-        return Words(distribution=sentences.foretold(self.survey, scene.occupancy))
+        return Words(distribution=sentences.foretold(self.survey, situation.occupancy))
 
-    def weigh(self, worth: Worth, expected: Expected, scene: Scene) -> None:
+    def weigh(self, worth: Worth, expected: Expected, situation: Situation) -> None:
         """Where it saw no group few are expected."""
         worth.share[self.survey.empty] *= expected.rarity
 
-    def enough(self, expected: Expected, scene: Scene) -> bool:
+    def enough(self, expected: Expected, situation: Situation) -> bool:
         """The risk may be little long before all ground was searched: then that is done with."""
-        return bool(scene.completion.regions) and expected.looked_over and expected.searched
+        return bool(situation.completion.regions) and expected.looked_over and expected.searched
 
-    def tour(self, expected: Expected, scene: Scene, prospect: Prospect) -> Way | None:
+    def tour(self, expected: Expected, situation: Situation, prospect: Prospect) -> Way | None:
         """The way round what is foretold and was not seen yet; None where hardly any of it is left."""
-        survey, occupancy, views = self.survey, scene.occupancy, scene.views
+        survey, occupancy, views = self.survey, situation.occupancy, situation.views
         if survey.believed <= 0.5:
             return None
         square = occupancy.protocol.cell**2
-        unseen = scene.failed.left(occupancy)
+        unseen = situation.failed.left(occupancy)
         known = square * np.count_nonzero(occupancy.target)
         needed = np.zeros_like(unseen)
-        if scene.completion.regions:
-            needed[tuple(scene.completion.open_cells.T)] = True
+        if situation.completion.regions:
+            needed[tuple(situation.completion.open_cells.T)] = True
         either = unseen | survey.unheard(occupancy)
         unknown = expected.hiding & ~survey.empty
         intensity = expected.to_come / max(square * np.count_nonzero(expected.hiding), square)
@@ -101,7 +101,7 @@ class Survey(Source):
                 # Nor any that could hold one, where hardly any risk is accepted.
                 hiding[unknown] = min(leave * square * intensity / max(risk, 1e-9), 1.1 * leave)
             ahead = replace(prospect, ground=views.on_tiles(worth), hiding=views.on_tiles(hiding))
-            plan = self.rounds.plan(ahead, scene.travel, scene.moves, leave)
+            plan = self.rounds.plan(ahead, situation.travel, situation.moves, leave)
             if plan is not None:
-                return Way(scene.travel, plan, sentences.ROUND)
+                return Way(situation.travel, plan, sentences.ROUND)
         return None

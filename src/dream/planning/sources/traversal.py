@@ -9,14 +9,14 @@ import numpy.typing as npt
 
 from dream.planning import sentences
 from dream.planning.lookahead import Plan
-from dream.planning.sources.source import MOST_VISITS, Expected, Scene, Source, Way, Words, Worth
+from dream.planning.sources.source import MOST_VISITS, BeliefSource, Expected, Situation, Way, Words, Worth
 from dream.planning.travel import Travel
 from dream.planning.walk import Walk
 from dream.types import BoolArray
 
 
 @dataclass(slots=True, eq=False)
-class Traversal(Source):
+class TargetsToTraverse(BeliefSource):
     """Traverses what was found before anything else is looked for."""
 
     walk: Walk
@@ -27,25 +27,27 @@ class Traversal(Source):
         cell, bounds = self.walk.mission.protocol.cell, self.walk.mission.bounds
         self.passed_in_vain = np.zeros((round(bounds.depth / cell), round(bounds.width / cell)), np.bool_)
 
-    def words(self, expected: Expected, scene: Scene) -> Words:
+    def words(self, expected: Expected, situation: Situation) -> Words:
         """What was traversed, and what is left."""
-        occupancy, completion = scene.occupancy, scene.completion
+        occupancy, completion = situation.occupancy, situation.completion
         area = sentences.left_to_traverse(occupancy, completion) if len(completion.untraversed) else ""
         return Words(target_area=area, completion=sentences.traversal(occupancy, completion))
 
-    def weigh(self, worth: Worth, expected: Expected, scene: Scene) -> None:
+    def weigh(self, worth: Worth, expected: Expected, situation: Situation) -> None:
         """What lies beside targets comes into view where they are traversed; what keeps it open counts."""
-        is_open = np.zeros(scene.occupancy.shape, np.bool_)
-        is_open[tuple(scene.completion.open_cells.T)] = True
+        is_open = np.zeros(situation.occupancy.shape, np.bool_)
+        is_open[tuple(situation.completion.open_cells.T)] = True
         worth.ground[~is_open] = 0.0
         worth.search *= not expected.searched
 
-    def errand(self, scene: Scene, travel: Travel, moves: npt.NDArray[np.uint8], visits: int) -> Way | None:
+    def errand(
+        self, situation: Situation, travel: Travel, moves: npt.NDArray[np.uint8], visits: int
+    ) -> Way | None:
         """The way to traverse what is left; None where no way leads to any of it."""
         from dream.mapping import to_traverse
 
         # Beyond what completion asks for: what no known way leads to may come in reach on the way.
-        left = np.argwhere(to_traverse(scene.occupancy) & ~self.passed_in_vain)
+        left = np.argwhere(to_traverse(situation.occupancy) & ~self.passed_in_vain)
         if visits > 1:
             moves = travel.free  # What is unknown stays so from here.
         while True:

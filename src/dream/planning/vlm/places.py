@@ -60,7 +60,7 @@ def places(pilot: BeliefPilot, thought: Thought) -> list[Place]:
         The offline planner's own first; at most `MOST`.
     """
     travel, ahead = thought.travel, pilot.look_ahead
-    prospect = pilot.prospect(thought.expected, thought.scene)
+    prospect = pilot.prospect(thought.expected, thought.situation)
     apart = APART * pilot.mission.protocol.reach
     ways = [] if thought.plan is None else [thought.plan.path]
     taken = [travel.position(row, col) for way in ways for row, col, _ in way]
@@ -99,7 +99,7 @@ def again(pilot: BeliefPilot, thought: Thought, pose: Pose) -> tuple[Plan, float
     if travel.steps[pose] <= 0:
         return None
     ways = [travel.path(pose)] if thought.plan is None else [thought.plan.path, travel.path(pose)]
-    judged = pilot.look_ahead.judge(pilot.prospect(thought.expected, thought.scene), travel, ways)
+    judged = pilot.look_ahead.judge(pilot.prospect(thought.expected, thought.situation), travel, ways)
     if judged[-1].plan.rate <= NOTHING:
         return None
     return judged[-1].plan, _loss(judged[-1], None if thought.plan is None else judged[0])

@@ -128,7 +128,7 @@ class Drive(Protocol):
         """Share of what it may ask of the thrusters that it asks now."""
 
 
-class Pilot(Protocol):
+class HumanPilot(Protocol):
     """A person who may take the vehicle, through DREAM."""
 
     @property
@@ -161,7 +161,7 @@ class Bridge:
         now: Callable[[], float],
         *,
         watch: Watch | None = None,
-        pilot: Pilot | None = None,
+        pilot: HumanPilot | None = None,
         rate: float = BEATS,
         said: Callable[[Standing], None] | None = None,
         fixed: Callable[[Fix], None] | None = None,

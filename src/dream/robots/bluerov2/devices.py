@@ -31,9 +31,9 @@ from dream.robots.bluerov2.limits import Limits
 from dream.robots.bluerov2.log import DiveLog
 from dream.robots.bluerov2.mavlink import Link
 from dream.robots.bluerov2.navigation import Instruments, Navigator, NotReady, State
-from dream.robots.bluerov2.pilot import Door, Station
 from dream.robots.bluerov2.reports import FRESH, SEA
 from dream.robots.bluerov2.rov import Picture
+from dream.robots.bluerov2.station import Door, Station
 from dream.robots.bluerov2.threads import REAL_TIME, Threads
 from dream.robots.bluerov2.wire import Pipe
 from dream.types import BoolArray, UInt8Array

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dream.control import Pd
+from dream.control import Pd, _kernels
 from dream.control.autopilot import Autopilot, Helm
 from dream.control.health import Watch
 from dream.geometry import SE2, SE3, wrap_angle
@@ -177,15 +177,16 @@ class _Wired:
     def _turn_rate(self, helm: Helm, fix: Fix) -> float:
         """rad/s that follow the reference's heading; exactly 0 where the autopilot can hold it itself.
 
-        The heading is compared with where the reference was `TURN_LAG` ago: what is under way already is no
-        error, and is not asked for a second time.
+        The paper's law (Eq. 11) with k_r = 0, about where the reference was `TURN_LAG` ago: what is under way
+        already is no error, and is not asked for a second time.
         """
         reference, rate = float(helm.memory[3]), float(helm.memory[7])
         lacking = wrap_angle(self._heading.before(fix.time, reference) - fix.T_world_base.yaw)
         moving = abs(wrap_angle(reference - self._heading.oldest)) > RESTING or abs(rate) > RESTING
         if self._heading.holds(lacking, moving=moving):
             return 0.0
-        return _within(rate + self.turn * lacking, 1.5 * self.autopilot.turn_rate)
+        asked = _kernels.track(lacking, 0.0, rate, self.turn, 0.0)
+        return _within(asked, 1.5 * self.autopilot.turn_rate)
 
 
 @dataclass(slots=True, eq=False)
@@ -246,7 +247,7 @@ class AltHold(_Wired):
 class Guided(_Wired):
     """Velocities, in GUIDED: the autopilot closes the loops of velocity, attitude and depth.
 
-    What it does: the paper's proportional law straight to the goal, no faster than the reference may be; the
+    What it does: the paper's law with K_d = 0 straight to the goal, no faster than the reference may be; the
     heading follows the reference. A velocity loop that is slow to speed up makes of a reference that speeds
     up and slows down, and is followed, an overshoot of a third of a move of 0.2 m; of this it makes none.
     Assumes: an autopilot that knows its position, or it refuses the mode; and that speeds up and slows down
@@ -276,6 +277,7 @@ class Guided(_Wired):
         """See `bridge.Drive`."""
         helm = self._reference(fix, goal, dt, pace)
         still = BodyVelocity(0.0, 0.0, 0.0, 0.0)
+        # Eq. 9–10 with K_d = 0. The goal rests, and the heading has its own way, as with sticks.
         wanted = self.law.track(fix.T_world_base.se2, still, Setpoint(goal.x, goal.y, goal.yaw, 0.0))
         most = pace * self.autopilot.speed
         slower = min(1.0, most / max(math.hypot(wanted.surge, wanted.sway), 1e-9))
@@ -296,9 +298,8 @@ class Guided(_Wired):
         if pose.distance(goal) < NEAR:
             self._learnt += self.bias * dt * np.array([goal.x - pose.x, goal.y - pose.y])
             self._learnt *= min(1.0, MOST_LEARNT / max(float(np.linalg.norm(self._learnt)), 1e-9))
-        east, north = self._learnt
-        c, s = math.cos(pose.yaw), math.sin(pose.yaw)
-        return c * east + s * north, c * north - s * east
+        ahead, left = _kernels.into_body(pose.yaw, *self._learnt)
+        return ahead, left
 
 
 def _within(value: float, most: float) -> float:
@@ -322,5 +323,6 @@ def rehearse(estimator: str) -> None:
         helm = GENTLE.begin(vehicle.hull, vehicle.thrusters, pose)
         wrench = helm.demand(pose, still, still, (0.1, 0.0, -1.0, 0.1), 0.04)
         helm.learn(1.0, 0.04)
+        Pd().track(pose.se2, BodyVelocity(0.0, 0.0, 0.0, 0.0), Setpoint(0.1, 0.0, 0.1, 0.0))
         Joystick(thrusters=vehicle.thrusters).sticks(float(wrench[0]), float(wrench[1]), turn_rate=0.1)
     Watch().condition(imu_age=0.0, depth_age=0.0, dvl_age=0.0, velocity_sigma=0.0, position_sigma=0.0)

@@ -112,7 +112,7 @@ class Stream(Protocol):
         """Hang up, from whatever thread: whoever receives is told that there is nothing more."""
 
 
-class Tcp:
+class TcpStream:
     """A connection over TCP."""
 
     def __init__(self, host: str, port: int) -> None:
@@ -351,7 +351,7 @@ class DvlA50:
         self._rotation_deg = rotation_deg
         self._clock: Clock = DeviceClock() if clock is None else clock
         self._quiet, self._pauses = quiet, pauses
-        self._dial: Callable[[], Stream] = (lambda: Tcp(host, port)) if dial is None else dial
+        self._dial: Callable[[], Stream] = (lambda: TcpStream(host, port)) if dial is None else dial
         self._lock = threads.lock()
         self._asking = threads.lock()
         self._closing = threads.event()

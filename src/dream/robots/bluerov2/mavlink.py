@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from dream import extras
 from dream.files import write_whole
-from dream.robots.bluerov2.motion import Motion, Order
+from dream.robots.bluerov2.motion import ExpiringOrders, Order
 from dream.robots.bluerov2.parameters import JOYSTICK_PARAMETERS, STATION_ID, Check, rules
 from dream.robots.bluerov2.reports import FRESH, MOUNT_MESSAGES, NUMBERS, SURFACE_PRESSURES, Strange, text_of
 from dream.robots.bluerov2.sticks import (
@@ -30,7 +30,7 @@ from dream.robots.bluerov2.sticks import (
     Sticks,
     forward_right_down,
 )
-from dream.robots.bluerov2.telemetry import HEADING_SIGMA, Instruments, Measurement, Reports, Telemetry
+from dream.robots.bluerov2.telemetry import HEADING_SIGMA, Measurement, Reports, Telemetry, TelemetrySources
 from dream.robots.bluerov2.threads import REAL_TIME, Thread, Threads
 from dream.robots.bluerov2.wire import Pipe, Tcp, Udp, open_pipe
 
@@ -186,7 +186,7 @@ class Link:
         self.vehicle, self.system, self.component = vehicle, system, component
         self._reports = Reports(
             self._dialect,
-            Instruments(imu_from, heading_from, density, heading_sigma, depth_sigma),
+            TelemetrySources(imu_from, heading_from, density, heading_sigma, depth_sigma),
             surface_pressure,
         )
         self._rates = dict(rates)
@@ -219,7 +219,7 @@ class Link:
         self._own: deque[bytes] = deque(maxlen=ECHOES)
         self._waiting: list[tuple[Callable[[Any], bool], list[Any]]] = []
 
-        self._motion = Motion()
+        self._motion = ExpiringOrders()
         self._piloting = False
         self._ours = self._disarming = False
         self._expected_armed: tuple[bool, float] = (False, -math.inf)

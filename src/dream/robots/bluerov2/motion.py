@@ -13,7 +13,7 @@ LONGEST = 0.5
 """Seconds. No order holds for longer than this unless it is given again."""
 
 
-class Motion:
+class ExpiringOrders:
     """What moves the vehicle now: orders that expire. Not thread-safe."""
 
     def __init__(self) -> None:

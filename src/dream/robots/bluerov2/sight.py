@@ -45,7 +45,7 @@ FROZEN = "camera: the same picture while it moves"
 DIM = "camera: too little to see to tell whether it is frozen"
 
 
-class Stream(Protocol):
+class PictureStream(Protocol):
     """What is asked of a camera at every beat."""
 
     @property
@@ -90,7 +90,7 @@ class Sight:
     be seen in it.
     """
 
-    def __init__(self, camera: Stream) -> None:
+    def __init__(self, camera: PictureStream) -> None:
         """Of a camera."""
         self._camera = camera
         self._unchanged, self._moved = 0.0, math.inf

@@ -94,7 +94,7 @@ class Telemetry:
 
 
 @dataclass(frozen=True, slots=True)
-class Instruments:
+class TelemetrySources:
     """Which messages measurements come from, and what they are worth."""
 
     imu_from: str = "RAW_IMU"
@@ -116,7 +116,7 @@ class Instruments:
 class Reports:
     """What was heard of the vehicle. Not thread-safe."""
 
-    def __init__(self, dialect: Any, instruments: Instruments, surface: float) -> None:
+    def __init__(self, dialect: Any, instruments: TelemetrySources, surface: float) -> None:
         """Begin with nothing; `surface` is the pressure there in hPa, NaN while unknown."""
         self._dialect = dialect
         self._instruments = instruments

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dream.robots.bluerov2.standin import motors
-from dream.robots.bluerov2.standin.motors import FRAMES, Sticks
+from dream.robots.bluerov2.standin.motors import FRAMES, Channels
 from dream.vehicle import VECTORED, VECTORED_6DOF, Thrusters
 
 ONES = np.ones(8)
@@ -57,12 +57,12 @@ def test_the_tables_are_those_of_the_firmware(config: int) -> None:
 
 
 def test_sticks_are_pulses_by_the_law_of_the_joystick() -> None:
-    sticks = Sticks.of(1000, -500, 750, 250, gain=0.5, throttle_gain=1.0)
+    sticks = Channels.of(1000, -500, 750, 250, gain=0.5, throttle_gain=1.0)
     assert (sticks.forward, sticks.lateral, sticks.throttle, sticks.yaw) == (1700, 1400, 1600, 1550)
     assert (sticks.pitch, sticks.roll) == (1500, 1500)
-    full = Sticks.of(1000, -1000, 0, 1000, gain=1.0, throttle_gain=0.5)
+    full = Channels.of(1000, -1000, 0, 1000, gain=1.0, throttle_gain=0.5)
     assert (full.forward, full.lateral, full.throttle, full.yaw) == (1900, 1100, 1300, 1900)
-    beyond = Sticks.of(32767, -32768, 32767, 0, gain=1.0, throttle_gain=1.0)
+    beyond = Channels.of(32767, -32768, 32767, 0, gain=1.0, throttle_gain=1.0)
     assert (beyond.forward, beyond.lateral, beyond.throttle) == (1900, 1100, 1900)
 
 

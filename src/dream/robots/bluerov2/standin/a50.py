@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import wrap_angle
-from dream.robots.bluerov2.standin.memory import Pipe
+from dream.robots.bluerov2.standin.memory import MemoryStream
 from dream.robots.bluerov2.standin.tank import Tank
 from dream.robots.bluerov2.threads import Threads
 from dream.sim.sensors import RANGE_MODES, Ping
@@ -183,13 +183,13 @@ class A50:
         """Its clock leaps."""
         self._offset += seconds
 
-    def attach(self, threads: Threads) -> Pipe:
+    def attach(self, threads: Threads) -> MemoryStream:
         """A connection without a network, as if one had connected: what a dive `dial`s on a rig.
 
         Args:
             threads: What the dive waits by. One that lets one thread run at a time: clients are not locked.
         """
-        pipe = Pipe(threads)
+        pipe = MemoryStream(threads)
         self._clients.append(_Client(pipe.far))
         return pipe
 

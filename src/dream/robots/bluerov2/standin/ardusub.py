@@ -23,8 +23,8 @@ from dream.measurements import Depth
 from dream.robots.bluerov2.standin import motors, telemetry
 from dream.robots.bluerov2.standin.attitude import Ahrs, Origin
 from dream.robots.bluerov2.standin.failsafes import Failsafes
-from dream.robots.bluerov2.standin.helm import ALT_HOLD, GUIDED, MODES, NEED_POSITION, SURFACE, Helm
-from dream.robots.bluerov2.standin.motors import NEUTRAL_PWM, Sticks
+from dream.robots.bluerov2.standin.helm import ALT_HOLD, GUIDED, MODES, NEED_POSITION, SURFACE, ModeControl
+from dream.robots.bluerov2.standin.motors import NEUTRAL_PWM, Channels
 from dream.robots.bluerov2.standin.parameters import STABLE, Firmware, Parameters
 from dream.robots.bluerov2.standin.tank import BEAT, Tank
 from dream.robots.bluerov2.standin.wire import Address
@@ -161,7 +161,7 @@ class ArduSub:
         return self.helm.mode
 
     @property
-    def sticks(self) -> Sticks:
+    def sticks(self) -> Channels:
         """As the pilot last put them."""
         return self.helm.sticks
 
@@ -333,7 +333,7 @@ class ArduSub:
         self._table = np.array(table)
         self._pulses = [NEUTRAL_PWM] * self.tank.vehicle.thrusters.count
         self._armed, self._armed_at = False, -math.inf
-        self.helm = Helm(self.tank, self.ahrs, self.parameters)
+        self.helm = ModeControl(self.tank, self.ahrs, self.parameters)
         """Mode, sticks and targets."""
         self.failsafes = Failsafes(self, at)
         self._origin: Origin | None = None
@@ -432,7 +432,7 @@ class ArduSub:
         if message.target != self.parameters.system:
             self._refuse("MANUAL_CONTROL for another system")
             return
-        sticks = Sticks.of(
+        sticks = Channels.of(
             message.x,
             message.y,
             message.z,
@@ -454,7 +454,7 @@ class ArduSub:
         for k, name in enumerate(names, 1):
             pwm = getattr(message, f"chan{k}_raw")
             given[name] = getattr(old, name) if pwm in (0, 65535) else min(max(pwm, 1100), 1900)
-        self.helm.sticks = Sticks(**given)
+        self.helm.sticks = Channels(**given)
         self.failsafes.piloted()
 
     def _on_set_mode(self, message: Message) -> None:

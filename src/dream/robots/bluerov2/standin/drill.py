@@ -37,7 +37,7 @@ from dream.robots.bluerov2.standin.a50 import DvlFaults
 from dream.robots.bluerov2.standin.ardusub import ArduSub
 from dream.robots.bluerov2.standin.dive import StandIn
 from dream.robots.bluerov2.standin.helm import SURFACE
-from dream.robots.bluerov2.standin.motors import HALF_PWM, NEUTRAL_PWM, Sticks
+from dream.robots.bluerov2.standin.motors import HALF_PWM, NEUTRAL_PWM, Channels
 from dream.robots.bluerov2.standin.parameters import NEXT
 from dream.robots.bluerov2.standin.rig import Rig, UInt8Array
 from dream.robots.bluerov2.standin.wire import Change, LinkFaults
@@ -830,7 +830,7 @@ class _Watcher:
         sub: ArduSub = standin.ardusub
         if sub.armed:
             self.armed = time.monotonic()
-            if sub.sticks != Sticks():
+            if sub.sticks != Channels():
                 self.moved = self.armed
 
 

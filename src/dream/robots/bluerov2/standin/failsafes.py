@@ -7,8 +7,8 @@ from typing import Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from dream.robots.bluerov2.standin.helm import ALT_HOLD, SURFACE, Helm
-from dream.robots.bluerov2.standin.motors import Sticks
+from dream.robots.bluerov2.standin.helm import ALT_HOLD, SURFACE, ModeControl
+from dream.robots.bluerov2.standin.motors import Channels
 from dream.robots.bluerov2.standin.parameters import Parameters
 from dream.robots.bluerov2.standin.tank import Tank
 
@@ -29,7 +29,7 @@ class Protected(Protocol):
         ...
 
     @property
-    def helm(self) -> Helm:
+    def helm(self) -> ModeControl:
         """Mode, sticks and targets."""
         ...
 
@@ -104,7 +104,7 @@ class Failsafes:
             return
         sub.helm.pilot_lost = True
         sub.say(mav.MAV_SEVERITY_CRITICAL, "Lost manual control")
-        sub.helm.sticks = Sticks()
+        sub.helm.sticks = Channels()
         if action == DISARM:
             sub.disarm()
 

@@ -8,7 +8,7 @@ from dream.geometry import wrap_angle
 from dream.robots.bluerov2.standin import motors
 from dream.robots.bluerov2.standin.attitude import Ahrs
 from dream.robots.bluerov2.standin.loops import WAY, Loops
-from dream.robots.bluerov2.standin.motors import Sticks
+from dream.robots.bluerov2.standin.motors import Channels
 from dream.robots.bluerov2.standin.parameters import Parameters
 from dream.robots.bluerov2.standin.tank import BEAT, Tank
 
@@ -43,7 +43,7 @@ Axes = tuple[float, float, float, float, float, float]
 """Roll, pitch, yaw, throttle, forward and lateral, in [−1, 1], as `motors.mixed` takes them."""
 
 
-class Helm:
+class ModeControl:
     """What the modes do.
 
     What it does: MANUAL passes the sticks on; STABILIZE levels and holds the heading; ALT_HOLD also holds
@@ -64,7 +64,7 @@ class Helm:
     def __init__(self, tank: Tank, ahrs: Ahrs, parameters: Parameters) -> None:
         """In MANUAL, with sticks let go of."""
         self._tank, self._ahrs, self._parameters = tank, ahrs, parameters
-        self.sticks = Sticks()
+        self.sticks = Channels()
         self.gain = 1.0
         self.pilot_lost = False
         """Is there nobody at the sticks?"""
@@ -88,7 +88,7 @@ class Helm:
         self.loops.hold(self._ahrs.z, self._ahrs.climb)
         self._heading, self._at = self.yaw, self.here
         if mode == MANUAL:
-            self.sticks = Sticks()
+            self.sticks = Channels()
 
     def relax(self) -> None:
         """Hold what is now, as long as it is disarmed."""

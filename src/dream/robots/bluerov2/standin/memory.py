@@ -5,7 +5,7 @@ from __future__ import annotations
 from dream.robots.bluerov2.threads import Threads
 
 
-class Pipe:
+class MemoryStream:
     """Both ways of a connection, without a network.
 
     What it does: one end is a `dvl_a50.Stream`, which waits by `threads`. The other, `far`, has what a
@@ -47,7 +47,7 @@ class Pipe:
 class Far:
     """The stand-in's end, of which nothing waits."""
 
-    def __init__(self, pipe: Pipe) -> None:
+    def __init__(self, pipe: MemoryStream) -> None:
         self._pipe = pipe
 
     def recv(self, most: int) -> bytes:

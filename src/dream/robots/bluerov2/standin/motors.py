@@ -38,7 +38,7 @@ FRAMES = {1: ("VECTORED", VECTORED_MIX), 2: ("VECTORED_6DOF", VECTORED_6DOF_MIX)
 
 
 @dataclass(frozen=True, slots=True)
-class Sticks:
+class Channels:
     """What the pilot asks for, as pulse widths of the input channels."""
 
     pitch: int = NEUTRAL_PWM
@@ -49,20 +49,20 @@ class Sticks:
     lateral: int = NEUTRAL_PWM
 
     @staticmethod
-    def of(x: int, y: int, z: int, r: int, *, gain: float, throttle_gain: float) -> Sticks:
+    def of(x: int, y: int, z: int, r: int, *, gain: float, throttle_gain: float) -> Channels:
         """From MANUAL_CONTROL: x, y and r in [−1000, 1000], z in [0, 1000] with 500 in the middle.
 
         1500 + 0.4 gain x, for the throttle 1500 + 0.8 gain JS_THR_GAIN (z − 500); from 1100 to 1900.
         """
         turn, climb = 0.4 * gain, 0.8 * gain * throttle_gain
-        return Sticks(
+        return Channels(
             throttle=_pulse(climb * (z - 500)),
             yaw=_pulse(turn * r),
             forward=_pulse(turn * x),
             lateral=_pulse(turn * y),
         )
 
-    def tilted(self, s: int, t: int) -> Sticks:
+    def tilted(self, s: int, t: int) -> Channels:
         """With the extension axes of MANUAL_CONTROL, pitch s and roll t: microseconds, whatever the gain."""
         return replace(self, pitch=_pulse(s), roll=_pulse(t))
 

@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from dream.robots.bluerov2.standin import motors
 from dream.robots.bluerov2.standin.attitude import Ahrs, Origin, quaternion
 from dream.robots.bluerov2.standin.failsafes import Failsafes
-from dream.robots.bluerov2.standin.helm import NEED_POSITION, Helm
+from dream.robots.bluerov2.standin.helm import NEED_POSITION, ModeControl
 from dream.robots.bluerov2.standin.motors import NEUTRAL_PWM
 from dream.robots.bluerov2.standin.parameters import Parameters
 from dream.robots.bluerov2.standin.tank import Tank
@@ -53,7 +53,7 @@ class Reported(Protocol):
         ...
 
     @property
-    def helm(self) -> Helm:
+    def helm(self) -> ModeControl:
         """Mode, sticks and targets."""
         ...
 

@@ -25,9 +25,9 @@ from dream.robots.bluerov2.limits import LastResort, Limits
 from dream.robots.bluerov2.log import read_wire
 from dream.robots.bluerov2.mavlink import LIFELINE, PERIOD, Link
 from dream.robots.bluerov2.navigation import Fix, Instruments
-from dream.robots.bluerov2.pilot import BURST, EXPIRY, HANDS_OFF, LARGEST, LOST, MOST, Hands, Station
 from dream.robots.bluerov2.standin.ardusub import ArduSub
 from dream.robots.bluerov2.standin.tank import Tank
+from dream.robots.bluerov2.station import BURST, EXPIRY, HANDS_OFF, LARGEST, LOST, MOST, Hands, Station
 from dream.robots.bluerov2.sticks import NEUTRAL, Joystick, Sticks
 from dream.sim.worlds import make_world
 from dream.vehicle import VECTORED_6DOF
