@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from dream.planning.vain import VainLooks
 
 from dream.commands.bench import fly
 from dream.evaluation.engines import Processes
@@ -23,9 +22,10 @@ from dream.evaluation.runner import Plan
 from dream.evaluation.suites import Case
 from dream.mapping import OccupancyMap, check_completion, within
 from dream.planning import PLANNERS
+from dream.planning.failed_views import FailedViews
 from dream.planning.parameters import check_range
 from dream.planning.travel import careful_travel
-from dream.planning.views import views_from
+from dream.planning.viewpoints import viewpoints_from
 from dream.protocol import DREAM_V1
 from dream.types import Decision, Mission, Observation, Reasoning
 
@@ -66,26 +66,26 @@ class NearbyPilot:
 
     planner: Nearby
     mission: Mission
-    vain: VainLooks = field(init=False)
+    failed: FailedViews = field(init=False)
     """What stands on the ground may hide what a view promises: without this it would look there for ever."""
     steps: int = 0
 
     def __post_init__(self) -> None:
-        self.vain = VainLooks(self.mission)
+        self.failed = FailedViews(self.mission, patience=3)
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         """One move, by what was just seen and the map with it."""
         pose = observation.pose
         self.steps += 1
-        self.vain.note(pose, occupancy)
+        self.failed.note(pose, occupancy)
         enclosed = check_completion(occupancy, pose).complete
         if enclosed and occupancy.target.any() and self.steps >= self.planner.least_steps:
             return Decision(done=True, reasoning=Reasoning(action="Every region is enclosed: done."))
 
         near = within(occupancy.target, self.planner.beside, self.mission.protocol.cell)
-        weights = np.where(near, 1.0, self.planner.elsewhere) * ~occupancy.observed * (self.vain.count < 3)
+        weights = np.where(near, 1.0, self.planner.elsewhere) * self.failed.left(occupancy)
         travel = careful_travel(pose, occupancy)  # Ways that the guard lets pass.
-        views = views_from(travel, occupancy, weights.astype(np.float32))
+        views = viewpoints_from(travel, occupancy, weights.astype(np.float32))
         best = views.best(np.where(views.gains > 0.0, views.rates, -np.inf))
         if best is None:
             return Decision(done=True, reasoning=Reasoning(action="No view shows anything new: done."))

@@ -29,14 +29,14 @@ from dream.evaluation.engines import Failure, Processes, processors
 from dream.evaluation.results import Row, read_results
 from dream.evaluation.runner import Plan, fly_plan
 from dream.evaluation.suites import family_of, suite_named
+from dream.lattice import Pose
 from dream.mapping import OccupancyMap
 from dream.planning import AnyPlanner, Belief, Lawnmower
 from dream.planning.baselines.sweeping import Sweeping
 from dream.planning.belief import BeliefPilot, Thought
-from dream.planning.outlook import Outlook
+from dream.planning.pose_views import PoseViews
 from dream.planning.sources import BeliefSource, HintedTargets, HullSurface
-from dream.planning.travel import Pose
-from dream.planning.walk import rest_of
+from dream.planning.tours import rest_of
 from dream.protocol import DREAM_V1
 from dream.types import Decision, Mission, Observation
 from stop import fresh_reefs, from_starts
@@ -48,9 +48,11 @@ class Without(Belief):
 
     left_out: type[BeliefSource] = BeliefSource
 
-    def sources(self, mission: Mission, views: Outlook) -> list[BeliefSource]:
+    def sources(self, mission: Mission, pose_views: PoseViews) -> list[BeliefSource]:
         """Without it."""
-        return [one for one in Belief.sources(self, mission, views) if not isinstance(one, self.left_out)]
+        return [
+            one for one in Belief.sources(self, mission, pose_views) if not isinstance(one, self.left_out)
+        ]
 
 
 @dataclass(frozen=True, slots=True)

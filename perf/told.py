@@ -8,9 +8,9 @@
 Told of a wreck, it plans by the patches that are really unseen and by what the simulator says a pose shows of
 them, from when it has found the hull; all else is the same. Told of a reef, it plans by the individuals in
 ground that it has not observed, and once more so with the search for the shortest way round that a survey is
-flown with (`dream.planning.rounds`). What it then lacks to the best known tour is the search's fault, what
-`belief` lacks to it is the belief's. Told of a part, it knows what lies within 4 m of the targets that it has
-seen, or only what lies farther away, and believes what it always does of the rest.
+flown with (`dream.planning.coverage_tour`). What it then lacks to the best known tour is the search's fault,
+what `belief` lacks to it is the belief's. Told of a part, it knows what lies within 4 m of the targets that
+it has seen, or only what lies farther away, and believes what it always does of the rest.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from dream.mapping import OccupancyMap, within
 from dream.mapping.hull import PATCH
 from dream.mission import explore
 from dream.planning import AnyPlanner, Belief
+from dream.planning.coverage_tour import CoverageTour
 from dream.planning.lookahead import Prospect
-from dream.planning.outlook import Listed, Outlook
-from dream.planning.rounds import Rounds
+from dream.planning.pose_views import Listed, PoseViews
 from dream.planning.sources import BeliefSource, Expected, HullSurface, Situation, TargetsBeside, Way, Worth
 from dream.protocol import DREAM_V1
 from dream.robots import Teleport
@@ -83,13 +83,11 @@ class _ToldHull(HullSurface):
         travel, left = situation.travel, np.flatnonzero(self.visibility.countable & ~self.seen)
         if not expected.hull.any() or not len(left):
             return None
-        rows, cols = np.nonzero(travel.reached)
-        positions = travel.position(rows, cols)
-        chosen = ((rows + cols) % 2 == 0) | (travel.nearest[rows, cols] <= NEAR)
-        points = self.visibility.points[left]
-        chosen &= cKDTree(points[:, :2]).query(positions)[0] <= travel.protocol.reach
-        nodes = (rows * self.views.cols + cols)[chosen]
-        self._ask(nodes, positions[chosen])
+        lattice, points = travel.lattice, self.visibility.points[left]
+        nodes = np.flatnonzero(travel.reached & (lattice.checkered | (travel.nearest <= NEAR)))
+        away, _ = cKDTree(points[:, :2]).query(lattice.positions[nodes])
+        nodes = nodes[away <= travel.protocol.reach]
+        self._ask(nodes, lattice.positions[nodes])
         number = np.full(len(self.seen), -1)
         number[left] = np.arange(len(left))
         lists = [number[patches] for node in nodes for patches in self.shows[int(node)]]
@@ -114,7 +112,7 @@ class _ToldOfReef(BeliefSource):
     """Knows the individuals in ground that was not observed, and nothing else counts."""
 
     visibility: Visibility
-    rounds: Rounds | None
+    coverage_tour: CoverageTour | None
     """Searches for the shortest way round them; None for the usual look-ahead."""
 
     def weigh(self, worth: Worth, expected: Expected, situation: Situation) -> None:
@@ -122,10 +120,10 @@ class _ToldOfReef(BeliefSource):
         worth.search, worth.listed = 0.0, None
 
     def tour(self, expected: Expected, situation: Situation, prospect: Prospect) -> Way | None:
-        if self.rounds is None:
+        if self.coverage_tour is None:
             return None
         leave = (1.0 - COMPLETE) * ONE * int(self.visibility.countable.sum())
-        plan = self.rounds.plan(prospect, situation.travel, situation.moves, leave)
+        plan = self.coverage_tour.plan(prospect, situation.travel, situation.moves, leave)
         return None if plan is None else Way(situation.travel, plan, "")
 
 
@@ -161,13 +159,13 @@ class _Told(Belief):
     """What its usual sources become."""
     glimpse: float = UNTOLD.glimpse
 
-    def sources(self, mission: Mission, views: Outlook) -> list[BeliefSource]:
-        return self.tell(Belief.sources(self, mission, views))
+    def sources(self, mission: Mission, pose_views: PoseViews) -> list[BeliefSource]:
+        return self.tell(Belief.sources(self, mission, pose_views))
 
 
 def _told_of_hull(visibility: Visibility, sources: list[BeliefSource]) -> list[BeliefSource]:
     return [
-        _ToldHull(one.hull, one.views, one.eager, one.accepted, one.alone, visibility=visibility)
+        _ToldHull(one.hull, one.pose_views, one.eager, one.accepted, one.alone, visibility=visibility)
         if isinstance(one, HullSurface)
         else one
         for one in sources
@@ -175,7 +173,7 @@ def _told_of_hull(visibility: Visibility, sources: list[BeliefSource]) -> list[B
 
 
 def _told_of_reef(visibility: Visibility, way_round: bool, sources: list[BeliefSource]) -> list[BeliefSource]:
-    return [*sources, _ToldOfReef(visibility, Rounds() if way_round else None)]
+    return [*sources, _ToldOfReef(visibility, CoverageTour() if way_round else None)]
 
 
 def _told_of_part(visibility: Visibility, beside: bool, sources: list[BeliefSource]) -> list[BeliefSource]:

@@ -46,7 +46,6 @@ SHARED = {
     "Table",
     "Tank",
     "Terminal",
-    "Views",
     "Watch",
     "_Bounds",
     "_Event",

@@ -110,13 +110,13 @@ class Approach:
         self, travel: Travel, away: npt.NDArray[np.floating[Any]], occupancy: OccupancyMap
     ) -> tuple[float, float] | None:
         """Turn and advance towards the known place that is best to go on from; None where that is here."""
-        rows, cols = np.nonzero(travel.reached)
-        places = travel.position(rows, cols)
+        nodes = np.flatnonzero(travel.reached)
+        places = travel.lattice.positions[nodes]
         left = away[occupancy.cell_of(places[:, 0], places[:, 1])]
         # As if a step led a metre on: to go is better than to stay.
-        cost = travel.nearest[rows, cols] + left / min(self.mission.protocol.advances)
+        cost = travel.nearest[nodes] + left / min(self.mission.protocol.advances)
         best = int(np.argmin(cost.round(6)))
-        path = travel.path_to_position(int(rows[best]), int(cols[best]))
+        path = travel.path_to_node(int(nodes[best]))
         return travel.move(path[0], path[1]) if len(path) > 1 else None
 
     def _turn(self, pose: SE2, away: npt.NDArray[np.floating[Any]], occupancy: OccupancyMap) -> float:

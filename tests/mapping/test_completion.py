@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dream.geometry import SE2, Bounds
+from dream.lattice import nodes_in
 from dream.mapping import (
     Completion,
     OccupancyMap,
@@ -26,7 +27,6 @@ from dream.mapping import (
     view,
 )
 from dream.mapping._kernels.flags import BARE, CROSSED, EXPLORED, RETURNED
-from dream.mapping.lattice import nodes_in
 from dream.mapping.sightlines import seeable
 from dream.protocol import DREAM_V1, POOL_V1, SurveyProtocol
 from dream.types import BoolArray

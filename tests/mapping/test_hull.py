@@ -314,10 +314,10 @@ def _is_clear(hull: Hull, place: npt.NDArray[np.float64], middle: npt.NDArray[np
     return not ((hull._volume.solid[level, row, col] >> bit.astype(np.uint64)) & np.uint64(1)).any()
 
 
-def _viewpoint(observation: Observation, limits: tuple[float, float]) -> kernels.Viewpoint:
+def _viewpoint(observation: Observation, limits: tuple[float, float]) -> kernels.CameraPlace:
     camera, T_world_camera = observation.camera, observation.T_world_camera
     rotation, place = np.ascontiguousarray(T_world_camera.rotation), T_world_camera.translation
-    return kernels.Viewpoint(rotation, place, (camera.fx, camera.fy, camera.cx, camera.cy), limits)
+    return kernels.CameraPlace(rotation, place, (camera.fx, camera.fy, camera.cx, camera.cy), limits)
 
 
 def test_filling_agrees_with_a_slow_twin() -> None:

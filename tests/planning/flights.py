@@ -52,8 +52,8 @@ def source_of(pilot: BeliefPilot, kind: type[S]) -> S | None:
 def situation_of(pilot: BeliefPilot, observation: Observation, occupancy: OccupancyMap) -> Situation:
     """What a pilot would have to go by, without having it take in anything."""
     pose = observation.pose
-    here = (*pilot.views.node(pose.x, pose.y), occupancy.protocol.heading_index(pose.yaw))
-    situation = Situation(observation, occupancy, here, pilot.views, pilot.failed)
+    here = pilot.pose_views.lattice.pose(pose)
+    situation = Situation(observation, occupancy, here, pilot.pose_views, pilot.failed)
     if source_of(pilot, HullSurface) is not None:
         situation.away_from_hull = away_from_hull(occupancy)
     return situation

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from dream.planning import (
 )
 from dream.planning.baselines.remains import Remains, group_cells
 from dream.planning.travel import careful_travel, travel_from
-from dream.planning.views import views_from
+from dream.planning.viewpoints import viewpoints_from
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
 from dream.types import Mission, Step
@@ -123,7 +124,7 @@ def test_a_cell_is_given_up_after_looks_in_vain_until_something_beside_it_is_see
 def test_of_the_views_that_show_enough_the_nearest_is_taken() -> None:
     occupancy = map_with(explored=all_but(SLIT))
     travel = travel_from(SE2(3.0, -4.0, 0.0), occupancy)
-    views = views_from(travel, occupancy, np.ones(occupancy.shape, np.float32))
+    views = viewpoints_from(travel, occupancy, np.ones(occupancy.shape, np.float32))
     enough = views.gains >= 3.0
     nearest = views.nearest(3.0)
     assert nearest is not None
@@ -151,11 +152,11 @@ def test_frontier_leaves_out_a_cluster_that_it_cannot_get_to() -> None:
     pilot = NearestFrontier().begin(MISSION)
     assert not pilot.decide(observation, occupancy).done
     travel = careful_travel(observation.pose, occupancy)
-    row, col, heading = pilot.remains.goal or (0, 0, 0)
-    x, y = travel.position(row, col)
-    assert travel.steps[row, col, heading] > 0
-    assert y < -2.0, "it goes for the strip in the south"
-    assert view(occupancy, float(x), float(y), heading * DREAM_V1.heading_step)[:8, :40].any()
+    assert pilot.remains.goal is not None
+    goal = travel.lattice.world(pilot.remains.goal)
+    assert travel.steps[pilot.remains.goal] > 0
+    assert goal.y < -2.0, "it goes for the strip in the south"
+    assert view(occupancy, goal.x, goal.y, goal.yaw)[:8, :40].any()
     closed = map_with(solid=solid, explored=explored | all_but(np.s_[8:, :], np.s_[:, 40:]))
     assert len(frontiers(closed)) == 1
     assert NearestFrontier().begin(MISSION).decide(observation, closed).done
@@ -181,19 +182,17 @@ def test_nbv_goes_for_the_view_of_the_best_score() -> None:
     pilot = planner.begin(MISSION)
     decision = pilot.decide(observation, occupancy)
     travel = careful_travel(observation.pose, occupancy)
-    views = views_from(travel, occupancy, np.ones(occupancy.shape, np.float32))
+    views = viewpoints_from(travel, occupancy, np.ones(occupancy.shape, np.float32))
     gains, scores = {}, {}
-    for row, col in zip(views.rows, views.cols, strict=True):
-        x, y = travel.position(row, col)
-        for heading in range(DREAM_V1.headings):
-            steps = int(travel.steps[row, col, heading])
-            if not 1 <= steps <= planner.near:
-                continue
-            shown = view(occupancy, float(x), float(y), heading * DREAM_V1.heading_step)
-            gain = int((shown & ~occupancy.observed).sum())
-            if gain >= planner.least * group_cells(DREAM_V1):
-                gains[int(row), int(col), heading] = gain
-                scores[int(row), int(col), heading] = gain * math.exp(-planner.cost * steps)
+    for node, heading in product(views.nodes.tolist(), range(DREAM_V1.headings)):
+        pose = travel.lattice.pose_at(node, heading)
+        there, steps = travel.lattice.world(pose), int(travel.steps[pose])
+        if not 1 <= steps <= planner.near:
+            continue
+        gain = int((view(occupancy, there.x, there.y, there.yaw) & ~occupancy.observed).sum())
+        if gain >= planner.least * group_cells(DREAM_V1):
+            gains[pose] = gain
+            scores[pose] = gain * math.exp(-planner.cost * steps)
     assert len(scores) > 20
     goal = pilot.remains.goal
     assert goal is not None
@@ -231,8 +230,8 @@ def test_graze_closes_a_region_before_it_resumes_the_lanes() -> None:
         assert "edge of the region" in pilot.decide(observation, met).reasoning.action
     assert pilot.goal is not None
     travel = careful_travel(observation.pose, met)
-    x, y = travel.position(pilot.goal[0], pilot.goal[1])
-    shown = view(met, float(x), float(y), pilot.goal[2] * DREAM_V1.heading_step)
+    goal = travel.lattice.world(pilot.goal)
+    shown = view(met, goal.x, goal.y, goal.yaw)
     (region,) = check_completion(met, observation.pose).regions
     assert shown[tuple(region.open_cells.T)].any(), "from its goal it sees some of the open edge"
     np.testing.assert_array_equal(pilot.sweeping.waypoints, ahead)

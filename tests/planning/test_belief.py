@@ -416,19 +416,20 @@ def test_asked_the_same_for_ever_it_does_not_answer_the_same_for_ever(name: str)
 def test_what_it_gives_up_of_a_hull_is_not_hoped_for_again_from_there() -> None:
     flown = _fly(WRECK, max_steps=16)
     pilot, (observation, occupancy, _) = flown.pilots[-1], flown.asked[-1]
-    scene, source = situation_of(pilot, observation, occupancy), source_of(pilot, HullSurface)
+    situation, source = situation_of(pilot, observation, occupancy), source_of(pilot, HullSurface)
     assert source is not None
-    expected = pilot.expect(scene)
+    expected = pilot.expect(situation)
 
     def shown() -> tuple[list[int], list[int]]:
-        listed = source.listed(expected, scene)
+        listed = source.listed(expected, situation)
         assert listed is not None
         return listed.nodes.tolist(), np.diff(listed.starts).tolist()
 
     nodes, before = shown()
     most = int(np.argmax(before))
     node, heading = divmod(most, DREAM_V1.headings)
-    pose = (*divmod(nodes[node], pilot.views.cols), heading)
+    lattice = situation.travel.lattice
+    pose = lattice.pose_at(nodes[node], heading)
     pilot._give_up(Plan([pose, pose], rate=1.0, later=0.0), occupancy)
     again, after = shown()
     assert again == nodes
@@ -436,7 +437,7 @@ def test_what_it_gives_up_of_a_hull_is_not_hoped_for_again_from_there() -> None:
     assert after[most] == 0
     assert all(later <= earlier for earlier, later in zip(before, after, strict=True))
     # Two places on one side of an element, 22.5° by a quarter of the reach, lie nearer together.
-    positions = np.array([pilot.views.position(*divmod(one, pilot.views.cols)) for one in nodes])
+    positions = lattice.positions[nodes]
     apart = np.hypot(*(positions - positions[node]).T) > 4.0
     others = [k for k in range(len(before)) if apart[k // DREAM_V1.headings]]
     assert sum(before[k] for k in others) > 100
@@ -772,8 +773,8 @@ def test_it_says_what_it_expects_of_a_hull_and_what_it_would_accept(over_the_ree
 
 def test_it_says_how_many_steps_lead_where_and_what_they_show() -> None:
     travel = careful_travel(SE2(-3.0, 2.0, 0.0), map_with(explored=all_but()))
-    row, col, _ = travel.start
-    path = [travel.start, (row, col + 4, 0), (row, col + 4, 3)]
+    there = SE2(-1.0, 2.0, 0.0), SE2(-1.0, 2.0, math.pi / 2)
+    path = [travel.start, *map(travel.lattice.pose, there)]
     said = sentences.plan(Plan(path, 1.0, later=7.4, targets=1.23, cleared=45.6, patches=7.89), travel)
     assert said == (
         "The next 2 steps lead to (-1.0, 2.0), looking towards 0°, and may show 1.2 m² of targets and "
@@ -817,12 +818,13 @@ class Explained:
     ) -> tuple[float, float, float]:
         assert plan.choice is not None
         ground, middles, elements = NOTHING.copy(), NOTHING.copy(), set[int]()
-        for row, col, heading in plan.path[-1:] if plan.choice.straight else plan.path[1:]:
-            shown, noticed = self.pilot.views.shown((row, col, heading))
+        lattice = thought.travel.lattice
+        for pose in plan.path[-1:] if plan.choice.straight else plan.path[1:]:
+            shown, noticed = self.pilot.pose_views.shown(pose)
             ground, middles = ground | shown, middles | noticed
             if (listed := prospect.listed) is not None:
-                for k in np.flatnonzero(listed.nodes == row * self.pilot.views.cols + col):
-                    first, past = listed.starts[k * DREAM_V1.headings + heading :][:2]
+                for k in np.flatnonzero(listed.nodes == lattice.node_of(pose)):
+                    first, past = listed.starts[k * DREAM_V1.headings + lattice.heading_of(pose) :][:2]
                     elements.update(listed.elements[first:past].tolist())
         ground &= ~occupancy.observed & (self.pilot.failed.count < self.pilot.failed.patience)
         square, expected = DREAM_V1.cell**2, thought.expected

@@ -12,16 +12,21 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.sparse.csgraph import minimum_spanning_tree
 
 from dream.geometry import SE2, Bounds
+from dream.lattice import Lattice, Pose, lattice_of
 from dream.mapping import OccupancyMap
 from dream.mapping._kernels import flags
-from dream.mapping.lattice import offsets_of
-from dream.planning._kernels import lookahead
-from dream.planning._kernels.lookahead import FREE, UNKNOWN, Views
-from dream.planning.lookahead import NOTHING, SERVICE, LookAhead, Plan, Prospect
-from dream.planning.outlook import Listed, Outlook
-from dream.planning.travel import Pose, Travel, careful_standoff, careful_travel
+from dream.planning._kernels import tour as tours
+from dream.planning._kernels import views as kernels
+from dream.planning._kernels.beam import BeamScore, Sequences, beam
+from dream.planning._kernels.moves import FREE, UNKNOWN
+from dream.planning._kernels.search import ways_between
+from dream.planning._kernels.views import Views
+from dream.planning.lookahead import NOT_ROUNDED, NOTHING, SERVICE, LookAhead, Plan, Prospect
+from dream.planning.pose_views import Listed, PoseViews
+from dream.planning.travel import Travel, careful_standoff, careful_travel, traced
 from dream.protocol import DREAM_V1
 from dream.types import BoolArray, Mission
 from tests.planning.views import shown_by
@@ -29,74 +34,67 @@ from tests.planning.views import shown_by
 NEARSIGHTED = replace(DREAM_V1, reach=2.5)
 """So that an arena can be small."""
 SMALL = Bounds(-4.0, -4.0, 4.0, 4.0)
-OFFSETS = offsets_of(NEARSIGHTED)
-TURNS = np.array(NEARSIGHTED.turns, np.int64)
+LATTICE = lattice_of(SMALL, NEARSIGHTED)
+
+
+def pose_of(row: int, col: int, heading: int, lattice: Lattice = LATTICE) -> Pose:
+    """So many steps north and east of node 0."""
+    return lattice.pose_at(lattice.graph.grid[row, col], heading)
 
 
 @dataclass(frozen=True)
 class Puzzle:
     """All that the search is given."""
 
-    outlook: Outlook
+    pose_views: PoseViews
     weights: npt.NDArray[np.float32]
     views: Views
     moves: npt.NDArray[np.uint8]
     known: BoolArray
     start: Pose
 
-    def beam(
-        self, width: int, horizon: int, discount: float
-    ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32], npt.NDArray[np.float64], int]:
-        """Pose, parent and score of each sequence, and the first of the last level."""
-        pose, parent, score, _, _, first = lookahead.beam(
-            self.weights,
-            self.views,
-            self.moves,
-            OFFSETS,
-            TURNS,
-            self.start,
-            self.known,
-            width,
-            horizon,
-            discount,
+    def beam(self, width: int, horizon: int, discount: float) -> Sequences:
+        """By gains alone."""
+        none, nowhere = np.zeros(0, np.int64), np.zeros((0, LATTICE.nodes), np.uint8)
+        score = BeamScore(discount, NOT_ROUNDED, -np.inf, 0.0, 0.0, none, none, nowhere)
+        found: Sequences = beam(
+            self.weights, self.views, LATTICE.graph, self.moves, self.start, self.known, score, width, horizon
         )
-        return pose, parent, score, first
+        return found
 
-    def tile(self, row: int, col: int) -> int:
-        return (row + self.views.pad) * self.views.stride + col + self.views.pad
+    def tile(self, pose: Pose) -> int:
+        return int(self.views.tile[LATTICE.node_of(pose)])
 
     def shown(self, pose: Pose) -> frozenset[int]:
         """Elements of any weight."""
-        return frozenset(e for e in shown_by(self.views, *pose) if self.weights[e] > 0.0)
+        return frozenset(e for e in shown_by(self.views, pose) if self.weights[e] > 0.0)
+
+    def may(self, kind: int, end: Pose, first: bool, seen: frozenset[int] | set[int]) -> bool:
+        """Whether a move of that kind leads to a pose."""
+        tile = self.tile(end)
+        return kind == FREE or (kind == UNKNOWN and not first and (bool(self.known[tile]) or tile in seen))
 
     def next_poses(self, pose: Pose, first: bool, seen: frozenset[int]) -> Iterator[Pose]:
         """Where one action may lead, in the order of the protocol."""
-        row, col, heading = pose
-        for turn in TURNS:
-            to = int(heading + turn) % NEARSIGHTED.headings
+        for turn in NEARSIGHTED.turns:
+            heading = (LATTICE.heading_of(pose) + turn) % NEARSIGHTED.headings
+            to = LATTICE.pose_at(int(LATTICE.node_of(pose)), heading)
             if turn:
-                yield row, col, to
-            for a in range(len(NEARSIGHTED.advances)):
-                end = row + int(OFFSETS[to, a, 1]), col + int(OFFSETS[to, a, 0])
-                kind = self.moves[row, col, to, a]
-                if kind == FREE or (
-                    kind == UNKNOWN and not first and (self.known[self.tile(*end)] or self.tile(*end) in seen)
-                ):
-                    yield *end, to
-
-    def flat(self, pose: Pose) -> int:
-        return int(np.ravel_multi_index(pose, self.moves.shape[:3]))
+                yield to
+            for kind, end in zip(self.moves[to].tolist(), LATTICE.graph.ahead[to].tolist(), strict=True):
+                if kind and self.may(kind, end, first, seen):
+                    yield end
 
 
-def _puzzle(seed: int, start: Pose = (8, 8, 2)) -> Puzzle:
+def _puzzle(seed: int) -> Puzzle:
     """Random ground with a few solids; weights are whole numbers, so that sums are exact."""
     generator = np.random.default_rng(seed)
     occupancy = OccupancyMap(SMALL, NEARSIGHTED)
     solid = generator.random(occupancy.shape) < 0.004
     occupancy._write("log_odds", (0, 0), 20 * solid)
-    outlook = Outlook(Mission(NEARSIGHTED, SMALL, 200), 1.0)
-    outlook.update(occupancy)
-    nodes = generator.choice(outlook.rows * outlook.cols, 30, replace=False)
+    pose_views = PoseViews(Mission(NEARSIGHTED, SMALL, 200), 1.0)
+    pose_views.update(occupancy)
+    nodes = generator.choice(LATTICE.nodes, 30, replace=False)
     sizes = generator.integers(0, 3, 30 * NEARSIGHTED.headings)
     starts = np.concatenate([[0], np.cumsum(sizes)])
     elements = generator.integers(0, 6, starts[-1])
@@ -106,20 +104,14 @@ def _puzzle(seed: int, start: Pose = (8, 8, 2)) -> Puzzle:
         elements[here] = generator.choice(6, sizes[k], replace=False)
     worth = generator.integers(1, 9, 6).astype(np.float64)
     listed = Listed(worth, worth, np.zeros((6, 2)), nodes, starts, elements)
-    views = outlook.views(listed)
-    weights = np.concatenate([generator.integers(0, 9, 2 * outlook.tiles), listed.weights])
-    weights[: 2 * outlook.tiles][generator.random(2 * outlook.tiles) < 0.5] = 0
-    shape = (outlook.rows, outlook.cols, *OFFSETS.shape[:2])
-    free = (generator.random(shape) < 0.5).astype(np.uint8)
-    row, col = np.indices(shape[:2])
-    for heading in range(shape[2]):
-        for advance in range(shape[3]):
-            to_row, to_col = row + OFFSETS[heading, advance, 1], col + OFFSETS[heading, advance, 0]
-            outside = (to_row < 0) | (to_row >= shape[0]) | (to_col < 0) | (to_col >= shape[1])
-            free[outside, heading, advance] = 0
-    moves = outlook.moves(free, occupancy, 0.5)
-    known = generator.random(outlook.tiles) < 0.3
-    return Puzzle(outlook, weights.astype(np.float32), views, moves, known, start)
+    views = pose_views.views(listed)
+    tiles = 2 * pose_views.tiles
+    weights = np.concatenate([generator.integers(0, 9, tiles), listed.weights])
+    weights[:tiles][generator.random(tiles) < 0.5] = 0
+    free = (generator.random(LATTICE.graph.ahead.shape) < 0.5) & (LATTICE.graph.ahead >= 0)
+    moves = pose_views.moves(free.astype(np.uint8), occupancy, 0.5)
+    known = generator.random(pose_views.tiles) < 0.3
+    return Puzzle(pose_views, weights.astype(np.float32), views, moves, known, pose_of(8, 8, 2))
 
 
 def _bits(elements: frozenset[int], count: int) -> npt.NDArray[np.uint64]:
@@ -136,13 +128,11 @@ def _bits(elements: frozenset[int], count: int) -> npt.NDArray[np.uint64]:
 def test_a_gain_is_the_weight_of_what_is_shown_and_was_not_seen(
     seed: int, row: int, col: int, heading: int
 ) -> None:
-    puzzle = _puzzle(seed)
-    shown = shown_by(puzzle.views, row, col, heading)
+    puzzle, pose = _puzzle(seed), pose_of(row, col, heading)
+    shown = shown_by(puzzle.views, pose)
     half = frozenset(e for e in range(len(puzzle.weights)) if e % 2)
     for seen in (frozenset[int](), half):
-        found = lookahead.gain(
-            puzzle.weights, _bits(seen, len(puzzle.weights)), puzzle.views, row, col, heading
-        )
+        found = kernels.gain(puzzle.weights, _bits(seen, len(puzzle.weights)), puzzle.views, pose)
         assert found == sum(puzzle.weights[list(shown - seen)])
 
 
@@ -150,29 +140,29 @@ def test_a_gain_is_the_weight_of_what_is_shown_and_was_not_seen(
 def test_a_gain_is_the_same_to_the_last_bit_where_the_tiles_in_view_are_known(
     seed: int, row: int, col: int, heading: int
 ) -> None:
-    puzzle, pose = _puzzle(seed), (row, col, heading)
+    puzzle, pose = _puzzle(seed), pose_of(row, col, heading)
     generator = np.random.default_rng(seed)
     # Sums of these depend on their order.
     weights = puzzle.weights * generator.random(len(puzzle.weights)).astype(np.float32) ** 9
     seen = generator.integers(0, 2**64, (len(weights) + 63) // 64, np.uint64)
     room = np.empty(int(np.diff(puzzle.views.first).max()), np.uint16)
-    tiles = room[: lookahead.clear_tiles(weights, puzzle.views, *pose, room)]
-    listed = puzzle.outlook.tiles * 2
+    tiles = room[: kernels.clear_tiles(weights, puzzle.views, pose, room)]
+    listed = puzzle.pose_views.tiles * 2
     in_list = puzzle.views.offset[puzzle.views.first[heading] + tiles.astype(int)]
-    shown = {e for e in shown_by(puzzle.views, *pose) if e < listed and weights[e] > 0.0}
-    assert set(puzzle.tile(row, col) + in_list) == shown
-    expected = lookahead.gain(weights, seen, puzzle.views, *pose)
-    assert lookahead.gain_of(tiles, weights, seen, puzzle.views, *pose) == expected
+    shown = {e for e in shown_by(puzzle.views, pose) if e < listed and weights[e] > 0.0}
+    assert set(puzzle.tile(pose) + in_list) == shown
+    expected = kernels.gain(weights, seen, puzzle.views, pose)
+    assert kernels.gain_of(tiles, weights, seen, puzzle.views, pose) == expected
 
 
 def test_what_was_looked_at_gains_nothing_again() -> None:
-    puzzle = _puzzle(1)
+    puzzle, pose, behind = _puzzle(1), pose_of(8, 8, 0), pose_of(8, 8, 6)
     seen = _bits(frozenset(), len(puzzle.weights))
-    assert lookahead.gain(puzzle.weights, seen, puzzle.views, 8, 8, 0) > 0.0
-    lookahead.look(puzzle.weights, seen, puzzle.views, 8, 8, 0)
-    np.testing.assert_array_equal(seen, _bits(puzzle.shown((8, 8, 0)), len(puzzle.weights)))
-    assert lookahead.gain(puzzle.weights, seen, puzzle.views, 8, 8, 0) == 0.0
-    assert lookahead.gain(puzzle.weights, seen, puzzle.views, 8, 8, 6) > 0.0
+    assert kernels.gain(puzzle.weights, seen, puzzle.views, pose) > 0.0
+    kernels.look(puzzle.weights, seen, puzzle.views, pose)
+    np.testing.assert_array_equal(seen, _bits(puzzle.shown(pose), len(puzzle.weights)))
+    assert kernels.gain(puzzle.weights, seen, puzzle.views, pose) == 0.0
+    assert kernels.gain(puzzle.weights, seen, puzzle.views, behind) > 0.0
 
 
 @pytest.mark.parametrize("few", [False, True])
@@ -185,19 +175,12 @@ def test_gains_are_those_of_each_pose_that_could_be_the_best_for_its_steps(
     if few:
         puzzle.weights[generator.random(len(puzzle.weights)) < 0.99] = 0.0
         puzzle.weights[-1] = 5.0
-    rows, cols = (k.ravel() for k in np.indices((17, 17)))
-    steps = generator.integers(-1, farthest + 1, (len(rows), NEARSIGHTED.headings))
-    gains = lookahead.best_gains(puzzle.weights, puzzle.views, rows, cols, steps)
-    slow = np.array(
-        [
-            [
-                sum(puzzle.weights[list(shown_by(puzzle.views, int(row), int(col), heading))])
-                for heading in range(NEARSIGHTED.headings)
-            ]
-            for row, col in zip(rows, cols, strict=True)
-        ]
-    )
-    np.testing.assert_array_equal(lookahead.gains(puzzle.weights, puzzle.views, rows, cols), slow)
+    nodes = np.arange(LATTICE.nodes)
+    steps = generator.integers(-1, farthest + 1, (len(nodes), NEARSIGHTED.headings))
+    gains = kernels.best_gains(puzzle.weights, puzzle.views, nodes, steps)
+    slow = np.array([sum(puzzle.weights[list(shown_by(puzzle.views, p))]) for p in range(LATTICE.poses)])
+    slow = slow.reshape(steps.shape)
+    np.testing.assert_array_equal(kernels.gains(puzzle.weights, puzzle.views, nodes), slow)
     rates = np.where(steps > 0, slow / np.maximum(steps, 1), 0.0)
     assert (gains[rates == rates.max()] == slow[rates == rates.max()]).all()
     assert ((gains == slow) | (gains == 0.0)).all()
@@ -208,16 +191,20 @@ def test_gains_are_those_of_each_pose_that_could_be_the_best_for_its_steps(
 
 def test_where_nothing_is_worth_a_look_no_pose_gains() -> None:
     puzzle = _puzzle(1)
-    node = np.array([8])
+    node = LATTICE.graph.grid[8, 8:9]
     for steps in (1, 0, -1):
         nothing = np.zeros_like(puzzle.weights)
-        assert not lookahead.best_gains(nothing, puzzle.views, node, node, np.full((1, 12), steps)).any()
-    assert not lookahead.best_gains(
-        puzzle.weights, puzzle.views, node, node, np.zeros((1, 12), np.int64)
-    ).any()
+        assert not kernels.best_gains(nothing, puzzle.views, node, np.full((1, 12), steps)).any()
+    assert not kernels.best_gains(puzzle.weights, puzzle.views, node, np.zeros((1, 12), np.int64)).any()
 
 
 # ----------------------------------------------------------------------------------------------------- beam
+
+
+def _pair_of(pose: Pose) -> tuple[int, ...]:
+    """By which sequences of one level differ."""
+    col, row = LATTICE.graph.place[LATTICE.node_of(pose)].tolist()
+    return row // 2, col // 2, LATTICE.heading_of(pose)
 
 
 def _best_by_brute_force(puzzle: Puzzle, depth: int, discount: float) -> float:
@@ -253,10 +240,10 @@ def _slow_beam(
             for k, (pose, _, score) in enumerate(levels[-1])
             for end in puzzle.next_poses(pose, step == 1, seen_by[k])
         ]
-        taken: set[tuple[int, int, int]] = set()
+        taken: set[tuple[int, ...]] = set()
         kept: list[tuple[Pose, int, float]] = []
         for end, parent, score in sorted(candidates, key=lambda candidate: -candidate[2]):
-            place = end[0] // 2, end[1] // 2, end[2]
+            place = _pair_of(end)
             if place not in taken and len(kept) < width:
                 taken.add(place)
                 kept.append((end, parent, score))
@@ -272,11 +259,13 @@ def _slow_beam(
 def test_a_beam_wide_enough_finds_the_best_of_all_sequences(seed: int, depth: int) -> None:
     puzzle = _puzzle(seed)
     # The shorter advance may end beside the longer one.
-    puzzle.moves[puzzle.start[0], puzzle.start[1], :, 0] = 0
+    node = int(LATTICE.node_of(puzzle.start))
+    puzzle.moves[LATTICE.pose_at(node, 0) : LATTICE.pose_at(node + 1, 0), 0] = 0
     ends = list(puzzle.next_poses(puzzle.start, True, frozenset()))
-    assert len({(row // 2, col // 2, heading) for row, col, heading in ends}) == len(ends), "none shadows one"
-    _, _, score, first = puzzle.beam(10_000, depth, 0.5)
-    assert score[first:].max() == _best_by_brute_force(puzzle, depth, 0.5)
+    assert len(set(map(_pair_of, ends))) == len(ends), "none shadows one"
+    found = puzzle.beam(10_000, depth, 0.5)
+    assert found.score[found.first :].max() == _best_by_brute_force(puzzle, depth, 0.5)
+    assert found.score[found.best] == found.score.max()
 
 
 def test_in_depth_a_beam_finds_almost_the_best_and_never_more() -> None:
@@ -284,22 +273,72 @@ def test_in_depth_a_beam_finds_almost_the_best_and_never_more() -> None:
     for seed in range(3):
         puzzle = _puzzle(seed)
         best = _best_by_brute_force(puzzle, 3, 0.5)
-        _, _, score, first = puzzle.beam(10_000, 3, 0.5)
-        assert 0.9 * best <= score[first:].max() <= best
+        found = puzzle.beam(10_000, 3, 0.5)
+        assert 0.9 * best <= found.score[found.first :].max() <= best
 
 
 @pytest.mark.parametrize("width", [1, 7, 48])
 @pytest.mark.parametrize("seed", range(4))
 def test_a_beam_equals_its_slow_twin(seed: int, width: int) -> None:
     puzzle = _puzzle(seed)
-    pose, parent, score, first = puzzle.beam(width, 4, 0.5)
+    found = puzzle.beam(width, 4, 0.5)
     slow = _slow_beam(puzzle, width, 4, 0.5)
     starts = np.cumsum([0] + [len(level) for level in slow])
-    assert first == starts[-2]
-    assert pose.tolist() == [puzzle.flat(end) for level in slow for end, _, _ in level]
-    assert score.tolist() == [value for level in slow for _, _, value in level]
+    assert found.first == starts[-2]
+    assert found.pose.tolist() == [end for level in slow for end, _, _ in level]
+    assert found.score.tolist() == [value for level in slow for _, _, value in level]
+    assert found.level.tolist() == [k for k, level in enumerate(slow) for _ in level]
     for k, level in enumerate(slow[1:], start=1):
-        assert parent[starts[k] : starts[k + 1]].tolist() == [starts[k - 1] + above for _, above, _ in level]
+        parents = found.parent[starts[k] : starts[k + 1]].tolist()
+        assert parents == [starts[k - 1] + above for _, above, _ in level]
+
+
+@pytest.mark.parametrize("leave", [0.0, 15.0])
+@pytest.mark.parametrize("slight", [0.0, 6.0])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_beam_over_parts_equals_its_slow_twin(seed: int, slight: float, leave: float) -> None:
+    """Sequences by what they leave, the moves to the nearest part and those along the tree over all parts."""
+    puzzle, generator = _puzzle(seed), np.random.default_rng(seed)
+    near = set[int]().union(*(puzzle.shown(pose) for pose in generator.choice(LATTICE.poses, 12)))
+    elements = np.sort(generator.choice(sorted(near), 12, replace=False))
+    puzzle.weights[np.setdiff1d(np.arange(len(puzzle.weights)), elements)] = 0.0
+    part_of = generator.integers(0, 4, len(elements))
+    place = LATTICE.graph.place
+    around = place[generator.choice(LATTICE.nodes, 4, replace=False)]
+    ways = np.abs(place - around[:, None]).max(axis=2).astype(np.uint8)
+    between = ways_between(ways)
+    score = BeamScore(1.0, 6, leave, slight, 1.5, elements, part_of, ways)
+    known = np.ones_like(puzzle.known)
+    found = beam(puzzle.weights, puzzle.views, LATTICE.graph, puzzle.moves, puzzle.start, known, score, 9, 5)
+
+    everything = replace(puzzle, known=known)
+    level = [(puzzle.start, frozenset[int]())]
+    poses, best = [puzzle.start], float(puzzle.weights.sum())
+    for step in range(5):
+        candidates = []
+        for pose, seen in level:
+            left = [e not in seen for e in elements.tolist()]
+            mass = np.bincount(part_of, puzzle.weights[elements] * left, 4)
+            parts = np.flatnonzero(mass > slight)
+            along = minimum_spanning_tree(between[np.ix_(parts, parts)]).sum()
+            for end in everything.next_poses(pose, step == 0, seen):
+                rest = float(puzzle.weights.sum() - puzzle.weights[list(seen | puzzle.shown(end))].sum())
+                away = min((int(ways[part, LATTICE.node_of(end)]) for part in parts), default=0)
+                candidates.append((rest + 1.5 * (away + along), end, seen | puzzle.shown(end), rest))
+        taken: set[tuple[int, ...]] = set()
+        level = []
+        for _, end, seen, rest in sorted(candidates, key=lambda candidate: candidate[0]):
+            if _pair_of(end) not in taken and len(level) < 9:
+                taken.add(_pair_of(end))
+                level.append((end, seen))
+                best = min(best, rest)
+        poses += [end for end, _ in level]
+        if best <= leave:
+            break
+    assert found.pose.tolist() == poses
+    assert -found.score[found.best] == best
+    first = np.flatnonzero(found.score == found.score[found.best])[0]
+    assert found.best == first, "the shortest"
 
 
 @given(seed=st.integers(0, 40), width=st.integers(1, 30))
@@ -307,23 +346,18 @@ def test_the_first_move_is_free_and_later_ones_lead_over_ground_known_or_seen_by
     seed: int, width: int
 ) -> None:
     puzzle = _puzzle(seed)
-    pose, parent, _, first = puzzle.beam(width, 4, 0.9)
-    for end in range(first, len(pose)):
-        chain = [end]
-        while parent[chain[-1]] >= 0:
-            chain.append(int(parent[chain[-1]]))
-        poses = [
-            tuple(map(int, np.unravel_index(int(pose[k]), puzzle.moves.shape[:3]))) for k in reversed(chain)
-        ]
+    found = puzzle.beam(width, 4, 0.9)
+    for end in range(found.first, len(found.pose)):
+        poses = found.pose[traced(found.parent, end)].tolist()
         seen: set[int] = set()
         for step, (before, after) in enumerate(pairwise(poses)):
-            if before[:2] != after[:2]:
-                moved = after[1] - before[1], after[0] - before[0]
-                advance = [tuple(offset) for offset in OFFSETS[after[2]]].index(moved)
-                kind = puzzle.moves[before[0], before[1], after[2], advance]
-                tile = puzzle.tile(after[0], after[1])
-                assert kind == FREE or (kind == UNKNOWN and step > 0 and (puzzle.known[tile] or tile in seen))
-            seen |= puzzle.shown((after[0], after[1], after[2]))
+            advance = LATTICE.advance_to(before, after)
+            if LATTICE.node_of(before) == LATTICE.node_of(after):
+                assert advance is None
+            else:
+                kind = puzzle.moves[LATTICE.turned_to(before, after), advance]
+                assert puzzle.may(int(kind), after, step == 0, seen)
+            seen |= puzzle.shown(after)
 
 
 @pytest.mark.parametrize(("known", "leaves"), [(False, False), (True, True)])
@@ -335,11 +369,10 @@ def test_into_the_unknown_it_never_goes_at_once(known: bool, leaves: bool) -> No
         known=np.full_like(puzzle.known, known),
         weights=np.zeros_like(puzzle.weights),
     )
-    headings = NEARSIGHTED.headings
     for horizon, may in ((1, False), (2, leaves)):
-        pose, _, _, first = puzzle.beam(1000, horizon, 0.9)
-        away = {int(p) // headings for p in pose[first:]} - {puzzle.flat(puzzle.start) // headings}
-        assert bool(away) == may
+        found = puzzle.beam(1000, horizon, 0.9)
+        away = LATTICE.node_of(found.pose[found.first :]) != LATTICE.node_of(puzzle.start)
+        assert away.any() == may
 
 
 # ----------------------------------------------------------------------------------------------------- tour
@@ -360,9 +393,9 @@ def _tour(
     # With no rates worked out beforehand, and with all.
     none, every = np.zeros(len(mass), np.bool_), np.ones(len(mass), np.bool_)
     on_the_way, ahead = (
-        lookahead.tour(*areas, *at, 2.0, 4.0, discount, keep, rates, rated, left)
+        tours.tour(*areas, *at, 2.0, 4.0, discount, keep, rates, rated, left)
         for rated in (none, every)
-        for rates in [lookahead.rates_between(*areas, rated, 2.0, 4.0)]
+        for rates in [tours.rates_between(*areas, rated, 2.0, 4.0)]
     )
     assert on_the_way == ahead
     return float(ahead[0]), float(ahead[1])
@@ -412,27 +445,25 @@ def test_a_tour_equals_its_slow_twin(seed: int, count: int, keep: float) -> None
 @pytest.mark.parametrize("everywhere", [False, True])
 def test_the_tour_after_a_sequence_leaves_out_what_it_has_seen(everywhere: bool) -> None:
     puzzle = _puzzle(4)
-    outlook, count = puzzle.outlook, len(puzzle.weights)
+    pose_views, count = puzzle.pose_views, len(puzzle.weights)
     none = np.zeros(0, np.int64)
     listed = Listed(np.ones(6), np.ones(6), np.zeros((6, 2)), none, np.zeros(1, np.int64), none)
-    x, y, area = outlook.places(listed)
-    ends = [(8, 8, 0), (2, 13, 5)]
+    x, y, area = pose_views.places(listed)
+    ends = np.array([[4.0, 4.0], [6.5, 1.0]])
     seen = [
-        frozenset(range(0, count, 3)) if everywhere else puzzle.shown((8, 10, 6)),
-        puzzle.shown((8, 8, 0)),
+        frozenset(range(0, count, 3)) if everywhere else puzzle.shown(pose_of(8, 10, 6)),
+        puzzle.shown(pose_of(8, 8, 0)),
     ]
     alike = set(area[puzzle.weights > 0.0]) - set(area[list(seen[0] | seen[1])])
     assert bool(alike) != everywhere, "areas that no sequence has seen any of"
-    worth, steps = lookahead.tours(
+    worth, steps = tours.tours(
         puzzle.weights,
-        puzzle.views,
         np.stack([_bits(elements, count) for elements in seen]),
-        np.array([puzzle.flat(end) for end in ends]),
+        ends,
         x,
         y,
         area,
-        outlook.areas,
-        NEARSIGHTED.lattice,
+        pose_views.areas,
         40.0,
         2.0,
         4.0,
@@ -442,14 +473,14 @@ def test_the_tour_after_a_sequence_leaves_out_what_it_has_seen(everywhere: bool)
     for k, (end, elements) in enumerate(zip(ends, seen, strict=True)):
         left = np.array([e not in elements and puzzle.weights[e] > 0.0 for e in range(count)])
         weights = np.where(left, puzzle.weights, 0.0).astype(np.float64)
-        mass = np.bincount(area, weights, outlook.areas)
-        middle = [np.bincount(area, weights * at, outlook.areas) / np.maximum(mass, 1e-9) for at in (x, y)]
-        service = 0.3 + np.bincount(area, left, outlook.areas) / 40.0
+        mass = np.bincount(area, weights, pose_views.areas)
+        middle = [np.bincount(area, weights * at, pose_views.areas) / np.maximum(mass, 1e-9) for at in (x, y)]
+        service = 0.3 + np.bincount(area, left, pose_views.areas) / 40.0
         expected = _tour(
             list(mass),
             list(zip(*middle, strict=True)),
             list(service),
-            at=(end[1] * NEARSIGHTED.lattice, end[0] * NEARSIGHTED.lattice),
+            at=(end[0], end[1]),
             keep=1.0,
         )
         assert (worth[k], steps[k]) == pytest.approx(expected, rel=1e-5)
@@ -478,15 +509,15 @@ def _scene(*worth: tuple[slice, slice, float]) -> Scene:
     """Rows, columns and weight of cells; the vehicle looks east at (-9, 0)."""
     occupancy = OccupancyMap(WIDE, DREAM_V1)
     occupancy._write("flags", (0, 0), np.full(occupancy.shape, flags.EXPLORED | flags.BARE, np.uint8))
-    outlook = Outlook(Mission(DREAM_V1, WIDE, 200), 1.5)
+    pose_views = PoseViews(Mission(DREAM_V1, WIDE, 200), 1.5)
     travel = careful_travel(SE2(-9.0, 0.0, 0.0), occupancy)
     ground = np.zeros(occupancy.shape)
     for rows, cols, weight in worth:
         ground[rows, cols] = weight
-    tiles, nothing = outlook.on_tiles(ground), np.zeros(outlook.tiles, np.float32)
-    prospect = Prospect(outlook, ground=tiles, hiding=nothing, targets=tiles, hidden=nothing)
-    moves = outlook.moves(travel.free, occupancy, careful_standoff(DREAM_V1))
-    return Scene(travel, prospect, moves, outlook.known_tiles(occupancy))
+    tiles, nothing = pose_views.on_tiles(ground), np.zeros(pose_views.tiles, np.float32)
+    prospect = Prospect(pose_views, ground=tiles, hiding=nothing, targets=tiles, hidden=nothing)
+    moves = pose_views.moves(travel.free, occupancy, careful_standoff(DREAM_V1))
+    return Scene(travel, prospect, moves, pose_views.known_tiles(occupancy))
 
 
 NEAR_BY = (slice(44, 52), slice(2, 4), 0.01)
@@ -533,7 +564,7 @@ def test_the_rate_of_a_far_view_is_what_it_shows_over_the_steps_to_it() -> None:
     plan = scene.plan()
     assert plan is not None
     *_, end = plan.path
-    shown = shown_by(scene.prospect.outlook.views(), *end)
+    shown = shown_by(scene.prospect.pose_views.views(), end)
     assert plan.rate * (len(plan.path) - 1) == pytest.approx(
         sum(scene.prospect.weights[list(shown)]), rel=1e-4
     )
@@ -547,7 +578,7 @@ def test_the_rate_of_a_sequence_is_that_of_the_stretch_where_it_shows_most_a_ste
     seen: set[int] = set()
     gained, paces, rates = 0.0, 0.0, []
     for step, pose in enumerate(plan.path[1:], start=1):
-        shown = shown_by(scene.prospect.outlook.views(), *pose)
+        shown = shown_by(scene.prospect.pose_views.views(), pose)
         gained += 0.95**step * float(sum(scene.prospect.weights[list(shown - seen)]))
         paces += 0.95**step
         seen |= shown
@@ -562,8 +593,8 @@ def test_a_plan_says_how_much_of_what_it_is_after_it_shows() -> None:
         plan = scene.plan(jump=jump)
         assert plan is not None
         poses = plan.path[1:] if jump == 0.0 else plan.path[-1:]
-        shown = set().union(*(shown_by(scene.prospect.outlook.views(), *pose) for pose in poses))
-        tiles = [element for element in shown if element < scene.prospect.outlook.tiles]
+        shown = set().union(*(shown_by(scene.prospect.pose_views.views(), pose) for pose in poses))
+        tiles = [element for element in shown if element < scene.prospect.pose_views.tiles]
         assert plan.targets == pytest.approx(float(scene.prospect.targets[tiles].sum()), rel=1e-4)
         assert plan.targets > 0.0
         assert plan.cleared == plan.patches == plan.cells == 0.0
@@ -576,27 +607,28 @@ def test_a_plan_says_what_its_way_the_tour_after_it_and_the_best_view_were_worth
     plan = scene.plan(jump=0.0, tour=tour, discount=discount, keep=keep)
     assert plan is not None
     assert plan.choice is not None
-    outlook, weights = scene.prospect.outlook, scene.prospect.weights.astype(np.float64)
-    views, total = outlook.views(), float(weights.sum())
+    pose_views, weights = scene.prospect.pose_views, scene.prospect.weights.astype(np.float64)
+    views, total = pose_views.views(), float(weights.sum())
     seen: set[int] = set()
     gained = 0.0
     for step, pose in enumerate(plan.path[1:], start=1):
-        shown = shown_by(views, *pose)
+        shown = shown_by(views, pose)
         gained += discount**step * float(weights[list(shown - seen)].sum())
         seen |= shown
     assert plan.choice.shown == pytest.approx(gained, rel=1e-4)
 
     weights[list(seen)] = 0.0
-    x, y, area = outlook.places()
-    mass = np.bincount(area, weights, outlook.areas)
-    middle = [np.bincount(area, weights * at, outlook.areas) / np.maximum(mass, 1e-9) for at in (x, y)]
-    service = lookahead.DETOUR + np.bincount(area, weights > 0.0, outlook.areas) / (SERVICE * views.first[1])
-    row, col, _ = plan.path[-1]
+    x, y, area = pose_views.places()
+    mass = np.bincount(area, weights, pose_views.areas)
+    middle = [np.bincount(area, weights * at, pose_views.areas) / np.maximum(mass, 1e-9) for at in (x, y)]
+    service = tours.DETOUR + np.bincount(area, weights > 0.0, pose_views.areas) / (SERVICE * views.first[1])
+    lattice = scene.travel.lattice
+    east, north = lattice.position(plan.path[-1]) - lattice.positions[0]
     worth, steps = _tour(
         list(mass),
         list(zip(*middle, strict=True)),
         list(service),
-        at=(col * DREAM_V1.lattice, row * DREAM_V1.lattice),
+        at=(east, north),
         keep=keep * total,
         discount=discount,
     )
@@ -637,9 +669,8 @@ def test_a_plan_begins_here_and_its_first_move_is_free(row: int, col: int) -> No
     assert len(plan.path) >= 2
     assert plan.path[1] != plan.path[0]
     before, after = plan.path[:2]
-    if before[:2] != after[:2]:
-        moved = after[1] - before[1], after[0] - before[0]
-        advance = [tuple(offset) for offset in offsets_of(DREAM_V1)[after[2]]].index(moved)
-        assert scene.travel.free[before[0], before[1], after[2], advance]
-    shown = set().union(*(shown_by(scene.prospect.outlook.views(), *pose) for pose in plan.path[1:]))
+    lattice = scene.travel.lattice
+    if lattice.node_of(before) != lattice.node_of(after):
+        assert scene.travel.free[lattice.turned_to(before, after), lattice.advance_to(before, after)]
+    shown = set().union(*(shown_by(scene.prospect.pose_views.views(), pose) for pose in plan.path[1:]))
     assert sum(scene.prospect.weights[list(shown)]) > 0.0

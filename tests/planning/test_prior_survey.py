@@ -220,7 +220,7 @@ def test_where_no_risk_is_accepted_a_round_leaves_no_ground_that_the_survey_does
     assert thought.plan is not None
     source = source_of(pilot, ForetoldTargets)
     assert source is not None
-    assert source.rounds.path == thought.plan.path
+    assert source.coverage_tour.path == thought.plan.path
 
 
 def test_a_map_of_nothing_leaves_the_belief_as_it_was() -> None:

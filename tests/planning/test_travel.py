@@ -11,10 +11,11 @@ import pytest
 
 from dream.control import guard, setpoint
 from dream.geometry import SE2, Bounds
+from dream.lattice import lattice_of
 from dream.mapping import OccupancyMap
-from dream.mapping.lattice import offsets_of
-from dream.planning._kernels.search import keep_to, search
-from dream.planning.travel import UNREACHED, Travel, travel_from
+from dream.planning._kernels.moves import keep_to
+from dream.planning._kernels.search import search
+from dream.planning.travel import Travel, travel_from
 from dream.protocol import DREAM_V1
 from dream.types import Decision
 
@@ -56,12 +57,8 @@ def _slow_steps(occupancy: OccupancyMap) -> dict[SE2, int]:
 
 def test_steps_equal_a_slow_search_through_the_guard(occupancy: OccupancyMap, travel: Travel) -> None:
     slow = _slow_steps(occupancy)
-    rows, cols, headings = np.nonzero(travel.steps >= 0)
-    fast = {}
-    for row, col, heading in zip(rows, cols, headings, strict=True):
-        x, y = travel.position(row, col)
-        pose = DREAM_V1.snap(SE2(float(x), float(y), heading * DREAM_V1.heading_step))
-        fast[pose] = int(travel.steps[row, col, heading])
+    reached = np.flatnonzero(travel.steps >= 0).tolist()
+    fast = {DREAM_V1.snap(travel.lattice.world(pose)): int(travel.steps[pose]) for pose in reached}
     assert fast == slow
     assert max(slow.values()) >= 3
 
@@ -70,45 +67,44 @@ def test_steps_equal_a_slow_search_through_the_guard(occupancy: OccupancyMap, tr
 def test_every_pose_is_reached_from_the_first_that_leads_there(seed: int) -> None:
     """The queue by hand, over moves at random."""
     generator = np.random.default_rng(seed)
-    rows, cols, headings, start = 7, 9, DREAM_V1.headings, (3, 4, 2)
-    offsets = offsets_of(DREAM_V1)
-    edges = generator.random((rows, cols, *offsets.shape[:2])) < 0.15
-    good = generator.random((rows, cols)) < 0.8
-    good[start[:2]] = seed % 2
+    lattice = lattice_of(Bounds(1.0, -2.0, 5.0, 1.0), DREAM_V1)
+    node = int(lattice.graph.grid[3, 4])
+    start = lattice.pose_at(node, 2)
+    edges = generator.random((lattice.poses, len(DREAM_V1.advances))) < 0.15
+    good = generator.random(lattice.nodes) < 0.8
+    good[node] = seed % 2
     free = edges.astype(np.uint8)
-    keep_to(free, offsets, good, *start[:2])
-    steps, parent, nearest = search(free, offsets, np.array(DREAM_V1.turns), *start)
-    came: dict[tuple[int, int, int], tuple[int, int, int] | None] = {start: None}
+    keep_to(free, lattice.graph, good, node)
+    steps, parent, nearest = search(lattice.graph, free, start)
+    came = {start: -1}
     queue = deque([start])
     while queue:
-        row, col, heading = here = queue.popleft()
+        here = queue.popleft()
+        at, heading = lattice.node_of(here), lattice.heading_of(here)
         for turn in DREAM_V1.turns:
-            to = (heading + turn) % headings
-            ends = [(row, col, to)]
-            for (east, north), is_free in zip(offsets[to], edges[row, col, to], strict=True):
-                end = row + int(north), col + int(east), to
-                inside = 0 <= end[0] < rows and 0 <= end[1] < cols
-                leaves = good[row, col] or (row, col) == start[:2]
-                if is_free and leaves and inside and good[end[:2]]:
+            to = lattice.pose_at(int(at), (heading + turn) % DREAM_V1.headings)
+            ends = [to]
+            for end, is_free in zip(lattice.graph.ahead[to].tolist(), edges[to], strict=True):
+                leaves = good[at] or at == node
+                if is_free and leaves and end >= 0 and good[lattice.node_of(end)]:
                     ends.append(end)
             for end in ends:
                 if end not in came:
                     came[end] = here
                     queue.append(end)
     assert len(came) > 100
-    for pose in np.ndindex(rows, cols, headings):
-        before = came.get(pose)
-        expected = -1 if before is None else int(np.ravel_multi_index(before, parent.shape))
-        assert parent[pose] == expected
+    for pose in range(lattice.poses):
+        before = came.get(pose, -1)
+        assert parent[pose] == before
         assert (steps[pose] >= 0) == (pose in came)
-        assert before is None or steps[pose] == steps[before] + 1
-    np.testing.assert_array_equal(nearest, np.where(steps < 0, UNREACHED, steps).min(axis=2))
-    assert (nearest == UNREACHED).any()
+        assert before < 0 or steps[pose] == steps[before] + 1
+    fewest = np.where(steps < 0, len(steps), steps).reshape(lattice.nodes, -1).min(axis=1)
+    np.testing.assert_array_equal(nearest, np.where(fewest == len(steps), -1, fewest))
+    assert (nearest == -1).any()
 
 
 def test_following_a_path_by_its_moves_ends_where_it_says(travel: Travel) -> None:
-    rows, cols, headings = np.nonzero(travel.steps == travel.steps.max())
-    goal = (int(rows[0]), int(cols[0]), int(headings[0]))
+    goal = int(np.flatnonzero(travel.steps == travel.steps.max())[0])
     path = travel.path(goal)
     assert len(path) == travel.steps[goal] + 1
     pose = START
@@ -116,13 +112,20 @@ def test_following_a_path_by_its_moves_ends_where_it_says(travel: Travel) -> Non
         turn, advance = travel.move(before, after)
         end = setpoint(pose, Decision(turn, advance), DREAM_V1)
         pose = SE2(end.x, end.y, end.yaw)
-    np.testing.assert_allclose((pose.x, pose.y), travel.position(goal[0], goal[1]))
-    assert DREAM_V1.heading_index(pose.yaw) == goal[2]
+    assert travel.lattice.pose(pose) == goal
+    np.testing.assert_allclose((pose.x, pose.y), travel.lattice.position(goal))
+
+
+def test_a_way_to_a_position_ends_there_in_the_fewest_steps(travel: Travel) -> None:
+    for node in np.flatnonzero(travel.reached)[::5].tolist():
+        path = travel.path_to_node(node)
+        assert travel.lattice.node_of(path[-1]) == node
+        steps = travel.steps_to(np.array([node]))[0]
+        assert len(path) - 1 == travel.nearest[node] == steps[steps >= 0].min()
 
 
 def test_ground_never_seen_is_not_reached(travel: Travel) -> None:
-    rows, cols = np.nonzero(travel.reached)
-    x, y = travel.position(rows, cols).T
+    x, y = travel.lattice.positions[travel.reached].T
     near = np.minimum(np.hypot(x, y), np.hypot(x - 3.5, y - 1.0))
     assert near.max() <= DREAM_V1.launch_radius - DREAM_V1.body_radius
     assert (x > 3.0).any(), "the second disc is reached through the first"
@@ -137,12 +140,12 @@ def test_a_first_move_is_one_that_the_guard_lets_pass_from_where_the_vehicle_is(
         x, y = rng.uniform(-0.2, 0.2, 2)
         here = SE2(2.0 + x, 0.5 + y, 0.0)
         travel = travel_from(here, occupancy)
-        row, col, _ = travel.start
         for heading in range(DREAM_V1.headings):
             for k, advance in enumerate(DREAM_V1.advances):
                 turn = heading * DREAM_V1.heading_step
                 end = setpoint(SE2(here.x, here.y, turn), Decision(0.0, advance), DREAM_V1)
                 passes = occupancy.passable(np.array([[here.x, here.y]]), np.array([[end.x, end.y]]))[0]
-                assert passes or not travel.free[row, col, heading, k]
+                at = travel.lattice.pose(SE2(here.x, here.y, turn))
+                assert passes or not travel.free[at, k]
                 narrow += not passes
     assert narrow

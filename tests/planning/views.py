@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dream.planning._kernels.lookahead import Views
+from dream.lattice import Pose
+from dream.planning._kernels.views import Views
 
 
-def shown_by(views: Views, row: int, col: int, heading: int) -> set[int]:
-    """The elements that a view from there shows, as `Views` says."""
-    node = row * views.cols + col
-    base = (row + views.pad) * views.stride + col + views.pad
+def shown_by(views: Views, pose: Pose) -> set[int]:
+    """The elements that a pose shows, as `Views` says."""
+    node, heading = divmod(pose, len(views.first) - 1)
     here = slice(views.first[heading], views.first[heading + 1])
     clear = views.far[here] <= views.depth[node][views.bearing[here]]
-    elements = {base + int(offset) for offset in views.offset[here][clear]}
+    elements = {int(views.tile[node] + offset) for offset in views.offset[here][clear]}
     if views.listed[node] >= 0:
-        pose = views.listed[node] * (len(views.first) - 1) + heading
-        listed = views.listed_element[views.listed_first[pose] : views.listed_first[pose + 1]]
+        row = views.listed[node] * (len(views.first) - 1) + heading
+        listed = views.listed_element[views.listed_first[row] : views.listed_first[row + 1]]
         elements.update(map(int, listed))
     return elements

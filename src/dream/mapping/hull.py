@@ -116,7 +116,7 @@ class Hull:
         looked_at, bits = self._looked_at(observation)
         depth, sure, far = self._depths(observation)
         labels, target, seabed = observation.labels, int(Label.TARGET), int(Label.SEABED)
-        viewpoint = kernels.Viewpoint(
+        viewpoint = kernels.CameraPlace(
             rotation, place, (camera.fx, camera.fy, camera.cx, camera.cy), protocol.returns
         )
         volume = self._volume

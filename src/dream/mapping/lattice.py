@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from dream.geometry import SE2, Bounds
+from dream.geometry import SE2
+from dream.lattice import nodes_in, offsets_of
 from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, IntArray
 
@@ -18,9 +18,6 @@ if TYPE_CHECKING:
 
 Float64Array = npt.NDArray[np.float64]
 UInt8Array = npt.NDArray[np.uint8]
-
-BEYOND = 1e-9
-"""Lattice steps that a node may lie beyond the bounds, for rounding."""
 
 
 def reachable(occupancy: OccupancyMap, pose: SE2) -> Float64Array:
@@ -53,23 +50,6 @@ def free_moves(occupancy: OccupancyMap) -> UInt8Array:
 def node_of(pose: SE2, protocol: SurveyProtocol) -> tuple[int, int]:
     """Row and column of the node that is nearest to a pose."""
     return round(pose.y / protocol.lattice), round(pose.x / protocol.lattice)
-
-
-def nodes_in(bounds: Bounds, protocol: SurveyProtocol) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Row and column of the first node in bounds; how many rows and columns of them there are.
-
-    The node (row, col) lies at y = row · lattice, x = col · lattice.
-    """
-    lattice = protocol.lattice
-    row, col = (math.ceil(edge / lattice - BEYOND) for edge in (bounds.y_min, bounds.x_min))
-    last_row, last_col = (math.floor(edge / lattice + BEYOND) for edge in (bounds.y_max, bounds.x_max))
-    return (row, col), (last_row + 1 - row, last_col + 1 - col)
-
-
-def offsets_of(protocol: SurveyProtocol) -> npt.NDArray[np.int64]:
-    """(headings, advances, 2) lattice steps east and north of each advance."""
-    offsets = [[protocol.offset(h, a) for a in protocol.advances] for h in range(protocol.headings)]
-    return np.array(offsets, np.int64)
 
 
 @lru_cache(maxsize=8)

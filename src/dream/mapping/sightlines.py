@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dream.geometry import SE2
-from dream.mapping.lattice import grid_of, node_of, nodes_in, reached
+from dream.lattice import nodes_in
+from dream.mapping.lattice import grid_of, node_of, reached
 from dream.mapping.nearness import within
 from dream.mapping.visibility import FRACTIONS, ray_table
 from dream.types import BoolArray, IntArray

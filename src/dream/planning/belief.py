@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import SE2
+from dream.lattice import Pose
 from dream.mapping.hull import Hull
 from dream.options import First
 from dream.planning import sentences
@@ -17,8 +18,8 @@ from dream.planning.distribution import Groups, TargetEvidence
 from dream.planning.failed_views import FailedViews
 from dream.planning.far_hints import FarHints
 from dream.planning.lookahead import NOTHING, LookAhead, Plan, Prospect
-from dream.planning.outlook import Outlook
 from dream.planning.parameters import check_count, check_range
+from dream.planning.pose_views import PoseViews
 from dream.planning.prior_survey import PriorSurvey
 from dream.planning.sources import (
     AllGround,
@@ -36,9 +37,9 @@ from dream.planning.sources import (
 )
 from dream.planning.sources.source import MOST_VISITS
 from dream.planning.sources.survey import LEAVE
-from dream.planning.travel import Pose, Travel, careful_travel, nearest_open, travel_from
-from dream.planning.views import all_views_from
-from dream.planning.walk import Walk
+from dream.planning.travel import Travel, careful_travel, nearest_open, travel_from
+from dream.planning.traversal_tour import TraversalTour
+from dream.planning.viewpoints import all_viewpoints_from
 from dream.types import Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
@@ -57,8 +58,8 @@ class Belief:
     """Expects targets beside those seen and wherever a patch could hide, and looks some actions ahead.
 
     What it does: gives every unseen cell an expected area of targets, from what was seen around it and from
-    the number of groups that the ground searched so far lets expect; searches over the real actions, a
-    dozen deep, for the sequence that shows most of it soonest, and judges where it ends by a tour over what
+    the number of groups that the ground searched so far lets expect; searches over the real actions,
+    six deep, for the sequence that shows most of it soonest, and judges where it ends by a tour over what
     is left; is done when every region is enclosed and the probability that a group was missed is small.
 
     Reference: the six reasoning steps of DREAM (arXiv 2509.13666); pathwise gain as in MapEx (2409.15590);
@@ -105,7 +106,7 @@ class Belief:
     """Square metres of targets that are expected for each square metre where the middle of a patch could
     lie."""
     alone: float = 0.05
-    """Factor on the number of expected patches once a hull was found: a wreck lies alone."""
+    """Factor on the number of expected patches while much is left of a hull: a wreck lies alone."""
     eager: float = 3.0
     """Weight of targets beside known ones. A region that is left open costs a way back later."""
     patience: int = 3
@@ -153,7 +154,7 @@ class Belief:
         protocol = mission.protocol
         return 0.5 * protocol.cell if self.certify else self.size * protocol.group_radius
 
-    def sources(self, mission: Mission, views: Outlook) -> list[BeliefSource]:
+    def sources(self, mission: Mission, pose_views: PoseViews) -> list[BeliefSource]:
         """What it expects targets by, in the order in which they are asked; each may be left out."""
         protocol, size, prior = mission.protocol, self.size_of_groups(mission), mission.prior
         farthest = self.glimpse * protocol.reach
@@ -167,9 +168,9 @@ class Belief:
         sources.append(TargetsBeside(*beside))
         sources.append(HiddenGroups(size, Groups(self.groups, self.searched), self.search))
         hull = Hull(mission.bounds, protocol)
-        sources.append(HullSurface(hull, views, self.eager, self.hull_left, self.alone))
+        sources.append(HullSurface(hull, pose_views, self.eager, self.hull_left, self.alone))
         if traverses:
-            sources.append(TargetsToTraverse(Walk(mission)))
+            sources.append(TargetsToTraverse(TraversalTour(mission)))
         if prior is not None:
             sources.append(ForetoldTargets(PriorSurvey(prior, size), Groups(self.arriving, self.searched)))
         if self.certify:
@@ -208,7 +209,7 @@ class BeliefPilot:
 
     planner: Belief
     mission: Mission
-    views: Outlook = field(init=False)
+    pose_views: PoseViews = field(init=False)
     """What each pose shows."""
     sources: list[BeliefSource] = field(init=False)
     """What it expects targets by."""
@@ -222,8 +223,8 @@ class BeliefPilot:
     """What was `achieved` and found by the sources when anything was last new."""
 
     def __post_init__(self) -> None:
-        self.views = Outlook(self.mission, self.planner.size_of_groups(self.mission))
-        self.sources = self.planner.sources(self.mission, self.views)
+        self.pose_views = PoseViews(self.mission, self.planner.size_of_groups(self.mission))
+        self.sources = self.planner.sources(self.mission, self.pose_views)
         self.failed = FailedViews(self.mission, self.planner.patience)
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
@@ -266,8 +267,8 @@ class BeliefPilot:
 
     def take(self, observation: Observation, occupancy: OccupancyMap) -> Situation:
         """Hand what is new to all sources."""
-        pose, protocol, views = observation.pose, self.mission.protocol, self.views
-        here = (*views.node(pose.x, pose.y), protocol.heading_index(pose.yaw))
+        pose, protocol, pose_views = observation.pose, self.mission.protocol, self.pose_views
+        here = pose_views.lattice.pose(pose)
         # Still there: it was refused. Whoever flies it may also have gone on without it.
         refused, self.claimed = self.claimed == protocol.snap(pose), None
         if refused:
@@ -278,11 +279,11 @@ class BeliefPilot:
                 self.visits.clear()
         else:
             # What it had foretold, with the solids that it knew of then, counts as looked at too.
-            self.failed.note(pose, occupancy, views.shown(here)[0] if self.news else None)
-        situation = Situation(observation, occupancy, here, views, self.failed)
+            self.failed.note(pose, occupancy, pose_views.shown(here)[0] if self.news else None)
+        situation = Situation(observation, occupancy, here, pose_views, self.failed)
         for source in self.sources:
             source.take(situation)
-        views.update(occupancy, situation.foretold)
+        pose_views.update(occupancy, situation.foretold)
         return situation
 
     def expect(self, situation: Situation) -> Expected:
@@ -306,17 +307,19 @@ class BeliefPilot:
         """The first three steps in words; the first and the third in the words that a model is told."""
         occupancy, completion = situation.occupancy, situation.completion
         words = [source.words(expected, situation) for source in self.sources]
-        certainties = [source.certainty(expected, situation) for source in self.sources]
-        certain, certain_for_models = [said for said in certainties if said is not None][-1]
+        certain, certain_for_models = "", ""
+        for source in self.sources:
+            said = source.certainty(expected, situation)
+            certain, certain_for_models = said or (certain, certain_for_models)
         where = sentences.distribution(occupancy, completion)
         counted = expected.beside, expected.to_come, occupancy
-        beyond = "".join(said.distribution for said in words)
+        beyond = "".join(one.distribution for one in words)
         left = sentences.not_counted(self.failed.area_given_up(occupancy))
-        left += "".join(said.completion for said in words)
+        left += "".join(one.completion for one in words)
         area = sentences.target_area(nearest_open(completion, situation.travel, occupancy), completion)
         reasoning = Reasoning(
             distribution=where + sentences.expectations(*counted) + beyond,
-            target_area=next((said.target_area for said in words if said.target_area), area),
+            target_area=next((one.target_area for one in words if one.target_area), area),
             completion=certain + left,
         )
         told = where + sentences.expectations_for_models(*counted) + beyond
@@ -366,7 +369,7 @@ class BeliefPilot:
         tour = next((way for way in tours if way is not None), None)
         if tour is not None or enough:
             return tour
-        known = self.views.known_tiles(situation.occupancy)
+        known = self.pose_views.known_tiles(situation.occupancy)
         plan = self.look_ahead.plan(prospect, situation.travel, situation.moves, known)
         if plan is None:
             return None
@@ -374,7 +377,7 @@ class BeliefPilot:
 
     def prospect(self, expected: Expected, situation: Situation) -> Prospect:
         """What is worth looking at, by which plans are chosen."""
-        square, views = self.mission.protocol.cell**2, self.views
+        square, pose_views = self.mission.protocol.cell**2, self.pose_views
         nothing = np.zeros(situation.occupancy.shape)
         worth = Worth(nothing, 0.0, np.ones_like(nothing))
         for source in self.sources:
@@ -383,11 +386,11 @@ class BeliefPilot:
         ground = np.where(left, worth.ground + NEGLIGIBLE, 0.0)
         hiding = np.where(expected.hiding, worth.search * square, 0.0) * worth.share
         return Prospect(
-            views,
-            ground=views.on_tiles(ground),
-            hiding=views.on_tiles(hiding),
-            targets=views.on_tiles(np.where(left, expected.beside * square, 0.0)),
-            hidden=views.on_tiles(expected.hiding * square),
+            pose_views,
+            ground=pose_views.on_tiles(ground),
+            hiding=pose_views.on_tiles(hiding),
+            targets=pose_views.on_tiles(np.where(left, expected.beside * square, 0.0)),
+            hidden=pose_views.on_tiles(expected.hiding * square),
             listed=worth.listed,
         )
 
@@ -419,7 +422,7 @@ class BeliefPilot:
         travel = situation.travel
         for search in (careful_travel, travel_from):
             travel = search(situation.observation.pose, occupancy)
-            views = all_views_from(travel, occupancy, weights)
+            views = all_viewpoints_from(travel, occupancy, weights)
             best = views.best(views.rates)
             if best is not None and best.rate > NOTHING:
                 plan = Plan(travel.path(best.pose), rate=0.0, later=0.0, cells=best.gain)
@@ -444,9 +447,9 @@ class BeliefPilot:
         from dream.mapping import view
 
         for pose in plan.path:
-            ground, middles = self.views.shown(pose)
-            yaw = pose[2] * self.mission.protocol.heading_step
-            shown = view(occupancy, *self.views.position(*pose[:2]), yaw) | ground | middles
+            ground, middles = self.pose_views.shown(pose)
+            there = self.pose_views.lattice.world(pose)
+            shown = view(occupancy, there.x, there.y, there.yaw) | ground | middles
             self.failed.give_up(shown & ~occupancy.observed)
             for source in self.sources:
                 source.give_up(pose)

@@ -8,20 +8,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from dream.mapping.lattice import offsets_of
-from dream.planning.outlook import Listed, Outlook
-from dream.planning.travel import IntArray, Pose, Travel
-from dream.planning.views import Views as PoseViews
-from dream.types import BoolArray, Float32Array
+from dream.lattice import Pose
+from dream.planning.pose_views import Listed, PoseViews
+from dream.planning.travel import Travel, traced
+from dream.planning.viewpoints import Viewpoints
+from dream.types import BoolArray, Float32Array, IntArray
 
 if TYPE_CHECKING:
-    from dream.planning._kernels.lookahead import Views
+    from dream.planning._kernels.views import Views
 
 SERVICE = 0.63
 """Share of what its view could hold, of ground and of hiding places together, that a step shows on its way
 through unseen ground."""
 NEAR = 16
 """Steps within which every second node is a view to go to; every fourth beyond."""
+NOT_ROUNDED = -1
+"""Decimals of the scores of sequences: what they show is compared to the last digit."""
 NOTHING = 1e-6
 """Square metres of targets a step from which on it is not worth going."""
 
@@ -89,7 +91,7 @@ class Judged:
 class Prospect:
     """What is worth looking at, and what can be seen of it from where."""
 
-    outlook: Outlook
+    pose_views: PoseViews
     ground: Float32Array
     """(tiles,) weight of seeing it."""
     hiding: Float32Array
@@ -108,16 +110,20 @@ class Prospect:
             parts.append(np.asarray(self.listed.weights, np.float32))
         return np.concatenate(parts)
 
-    def plan(self, path: list[Pose], rate: float, later: float, seen: npt.NDArray[np.uint64]) -> Plan:
-        """A plan by the bits of what it shows; see `_kernels.lookahead.look`."""
-        shown = np.unpackbits(seen.view(np.uint8), bitorder="little").astype(np.bool_)
-        tiles, patches = self.outlook.tiles, 0.0
+    def plan(self, path: list[Pose], rate: float, later: float, shown: BoolArray) -> Plan:
+        """A plan by which elements it shows."""
+        tiles, patches = self.pose_views.tiles, 0.0
         if self.listed is not None:
             patches = float(
                 self.listed.expected[shown[2 * tiles : 2 * tiles + len(self.listed.expected)]].sum()
             )
         targets = float(self.targets[shown[:tiles]].sum())
         return Plan(path, rate, later, targets, float(self.hidden[shown[tiles : 2 * tiles]].sum()), patches)
+
+
+def elements_of(bits: npt.NDArray[np.uint64]) -> BoolArray:
+    """(64 · words,) which elements have their bits set; see `_kernels.views.look`."""
+    return np.unpackbits(bits.view(np.uint8), bitorder="little").astype(np.bool_)
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,10 +158,10 @@ class LookAhead:
         Args:
             prospect: What is worth looking at.
             travel: Ways over known free ground.
-            moves: See `Outlook.moves`.
+            moves: See `PoseViews.moves`.
             known: (tiles,) where ground is known.
         """
-        weights, views = prospect.weights, prospect.outlook.views(prospect.listed)
+        weights, views = prospect.weights, prospect.pose_views.views(prospect.listed)
         sequence, choice = self._sequence(prospect, weights, views, travel, moves, known)
         view = self._view(prospect, weights, views, travel)
         if view is not None:
@@ -173,43 +179,34 @@ class LookAhead:
         known: BoolArray,
     ) -> tuple[Plan | None, Choice]:
         """The best sequence, None where none shows anything; and the choice, still without the view."""
-        from dream.planning._kernels import lookahead
+        from dream.planning._kernels.beam import BeamScore, beam
 
-        protocol = travel.protocol
-        pose, parent, score, level, seen, first = lookahead.beam(
-            weights,
-            views,
-            moves,
-            offsets_of(protocol),
-            np.array(protocol.turns, np.int64),
-            travel.start,
-            known,
-            self.width,
-            self.horizon,
-            self.discount,
+        none, nowhere = np.zeros(0, np.int64), np.zeros((0, travel.lattice.nodes), np.uint8)
+        score = BeamScore(self.discount, NOT_ROUNDED, -np.inf, 0.0, 0.0, none, none, nowhere)
+        found = beam(
+            weights, views, travel.lattice.graph, moves, travel.start, known, score, self.width, self.horizon
         )
-        nothing = Choice(self.jump, len(score) - first)
-        if score.max() <= NOTHING:
+        nothing = Choice(self.jump, len(found.score) - found.first)
+        if found.score.max() <= NOTHING:
             return None, nothing
-        ends = slice(first, None)
-        worth, steps = self._later(prospect, weights, views, travel, seen[ends], pose[ends], level[ends])
-        value = score[ends] + self.tour * worth
+        ends = slice(found.first, None)
+        worth, steps = self._later(
+            prospect, weights, views, travel, found.seen[ends], found.pose[ends], found.level[ends]
+        )
+        value = found.score[ends] + self.tour * worth
         # Rounded, so that the last digits decide nothing.
-        end = first + int(value.round(6).argmax())
-        indices = [end]
-        while parent[indices[-1]] >= 0:
-            indices.append(int(parent[indices[-1]]))
-        indices.reverse()
+        best = int(value.round(6).argmax())
+        end = found.first + best
+        indices = traced(found.parent, end)
         # The rate up to where it is best: a view is compared with what the sequence shows on the way there.
         weight_of_steps = np.cumsum(self.discount ** np.arange(1, len(indices)))
-        rate = float((score[indices[1:]] / weight_of_steps).max())
+        rate = float((found.score[indices[1:]] / weight_of_steps).max())
         if rate <= NOTHING:
             return None, nothing
-        path = [travel.pose(int(pose[k])) for k in indices]
-        choice = replace(
-            nothing, shown=float(score[end]), after=float(value[end - first] - score[end]), rate=rate
-        )
-        return prospect.plan(path, rate, float(steps[end - first]), seen[end]), choice
+        path = found.pose[indices].tolist()
+        shown = float(found.score[end])
+        choice = replace(nothing, shown=shown, after=float(value[best]) - shown, rate=rate)
+        return prospect.plan(path, rate, float(steps[best]), elements_of(found.seen[end])), choice
 
     def _later(
         self,
@@ -222,17 +219,15 @@ class LookAhead:
         level: npt.NDArray[np.int32],
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """What a tour after each sequence is worth, and its steps."""
-        from dream.planning._kernels import lookahead
+        from dream.planning._kernels.tour import tours
 
-        protocol = travel.protocol
-        worth, steps = lookahead.tours(
+        protocol, lattice = travel.protocol, travel.lattice
+        worth, steps = tours(
             weights,
-            views,
             seen,
-            pose,
-            *prospect.outlook.places(prospect.listed),
-            prospect.outlook.areas,
-            protocol.lattice,
+            lattice.graph.place[lattice.node_of(pose)] * lattice.spacing,
+            *prospect.pose_views.places(prospect.listed),
+            prospect.pose_views.areas,
             SERVICE * views.first[1],
             max(protocol.advances),
             0.5 * protocol.reach,
@@ -249,16 +244,16 @@ class LookAhead:
             travel: The poses of the ways are on its lattice.
             paths: At least one; the present pose first.
         """
-        from dream.planning._kernels import lookahead
+        from dream.planning._kernels.views import gain, look
 
-        weights, views = prospect.weights, prospect.outlook.views(prospect.listed)
+        weights, views = prospect.weights, prospect.pose_views.views(prospect.listed)
         seen = np.zeros((len(paths), (len(weights) + 63) // 64), np.uint64)
         score = np.zeros(len(paths))
         for k, path in enumerate(paths):
             for step, pose in enumerate(path[1:], start=1):
-                score[k] += self.discount**step * lookahead.gain(weights, seen[k], views, *pose)
-                lookahead.look(weights, seen[k], views, *pose)
-        ends = np.array([np.ravel_multi_index(path[-1], travel.steps.shape) for path in paths], np.int32)
+                score[k] += self.discount**step * gain(weights, seen[k], views, pose)
+                look(weights, seen[k], views, pose)
+        ends = np.array([path[-1] for path in paths], np.int32)
         level = np.array([len(path) - 1 for path in paths], np.int32)
         worth, steps = self._later(prospect, weights, views, travel, seen, ends, level)
         # What all loses by coming a step later.
@@ -266,37 +261,34 @@ class LookAhead:
         value = (score + self.tour * worth) / max(step, NOTHING)
         rates = score / np.maximum(level, 1)
         return [
-            Judged(prospect.plan(path, float(rate), float(later), bits), float(v))
+            Judged(prospect.plan(path, float(rate), float(later), elements_of(bits)), float(v))
             for path, rate, later, bits, v in zip(paths, rates, steps, seen, value, strict=True)
         ]
 
-    def views(self, prospect: Prospect, travel: Travel) -> PoseViews:
+    def viewpoints(self, prospect: Prospect, travel: Travel) -> Viewpoints:
         """What single poses within reach would show: every second node near by, every fourth beyond."""
-        from dream.planning._kernels import lookahead
+        from dream.planning._kernels.views import gains
 
-        weights, views = prospect.weights, prospect.outlook.views(prospect.listed)
-        rows, cols, steps = _viewpoints(travel)
-        return PoseViews(rows, cols, steps, lookahead.gains(weights, views, rows, cols))
+        weights, views = prospect.weights, prospect.pose_views.views(prospect.listed)
+        nodes = _spread(travel)
+        return Viewpoints(travel.lattice, nodes, travel.steps_to(nodes), gains(weights, views, nodes))
 
     def _view(self, prospect: Prospect, weights: Float32Array, views: Views, travel: Travel) -> Plan | None:
         """The way to the view of the best rate."""
-        from dream.planning._kernels import lookahead
+        from dream.planning._kernels.views import best_gains, look
 
-        rows, cols, steps = _viewpoints(travel)
-        shown = PoseViews(rows, cols, steps, lookahead.best_gains(weights, views, rows, cols, steps))
-        best = shown.best(shown.rates)
+        nodes = _spread(travel)
+        steps = travel.steps_to(nodes)
+        viewpoints = Viewpoints(travel.lattice, nodes, steps, best_gains(weights, views, nodes, steps))
+        best = viewpoints.best(viewpoints.rates)
         if best is None or best.rate <= NOTHING:
             return None
-        row, col, heading = best.pose
         seen = np.zeros((len(weights) + 63) // 64, np.uint64)
-        lookahead.look(weights, seen, views, row, col, heading)
-        return prospect.plan(travel.path(best.pose), best.rate, 0.0, seen)
+        look(weights, seen, views, best.pose)
+        return prospect.plan(travel.path(best.pose), best.rate, 0.0, elements_of(seen))
 
 
-def _viewpoints(travel: Travel) -> tuple[IntArray, IntArray, IntArray]:
-    """Rows, columns and steps to every second node near by, and to every fourth beyond."""
-    rows, cols = np.nonzero(travel.reached)
-    near = travel.nearest[rows, cols] <= NEAR
-    chosen = (rows % 2 == 0) & (cols % 2 == 0) & (near | (rows % 4 == 0) & (cols % 4 == 0))
-    rows, cols = rows[chosen], cols[chosen]
-    return rows, cols, travel.steps[rows, cols]
+def _spread(travel: Travel) -> IntArray:
+    """(n,) nodes that can be reached: every second one near by, and every fourth beyond."""
+    lattice, near = travel.lattice, travel.nearest <= NEAR
+    return np.flatnonzero(travel.reached & (lattice.every(2) & near | lattice.every(4)))

@@ -33,7 +33,7 @@ UNTOLD = 0.05
 LIKELY = 0.05
 """Probability of a target from which on a cell is worth going to."""
 LOOKS = 3
-"""Looks in vain after which a cell is given up."""
+"""Looks after which a cell is given up of which nothing is heard."""
 WITNESS = 2.0
 """Metres: cells this near say the same about whether the survey is to be believed."""
 BELIEVED = 0.9

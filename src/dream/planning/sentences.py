@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from dream.lattice import Pose
 from dream.planning.travel import Travel
 
 if TYPE_CHECKING:
@@ -175,9 +176,9 @@ def left_to_traverse(occupancy: OccupancyMap, completion: Completion) -> str:
 
 def plan(ahead: Plan, travel: Travel) -> str:
     """Step 4: where the next actions lead, and what they are expected to show."""
-    row, col, heading = ahead.path[-1]
+    end = travel.lattice.world(ahead.path[-1])
     steps = len(ahead.path) - 1
-    towards = bearing(heading * travel.protocol.heading_step)
+    towards = bearing(end.yaw)
     lead = "The next step leads" if steps == 1 else f"The next {steps} steps lead"
     shown = []
     if ahead.targets >= 0.05:
@@ -192,7 +193,7 @@ def plan(ahead: Plan, travel: Travel) -> str:
     if ahead.passed:
         what = f", and traverse {ahead.passed} target cell{'s' if ahead.passed != 1 else ''}"
     later = f" What is left then takes about {ahead.later:.0f} more." if ahead.later >= 0.5 else ""
-    return f"{lead} to {_place(travel.position(row, col))}, looking towards {towards}{what}.{later}"
+    return f"{lead} to {_place((end.x, end.y))}, looking towards {towards}{what}.{later}"
 
 
 def choice(between: Choice) -> str:
@@ -214,34 +215,33 @@ def choice(between: Choice) -> str:
 
 def next_target(
     travel: Travel,
-    pose: tuple[int, int, int],
+    pose: Pose,
     expected: npt.NDArray[np.floating[Any]],
     occupancy: OccupancyMap,
 ) -> str:
     """Step 4: the frontier to go to next, and where to look at it from."""
     from dream.mapping import frontiers, gain
 
-    position = travel.position(pose[0], pose[1])
-    heading = pose[2] * travel.protocol.heading_step
+    lattice = travel.lattice
+    position, heading, yaw = lattice.position(pose), lattice.heading_of(pose), lattice.world(pose).yaw
     steps = int(travel.steps[pose])
-    cells = float(gain(occupancy, position[None], np.asarray(expected, np.float32))[0, pose[2]])
-    ahead = position + 0.5 * travel.protocol.reach * np.array([math.cos(heading), math.sin(heading)])
+    cells = float(gain(occupancy, position[None], np.asarray(expected, np.float32))[0, heading])
+    ahead = position + 0.5 * travel.protocol.reach * np.array([math.cos(yaw), math.sin(yaw)])
     edges = frontiers(occupancy)
     where = ""
     if edges:
         edge = min(edges, key=lambda f: math.hypot(f.centroid[0] - ahead[0], f.centroid[1] - ahead[1]))
         where = f"The frontier around {_place(edge.centroid)}, one of {len(edges)}: "
     count = "1 step" if steps == 1 else f"{steps} steps"
-    view = f"the view from {_place(position)} towards {bearing(heading)}, {count} away"
+    view = f"the view from {_place(position)} towards {bearing(yaw)}, {count} away"
     sentence = f"{where}{view}, is expected to show {cells:.1f} more target cells."
     return sentence[0].upper() + sentence[1:]
 
 
-def safety(occupancy: OccupancyMap, travel: Travel, path: list[tuple[int, int, int]]) -> str:
+def safety(occupancy: OccupancyMap, travel: Travel, path: list[Pose]) -> str:
     """Step 5: what the body keeps clear of on a way."""
     protocol = travel.protocol
-    rows, cols, _ = np.array(path).T
-    nodes = travel.position(rows, cols)
+    nodes = travel.lattice.position(path)
     samples = max(2, math.ceil(4.0 * max(protocol.advances) / protocol.cell))
     along = np.linspace(0.0, 1.0, samples)[:, None, None]
     points = (nodes[:-1] + along * (nodes[1:] - nodes[:-1])).reshape(-1, 2)

@@ -9,12 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import SE2
+from dream.lattice import Pose
 from dream.options import First
 from dream.planning import sentences
 from dream.planning.distribution import blurred, expectation
 from dream.planning.parameters import check_range
-from dream.planning.travel import Pose, Travel, nearest_open, travel_from
-from dream.planning.views import View
+from dream.planning.travel import Travel, nearest_open, travel_from
+from dream.planning.viewpoints import Viewpoint, Viewpoints, spread
 from dream.types import Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
@@ -177,41 +178,24 @@ class _SixStepsPilot:
         worth[occupancy.observed] = 0.0
         return worth
 
-    def _best_viewpoint(self, worth: FloatArray, travel: Travel, occupancy: OccupancyMap) -> View | None:
+    def _best_viewpoint(self, worth: FloatArray, travel: Travel, occupancy: OccupancyMap) -> Viewpoint | None:
         from dream.mapping import gain, visible_weight
 
-        rows, cols = np.nonzero(travel.reached)
-        nearest = travel.nearest[rows, cols]
-        # Far away, every third node of the lattice says enough; near by, every one.
-        sparse = (rows % 3 == 0) & (cols % 3 == 0)
-        keep = (
-            (nearest <= 4) & ((rows + cols) % 2 == 0)
-            | (nearest <= 8) & (rows % 2 == 0) & (cols % 2 == 0)
-            | sparse
-        )
-        if self.heading_for is not None:
-            keep |= (rows == self.heading_for[0]) & (cols == self.heading_for[1])
-        rows, cols = rows[keep], cols[keep]
-        positions = travel.position(rows, cols)
+        nodes = spread(travel, self.heading_for)
+        positions = travel.lattice.positions[nodes]
         gains = gain(occupancy, positions, worth)
         afar = self._is_afar(positions[:, 0], positions[:, 1], occupancy)
         hull = self._hull_left(occupancy)
         if hull.any() and afar.any():
             gains[afar] += self.planner.hull * visible_weight(occupancy, positions[afar], hull)
-        steps = travel.steps[rows, cols]
-        # Rounded, so that a tie is a tie on every machine.
-        rates = np.where(steps > 0, gains / np.maximum(steps, 1), 0.0).round(6)
-        best = np.unravel_index(int(rates.argmax()), rates.shape)
-        if rates[best] <= 0.0:
+        views = Viewpoints(travel.lattice, nodes, travel.steps_to(nodes), gains)
+        chosen = views.best(views.rates)
+        if chosen is None or np.round(chosen.rate, 6) <= 0.0:
             self.heading_for = None
             return None
-        chosen = View(
-            (int(rows[best[0]]), int(cols[best[0]]), int(best[1])), int(steps[best]), float(gains[best])
-        )
-        if self.heading_for is not None:
-            row, col, heading = self.heading_for
-            (k,) = np.nonzero((rows == row) & (cols == col))
-            if len(k) and rates[k[0], heading] * self.planner.patience >= chosen.rate:
-                chosen = View(self.heading_for, int(steps[k[0], heading]), float(gains[k[0], heading]))
+        before = None if self.heading_for is None else views.at(self.heading_for)
+        # Rounded, so that a tie is a tie on every machine.
+        if before is not None and np.round(before.rate, 6) * self.planner.patience >= chosen.rate:
+            chosen = before
         self.heading_for = chosen.pose if chosen.steps > 1 else None
         return chosen

@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from dream.geometry import SE2, wrap_angle
-from dream.mapping.lattice import free_moves, nodes_in, offsets_of
+from dream.geometry import SE2
+from dream.lattice import Lattice, Pose, lattice_of
 from dream.protocol import SurveyProtocol
+from dream.types import BoolArray, IntArray
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
     from dream.mapping.completion import Completion, Region
-
-IntArray = npt.NDArray[np.signedinteger[Any]]
-
-Pose = tuple[int, int, int]
-"""(row, col, heading) on the lattice of a `Travel`."""
-
-UNREACHED = int(np.iinfo(np.int32).max)
-"""Steps to where no way leads."""
 
 STANDOFF_CELLS = 1.5
 """Map cells that the body keeps from the middle of any solid one, where there is another way: the map is no
@@ -33,62 +26,52 @@ finer than that."""
 class Travel:
     """Steps from one pose to every pose of the lattice, over ground that the guard would let pass."""
 
-    protocol: SurveyProtocol
-    west: int
-    """Lattice column 0 lies at x = west · lattice."""
-    south: int
-    """Lattice row 0 lies at y = south · lattice."""
-    steps: IntArray
-    """(rows, cols, headings); −1 where it cannot be reached."""
-    nearest: IntArray
-    """(rows, cols) fewest steps to each position with any heading; `UNREACHED` where no way leads."""
-    parent: IntArray
-    """(rows, cols, headings) flat index of the pose before; −1 at the start."""
+    lattice: Lattice
+    start: Pose
+    """Where the search began."""
+    steps: npt.NDArray[np.int32]
+    """(poses,) −1 where it cannot be reached."""
+    nearest: npt.NDArray[np.int32]
+    """(nodes,) fewest steps to each position with any heading; −1 where no way leads."""
+    parent: npt.NDArray[np.int32]
+    """(poses,) the pose before; −1 at the start."""
     free: npt.NDArray[np.uint8]
-    """(rows, cols, headings, advances) 1 where an advance from a position along a heading is free."""
+    """(poses, advances) 1 where an advance along the heading is free."""
 
     @property
-    def start(self) -> Pose:
-        """Where the search began."""
-        return self.pose(int(np.argmax(self.steps == 0)))
-
-    def pose(self, flat: int) -> Pose:
-        """The pose of a flat index."""
-        row, col, heading = np.unravel_index(flat, self.steps.shape)
-        return int(row), int(col), int(heading)
+    def protocol(self) -> SurveyProtocol:
+        """Whose moves they are."""
+        return self.lattice.protocol
 
     @property
-    def reached(self) -> npt.NDArray[np.bool_]:
-        """(rows, cols) which positions can be reached, with whatever heading."""
-        return np.asarray(self.nearest < UNREACHED)
+    def reached(self) -> BoolArray:
+        """(nodes,) which positions can be reached, with whatever heading."""
+        return np.asarray(self.nearest >= 0)
 
-    def position(self, rows: npt.ArrayLike, cols: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """(N, 2) metres in the world of lattice nodes."""
-        x = (np.asarray(cols) + self.west) * self.protocol.lattice
-        y = (np.asarray(rows) + self.south) * self.protocol.lattice
-        return np.stack([x, y], axis=-1).astype(np.float64)
+    def steps_to(self, nodes: IntArray) -> npt.NDArray[np.int32]:
+        """(n, headings) to the poses of some nodes; −1 where it cannot be reached."""
+        return self.lattice.by_heading(self.steps)[nodes]
 
     def path(self, pose: Pose) -> list[Pose]:
-        """The poses (row, col, heading) on a shortest way to `pose`, the present one first."""
-        flat = int(np.ravel_multi_index(pose, self.steps.shape))
-        found = [flat]
-        while (flat := int(self.parent.flat[flat])) >= 0:
-            found.append(flat)
-        return [self.pose(flat) for flat in reversed(found)]
+        """The poses on a shortest way to a pose, the present one first."""
+        return traced(self.parent, pose)
 
-    def path_to_position(self, row: int, col: int) -> list[Pose]:
+    def path_to_node(self, node: int) -> list[Pose]:
         """A shortest way to a reachable position, arriving with whatever heading."""
-        return self.path((row, col, int(np.argmax(self.steps[row, col] == self.nearest[row, col]))))
+        steps = self.lattice.by_heading(self.steps)[node]
+        return self.path(self.lattice.pose_at(node, int(np.argmax(steps == self.nearest[node]))))
 
     def move(self, before: Pose, after: Pose) -> tuple[float, float]:
-        """Turn (radians) and nominal advance (metres) that lead from one pose of a path to the next."""
-        headings = self.protocol.headings
-        turn = wrap_angle((after[2] - before[2]) % headings * self.protocol.heading_step)
-        offset = (after[1] - before[1], after[0] - before[0])
-        advance = next(
-            (a for a in self.protocol.advances if self.protocol.offset(after[2], a) == offset), 0.0
-        )
-        return turn, advance
+        """See `Lattice.move`."""
+        return self.lattice.move(before, after)
+
+
+def traced(parent: npt.NDArray[np.int32], end: int) -> list[int]:
+    """What led to an entry of a search, its start first; `parent` is the one before, −1 at the start."""
+    found = [int(end)]
+    while (before := int(parent[found[-1]])) >= 0:
+        found.append(before)
+    return found[::-1]
 
 
 def travel_from(pose: SE2, occupancy: OccupancyMap, *, standoff: float = 0.0) -> Travel:
@@ -101,18 +84,13 @@ def travel_from(pose: SE2, occupancy: OccupancyMap, *, standoff: float = 0.0) ->
     """
     from dream.planning._kernels.search import search
 
-    protocol = occupancy.protocol
-    bounds, spacing = occupancy.bounds, protocol.lattice
-    (south, west), (rows, cols) = nodes_in(bounds, protocol)
-    offsets = offsets_of(protocol)
-    row, col = round(pose.y / spacing) - south, round(pose.x / spacing) - west
-    if not (0 <= row < rows and 0 <= col < cols):
-        raise ValueError(f"pose: expected a position inside {bounds}, got ({pose.x}, {pose.y})")
-    turns = np.array(protocol.turns, dtype=np.int64)
-    allowed = occupancy.standable & (occupancy.distance_to_solid >= standoff)
-    edges = _free_moves(pose, occupancy, allowed, offsets, (south, west), (row, col))
-    steps, parent, nearest = search(edges, offsets, turns, row, col, protocol.heading_index(pose.yaw))
-    return Travel(protocol, west, south, steps, nearest, parent, edges)
+    lattice = lattice_of(occupancy.bounds, occupancy.protocol)
+    start = lattice.pose(pose)
+    free = _free_moves(
+        pose, occupancy, occupancy.standable & (occupancy.distance_to_solid >= standoff), lattice
+    )
+    steps, parent, nearest = search(lattice.graph, free, start)
+    return Travel(lattice, start, steps, nearest, parent, free)
 
 
 def careful_standoff(protocol: SurveyProtocol) -> float:
@@ -126,31 +104,27 @@ def careful_travel(pose: SE2, occupancy: OccupancyMap) -> Travel:
 
 
 def _free_moves(
-    pose: SE2,
-    occupancy: OccupancyMap,
-    allowed: npt.NDArray[np.bool_],
-    offsets: IntArray,
-    corner: tuple[int, int],
-    start: tuple[int, int],
+    pose: SE2, occupancy: OccupancyMap, allowed: BoolArray, lattice: Lattice
 ) -> npt.NDArray[np.uint8]:
-    """(rows, cols, headings, advances): is the whole move free, and its end allowed?"""
-    from dream.planning._kernels.search import keep_to
+    """(poses, advances): is the whole move free, and its end allowed?"""
+    from dream.mapping.lattice import free_moves
+    from dream.planning._kernels.moves import keep_to
 
-    spacing = occupancy.protocol.lattice
-    free = free_moves(occupancy)
-    shape = free.shape[:2]
-    # The vehicle may leave where it is, even where it could not go to now.
-    ends = np.add(start[::-1], corner[::-1]) + offsets.reshape(-1, 2)
-    # And from exactly there the guard looks at its first move.
-    begin = np.broadcast_to((pose.x, pose.y), ends.shape)
-    free[start] = occupancy.passable(begin, ends * spacing).reshape(offsets.shape[:2])
+    free = free_moves(occupancy).reshape(lattice.poses, -1)
+    # The vehicle may leave where it is, even where it could not go to now. And from exactly there the guard
+    # looks at its first move.
+    node = lattice.node(pose.x, pose.y)
+    first, past = lattice.pose_at(node, 0), lattice.pose_at(node + 1, 0)
+    heading, advance = np.nonzero(lattice.graph.ahead[first:past] >= 0)
+    ends = lattice.position(lattice.graph.ahead[first:past][heading, advance])
+    free[first:past] = 0
+    free[first + heading, advance] = occupancy.passable(np.broadcast_to((pose.x, pose.y), ends.shape), ends)
 
-    y, x = ((np.arange(n) + first) * spacing for n, first in zip(shape, corner, strict=True))
-    row, col = occupancy.cell_of(x, y)
-    rows, cols = ((k >= 0) & (k < n) for k, n in zip((row, col), allowed.shape, strict=True))
-    good = np.zeros(shape, dtype=np.bool_)
-    good[np.ix_(rows, cols)] = allowed[np.ix_(row[rows], col[cols])]
-    keep_to(free, offsets, good, *start)
+    row, col = occupancy.cell_of(*lattice.positions.T)
+    inside = (row >= 0) & (row < allowed.shape[0]) & (col >= 0) & (col < allowed.shape[1])
+    good = np.zeros(lattice.nodes, np.bool_)
+    good[inside] = allowed[row[inside], col[inside]]
+    keep_to(free, lattice.graph, good, node)
     return free
 
 
@@ -159,10 +133,10 @@ def nearest_open(completion: Completion, travel: Travel, occupancy: OccupancyMap
     from scipy.spatial import cKDTree
 
     open_regions = [region for region in completion.regions if not region.enclosed]
-    rows, cols = np.nonzero(travel.reached)
-    if not open_regions or not len(rows):
+    reached = np.flatnonzero(travel.reached)
+    if not open_regions or not len(reached):
         return None
-    nodes, steps = cKDTree(travel.position(rows, cols)), travel.nearest[rows, cols]
+    nodes, steps = cKDTree(travel.lattice.positions[reached]), travel.nearest[reached]
 
     def steps_to(region: Region) -> int:
         cells = np.stack(occupancy.center_of(*region.open_cells.T), axis=-1)

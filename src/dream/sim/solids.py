@@ -44,7 +44,7 @@ class Sweep:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lattice:
+class FreeLattice:
     """A protocol's positions inside the bounds; node (row, col) lies at `(first + (col, row)) · spacing`."""
 
     first: tuple[int, int]
@@ -231,7 +231,7 @@ class Solids:
         radius, height = protocol.body_radius, protocol.body_height
         return _kernels.passes(self.index, begin, end, protocol.altitude, radius, height, PACE)
 
-    def lattice(self, protocol: SurveyProtocol) -> Lattice:
+    def lattice(self, protocol: SurveyProtocol) -> FreeLattice:
         """The protocol's positions inside the bounds: where the body is free, and where it can get."""
         bounds, spacing = self.world.bounds, protocol.lattice
         # Nudged, so that bounds that are multiples of the spacing up to rounding keep their outermost nodes.
@@ -239,7 +239,7 @@ class Solids:
         cols = math.floor(bounds.x_max / spacing + 1e-6) - col0 + 1
         rows = math.floor(bounds.y_max / spacing + 1e-6) - row0 + 1
         nothing = np.zeros((rows, cols), np.bool_)
-        nodes = Lattice((col0, row0), spacing, nothing, nothing).positions
+        nodes = FreeLattice((col0, row0), spacing, nothing, nothing).positions
         free = self.free(nodes.reshape(-1, 2), protocol).reshape(rows, cols)
         seeds = [(round(s.y / spacing) - row0, round(s.x / spacing) - col0) for s in self.world.starts]
         moves = sorted({protocol.offset(h, a) for h in range(protocol.headings) for a in protocol.advances})
@@ -256,4 +256,4 @@ class Solids:
             protocol.body_height,
             PACE,
         )
-        return Lattice((col0, row0), spacing, free, reachable)
+        return FreeLattice((col0, row0), spacing, free, reachable)

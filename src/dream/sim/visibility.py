@@ -13,7 +13,7 @@ from dream import traversal
 from dream.geometry import wrap_angle
 from dream.protocol import SurveyProtocol
 from dream.sim import _kernels
-from dream.sim.solids import Lattice, Solids, checked, corners
+from dream.sim.solids import FreeLattice, Solids, checked, corners
 from dream.sim.world import World
 
 Float64Array = npt.NDArray[np.float64]
@@ -164,7 +164,7 @@ class Visibility:
         )
 
     @cached_property
-    def lattice(self) -> Lattice:
+    def lattice(self) -> FreeLattice:
         """Where the vehicle can be."""
         return self.solids.lattice(self.protocol)
 

@@ -10,7 +10,6 @@ import pytest
 
 from dream.control import guard
 from dream.evaluation.runner import simulate
-from dream.geometry import SE2, wrap_angle
 from dream.mapping import OccupancyMap
 from dream.planning import Belief
 from dream.planning.vlm.places import APART, MOST, Place, again, places
@@ -49,13 +48,8 @@ def test_every_move_to_every_place_is_one_that_the_guard_lets_pass(
     for place in found[1:]:
         for before, after in pairwise(place.plan.path):
             turn, advance = thought.travel.move(before, after)
-            pose = DREAM_V1.snap(_pose(thought, before))
+            pose = DREAM_V1.snap(thought.travel.lattice.world(before))
             assert not guard(Decision(turn, advance), pose, occupancy, DREAM_V1).note
-
-
-def _pose(thought: Any, node: tuple[int, int, int]) -> SE2:
-    x, y = thought.travel.position(node[0], node[1])
-    return SE2(float(x), float(y), wrap_angle(node[2] * DREAM_V1.heading_step))
 
 
 def test_places_stand_apart(listed: tuple[list[Place], Any, Any]) -> None:

@@ -14,15 +14,14 @@ import pytest
 
 from dream.evaluation.runner import simulate
 from dream.geometry import SE2, Bounds
+from dream.lattice import Pose, lattice_of
 from dream.mapping import OccupancyMap
 from dream.mapping._kernels import flags
-from dream.mapping.lattice import nodes_in
 from dream.planning import Belief
 from dream.planning.belief import BeliefPilot, Thought
 from dream.planning.lookahead import Plan, Prospect
 from dream.planning.sources import Expected, Situation
-from dream.planning.travel import Pose
-from dream.planning.views import Views
+from dream.planning.viewpoints import Viewpoints
 from dream.planning.vlm import Ranked, ranked
 from dream.planning.vlm.asking import Question
 from dream.planning.vlm.places import APART, Place, places
@@ -41,11 +40,8 @@ from tests.planning.flights import SIDE, observed_at
 from tests.sim.arenas import FLOOR, arena, placed
 from tests.standin.sheets import request
 
-LATTICE = DREAM_V1.lattice
+LATTICE = lattice_of(AREA, DREAM_V1)
 HEADINGS = DREAM_V1.headings
-QUARTER = HEADINGS // 4
-NODES = 1 + round(AREA.width / LATTICE)
-"""Along `AREA`."""
 
 # ----------------------------------------------------------------------------- what is asked during flights
 
@@ -187,24 +183,23 @@ def _feasible(sent: Sent) -> set[int]:
     return {
         number
         for number, (x, y, steps, heading) in sent.table.items()
-        if reached.get((round(x / LATTICE), round(y / LATTICE), heading), 999) <= steps
+        if reached.get((round(x / DREAM_V1.lattice), round(y / DREAM_V1.lattice), heading), 999) <= steps
     }
 
 
 def _reached(pose: SE2, occupancy: OccupancyMap) -> dict[tuple[int, int, int], int]:
     """Fewest steps to each x, y (nodes) and heading by moves that the guard lets pass: a slow search."""
-    (south, west), (rows, cols) = nodes_in(occupancy.bounds, DREAM_V1)
-    nodes = [(x + west, y + south) for y in range(rows) for x in range(cols)]
-    starts = LATTICE * np.array(nodes, np.float64)
+    spacing, starts = DREAM_V1.lattice, lattice_of(occupancy.bounds, DREAM_V1).positions
+    nodes = [(round(x / spacing), round(y / spacing)) for x, y in starts.tolist()]
     free = {}
     for heading in range(HEADINGS):
         for advance in DREAM_V1.advances:
             offset = DREAM_V1.offset(heading, advance)
-            passes = occupancy.passable(starts, starts + LATTICE * np.array(offset))
+            passes = occupancy.passable(starts, starts + spacing * np.array(offset))
             free[heading, offset] = {
                 node for node, passed in zip(nodes, passes.tolist(), strict=True) if passed
             }
-    here = round(pose.x / LATTICE), round(pose.y / LATTICE), DREAM_V1.heading_index(pose.yaw)
+    here = round(pose.x / spacing), round(pose.y / spacing), DREAM_V1.heading_index(pose.yaw)
     steps, layer = {here: 0}, [here]
     while layer:
         after = []
@@ -261,12 +256,9 @@ class Turned:
 
     def pose(self, pose: Pose) -> Pose:
         """On the lattice."""
-        row, col, heading = pose
-        if self.mirrored:
-            col, heading = NODES - 1 - col, (HEADINGS // 2 - heading) % HEADINGS
-        for _ in range(self.quarters):
-            row, col, heading = col, NODES - 1 - row, (heading + QUARTER) % HEADINGS
-        return row, col, heading
+        here = LATTICE.world(pose)
+        yaw = math.pi - here.yaw if self.mirrored else here.yaw
+        return LATTICE.pose(SE2(*self.point(here.x, here.y), yaw + 0.5 * math.pi * self.quarters))
 
     def plan(self, plan: Plan) -> Plan:
         return replace(plan, path=[self.pose(pose) for pose in plan.path])
@@ -299,7 +291,7 @@ class Uneven(BeliefPilot):
     def prospect(self, expected: Expected, scene: Situation) -> Prospect:
         prospect = BeliefPilot.prospect(self, expected, scene)
         # There is a row and a column of tiles more than lie between the nodes.
-        side = math.isqrt(self.views.tiles)
+        side = math.isqrt(self.pose_views.tiles)
         factor = np.ones((side, side), np.float32)
         factor[:-1, :-1] += self.turned.cells(0.02 * np.random.default_rng(1).random((side - 1, side - 1)))
         worth = factor.ravel()
@@ -320,8 +312,8 @@ class Held:
         return self.pilot.prospect(self.thought.expected, self.thought.situation)
 
     @property
-    def views(self) -> Views:
-        return self.pilot.look_ahead.views(self.prospect, self.thought.travel)
+    def views(self) -> Viewpoints:
+        return self.pilot.look_ahead.viewpoints(self.prospect, self.thought.travel)
 
     def places(self, plan: Plan | None) -> list[Place]:
         """Where the offline planner would do that."""
@@ -363,10 +355,10 @@ def held(seed: int, solids: bool, turned: Turned = AS_IT_IS) -> Held:
         ("votes", 0x30 * (target & explored & ~solid)),
     ):
         occupancy._write(name, (0, 0), turned.cells(cells))
-    row, col, heading = turned.pose((NODES // 2, NODES // 2, seed % HEADINGS))
-    x, y = ((node - NODES // 2) * LATTICE for node in (col, row))
+    start = LATTICE.pose_at(LATTICE.node(0.0, 0.0), seed % HEADINGS)
+    there = LATTICE.world(turned.pose(start))
     camera = np.random.default_rng(seed).integers(20, 200, (240, 320, 3)).astype(np.uint8)
-    observation = replace(observed_at(x, y, heading * DREAM_V1.heading_step), rgb=camera)
+    observation = replace(observed_at(there.x, there.y, there.yaw), rgb=camera)
     pilot = Uneven(Belief(), Mission(DREAM_V1, AREA, DREAM_V1.cap), turned=turned)
     return Held(occupancy, observation, pilot, pilot.consider(observation, occupancy))
 
@@ -376,10 +368,9 @@ def settled(situation: Held, plan: Plan | None, found: list[Place]) -> int:
 
     On the way each is checked to be the best view that is far enough from those before it.
     """
-    views, travel = situation.views, situation.thought.travel
-    at, rates = travel.position(views.rows, views.cols), views.rates
-    own = [] if plan is None else plan.path
-    taken = [travel.position(row, col) for row, col, _ in own]
+    views = situation.views
+    at, rates = views.positions, views.rates
+    taken = [LATTICE.position(pose) for pose in ([] if plan is None else plan.path)]
     for k, place in enumerate(found):
         if plan is not None and k == 0:
             continue
@@ -390,7 +381,7 @@ def settled(situation: Held, plan: Plan | None, found: list[Place]) -> int:
         if len(best) > 1:
             return k
         node, heading = best[0]
-        assert place.pose == (views.rows[node], views.cols[node], heading)
+        assert place.pose == LATTICE.pose_at(views.nodes[node], int(heading))
         taken.append(at[node])
     return len(found)
 
@@ -399,8 +390,8 @@ def _rates(situation: Held, turned: Turned) -> dict[Pose, float]:
     """Of every view, by where the turn takes its pose."""
     views = situation.views
     return {
-        turned.pose((int(row), int(col), heading)): rate
-        for row, col, rates in zip(views.rows, views.cols, views.rates.tolist(), strict=True)
+        turned.pose(LATTICE.pose_at(node, heading)): rate
+        for node, rates in zip(views.nodes.tolist(), views.rates.tolist(), strict=True)
         for heading, rate in enumerate(rates)
     }
 
@@ -416,10 +407,10 @@ IN_THE_MIRROR = [(seed, False, turned) for seed in SEEDS for turned in MIRRORED]
 def test_steps_and_views_turn_with_the_world(seed: int, solids: bool, turned: Turned) -> None:
     first, other = held(seed, solids), held(seed, solids, turned)
     steps = first.thought.travel.steps
-    poses = np.argwhere(steps >= 0)
-    there = np.array([turned.pose((row, col, heading)) for row, col, heading in poses.tolist()])
+    poses = np.flatnonzero(steps >= 0)
+    there = np.array([turned.pose(pose) for pose in poses.tolist()])
     assert len(poses) == np.count_nonzero(other.thought.travel.steps >= 0) > 1000
-    np.testing.assert_array_equal(steps[tuple(poses.T)], other.thought.travel.steps[tuple(there.T)])
+    np.testing.assert_array_equal(steps[poses], other.thought.travel.steps[there])
     rates, image = _rates(first, turned), _rates(other, AS_IT_IS)
     assert rates.keys() == image.keys()
     np.testing.assert_allclose([rates[pose] for pose in image], list(image.values()), atol=1e-5)
@@ -438,9 +429,7 @@ def test_the_places_turn_with_the_world(seed: int, solids: bool, turned: Turned,
     for place, image in zip(here[:count], there[:count], strict=True):
         assert image.plan.path == [turned.pose(pose) for pose in place.plan.path]
         np.testing.assert_allclose(image.path, [turned.point(x, y) for x, y in place.path], atol=1e-9)
-        assert math.remainder(
-            image.yaw - image.pose[2] * DREAM_V1.heading_step, 2.0 * math.pi
-        ) == pytest.approx(0.0)
+        assert math.remainder(image.yaw - LATTICE.world(image.pose).yaw, 2.0 * math.pi) == pytest.approx(0.0)
         assert _figures(image.plan) == pytest.approx(_figures(place.plan), abs=1e-3)
         assert image.loss == pytest.approx(place.loss, abs=1e-3)
         assert _rounded(other.closed(image)) == _rounded({turned.point(*at) for at in first.closed(place)})
@@ -540,7 +529,7 @@ def _read(
             place,
             plan=turned.plan(place.plan),
             path=np.array([turned.point(x, y) for x, y in place.path]),
-            yaw=turned.pose(place.pose)[2] * DREAM_V1.heading_step,
+            yaw=LATTICE.world(turned.pose(place.pose)).yaw,
         )
         for place in found
     ]

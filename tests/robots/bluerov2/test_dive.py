@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dream.planning.rounds import Rounds
 from PIL import Image
 
 from dream import recording
@@ -44,7 +45,6 @@ from dream.mission import explore
 from dream.perception import Account
 from dream.planning.belief import Belief
 from dream.planning.lookahead import Plan
-from dream.planning.rounds import Rounds
 from dream.protocol import POOL_V1
 from dream.recording import read_config, read_steps
 from dream.robots.bluerov2.camera import RtpVideo

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -67,11 +67,9 @@ class Scene:
 
     def way(self, place: npt.ArrayLike) -> FloatArray:
         """(N, 2) metres in the world, a way of fewest steps from the robot to one of the places."""
-        x, y = np.asarray(place, np.float64) / self.travel.protocol.lattice
-        poses = np.array(
-            self.travel.path_to_position(round(y) - self.travel.south, round(x) - self.travel.west)
-        )
-        return self.travel.position(poses[:, 0], poses[:, 1])
+        x, y = np.asarray(place, np.float64).tolist()
+        lattice = self.travel.lattice
+        return lattice.position(self.travel.path_to_node(lattice.node(x, y)))
 
 
 def scenes(world: str, seed: int) -> list[Scene]:
@@ -116,25 +114,25 @@ class _Roaming:
         """Go to a place from which much is left to be seen; false where there is none."""
         from scipy.ndimage import uniform_filter
 
-        rows, cols = np.nonzero(travel.reached & (travel.nearest > 0))
-        at = travel.position(rows, cols)
+        nodes = np.flatnonzero(travel.nearest > 0)
+        at = travel.lattice.positions[nodes]
         white = (ground.cells == WHITE).astype(np.float64)
         size = 2 * round(VIEW / ground.cell) + 1
         wanted = uniform_filter(white, size, mode="constant")[ground.index(at)] ** 2
         wanted *= np.where(ground.distance_at(ground.target, at) <= BUSY, 3.0, 1.0)
-        steps = travel.nearest[rows, cols]
+        steps = travel.nearest[nodes]
         wanted[steps > LEG] *= 0.01
         if not wanted.sum() > 0.0:
             return False
         goal = int(self.rng.choice(len(at), p=wanted / wanted.sum()))
-        path = travel.path_to_position(int(rows[goal]), int(cols[goal]))
-        for step, (row, col, heading) in enumerate(path[1:], start=1):
-            x, y = travel.position(row, col).tolist()
-            if not self.solids.free([[x, y]], DREAM_V1)[0]:
+        path = travel.path_to_node(int(nodes[goal]))
+        for step, pose in enumerate(path[1:], start=1):
+            there = travel.lattice.world(pose)
+            if not self.solids.free([[there.x, there.y]], DREAM_V1)[0]:
                 break
-            self.pose = SE2(x, y, wrap_angle(heading * DREAM_V1.heading_step))
-            if self.trail[-1] != (x, y):
-                self.trail.append((x, y))
+            self.pose = replace(there, yaw=wrap_angle(there.yaw))
+            if self.trail[-1] != (there.x, there.y):
+                self.trail.append((there.x, there.y))
             if step % LOOK_EVERY == 0:
                 self._look()
         for turn in (-0.5, 0.5):
@@ -151,7 +149,7 @@ class _Roaming:
         self.occupancy.integrate(seen.depth, seen.labels, DREAM_V1.camera, T_world_camera)
 
     def _scene(self, ground: Ground, travel: Travel, stage: int) -> Scene:
-        places = travel.position(*np.nonzero(travel.reached))
+        places = travel.lattice.positions[travel.reached]
         row, col = self.occupancy.cell_of(*places.T)
         inside = self.occupancy.distance_to_bounds[row, col] >= EDGE
         return Scene(

@@ -50,7 +50,7 @@ class Volume(NamedTuple):
     """Metres along a voxel."""
 
 
-class Viewpoint(NamedTuple):
+class CameraPlace(NamedTuple):
     """Where a frame was taken, and by what camera."""
 
     rotation: FloatArray

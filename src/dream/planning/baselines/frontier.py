@@ -11,7 +11,7 @@ from dream.options import First
 from dream.planning.baselines.remains import Remains
 from dream.planning.parameters import check_range
 from dream.planning.travel import Travel, careful_travel
-from dream.planning.views import FloatArray, View, views_from
+from dream.planning.viewpoints import FloatArray, Viewpoint, viewpoints_from
 from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
@@ -64,20 +64,19 @@ class _FrontierPilot:
         if going is None:
             return self.remains.done("No frontier is left that can be seen.")
         view, decision = going
-        x, y = travel.position(view.pose[0], view.pose[1])
+        x, y = travel.lattice.position(view.pose)
         action = (
             f"To the nearest frontier, to look beyond {view.gain:.0f} cells of it from ({x:.1f}, {y:.1f}), "
             f"{view.steps} steps away."
         )
         return replace(decision, reasoning=Reasoning(action=action))
 
-    def _nearest(self, travel: Travel, occupancy: OccupancyMap) -> View | None:
+    def _nearest(self, travel: Travel, occupancy: OccupancyMap) -> Viewpoint | None:
         """The view that is gone for; None where no frontier can be seen."""
         remains = self.remains
         near, beyond = self._frontiers(occupancy)
-        views = views_from(travel, occupancy, beyond, keep=remains.goal)
-        x, y = travel.position(views.rows, views.cols).T
-        views = views.only(near[occupancy.cell_of(x, y)])
+        views = viewpoints_from(travel, occupancy, beyond, keep=remains.goal)
+        views = views.only(near[occupancy.cell_of(*views.positions.T)])
         kept = None if remains.goal is None else views.at(remains.goal)
         return kept if kept is not None and kept.gain >= remains.least else views.nearest(remains.least)
 

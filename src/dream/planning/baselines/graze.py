@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dream.geometry import SE2
+from dream.lattice import Pose
 from dream.options import First
 from dream.planning.baselines.lawnmower import Lawnmower
 from dream.planning.baselines.sweeping import Sweeping
 from dream.planning.parameters import check_range
-from dream.planning.travel import Pose, careful_travel
-from dream.planning.views import views_from
+from dream.planning.travel import careful_travel
+from dream.planning.viewpoints import viewpoints_from
 from dream.types import Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ class _Grazing:
             weights = np.zeros(occupancy.shape, np.float32)
             weights[tuple(region.open_cells.T)] = 1.0
             weights *= worth
-            views = views_from(travel, occupancy, weights, keep=self.goal)
+            views = viewpoints_from(travel, occupancy, weights, keep=self.goal)
             view = views.nearest(1.0)
             if view is not None:
                 cell_x, cell_y = occupancy.center_of(*region.cells[0])

@@ -11,7 +11,7 @@ from dream.options import First
 from dream.planning.baselines.remains import Remains, group_cells
 from dream.planning.parameters import check_range
 from dream.planning.travel import Travel, careful_travel
-from dream.planning.views import View, views_from
+from dream.planning.viewpoints import Viewpoint, viewpoints_from
 from dream.types import Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
@@ -66,18 +66,18 @@ class _NextBestViewPilot:
         if going is None:
             return self.remains.done("No view gains anything that is worth the way.")
         view, decision = going
-        x, y = travel.position(view.pose[0], view.pose[1])
+        x, y = travel.lattice.position(view.pose)
         action = (
             f"To the next best view, of {view.gain:.0f} unknown cells from ({x:.1f}, {y:.1f}), "
             f"{view.steps} steps away."
         )
         return replace(decision, reasoning=Reasoning(action=action))
 
-    def _best(self, travel: Travel, occupancy: OccupancyMap) -> View | None:
+    def _best(self, travel: Travel, occupancy: OccupancyMap) -> Viewpoint | None:
         """The view that is gone for; None where no view gains."""
         remains = self.remains
         worth = remains.worth_looking(occupancy).astype(np.float32)
-        views = views_from(travel, occupancy, worth, keep=remains.goal)
+        views = viewpoints_from(travel, occupancy, worth, keep=remains.goal)
         near = (views.steps <= self.planner.near) & (views.gains >= remains.least)
         scores = np.log(np.maximum(views.gains, 1.0)) - self.planner.cost * views.steps
         return views.best(np.where(near, scores, -np.inf)) or views.nearest(remains.least)

@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from dream.geometry import SE2
+from dream.lattice import Pose
 from dream.planning.failed_views import FailedViews
-from dream.planning.travel import Pose, Travel, travel_from
-from dream.planning.views import View
+from dream.planning.travel import Travel, travel_from
+from dream.planning.viewpoints import Viewpoint
 from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, Decision, Mission, Reasoning
 
@@ -52,8 +53,8 @@ class Remains:
         return self.failed.left(occupancy)
 
     def go(
-        self, pose: SE2, travel: Travel, occupancy: OccupancyMap, choose: Callable[[Travel], View | None]
-    ) -> tuple[View, Decision] | None:
+        self, pose: SE2, travel: Travel, occupancy: OccupancyMap, choose: Callable[[Travel], Viewpoint | None]
+    ) -> tuple[Viewpoint, Decision] | None:
         """The first move to the view that `choose` chooses; None where it finds none.
 
         It may have to come nearer to something solid than `travel` does. After a refused `done` it is asked

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dream.geometry import SE2
+from dream.lattice import Pose
 from dream.planning.baselines.lanes import Points, densified
 from dream.planning.baselines.remains import Remains
-from dream.planning.travel import IntArray, Pose, Travel, careful_travel
-from dream.planning.views import FloatArray, View, views_from
-from dream.types import Decision, Mission, Observation, Reasoning
+from dream.planning.travel import Travel, careful_travel
+from dream.planning.viewpoints import Viewpoint, viewpoints_from
+from dream.types import Decision, IntArray, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
@@ -22,20 +23,6 @@ if TYPE_CHECKING:
 Layout = Callable[[Mission, SE2, int], Points]
 """Mission, start and number of the sweep → (n, 2) corners of the way. For the same start, odd sweeps go over
 the area in another way than even ones."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Ways:
-    """The positions that can be reached."""
-
-    travel: Travel
-    rows: IntArray
-    """(n,) on the lattice."""
-    cols: IntArray
-    steps: IntArray
-    """(n,) to each, with whatever heading."""
-    places: FloatArray
-    """(n, 2) metres in the world."""
 
 
 @dataclass(slots=True)
@@ -113,10 +100,8 @@ class Sweeping:
         if self.sweeps == 1:
             worth = self.remains.worth_looking(occupancy).astype(np.float32)
             shows = gain(occupancy, self.waypoints, worth)[np.arange(len(self.waypoints)), self.headings]
-        rows, cols = np.nonzero(travel.reached)
-        ways = _Ways(travel, rows, cols, travel.nearest[rows, cols], travel.position(rows, cols))
         for show in shows:
-            path = self._path_to(self.waypoints[0], pose, ways, occupancy)
+            path = self._path_to(self.waypoints[0], pose, travel, occupancy)
             if show >= self.remains.least and len(path) > 1:
                 if self.budget == 0:
                     self.budget = 2 * len(path) + 4
@@ -126,7 +111,7 @@ class Sweeping:
             self._drop_first()
         return []
 
-    def _path_to(self, waypoint: Points, pose: SE2, ways: _Ways, occupancy: OccupancyMap) -> list[Pose]:
+    def _path_to(self, waypoint: Points, pose: SE2, travel: Travel, occupancy: OccupancyMap) -> list[Pose]:
         """Shortest way to within a lattice step of the waypoint, or as near as known ground allows.
 
         A path of one pose means that the waypoint is reached, or is not to be had.
@@ -135,16 +120,17 @@ class Sweeping:
         if occupancy.explored[row, col] and not occupancy.standable[row, col]:
             return []
         near_enough = 2.0 * self.remains.mission.protocol.lattice
-        distance = np.maximum(np.hypot(*(ways.places - waypoint).T), near_enough)
-        best = np.lexsort((ways.steps, distance.round(6)))[0]
+        nodes = np.flatnonzero(travel.reached)
+        distance = np.maximum(np.hypot(*(travel.lattice.positions[nodes] - waypoint).T), near_enough)
+        best = np.lexsort((travel.nearest[nodes], distance.round(6)))[0]
         here = math.hypot(pose.x - waypoint[0], pose.y - waypoint[1])
         if distance[best] >= max(near_enough, here) - 1e-6:
             return []
-        return ways.travel.path_to_position(int(ways.rows[best]), int(ways.cols[best]))
+        return travel.path_to_node(int(nodes[best]))
 
     # ------------------------------------------------------------------------------- what the route missed
 
-    def _missed(self, pose: SE2, travel: Travel, occupancy: OccupancyMap) -> View | None:
+    def _missed(self, pose: SE2, travel: Travel, occupancy: OccupancyMap) -> Viewpoint | None:
         """The nearest view of ground that was missed; None where none is left."""
         from dream.mapping import hiding_places, within
 
@@ -153,6 +139,6 @@ class Sweeping:
         if remains.claims == 0:
             radius = remains.mission.protocol.group_radius
             worth &= within(hiding_places(occupancy, pose, radius), radius, occupancy.protocol.cell)
-        views = views_from(travel, occupancy, worth.astype(np.float32), keep=remains.goal)
+        views = viewpoints_from(travel, occupancy, worth.astype(np.float32), keep=remains.goal)
         kept = None if remains.goal is None else views.at(remains.goal)
         return kept if kept is not None and kept.gain >= remains.least else views.nearest(remains.least)

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dream.lattice import Pose
 from dream.mapping.hull import PATCH, Hull
 from dream.mapping.targets import is_found, target_cells
 from dream.planning import sentences
-from dream.planning.outlook import Listed, Outlook
+from dream.planning.pose_views import Listed, PoseViews
 from dream.planning.sources.source import BeliefSource, Expected, FloatArray, Situation, Words, Worth
-from dream.planning.travel import Pose, Travel
-from dream.protocol import SurveyProtocol
+from dream.planning.travel import Travel
 from dream.types import Target
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class HullSurface(BeliefSource):
     """Expects more hull where the surface that was seen goes on; a wreck lies alone."""
 
     hull: Hull
-    views: Outlook
+    pose_views: PoseViews
     eager: float
     """Weight of its patches beside other targets."""
     accepted: float
@@ -84,8 +84,8 @@ class HullSurface(BeliefSource):
 
     def give_up(self, pose: Pose) -> None:
         """Hope no more for what should be in view from that side."""
-        row, col, heading = pose
-        self.hull.give_up(self.views.position(row, col), heading * self._protocol.heading_step)
+        here = self.pose_views.lattice.world(pose)
+        self.hull.give_up((here.x, here.y), here.yaw)
 
     def listed(self, expected: Expected, situation: Situation) -> Listed | None:
         """What of the hull is seen from the nodes around it; None where nothing more is expected of it."""
@@ -95,21 +95,14 @@ class HullSurface(BeliefSource):
         from scipy.spatial import cKDTree
 
         travel, left = situation.travel, self.hull.middles[weights > 0.0, :2]
-        rows, cols = np.nonzero(travel.reached)
-        positions = travel.position(rows, cols)
-        steps = travel.nearest[rows, cols]
-        chosen = (rows % 4 == 0) & (cols % 4 == 0)
-        chosen |= (rows % 2 == 0) & (cols % 2 == 0) & (steps <= 2 * NEAR)
-        chosen |= ((rows + cols) % 2 == 0) & (steps <= NEAR)
-        chosen &= cKDTree(left).query(positions)[0] <= self._protocol.reach
-        rows, cols, positions = rows[chosen], cols[chosen], positions[chosen]
-        nodes = rows * self.views.cols + cols
+        lattice, steps = travel.lattice, travel.nearest
+        chosen = lattice.every(4) | lattice.every(2) & (steps <= 2 * NEAR)
+        chosen |= lattice.checkered & (steps <= NEAR)
+        nodes = np.flatnonzero(travel.reached & chosen)
+        near = cKDTree(left).query(lattice.positions[nodes])[0] <= lattice.protocol.reach
+        nodes, positions = nodes[near], lattice.positions[nodes[near]]
         starts, elements = self.hull.visible(positions, weights > 0.0)
         return Listed(weights, expected.hull, self.hull.middles[:, :2], nodes, starts, elements)
-
-    @property
-    def _protocol(self) -> SurveyProtocol:
-        return self.views.mission.protocol
 
     def _adjoining(self, situation: Situation) -> FloatArray:
         """(n,) the belief about the hull, as far as it adjoins hull that was within reach.
@@ -133,7 +126,7 @@ def best_rate(listed: Listed | None, travel: Travel) -> float:
         return 0.0
     shown = np.concatenate([[0.0], np.cumsum(listed.expected[listed.elements])])
     gains = np.diff(shown[listed.starts])
-    steps = travel.steps.reshape(-1, travel.protocol.headings)[listed.nodes].ravel()
+    steps = travel.steps_to(listed.nodes).ravel()
     return float((gains / np.maximum(steps, 1))[steps > 0].max(initial=0.0))
 
 

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from dream.lattice import Pose
 from dream.mapping.completion import Completion
 from dream.planning.distribution import OBSERVED, Calibration, Groups, TargetEvidence
 from dream.planning.failed_views import FailedViews
 from dream.planning.lookahead import Plan, Prospect
-from dream.planning.outlook import Listed, Outlook
-from dream.planning.travel import Pose, Travel, careful_standoff, careful_travel, travel_from
+from dream.planning.pose_views import Listed, PoseViews
+from dream.planning.travel import Travel, careful_standoff, careful_travel, travel_from
 from dream.types import BoolArray, Float32Array, Observation
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ class Situation:
     occupancy: OccupancyMap
     here: Pose
     """Where the vehicle is, on the lattice."""
-    views: Outlook
+    pose_views: PoseViews
     """What each pose shows."""
     failed: FailedViews
     foretold: BoolArray | None = None
@@ -50,9 +51,9 @@ class Situation:
 
     @cached_property
     def moves(self) -> npt.NDArray[np.uint8]:
-        """See `Outlook.moves`."""
+        """See `PoseViews.moves`."""
         standoff = careful_standoff(self.occupancy.protocol)
-        return self.views.moves(self.travel.free, self.occupancy, standoff, self.foretold)
+        return self.pose_views.moves(self.travel.free, self.occupancy, standoff, self.foretold)
 
     @cached_property
     def completion(self) -> Completion:
@@ -191,13 +192,16 @@ class BeliefSource:
     """
 
     def take(self, situation: Situation) -> None:
-        """Learn from what is new. Only `observation`, `occupancy`, `here` and `views` are there yet."""
+        """Learn from what is new. Only `observation`, `occupancy`, `here` and `pose_views` are there yet."""
 
     def expect(self, expected: Expected, situation: Situation) -> None:
         """Add what it believes, after the sources before it."""
 
     def certainty(self, expected: Expected, situation: Situation) -> tuple[str, str] | None:
-        """How certain it is that all was seen, and the same as models are told it."""
+        """How certain it is that all was seen, and the same as models are told it.
+
+        Of several sources the last one has the word.
+        """
         return None
 
     def words(self, expected: Expected, situation: Situation) -> Words:
@@ -215,7 +219,7 @@ class BeliefSource:
         Args:
             situation: Of this step.
             travel: Known ways.
-            moves: See `Outlook.moves`; of these ways.
+            moves: See `PoseViews.moves`; of these ways.
             visits: How often the vehicle has been here since anything was new.
         """
         return None

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dream.planning import sentences
+from dream.planning.coverage_tour import CoverageTour
 from dream.planning.distribution import Groups
 from dream.planning.lookahead import Prospect
 from dream.planning.prior_survey import LIKELY, PriorSurvey
-from dream.planning.rounds import Rounds
 from dream.planning.sources.source import BeliefSource, Expected, Situation, Way, Words, Worth
 
 LEAVE = 0.015
@@ -24,12 +24,12 @@ class ForetoldTargets(BeliefSource):
     survey: PriorSurvey
     arriving: Groups
     """Groups that come in a year where it saw none."""
-    rounds: Rounds = field(default_factory=Rounds)
+    coverage_tour: CoverageTour = field(default_factory=CoverageTour)
     """The way round what is foretold."""
 
     def take(self, situation: Situation) -> None:
         """Compare it with what was seen; what stood is taken for solid."""
-        self.survey.look(situation.views.shown(situation.here)[0], situation.occupancy)
+        self.survey.look(situation.pose_views.shown(situation.here)[0], situation.occupancy)
         self.survey.compare(situation.occupancy)
         situation.foretold = self.survey.solid(situation.occupancy)
 
@@ -73,7 +73,7 @@ class ForetoldTargets(BeliefSource):
 
     def tour(self, expected: Expected, situation: Situation, prospect: Prospect) -> Way | None:
         """The way round what is foretold and was not seen yet; None where hardly any of it is left."""
-        survey, occupancy, views = self.survey, situation.occupancy, situation.views
+        survey, occupancy, pose_views = self.survey, situation.occupancy, situation.pose_views
         if survey.believed <= 0.5:
             return None
         square = occupancy.protocol.cell**2
@@ -100,8 +100,8 @@ class ForetoldTargets(BeliefSource):
             if part > 1:
                 # Nor any that could hold one, where hardly any risk is accepted.
                 hiding[unknown] = min(leave * square * intensity / max(risk, 1e-9), 1.1 * leave)
-            ahead = replace(prospect, ground=views.on_tiles(worth), hiding=views.on_tiles(hiding))
-            plan = self.rounds.plan(ahead, situation.travel, situation.moves, leave)
+            ahead = replace(prospect, ground=pose_views.on_tiles(worth), hiding=pose_views.on_tiles(hiding))
+            plan = self.coverage_tour.plan(ahead, situation.travel, situation.moves, leave)
             if plan is not None:
                 return Way(situation.travel, plan, sentences.ROUND)
         return None

@@ -11,7 +11,7 @@ from dream.planning import sentences
 from dream.planning.lookahead import Plan
 from dream.planning.sources.source import MOST_VISITS, BeliefSource, Expected, Situation, Way, Words, Worth
 from dream.planning.travel import Travel
-from dream.planning.walk import Walk
+from dream.planning.traversal_tour import TraversalTour
 from dream.types import BoolArray
 
 
@@ -19,12 +19,12 @@ from dream.types import BoolArray
 class TargetsToTraverse(BeliefSource):
     """Traverses what was found before anything else is looked for."""
 
-    walk: Walk
+    traversal_tour: TraversalTour
     passed_in_vain: BoolArray = field(init=False)
     """(rows, cols) cells that are not worth another try."""
 
     def __post_init__(self) -> None:
-        cell, bounds = self.walk.mission.protocol.cell, self.walk.mission.bounds
+        cell, bounds = self.traversal_tour.mission.protocol.cell, self.traversal_tour.mission.bounds
         self.passed_in_vain = np.zeros((round(bounds.depth / cell), round(bounds.width / cell)), np.bool_)
 
     def words(self, expected: Expected, situation: Situation) -> Words:
@@ -51,8 +51,8 @@ class TargetsToTraverse(BeliefSource):
         if visits > 1:
             moves = travel.free  # What is unknown stays so from here.
         while True:
-            path = self.walk.plan(left, travel, moves)
-            passes = self.walk.traverses(path)[tuple(left.T)]
+            path = self.traversal_tour.plan(left, travel, moves)
+            passes = self.traversal_tour.traverses(path)[tuple(left.T)]
             if len(path) == 1:
                 return None
             if visits < MOST_VISITS:

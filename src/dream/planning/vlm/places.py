@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from dream.lattice import Pose
 from dream.planning.lookahead import NOTHING, Judged, Plan
-from dream.planning.travel import Pose
 
 if TYPE_CHECKING:
     from dream.planning.belief import BeliefPilot, Thought
@@ -63,17 +63,17 @@ def places(pilot: BeliefPilot, thought: Thought) -> list[Place]:
     prospect = pilot.prospect(thought.expected, thought.situation)
     apart = APART * pilot.mission.protocol.reach
     ways = [] if thought.plan is None else [thought.plan.path]
-    taken = [travel.position(row, col) for way in ways for row, col, _ in way]
-    views = ahead.views(prospect, travel)
+    taken = [place for way in ways for place in travel.lattice.position(way)]
+    views = ahead.viewpoints(prospect, travel)
     rates = views.rates
-    at = travel.position(views.rows, views.cols)
+    at = views.positions
     # Rounded, so that a tie is a tie on every machine.
     for k in np.argsort(-rates.max(axis=1, initial=0.0).round(6), kind="stable"):
         heading = int(rates[k].argmax())
         if len(ways) == MOST or rates[k, heading] <= NOTHING:
             break
         if all(np.hypot(*(at[k] - other)) >= apart for other in taken):
-            ways.append(travel.path((int(views.rows[k]), int(views.cols[k]), heading)))
+            ways.append(travel.path(travel.lattice.pose_at(views.nodes[k], heading)))
             taken.append(at[k])
     if not ways:
         return []
@@ -82,8 +82,8 @@ def places(pilot: BeliefPilot, thought: Thought) -> list[Place]:
         Place(
             one.plan,
             _loss(one, None if thought.plan is None else judged[0]),
-            np.array([travel.position(row, col) for row, col, _ in one.plan.path]),
-            one.plan.path[-1][2] * pilot.mission.protocol.heading_step,
+            travel.lattice.position(one.plan.path),
+            travel.lattice.world(one.plan.path[-1]).yaw,
             _closes(pilot, thought, one.plan.path),
         )
         for one in judged
@@ -117,9 +117,9 @@ def _closes(pilot: BeliefPilot, thought: Thought, path: list[Pose]) -> tuple[int
     regions = thought.completion.regions
     if all(region.enclosed for region in regions):
         return ()
-    shown = np.zeros_like(pilot.views.shown(path[-1])[0])
+    shown = np.zeros_like(pilot.pose_views.shown(path[-1])[0])
     for pose in path[1:]:
-        shown |= pilot.views.shown(pose)[0]
+        shown |= pilot.pose_views.shown(pose)[0]
     return tuple(
         number
         for number, region in enumerate(regions, start=1)

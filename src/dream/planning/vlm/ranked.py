@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dream.geometry import SE2
+from dream.lattice import Pose
 from dream.options import First
 from dream.planning.belief import Belief, achieved
 from dream.planning.lookahead import Plan
 from dream.planning.parameters import check_count, check_range
-from dream.planning.travel import Pose
 from dream.planning.vlm.asking import Answer, Asking, Line
 from dream.planning.vlm.places import again, places
 from dream.planning.vlm.ranking_question import ranking_question
@@ -176,7 +176,7 @@ class RankedPilot:
         return goal.distance(thought.pose) <= ARRIVED * reach or goal.distance(end) > reach
 
     def _position(self, thought: Thought, pose: Pose) -> SE2:
-        x, y = thought.travel.position(pose[0], pose[1])
+        x, y = thought.travel.lattice.position(pose)
         return SE2(float(x), float(y), 0.0)
 
     # ------------------------------------------------------------------------------------------- question

@@ -10,11 +10,12 @@ import pytest
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
-from dream.geometry import Bounds
+from dream.geometry import SE2, Bounds
+from dream.lattice import Pose
 from dream.mapping import OccupancyMap, view
-from dream.mapping.lattice import offsets_of
-from dream.planning._kernels.lookahead import BEARINGS, FREE, UNKNOWN
-from dream.planning.outlook import Listed, Outlook
+from dream.planning._kernels.moves import FREE, UNKNOWN
+from dream.planning._kernels.views import BEARINGS
+from dream.planning.pose_views import Listed, PoseViews
 from dream.planning.travel import careful_standoff
 from dream.protocol import DREAM_V1
 from dream.types import BoolArray, Mission
@@ -32,8 +33,8 @@ ALL_BOUNDS = {
 in_all_bounds = pytest.mark.parametrize("bounds", ALL_BOUNDS.values(), ids=ALL_BOUNDS)
 
 
-def _outlook(bounds: Bounds = AREA, notice: float = NOTICE) -> Outlook:
-    return Outlook(Mission(DREAM_V1, bounds, 200), notice)
+def _pose_views(bounds: Bounds = AREA, notice: float = NOTICE) -> PoseViews:
+    return PoseViews(Mission(DREAM_V1, bounds, 200), notice)
 
 
 def _shape(bounds: Bounds) -> tuple[int, int]:
@@ -52,33 +53,33 @@ def _map(bounds: Bounds, solid: BoolArray) -> OccupancyMap:
     return occupancy
 
 
-def _tiles_with(outlook: Outlook, cells: BoolArray, least: int) -> BoolArray:
+def _tiles_with(pose_views: PoseViews, cells: BoolArray, least: int) -> BoolArray:
     """Of the tiles whose four cells are all on the map, those with so many in the mask."""
-    whole = outlook.on_tiles(np.ones(cells.shape)) >= 4
-    return np.asarray(whole & (outlook.on_tiles(cells.astype(np.float64)) >= least))
+    whole = pose_views.on_tiles(np.ones(cells.shape)) >= 4
+    return np.asarray(whole & (pose_views.on_tiles(cells.astype(np.float64)) >= least))
 
 
-def _poses(outlook: Outlook, solid: BoolArray, count: int) -> list[tuple[int, int, int]]:
-    """Random poses (row, col, heading) on nodes that are not inside or beside something solid."""
-    i, j = outlook.cells_of_nodes()
+def _poses(pose_views: PoseViews, solid: BoolArray, count: int) -> list[Pose]:
+    """Random poses on nodes that are not inside or beside something solid."""
+    i, j = pose_views.cells_of_nodes()
     free = np.flatnonzero(~binary_dilation(solid, BESIDE)[i, j])
     generator = np.random.default_rng(5)
     nodes = generator.choice(free, count, replace=False)
     headings = generator.integers(DREAM_V1.headings, size=count)
-    return [
-        (int(n) // outlook.cols, int(n) % outlook.cols, int(h)) for n, h in zip(nodes, headings, strict=True)
-    ]
+    return [pose_views.lattice.pose_at(node, heading) for node, heading in zip(nodes, headings, strict=True)]
 
 
-def _place(outlook: Outlook, row: int, col: int) -> tuple[float, float]:
-    return (col + outlook.west) * LATTICE, (row + outlook.south) * LATTICE
+def _seen(occupancy: OccupancyMap, pose_views: PoseViews, pose: Pose) -> BoolArray:
+    """(map rows, map cols) what the map says that a pose shows."""
+    here = pose_views.lattice.world(pose)
+    return view(occupancy, here.x, here.y, here.yaw)
 
 
-def _middles(outlook: Outlook) -> npt.NDArray[np.float64]:
+def _middles(pose_views: PoseViews) -> npt.NDArray[np.float64]:
     """(tiles, 2) metres in the world."""
-    x, y, _ = outlook.places()
-    corner = np.array([outlook.west, outlook.south]) * LATTICE
-    return np.asarray(np.stack([x, y], axis=1)[: outlook.tiles] + corner, np.float64)
+    x, y, _ = pose_views.places()
+    corner = pose_views.lattice.positions[0]
+    return np.asarray(np.stack([x, y], axis=1)[: pose_views.tiles] + corner, np.float64)
 
 
 def _nearest(places: npt.NDArray[np.float64], points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -86,18 +87,18 @@ def _nearest(places: npt.NDArray[np.float64], points: npt.NDArray[np.float64]) -
     return np.asarray(cKDTree(places).query(points)[0], np.float64)
 
 
-def _ground_of(outlook: Outlook, pose: tuple[int, int, int]) -> BoolArray:
+def _ground_of(pose_views: PoseViews, pose: Pose) -> BoolArray:
     """(tiles,) what the pose shows as ground."""
-    tiles = np.zeros(2 * outlook.tiles, np.bool_)
-    tiles[sorted(shown_by(outlook.views(), *pose))] = True
-    return tiles[: outlook.tiles]
+    tiles = np.zeros(2 * pose_views.tiles, np.bool_)
+    tiles[sorted(shown_by(pose_views.views(), pose))] = True
+    return tiles[: pose_views.tiles]
 
 
-def _noticed_of(outlook: Outlook, pose: tuple[int, int, int]) -> BoolArray:
+def _noticed_of(pose_views: PoseViews, pose: Pose) -> BoolArray:
     """(tiles,) where it would notice a group."""
-    tiles = np.zeros(2 * outlook.tiles, np.bool_)
-    tiles[sorted(shown_by(outlook.views(), *pose))] = True
-    return tiles[outlook.tiles :]
+    tiles = np.zeros(2 * pose_views.tiles, np.bool_)
+    tiles[sorted(shown_by(pose_views.views(), pose))] = True
+    return tiles[pose_views.tiles :]
 
 
 # ------------------------------------------------------------------------------------------ against the map
@@ -109,14 +110,14 @@ def test_in_the_open_a_tile_is_shown_when_the_map_shows_it(bounds: Bounds) -> No
 
     At the sector's edge a tile counts by its middle: one of its cells at least is then in view.
     """
-    outlook, nothing = _outlook(bounds), np.zeros(_shape(bounds), np.bool_)
+    pose_views, nothing = _pose_views(bounds), np.zeros(_shape(bounds), np.bool_)
     occupancy = _map(bounds, nothing)
-    for row, col, heading in _poses(outlook, nothing, 40):
-        cells = view(occupancy, *_place(outlook, row, col), heading * DREAM_V1.heading_step)
-        tiles = _ground_of(outlook, (row, col, heading))
-        assert tiles[_tiles_with(outlook, cells, 4)].all()
-        in_view_in_part = _tiles_with(outlook, cells, 1)
-        whole = _tiles_with(outlook, ~nothing, 4)
+    for pose in _poses(pose_views, nothing, 40):
+        cells = _seen(occupancy, pose_views, pose)
+        tiles = _ground_of(pose_views, pose)
+        assert tiles[_tiles_with(pose_views, cells, 4)].all()
+        in_view_in_part = _tiles_with(pose_views, cells, 1)
+        whole = _tiles_with(pose_views, ~nothing, 4)
         assert in_view_in_part[tiles & whole].all()
 
 
@@ -128,53 +129,52 @@ def test_past_solids_a_tile_is_shown_when_the_map_surely_shows_it(bounds: Bounds
     diagonal from the far corner of its cells: together less than two cells. So where all four cells are in
     view past the wider solids, the ray to the middle gets past the true ones.
     """
-    outlook, solid = _outlook(bounds), _blobs(bounds, 1)
+    pose_views, solid = _pose_views(bounds), _blobs(bounds, 1)
     occupancy, wider = _map(bounds, solid), _map(bounds, binary_dilation(solid, TWO_AROUND))
-    outlook.update(occupancy)
+    pose_views.update(occupancy)
     hidden = 0
-    for row, col, heading in _poses(outlook, solid, 60):
-        yaw = heading * DREAM_V1.heading_step
-        surely = _tiles_with(outlook, view(wider, *_place(outlook, row, col), yaw), 4)
-        tiles = _ground_of(outlook, (row, col, heading))
+    for pose in _poses(pose_views, solid, 60):
+        surely = _tiles_with(pose_views, _seen(wider, pose_views, pose), 4)
+        tiles = _ground_of(pose_views, pose)
         assert tiles[surely].all()
-        hidden += int(
-            (~tiles & ~_tiles_with(outlook, view(occupancy, *_place(outlook, row, col), yaw), 1)).sum()
-        )
+        hidden += int((~tiles & ~_tiles_with(pose_views, _seen(occupancy, pose_views, pose), 1)).sum())
     assert hidden > 1000
 
 
 @pytest.mark.parametrize("bounds", list(ALL_BOUNDS.values())[:2], ids=list(ALL_BOUNDS)[:2])
 def test_nothing_is_shown_that_the_map_hides_behind_a_solid(bounds: Bounds) -> None:
     """The same rounding the other way: of a tile that is shown, the map shows a cell or one beside it."""
-    outlook, solid = _outlook(bounds), _blobs(bounds, 1)
+    pose_views, solid = _pose_views(bounds), _blobs(bounds, 1)
     occupancy = _map(bounds, solid)
-    outlook.update(occupancy)
-    whole = _tiles_with(outlook, np.ones_like(solid), 4)
-    for row, col, heading in _poses(outlook, solid, 60):
-        cells = view(occupancy, *_place(outlook, row, col), heading * DREAM_V1.heading_step)
-        beside = _tiles_with(outlook, binary_dilation(cells, BESIDE), 1)
-        assert beside[_ground_of(outlook, (row, col, heading)) & whole].all()
+    pose_views.update(occupancy)
+    whole = _tiles_with(pose_views, np.ones_like(solid), 4)
+    for pose in _poses(pose_views, solid, 60):
+        cells = _seen(occupancy, pose_views, pose)
+        beside = _tiles_with(pose_views, binary_dilation(cells, BESIDE), 1)
+        assert beside[_ground_of(pose_views, pose) & whole].all()
 
 
 def test_a_wall_hides_all_that_lies_behind_it_and_nothing_before_it() -> None:
     solid = np.zeros(_shape(AREA), np.bool_)
     solid[:, 60:62] = True  # x from 3.0 to 3.5 m.
-    outlook = _outlook()
-    outlook.update(_map(AREA, solid))
-    row, col = outlook.node(0.0, 0.0)
-    east = _middles(outlook)[_ground_of(outlook, (row, col, 0))][:, 0]
+    pose_views = _pose_views()
+    pose_views.update(_map(AREA, solid))
+    east = _middles(pose_views)[_ground_of(pose_views, _at(pose_views, 0.0, 0.0, 0))][:, 0]
     assert east.max() < 3.5
     assert east.max() > 3.0, "the face of the wall itself is in view"
-    west = _middles(outlook)[_ground_of(outlook, (row, col, 6))][:, 0]
+    west = _middles(pose_views)[_ground_of(pose_views, _at(pose_views, 0.0, 0.0, 6))][:, 0]
     assert west.min() < -7.0
 
 
 # ---------------------------------------------------------------------------------------------- sight lines
 
 
-def _slow_depth(outlook: Outlook, solid: BoolArray, bounds: Bounds, row: int, col: int) -> list[int]:
+def _at(pose_views: PoseViews, x: float, y: float, heading: int) -> Pose:
+    return pose_views.lattice.pose(SE2(x, y, heading * DREAM_V1.heading_step))
+
+
+def _slow_depth(solid: BoolArray, bounds: Bounds, x: float, y: float) -> list[int]:
     """Cells to the first solid one along each bearing, in half steps of a cell."""
-    x, y = _place(outlook, row, col)
     limit = math.ceil(REACH / CELL) + 2
     depths = []
     for bearing in range(BEARINGS):
@@ -191,21 +191,22 @@ def _slow_depth(outlook: Outlook, solid: BoolArray, bounds: Bounds, row: int, co
 
 @in_all_bounds
 def test_sight_lines_equal_a_slow_walk_along_each_ray(bounds: Bounds) -> None:
-    outlook, solid = _outlook(bounds), _blobs(bounds, 2, 0.01)
-    outlook.update(_map(bounds, solid))
-    depth = outlook.views().depth
-    for row, col, _ in _poses(outlook, solid, 12):
-        assert depth[row * outlook.cols + col].tolist() == _slow_depth(outlook, solid, bounds, row, col)
+    pose_views, solid = _pose_views(bounds), _blobs(bounds, 2, 0.01)
+    pose_views.update(_map(bounds, solid))
+    depth = pose_views.views().depth
+    for node in pose_views.lattice.node_of(_poses(pose_views, solid, 12)).tolist():
+        x, y = pose_views.lattice.positions[node].tolist()
+        assert depth[node].tolist() == _slow_depth(solid, bounds, x, y)
 
 
 @in_all_bounds
 def test_a_map_that_changes_is_taken_in_as_if_it_had_always_been_so(bounds: Bounds) -> None:
-    growing = _outlook(bounds)
+    growing = _pose_views(bounds)
     # One more, then one fewer, then all others.
     one, both = _blobs(bounds, 3, 0.0005), _blobs(bounds, 3, 0.0005) | _blobs(bounds, 4, 0.0005)
     for solid in (one, both, one, np.zeros_like(one), _blobs(bounds, 5)):
         growing.update(_map(bounds, solid))
-        at_once = _outlook(bounds)
+        at_once = _pose_views(bounds)
         at_once.update(_map(bounds, solid))
         # No view asks farther than the reach.
         far = math.ceil(REACH / CELL)
@@ -216,16 +217,16 @@ def test_a_map_that_changes_is_taken_in_as_if_it_had_always_been_so(bounds: Boun
 
 def test_turning_the_solids_by_a_quarter_turns_what_is_shown() -> None:
     solid = _blobs(AREA, 6)
-    outlook, turned = _outlook(), _outlook()
-    outlook.update(_map(AREA, solid))
+    pose_views, turned = _pose_views(), _pose_views()
+    pose_views.update(_map(AREA, solid))
     # Rows grow with y: that way round it is a quarter turn to the left.
     turned.update(_map(AREA, np.rot90(solid, -1)))
-    for row, col, heading in _poses(outlook, solid, 30):
-        x, y = _place(outlook, row, col)
-        pose = (*turned.node(-y, x), (heading + DREAM_V1.headings // 4) % DREAM_V1.headings)
+    for pose in _poses(pose_views, solid, 30):
+        place = pose_views.lattice.world(pose)
+        image = turned.lattice.pose(SE2(-place.y, place.x, place.yaw + math.pi / 2))
         for tiles_of in (_ground_of, _noticed_of):
-            here = _middles(outlook)[tiles_of(outlook, (row, col, heading))]
-            there = _middles(turned)[tiles_of(turned, pose)]
+            here = _middles(pose_views)[tiles_of(pose_views, pose)]
+            there = _middles(turned)[tiles_of(turned, image)]
             expected = np.stack([-here[:, 1], here[:, 0]], axis=1)
             assert {tuple(p) for p in expected.round(3) + 0.0} == {tuple(p) for p in there.round(3) + 0.0}
 
@@ -236,30 +237,30 @@ def test_turning_the_solids_by_a_quarter_turns_what_is_shown() -> None:
 @pytest.mark.parametrize("notice", [0.6, 1.5, 3.0])
 def test_a_group_is_noticed_where_some_ground_near_its_middle_is_shown(notice: float) -> None:
     """Never farther than `notice`; always within it less half a tile, which rounding may lose."""
-    outlook = _outlook(notice=notice)
-    middles = _middles(outlook)
+    pose_views = _pose_views(notice=notice)
+    middles = _middles(pose_views)
     for heading in range(DREAM_V1.headings):
-        pose = (*outlook.node(0.5, -1.0), heading)
-        seen = middles[_ground_of(outlook, pose)]
+        pose = _at(pose_views, 0.5, -1.0, heading)
+        seen = middles[_ground_of(pose_views, pose)]
         away = _nearest(seen, middles)
-        noticed = _noticed_of(outlook, pose)
+        noticed = _noticed_of(pose_views, pose)
         assert (away[noticed] <= notice).all()
         assert noticed[away <= notice - 0.5 * LATTICE - 1e-6].all()
         assert noticed.sum() >= len(seen) > 0
 
 
 def test_a_group_as_small_as_a_cell_is_noticed_where_its_ground_is_shown() -> None:
-    outlook = _outlook(notice=0.5 * CELL)
-    pose = (*outlook.node(0.5, -1.0), 2)
-    np.testing.assert_array_equal(_noticed_of(outlook, pose), _ground_of(outlook, pose))
+    pose_views = _pose_views(notice=0.5 * CELL)
+    pose = _at(pose_views, 0.5, -1.0, 2)
+    np.testing.assert_array_equal(_noticed_of(pose_views, pose), _ground_of(pose_views, pose))
 
 
 def test_a_group_behind_a_wall_is_not_noticed_beyond_its_own_size() -> None:
     solid = np.zeros(_shape(AREA), np.bool_)
     solid[:, 60:62] = True
-    outlook = _outlook()
-    outlook.update(_map(AREA, solid))
-    noticed = _middles(outlook)[_noticed_of(outlook, (*outlook.node(0.0, 0.0), 0))]
+    pose_views = _pose_views()
+    pose_views.update(_map(AREA, solid))
+    noticed = _middles(pose_views)[_noticed_of(pose_views, _at(pose_views, 0.0, 0.0, 0))]
     assert 3.5 < noticed[:, 0].max() <= 3.5 + NOTICE
 
 
@@ -268,21 +269,21 @@ def test_a_group_behind_a_wall_is_not_noticed_beyond_its_own_size() -> None:
 
 @in_all_bounds
 def test_tiles_hold_their_cells_and_areas_hold_their_tiles(bounds: Bounds) -> None:
-    outlook = _outlook(bounds)
+    pose_views = _pose_views(bounds)
     occupancy = _map(bounds, np.zeros(_shape(bounds), np.bool_))
     weights = np.random.default_rng(7).random(occupancy.shape)
-    assert outlook.on_tiles(weights).sum() == pytest.approx(weights.sum(), rel=1e-5)
-    middles = _middles(outlook)
+    assert pose_views.on_tiles(weights).sum() == pytest.approx(weights.sum(), rel=1e-5)
+    middles = _middles(pose_views)
     for row, col in [(0, 0), (40, 17), (occupancy.shape[0] - 1, occupancy.shape[1] - 1)]:
         alone = np.zeros(occupancy.shape)
         alone[row, col] = 1.0
-        (tile,) = np.flatnonzero(outlook.on_tiles(alone))
+        (tile,) = np.flatnonzero(pose_views.on_tiles(alone))
         gap = np.abs(middles[tile] - np.array(occupancy.center_of(row, col)))
         assert gap.max() <= 0.5 * LATTICE + 1e-6
 
-    x, y, area = outlook.places()
+    x, y, area = pose_views.places()
     assert area.min() >= 0
-    assert area.max() < outlook.areas
+    assert area.max() < pose_views.areas
     for number in np.unique(area):
         members = np.stack([x, y])[:, area == number]
         assert np.ptp(members, axis=1).max() <= 4.0
@@ -291,32 +292,34 @@ def test_tiles_hold_their_cells_and_areas_hold_their_tiles(bounds: Bounds) -> No
 
 
 def test_listed_elements_follow_the_tiles_and_lie_where_they_say() -> None:
-    outlook = _outlook()
+    pose_views = _pose_views()
     positions = np.array([[-3.1, 4.4], [11.9, -11.9]])
-    row, col = outlook.node(0.0, 0.0)
+    here = pose_views.lattice.node(0.0, 0.0)
     starts = np.zeros(DREAM_V1.headings + 1, np.int64)
     starts[4:] = 2  # Heading 3 shows both, the others none.
-    node = np.array([row * outlook.cols + col])
+    node = np.array([here])
     listed = Listed(np.ones(2), np.ones(2), positions, node, starts, np.array([0, 1]))
-    x, y, area = outlook.places(listed)
-    corner = np.array([outlook.west, outlook.south]) * LATTICE
+    x, y, area = pose_views.places(listed)
+    corner = pose_views.lattice.positions[0]
     np.testing.assert_allclose(np.stack([x, y], axis=1)[-2:] + corner, positions, atol=1e-5)
-    tree = cKDTree(_middles(outlook))
-    np.testing.assert_array_equal(area[-2:], area[: outlook.tiles][tree.query(positions)[1]])
-    both = {2 * outlook.tiles, 2 * outlook.tiles + 1}
-    without, views = outlook.views(), outlook.views(listed)
+    tree = cKDTree(_middles(pose_views))
+    np.testing.assert_array_equal(area[-2:], area[: pose_views.tiles][tree.query(positions)[1]])
+    both = {2 * pose_views.tiles, 2 * pose_views.tiles + 1}
+    without, views = pose_views.views(), pose_views.views(listed)
     for heading in range(DREAM_V1.headings):
-        more = shown_by(views, row, col, heading) - shown_by(without, row, col, heading)
+        pose = pose_views.lattice.pose_at(here, heading)
+        more = shown_by(views, pose) - shown_by(without, pose)
         assert more == (both if heading == 3 else set())
-    assert shown_by(views, row, col + 1, 3) == shown_by(without, row, col + 1, 3)
+    beside = _at(pose_views, LATTICE, 0.0, 3)
+    assert shown_by(views, beside) == shown_by(without, beside)
 
 
 def test_ground_is_known_where_some_of_a_tile_is_traversable() -> None:
     occupancy = OccupancyMap(AREA, DREAM_V1)
     occupancy.clear_launch(1.0, 2.0)
-    outlook = _outlook()
-    known = outlook.known_tiles(occupancy)
-    np.testing.assert_array_equal(known, outlook.on_tiles(occupancy.traversable.astype(np.float64)) > 0)
+    pose_views = _pose_views()
+    known = pose_views.known_tiles(occupancy)
+    np.testing.assert_array_equal(known, pose_views.on_tiles(occupancy.traversable.astype(np.float64)) > 0)
     assert 0 < known.sum() < 200
 
 
@@ -324,21 +327,21 @@ def test_ground_is_known_where_some_of_a_tile_is_traversable() -> None:
 
 
 @pytest.fixture(scope="module", params=list(ALL_BOUNDS.values()), ids=list(ALL_BOUNDS))
-def crossing(request: pytest.FixtureRequest) -> tuple[Outlook, OccupancyMap, npt.NDArray[np.uint8]]:
+def crossing(request: pytest.FixtureRequest) -> tuple[PoseViews, OccupancyMap, npt.NDArray[np.uint8]]:
     """A map with solids, nothing of which is known to be free, and its moves."""
     bounds: Bounds = request.param
-    outlook = _outlook(bounds)
+    pose_views = _pose_views(bounds)
     occupancy = _map(bounds, _blobs(bounds, 8, 0.002))
-    headings, advances, _ = offsets_of(DREAM_V1).shape
-    known = np.zeros((outlook.rows, outlook.cols, headings, advances), np.uint8)
-    return outlook, occupancy, outlook.moves(known, occupancy, careful_standoff(DREAM_V1))
+    known = np.zeros(pose_views.lattice.graph.ahead.shape, np.uint8)
+    return pose_views, occupancy, pose_views.moves(known, occupancy, careful_standoff(DREAM_V1))
 
 
-def _along(outlook: Outlook, move: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
-    """(n, 2) points on the way of a move (row, col, heading, advance)."""
-    start = np.array(_place(outlook, int(move[0]), int(move[1])))
-    way = offsets_of(DREAM_V1)[move[2], move[3]] * LATTICE
-    return np.asarray(start + np.linspace(0.0, 1.0, 17)[:, None] * way)
+def _along(pose_views: PoseViews, move: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+    """(n, 2) points on the way of a move (pose, advance)."""
+    lattice = pose_views.lattice
+    heading, length = lattice.heading_of(move[0]), DREAM_V1.advances[move[1]]
+    way = np.array(DREAM_V1.offset(heading, length)) * LATTICE
+    return np.asarray(lattice.position(move[0]) + np.linspace(0.0, 1.0, 17)[:, None] * way)
 
 
 def _clearance(occupancy: OccupancyMap, points: npt.NDArray[np.float64]) -> tuple[float, float]:
@@ -350,41 +353,40 @@ def _clearance(occupancy: OccupancyMap, points: npt.NDArray[np.float64]) -> tupl
 
 
 def test_no_move_into_the_unknown_leads_past_solids_too_near_or_out_of_bounds(
-    crossing: tuple[Outlook, OccupancyMap, npt.NDArray[np.uint8]],
+    crossing: tuple[PoseViews, OccupancyMap, npt.NDArray[np.uint8]],
 ) -> None:
     """A way is probed every quarter, at most 0.5 m apart, in whole cells: so much nearer it may come."""
-    outlook, occupancy, moves = crossing
+    pose_views, occupancy, moves = crossing
     slack = 0.5 * 0.5 + 0.5 * math.sqrt(2.0) * CELL
     chosen = np.argwhere(moves == UNKNOWN)[::97]
     assert len(chosen) > 100
     for move in chosen:
-        solid, edge = _clearance(occupancy, _along(outlook, move))
+        solid, edge = _clearance(occupancy, _along(pose_views, move))
         assert solid >= careful_standoff(DREAM_V1) - slack
         assert edge >= DREAM_V1.body_radius
 
 
 def test_where_nothing_solid_is_near_every_move_may_be_tried(
-    crossing: tuple[Outlook, OccupancyMap, npt.NDArray[np.uint8]],
+    crossing: tuple[PoseViews, OccupancyMap, npt.NDArray[np.uint8]],
 ) -> None:
-    outlook, occupancy, moves = crossing
+    pose_views, occupancy, moves = crossing
     slack = 0.5 * math.sqrt(2.0) * CELL
     free = 0
     for move in np.argwhere(moves != UNKNOWN)[::97]:
-        solid, edge = _clearance(occupancy, _along(outlook, move))
+        solid, edge = _clearance(occupancy, _along(pose_views, move))
         assert solid < careful_standoff(DREAM_V1) + slack or edge < DREAM_V1.body_radius + CELL + slack
     for move in np.argwhere(moves == UNKNOWN)[::97]:
-        free += _clearance(occupancy, _along(outlook, move))[0] > 2.0
+        free += _clearance(occupancy, _along(pose_views, move))[0] > 2.0
     assert free > 100
 
 
 def test_moves_known_to_be_free_stay_so_whatever_is_near() -> None:
     occupancy = _map(AREA, _blobs(AREA, 8, 0.02))
-    outlook = _outlook()
-    headings, advances, _ = offsets_of(DREAM_V1).shape
-    shape = (outlook.rows, outlook.cols, headings, advances)
-    known = (np.random.default_rng(9).random(shape) < 0.2).astype(np.uint8)
+    pose_views = _pose_views()
+    ahead = pose_views.lattice.graph.ahead
+    known = (np.random.default_rng(9).random(ahead.shape) < 0.2).astype(np.uint8)
     before = known.copy()
-    moves = outlook.moves(known, occupancy, careful_standoff(DREAM_V1))
+    moves = pose_views.moves(known, occupancy, careful_standoff(DREAM_V1))
     np.testing.assert_array_equal(moves == FREE, before == 1)
     np.testing.assert_array_equal(known, before)
     assert set(np.unique(moves)) == {0, FREE, UNKNOWN}
@@ -392,12 +394,13 @@ def test_moves_known_to_be_free_stay_so_whatever_is_near() -> None:
 
 @in_all_bounds
 def test_nodes_and_their_cells_are_where_the_map_has_them(bounds: Bounds) -> None:
-    outlook = _outlook(bounds)
+    pose_views = _pose_views(bounds)
     occupancy = _map(bounds, np.zeros(_shape(bounds), np.bool_))
-    i, j = outlook.cells_of_nodes()
-    for row, col in [(0, 0), (7, 12), (outlook.rows - 2, outlook.cols - 2)]:
-        x, y = _place(outlook, row, col)
-        assert outlook.node(x, y) == (row, col)
-        assert (i[row * outlook.cols + col], j[row * outlook.cols + col]) == occupancy.cell_of(x, y)
+    i, j = pose_views.cells_of_nodes()
+    lattice = pose_views.lattice
+    for node in (0, int(lattice.graph.grid[7, 12]), int(lattice.graph.grid[-2, -2])):
+        x, y = lattice.positions[node]
+        assert lattice.node(x, y) == node
+        assert (i[node], j[node]) == occupancy.cell_of(x, y)
     assert i.max() < occupancy.shape[0]
     assert j.max() < occupancy.shape[1]

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from dream.mapping.lattice import nodes_in, offsets_of
-from dream.planning.travel import IntArray, Pose
-from dream.types import BoolArray, Float32Array, Mission
+from dream.lattice import Lattice, Pose, lattice_of
+from dream.types import BoolArray, Float32Array, IntArray, Mission
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
-    from dream.planning._kernels.lookahead import Views
+    from dream.planning._kernels.views import Views
 
 FloatArray = npt.NDArray[np.floating[Any]]
 
@@ -39,7 +38,7 @@ class Listed:
     positions: FloatArray
     """(m, 2) metres in the world."""
     nodes: IntArray
-    """(n,) flat indices of lattice nodes."""
+    """(n,) of the lattice."""
     starts: IntArray
     """(n · headings + 1,) where the elements of each node and heading begin."""
     elements: IntArray
@@ -47,7 +46,7 @@ class Listed:
 
 
 @dataclass(slots=True, eq=False)
-class Outlook:
+class PoseViews:
     """What each pose of the lattice would show of the ground.
 
     Ground is taken in tiles, squares between four nodes of the lattice. Each tile is there twice: as ground
@@ -59,58 +58,61 @@ class Outlook:
     mission: Mission
     notice: float
     """Metres from the middle of a group within which ground is seen when the group is noticed."""
-    west: int = field(init=False)
-    """Lattice column 0 lies at x = west · lattice."""
-    south: int = field(init=False)
-    rows: int = field(init=False)
-    cols: int = field(init=False)
+    lattice: Lattice = field(init=False)
     tiles: int = field(init=False)
     """In the grid of tiles, the padding around the lattice included."""
     _pad: int = field(init=False)
     _stride: int = field(init=False)
+    _node_tile: npt.NDArray[np.int64] = field(init=False)
+    """(nodes,) the tile to the north-east of each node."""
     _tile_of: IntArray = field(init=False)
     """(map rows, map cols) tile of each map cell."""
     _corner: tuple[float, float] = field(init=False)
-    """Column and row of lattice node (0, 0), in map cells."""
+    """Column and row of node 0, in map cells."""
     _lists: _Lists = field(init=False)
     _depth: npt.NDArray[np.uint8] = field(init=False)
     _solid: BoolArray = field(init=False)
     _place: FloatArray = field(init=False)
-    """(2, tiles) metres east and north of node (0, 0) of each tile's middle."""
+    """(2, tiles) metres east and north of node 0 of each tile's middle."""
     _area_of: npt.NDArray[np.int32] = field(init=False)
     areas: int = field(init=False)
     """Number of areas that a tour may visit."""
 
     def __post_init__(self) -> None:
-        from dream.planning._kernels.lookahead import BEARINGS
+        from dream.planning._kernels.views import BEARINGS
 
         protocol, bounds = self.mission.protocol, self.mission.bounds
-        lattice, cell = protocol.lattice, protocol.cell
-        (self.south, self.west), (self.rows, self.cols) = nodes_in(bounds, protocol)
-        self._pad = math.ceil((protocol.reach + self.notice) / lattice) + 2
-        self._stride = self.cols + 2 * self._pad
-        self.tiles = self._stride * (self.rows + 2 * self._pad)
+        self.lattice = lattice_of(bounds, protocol)
+        spacing, cell, (rows, cols) = protocol.lattice, protocol.cell, self.lattice.shape
+        self._pad = math.ceil((protocol.reach + self.notice) / spacing) + 2
+        self._stride = cols + 2 * self._pad
+        self.tiles = self._stride * (rows + 2 * self._pad)
+        self._node_tile = self._tile(*self.lattice.graph.place.T)
 
         shape = round(bounds.depth / cell), round(bounds.width / cell)
         y = bounds.y_min + (np.arange(shape[0]) + 0.5) * cell
         x = bounds.x_min + (np.arange(shape[1]) + 0.5) * cell
-        tile_row = np.floor(y / lattice + 1e-9).astype(np.int64) - self.south + self._pad
-        tile_col = np.floor(x / lattice + 1e-9).astype(np.int64) - self.west + self._pad
-        self._tile_of = tile_row[:, None] * self._stride + tile_col
+        tile_row = np.floor(y / spacing + 1e-9).astype(np.int64) - self.lattice.south
+        tile_col = np.floor(x / spacing + 1e-9).astype(np.int64) - self.lattice.west
+        self._tile_of = self._tile(tile_col, tile_row[:, None])
         self._corner = (
-            (self.west * lattice - bounds.x_min) / cell,
-            (self.south * lattice - bounds.y_min) / cell,
+            (self.lattice.west * spacing - bounds.x_min) / cell,
+            (self.lattice.south * spacing - bounds.y_min) / cell,
         )
         self._lists = self._footprints()
-        self._depth = np.full((self.rows * self.cols, BEARINGS), self._limit, np.uint8)
+        self._depth = np.full((self.lattice.nodes, BEARINGS), self._limit, np.uint8)
         self._solid = np.zeros(shape, np.bool_)
 
         row, col = np.divmod(np.arange(self.tiles), self._stride)
-        self._place = np.stack([(k - self._pad + 0.5) * lattice for k in (col, row)]).astype(np.float32)
+        self._place = np.stack([(k - self._pad + 0.5) * spacing for k in (col, row)]).astype(np.float32)
         side = max(AREA * protocol.reach, max(bounds.width, bounds.depth) / MOST_AREAS)
-        east, north = np.floor((self._place + self._pad * lattice) / side).astype(np.int32)
+        east, north = np.floor((self._place + self._pad * spacing) / side).astype(np.int32)
         self._area_of = north * (east.max() + 1) + east
         self.areas = int(self._area_of.max()) + 1
+
+    def _tile(self, east: IntArray, north: IntArray) -> IntArray:
+        """The tile to the north-east of so many lattice steps from node 0."""
+        return np.asarray((north.astype(np.int64) + self._pad) * self._stride + east + self._pad)
 
     @property
     def _limit(self) -> int:
@@ -120,7 +122,7 @@ class Outlook:
         """`Views.first`, `offset`, `bearing` and `far`: near tiles first."""
         from scipy.spatial import cKDTree
 
-        from dream.planning._kernels.lookahead import BEARINGS
+        from dream.planning._kernels.views import BEARINGS
 
         protocol = self.mission.protocol
         lattice, half_angle = protocol.lattice, 0.5 * protocol.camera.horizontal_fov
@@ -163,7 +165,7 @@ class Outlook:
             foretold: (rows, cols) what is held to be solid beside that.
         """
         from dream.mapping import within
-        from dream.planning._kernels.lookahead import sight_lines
+        from dream.planning._kernels.views import sight_lines
 
         solid = occupancy.solid if foretold is None else occupancy.solid | foretold
         protocol, changed = self.mission.protocol, solid != self._solid
@@ -173,27 +175,17 @@ class Outlook:
         near = within(changed, protocol.reach + 2.0 * protocol.cell, protocol.cell)
         which = np.flatnonzero(near[self.cells_of_nodes()])
         scale = protocol.lattice / protocol.cell
-        depth = self._depth.reshape(self.rows, self.cols, -1)
         cells = np.ascontiguousarray(np.argwhere(changed))
-        sight_lines(self._solid, cells, *self._corner, scale, self._limit, depth, which)
+        place = self.lattice.graph.place
+        sight_lines(self._solid, cells, *self._corner, scale, self._limit, place, self._depth, which)
 
     def cells_of_nodes(self) -> tuple[IntArray, IntArray]:
-        """(rows · cols,) map row and column of each node; the last one for nodes on the far edge."""
+        """(nodes,) map row and column of each node; the last one for nodes on the far edge."""
         scale = self.mission.protocol.lattice / self.mission.protocol.cell
-        row, col = np.divmod(np.arange(self.rows * self.cols), self.cols)
+        col, row = self.lattice.graph.place.T
         i = np.clip(np.floor(self._corner[1] + row * scale).astype(np.int64), 0, self._solid.shape[0] - 1)
         j = np.clip(np.floor(self._corner[0] + col * scale).astype(np.int64), 0, self._solid.shape[1] - 1)
         return i, j
-
-    def node(self, x: float, y: float) -> tuple[int, int]:
-        """Lattice row and column of a position."""
-        lattice = self.mission.protocol.lattice
-        return round(y / lattice) - self.south, round(x / lattice) - self.west
-
-    def position(self, row: int, col: int) -> tuple[float, float]:
-        """x and y of a node, metres."""
-        lattice = self.mission.protocol.lattice
-        return (col + self.west) * lattice, (row + self.south) * lattice
 
     def moves(
         self,
@@ -202,7 +194,7 @@ class Outlook:
         standoff: float,
         foretold: BoolArray | None = None,
     ) -> npt.NDArray[np.uint8]:
-        """(rows, cols, headings, advances) FREE: known to be so; UNKNOWN: nothing is known against it; or 0.
+        """(poses, advances) FREE: known to be so; UNKNOWN: nothing is known against it; or 0.
 
         Args:
             known: Likewise, 1 where the guard would let it pass.
@@ -212,7 +204,7 @@ class Outlook:
         """
         from scipy.ndimage import distance_transform_edt
 
-        from dream.planning._kernels.lookahead import possible_moves
+        from dream.planning._kernels.moves import possible_moves
 
         protocol = self.mission.protocol
         edge = occupancy.distance_to_bounds
@@ -220,28 +212,28 @@ class Outlook:
         room = np.minimum(occupancy.distance_to_solid, edge + standoff - protocol.body_radius - protocol.cell)
         if foretold is not None and foretold.any():
             room = np.minimum(room, distance_transform_edt(~foretold, protocol.cell))
-        scale, offsets = protocol.lattice / protocol.cell, offsets_of(protocol)
+        scale = protocol.lattice / protocol.cell
         # Room changes by no more than the way, a place by its cell's diagonal; rounding is less than that.
-        longest = protocol.lattice * float(np.hypot(*offsets.reshape(-1, 2).T).max())
-        plenty = standoff + longest + 1.5 * protocol.cell
+        plenty = standoff + self.lattice.longest + 1.5 * protocol.cell
         moves = np.empty_like(known)
-        possible_moves(room.astype(np.float32), standoff, plenty, *self._corner, scale, offsets, known, moves)
+        graph = self.lattice.graph
+        possible_moves(room.astype(np.float32), standoff, plenty, *self._corner, scale, graph, known, moves)
         return moves
 
     def shown(self, pose: Pose) -> tuple[BoolArray, BoolArray]:
         """(map rows, map cols) ground that a pose should show, and middles of groups it should notice."""
-        row, col, heading = pose
+        node, heading = self.lattice.node_of(pose), self.lattice.heading_of(pose)
         first, offset, bearing, far = self._lists
         here = slice(first[heading], first[heading + 1])
-        clear = far[here] <= self._depth[row * self.cols + col][bearing[here]]
+        clear = far[here] <= self._depth[node][bearing[here]]
         shown = np.zeros(2 * self.tiles, np.bool_)
-        shown[(row + self._pad) * self._stride + col + self._pad + offset[here][clear]] = True
+        shown[self._node_tile[node] + offset[here][clear]] = True
         return shown[: self.tiles][self._tile_of], shown[self.tiles :][self._tile_of]
 
-    def tile_places(self, tiles: IntArray) -> tuple[IntArray, IntArray]:
-        """Rows and columns of tiles, of the node at their lower left corner."""
+    def tile_places(self, tiles: IntArray) -> IntArray:
+        """(n, 2) lattice steps east and north of node 0 to the south-west corners of tiles."""
         row, col = np.divmod(tiles, self._stride)
-        return row - self._pad, col - self._pad
+        return np.stack([col, row], axis=1) - self._pad
 
     def on_tiles(self, cells: FloatArray) -> Float32Array:
         """(tiles,) the sums of (map rows, map cols)."""
@@ -256,28 +248,28 @@ class Outlook:
 
     def views(self, listed: Listed | None = None) -> Views:
         """Which elements each pose shows: tiles as ground, tiles as hiding places, then what is listed."""
-        from dream.planning._kernels.lookahead import Views
+        from dream.planning._kernels.views import Views
 
-        row_of = np.full(self.rows * self.cols, -1, np.int64)
+        row_of = np.full(self.lattice.nodes, -1, np.int64)
         starts, elements = np.zeros(1, np.int64), np.zeros(0, np.int32)
         if listed is not None:
             row_of[listed.nodes] = np.arange(len(listed.nodes))
             starts = np.asarray(listed.starts, np.int64)
             elements = np.asarray(listed.elements + 2 * self.tiles, np.int32)
-        return Views(*self._lists, self._depth, self.cols, self._pad, self._stride, row_of, starts, elements)
+        tiles = self._node_tile, self.tiles, self._stride
+        return Views(*self._lists, self._depth, *tiles, row_of, starts, elements)
 
     def places(
         self, listed: Listed | None = None
     ) -> tuple[Float32Array, Float32Array, npt.NDArray[np.int32]]:
-        """(elements,) metres east and north of node (0, 0), and the area, of each element."""
+        """(elements,) metres east and north of node 0, and the area, of each element."""
         x, y = (np.concatenate([k, k]) for k in self._place)
         area = np.concatenate([self._area_of, self._area_of])
         if listed is not None:
-            lattice = self.mission.protocol.lattice
-            east = listed.positions[:, 0] - self.west * lattice
-            north = listed.positions[:, 1] - self.south * lattice
-            tile = (np.floor(north / lattice).astype(np.int64) + self._pad) * self._stride
-            tile += np.floor(east / lattice).astype(np.int64) + self._pad
+            spacing = self.lattice.spacing
+            east = listed.positions[:, 0] - self.lattice.west * spacing
+            north = listed.positions[:, 1] - self.lattice.south * spacing
+            tile = self._tile(*(np.floor(k / spacing).astype(np.int64) for k in (east, north)))
             x, y = np.concatenate([x, east]), np.concatenate([y, north])
             area = np.concatenate([area, self._area_of[tile]])
         return x.astype(np.float32), y.astype(np.float32), area.astype(np.int32)
