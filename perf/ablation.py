@@ -56,6 +56,19 @@ class Without(Belief):
 
 
 @dataclass(frozen=True, slots=True)
+class Insistent(Belief):
+    """Whatever is left of a hull holds up the search for others."""
+
+    def sources(self, mission: Mission, pose_views: PoseViews) -> list[BeliefSource]:
+        """The same, but for that."""
+        sources = Belief.sources(self, mission, pose_views)
+        for source in sources:
+            if isinstance(source, HullSurface):
+                source.least = 0.0
+        return sources
+
+
+@dataclass(frozen=True, slots=True)
 class InLanes(Belief):
     """Sweeps in lanes until it sees a target."""
 
@@ -141,6 +154,7 @@ VARIANTS: dict[str, tuple[str, Belief]] = {
 """Name → what is different, and the planner."""
 ON_WRECKS: dict[str, tuple[str, Belief]] = {
     "belief": VARIANTS["belief"],
+    "insistent": ("what is left of a hull always holds up the search for others", Insistent()),
     "no-hull": ("no belief about the hull", Without(left_out=HullSurface)),
     **{
         name: VARIANTS[name]

@@ -14,6 +14,7 @@ LAYERS = [
         "errors",
         "extras",
         "files",
+        "kept_kernels",
         "geometry",
         "names",
         "options",

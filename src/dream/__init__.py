@@ -5,7 +5,10 @@ A name is imported when it is first asked for, so that `import dream` costs noth
 """
 
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from dream.kept_kernels import drop_outdated
 
 if TYPE_CHECKING:
     from dream.course import Pilot, Planner
@@ -25,6 +28,9 @@ if TYPE_CHECKING:
     from dream.types import Decision, Label, Mission, Observation, Reasoning, Step
 
 __version__ = "0.1.0"
+
+# Before any of them is loaded.
+drop_outdated(Path(__file__).parent)
 
 __all__ = [
     "PLANNERS",

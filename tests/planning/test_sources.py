@@ -22,7 +22,6 @@ from dream.planning.sources import (
     HullSurface,
     TargetsBeside,
 )
-from dream.planning.sources import hull as hull_source
 from dream.planning.sources.hull import best_rate
 from dream.planning.travel import careful_travel
 from dream.protocol import DREAM_V1
@@ -89,10 +88,11 @@ def test_while_a_hull_brings_enough_nothing_else_is_likely(
     situation = situation_of(pilot, observation, occupancy)
     source = source_of(pilot, HullSurface)
     assert source is not None
+    rate = best_rate(pilot.expect(situation).hull_views, situation.travel)
+    assert rate > 0.0
+    monkeypatch.setattr(source, "least", 0.99 * rate)
     busy = pilot.expect(situation)
-    rate = best_rate(busy.hull_views, situation.travel)
-    assert rate > hull_source.LEAST
-    monkeypatch.setattr(hull_source, "LEAST", 1.01 * rate)
+    monkeypatch.setattr(source, "least", 1.01 * rate)
     spent = pilot.expect(situation_of(pilot, observation, occupancy))
     assert busy.hidden == pytest.approx(source.alone * spent.hidden)
     assert busy.risk < spent.risk

@@ -24,7 +24,7 @@ ADJOINING = 1.5
 BENEATH = 0.02
 """What ground beside and beneath a hull counts: what is to be seen there is the hull itself."""
 LEAST = 0.25
-"""Patches a step below which what is left of a hull does not hold up the search for others."""
+"""Patches that a step has to bring for what is left of a hull to hold up the search for others."""
 NEAR = 5
 """Steps within which the hull's views are worked out for every second node; within twice as many for every
 fourth, for every sixteenth beyond."""
@@ -41,7 +41,9 @@ class HullSurface(BeliefSource):
     accepted: float
     """Share of the hull that may be unseen when the mission ends."""
     alone: float
-    """Factor on the number of expected groups once a hull was found."""
+    """Factor on the number of expected groups while much is left of a hull."""
+    least: float = LEAST
+    """Patches a step that make it much."""
 
     def take(self, situation: Situation) -> None:
         """Add what was seen of it; hope no more for what should be in view from here and is not."""
@@ -59,7 +61,8 @@ class HullSurface(BeliefSource):
         expected.hull_left = left / (self.hull.found + left) if left else 0.0
         expected.looked_over = expected.hull_left <= self.accepted
         expected.hull_views = self.listed(expected, situation)
-        if situation.away_from_hull is not None and best_rate(expected.hull_views, situation.travel) >= LEAST:
+        much = best_rate(expected.hull_views, situation.travel) >= self.least
+        if situation.away_from_hull is not None and much:
             expected.alone = self.alone
             expected.hidden *= self.alone
             expected.probability = expected.groups.risk(expected.hidden)
