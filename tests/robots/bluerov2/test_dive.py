@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dream.planning.rounds import Rounds
 from PIL import Image
 
 from dream import recording
@@ -44,6 +43,7 @@ from dream.mapping import OccupancyMap
 from dream.mission import explore
 from dream.perception import Account
 from dream.planning.belief import Belief
+from dream.planning.coverage_tour import CoverageTour
 from dream.planning.lookahead import Plan
 from dream.protocol import POOL_V1
 from dream.recording import read_config, read_steps
@@ -344,13 +344,13 @@ def test_before_a_dive_with_a_survey_ways_round_what_it_foretells_are_rehearsed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     planned = []
-    plan = Rounds.plan
+    plan = CoverageTour.plan
 
-    def planning(rounds: Rounds, *rest: Any) -> Plan | None:
-        planned.append(plan(rounds, *rest))
+    def planning(tour: CoverageTour, *rest: Any) -> Plan | None:
+        planned.append(plan(tour, *rest))
         return planned[-1]
 
-    monkeypatch.setattr(Rounds, "plan", planning)
+    monkeypatch.setattr(CoverageTour, "plan", planning)
     rehearse_return()
     assert any(way is not None for way in planned)
 

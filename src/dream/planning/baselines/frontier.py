@@ -44,7 +44,7 @@ class NearestFrontier:
         check_range("smallest", self.smallest, 0.0, 10.0)
 
     def begin(self, mission: Mission) -> _FrontierPilot:
-        """A fresh pilot; it remembers where it is going and what it looked at in vain."""
+        """A fresh pilot; it remembers where it is going and which views failed."""
         protocol = mission.protocol
         return _FrontierPilot(
             self, Remains(mission, max(1.0, self.smallest * protocol.reach / protocol.cell))

@@ -47,7 +47,7 @@ class NextBestView:
         check_range("least", self.least, 0.0, 100.0)
 
     def begin(self, mission: Mission) -> _NextBestViewPilot:
-        """A fresh pilot; it remembers the view it is heading for and what it looked at in vain."""
+        """A fresh pilot; it remembers the view it is heading for and which views failed."""
         return _NextBestViewPilot(
             self, Remains(mission, max(1.0, self.least * group_cells(mission.protocol)))
         )
