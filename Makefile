@@ -77,6 +77,8 @@ test-bounds: setup-dev ## Run the tests of map, planners and simulator on kernel
 test-ray: setup-ray ## Run the tests that need Ray, an optional extra
 	@$(BIN)/pytest tests/evaluation/test_engines.py
 
+# Nets as small as those of the tests lose more by threads than they gain.
+test-train: export OMP_NUM_THREADS := 1
 test-train: setup-train ## Run the tests of training, which need PyTorch, an optional extra
 	@$(BIN)/pytest tests/learning
 

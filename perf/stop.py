@@ -34,7 +34,7 @@ from dream.planning import Belief
 from dream.planning.belief import BeliefPilot
 from dream.planning.distribution import GLIMPSED
 from dream.planning.sources import Expected, HintedTargets, Situation
-from dream.planning.sources.survey import LEAVE
+from dream.planning.sources.source import LEAVE
 from dream.protocol import protocol_named
 from dream.robots import Teleport
 from dream.sim.render import Renderer
@@ -247,7 +247,7 @@ def main() -> int:
         ("of targets were hinted at first", foreseen, found),
     ):
         shares, all_of_them = part[whole > 0.0] / whole[whole > 0.0], part.sum() / whole.sum()
-        print(f"HintedTargets: {all_of_them:.1%} {what}; {shares.min():.1%} to {shares.max():.1%} by mission")
+        print(f"Hints: {all_of_them:.1%} {what}; {shares.min():.1%} to {shares.max():.1%} by mission")
     if options.bench is not None:
         print("\n| stop | missed 98.26 % | mean step | mean coverage | 98.26 % seen after |")
         print("|---|--:|--:|--:|--:|")

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import ast
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from dream.kept_kernels import STAMP, drop_outdated
+import dream
+from dream.kept_kernels import STAMP, TYPES, drop_outdated
 
 CALLER = """
 from numba import njit
@@ -111,3 +114,41 @@ def test_numba_alone_would_go_on_with_a_callee_that_has_changed(package: Path) -
     assert answer() == 21, "that is why they are dropped"
     drop_outdated(package)
     assert answer() == 30001
+
+
+def test_a_link_that_leads_nowhere_does_not_hurt(package: Path) -> None:
+    (package / "b" / "_kernels").mkdir()
+    (package / "b" / "_kernels" / ".#c.py").symlink_to("nobody@nowhere.1234")
+    _keep(package)
+    drop_outdated(package)
+    assert _kept(package) == 2
+
+
+def test_importing_the_package_drops_what_is_outdated(tmp_path: Path) -> None:
+    root = Path(dream.__file__).parent
+    (tmp_path / "dream" / "_kernels" / "__pycache__").mkdir(parents=True)
+    for name in ("__init__.py", "kept_kernels.py", "files.py"):
+        shutil.copy(root / name, tmp_path / "dream" / name)
+    kept = tmp_path / "dream" / "_kernels" / "__pycache__" / "kernel-1.py311.nbi"
+    for change in ("new", "older"):
+        (tmp_path / "dream" / "_kernels" / "kernel.py").write_text(f"# {change}")
+        kept.touch()
+        environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+        subprocess.run([sys.executable, "-c", "import dream"], env=environment, check=True)
+        assert not kept.exists(), change
+        kept.touch()
+        subprocess.run([sys.executable, "-c", "import dream"], env=environment, check=True)
+        assert kept.exists()
+
+
+def test_what_kernels_take_is_defined_by_kernels_or_in_a_file_that_is_looked_at() -> None:
+    """Named tuples with an array in them: nothing else is made of these but arguments of kernels."""
+    root, found = Path(dream.__file__).parent, set()
+    for path in root.rglob("*.py"):
+        if path.name == "_kernels.py" or path.parent.name == "_kernels":
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            bases = [ast.unparse(base) for base in node.bases] if isinstance(node, ast.ClassDef) else []
+            if "NamedTuple" in bases and "Array" in ast.unparse(node):
+                found.add(path.relative_to(root).as_posix())
+    assert found - {"sim/chart.py", "sim/render/rasterizer.py"} == set(TYPES)

@@ -1,7 +1,7 @@
 """DREAM: an underwater robot that finds and maps a habitat without knowing where it is.
 
 `__all__` is the interface for other programs; docs/python.md shows it in use and says what is promised.
-A name is imported when it is first asked for, so that `import dream` costs nothing.
+A name is imported when it is first asked for, so that `import dream` costs milliseconds.
 """
 
 from importlib import import_module

@@ -1,7 +1,8 @@
 """The lattice of poses that a protocol's moves lead between: the one place that knows how it is laid out.
 
 A pose is a number, and so is a node, the position that poses of all headings share. What else there is to a
-pose (a level, a tilt of the camera) is more numbers: `Lattice` makes them, and nobody else takes them apart.
+pose (a level, a tilt of the camera) is more numbers that `Lattice` makes. Kernels know two things of them:
+that `pose // headings` is the node, and where `Graph` leads.
 """
 
 from __future__ import annotations

@@ -214,3 +214,12 @@ def test_where_nothing_is_known_nothing_counts() -> None:
         np.zeros((1, 2)), np.ones((1, 2)), known, known, (2.5, 2.5), np.zeros((1, 3))
     )
     assert (means[0], weights[0]) == (0.0, 0.0)
+
+
+def test_a_frame_has_its_ground_in_common_with_itself_and_no_more() -> None:
+    frame = seen_from(0.0, 0.0, 0.0, *SCATTERED)
+    found = MATCHING.align(frame, (0.0, 0.0), frame)
+    assert found is not None
+    area = len(frame) * PART**2
+    # Far off the points lie apart, and cells between them are not known.
+    assert 0.8 * area < found.overlap <= area

@@ -506,3 +506,14 @@ def test_a_pool_with_nodes_on_the_corners_of_cells_is_as_from_scratch() -> None:
         kept.write("votes", row, col, np.where(rng.random((20, 20)) < 0.1, TARGET, 0))
         kept.fill("flags", row, col, (5, 9), 0)
         kept.check(*rng.uniform(-1.5, 1.5, 2))
+
+
+def test_through_gaps_between_many_solids_a_cell_is_seen_by_the_nodes_that_its_own_rays_lead_to() -> None:
+    rng = np.random.default_rng(7)
+    clear = disc(0.0, 0.0, 2.5)
+    solid = (rng.random(ALL.shape) < 0.1) & ~clear
+    occupancy = map_with(explored=clear, solid=solid)
+    cells = np.argwhere(disc(0.0, 0.0, 7.0) & ~solid & ~clear)[::4]
+    seen = cells[seeable(occupancy, HERE, cells)]
+    np.testing.assert_array_equal(seen, scratch.seeable(occupancy, reachable(occupancy, HERE), cells))
+    assert 0.1 * len(cells) < len(seen) < 0.9 * len(cells)

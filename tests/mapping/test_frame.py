@@ -22,6 +22,7 @@ from dream.mapping._kernels.flags import (
     RETURNED,
     SEABED,
 )
+from dream.mapping.frame import MARGIN, _overlook
 from dream.mapping.layers import Evidence, probability_of_votes
 from dream.protocol import DREAM_V1, POOL_V1, SurveyProtocol
 from dream.types import Label
@@ -594,3 +595,22 @@ def test_votes_are_counted_and_both_halved_when_one_is_full(ballots: list[bool],
     assert probability == pytest.approx(for_it / (for_it + against), rel=1e-5)
     row, col = occupancy.cell_of(0.1, 0.1)
     assert float(occupancy.target_probability[row, col]) == probability
+
+
+@given(
+    seed=st.integers(0, 2**31),
+    yaw=st.one_of(st.floats(-math.pi, math.pi), st.sampled_from([k * 0.5 * math.pi for k in range(-2, 3)])),
+)
+def test_a_level_camera_overlooks_the_box_around_its_sector_and_a_margin(seed: int, yaw: float) -> None:
+    row, col = np.random.default_rng(seed).uniform(-50.0, 50.0, 2)
+    reach, pose = 32.0, SE3.level(0.0, 0.0, SEABED_Z + 2.0, yaw) @ camera_mount(0.0)
+    for camera in CAMERAS.values():
+        found = _overlook(camera, pose.rotation.tolist(), reach, row, col)
+        left, right = math.atan(camera.cx / camera.fx), math.atan((camera.width - camera.cx) / camera.fx)
+        turns = yaw + np.linspace(-right, left, 1001)
+        rows, cols = np.append(row, row + reach * np.sin(turns)), np.append(col, col + reach * np.cos(turns))
+        box = (rows.min() - MARGIN, cols.min() - MARGIN, rows.max() + 1 + MARGIN, cols.max() + 1 + MARGIN)
+        # Between the bearings that are tried it reaches less than a hundredth of a cell farther.
+        np.testing.assert_allclose(np.array(found) - np.floor(box), 0.0, atol=1.0)
+        assert (np.array(found[:2]) <= box[:2]).all()
+        assert (np.array(found[2:]) >= np.array(box[2:]) - 1.0).all()

@@ -8,6 +8,7 @@ import json
 import math
 import tracemalloc
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from hypothesis import strategies as st
 
 from dream.geometry import SE3, Bounds, Camera, camera_mount
 from dream.mapping import OccupancyMap, frontiers
-from dream.mapping.layers import CELLS, POSTS, Layers
+from dream.mapping.layers import CELLS, POST, POSTS, Layers, post_bits
 from dream.protocol import DREAM_V1
 from dream.types import Label
 from tests.mapping.analytic import (
@@ -442,7 +443,7 @@ def near_a_border() -> OccupancyMap:
 
 def of_negative_blocks() -> OccupancyMap:
     occupancy = endless_map()
-    survey(occupancy, -500.0, -900.0)
+    survey(occupancy, -100.0, -180.0)
     survey(occupancy, 40.0, 3.0)
     return occupancy
 
@@ -832,3 +833,15 @@ def test_a_confidence_that_is_none_is_refused(confidence: npt.NDArray[Any], wron
         empty_map().integrate(depth, labels, CAMERA, pose, confidence)
     with pytest.raises(ValueError, match="expected none beside probabilities"):
         empty_map().integrate(depth, np.zeros(depth.shape), CAMERA, pose, np.ones(depth.shape))
+
+
+@pytest.mark.parametrize("cell", [0.05, 0.1, 0.25, 0.4, 0.6, 1.0, 2.5])
+def test_a_post_is_as_wide_as_doubled_cells_allow_and_never_less_than_a_cell(
+    cell: float,
+) -> None:
+    width = cell * 2.0 ** post_bits(replace(DREAM_V1, cell=cell))
+    assert width >= cell
+    if cell <= POST:
+        assert POST / math.sqrt(2.0) <= width <= POST * math.sqrt(2.0)
+    else:
+        assert width == cell

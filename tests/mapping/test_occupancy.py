@@ -20,6 +20,7 @@ from dream.perception import partition, valid_points
 from dream.protocol import DREAM_V1, DREAM_V1_NOISY, POOL_V1
 from dream.types import BoolArray, Label
 from tests.mapping.analytic import (
+    AREA,
     CAMERA,
     SEABED,
     Disc,
@@ -670,3 +671,10 @@ def test_a_file_from_before_protocols_could_declare_noise_is_read(tmp_path: Any)
 def test_a_file_that_is_not_there_is_said_to_be_missing(tmp_path: Any) -> None:
     with pytest.raises(FileNotFoundError):
         OccupancyMap.load(tmp_path / "nothing.npz")
+
+
+@pytest.mark.parametrize("at", [(AREA.x_min, AREA.y_min), (AREA.x_max, AREA.y_max)], ids=["low", "high"])
+def test_launch_ground_goes_to_the_bounds(at: tuple[float, float]) -> None:
+    occupancy = empty_map()
+    occupancy.clear_launch(*at)
+    np.testing.assert_array_equal(occupancy.traversable, distance_from(occupancy, *at) <= 2.5)

@@ -830,7 +830,8 @@ class Explained:
         square, expected = DREAM_V1.cell**2, thought.expected
         return (
             square * float(expected.beside[ground].sum()),
-            square * float(np.count_nonzero(expected.hiding & middles)),
+            # Of ground that is not worth a search it says nothing.
+            square * float(np.count_nonzero(expected.hiding & middles)) * bool(prospect.hiding.any()),
             float(expected.hull[sorted(elements)].sum()),
         )
 

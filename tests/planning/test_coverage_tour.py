@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -16,7 +16,7 @@ from dream.planning._kernels.views import follow, look
 from dream.planning.coverage_tour import CoverageTour
 from dream.planning.lookahead import Plan, Prospect
 from dream.planning.pose_views import PoseViews
-from dream.planning.tours import Left
+from dream.planning.tours import Left, rest_of
 from dream.planning.travel import Travel, careful_standoff, careful_travel
 from dream.protocol import DREAM_V1
 from dream.types import Mission
@@ -37,8 +37,8 @@ class Scene:
     moves: npt.NDArray[np.uint8]
 
     @property
-    def weights(self) -> npt.NDArray[np.float32]:
-        return self.prospect.weights
+    def weights(self) -> npt.NDArray[np.float64]:
+        return self.prospect.weights.astype(np.float64)
 
     def plan(self, tour: CoverageTour, leave: float) -> Plan | None:
         return tour.plan(self.prospect, self.travel, self.moves, leave)
@@ -163,3 +163,17 @@ def test_what_a_way_shows_equals_its_slow_twin(scene: Scene) -> None:
     assert 0 < enough < steps
     assert rest == pytest.approx(scene.left(Plan(plan.path[: enough + 1], 0.0, 0.0)), abs=1e-3)
     assert rest <= half < scene.left(Plan(plan.path[:enough], 0.0, 0.0))
+
+
+def test_the_rest_of_a_way_is_what_follows_its_first_step_where_that_was_taken(scene: Scene) -> None:
+    travel, moves = scene.travel, scene.moves
+    path = travel.path(int(travel.steps.argmax()))
+    assert len(path) > 3
+    assert rest_of(path, travel, moves) == [], "it still stands where the way begins"
+    taken = replace(travel, start=path[1])
+    assert rest_of(path, taken, moves) == path[1:]
+    assert rest_of(path[:1], taken, moves) == []
+    before, after = next((a, b) for a, b in pairwise(path[1:]) if travel.lattice.advance_to(a, b) is not None)
+    blocked = moves.copy()
+    blocked[travel.lattice.turned_to(before, after), travel.lattice.advance_to(before, after)] = 0
+    assert rest_of(path, taken, blocked) == []

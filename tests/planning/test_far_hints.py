@@ -367,3 +367,16 @@ def test_a_depth_of_exactly_the_greatest_is_no_hint() -> None:
         for depth in (DREAM_V1.max_depth, np.nan)
     )
     np.testing.assert_array_equal(padded._pixels, missing._pixels)
+
+
+def test_where_nothing_may_be_left_it_ends_once_nothing_that_was_hinted_at_is_left(
+    done: tuple[BeliefPilot, Step], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pilot, step = done
+    source = source_of(pilot, HintedTargets)
+    assert source is not None
+    source.hints._pixels[:] = 0
+    pilot.claimed = None
+    monkeypatch.setattr(belief, "LEAVE", 0.0)
+    assert deepcopy(pilot).consider(step.observation, step.occupancy).expected.hinted == 0.0
+    assert pilot.decide(step.observation, step.occupancy).done

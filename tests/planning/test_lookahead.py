@@ -47,7 +47,7 @@ class Puzzle:
     """All that the search is given."""
 
     pose_views: PoseViews
-    weights: npt.NDArray[np.float32]
+    weights: npt.NDArray[np.float64]
     views: Views
     moves: npt.NDArray[np.uint8]
     known: BoolArray
@@ -111,7 +111,7 @@ def _puzzle(seed: int) -> Puzzle:
     free = (generator.random(LATTICE.graph.ahead.shape) < 0.5) & (LATTICE.graph.ahead >= 0)
     moves = pose_views.moves(free.astype(np.uint8), occupancy, 0.5)
     known = generator.random(pose_views.tiles) < 0.3
-    return Puzzle(pose_views, weights.astype(np.float32), views, moves, known, pose_of(8, 8, 2))
+    return Puzzle(pose_views, weights.astype(np.float64), views, moves, known, pose_of(8, 8, 2))
 
 
 def _bits(elements: frozenset[int], count: int) -> npt.NDArray[np.uint64]:
@@ -176,7 +176,7 @@ def test_gains_are_those_of_each_pose_that_could_be_the_best_for_its_steps(
         puzzle.weights[generator.random(len(puzzle.weights)) < 0.99] = 0.0
         puzzle.weights[-1] = 5.0
     nodes = np.arange(LATTICE.nodes)
-    steps = generator.integers(-1, farthest + 1, (len(nodes), NEARSIGHTED.headings))
+    steps = generator.integers(-1, farthest + 1, (len(nodes), NEARSIGHTED.headings), np.int32)
     gains = kernels.best_gains(puzzle.weights, puzzle.views, nodes, steps)
     slow = np.array([sum(puzzle.weights[list(shown_by(puzzle.views, p))]) for p in range(LATTICE.poses)])
     slow = slow.reshape(steps.shape)
@@ -191,11 +191,11 @@ def test_gains_are_those_of_each_pose_that_could_be_the_best_for_its_steps(
 
 def test_where_nothing_is_worth_a_look_no_pose_gains() -> None:
     puzzle = _puzzle(1)
-    node = LATTICE.graph.grid[8, 8:9]
+    node = LATTICE.graph.grid[8, 8:9].astype(np.int64)
     for steps in (1, 0, -1):
         nothing = np.zeros_like(puzzle.weights)
-        assert not kernels.best_gains(nothing, puzzle.views, node, np.full((1, 12), steps)).any()
-    assert not kernels.best_gains(puzzle.weights, puzzle.views, node, np.zeros((1, 12), np.int64)).any()
+        assert not kernels.best_gains(nothing, puzzle.views, node, np.full((1, 12), steps, np.int32)).any()
+    assert not kernels.best_gains(puzzle.weights, puzzle.views, node, np.zeros((1, 12), np.int32)).any()
 
 
 # ----------------------------------------------------------------------------------------------------- beam
@@ -388,7 +388,7 @@ def _tour(
     discount: float = 0.9,
 ) -> tuple[float, float]:
     """With 2 m a step, from 4 m away."""
-    x, y = np.array(places, np.float64).reshape(-1, 2).T
+    x, y = np.array(places, np.float64).reshape(-1, 2).T.copy()
     areas, left = (np.array(mass), x, y, np.array(service)), np.zeros(len(mass), np.int64)
     # With no rates worked out beforehand, and with all.
     none, every = np.zeros(len(mass), np.bool_), np.ones(len(mass), np.bool_)
@@ -457,7 +457,7 @@ def test_the_tour_after_a_sequence_leaves_out_what_it_has_seen(everywhere: bool)
     alike = set(area[puzzle.weights > 0.0]) - set(area[list(seen[0] | seen[1])])
     assert bool(alike) != everywhere, "areas that no sequence has seen any of"
     worth, steps = tours.tours(
-        puzzle.weights,
+        puzzle.weights.astype(np.float32),
         np.stack([_bits(elements, count) for elements in seen]),
         ends,
         x,
@@ -674,3 +674,24 @@ def test_a_plan_begins_here_and_its_first_move_is_free(row: int, col: int) -> No
         assert scene.travel.free[lattice.turned_to(before, after), lattice.advance_to(before, after)]
     shown = set().union(*(shown_by(scene.prospect.pose_views.views(), pose) for pose in plan.path[1:]))
     assert sum(scene.prospect.weights[list(shown)]) > 0.0
+
+
+def test_a_way_that_is_given_is_judged_as_the_search_judges_its_own() -> None:
+    scene = _scene((slice(20, 40), slice(30, 60), 1.0), FAR_OFF)
+    ahead = LookAhead(32, 4, discount=0.95, tour=0.7, keep=0.01, jump=0.0)
+    found = ahead.plan(scene.prospect, scene.travel, scene.moves, scene.known)
+    assert found is not None
+    assert found.choice is not None
+    assert len(found.path) > 2
+    judged = ahead.judge(scene.prospect, scene.travel, [found.path, found.path[:2]])
+    own, first = (one.plan for one in judged)
+    assert own.path == found.path
+    assert own.rate * (len(found.path) - 1) == pytest.approx(found.choice.shown, rel=1e-4)
+    assert own.later == pytest.approx(found.later, rel=1e-4)
+    assert own.targets == pytest.approx(found.targets, rel=1e-4)
+    shown = shown_by(scene.prospect.pose_views.views(), found.path[1])
+    assert first.rate == pytest.approx(0.95 * float(scene.prospect.weights[list(shown)].sum()), rel=1e-4)
+    # In steps: what the best of them loses by coming one later.
+    all_of_it = found.choice.shown + found.choice.after / 0.7
+    worth = found.choice.shown + found.choice.after
+    assert judged[0].value == pytest.approx(worth / (0.05 * all_of_it), rel=1e-4)

@@ -177,3 +177,13 @@ def test_the_tree_is_the_shortest(n: int, seed: int) -> None:
 
 def test_the_search_stops_at_its_horizon() -> None:
     assert len(planned(cells(np.s_[2:58:4, 2:58:4]))[1]) - 1 <= HORIZON
+
+
+def test_near_a_place_are_the_cells_whose_middles_are_surely_traversed_from_there() -> None:
+    places = np.array([[-1.1, 0.4], [0.6, -0.7]])
+    every = np.argwhere(cells(np.s_[:, :]))
+    x, y = TANK.x_min + (every[:, 1] + 0.5) * POOL_V1.cell, TANK.y_min + (every[:, 0] + 0.5) * POOL_V1.cell
+    away = np.hypot(x[:, None] - places[:, 0], y[:, None] - places[:, 1]).min(axis=1)
+    near = TraversalTour(MISSION)._near(every, places)
+    assert 0 < len(near) < len(every)
+    np.testing.assert_array_equal(near, every[away <= NEAR])

@@ -67,7 +67,7 @@ def test_the_planner_decides_again_as_it_did(string_reef: World, flown: tuple[li
     assert [step.decision for step in again] == [step.decision for step in steps]
     assert [step.arrival for step in again] == [step.arrival for step in steps]
     assert all(same(one.observation, other.observation) for one, other in zip(steps, again, strict=True))
-    for layer in ("solid", "target", "explored", "seabed_seen", "state", "ground"):
+    for layer in ("solid", "target", "explored", "seabed_seen", "known", "ground"):
         assert getattr(steps[-1].occupancy, layer).tobytes() == getattr(again[-1].occupancy, layer).tobytes()
     assert steps[-1].occupancy.areas() == again[-1].occupancy.areas()
 

@@ -186,8 +186,9 @@ class _Fit:
         """(m,) mean squared differences, and (m,) points that counted, for (m, 3) offsets."""
         from dream.mapping._kernels import alignment as kernels
 
+        offsets = np.ascontiguousarray(offsets * self._unit)
         mean, weight = kernels.mismatch(
-            self._points, self._said, self._known, self._weighted, self._center, offsets * self._unit
+            self._points, self._said, self._known, self._weighted, self._center, offsets
         )
         return mean, weight / len(self._known)
 

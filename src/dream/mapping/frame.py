@@ -49,6 +49,7 @@ class FrameWindow:
     What it does: `read` leaves the map as it is, `commit` writes what was read. docs/map.md has the rule.
     """
 
+    # All that a frame needs room for, once; a helper for each part would only pass it on.
     def __init__(self, protocol: SurveyProtocol, evidence: Evidence, pixels: int) -> None:
         """Room for frames of up to so many pixels.
 
@@ -111,6 +112,7 @@ class FrameWindow:
         bearings = (np.arange(RAYS) + 0.5) * (2.0 * math.pi / RAYS)
         self._directions = np.column_stack([np.cos(bearings), np.sin(bearings)])
 
+    # One frame from its pixels to its findings: each kernel takes what the one before it left.
     def read(
         self,
         store: BlockStore,
@@ -149,6 +151,8 @@ class FrameWindow:
         self._seabed.total[:], self._seabed.points[:] = 0.0, 0.0
         under = (int(window.y) >> self._bits) * self._posts + (int(window.x) >> self._bits)
         self._seabed.total[under], self._seabed.points[under] = self.datum, 1.0
+        # Who keeps frames may guard them: the kernel is compiled for that alone.
+        depth, labels = _guarded(depth), _guarded(labels)
         unit, cuts, raw = _cuts(protocol, camera, depth.dtype == np.uint16)
         count = pixels.project(
             Image(
@@ -310,6 +314,13 @@ def _sector(protocol: SurveyProtocol, camera: Camera, T_world_camera: SE3) -> Se
         blind * per_metre,
         math.atan(camera.cy / camera.fy) >= pitch,
     )
+
+
+def _guarded(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """The same values, not to be written to."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 @lru_cache(maxsize=8)

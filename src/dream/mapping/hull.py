@@ -18,7 +18,7 @@ SLANT = 1.125
 """Voxels that a surface cuts for each that its area would fill; on average over its directions."""
 _VAIN = np.arange(12)
 WORTH = np.stack([0.76 * 0.78**_VAIN, 0.12 * 0.86**_VAIN])
-"""(2, looks) probability that a look from a new side shows hull, by from how many it was looked at in vain:
+"""(2, looks) probability that a look from a new side shows hull, by from how many it failed to show:
 where hull was seen from beyond reach, and where it may go on into the unknown. After the last one a voxel is
 given up. Fitted, within 0.07, to 47,000 looks at one wreck of each kind, of no suite."""
 CARVED = 1.5
@@ -39,7 +39,7 @@ class Hull:
     What it does: keeps voxels of half a map cell that are free, hull, or anything else that returned. What
     counts as unseen is hull that was only seen from beyond reach, and unknown voxels at its edges: those
     that touch both hull and free water. Both are worth what looks at their like have shown. No look is
-    repeated from the same side, by bearing and range; each in vain makes them worth less, until they are
+    repeated from the same side, by bearing and range; each that fails makes them worth less, until they are
     given up.
 
     Depths that scatter are averaged over one surface. Then a return is marked where it is sure to a part of a
@@ -76,7 +76,7 @@ class Hull:
         corner = np.array([bounds.x_min - margin, bounds.y_min - margin, np.nan])
         self._volume = kernels.empty_volume((levels, rows, cols), corner, 0.5 * protocol.cell)
         self._looks = np.zeros_like(self._volume.voxels)
-        self._vain = np.zeros((2, *self._volume.near.shape), np.uint64)
+        self._failed = np.zeros((2, *self._volume.near.shape), np.uint64)
         self._ground: FloatArray = np.zeros(self._volume.posts.shape[1:])
         self._seen = 0
         self._scatter = Scatter()
@@ -126,7 +126,7 @@ class Hull:
         kernels.carve(volume, depth, viewpoint, farthest, 0.5 * volume.side)
         kernels.doubt(volume.voxels, self._looks, looked_at)
         level, row, col, kind = looked_at.T
-        self._vain[kind, level, row, col] |= bits
+        self._failed[kind, level, row, col] |= bits
         self._ground = self._smooth_ground()
         self._list_elements()
 
@@ -163,7 +163,8 @@ class Hull:
         camera = np.append(place, self._ground_at(place[None]) + self.protocol.altitude)
         shown = np.unique(self._shown(camera[None], np.array([yaw]))[1])
         level, row, col, kind = self._elements[shown].T
-        self._vain[kind, level, row, col] |= kernels.sides(self._middles[shown], camera, self.protocol.reach)
+        sides = kernels.sides(self._middles[shown], camera, self.protocol.reach)
+        self._failed[kind, level, row, col] |= sides
 
     # ------------------------------------------------------------------------------------------------------
 
@@ -222,7 +223,7 @@ class Hull:
         starts, elements = kernels.visible(
             self._volume,
             self._middles[which],
-            self._vain[kind, level, row, col],
+            self._failed[kind, level, row, col],
             np.ascontiguousarray(cameras),
             np.stack([np.cos(yaws), np.sin(yaws)], axis=1),
             level_camera,

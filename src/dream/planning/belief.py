@@ -35,8 +35,7 @@ from dream.planning.sources import (
     Way,
     Worth,
 )
-from dream.planning.sources.source import MOST_VISITS
-from dream.planning.sources.survey import LEAVE
+from dream.planning.sources.source import LEAVE, MOST_VISITS
 from dream.planning.travel import Travel, careful_travel, nearest_open, travel_from
 from dream.planning.traversal_tour import TraversalTour
 from dream.planning.viewpoints import all_viewpoints_from
@@ -106,7 +105,7 @@ class Belief:
     """Square metres of targets that are expected for each square metre where the middle of a patch could
     lie."""
     alone: float = 0.05
-    """Factor on the number of expected patches while much is left of a hull: a wreck lies alone."""
+    """Factor on the worth of searching for patches while each step still shows much of a wreck."""
     eager: float = 3.0
     """Weight of targets beside known ones. A region that is left open costs a way back later."""
     patience: int = 3

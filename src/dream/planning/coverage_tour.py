@@ -66,13 +66,15 @@ class CoverageTour:
         rest, self.path = rest_of(self.path, travel, moves), []
         cells = views.tile_places(index % views.tiles)
         reached = reached_by(travel, moves)
+        worth = float(weights[index].sum())
+        weights = weights.astype(np.float64)
         left = Left.of(weights, index, cells, cells + 0.5, views.views(), travel, moves, reached)
         found = [rest] if len(rest) > 1 else []
         count = EACH_STEP if found else len(SEARCHES)
         for k in range(count):
             part, beside, pace = SEARCHES[(self.turn + k) % len(SEARCHES)]
             reach = travel.protocol.reach / travel.lattice.spacing
-            step = pace * float(left.weights.sum())
+            step = pace * worth
             search = Search(round(part * reach), beside * reach, step, HORIZON, leave, SLIGHT * leave)
             found.append(left.search(search)[0])
         self.turn += count

@@ -112,7 +112,9 @@ def blurred(
     sigma = radius / occupancy.protocol.cell
     far = int(3.0 * sigma + 0.5)
     weights = np.exp(-0.5 / sigma**2 * np.arange(-far, far + 1) ** 2)
-    shares: npt.NDArray[np.float32] = blur(cells, (weights / weights.sum())[far:], where)
+    shares: npt.NDArray[np.float32] = blur(
+        np.asarray(cells, np.float32), (weights / weights.sum())[far:], where
+    )
     return shares
 
 

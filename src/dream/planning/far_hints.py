@@ -1,4 +1,4 @@
-"""HintedTargets from beyond the reach, believed as far as earlier ones came true."""
+"""Hints from beyond the reach, believed as far as earlier ones came true."""
 
 from __future__ import annotations
 

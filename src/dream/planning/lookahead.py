@@ -161,7 +161,9 @@ class LookAhead:
             moves: See `PoseViews.moves`.
             known: (tiles,) where ground is known.
         """
-        weights, views = prospect.weights, prospect.pose_views.views(prospect.listed)
+        # Kernels add them up as float64: as such they are given, so that one compiled form serves all.
+        weights = prospect.weights.astype(np.float64)
+        views = prospect.pose_views.views(prospect.listed)
         sequence, choice = self._sequence(prospect, weights, views, travel, moves, known)
         view = self._view(prospect, weights, views, travel)
         if view is not None:
@@ -172,7 +174,7 @@ class LookAhead:
     def _sequence(
         self,
         prospect: Prospect,
-        weights: Float32Array,
+        weights: npt.NDArray[np.float64],
         views: Views,
         travel: Travel,
         moves: npt.NDArray[np.uint8],
@@ -191,7 +193,7 @@ class LookAhead:
             return None, nothing
         ends = slice(found.first, None)
         worth, steps = self._later(
-            prospect, weights, views, travel, found.seen[ends], found.pose[ends], found.level[ends]
+            prospect, views, travel, found.seen[ends], found.pose[ends], found.level[ends]
         )
         value = found.score[ends] + self.tour * worth
         # Rounded, so that the last digits decide nothing.
@@ -211,7 +213,6 @@ class LookAhead:
     def _later(
         self,
         prospect: Prospect,
-        weights: Float32Array,
         views: Views,
         travel: Travel,
         seen: npt.NDArray[np.uint64],
@@ -221,7 +222,7 @@ class LookAhead:
         """What a tour after each sequence is worth, and its steps."""
         from dream.planning._kernels.tour import tours
 
-        protocol, lattice = travel.protocol, travel.lattice
+        protocol, lattice, weights = travel.protocol, travel.lattice, prospect.weights
         worth, steps = tours(
             weights,
             seen,
@@ -246,7 +247,8 @@ class LookAhead:
         """
         from dream.planning._kernels.views import gain, look
 
-        weights, views = prospect.weights, prospect.pose_views.views(prospect.listed)
+        weights = prospect.weights.astype(np.float64)
+        views = prospect.pose_views.views(prospect.listed)
         seen = np.zeros((len(paths), (len(weights) + 63) // 64), np.uint64)
         score = np.zeros(len(paths))
         for k, path in enumerate(paths):
@@ -255,7 +257,7 @@ class LookAhead:
                 look(weights, seen[k], views, pose)
         ends = np.array([path[-1] for path in paths], np.int32)
         level = np.array([len(path) - 1 for path in paths], np.int32)
-        worth, steps = self._later(prospect, weights, views, travel, seen, ends, level)
+        worth, steps = self._later(prospect, views, travel, seen, ends, level)
         # What all loses by coming a step later.
         step = (1.0 - self.discount) * (score[0] + worth[0])
         value = (score + self.tour * worth) / max(step, NOTHING)
@@ -269,11 +271,14 @@ class LookAhead:
         """What single poses within reach would show: every second node near by, every fourth beyond."""
         from dream.planning._kernels.views import gains
 
-        weights, views = prospect.weights, prospect.pose_views.views(prospect.listed)
+        weights = prospect.weights.astype(np.float64)
+        views = prospect.pose_views.views(prospect.listed)
         nodes = _spread(travel)
         return Viewpoints(travel.lattice, nodes, travel.steps_to(nodes), gains(weights, views, nodes))
 
-    def _view(self, prospect: Prospect, weights: Float32Array, views: Views, travel: Travel) -> Plan | None:
+    def _view(
+        self, prospect: Prospect, weights: npt.NDArray[np.float64], views: Views, travel: Travel
+    ) -> Plan | None:
         """The way to the view of the best rate."""
         from dream.planning._kernels.views import best_gains, look
 

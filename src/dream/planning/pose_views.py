@@ -167,7 +167,7 @@ class PoseViews:
         from dream.mapping import within
         from dream.planning._kernels.views import sight_lines
 
-        solid = occupancy.solid if foretold is None else occupancy.solid | foretold
+        solid = occupancy.solid.copy() if foretold is None else occupancy.solid | foretold
         protocol, changed = self.mission.protocol, solid != self._solid
         if not changed.any():
             return

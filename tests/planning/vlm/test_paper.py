@@ -91,17 +91,17 @@ def test_it_is_shown_the_camera_depth_labels_and_the_map(string_reef: World) -> 
 
 def test_a_blocked_move_and_a_done_that_is_refused_are_told(string_reef: World) -> None:
     script = saying(
-        acting("forward", 0, 0, done=True), *[acting("forward", 0, 2)] * 20, acting("forward", 0, 0)
+        acting("forward", 0, 0, done=True), *[acting("forward", 0, 2)] * 5, acting("forward", 0, 0)
     )
     with serving(*script) as server:
-        steps = fly(server, string_reef, 22)
+        steps = fly(server, string_reef, 7)
         told = [request.question for request in server.asked]
     assert steps[0].open_region
     assert f"Done was said, and the map does not agree: {steps[0].open_region}." in told[1]
     blocked = next(k for k, step in enumerate(steps) if step.guarded.note)
     assert f"went only {steps[blocked].arrival.distance:.1f} m" in told[blocked + 1]
     assert not any(step.arrival.collided for step in steps)
-    assert f"{LOOK_AROUND} steps are done; 22 are left" in told[0]
+    assert f"{LOOK_AROUND} steps are done; 7 are left" in told[0]
 
 
 def test_without_an_answer_the_offline_planner_decides_that_step(string_reef: World) -> None:
@@ -118,7 +118,7 @@ def test_without_an_answer_the_offline_planner_decides_that_step(string_reef: Wo
 
 
 def test_a_mission_without_any_answer_is_no_success_of_who_was_to_decide() -> None:
-    small = replace(arena(), bounds=Bounds(-8.0, -8.0, 8.0, 8.0))
+    small = replace(arena(), bounds=Bounds(-6.0, -6.0, 6.0, 6.0))
 
     def summary(planner: Planner) -> dict[str, Any]:
         scorer = Scorer(small, DREAM_V1)

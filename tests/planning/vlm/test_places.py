@@ -16,6 +16,8 @@ from dream.planning.vlm.places import APART, MOST, Place, again, places
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
 from dream.types import Decision, Mission, Observation
+from tests.mapping.analytic import map_with
+from tests.planning.flights import all_but, observed_at
 
 
 @pytest.fixture(scope="module")
@@ -69,3 +71,22 @@ def test_a_place_is_worth_the_same_when_it_is_asked_for_again(listed: tuple[list
         assert now[0].path == place.plan.path
         assert now[1] == pytest.approx(place.loss)
     assert again(pilot, thought, thought.travel.start) is None
+
+
+def test_a_place_closes_the_regions_whose_open_cells_all_come_into_view_on_the_way() -> None:
+    hole, whole = np.s_[46:50, 40:44], np.s_[60:64, 20:24]
+    far = np.s_[20:24, 92:96]
+    target = ~all_but(np.s_[44:46, 40:44], whole, np.s_[18:20, 92:96])
+    occupancy = map_with(explored=all_but(hole, far), target=target)
+    pilot = Belief(width=4, horizon=2).begin(Mission(DREAM_V1, occupancy.bounds, 200))
+    thought = pilot.consider(observed_at(-6.0, 0.0, 0.0), occupancy)
+    regions = thought.completion.regions
+    assert sorted(region.enclosed for region in regions) == [False, False, True]
+    found = places(pilot, thought)
+    for place in found:
+        shown = np.zeros(occupancy.shape, np.bool_)
+        for pose in place.plan.path[1:]:
+            shown |= pilot.pose_views.shown(pose)[0]
+        closed = [n for n, region in enumerate(regions) if shown[tuple(region.open_cells.T)].all()]
+        assert place.closes == tuple(n + 1 for n in closed if not regions[n].enclosed)
+    assert any(place.closes for place in found)

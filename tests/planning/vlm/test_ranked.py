@@ -276,3 +276,12 @@ def test_the_end_needs_the_model_too_but_it_cannot_put_it_off_for_long() -> None
 def test_parameters_are_refused_by_name(name: str, value: Any) -> None:
     with pytest.raises(ValueError, match=f"{name}: expected"):
         Ranked(**{name: value})
+
+
+@pytest.mark.parametrize(
+    ("name", "most"), [("margin", 1000.0), ("weight", 1000.0), ("allowance", 10.0), ("votes", 15)]
+)
+def test_parameters_go_up_to_their_greatest_and_no_farther(name: str, most: Any) -> None:
+    Ranked(**{name: most})
+    with pytest.raises(ValueError, match=rf"{name}: expected \d+ to {most:g}, got"):
+        Ranked(**{name: most + 1})

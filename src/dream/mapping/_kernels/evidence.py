@@ -226,6 +226,7 @@ def reaches_down(flags, side, row, col):
     return False
 
 
+# One loop: Eq. 4 to 6 decide about a cell together.
 @njit(cache=True, nogil=True)
 def weigh(window, sector, rule, scratch, said):
     """One step of log-odds and one vote per cell that has returns."""

@@ -303,6 +303,7 @@ def _towards_free(voxels, level, row, col):
     return 0.5 * up, 0.5 * north, 0.5 * east
 
 
+# One walk over the blocks: what it gathers of a block would be six arguments of any part of it.
 @njit(cache=True, nogil=True)
 def list_elements(voxels, near, looks, worth, box, lowest, highest):
     """What is left to see, block by block.
@@ -310,8 +311,8 @@ def list_elements(voxels, near, looks, worth, box, lowest, highest):
     Args:
         voxels: Grid of uint8 bits.
         near: Grid of blocks, uint8: does hull lie in or beside the block?
-        looks: Grid of uint8: how often a voxel was looked at in vain.
-        worth: (2, n) of a voxel, by its kind and how often it was looked at in vain; nothing after that.
+        looks: Grid of uint8: how often a voxel failed to show.
+        worth: (2, n) of a voxel, by its kind and how often it failed to show; nothing after that.
         box: (6,) first level, row and column of blocks, and past the last.
         lowest: (box's rows, box's cols) level of the lowest voxels that count.
         highest: Likewise, past the highest.
@@ -394,7 +395,7 @@ def sides(middles, camera, reach):
 
 @njit(cache=True, nogil=True)
 def doubt(voxels, looks, elements):
-    """Count a look in vain at each voxel, of elements (n, 4) that were looked at, that stayed what it was."""
+    """Count a failed look at each voxel, of elements (n, 4) that were looked at, that stayed what it was."""
     for e in range(len(elements)):
         level, row, col, kind = elements[e]
         for h in range(level * BLOCK, (level + 1) * BLOCK):
@@ -467,13 +468,13 @@ def _in_image(dx, dy, dz, cos, sin, camera):
 
 
 @njit(cache=True, nogil=True)
-def visible(volume, middles, vain, places, headings, camera, last):
+def visible(volume, middles, failed, places, headings, camera, last):
     """Which elements each camera sees under each heading; what is not known to be solid hides nothing.
 
     Args:
         volume: With what is known to be solid.
         middles: (n, 3) metres in the world.
-        vain: (n,) uint64, the sides from which each was looked at in vain; from there it is not seen.
+        failed: (n,) uint64, the sides from which each failed to show; from there it is not seen.
         places: (P, 3) of cameras, metres in the world.
         headings: (K, 2) cosine and sine.
         camera: Theirs.
@@ -497,7 +498,7 @@ def visible(volume, middles, vain, places, headings, camera, last):
             squared = dx * dx + dy * dy
             if squared > reach * reach or squared == 0.0:
                 continue
-            if vain[e] and vain[e] & _side(dx, dy, reach):
+            if failed[e] and failed[e] & _side(dx, dy, reach):
                 continue
             # Looked at straight, a point is in the image if it ever is.
             over = 1.0 / math.sqrt(squared)

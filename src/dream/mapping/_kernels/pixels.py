@@ -28,6 +28,7 @@ GROUND_STEP = 8
 """One sample in so many is enough for the mean height of the seabed."""
 
 
+# One pass over the rows; what can be is in functions that are vectorised on their own.
 @njit(cache=True, nogil=True)
 def project(image, view, window, seabed, samples, runs):
     """Window cell and world height of the pixels that count; seabed sums by post; farthest return by ray.

@@ -73,7 +73,7 @@ def beam(weights, views, graph, moves, start, known, score, width, horizon):
     by then.
 
     Args:
-        weights: (elements,) float32 or float64.
+        weights: (elements,) float64.
         views: Which of them a pose shows.
         graph: The lattice.
         moves: (poses, advances) 0, FREE or UNKNOWN.

@@ -16,7 +16,7 @@ def blur(cells, weights, where):
     are as on it.
 
     Args:
-        cells: (rows, cols) bool or float32.
+        cells: (rows, cols) float32.
         weights: (n + 1,) of what is so many cells away, to either side.
         where: (rows, cols) bool.
     """

@@ -21,7 +21,7 @@ class HintedTargets(BeliefSource):
         self.hints.add(situation.observation, situation.occupancy)
 
     def expect(self, expected: Expected, situation: Situation) -> None:
-        """TargetEvidence, unless there is a hull, of which more is believed than hints tell."""
+        """Evidence, unless there is a hull, of which more is believed than hints tell."""
         expected.calibration = GLIMPSED
         if situation.away_from_hull is None:
             expected.evidence = self.hints.evidence(situation.occupancy)

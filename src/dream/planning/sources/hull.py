@@ -24,7 +24,7 @@ ADJOINING = 1.5
 BENEATH = 0.02
 """What ground beside and beneath a hull counts: what is to be seen there is the hull itself."""
 LEAST = 0.25
-"""Patches that a step has to bring for what is left of a hull to hold up the search for others."""
+"""Patches, of 0.25 m² each, that a step has to bring for what is left of a hull to hold up the search."""
 NEAR = 5
 """Steps within which the hull's views are worked out for every second node; within twice as many for every
 fourth, for every sixteenth beyond."""
@@ -32,7 +32,7 @@ fourth, for every sixteenth beyond."""
 
 @dataclass(slots=True, eq=False)
 class HullSurface(BeliefSource):
-    """Expects more hull where the surface that was seen goes on; a wreck lies alone."""
+    """Expects more hull where the surface that was seen goes on."""
 
     hull: Hull
     pose_views: PoseViews
@@ -41,9 +41,9 @@ class HullSurface(BeliefSource):
     accepted: float
     """Share of the hull that may be unseen when the mission ends."""
     alone: float
-    """Factor on the number of expected groups while much is left of a hull."""
+    """Factor on the worth of searching for groups while a step brings enough of a hull."""
     least: float = LEAST
-    """Patches a step that make it much."""
+    """Patches a step that are enough."""
 
     def take(self, situation: Situation) -> None:
         """Add what was seen of it; hope no more for what should be in view from here and is not."""
@@ -52,20 +52,12 @@ class HullSurface(BeliefSource):
         situation.away_from_hull = away_from_hull(situation.occupancy)
 
     def expect(self, expected: Expected, situation: Situation) -> None:
-        """Patches that are still unseen, where there is hull.
-
-        While a step brings enough of them hardly anything else is expected; then the search goes on.
-        """
+        """Patches that are still unseen, where there is hull."""
         expected.hull = self._adjoining(situation)
         left = float(expected.hull.sum())
         expected.hull_left = left / (self.hull.found + left) if left else 0.0
         expected.looked_over = expected.hull_left <= self.accepted
         expected.hull_views = self.listed(expected, situation)
-        much = best_rate(expected.hull_views, situation.travel) >= self.least
-        if situation.away_from_hull is not None and much:
-            expected.alone = self.alone
-            expected.hidden *= self.alone
-            expected.probability = expected.groups.risk(expected.hidden)
 
     def words(self, expected: Expected, situation: Situation) -> Words:
         """How much of it is unseen."""
@@ -75,11 +67,19 @@ class HullSurface(BeliefSource):
         return Words(completion=sentences.hull(area, expected.hull_left, self.accepted))
 
     def weigh(self, worth: Worth, expected: Expected, situation: Situation) -> None:
-        """Its patches; little of the ground beneath them, and of groups elsewhere."""
-        if situation.away_from_hull is not None:
-            worth.ground[situation.away_from_hull <= ADJOINING] *= BENEATH
-            worth.search *= expected.alone
+        """Its patches, and little of the ground beneath them.
+
+        As long as a step brings enough of them hardly anything else is searched for; then the search goes on,
+        until its risk is accepted.
+        """
         worth.listed = expected.hull_views
+        if situation.away_from_hull is None:
+            return
+        worth.ground[situation.away_from_hull <= ADJOINING] *= BENEATH
+        if expected.searched:
+            worth.search = 0.0
+        elif not expected.looked_over and best_rate(worth.listed, situation.travel) >= self.least:
+            worth.search *= self.alone
 
     def found(self) -> int:
         """Patches of hull."""

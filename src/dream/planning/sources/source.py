@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 FloatArray = npt.NDArray[np.floating[Any]]
 
+LEAVE = 0.015
+"""Share of the targets, seen and foretold or hinted at, that may be left."""
 MOST_VISITS = 3
 """Of a pose without anything new: then what it headed for is given up; after twice as many, leftovers too."""
 
@@ -131,8 +133,6 @@ class Expected:
     """Share of the hull that is still unseen."""
     hull_views: Listed | None = None
     """What of that is seen from where."""
-    alone: float = 1.0
-    """How many times as many groups are to be expected beside a hull."""
     looked_over: bool = True
     """No more of a hull is unseen than may be."""
 
@@ -188,7 +188,8 @@ class Way:
 class BeliefSource:
     """One reason to look somewhere. What a source does not say, it has no part in.
 
-    A planner asks its sources in turn, in the order of this class: `take`, then `expect`, `words`, `worth`.
+    A planner hands a situation to each source in turn (`take`), asks each what it expects, then for words,
+    and where to go: for an errand, for weights, and for a tour.
     """
 
     def take(self, situation: Situation) -> None:

@@ -11,10 +11,7 @@ from dream.planning.coverage_tour import CoverageTour
 from dream.planning.distribution import Groups
 from dream.planning.lookahead import Prospect
 from dream.planning.prior_survey import LIKELY, PriorSurvey
-from dream.planning.sources.source import BeliefSource, Expected, Situation, Way, Words, Worth
-
-LEAVE = 0.015
-"""Share of the targets, seen and foretold or hinted at, that may be left."""
+from dream.planning.sources.source import LEAVE, BeliefSource, Expected, Situation, Way, Words, Worth
 
 
 @dataclass(slots=True, eq=False)

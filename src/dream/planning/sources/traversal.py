@@ -20,12 +20,12 @@ class TargetsToTraverse(BeliefSource):
     """Traverses what was found before anything else is looked for."""
 
     traversal_tour: TraversalTour
-    passed_in_vain: BoolArray = field(init=False)
+    given_up: BoolArray = field(init=False)
     """(rows, cols) cells that are not worth another try."""
 
     def __post_init__(self) -> None:
         cell, bounds = self.traversal_tour.mission.protocol.cell, self.traversal_tour.mission.bounds
-        self.passed_in_vain = np.zeros((round(bounds.depth / cell), round(bounds.width / cell)), np.bool_)
+        self.given_up = np.zeros((round(bounds.depth / cell), round(bounds.width / cell)), np.bool_)
 
     def words(self, expected: Expected, situation: Situation) -> Words:
         """What was traversed, and what is left."""
@@ -47,7 +47,7 @@ class TargetsToTraverse(BeliefSource):
         from dream.mapping import to_traverse
 
         # Beyond what completion asks for: what no known way leads to may come in reach on the way.
-        left = np.argwhere(to_traverse(situation.occupancy) & ~self.passed_in_vain)
+        left = np.argwhere(to_traverse(situation.occupancy) & ~self.given_up)
         if visits > 1:
             moves = travel.free  # What is unknown stays so from here.
         while True:
@@ -58,11 +58,11 @@ class TargetsToTraverse(BeliefSource):
             if visits < MOST_VISITS:
                 plan = Plan(path, rate=0.0, later=0.0, passed=int(passes.sum()))
                 return Way(travel, plan, sentences.WALK)
-            self.passed_in_vain[tuple(left[passes].T)] = True
+            self.given_up[tuple(left[passes].T)] = True
             left = left[~passes]
 
     def try_again(self) -> bool:
         """Whatever was given up is worth one more try."""
-        any_given_up = bool(self.passed_in_vain.any())
-        self.passed_in_vain[:] = False
-        return any_given_up
+        any_was = bool(self.given_up.any())
+        self.given_up[:] = False
+        return any_was

@@ -120,3 +120,10 @@ def test_who_may_not_spend_anything_asks_nothing_and_who_has_no_limit_asks_on() 
     assert Budget(max_calls=0).exhausted() == "budget: all 0 calls are made"
     assert Budget(max_usd=0.0).exhausted() == "budget: all 0 USD are spent"
     assert Budget(spent=Asked(calls=10**6, cost_usd=None)).exhausted() == ""
+
+
+def test_what_is_under_way_never_makes_room_in_a_budget_that_is_spent() -> None:
+    budget = Budget(None, 1.0, "a model", spent=Asked(calls=3, cost_usd=1.0))
+    assert budget.exhausted() == "budget: all 1 USD are spent"
+    budget.under_way = 2
+    assert budget.exhausted() == "budget: all 1 USD are spent"

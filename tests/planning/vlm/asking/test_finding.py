@@ -165,3 +165,9 @@ def test_no_reply_that_chance_makes_is_more_than_an_answer_or_none() -> None:
         assert (told == "") == fits(answer_in(text, kind), kind)
         found += told == ""
     assert 100 < found < 1400
+
+
+def test_an_answer_is_looked_for_as_far_back_as_several_would_reach_and_no_farther() -> None:
+    talk = "so it goes. "
+    assert answer_in(SO + talk * 4_000, Number) == SO
+    assert not fits(answer_in(SO + talk * 40_000, Number), Number)

@@ -42,3 +42,9 @@ def test_folders_are_looked_at_before_anything_is_asked(tmp_path: Path) -> None:
         Asking(model="http://127.0.0.1:1/v1", model_name="x", record=str(file)).line()
     with pytest.raises(ValueError, match="replay_replies: expected a folder of kept replies"):
         Asking(model="http://127.0.0.1:1/v1", model_name="x", replay_replies=str(tmp_path / "no")).line()
+
+
+def test_a_temperature_goes_up_to_two() -> None:
+    assert Asking(temperature=2.0).temperature == 2.0
+    with pytest.raises(ValueError, match=r"temperature: expected 0 to 2, got 2\.1"):
+        Asking(temperature=2.1)

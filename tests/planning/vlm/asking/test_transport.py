@@ -34,3 +34,9 @@ def test_threads_that_ask_at_once_share_a_loop_and_a_client(monkeypatch: pytest.
         assert len(set(threads.map(lambda _: fresh.loop(), range(4)))) == 1
         assert len(set(threads.map(lambda _: fresh.http_client(address=True, near=True), range(4)))) == 1
     assert fresh.http_client(address=True, near=False) is not fresh.http_client(address=True, near=True)
+
+
+def test_a_proxy_stands_before_other_machines_only() -> None:
+    for address in (True, False):
+        assert not transport.http_client(address=address, near=True).trust_env
+        assert transport.http_client(address=address, near=False).trust_env
