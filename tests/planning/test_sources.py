@@ -123,7 +123,7 @@ def test_while_a_hull_brings_enough_little_else_is_searched_for_and_the_risk_kno
     assert source is not None
     expected = pilot.expect(situation)
     expected.accepted = 0.0
-    rate = best_rate(expected.hull_views, situation.travel)
+    rate = best_rate(source.listed(expected, situation), situation.travel)
     assert rate > 0.0
     plain = HiddenGroups.expect
     without = pilot.expect(situation)

@@ -57,7 +57,6 @@ class HullSurface(BeliefSource):
         left = float(expected.hull.sum())
         expected.hull_left = left / (self.hull.found + left) if left else 0.0
         expected.looked_over = expected.hull_left <= self.accepted
-        expected.hull_views = self.listed(expected, situation)
 
     def words(self, expected: Expected, situation: Situation) -> Words:
         """How much of it is unseen."""
@@ -72,7 +71,7 @@ class HullSurface(BeliefSource):
         As long as a step brings enough of them hardly anything else is searched for; then the search goes on,
         until its risk is accepted.
         """
-        worth.listed = expected.hull_views
+        worth.listed = self.listed(expected, situation)
         if situation.away_from_hull is None:
             return
         worth.ground[situation.away_from_hull <= ADJOINING] *= BENEATH

@@ -83,18 +83,25 @@ class Situation:
 
         return within(self.places, self.occupancy.protocol.reach, self.occupancy.protocol.cell)
 
+    @cached_property
+    def near_unseen_places(self) -> BoolArray:
+        """(rows, cols) cells within reach of such a place that was not observed itself."""
+        from dream.mapping import within
+
+        unseen, protocol = self.places & ~self.occupancy.observed, self.occupancy.protocol
+        return within(unseen, protocol.reach, protocol.cell)
+
     def hopeful(self, middles: BoolArray, radius: float) -> BoolArray:
         """(rows, cols) those of some middles, of groups so many metres wide, that may yet come into view.
 
         Where the mission may end, what no known place can see is left out: behind a wall, say. Places that
         the vehicle might yet get to may see more than that; only elsewhere it is asked.
         """
-        from dream.mapping import that_would_show, within
+        from dream.mapping import that_would_show
 
         if not self.completion.seen:
             return middles
-        protocol = self.occupancy.protocol
-        hopeful = within(self.places & ~self.occupancy.observed, protocol.reach, protocol.cell)
+        hopeful = self.near_unseen_places
         asked = middles & ~hopeful
         return middles & (hopeful | that_would_show(self.occupancy, self.observation.pose, radius, asked))
 
@@ -131,8 +138,6 @@ class Expected:
     """(n,) patches to be expected in each element of the hull."""
     hull_left: float = 0.0
     """Share of the hull that is still unseen."""
-    hull_views: Listed | None = None
-    """What of that is seen from where."""
     looked_over: bool = True
     """No more of a hull is unseen than may be."""
 
