@@ -34,7 +34,6 @@ from dream.mapping import OccupancyMap
 from dream.planning import AnyPlanner, Belief, Lawnmower
 from dream.planning.baselines.sweeping import Sweeping
 from dream.planning.belief import BeliefPilot, Thought
-from dream.planning.pose_views import PoseViews
 from dream.planning.sources import BeliefSource, HintedTargets, HullSurface
 from dream.planning.tours import rest_of
 from dream.protocol import DREAM_V1
@@ -48,20 +47,18 @@ class Without(Belief):
 
     left_out: type[BeliefSource] = BeliefSource
 
-    def sources(self, mission: Mission, pose_views: PoseViews) -> list[BeliefSource]:
+    def sources(self, mission: Mission) -> list[BeliefSource]:
         """Without it."""
-        return [
-            one for one in Belief.sources(self, mission, pose_views) if not isinstance(one, self.left_out)
-        ]
+        return [one for one in Belief.sources(self, mission) if not isinstance(one, self.left_out)]
 
 
 @dataclass(frozen=True, slots=True)
 class Insistent(Belief):
     """Whatever is left of a hull holds up the search for others."""
 
-    def sources(self, mission: Mission, pose_views: PoseViews) -> list[BeliefSource]:
+    def sources(self, mission: Mission) -> list[BeliefSource]:
         """The same, but for that."""
-        sources = Belief.sources(self, mission, pose_views)
+        sources = Belief.sources(self, mission)
         for source in sources:
             if isinstance(source, HullSurface):
                 source.least = 0.0

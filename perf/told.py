@@ -38,7 +38,7 @@ from dream.mission import explore
 from dream.planning import AnyPlanner, Belief
 from dream.planning.coverage_tour import CoverageTour
 from dream.planning.lookahead import Prospect
-from dream.planning.pose_views import Listed, PoseViews
+from dream.planning.pose_views import Listed
 from dream.planning.sources import BeliefSource, Expected, HullSurface, Situation, TargetsBeside, Way, Worth
 from dream.protocol import DREAM_V1
 from dream.robots import Teleport
@@ -159,13 +159,13 @@ class _Told(Belief):
     """What its usual sources become."""
     glimpse: float = UNTOLD.glimpse
 
-    def sources(self, mission: Mission, pose_views: PoseViews) -> list[BeliefSource]:
-        return self.tell(Belief.sources(self, mission, pose_views))
+    def sources(self, mission: Mission) -> list[BeliefSource]:
+        return self.tell(Belief.sources(self, mission))
 
 
 def _told_of_hull(visibility: Visibility, sources: list[BeliefSource]) -> list[BeliefSource]:
     return [
-        _ToldHull(one.hull, one.pose_views, one.eager, one.accepted, one.alone, visibility=visibility)
+        _ToldHull(one.hull, one.lattice, one.eager, one.accepted, one.alone, visibility=visibility)
         if isinstance(one, HullSurface)
         else one
         for one in sources

@@ -15,7 +15,7 @@ from dream.mapping import OccupancyMap, view
 from dream.mapping.prior import Prior
 from dream.planning import Belief
 from dream.planning.belief import BeliefPilot
-from dream.planning.pose_views import Listed, PoseViews
+from dream.planning.pose_views import Listed
 from dream.planning.sources import (
     AllGround,
     BeliefSource,
@@ -44,8 +44,8 @@ SURVEYED = Prior(AREA, DREAM_V1.cell, NOWHERE.astype(np.float32), NOWHERE, years
 class Without(Belief):
     left_out: type[BeliefSource] = BeliefSource
 
-    def sources(self, mission: Mission, pose_views: PoseViews) -> list[BeliefSource]:
-        sources = Belief.sources(self, mission, pose_views)
+    def sources(self, mission: Mission) -> list[BeliefSource]:
+        sources = Belief.sources(self, mission)
         return [source for source in sources if not isinstance(source, self.left_out)]
 
 

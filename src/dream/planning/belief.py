@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import SE2
-from dream.lattice import Pose
+from dream.lattice import Pose, lattice_of
 from dream.mapping.hull import Hull
 from dream.options import First
 from dream.planning import sentences
@@ -153,7 +153,7 @@ class Belief:
         protocol = mission.protocol
         return 0.5 * protocol.cell if self.certify else self.size * protocol.group_radius
 
-    def sources(self, mission: Mission, pose_views: PoseViews) -> list[BeliefSource]:
+    def sources(self, mission: Mission) -> list[BeliefSource]:
         """What it expects targets by, in the order in which they are asked; each may be left out."""
         protocol, size, prior = mission.protocol, self.size_of_groups(mission), mission.prior
         farthest = self.glimpse * protocol.reach
@@ -166,8 +166,8 @@ class Belief:
         beside = blur, self.prior, self.prior_weight, self.open_edge, self.eager, self.search
         sources.append(TargetsBeside(*beside))
         sources.append(HiddenGroups(size, Groups(self.groups, self.searched), self.search))
-        hull = Hull(mission.bounds, protocol)
-        sources.append(HullSurface(hull, pose_views, self.eager, self.hull_left, self.alone))
+        hull, lattice = Hull(mission.bounds, protocol), lattice_of(mission.bounds, protocol)
+        sources.append(HullSurface(hull, lattice, self.eager, self.hull_left, self.alone))
         if traverses:
             sources.append(TargetsToTraverse(TraversalTour(mission)))
         if prior is not None:
@@ -223,7 +223,7 @@ class BeliefPilot:
 
     def __post_init__(self) -> None:
         self.pose_views = PoseViews(self.mission, self.planner.size_of_groups(self.mission))
-        self.sources = self.planner.sources(self.mission, self.pose_views)
+        self.sources = self.planner.sources(self.mission)
         self.failed = FailedViews(self.mission, self.planner.patience)
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:

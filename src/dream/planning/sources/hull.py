@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dream.lattice import Pose
+from dream.lattice import Lattice, Pose
 from dream.mapping.hull import PATCH, Hull
 from dream.mapping.targets import is_found, target_cells
 from dream.planning import sentences
-from dream.planning.pose_views import Listed, PoseViews
+from dream.planning.pose_views import Listed
 from dream.planning.sources.source import BeliefSource, Expected, FloatArray, Situation, Words, Worth
 from dream.planning.travel import Travel
 from dream.types import Target
@@ -35,7 +35,7 @@ class HullSurface(BeliefSource):
     """Expects more hull where the surface that was seen goes on."""
 
     hull: Hull
-    pose_views: PoseViews
+    lattice: Lattice
     eager: float
     """Weight of its patches beside other targets."""
     accepted: float
@@ -86,7 +86,7 @@ class HullSurface(BeliefSource):
 
     def give_up(self, pose: Pose) -> None:
         """Hope no more for what should be in view from that side."""
-        here = self.pose_views.lattice.world(pose)
+        here = self.lattice.world(pose)
         self.hull.give_up((here.x, here.y), here.yaw)
 
     def listed(self, expected: Expected, situation: Situation) -> Listed | None:
