@@ -3,6 +3,7 @@
 import itertools
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -12,8 +13,10 @@ from dream.geometry import SE2
 from dream.protocol import (
     DREAM_V1,
     DREAM_V1_NOISY,
+    DREAM_V2_DRAFT,
     POOL_V1,
     PROTOCOLS,
+    LastingErrors,
     SensorNoise,
     SurveyProtocol,
     noisy_variants,
@@ -78,12 +81,67 @@ def test_dream_v1_noisy_is_dream_v1_with_the_noise_of_the_design() -> None:
 
 
 def test_only_noisy_protocols_declare_noise() -> None:
-    assert [p.name for p in PROTOCOLS.values() if p.noise is not None] == ["dream-v1-noisy", "dream-v1-nav"]
+    noisy = ["dream-v1-noisy", "dream-v1-nav", "dream-v2-draft"]
+    assert [p.name for p in PROTOCOLS.values() if p.noise is not None] == noisy
+    assert [p.name for p in PROTOCOLS.values() if p.lasting is not None] == ["dream-v2-draft"]
     assert [p.name for p in PROTOCOLS.values() if p.swims] == ["dream-v1-nav"]
 
 
 def test_dream_v1_nav_is_the_noisy_one_with_a_vehicle_that_swims() -> None:
     assert replace(protocol_named("dream-v1-nav"), name="dream-v1-noisy", swims=False) == DREAM_V1_NOISY
+
+
+def test_a_planar_protocol_has_one_tilt_and_no_climb() -> None:
+    planar = [p for p in PROTOCOLS.values() if p.space is None]
+    assert {p.name for p in PROTOCOLS.values()} - {p.name for p in planar} == {
+        "dream-v2-draft",
+        "dream-v2-draft-true",
+    }
+    for protocol in planar:
+        assert (protocol.tilts, protocol.climbs) == ((protocol.camera_pitch,), (0.0,))
+
+
+def test_dream_v2_draft_is_the_noisy_one_in_space_with_errors_that_last() -> None:
+    assert replace(DREAM_V2_DRAFT, name="dream-v1-noisy", space=None, lasting=None) == DREAM_V1_NOISY
+    assert DREAM_V2_DRAFT.climbs == (-1.0, -0.5, 0.0, 0.5, 1.0)
+    assert DREAM_V2_DRAFT.camera_pitch in DREAM_V2_DRAFT.tilts
+    assert replace(DREAM_V2_DRAFT, name="dream-v2-draft-true", noise=None, lasting=None) == protocol_named(
+        "dream-v2-draft-true"
+    )
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"climbs": ()}, "space.climbs"),
+        ({"climbs": (0.3,)}, "multiples of the lattice"),
+        ({"tilts": (0.0,)}, "space.tilts: expected the camera's pitch"),
+        ({"tilts": (2.0,)}, "less than a quarter turn"),
+        ({"lowest": 6.0}, "space.highest"),
+        ({"incidence": 1.6}, "space.incidence"),
+        ({"label_lengths": 0.0}, "space.label_lengths"),
+    ],
+)
+def test_space_that_cannot_be_is_refused(change: dict[str, Any], message: str) -> None:
+    assert DREAM_V2_DRAFT.space is not None
+    with pytest.raises(ValueError, match=message):
+        replace(DREAM_V2_DRAFT, space=replace(DREAM_V2_DRAFT.space, **change))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"labels": ((5.0, 0.1), (2.0, 0.2))},
+        {"labels": ((2.0, 1.5),)},
+        {"blob": (2.0, 0.5)},
+        {"depth": 0.6},
+        {"height": -1.0},
+        {"tilt": math.nan},
+    ],
+)
+def test_lasting_errors_that_cannot_be_are_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="lasting"):
+        LastingErrors(**wrong)
 
 
 def test_noisy_variants_differ_in_nothing_but_noise() -> None:

@@ -50,12 +50,92 @@ class SensorNoise:
 
 
 @dataclass(frozen=True, slots=True)
+class LastingErrors:
+    """What a sensor gets wrong again and again: at the same places, or all mission long.
+
+    Looking again does not help. Each is switched off where it is 0, or empty.
+    """
+
+    labels: tuple[tuple[float, float], ...] = ()
+    """Metres from the camera and the share of surface whose label is wrong there; straight between two of
+    them, and from the last one on the same."""
+    blob: tuple[float, float] = (0.5, 2.0)
+    """Least and greatest width of a piece of surface whose label is wrong, fixed in the world; metres."""
+    depth: float = 0.0
+    """Greatest share of its range by which depth is off, one share a mission, evenly between both signs."""
+    height: float = 0.0
+    """Greatest metres by which the height of the vehicle is off, likewise."""
+    tilt: float = 0.0
+    """Greatest radians by which the tilt of the camera is off, likewise."""
+
+    def __post_init__(self) -> None:
+        far = [metres for metres, _ in self.labels]
+        if far != sorted(set(far)) or not all(
+            0.0 <= m < math.inf and 0.0 <= share <= 1.0 for m, share in self.labels
+        ):
+            raise ValueError(
+                f"lasting.labels: expected rising metres of 0 or more, each with a share in [0, 1], "
+                f"got {self.labels}"
+            )
+        if not 0.0 < self.blob[0] <= self.blob[1] < math.inf:
+            raise ValueError(
+                f"lasting.blob: expected two widths above 0 m, the lesser first, got {self.blob}"
+            )
+        for name, most in (("depth", 0.5), ("height", 5.0), ("tilt", 0.5)):
+            if not 0.0 <= getattr(self, name) <= most:
+                raise ValueError(f"lasting.{name}: expected 0 to {most:g}, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, slots=True)
+class Space:
+    """How a vehicle moves and looks in three dimensions. Metres and radians.
+
+    Heights are absolute, as a pressure sensor gives them: a move leads straight to its end.
+    """
+
+    climbs: tuple[float, ...]
+    """Allowed climbs, positive upwards, multiples of the lattice; 0 is always allowed. One is made together
+    with turn and advance."""
+    tilts: tuple[float, ...]
+    """Allowed pitches of the camera, downwards; the tilt at the start is the protocol's `camera_pitch`."""
+    lowest: float
+    """Least height of the vehicle's centre above the ground."""
+    highest: float
+    """Greatest height above the ground, or above what stands on it, from which something counts as what can
+    be inspected at all."""
+    surface: float
+    """Least depth of the vehicle's centre under water."""
+    incidence: float
+    """Greatest angle between a surface's normal and the line of sight at which it counts as inspected."""
+    label_lengths: float
+    """Labels are told as far as so many attenuation lengths of the water, and no farther than `max_depth`."""
+    depth_lengths: float
+    """Likewise depths."""
+
+    def __post_init__(self) -> None:
+        if not self.climbs or any(climb == 0.0 or not math.isfinite(climb) for climb in self.climbs):
+            raise ValueError(f"space.climbs: expected metres other than 0, got {self.climbs}")
+        if not self.tilts or any(not abs(tilt) < 0.5 * math.pi for tilt in self.tilts):
+            raise ValueError(f"space.tilts: expected less than a quarter turn each, got {self.tilts}")
+        for name in ("lowest", "highest", "surface", "label_lengths", "depth_lengths"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(f"space.{name}: expected more than 0, got {getattr(self, name)}")
+        if not self.lowest < self.highest:
+            raise ValueError(f"space.highest: expected more than {self.lowest} m, got {self.highest}")
+        if not 0.0 < self.incidence < 0.5 * math.pi:
+            raise ValueError(
+                f"space.incidence: expected more than 0 and less than a quarter turn, got {self.incidence}"
+            )
+
+
+@dataclass(frozen=True, slots=True)
 class SurveyProtocol:
     """Vehicle, camera, map and moves of a survey. Metres and radians."""
 
     name: str
     altitude: float
-    """Height of the vehicle's centre above the bare seabed; boulders and reef do not lift it."""
+    """Height of the vehicle's centre above the bare seabed; boulders and reef do not lift it. In space, that
+    at the start."""
     body_radius: float
     """The vehicle is a level cylinder."""
     body_height: float
@@ -67,7 +147,8 @@ class SurveyProtocol:
     max_depth: float
     """Depths along the optical axis outside these are not valid, nor is the greatest; see `returns`."""
     reach: float
-    """How far over ground a label is trusted and a cell counts as explored (the paper's d_max)."""
+    """How far over ground a label is trusted and a cell counts as explored (the paper's d_max); in space,
+    how far straight through the water."""
     cell: float
     """Side of a map cell."""
     band: tuple[float, float]
@@ -93,6 +174,11 @@ class SurveyProtocol:
     swims: bool = False
     """The vehicle has inertia, drag and a current to fight, and knows its pose by its sensors of motion.
     Where it has not, it moves exactly, and its pose is the truth."""
+    space: Space | None = None
+    """How it moves and looks in three dimensions; None where it keeps its altitude over ground and the tilt
+    of its camera: a planar protocol."""
+    lasting: LastingErrors | None = None
+    """What the sensor gets wrong all mission long, beside `noise`."""
 
     def __post_init__(self) -> None:
         for name in ("altitude", "body_radius", "body_height", "max_depth", "reach", "cell", "lattice"):
@@ -107,6 +193,19 @@ class SurveyProtocol:
             raise ValueError(f"camera_pitch: expected at most a quarter turn, got {self.camera_pitch}")
         if not 1 <= self.headings <= 3600:
             raise ValueError(f"headings: expected 1 to 3600, got {self.headings}")
+        if self.space is not None:
+            for climb in self.space.climbs:
+                if abs(climb / self.lattice - round(climb / self.lattice)) > 1e-9:
+                    raise ValueError(
+                        f"space.climbs: expected multiples of the lattice of {self.lattice} m, got {climb}"
+                    )
+            if self.camera_pitch not in self.space.tilts:
+                raise ValueError(
+                    f"space.tilts: expected the camera's pitch of {self.camera_pitch} among them, "
+                    f"got {self.space.tilts}"
+                )
+            if self.traversal is not None:
+                raise ValueError("traversal: expected none where a vehicle moves in space")
         if self.cap < 1:
             raise ValueError(f"cap: expected at least 1, got {self.cap}")
         if self.traversal is not None:
@@ -130,8 +229,18 @@ class SurveyProtocol:
 
     @property
     def T_base_camera(self) -> SE3:
-        """The camera sits at the vehicle's centre and looks ahead and down."""
+        """The camera at the start sits at the vehicle's centre and looks ahead and down."""
         return camera_mount(self.camera_pitch)
+
+    @property
+    def tilts(self) -> tuple[float, ...]:
+        """Allowed pitches of the camera, downwards."""
+        return (self.camera_pitch,) if self.space is None else self.space.tilts
+
+    @property
+    def climbs(self) -> tuple[float, ...]:
+        """Allowed climbs, 0 among them, from the lowest."""
+        return (0.0,) if self.space is None else tuple(sorted({0.0, *self.space.climbs}))
 
     @property
     def returns(self) -> tuple[float, float]:
@@ -229,6 +338,32 @@ DREAM_V1_NOISY = replace(
 DREAM_V1_NAV = replace(DREAM_V1_NOISY, name="dream-v1-nav", swims=True)
 """`dream-v1-noisy` with a vehicle that has to swim, and knows where it is only by its sensors."""
 
+DREAM_V2_DRAFT = replace(
+    DREAM_V1_NOISY,
+    name="dream-v2-draft",
+    space=Space(
+        climbs=(-1.0, -0.5, 0.5, 1.0),
+        tilts=(math.radians(45.0), math.radians(20.0), math.radians(-25.0)),
+        lowest=0.8,
+        highest=5.0,
+        surface=0.5,
+        incidence=math.radians(70.0),
+        label_lengths=2.0,
+        depth_lengths=3.0,
+    ),
+    lasting=LastingErrors(
+        labels=((2.0, 0.02), (5.0, 0.10), (8.0, 0.25)),
+        blob=(0.5, 2.0),
+        depth=0.02,
+        height=0.05,
+        tilt=math.radians(1.5),
+    ),
+)
+"""A draft, whose values may still change: in three dimensions, with errors that last."""
+
+DREAM_V2_TRUE_DRAFT = replace(DREAM_V2_DRAFT, name="dream-v2-draft-true", noise=None, lasting=None)
+"""`dream-v2-draft` with a sensor that does not err."""
+
 REACHES = (4.0, 6.0, 8.0, 10.0)
 """Metres: the reaches that `dream-v1` is swept over; 8 is its own."""
 
@@ -241,7 +376,15 @@ def reach_variant(reach: float) -> str:
 _OTHER_REACHES = [
     replace(DREAM_V1, name=reach_variant(reach), reach=reach) for reach in REACHES if reach != DREAM_V1.reach
 ]
-_ALL = (DREAM_V1, POOL_V1, DREAM_V1_NOISY, DREAM_V1_NAV, *_OTHER_REACHES)
+_ALL = (
+    DREAM_V1,
+    POOL_V1,
+    DREAM_V1_NOISY,
+    DREAM_V1_NAV,
+    DREAM_V2_DRAFT,
+    DREAM_V2_TRUE_DRAFT,
+    *_OTHER_REACHES,
+)
 PROTOCOLS = {protocol.name: protocol for protocol in _ALL}
 
 

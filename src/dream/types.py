@@ -79,6 +79,17 @@ class Observation:
         """The vehicle's position and heading on the ground plane."""
         return self.T_world_base.se2
 
+    @property
+    def z(self) -> float:
+        """The vehicle's height in the world, metres."""
+        return float(self.T_world_base.translation[2])
+
+    @property
+    def tilt(self) -> float:
+        """Pitch of the camera in the vehicle, radians, positive downwards."""
+        ahead, _, up = self.T_base_camera.rotation[:, 2].tolist()
+        return math.atan2(-up, ahead)
+
 
 class Target(enum.StrEnum):
     """What a mission looks for."""
@@ -179,7 +190,10 @@ class Exchange:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What a planner says: turn, then advance. Both zero means stop: hold and look again. Or done."""
+    """What a planner says: turn, advance, climb and tilt; or done.
+
+    Under a planar protocol turn, then advance. Nothing of all means stop: hold and look again.
+    """
 
     turn: float = 0.0
     """Radians, positive to the left."""
@@ -193,6 +207,10 @@ class Decision:
     it: it tells how long an answer took."""
     waited: float = 0.0
     """Seconds of the mission that the vehicle stood still for it."""
+    climb: float = 0.0
+    """Metres upwards, made together with turn and advance; 0 under a planar protocol."""
+    tilt: float | None = None
+    """Pitch of the camera after the move, radians, positive downwards; None leaves it as it is."""
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.turn) and math.isfinite(self.advance)) or self.advance < 0.0:
@@ -200,13 +218,18 @@ class Decision:
                 f"decision: expected a finite turn and a finite advance of at least 0, "
                 f"got turn={self.turn}, advance={self.advance}"
             )
-        if self.done and (self.turn != 0.0 or self.advance != 0.0):
-            raise ValueError("decision: done stays where it is; expected turn and advance 0")
+        if not (math.isfinite(self.climb) and (self.tilt is None or math.isfinite(self.tilt))):
+            raise ValueError(
+                f"decision: expected a finite climb, and a finite tilt or none, "
+                f"got climb={self.climb}, tilt={self.tilt}"
+            )
+        if self.done and not self.stops:
+            raise ValueError("decision: done stays where it is; expected turn, advance and climb 0, no tilt")
 
     @property
     def stops(self) -> bool:
-        """Neither turns nor advances."""
-        return self.turn == 0.0 and self.advance == 0.0
+        """Neither turns, advances nor climbs, and leaves the camera as it is."""
+        return self.turn == self.advance == self.climb == 0.0 and self.tilt is None
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,8 +249,18 @@ class Setpoint:
     x: float
     y: float
     yaw: float
-    altitude: float
-    """Metres above the bare seabed, held on the way."""
+    altitude: float | None
+    """Metres above the bare seabed, held on the way; None where a height in the world is held."""
+    z: float | None = None
+    """Height in the world at the end, which the way leads straight to; None where an altitude is held."""
+    tilt: float | None = None
+    """Pitch of the camera, radians, positive downwards; None leaves it as it is."""
+
+    def __post_init__(self) -> None:
+        if (self.altitude is None) == (self.z is None):
+            raise ValueError(
+                f"setpoint: expected either an altitude or a height, got {self.altitude} and {self.z}"
+            )
 
 
 @dataclass(frozen=True, slots=True)
