@@ -87,7 +87,7 @@ def explore(
 def _steps(robot: Robot, course: Course, occupancy: OccupancyMap, cap: int) -> Iterator[Step]:
     protocol = occupancy.protocol
     observation = robot.observe()
-    occupancy.clear_launch(observation.pose.x, observation.pose.y)
+    occupancy.clear_launch(observation.pose.x, observation.pose.y, observation.z)
     _integrate(occupancy, observation)
     waiting = Decision()
     here = Arrival(observation.pose, collided=False, distance=0.0, clearance=math.inf)
@@ -102,8 +102,8 @@ def _steps(robot: Robot, course: Course, occupancy: OccupancyMap, cap: int) -> I
         open_region = ""
         if decision.done:
             open_region = check_completion(occupancy, observation.pose).open_region
-        guarded = guard(decision, observation.pose, occupancy, protocol)
-        arrival = robot.go_to(setpoint(observation.pose, guarded.decision, protocol))
+        guarded = guard(decision, observation.pose, occupancy, protocol, observation.z)
+        arrival = robot.go_to(setpoint(observation.pose, guarded.decision, protocol, observation.z))
         observation = robot.observe()
         _integrate(occupancy, observation)
         leg = course.after(index, done=decision.done and not open_region)

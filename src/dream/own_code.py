@@ -157,10 +157,16 @@ def check_decision(decision: Any, protocol: SurveyProtocol, decide: Callable[...
     elif decision.done or (
         any(abs(wrap_angle(decision.turn - turn)) <= ROUNDING for turn in protocol.turn_angles)
         and any(abs(decision.advance - advance) <= ROUNDING for advance in (0.0, *protocol.advances))
+        and any(abs(decision.climb - climb) <= ROUNDING for climb in protocol.climbs)
+        and (decision.tilt is None or any(abs(decision.tilt - tilt) <= ROUNDING for tilt in protocol.tilts))
     ):
         return
     else:
         got = f"a turn of {math.degrees(decision.turn):g}° and an advance of {decision.advance:g} m"
+        if decision.climb != 0.0:
+            got += f", a climb of {decision.climb:g} m"
+        if decision.tilt is not None:
+            got += f", a tilt of {math.degrees(decision.tilt):g}°"
     ask = ""
     if isinstance(decision, Decision) and any(
         abs(decision.turn - math.degrees(turn)) <= ROUNDING for turn in protocol.turn_angles if turn != 0.0
@@ -170,8 +176,10 @@ def check_decision(decision: Any, protocol: SurveyProtocol, decide: Callable[...
 
 
 def _no_number(decision: Decision) -> str:
-    for name in ("turn", "advance", "waited"):
+    for name in ("turn", "advance", "waited", "climb", "tilt"):
         value = getattr(decision, name)
+        if name == "tilt" and value is None:
+            continue
         if not isinstance(value, int | float) or not math.isfinite(value):
             return f"{name}={value!r:.40}, which is no finite float but {_kind(value)}"
     return "" if decision.waited >= 0.0 else f"waited={decision.waited:g}"
@@ -194,8 +202,12 @@ def _allowed(protocol: SurveyProtocol) -> str:
     sizes = sorted({round(abs(math.degrees(turn)), 3) for turn in protocol.turn_angles})
     turns = [f"{size:g}" if size in (0.0, 180.0) else f"±{size:g}" for size in sizes]
     advances = [f"{advance:g}" for advance in sorted({0.0, *protocol.advances})]
-    turn, advance = _either(turns), _either(advances)
-    return f"a Decision with a turn of {turn}° and an advance of {advance} m ({protocol.name})"
+    parts = [f"a turn of {_either(turns)}°", f"an advance of {_either(advances)} m"]
+    if protocol.space is not None:
+        tilts = [f"{math.degrees(tilt):g}" for tilt in sorted(protocol.tilts)]
+        parts.append(f"a climb of {_either([f'{climb:g}' for climb in protocol.climbs])} m")
+        parts.append(f"a tilt of None or {_either(tilts)}°")
+    return f"a Decision with {', '.join(parts[:-1])} and {parts[-1]} ({protocol.name})"
 
 
 def _either(words: list[str]) -> str:

@@ -77,6 +77,10 @@ class RecordedPose(_Recorded):
     x: float
     y: float
     yaw: float
+    z: float | None = None
+    """Height in the world; None under a planar protocol."""
+    tilt: float | None = None
+    """Pitch of the camera, positive downwards; None under a planar protocol."""
 
 
 class RecordedDecision(_Recorded):
@@ -85,6 +89,9 @@ class RecordedDecision(_Recorded):
     turn: float
     advance: float
     done: bool
+    climb: float = 0.0
+    tilt: float | None = None
+    """None leaves the camera as it is."""
 
 
 class RecordedGuard(_Recorded):
@@ -93,6 +100,8 @@ class RecordedGuard(_Recorded):
     turn: float
     advance: float
     note: str
+    climb: float = 0.0
+    tilt: float | None = None
 
 
 class RecordedReasoning(_Recorded):
@@ -432,15 +441,26 @@ def _line(step: Step, annotations: Mapping[str, Any]) -> str:
         raise ValueError(
             f"annotations of step {step.index}: expected names of their own, got {', '.join(taken)}"
         )
-    carried_out, reasoning = step.guarded.decision, step.decision.reasoning
+    decision, carried_out, reasoning = step.decision, step.guarded.decision, step.decision.reasoning
+    seen, planar = step.observation, step.occupancy.protocol.space is None
     recorded = RecordedStep(
         step=step.index,
         time=step.observation.time,
-        pose=_pose(step.arrival.pose),
+        pose=_pose(step.arrival.pose, *(() if planar else (seen.z, seen.tilt))),
         decision=RecordedDecision(
-            turn=step.decision.turn, advance=step.decision.advance, done=step.decision.done
+            turn=decision.turn,
+            advance=decision.advance,
+            done=decision.done,
+            climb=decision.climb,
+            tilt=decision.tilt,
         ),
-        guarded=RecordedGuard(turn=carried_out.turn, advance=carried_out.advance, note=step.guarded.note),
+        guarded=RecordedGuard(
+            turn=carried_out.turn,
+            advance=carried_out.advance,
+            note=step.guarded.note,
+            climb=carried_out.climb,
+            tilt=carried_out.tilt,
+        ),
         reasoning=RecordedReasoning(
             distribution=reasoning.distribution,
             target_area=reasoning.target_area,
@@ -465,11 +485,15 @@ def _line(step: Step, annotations: Mapping[str, Any]) -> str:
         truth=None if step.arrival.truth is None else _pose(step.arrival.truth.se2),
         **annotations,
     )
-    return recorded.model_dump_json(fallback=_plain, exclude=None if recorded.why else {"why"})
+    left_out: dict[str, Any] = {} if recorded.why else {"why": True}
+    if planar:
+        for name in ("pose", "truth", "decision", "guarded"):
+            left_out[name] = {"z", "climb", "tilt"}
+    return recorded.model_dump_json(fallback=_plain, exclude=left_out)
 
 
-def _pose(pose: SE2) -> RecordedPose:
-    return RecordedPose(x=pose.x, y=pose.y, yaw=pose.yaw)
+def _pose(pose: SE2, z: float | None = None, tilt: float | None = None) -> RecordedPose:
+    return RecordedPose(x=pose.x, y=pose.y, yaw=pose.yaw, z=z, tilt=tilt)
 
 
 def _asked(exchanges: Sequence[Exchange]) -> RecordedAsked | None:

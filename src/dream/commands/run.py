@@ -113,13 +113,12 @@ class Run:
         """The same; what has to stay until the outcome is told is left to `shown`."""
         from dream import recording
         from dream.compiling import working_time
-        from dream.evaluation.metrics import Scorer, without_answer
+        from dream.evaluation.metrics import Scorer, sight_in, without_answer
         from dream.evaluation.runner import run_config, simulate, summarize
         from dream.planning.vlm.orders import write_mission
         from dream.report import write_report
         from dream.robots.replay import keep
         from dream.sim.render import Renderer
-        from dream.sim.visibility import Visibility
 
         site = self.ground.where()
         if isinstance(self.planner, Asking):
@@ -139,7 +138,7 @@ class Run:
                     words, orders = _orders(self.mission, self.planner, world, protocol, draft)
                 known = self.ground.known(site, self.planner, world.bounds, protocol, world)
                 with stage(f"preparing {world.name} {world.seed}"):
-                    visibility, renderer = Visibility(world, protocol), Renderer(world)
+                    visibility, renderer = sight_in(world, protocol), Renderer(world)
                 steps = simulate(
                     world,
                     self.planner,

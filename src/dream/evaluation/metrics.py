@@ -6,19 +6,22 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from dream.ending import why
-from dream.geometry import SE3, Bounds, Camera
+from dream.geometry import SE3, Bounds, Camera, camera_mount
 from dream.orders import Flown, Leg, Orders, Outcome, Task, place
 from dream.protocol import SurveyProtocol
 from dream.sim.render import Renderer
 from dream.sim.visibility import Visibility
 from dream.sim.world import Mesh, World
 from dream.types import Exchange, Step
+
+if TYPE_CHECKING:
+    from dream.sim.inspection import Inspection
 
 MILESTONES = {"t90": 0.90, "t95": 0.95, "t98": 0.9826, "t100": 1.0}
 """Shares of the instances whose step is reported; 98.26 % is the paper's own coverage."""
@@ -204,10 +207,20 @@ class Logbook:
         return legs
 
 
+def sight_in(world: World, protocol: SurveyProtocol) -> Visibility | Inspection:
+    """What counts as found in a world: what is seen, or in space what is inspected."""
+    if protocol.space is None:
+        return Visibility(world, protocol)
+    from dream.sim.inspection import Inspection
+
+    return Inspection(world, protocol)
+
+
 class Scorer(Logbook):
     """Scores a mission while it runs: hand it every step, in order.
 
-    Seeing is geometry (`sim.visibility`), so that scoring, simulator and oracle agree exactly. Where there
+    Seeing is geometry (`sim.visibility`), and so is inspecting (`sim.inspection`), so that scoring, simulator
+    and oracle agree exactly. Where there
     are orders, only individuals in the area of a leg that maps count; where that is a side of something,
     they do so from when it was found on.
     """
@@ -217,29 +230,40 @@ class Scorer(Logbook):
         world: World,
         protocol: SurveyProtocol,
         *,
-        visibility: Visibility | None = None,
+        visibility: Visibility | Inspection | None = None,
         renderer: Renderer | None = None,
         orders: Orders | None = None,
     ) -> None:
         """Score by the visibility and the renderer of this world where they are made already."""
         self._bounds, self._positions = world.bounds, np.asarray(world.targets.position[:, :2], np.float64)
         super().__init__(protocol, orders)
-        self._visibility = Visibility(world, protocol) if visibility is None else visibility
+        self._sight = sight_in(world, protocol) if visibility is None else visibility
+        self._inspection = None if protocol.space is None else cast("Inspection", self._sight)
         self._renderer = renderer or Renderer(world)
         self._countable = self._counted()
         self._group = np.asarray(world.targets.group)
         self._piece, self._piece_area = _area_pieces(world, protocol)
         self._first_seen = np.full(len(world.targets), -1)
-        """The step; −1 where not yet."""
+        """The step at which it first counted as seen, in space as inspected; −1 where not yet."""
+        self._first_at_any_angle = np.full(len(world.targets), -1)
+        """In space: the step at which it was first seen at all."""
+        self._tilt = protocol.camera_pitch
+        """Of the camera, as it was told to be."""
         self._shown = np.zeros(len(world.targets), dtype=bool)
 
     def add(self, step: Step) -> Coverage:
         """Score one more step and say how much has been covered since the start."""
         T_world_base = step.observation.T_world_base if step.arrival.truth is None else step.arrival.truth
-        pose = T_world_base.se2
-        seen = self._visibility.seen(np.array([[pose.x, pose.y, pose.yaw]]))[0]
-        self._first_seen[seen & ~self._seen] = step.index
-        self._shown |= self._shows(step.observation.camera, T_world_base @ step.observation.T_base_camera)
+        if step.guarded.decision.tilt is not None:
+            self._tilt = step.guarded.decision.tilt
+        counts = self._sight.found(T_world_base, self._tilt)
+        self._first_seen[counts & ~self._seen] = step.index
+        T_base_camera = step.observation.T_base_camera
+        if self._inspection is not None:
+            seen = self._inspection.seen(T_world_base, self._tilt)
+            self._first_at_any_angle[seen & (self._first_at_any_angle < 0)] = step.index
+            T_base_camera = camera_mount(self._tilt)  # What the observation says may be off.
+        self._shown |= self._shows(step.observation.camera, T_world_base @ T_base_camera)
         self.note(step)
         self._countable = self._counted()
         return self._coverage()
@@ -250,7 +274,7 @@ class Scorer(Logbook):
 
     def _counted(self) -> BoolArray:
         """(N,) individuals that count, by what is known of where the legs are."""
-        countable = self._visibility.countable
+        countable = self._sight.countable
         if self._orders is None:
             return countable
         counted = np.zeros(len(countable), np.bool_)
@@ -274,7 +298,10 @@ class Scorer(Logbook):
         frame = self._renderer.measure(camera, T_world_camera)
         points = camera.back_project(frame.depth, T_world_camera)
         origin = T_world_camera.translation
-        near = np.hypot(points[..., 0] - origin[0], points[..., 1] - origin[1]) <= self._protocol.reach
+        away = np.hypot(points[..., 0] - origin[0], points[..., 1] - origin[1])
+        if self._protocol.space is not None:
+            away = np.hypot(away, points[..., 2] - origin[2])
+        near = away <= self._protocol.reach
         pixels = np.bincount(frame.ids[near & (frame.ids >= 0)], minlength=len(self._shown))
         return pixels >= VISIBLE_PIXELS
 
@@ -326,9 +353,40 @@ class Scorer(Logbook):
             **{name: self._time_to(share) for name, share in MILESTONES.items()},
             "coverage": coverage.as_dict(),
             "countable": int(self._countable.sum()),
+            **self._inspected_shares(),
             **self._navigation(distance),
             "success": success,
         }
+
+    def _inspected_shares(self) -> dict[str, Any]:
+        """In space: shares of all surface and of what the pose space can show; empty of a planar mission.
+
+        `whole` is of the area of all individuals, `dropped` the share of that area which no pose space can
+        show well enough to count; `seen` counts what was seen at any angle, of what counts.
+        """
+        if self._inspection is None:
+            return {}
+        area, countable = self._inspection.area, self._countable
+        whole = float(area.sum())
+        inspected = float(area[self._seen].sum())
+        return {
+            "inspection": {
+                "inspected": round(_share(self._seen[countable]), 6),
+                "seen": round(_share(self._first_at_any_angle[countable] >= 0), 6),
+                "whole": round(inspected / whole if whole > 0.0 else 1.0, 6),
+                "dropped": round(self._inspection.dropped, 6),
+            }
+        }
+
+    @property
+    def first_found(self) -> npt.NDArray[np.intp]:
+        """(N,) the step at which each individual first counted; −1 where it does not yet."""
+        return self._first_seen.copy()
+
+    @property
+    def first_at_any_angle(self) -> npt.NDArray[np.intp]:
+        """(N,) in space: the step at which each was first seen, at whatever angle; −1 where not yet."""
+        return self._first_at_any_angle.copy()
 
     def _navigation(self, distance: float) -> dict[str, Any]:
         """How far the vehicle was from where it believed to be, over so many metres."""

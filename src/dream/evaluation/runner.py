@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from dream.errors import MissionAborted
 from dream.evaluation import machine
 from dream.evaluation.engines import Engine, Failure
 from dream.evaluation.locks import alone_at
-from dream.evaluation.metrics import Scorer, curve
+from dream.evaluation.metrics import Scorer, curve, sight_in
 from dream.evaluation.results import (
     Flown,
     MissionKey,
@@ -59,6 +59,9 @@ from dream.sim.worlds import WORLDS
 from dream.sim.years import years_on
 from dream.types import Step, Target
 from dream.versions import commit
+
+if TYPE_CHECKING:
+    from dream.sim.inspection import Inspection
 
 logger = logging.getLogger(__name__)
 
@@ -226,7 +229,7 @@ class _Stage:
     """A world and what is prepared once for all missions in it. Flying changes nothing here."""
 
     world: World
-    visibility: Visibility
+    visibility: Visibility | Inspection
     renderer: Renderer
 
 
@@ -235,7 +238,7 @@ class _Stage:
 @lru_cache(maxsize=1)
 def _stage(world: str, seed: int, folder: str, world_hash: str, protocol: str) -> _Stage:
     made = Case(world, seed, folder=folder, world_hash=world_hash).open()
-    return _Stage(made, Visibility(made, protocol_named(protocol)), Renderer(made))
+    return _Stage(made, sight_in(made, protocol_named(protocol)), Renderer(made))
 
 
 def fly(flight: Flight) -> Flown:
@@ -314,7 +317,7 @@ def fly_mission(
         max_steps=max_steps,
         record_to=folder,
     )
-    return _fly_on(_Stage(world, Visibility(world, rules), Renderer(world)), flight, began)
+    return _fly_on(_Stage(world, sight_in(world, rules), Renderer(world)), flight, began)
 
 
 def _fly_on(stage: _Stage, flight: Flight, began: float) -> Flown:

@@ -7,7 +7,7 @@ import json
 import math
 from collections.abc import Callable, Hashable
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +33,9 @@ from dream.mapping.layers import (
 from dream.protocol import SurveyProtocol
 from dream.traversal import traversed
 from dream.types import BoolArray, Label
+
+if TYPE_CHECKING:
+    from dream.mapping.volume import Volume
 
 T = TypeVar("T")
 Float64Array = npt.NDArray[np.float64]
@@ -114,17 +117,27 @@ class OccupancyMap(Layers):
         origin = (area.x_min, area.y_min)
         super().__init__(store, (0, 0), area, protocol, evidence or Evidence(), origin, math.nan)
         self._bounded = bounds is not None
+        self.volume: Volume | None = None if protocol.space is None else _volume(protocol)
+        """The map in three dimensions, whose view from above this one then is; None under a planar
+        protocol, and of a map that was read from a file."""
         self._stamp = 0
         self._frame: FrameWindow | None = None
         self._answers: dict[Hashable, Any] = {}
 
     # ------------------------------------------------------------------------------------ what goes in
 
-    def clear_launch(self, x: float, y: float) -> None:
-        """Take the ground within the protocol's launch radius for free: traversable, not explored."""
+    def clear_launch(self, x: float, y: float, z: float | None = None) -> None:
+        """Take the ground within the protocol's launch radius for free: traversable, not explored.
+
+        In space it is the water within that radius of the vehicle at height `z`, metres in the world.
+        """
         if not (math.isfinite(x) and math.isfinite(y)):
             raise ValueError(f"launch: expected a finite position, got ({x}, {y})")
         radius = self.protocol.launch_radius
+        if self.volume is not None:
+            if z is None:
+                raise ValueError(f"launch: expected a height, since {self.protocol.name} moves in space")
+            self.volume.clear(np.array([x, y, z]), radius)
         low, east, north, inside = self._around(x, y, radius)
         marked = self._store.read("flags", low, inside.shape)
         marked[inside & (np.hypot(east, north) <= radius)] |= flags.CROSSED
@@ -353,6 +366,12 @@ class OccupancyMap(Layers):
                 return _read(content)
             except (ArithmeticError, MemoryError) as error:  # Of lengths that no map has.
                 raise ValueError(f"about: {error}") from error
+
+
+def _volume(protocol: SurveyProtocol) -> Volume:
+    from dream.mapping.volume import Volume
+
+    return Volume(protocol)
 
 
 class _About(BaseModel):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 
-from dream.geometry import SE2, SE3
+from dream.geometry import SE2, SE3, camera_mount
 from dream.protocol import SurveyProtocol
 from dream.sim.camera_noise import noise_generator, with_noise
 from dream.sim.render import Frame, Renderer
@@ -41,7 +41,7 @@ class SimulatedCamera:
         """Made at the first look: a tour that is only driven needs none."""
         return self._given or Renderer(self._world)
 
-    def observe(self, time: float, moves: int, truth: SE3, believed: SE3) -> Observation:
+    def observe(self, time: float, moves: int, truth: SE3, believed: SE3, tilt: float) -> Observation:
         """One frame.
 
         Args:
@@ -49,8 +49,9 @@ class SimulatedCamera:
             moves: Of the robot since the start.
             truth: `T_world_base` that it is drawn from.
             believed: `T_world_base` that the observation says.
+            tilt: Pitch of the camera, radians, positive downwards.
         """
-        T_base_camera = self._protocol.T_base_camera
+        T_base_camera = camera_mount(tilt)
         frame = self._frame(truth @ T_base_camera, moves)
         rgb = frame.rgb
         if self._fineness > 1:

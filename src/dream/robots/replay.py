@@ -114,12 +114,13 @@ def keep(steps: Iterable[Step], folder: Path, protocol: SurveyProtocol) -> Itera
         OSError: It cannot be written; what was kept before stays.
     """
     observations = _fresh(folder)
-    here: SE2 | None = None
+    here: Observation | None = None
     for step in steps:
         move = None
         if here is not None:
-            move = Move(setpoint(here, step.guarded.decision, protocol), step.arrival)
-        here = step.observation.pose
+            to = setpoint(here.pose, step.guarded.decision, protocol, here.z)
+            move = Move(to, step.arrival)
+        here = step.observation
         write(observations / f"{step.index:04d}.npz", Kept(move, step.observation))
         yield step
 
@@ -226,12 +227,14 @@ def write(path: Path, kept: Kept) -> None:
     if kept.move is not None:
         to, arrival = kept.move.setpoint, kept.move.arrival
         arrays |= {
-            "setpoint": [to.x, to.y, to.yaw, to.altitude],
+            "setpoint": [to.x, to.y, to.yaw, *(() if to.altitude is None else (to.altitude,))],
             "arrival": [arrival.pose.x, arrival.pose.y, arrival.pose.yaw],
             "travelled": [arrival.distance, arrival.clearance, arrival.sigma],
             "collided": arrival.collided,
             "note": np.frombuffer(arrival.note.encode(), np.uint8),
         }
+        if to.z is not None:
+            arrays["height"] = [to.z, math.nan if to.tilt is None else to.tilt]
         if arrival.truth is not None:
             arrays["truth"] = _matrix(arrival.truth)
     with whole_or_nothing(path) as partial, partial.open("wb") as file:
@@ -276,7 +279,17 @@ def _kept(arrays: Arrays) -> Kept:
         sigma=sigma,
         truth=_transform(arrays, "truth") if "truth" in arrays else None,
     )
-    return Kept(Move(Setpoint(*_numbers(arrays, "setpoint", (4,)).tolist()), arrival), seen)
+    return Kept(Move(_setpoint(arrays), arrival), seen)
+
+
+def _setpoint(arrays: Arrays) -> Setpoint:
+    if "height" not in arrays:
+        return Setpoint(*_numbers(arrays, "setpoint", (4,)).tolist())
+    z, tilt = arrays["height"].tolist() if arrays["height"].shape == (2,) else (math.nan, math.nan)
+    if not math.isfinite(z) or math.isinf(tilt):
+        raise ValueError(f"height: expected metres and a tilt or NaN, got {arrays['height'].tolist()!r:.80}")
+    x, y, yaw = _numbers(arrays, "setpoint", (3,)).tolist()
+    return Setpoint(x, y, yaw, None, z, None if math.isnan(tilt) else tilt)
 
 
 def _picture(content: bytes) -> UInt8Array:
@@ -336,14 +349,14 @@ def _copied(seen: Observation) -> Observation:
 
 
 def _same(one: Setpoint, other: Setpoint) -> bool:
-    apart = (
-        one.x - other.x,
-        one.y - other.y,
-        wrap_angle(one.yaw - other.yaw),
-        one.altitude - other.altitude,
-    )
+    if (one.z is None, one.tilt is None) != (other.z is None, other.tilt is None):
+        return False
+    apart = [one.x - other.x, one.y - other.y, wrap_angle(one.yaw - other.yaw)]
+    for mine, others in ((one.altitude, other.altitude), (one.z, other.z), (one.tilt, other.tilt)):
+        apart += [] if mine is None or others is None else [mine - others]
     return all(abs(by) <= SAME for by in apart)
 
 
 def _place(to: Setpoint) -> str:
-    return f"({to.x:.2f}, {to.y:.2f}) heading {math.degrees(to.yaw):.0f}°"
+    high = "" if to.z is None else f", {to.z:.2f}"
+    return f"({to.x:.2f}, {to.y:.2f}{high}) heading {math.degrees(to.yaw):.0f}°"

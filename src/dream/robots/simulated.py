@@ -185,7 +185,11 @@ class Simulated:
     def observe(self) -> Observation:
         """One frame from where it really is, with the pose that it believes in; the same until it moves."""
         return self._camera.observe(
-            float(self._voyage.clock[_kernels.TIME]), self._moves, self.truth, self.estimate.pose
+            float(self._voyage.clock[_kernels.TIME]),
+            self._moves,
+            self.truth,
+            self.estimate.pose,
+            self._protocol.camera_pitch,
         )
 
     def go_to(self, setpoint: Setpoint) -> Arrival:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from dream.geometry import SE2, SE3, wrap_angle
 from dream.protocol import SurveyProtocol
 from dream.robots.camera import SimulatedCamera
 from dream.sim.render import Renderer
-from dream.sim.solids import Solids
+from dream.sim.solids import Solids, Sweep
 from dream.sim.world import World
 from dream.types import Arrival, Observation, Setpoint
 
@@ -22,9 +24,9 @@ class Teleport:
     """Jumps to where it is sent, as far as the straight way there is free of contact.
 
     What it does: turns, then follows the segment to the setpoint at the protocol's altitude above
-    the bare seabed. At a contact it counts a collision and stays on the last lattice position of the
-    segment that is free. Poses are the truth; so are depth and labels, but for the noise that the
-    protocol declares. That is drawn anew with every move, also one that goes nowhere.
+    the bare seabed, or in space straight to its height. At a contact it counts a collision and stays on the
+    last lattice position of the segment that is free. Poses are the truth; so are depth and labels, but for
+    the errors that the protocol declares. Noise is drawn anew with every move, also one that goes nowhere.
 
     Assumes: setpoints on the protocol's lattice.
     """
@@ -56,42 +58,72 @@ class Teleport:
         self._protocol = protocol
         self._solids = solids or Solids(world)
         self._pose = protocol.snap(pose)
+        self._z = launch_height(world, protocol, self._pose)
+        self._tilt = protocol.camera_pitch
         self._camera = SimulatedCamera(world, protocol, self._pose, renderer, fineness)
         self._moves = 0
         self._time = 0.0
-        if self._solids.clearance(self._pose.x, self._pose.y, protocol) <= 0.0:
+        if not self._is_free(self._pose, self._z):
             raise ValueError(f"start: ({self._pose.x}, {self._pose.y}) touches the world. See `dream draw`")
 
     def observe(self) -> Observation:
         """One frame from the present pose; the same again until it moves."""
         T_world_base = self._T_world_base()
-        return self._camera.observe(self._time, self._moves, T_world_base, T_world_base)
+        return self._camera.observe(self._time, self._moves, T_world_base, T_world_base, self._tilt)
 
     def go_to(self, setpoint: Setpoint) -> Arrival:
-        """Turn, then advance; at contact, stop."""
-        start = self._pose
+        """Turn, then advance and climb; at contact, stop. The camera tilts on the way."""
+        start, z = self._pose, self._z
         goal = SE2(setpoint.x, setpoint.y, setpoint.yaw)
-        sweep = self._solids.sweep(start, goal, self._protocol)
+        sweep = self._sweep(goal, setpoint.z)
         collided = sweep.contact
-        end = self._last_free_node(start, goal, sweep.free) if collided else goal
-        travelled = start.distance(end)
+        end, height = self._last_free_node(goal, setpoint.z, sweep.free) if collided else (goal, setpoint.z)
+        travelled = start.distance(end) if height is None else math.hypot(start.distance(end), height - z)
         self._time += travelled / SPEED + abs(wrap_angle(goal.yaw - start.yaw)) / TURN_RATE
         self._pose = end
+        self._z = launch_height(self._world, self._protocol, end) if height is None else height
+        self._tilt = self._tilt if setpoint.tilt is None else setpoint.tilt
         self._moves += 1
         return Arrival(end, collided, travelled, sweep.clearance)
 
-    def _last_free_node(self, start: SE2, goal: SE2, free: float) -> SE2:
-        length = start.distance(goal)
-        nodes = max(1, round(length / self._protocol.lattice))
+    def _sweep(self, goal: SE2, z: float | None) -> Sweep:
+        """How the way to a goal goes; to its altitude over ground where no height is given."""
+        if z is None:
+            return self._solids.sweep(self._pose, goal, self._protocol)
+        start = self._pose
+        return self._solids.sweep_through((start.x, start.y, self._z), (goal.x, goal.y, z), self._protocol)
+
+    def _last_free_node(self, goal: SE2, z: float | None, free: float) -> tuple[SE2, float | None]:
+        start, spacing = self._pose, self._protocol.lattice
+        rise = 0.0 if z is None else z - self._z
+        nodes = max(1, round(math.hypot(start.distance(goal), rise) / spacing))
         for k in range(math.floor(free * nodes), 0, -1):
             along = k / nodes
             node = self._protocol.snap(
                 SE2(start.x + along * (goal.x - start.x), start.y + along * (goal.y - start.y), goal.yaw)
             )
-            if self._solids.clearance(node.x, node.y, self._protocol) > 0.0:
-                return node
-        return SE2(start.x, start.y, goal.yaw)
+            height = None if z is None else round((self._z + along * rise) / spacing) * spacing
+            if self._is_free(node, height):
+                return node, height
+        return SE2(start.x, start.y, goal.yaw), None if z is None else self._z
+
+    def _is_free(self, pose: SE2, z: float | None) -> bool:
+        """Does the body touch nothing there? At its altitude over ground where no height is given."""
+        if self._protocol.space is None or z is None:
+            return self._solids.clearance(pose.x, pose.y, self._protocol) > 0.0
+        return bool(self._solids.free_at(np.array([[pose.x, pose.y, z]]), self._protocol)[0])
 
     def _T_world_base(self) -> SE3:
-        seabed = float(self._world.terrain.height(self._pose.x, self._pose.y))
-        return SE3.level(self._pose.x, self._pose.y, seabed + self._protocol.altitude, self._pose.yaw)
+        return SE3.level(self._pose.x, self._pose.y, self._z, self._pose.yaw)
+
+
+def launch_height(world: World, protocol: SurveyProtocol, pose: SE2) -> float:
+    """World z at the protocol's altitude above the bare seabed; in space the lattice's next height above.
+
+    Args:
+        world: Where.
+        protocol: By which rules.
+        pose: Above which place.
+    """
+    z = float(world.terrain.height(pose.x, pose.y)) + protocol.altitude
+    return z if protocol.space is None else math.ceil(z / protocol.lattice - 1e-9) * protocol.lattice

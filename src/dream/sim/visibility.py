@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream import traversal
-from dream.geometry import wrap_angle
+from dream.geometry import SE3, wrap_angle
 from dream.protocol import SurveyProtocol
 from dream.sim import _kernels
 from dream.sim.solids import FreeLattice, Solids, checked, corners
@@ -162,6 +162,11 @@ class Visibility:
             self._cells,
             where,
         )
+
+    def found(self, T_world_base: SE3, tilt: float) -> BoolArray:
+        """(N,) which individuals a vehicle sees from where it is; its camera's tilt is the protocol's."""
+        pose = T_world_base.se2
+        return np.asarray(self.seen(np.array([[pose.x, pose.y, pose.yaw]]))[0])
 
     @cached_property
     def lattice(self) -> FreeLattice:
