@@ -18,7 +18,7 @@ import argparse
 import math
 import sys
 import time
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -219,11 +219,8 @@ def _inside(world: World, survey: Survey, patch: int) -> npt.NDArray[np.bool_]:
 
 
 def _without(world: World, dead: npt.NDArray[np.intp]) -> World:
-    kept = np.setdiff1d(np.arange(len(world.targets)), dead)
-    table = world.targets
-    return replace(
-        world, targets=replace(table, **{f.name: getattr(table, f.name)[kept] for f in fields(table)})
-    )
+    kept = ~np.isin(np.arange(len(world.targets)), dead)
+    return replace(world, targets=world.targets.chosen(kept), hull=world.hull[kept])
 
 
 def _tell(compared: list[Compared]) -> None:

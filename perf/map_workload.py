@@ -181,7 +181,7 @@ def _world(
         terrain=terrain,
         meshes=meshes,
         targets=targets,
-        targets_are_hull=False,
+        hull=np.zeros(len(targets), np.bool_),
         obstacles=obstacles,
         water=WATERS["clear"],
     )

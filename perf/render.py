@@ -54,7 +54,7 @@ def crowded(count: int = 5000) -> World:
         terrain=base.terrain,
         meshes=base.meshes,
         targets=targets,
-        targets_are_hull=False,
+        hull=np.zeros(len(targets), np.bool_),
         obstacles=base.obstacles,
         water=base.water,
     )

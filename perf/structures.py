@@ -14,9 +14,7 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import sys
-from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 
 import numpy as np
 
@@ -24,12 +22,12 @@ from ablation import Insistent
 from dream.evaluation.engines import processors
 from dream.evaluation.metrics import Scorer
 from dream.evaluation.runner import simulate
-from dream.geometry import Bounds
 from dream.planning import Belief
 from dream.protocol import DREAM_V1
 from dream.sim.render import Renderer
+from dream.sim.structures import beside
 from dream.sim.visibility import Visibility
-from dream.sim.world import Instances, Mesh, Terrain, World
+from dream.sim.world import World
 from dream.sim.worlds import make_world
 from dream.types import BoolArray
 
@@ -43,69 +41,13 @@ FOUND = 0.9
 """Share of a wreck that has to be seen."""
 
 
-def joined(west: World, east: World, apart: float) -> World:
-    """Both in one arena, the second so many metres east of the first, which has the starts."""
-    meshes: list[Mesh] = []
-    targets: list[Instances] = []
-    obstacles: list[Instances] = []
-    for world, shift in ((west, 0.0), (east, apart)):
-        for into, instances in ((targets, world.targets), (obstacles, world.obstacles)):
-            into.append(
-                replace(
-                    instances,
-                    mesh=instances.mesh + len(meshes),
-                    position=instances.position + np.array([shift, 0.0, 0.0], np.float32),
-                )
-            )
-        meshes += world.meshes
-    bounds = Bounds(
-        min(west.bounds.x_min, east.bounds.x_min + apart),
-        min(west.bounds.y_min, east.bounds.y_min),
-        max(west.bounds.x_max, east.bounds.x_max + apart),
-        max(west.bounds.y_max, east.bounds.y_max),
-    )
-    return replace(
-        west,
-        name=f"{west.name} and {east.name}",
-        bounds=bounds,
-        terrain=_ground(west, east, apart, bounds),
-        meshes=tuple(meshes),
-        targets=_both(targets),
-        obstacles=_both(obstacles),
-    )
-
-
-def _both(parts: Sequence[Instances]) -> Instances:
-    """One after the other; groups keep apart."""
-    first, second = parts
-    past = int(first.group.max(initial=-1)) + 1
-    second = replace(second, group=np.where(second.group < 0, -1, second.group + past).astype(np.int32))
-    return Instances(
-        *(
-            np.concatenate([getattr(first, name), getattr(second, name)])
-            for name in ("mesh", "position", "wxyz", "scale", "tint", "group")
-        )
-    )
-
-
-def _ground(west: World, east: World, apart: float, bounds: Bounds) -> Terrain:
-    """The seabed of whichever arena is nearer, drawn to the mean of both between them."""
-    ground, margin = west.terrain, 12.0
-    x = np.arange(bounds.x_min - margin, bounds.x_max + margin, ground.spacing)
-    y = np.arange(bounds.y_min - margin, bounds.y_max + margin, ground.spacing)
-    nearness = np.clip((x - 0.5 * apart) / 4.0 + 0.5, 0.0, 1.0)
-    here, there = west.terrain.height(*np.meshgrid(x, y)), east.terrain.height(*np.meshgrid(x - apart, y))
-    heights = ((1.0 - nearness) * here + nearness * there).astype(np.float32)
-    return Terrain(heights, float(x[0]), float(y[0]), ground.spacing)
-
-
 def world_of(kind: str, number: int) -> World:
     """The n-th of a kind."""
     seed = FIRST + number
     west = make_world(f"wreck/{1 + number % 5}", seed)
     if kind == "wrecks":
-        return joined(west, make_world(f"wreck/{1 + (number + 2) % 5}", seed + 100), APART[kind])
-    return joined(west, make_world("reef/mixed", seed), APART[kind])
+        return beside(west, make_world(f"wreck/{1 + (number + 2) % 5}", seed + 100), APART[kind])
+    return beside(west, make_world("reef/mixed", seed), APART[kind])
 
 
 def flown(task: tuple[str, int, Belief]) -> tuple[str, bool]:

@@ -32,6 +32,7 @@ from scipy import ndimage, optimize
 from scipy.spatial import cKDTree
 
 from dream.commands.progress import with_progress
+from dream.evaluation.runner import labelled_in
 from dream.geometry import SE3, Camera
 from dream.mapping import OccupancyMap
 from dream.mission import explore
@@ -138,8 +139,7 @@ def seen_again(mission: Mission, world: World, cache: Path) -> tuple[list[Observ
         frame = renderer.render(camera, T_world_camera)
         if protocol.noise is not None:
             rng = noise_generator(world, start, number)
-            hull = world.targets_are_hull
-            frame = with_noise(frame, camera, T_world_camera, protocol.noise, rng, targets_are_hull=hull)
+            frame = with_noise(frame, camera, T_world_camera, protocol.noise, rng, hull=world.hull)
         observations.append(
             Observation(
                 float(poses["time"][number]),
@@ -519,10 +519,10 @@ def measured(mission: Mission, cache: Path) -> tuple[Survey, dict[str, Any]]:
     world, protocol = make_world(mission.world, mission.seed), protocol_named(mission.protocol)
     observations, sigma = seen_again(mission, world, cache)
     occupancy = mapped(observations, world, protocol)
-    target = Target.WRECK if world.targets_are_hull else Target.OYSTERS
+    target = labelled_in(world)
     about = About(mission.stem, datetime.now(UTC), target=target, sigma=tuple(sigma))
     survey = measure_observations(observations, occupancy, about)
-    if not world.targets_are_hull:
+    if target is not Target.WRECK:
         return survey, known_truth(world, mission, cache)
     been = [_transform(matrix).se2 for matrix in flown(mission, world, cache)["truth"]]
     poses = np.array([[pose.x, pose.y, pose.yaw] for pose in been])

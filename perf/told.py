@@ -189,7 +189,7 @@ def fly(case: Case) -> tuple[Case, dict[str, tuple[int | None, float]]]:
     world = make_world(case.world, case.seed)
     visibility, renderer = Visibility(world, DREAM_V1), Renderer(world)
     found: dict[str, tuple[int | None, float]] = {}
-    reef = not world.targets_are_hull
+    reef = not world.hull.any()
     told = {"told": _Told(tell=partial(_told_of_hull, visibility))}
     if reef:
         told = {
@@ -230,7 +230,7 @@ def _steps(
     robot = Teleport(world, DREAM_V1, world.starts[start], renderer=renderer, solids=visibility.solids)
     for step in explore(robot, planner, OccupancyMap(world.bounds, DREAM_V1)):
         scorer.add(step)
-        if not world.targets_are_hull and scorer.summary()["t98"] is not None:
+        if not world.hull.any() and scorer.summary()["t98"] is not None:
             break
     summary = scorer.summary()
     return summary["t98"], summary["coverage"]["instances"]

@@ -34,6 +34,9 @@ HASHES = {
     "wreck/5": "91d57315c8e8591b",
     "pool/arc": "e6a46ff62f7e6641",
     "flat/empty": "a11bd366836b3362",
+    "wreck/2+wreck/3": "799de13681b6b108",
+    "wreck/4+reef/patch": "47b6e64c6de0dd7f",
+    "wreck/1+wreck/5+reef/K": "b8c2ceff3fd43e60",
 }
 
 
@@ -57,7 +60,8 @@ def whole(values: npt.ArrayLike, steps: int) -> bool:
     return bool((np.abs(scaled - np.rint(scaled)) < 0.07).all())
 
 
-every_world = pytest.mark.parametrize("name", WORLDS)
+SEVERAL = ("wreck/2+wreck/3", "wreck/4+reef/patch", "wreck/1+wreck/5+reef/K")
+every_world = pytest.mark.parametrize("name", [*WORLDS, *SEVERAL])
 
 
 @every_world
@@ -94,9 +98,7 @@ def test_a_world_survives_the_disk(name: str, tmp_path: Path) -> None:
 def test_starts_are_lattice_poses_in_free_water_inside_the_bounds(name: str) -> None:
     made = world(name)
     protocol = protocol_named(made.protocol)
-    solid = [surface(made, made.obstacles)]
-    if made.targets_are_hull:
-        solid.append(surface(made, made.targets))
+    solid = [surface(made, made.obstacles), surface(made, made.targets.chosen(made.hull))]
     points = np.concatenate([np.empty((0, 2)), *((t[:, [0, 1, 2], :2]).reshape(-1, 2) for t in solid)])
     assert len(made.starts) >= 3
     for start in made.starts:

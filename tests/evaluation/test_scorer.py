@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import Any
 
@@ -336,7 +336,7 @@ def hull(*sides: tuple[float, float, float]) -> World:
     plates = placed(1, middle, [(1.0, side, side) for _, _, side in sides])
     mesh = Mesh(square, faces, np.full((4, 3), 128, np.uint8))
     world = arena(targets=plates)
-    return replace(world, meshes=(*world.meshes, mesh), targets_are_hull=True)
+    return replace(world, meshes=(*world.meshes, mesh), hull=np.ones(len(plates), np.bool_))
 
 
 def test_the_area_of_a_wreck_is_its_surface() -> None:
@@ -352,6 +352,20 @@ def test_two_patches_of_one_cell_are_two_surfaces() -> None:
     # The farther one stands for itself, 3 cm before its middle and 3.06 m away.
     scorer = Scorer(hull((2.85, 0.05, 0.1), (2.99, 0.2, 0.1)), NEAR)
     assert scorer.add(step(0, look(-0.1, 0.0))).area == pytest.approx(0.5)
+
+
+def test_hull_counts_by_its_surface_and_oysters_beside_it_by_their_cells() -> None:
+    plate, both = hull((2.0, 0.0, 0.5)), clumps([(2.02, 6.02), (2.07, 6.07), (2.02, -6.02)])
+    names = [field.name for field in fields(Instances)]
+    targets = Instances(
+        *(np.concatenate([getattr(table, name) for table in (both, plate.targets)]) for name in names)
+    )
+    scorer = Scorer(replace(plate, targets=targets, hull=np.arange(4) == 3), NEAR)
+    whole = 0.25 + 2.0 * NEAR.cell**2
+    coverage = [scorer.add(step(k, look(0.0, y))) for k, y in enumerate((6.0, 0.0, -6.0))]
+    seen = [NEAR.cell**2 / whole, (0.25 + NEAR.cell**2) / whole, 1.0]
+    assert [c.area for c in coverage] == pytest.approx(seen)
+    assert [c.instances for c in coverage] == [0.5, 0.75, 1.0]
 
 
 def test_poses_are_where_the_vehicle_really_looked_from(reef: World) -> None:

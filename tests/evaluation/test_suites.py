@@ -48,6 +48,9 @@ def test_every_world_has_a_family() -> None:
     families = {*REEF_FAMILIES, "letter", "wreck", "pool", "flat"}
     assert {family_of(world) for world in WORLDS} == families
     assert family_of("reef/string+1y1") == "string"
+    assert {family_of(name) for name in ("wreck/1+wreck/2", "wreck/1+reef/S", "wreck/1+reef/S+1y1")} == {
+        "several"
+    }
     own = ("wreck/harbour", "wreck/1 (changed)", "reef/string+1y1 (changed)", "pool/of mine")
     for stranger in ("reef/X", "reef", "", "lake/1", *own):
         with pytest.raises(ValueError, match="no family"):

@@ -73,7 +73,7 @@ REEF = arena(
 )
 WRECK = replace(
     arena(targets=placed(0, [(5.0, 0.0, FLOOR)], (2.0, 4.0, 2.2))),
-    targets_are_hull=True,
+    hull=np.ones(1, np.bool_),
     starts=(SE2(-6.0, 0.0, 0.0),),
 )
 WORLDS = {
@@ -842,7 +842,7 @@ def explained(request: pytest.FixtureRequest) -> Explained:
     world = WORLDS[request.param]
     if request.param == "reef":
         world = replace(world, starts=(AWAY,))
-    flight = Explained(Belief(), hull=world.targets_are_hull)
+    flight = Explained(Belief(), hull=bool(world.hull.any()))
     assert list(simulate(world, flight, DREAM_V1, max_steps=24, renderer=Colourless(world)))
     return flight
 

@@ -56,7 +56,7 @@ def arena(
         terrain=terrain or flat(),
         meshes=(box(),),
         targets=targets,
-        targets_are_hull=False,
+        hull=np.zeros(len(targets), np.bool_),
         obstacles=obstacles,
         water=Water("clear", (0.1, 0.1, 0.1), (0.1, 0.1, 0.1), (0.1, 0.2, 0.3)),
     )

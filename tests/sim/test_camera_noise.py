@@ -57,8 +57,7 @@ def view(world: World, turn: float = 0.0) -> tuple[Frame, SE3]:
 
 
 def sensed(world: World, frame: Frame, pose: SE3, noise: SensorNoise, seed: int = 0) -> Frame:
-    hull = world.targets_are_hull
-    return with_noise(frame, DREAM_V1.camera, pose, noise, rng(seed), targets_are_hull=hull)
+    return with_noise(frame, DREAM_V1.camera, pose, noise, rng(seed), hull=world.hull)
 
 
 @pytest.mark.parametrize("z", [0.5, 2.0, 5.0, 8.0, 19.0])
@@ -89,7 +88,8 @@ def test_one_individual_in_ten_is_missed_with_all_its_pixels() -> None:
     count = 4000
     ids = np.repeat(np.arange(-1, count, dtype=np.int32), 3).reshape(3, -1)
     labels = np.where(ids >= 0, Label.TARGET, Label.OBSTACLE).astype(np.uint8)
-    found = with_missed(labels, ids, 0.1, Label.SEABED, rng())
+    seabed = np.full(count, Label.SEABED, np.uint8)
+    found = with_missed(labels, ids, 0.1, seabed, rng())
     assert set(np.unique(found)) == {Label.SEABED, Label.TARGET, Label.OBSTACLE}
     np.testing.assert_array_equal(found[ids < 0], labels[ids < 0])
     pixels = np.bincount(ids[(ids >= 0) & (found == Label.SEABED)], minlength=count)
@@ -100,7 +100,8 @@ def test_one_individual_in_ten_is_missed_with_all_its_pixels() -> None:
 def test_who_is_missed_changes_from_frame_to_frame() -> None:
     ids = np.arange(4000, dtype=np.int32)[None]
     labels = np.full(ids.shape, Label.TARGET, np.uint8)
-    first, second = (with_missed(labels, ids, 0.1, Label.SEABED, rng(k)) == Label.SEABED for k in (0, 1))
+    seabed = np.full(4000, Label.SEABED, np.uint8)
+    first, second = (with_missed(labels, ids, 0.1, seabed, rng(k)) == Label.SEABED for k in (0, 1))
     assert abs((first & second).mean() - 0.01) < 4.0 * math.sqrt(0.01 / 4000)
 
 

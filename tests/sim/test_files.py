@@ -340,7 +340,7 @@ CHANGES: dict[str, Callable[[World], World]] = {
     "bounds": lambda w: dataclasses.replace(w, bounds=Bounds(-1.9, -1.85, 1.85, 1.85)),
     "start": lambda w: dataclasses.replace(w, starts=(SE2(0.05, 0.0, 0.0), *w.starts[1:])),
     "water": lambda w: dataclasses.replace(w, water=dataclasses.replace(w.water, particles=3.0)),
-    "hull": lambda w: dataclasses.replace(w, targets_are_hull=True),
+    "hull": lambda w: dataclasses.replace(w, hull=~w.hull),
     "target": lambda w: dataclasses.replace(w, targets=moved(w.targets, 0.001)),
     "obstacle": lambda w: dataclasses.replace(w, obstacles=moved(w.obstacles, 0.001)),
     "terrain": lambda w: dataclasses.replace(w, terrain=dataclasses.replace(w.terrain, x0=-2.501)),

@@ -335,3 +335,85 @@ def test_a_range_ends_at_the_limit_and_at_the_edge_of_the_terrain() -> None:
     assert slanted[1] == pytest.approx(math.sqrt(0.5))
     with pytest.raises(ValueError, match="lengths above 0"):
         solids.ranges([0, 0, EYE], [[0.0, 0.0, 0.0]], limit=5.0)
+
+
+def in_terrain(world: World, x: float, y: float, z: float) -> bool:
+    return z <= float(world.terrain.height(x, y))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_clearance_at_any_height_agrees_with_every_triangle_one_by_one(seed: int) -> None:
+    rng = np.random.default_rng(20 + seed)
+    world = soup(rng, 60)
+    solids, triangles = Solids(world), all_triangles(world)
+    points = np.column_stack([rng.uniform(-HALF, HALF, (12, 2)), rng.uniform(FLOOR - 2, FLOOR + 5, 12)])
+    half = 0.5 * DREAM_V1.body_height
+    expected = []
+    for x, y, z in points:
+        buried = in_terrain(world, x, y, z - half)
+        slow = 0.0 if buried else slow_clearance(triangles, x, y, z - half, z + half)
+        expected.append(min(slow - DREAM_V1.body_radius, 3.0))
+        assert solids.clearance_at([x, y, z], DREAM_V1, limit=3.0) == pytest.approx(expected[-1], abs=1e-9)
+    free = [distance > 0.0 for distance in expected]
+    assert solids.free_at(points, DREAM_V1).tolist() == free
+    assert 0 < sum(free) < len(free)
+
+
+@pytest.mark.parametrize(
+    ("z", "touches"),
+    [
+        # A slab 0.1 m thick, 3 m up; the body's half height is 0.2 m.
+        (FLOOR + 2.79, False),
+        (FLOOR + 2.81, True),
+        (FLOOR + 3.29, True),
+        (FLOOR + 3.31, False),
+        # The ground, from above and from within.
+        (FLOOR + 0.21, False),
+        (FLOOR + 0.19, True),
+        (FLOOR - 3.0, True),
+    ],
+)
+def test_the_body_is_touched_from_above_and_from_below(z: float, touches: bool) -> None:
+    solids = Solids(arena(placed(0, [[0, 0, FLOOR + 3.0]], [4, 4, 0.1])))
+    assert solids.free_at([[0.3, 0.2, z]], DREAM_V1).tolist() == [not touches]
+    assert (solids.clearance_at([0.3, 0.2, z], DREAM_V1) <= 0.0) is touches
+
+
+def test_a_climb_ends_under_a_slab_and_a_dive_on_the_ground() -> None:
+    solids = Solids(arena(placed(0, [[0, 0, FLOOR + 3.0]], [4, 4, 0.05])))
+    up = solids.sweep_through([0, 0, FLOOR + 1.0], [0, 0, FLOOR + 5.0], DREAM_V1)
+    assert up.contact
+    assert 4.0 * up.free == pytest.approx(1.8, abs=1e-4)
+    down = solids.sweep_through([0, 0, FLOOR + 1.0], [3.0, 0, FLOOR - 3.0], DREAM_V1)
+    assert 4.0 * down.free == pytest.approx(0.8, abs=1e-4)
+    # Past the slab's edge, 2 m off, by a hand's breadth.
+    beside = solids.sweep_through([2.45, 0, FLOOR + 1.0], [2.45, 0, FLOOR + 5.0], DREAM_V1)
+    assert not beside.contact
+    assert beside.clearance == pytest.approx(0.1, abs=1e-6)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000))
+def test_ways_in_space_agree_there_and_back_and_with_the_many_at_once(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    solids = Solids(soup(rng, 80))
+    a, b = np.column_stack([rng.uniform(-8, 8, (2, 2)), rng.uniform(FLOOR + 0.5, FLOOR + 4.5, 2)])
+    there, back = solids.sweep_through(a, b, DREAM_V1), solids.sweep_through(b, a, DREAM_V1)
+    assert there.contact == back.contact
+    assert solids.passes_through([a, b], [b, a], DREAM_V1).tolist() == [not there.contact] * 2
+    if not there.contact:
+        assert there.clearance == pytest.approx(back.clearance, abs=1e-9)
+
+
+def test_a_level_way_over_level_ground_is_the_planar_one() -> None:
+    rng = np.random.default_rng(7)
+    rocks = placed(
+        0, np.column_stack([rng.uniform(-8, 8, (20, 2)), np.full(20, FLOOR)]), rng.uniform(1, 3, (20, 3))
+    )
+    solids = Solids(arena(rocks))
+    starts, ends = rng.uniform(-8, 8, (40, 2)), rng.uniform(-8, 8, (40, 2))
+    level = np.full((40, 1), EYE)
+    passed = solids.passes(starts, ends, DREAM_V1)
+    through = solids.passes_through(np.hstack([starts, level]), np.hstack([ends, level]), DREAM_V1)
+    assert through.tolist() == passed.tolist()
+    assert 0 < passed.sum() < 40

@@ -247,7 +247,8 @@ def test_a_pole_is_seen_from_all_sides() -> None:
         np.arange(24, dtype=np.int32).reshape(-1, 3),
         np.zeros((24, 3), np.uint8),
     )
-    world = replace(arena(targets=placed(0, [[0, 0, 0]], 1.0)), meshes=(mesh,), targets_are_hull=True)
+    one = arena(targets=placed(0, [[0, 0, 0]], 1.0))
+    world = replace(one, meshes=(mesh,), hull=np.ones(1, np.bool_))
     visibility = Visibility(world, DREAM_V1)
     angles = np.linspace(-math.pi, math.pi, 9)
     around = np.column_stack([-3 * np.cos(angles), -3 * np.sin(angles), angles])

@@ -138,7 +138,7 @@ def test_a_vehicle_can_go_all_round_a_wreck(number: int) -> None:
     box = world.bounds
     assert box.contains(float(low[0]), float(low[1]), 3.999)
     assert box.contains(float(high[0]), float(high[1]), 3.999)
-    assert world.targets_are_hull
+    assert world.hull.all()
     assert (world.targets.scale == 1.0).all()
 
 

@@ -57,8 +57,7 @@ def around(world: World, middle: tuple[float, float], protocol: SurveyProtocol) 
         frame = Frame(blank, *renderer.measure(camera, T_world_camera))
         if protocol.noise is not None:
             rng = noise_generator(world, SE2(0.0, 0.0, 0.0), number)
-            hull = world.targets_are_hull
-            frame = with_noise(frame, camera, T_world_camera, protocol.noise, rng, targets_are_hull=hull)
+            frame = with_noise(frame, camera, T_world_camera, protocol.noise, rng, hull=world.hull)
         frames.append(
             Observation(
                 float(number), blank, frame.depth, frame.labels, camera, T_world_base, protocol.T_base_camera

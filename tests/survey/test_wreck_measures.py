@@ -273,7 +273,7 @@ def of_the_tug(world: World, protocol: SurveyProtocol) -> list[Observation]:
         T_world_camera = base @ protocol.T_base_camera
         frame = Frame(blank, *renderer.measure(camera, T_world_camera))
         rng = noise_generator(world, SE2(0.0, 0.0, 0.0), number)
-        frame = with_noise(frame, camera, T_world_camera, protocol.noise, rng, targets_are_hull=True)
+        frame = with_noise(frame, camera, T_world_camera, protocol.noise, rng, hull=world.hull)
         seen.append(
             Observation(float(number), blank, frame.depth, frame.labels, camera, base, protocol.T_base_camera)
         )

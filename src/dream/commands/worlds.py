@@ -75,6 +75,8 @@ class Worlds:
             print("\n".join(WORLDS))
             print("\nAny seed makes another of each.")
             print("reef/string+1y1 is reef/string 1 year on, in the first of its fates; so with all reefs.")
+            print("wreck/2+wreck/3 are two wrecks side by side, wreck/4+reef/patch is one in a reef; so with")
+            print("all wrecks, and a reef at the end.")
         return 0
 
 

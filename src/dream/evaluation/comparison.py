@@ -26,6 +26,7 @@ FAMILIES = {
     "mixed": "Mixed reefs",
     "letter": "Letter reefs",
     "wreck": "Wrecks",
+    "several": "Several structures",
     "pool": "Tank",
     "flat": "Empty ground",
     "other": "Other worlds",

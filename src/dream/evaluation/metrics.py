@@ -465,14 +465,16 @@ def _area_pieces(
 
     On a reef a piece is a map cell, shared by the clumps in it; on a wreck, a patch's own surface.
     """
-    targets = world.targets
-    if world.targets_are_hull:
-        each = zip(targets.mesh, targets.scale, strict=True)
-        surface = np.array([_surface(world.meshes[mesh], scale) for mesh, scale in each])
-        return np.arange(len(targets)), surface
-    cells = np.floor(np.asarray(targets.position[:, :2], np.float64) / protocol.cell).astype(np.int64)
-    _, piece = np.unique(cells, axis=0, return_inverse=True)
-    return piece.reshape(-1), np.full(piece.max(initial=-1) + 1, protocol.cell**2)
+    hull, clumps = world.targets.chosen(world.hull), world.targets.chosen(~world.hull)
+    each = zip(hull.mesh, hull.scale, strict=True)
+    surface = np.array([_surface(world.meshes[mesh], scale) for mesh, scale in each], np.float64)
+    cells = np.floor(np.asarray(clumps.position[:, :2], np.float64) / protocol.cell).astype(np.int64)
+    _, cell = np.unique(cells, axis=0, return_inverse=True)
+    cell = cell.reshape(-1)
+    piece = np.empty(len(world.targets), np.intp)
+    piece[world.hull] = np.arange(len(hull))
+    piece[~world.hull] = len(hull) + cell
+    return piece, np.concatenate([surface, np.full(cell.max(initial=-1) + 1, protocol.cell**2)])
 
 
 def _surface(mesh: Mesh, scale: npt.NDArray[Any]) -> float:

@@ -132,8 +132,10 @@ def swimming_under(protocol: SurveyProtocol, swimming: Swimming | None) -> Swimm
 
 
 def labelled_in(world: World) -> Target:
-    """The kind of target that the labels show there."""
-    return Target.WRECK if world.targets_are_hull else Target.OYSTERS
+    """The kind of target that the labels show there: any where there is hull and oysters."""
+    if not world.hull.any():
+        return Target.OYSTERS
+    return Target.WRECK if world.hull.all() else Target.ANY
 
 
 def summarize(

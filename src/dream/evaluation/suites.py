@@ -220,7 +220,7 @@ def seeds_of(text: str, what: str) -> range:
 
 
 def family_of(world: str) -> str:
-    """The family that a world is counted with: one of `REEF_FAMILIES`, letter, wreck, pool or flat.
+    """The family that a world is counted with: one of `REEF_FAMILIES`, letter, wreck, several, pool or flat.
 
     A reef some years on, `reef/string+1y1`, is of the family that it was of.
 
@@ -228,6 +228,8 @@ def family_of(world: str) -> str:
         ValueError: The world is of no family, since it is the user's own: made, or changed.
     """
     kind, _, name = (origin(world) or "").partition("/")
+    if "+" in name:
+        return "several"
     if kind in ("wreck", "pool", "flat"):
         return kind
     if kind == "reef" and name in LETTERS:

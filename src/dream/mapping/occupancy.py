@@ -120,6 +120,8 @@ class OccupancyMap(Layers):
         self.volume: Volume | None = None if protocol.space is None else _volume(protocol)
         """The map in three dimensions, whose view from above this one then is; None under a planar
         protocol, and of a map that was read from a file."""
+        self._place: Float64Array | None = None
+        """(3,) where the last frame was taken, in space."""
         self._stamp = 0
         self._frame: FrameWindow | None = None
         self._answers: dict[Hashable, Any] = {}
@@ -212,6 +214,9 @@ class OccupancyMap(Layers):
         """
         depth, labels = np.asarray(depth), np.asarray(labels)
         _check_frame(depth, labels, camera)
+        if self.volume is not None:
+            self._integrate_in_space(depth, labels, camera, T_world_camera, confidence)
+            return
         if confidence is not None:
             labels = unsure(labels.astype(np.uint8), _checked_confidence(confidence, labels, camera))
         depth, labels, camera = _thinned(depth, labels, camera)
@@ -232,6 +237,22 @@ class OccupancyMap(Layers):
         self._changed()
         if self.protocol.traversal is not None:
             self._traverse(T_world_camera)
+
+    def _integrate_in_space(
+        self,
+        depth: npt.NDArray[Any],
+        labels: npt.NDArray[Any],
+        camera: Camera,
+        T_world_camera: SE3,
+        confidence: npt.NDArray[Any] | None,
+    ) -> None:
+        """Add one frame to the volume; the camera sits at the vehicle's centre, which came there straight."""
+        assert self.volume is not None
+        place = T_world_camera.translation
+        self.volume.clear_body(place if self._place is None else self._place, place)
+        self._place = place.copy()
+        self.volume.integrate(depth, labels, camera, T_world_camera, confidence)
+        self._changed()
 
     def _traverse(self, T_world_camera: SE3) -> None:
         """Mark what a frame from there traverses; the camera sits at the vehicle's centre and looks ahead."""

@@ -12,6 +12,7 @@ from dream.planning.baselines import (
 )
 from dream.planning.belief import Belief
 from dream.planning.sixsteps import SixSteps
+from dream.planning.space.orbits import Orbits
 from dream.planning.vlm import Asking, Dream, Ranked, Vanilla
 
 AnyPlanner = (
@@ -24,6 +25,7 @@ AnyPlanner = (
     | SweepAndGraze
     | RandomWalk
     | UivNav
+    | Orbits
     | Dream
     | Vanilla
     | Ranked
@@ -39,6 +41,7 @@ PLANNERS: dict[str, AnyPlanner] = {
     "sweep-and-graze": SweepAndGraze(),
     "random": RandomWalk(),
     "uivnav": UivNav(),
+    "orbits": Orbits(),
     "dream": Dream(),
     "vanilla": Vanilla(),
     "ranked": Ranked(),
@@ -79,6 +82,7 @@ __all__ = [
     "Lawnmower",
     "NearestFrontier",
     "NextBestView",
+    "Orbits",
     "RandomWalk",
     "Ranked",
     "SixSteps",

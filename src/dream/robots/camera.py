@@ -73,5 +73,4 @@ class SimulatedCamera:
         if noise is None:
             return frame
         rng = noise_generator(self._world, self._start, moves)
-        hull = self._world.targets_are_hull
-        return with_noise(frame, camera, T_world_camera, noise, rng, targets_are_hull=hull)
+        return with_noise(frame, camera, T_world_camera, noise, rng, hull=self._world.hull)

@@ -514,46 +514,85 @@ def room(index: Index, x: float, y: float, low: float, high: float, limit: float
 
 
 @njit(cache=True, nogil=True)
+def _solid_room(index: Index, x: float, y: float, low: float, high: float, limit: float) -> float:
+    """As `room`, and 0 where the terrain holds the axis or a part of it: what is in the ground is not free."""
+    rows, cols = index.top.shape
+    row, col = math.floor((y - index.y0) / index.cell), math.floor((x - index.x0) / index.cell)
+    # Most bodies are above all terrain of their cell; where there is none, its top is −inf.
+    near_ground = 0 <= row < rows and 0 <= col < cols and low <= index.ground_top[row, col]
+    if near_ground and low <= ground(index, x, y):
+        return 0.0
+    return room(index, x, y, low, high, limit)
+
+
+@njit(cache=True, nogil=True)
 def _clearance(
-    index: Index, x: float, y: float, altitude: float, radius: float, height: float, limit: float
+    index: Index, x: float, y: float, z: float, radius: float, height: float, limit: float
 ) -> float:
-    """Clearance of a level cylinder that follows the terrain; at most `limit`."""
-    z = ground(index, x, y) + altitude
-    return min(limit, room(index, x, y, z - 0.5 * height, z + 0.5 * height, limit + radius + PAD) - radius)
+    """Horizontal clearance of a level cylinder whose centre is (x, y, z); at most `limit`.
+
+    Zero or less exactly where it touches something, be that beside, above or below it.
+    """
+    low, high = z - 0.5 * height, z + 0.5 * height
+    return min(limit, _solid_room(index, x, y, low, high, limit + radius + PAD) - radius)
 
 
 @njit(cache=True, nogil=True)
 def clearances(
-    index: Index, positions: Float64Array, altitude: float, radius: float, height: float, limit: float
+    index: Index, points: Float64Array, over_ground: bool, radius: float, height: float, limit: float
 ) -> Float64Array:
-    """`_clearance` at every position (P, 2)."""
-    result = np.empty(len(positions))
-    for i in range(len(positions)):
-        result[i] = _clearance(index, positions[i, 0], positions[i, 1], altitude, radius, height, limit)
+    """`_clearance` at every point (P, 3), whose heights count from the terrain or absolutely."""
+    result = np.empty(len(points))
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        if over_ground:
+            z = ground(index, x, y) + z
+        result[i] = _clearance(index, x, y, z, radius, height, limit)
     return result
+
+
+class Way(NamedTuple):
+    """A straight move over ground, and how high it leads."""
+
+    x0: float
+    y0: float
+    z0: float
+    x1: float
+    y1: float
+    z1: float
+    """Heights change evenly from z0 to z1 ..."""
+    over_ground: bool
+    """... above the terrain, or else absolutely."""
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _along(index: Index, way: Way, s: float) -> tuple[float, float, float]:
+    """Where a share s of the way has been made. Inlined: a call with the whole index costs a third of a pass."""
+    x, y = way.x0 * (1.0 - s) + way.x1 * s, way.y0 * (1.0 - s) + way.y1 * s
+    # In this order a way that keeps its height keeps it to the last bit.
+    z = way.z0 + s * (way.z1 - way.z0)
+    return x, y, (ground(index, x, y) + z if way.over_ground else z)
+
+
+@njit(cache=True, nogil=True)
+def _looks(way: Way, pace: float) -> int:
+    """How many stretches of at most `pace` metres the way is cut into."""
+    length = math.hypot(math.hypot(way.x1 - way.x0, way.y1 - way.y0), way.z1 - way.z0)
+    return max(1, math.ceil(length / pace))
 
 
 @njit(cache=True, nogil=True)
 def sweep(
-    index: Index,
-    x0: float,
-    y0: float,
-    x1: float,
-    y1: float,
-    altitude: float,
-    radius: float,
-    height: float,
-    limit: float,
-    pace: float,
+    index: Index, way: Way, radius: float, height: float, limit: float, pace: float
 ) -> tuple[float, float]:
-    """Share of a straight move before contact, and its least clearance, looked at every `pace` metres."""
-    count = max(1, math.ceil(math.hypot(x1 - x0, y1 - y0) / pace))
+    """Share of a way before contact, and its least clearance, looked at every `pace` metres."""
+    count = _looks(way, pace)
     least = limit
     for i in range(count + 1):
         s = i / count
-        x, y = x0 * (1.0 - s) + x1 * s, y0 * (1.0 - s) + y1 * s
+        x, y, z = _along(index, way, s)
         # Only what is nearer than all before matters.
-        least = _clearance(index, x, y, altitude, radius, height, least)
+        least = _clearance(index, x, y, z, radius, height, least)
         if least > 0.0:
             continue
         if i == 0:
@@ -561,8 +600,8 @@ def sweep(
         free, touching = (i - 1) / count, s
         for _ in range(12):
             s = 0.5 * (free + touching)
-            x, y = x0 * (1.0 - s) + x1 * s, y0 * (1.0 - s) + y1 * s
-            if _clearance(index, x, y, altitude, radius, height, pace) > 0.0:
+            x, y, z = _along(index, way, s)
+            if _clearance(index, x, y, z, radius, height, pace) > 0.0:
                 free = s
             else:
                 touching = s
@@ -571,33 +610,21 @@ def sweep(
 
 
 @njit(cache=True, nogil=True)
-def _passes(
-    index: Index,
-    x0: float,
-    y0: float,
-    x1: float,
-    y1: float,
-    altitude: float,
-    radius: float,
-    height: float,
-    pace: float,
-) -> bool:
+def _passes(index: Index, way: Way, radius: float, height: float, pace: float) -> bool:
     """Does `sweep` find no contact?
 
     The room in a slab that holds the body at all heights of the move tells how many looks can be skipped.
     """
-    count = max(1, math.ceil(math.hypot(x1 - x0, y1 - y0) / pace))
+    count = _looks(way, pace)
     low, high = math.inf, -math.inf
     for i in range(count + 1):
-        s = i / count
-        z = ground(index, x0 * (1.0 - s) + x1 * s, y0 * (1.0 - s) + y1 * s) + altitude
+        z = _along(index, way, i / count)[2]
         low, high = min(low, z - 0.5 * height), max(high, z + 0.5 * height)
     i = 0
     while i <= count:
-        s = i / count
-        x, y = x0 * (1.0 - s) + x1 * s, y0 * (1.0 - s) + y1 * s
-        spare = room(index, x, y, low, high, radius + (count + 1 - i) * pace) - radius - PAD
-        if spare <= 0.0 and _clearance(index, x, y, altitude, radius, height, pace) <= 0.0:
+        x, y, z = _along(index, way, i / count)
+        spare = _solid_room(index, x, y, low, high, radius + (count + 1 - i) * pace) - radius - PAD
+        if spare <= 0.0 and _clearance(index, x, y, z, radius, height, pace) <= 0.0:
             return False
         i += max(1, math.floor(max(spare, 0.0) / pace))
     return True
@@ -608,17 +635,16 @@ def passes(
     index: Index,
     starts: Float64Array,
     ends: Float64Array,
-    altitude: float,
+    over_ground: bool,
     radius: float,
     height: float,
     pace: float,
 ) -> BoolArray:
-    """`_passes` for every move from starts (M, 2) to ends (M, 2)."""
+    """`_passes` for every move from starts (M, 3) to ends (M, 3)."""
     result = np.empty(len(starts), np.bool_)
     for i in range(len(starts)):
-        result[i] = _passes(
-            index, starts[i, 0], starts[i, 1], ends[i, 0], ends[i, 1], altitude, radius, height, pace
-        )
+        way = Way(starts[i, 0], starts[i, 1], starts[i, 2], ends[i, 0], ends[i, 1], ends[i, 2], over_ground)
+        result[i] = _passes(index, way, radius, height, pace)
     return result
 
 
@@ -656,7 +682,8 @@ def reachable(
                 continue
             ax, ay = (x0 + col) * spacing, (y0 + row) * spacing
             bx, by = (x0 + c) * spacing, (y0 + r) * spacing
-            if _passes(index, ax, ay, bx, by, altitude, radius, height, pace):
+            way = Way(ax, ay, altitude, bx, by, altitude, True)
+            if _passes(index, way, radius, height, pace):
                 done[r, c] = True
                 queue[tail, 0], queue[tail, 1] = r, c
                 tail += 1

@@ -15,7 +15,7 @@ from dream.geometry import SE2, SE3, Camera
 from dream.protocol import SensorNoise
 from dream.sim.render import Frame
 from dream.sim.sampling import MILLIMETRE, index, length, normals, poisson, uniform
-from dream.sim.world import Float32Array, Int32Array, UInt8Array, World
+from dream.sim.world import BoolArray, Float32Array, Int32Array, UInt8Array, World
 from dream.types import Label
 
 
@@ -43,7 +43,7 @@ def with_noise(
     noise: SensorNoise,
     rng: np.random.Generator,
     *,
-    targets_are_hull: bool,
+    hull: BoolArray,
 ) -> Frame:
     """What a sensor that errs makes of a view.
 
@@ -53,11 +53,11 @@ def with_noise(
         T_world_camera: It was drawn from.
         noise: How much is wrong.
         rng: What is wrong.
-        targets_are_hull: An individual that is overlooked is then part of something solid all the same: an
-            obstacle. Labelled seabed, it would raise the ground that the map learns. A clump of shells
+        hull: (N,) bool, see `World.hull`. A patch that is overlooked is part of something solid all the same:
+            an obstacle. Labelled seabed, it would raise the ground that the map learns. A clump of shells
             passes for the seabed that it lies on.
     """
-    missed_as = Label.OBSTACLE if targets_are_hull else Label.SEABED
+    missed_as = np.where(hull, np.uint8(Label.OBSTACLE), np.uint8(Label.SEABED))
     depth = noisy_depth(frame.depth, noise.depth, rng)
     labels = with_false_targets(frame.labels, frame.depth, camera, T_world_camera, noise, rng)
     labels = with_missed(labels, frame.ids, noise.missed, missed_as, rng)
@@ -109,7 +109,7 @@ def with_false_targets(
 
 
 def with_missed(
-    labels: UInt8Array, ids: Int32Array, share: float, missed_as: Label, rng: np.random.Generator
+    labels: UInt8Array, ids: Int32Array, share: float, missed_as: UInt8Array, rng: np.random.Generator
 ) -> UInt8Array:
     """Labels without some of the individuals, each missed with all its pixels or not at all.
 
@@ -117,9 +117,9 @@ def with_missed(
         labels: (H, W).
         ids: (H, W) which individual a pixel shows, −1 for none.
         share: Probability of each to be missed.
-        missed_as: What its pixels are taken for.
+        missed_as: (N,) the label that the pixels of each are taken for.
         rng: Of this frame.
     """
     missed = rng.random(int(ids.max(initial=-1)) + 1) < share
-    # An id of −1 reads the last entry.
-    return np.where(np.append(missed, False)[ids], np.uint8(missed_as), labels)
+    # An id of −1 reads the last entry, which is never missed.
+    return np.where(np.append(missed, False)[ids], np.append(missed_as, np.uint8(0))[ids], labels)

@@ -48,10 +48,8 @@ def chart(world: World, *, pixels: int = 900) -> Image.Image:
     draw = ImageDraw.Draw(image)
     groups = np.unique(world.targets.group)
     colors = {int(group): _color(k, len(groups)) for k, group in enumerate(groups)}
-    if world.targets_are_hull:
-        _triangles(draw, world, world.targets, sheet, colors)
-    else:
-        _dots(draw, world, sheet, colors)
+    _dots(draw, world.targets.chosen(~world.hull), sheet, colors)
+    _triangles(draw, world, world.targets.chosen(world.hull), sheet, colors)
     _triangles(draw, world, world.obstacles, sheet, {})
     draw.rectangle(
         [*sheet.at(bounds.x_min, bounds.y_max), *sheet.at(bounds.x_max, bounds.y_min)], outline=INK, width=2
@@ -80,17 +78,20 @@ def _seabed(world: World, sheet: _ChartSheet, pixels: int) -> Image.Image:
     depth = np.clip(0.5 + (z - np.median(z)) / 1.6, 0.0, 1.0)
     deep, sand = np.array([150.0, 168.0, 170.0]), np.array([226.0, 216.0, 190.0])
     color = (deep + (sand - deep) * depth[..., None]) * (0.82 + 0.3 * light[..., None])
+    ground = world.terrain
+    rows, cols = ground.heights.shape
+    beyond = (x < ground.x0) | (x > ground.x0 + (cols - 1) * ground.spacing)
+    color[beyond | (y < ground.y0) | (y > ground.y0 + (rows - 1) * ground.spacing)] = PAPER
     return Image.fromarray(np.clip(color, 0, 255).astype(np.uint8))
 
 
 def _dots(
     draw: ImageDraw.ImageDraw,
-    world: World,
+    targets: Instances,
     sheet: _ChartSheet,
     colors: dict[int, tuple[int, int, int]],
 ) -> None:
     """Individuals too small to draw by their triangles: a dot each, as wide as they are, upper ones last."""
-    targets = world.targets
     for k in np.argsort(targets.position[:, 2], kind="stable"):
         x, y = sheet.at(float(targets.position[k, 0]), float(targets.position[k, 1]))
         radius = max(0.5 * sheet.scale * float(targets.scale[k, :2].mean()), 1.0)
@@ -149,12 +150,19 @@ def _arrow(
 
 def _legend(draw: ImageDraw.ImageDraw, world: World, scale: float, pixels: int) -> None:
     font = ImageFont.load_default(15)
-    count, groups = len(world.targets), len(np.unique(world.targets.group))
-    inside = (
-        f"pieces of hull in {groups} parts" if world.targets_are_hull else f"individuals in {groups} patches"
+    kinds = ((world.hull, "pieces of hull", "parts"), (~world.hull, "individuals", "patches"))
+    inside = " and ".join(
+        f"{np.count_nonzero(of):,} {pieces} in {len(np.unique(world.targets.group[of]))} {groups}"
+        for of, pieces, groups in kinds
+        if of.any()
     )
-    text = f"{world.name}  seed {world.seed}   {count:,} {inside}; red: start 0, white: other starts"
-    draw.text((12, pixels + 13), text, fill=INK, font=font)
+    inside = inside or "no individuals"
+    said, starts = f"{world.name}  seed {world.seed}   {inside}", "red: start 0, white: other starts"
+    if draw.textlength(f"{said}; {starts}", font) < 0.72 * pixels:
+        draw.text((12, pixels + 13), f"{said}; {starts}", fill=INK, font=font)
+    else:
+        draw.text((12, pixels + 3), said, fill=INK, font=font)
+        draw.text((12, pixels + 23), starts, fill=INK, font=font)
     length = 10.0 if world.bounds.width > 15.0 else 1.0
     right, y = pixels - 56.0, pixels + 31.0
     draw.line([(right - length * scale, y), (right, y)], fill=INK, width=3)

@@ -5,8 +5,9 @@ world.json      name, seed, protocol, bounds, starts, water, and what the other 
 terrain.npy     (rows, cols) float32 world heights; row grows with y
 meshes.obj      Wavefront OBJ: one object a mesh, in the order of the tables' `mesh` column;
                 `v x y z red green blue` with colours from 0 to 1, and faces; see `wavefront`
-targets.csv     one individual a line: mesh,x,y,z,qw,qx,qy,qz,sx,sy,sz,red,green,blue,group
-obstacles.csv   the same
+targets.csv     one individual a line: mesh,x,y,z,qw,qx,qy,qz,sx,sy,sz,red,green,blue,group; and hull, where
+                some are and some are not
+obstacles.csv   the same, without hull
 ```
 
 Lengths are written to a millimetre, quaternions to 1e-6, scales and tints to 1e-4: what the hash sees.
@@ -49,7 +50,7 @@ from dream.sim.validity import (
 )
 from dream.sim.water import Water
 from dream.sim.wavefront import obj, read_meshes
-from dream.sim.world import Instances, Mesh, Terrain, World
+from dream.sim.world import BoolArray, Instances, Mesh, Terrain, World
 from dream.telling import one_line
 
 
@@ -137,7 +138,8 @@ class _World(_Part):
     meshes: _Meshes
     targets: Annotated[int, Field(ge=0, le=MOST_INSTANCES)]
     """Rows of targets.csv."""
-    targets_are_hull: bool
+    targets_are_hull: bool | Literal["mixed"]
+    """Of all; mixed where the table says it of each."""
     obstacles: Annotated[int, Field(ge=0, le=MOST_INSTANCES)]
     """Rows of obstacles.csv."""
 
@@ -172,7 +174,7 @@ def world_hash(world: World) -> str:
         numbers(mesh.vertices, MILLIMETRE)
         numbers(mesh.faces, 1)
         numbers(mesh.colors, 1)
-    numbers(world.targets_are_hull, 1)
+    numbers(world.hull if _mixed(world) else world.hull.any(), 1)
     for table in (world.targets, world.obstacles):
         numbers(table.mesh, 1)
         numbers(table.position, MILLIMETRE)
@@ -181,6 +183,11 @@ def world_hash(world: World) -> str:
         numbers(table.tint, FACTOR)
         numbers(table.group, 1)
     return digest.hexdigest()
+
+
+def _mixed(world: World) -> bool:
+    """Are some individuals hull, and some not?"""
+    return bool(world.hull.any() and not world.hull.all())
 
 
 def save_world(world: World, folder: Path | str) -> None:
@@ -208,7 +215,8 @@ def _write(world: World, folder: Path) -> None:
         folder / "terrain.npy", quantised(world.terrain.heights, MILLIMETRE).astype("<f4"), allow_pickle=False
     )
     (folder / "meshes.obj").write_text(obj(world.meshes), encoding="ascii")
-    (folder / "targets.csv").write_text(csv(world.targets), encoding="ascii")
+    kinds = world.hull if _mixed(world) else None
+    (folder / "targets.csv").write_text(csv(world.targets, kinds), encoding="ascii")
     (folder / "obstacles.csv").write_text(csv(world.obstacles), encoding="ascii")
     box, ground, water = world.bounds, world.terrain, world.water
     content = {
@@ -240,7 +248,7 @@ def _write(world: World, folder: Path) -> None:
             "two_sided": [k for k, mesh in enumerate(world.meshes) if mesh.two_sided],
         },
         "targets": len(world.targets),
-        "targets_are_hull": world.targets_are_hull,
+        "targets_are_hull": "mixed" if _mixed(world) else bool(world.hull.any()),
         "obstacles": len(world.obstacles),
     }
     # Last, so that a folder with a world.json is whole.
@@ -309,20 +317,21 @@ def examine(folder: Path | str) -> Examined:
         said.extend(told)
         return meshes, names
 
-    def table_of(path: Path, rows: int | None) -> Instances:
-        table, told = read_table(path, rows)
+    def table_of(path: Path, rows: int | None, kinds: bool = False) -> tuple[Instances, BoolArray]:
+        table, hull, told = read_table(path, rows, kinds=kinds)
         said.extend(told)
-        return table
+        return table, hull
 
     # Seabed that nobody sees, so that all else can be held against the bounds.
     deep = np.broadcast_to(np.float32(-FARTHEST), shape or (2, 2))
     heights = tried("terrain.npy", lambda path: deep if shape is None else read_heights(path, shape), deep)
     nothing: tuple[tuple[Mesh, ...], list[str]] = ((), [])
-    targets, obstacles = (
-        tried(name, partial(table_of, rows=rows), _NO_INSTANCES)
-        for name, rows in (
-            ("targets.csv", None if content is None else content.targets),
-            ("obstacles.csv", None if content is None else content.obstacles),
+    kinds = content is not None and content.targets_are_hull == "mixed"
+    (targets, hull), (obstacles, _) = (
+        tried(name, partial(table_of, rows=rows, kinds=kinds), (_NO_INSTANCES, np.empty(0, np.bool_)))
+        for name, rows, kinds in (
+            ("targets.csv", None if content is None else content.targets, kinds),
+            ("obstacles.csv", None if content is None else content.obstacles, False),
         )
     )
     meshes, names = tried("meshes.obj", meshes_of, nothing)
@@ -338,7 +347,7 @@ def examine(folder: Path | str) -> Examined:
         terrain=Terrain(heights, content.terrain.x0, content.terrain.y0, content.terrain.spacing),
         meshes=meshes,
         targets=targets,
-        targets_are_hull=content.targets_are_hull,
+        hull=hull if kinds else np.full(len(targets), content.targets_are_hull),
         obstacles=obstacles,
         water=Water(**content.water.model_dump()),
     )

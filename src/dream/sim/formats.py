@@ -14,10 +14,13 @@ import numpy.typing as npt
 
 from dream import arrays
 from dream.sim.sampling import FACTOR, MILLIMETRE, QUATERNION, quantised
-from dream.sim.world import Instances
+from dream.sim.world import BoolArray, Instances
 from dream.telling import one_line
 
 COLUMNS = "mesh,x,y,z,qw,qx,qy,qz,sx,sy,sz,red,green,blue,group"
+KIND = "hull"
+"""One more column, 0 or 1, of individuals that are not all alike."""
+_KINDS = {"0": False, "1": True}
 MOST_BYTES = 256 * 1024 * 1024
 """No file of a world is larger."""
 MOST_TOLD = 20
@@ -63,8 +66,8 @@ def read_heights(path: Path, shape: tuple[int, int]) -> npt.NDArray[np.float32]:
     return arrays.read(path, f"a float32 array {shape} as world.json says", shape, np.float32)
 
 
-def csv(table: Instances) -> str:
-    """The instances as lines of comma-separated values under a header."""
+def csv(table: Instances, hull: BoolArray | None = None) -> str:
+    """The instances as lines of comma-separated values under a header; with hull, (N,), its column."""
     columns = zip(
         table.mesh.tolist(),
         quantised(table.position, MILLIMETRE).tolist(),
@@ -86,19 +89,27 @@ def csv(table: Instances) -> str:
         )
         for mesh, position, wxyz, scale, tint, group in columns
     ]
-    return "\n".join([COLUMNS, *lines]) + "\n"
+    header = COLUMNS
+    if hull is not None:
+        header = f"{COLUMNS},{KIND}"
+        lines = [f"{line},{kind:d}" for line, kind in zip(lines, hull.tolist(), strict=True)]
+    return "\n".join([header, *lines]) + "\n"
 
 
-def read_table(path: Path, rows: int | None) -> tuple[Instances, list[Said]]:
-    """The instances of a file, and what of it is refused; the table is then not whole.
+def read_table(
+    path: Path, rows: int | None, *, kinds: bool = False
+) -> tuple[Instances, BoolArray, list[Said]]:
+    """The instances of a file, which of them are hull, and what is refused; the table is then not whole.
 
     Args:
         path: The file.
         rows: That it must hold; None where nobody says.
+        kinds: Its last column says which are hull; none are without it.
     """
+    columns = f"{COLUMNS},{KIND}" if kinds else COLUMNS
     header, *lines = text(path).splitlines() or [""]
-    if header.strip() != COLUMNS:
-        raise ValueError(f'{path.name}: expected the header "{COLUMNS}", got "{one_line(header)[:80]}"')
+    if header.strip() != columns:
+        raise ValueError(f'{path.name}: expected the header "{columns}", got "{one_line(header)[:90]}"')
     refused = []
     if rows is not None and len(lines) != rows:
         refused.append(
@@ -107,20 +118,24 @@ def read_table(path: Path, rows: int | None) -> tuple[Instances, list[Said]]:
         )
     count = len(lines)
     values = np.full((count, 13), np.nan)
-    mesh, group = np.zeros(count, np.int32), np.zeros(count, np.int32)
+    mesh, group, hull = np.zeros(count, np.int32), np.zeros(count, np.int32), np.zeros(count, np.bool_)
     wrong = 0
     for k, line in enumerate(lines):
         try:
-            first, *middle, last = line.split(",")
+            cells = line.split(",")
+            if kinds:
+                hull[k] = _KINDS[cells.pop().strip()]
+            first, *middle, last = cells
             mesh[k], group[k] = int(first), int(last)
             values[k] = [float(v) for v in middle]
-        except (ValueError, OverflowError):
+        except (KeyError, ValueError, OverflowError):
             wrong += 1
             if wrong <= MOST_TOLD:
-                refused.append(f'line {k + 2}: expected 15 numbers ({COLUMNS}), got "{one_line(line)[:80]}"')
+                asked = f"{15 + kinds} numbers ({columns}{'; hull 0 or 1' if kinds else ''})"
+                refused.append(f'line {k + 2}: expected {asked}, got "{one_line(line)[:90]}"')
     if wrong > MOST_TOLD:
         refused.append(f"{wrong - MOST_TOLD} more lines like these")
     with np.errstate(over="ignore"):
         table = values.astype(np.float32)
     instances = Instances(mesh, table[:, :3], table[:, 3:7], table[:, 7:10], table[:, 10:13], group)
-    return instances, [Said("refused", path.name, words) for words in refused]
+    return instances, hull, [Said("refused", path.name, words) for words in refused]

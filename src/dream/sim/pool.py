@@ -62,7 +62,7 @@ def pool(rng: np.random.Generator, water: Water) -> World:
             post(PIPE, 1.35, 24, (214, 212, 204)),
         ),
         targets=targets,
-        targets_are_hull=False,
+        hull=np.zeros(len(targets), np.bool_),
         obstacles=Instances(
             mesh=np.array([8] + [9] * len(pipes), np.int32),
             position=np.array([[0.0, 0.0, -DEPTH], *([x, y, -DEPTH] for x, y in pipes)], np.float32),

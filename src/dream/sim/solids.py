@@ -1,7 +1,6 @@
 """What blocks sight and motion: line of sight, contact and the free lattice, exact on a world's triangles.
 
-Terrain and boulders block, and so do the individuals of a wreck (`World.targets_are_hull`); clumps of shells
-do not.
+Terrain and boulders block, and so do the individuals that are hull (`World.hull`); clumps of shells do not.
 """
 
 from __future__ import annotations
@@ -79,7 +78,7 @@ def corners(mesh: Mesh, instances: Instances, which: IntpArray) -> Float64Array:
 def _soup(world: World) -> Float64Array:
     """(T, 3, 3) every triangle that blocks, terrain excepted."""
     parts = [np.empty((0, 3, 3))]
-    for instances in (world.obstacles, world.targets) if world.targets_are_hull else (world.obstacles,):
+    for instances in (world.obstacles, world.targets.chosen(world.hull)):
         parts += [
             corners(world.meshes[mesh], instances, np.flatnonzero(instances.mesh == mesh)).reshape(-1, 3, 3)
             for mesh in np.unique(instances.mesh)
@@ -134,12 +133,24 @@ def checked(array: npt.ArrayLike, name: str, columns: int) -> Float64Array:
     return values
 
 
+def _at_height(positions: Float64Array, z: float) -> Float64Array:
+    """(P, 3) of (P, 2)."""
+    return np.column_stack([positions, np.full(len(positions), z)])
+
+
+def _paired(starts: npt.ArrayLike, ends: npt.ArrayLike, columns: int) -> tuple[Float64Array, Float64Array]:
+    begin, end = checked(starts, "starts", columns), checked(ends, "ends", columns)
+    if begin.shape != end.shape:
+        raise ValueError(f"ends: expected {begin.shape} like starts, got {end.shape}")
+    return begin, end
+
+
 class Solids:
     """An index over everything in a world that blocks sight and motion.
 
     What it does: answers exactly, on the triangles themselves; either side of a triangle blocks.
-    Assumes: the body is a level cylinder whose centre keeps the protocol's altitude above the terrain. Beyond
-    the terrain nothing blocks.
+    Assumes: the body is a level cylinder. Its centre keeps the protocol's altitude above the terrain, except
+    where a function takes points or ways in three dimensions. Beyond the terrain nothing blocks.
     Fails when: a body starts inside a closed shell without touching it: free here, although not reachable.
     """
 
@@ -201,15 +212,33 @@ class Solids:
         At most `limit`, which is also the answer where nothing is that near. Zero or less is contact, down to
         minus the body's radius where its axis itself is pierced.
         """
-        position = checked([[x, y]], "position", 2)
-        radius, height = protocol.body_radius, protocol.body_height
-        return float(_kernels.clearances(self.index, position, protocol.altitude, radius, height, limit)[0])
+        where = _at_height(checked([[x, y]], "position", 2), protocol.altitude)
+        return float(self._clearances(where, True, protocol, limit)[0])
+
+    def clearance_at(self, point: npt.ArrayLike, protocol: SurveyProtocol, *, limit: float = 5.0) -> float:
+        """As `clearance`, with the body's centre at a point (3,) of the world.
+
+        The metres are horizontal: what lies a hand's breadth above or below the body does not count until it
+        touches it. Zero or less exactly where it does, from any side; the terrain is solid all the way down.
+        """
+        where = checked(np.asarray(point, np.float64).reshape(1, -1), "point", 3)
+        return float(self._clearances(where, False, protocol, limit)[0])
 
     def free(self, positions: npt.ArrayLike, protocol: SurveyProtocol) -> BoolArray:
         """(P,) bool: at which positions (P, 2) does the body touch nothing?"""
-        where = checked(positions, "positions", 2)
+        where = _at_height(checked(positions, "positions", 2), protocol.altitude)
+        return self._clearances(where, True, protocol, PACE) > 0.0
+
+    def free_at(self, points: npt.ArrayLike, protocol: SurveyProtocol) -> BoolArray:
+        """(N,) bool: with its centre at which points (N, 3) of the world does the body touch nothing?"""
+        return self._clearances(checked(points, "points", 3), False, protocol, PACE) > 0.0
+
+    def _clearances(
+        self, points: Float64Array, over_ground: bool, protocol: SurveyProtocol, limit: float
+    ) -> Float64Array:
         radius, height = protocol.body_radius, protocol.body_height
-        return _kernels.clearances(self.index, where, protocol.altitude, radius, height, PACE) > 0.0
+        # A whole number would have the kernel compiled once more.
+        return _kernels.clearances(self.index, points, over_ground, radius, height, float(limit))
 
     def sweep(self, start: SE2, end: SE2, protocol: SurveyProtocol, *, limit: float = 5.0) -> Sweep:
         """Move the body straight from start to end, following the terrain, until it touches a solid.
@@ -217,19 +246,42 @@ class Solids:
         It is looked at every 2 cm; a contact is then found to a hundredth of a millimetre. There and back
         agree about whether there is one. Headings play no part.
         """
+        z = float(protocol.altitude)
+        ends = float(start.x), float(start.y), z, float(end.x), float(end.y), z
+        return self._sweep(_kernels.Way(*ends, True), protocol, limit)
+
+    def sweep_through(
+        self, start: npt.ArrayLike, end: npt.ArrayLike, protocol: SurveyProtocol, *, limit: float = 5.0
+    ) -> Sweep:
+        """Move the body's centre straight from start (3,) to end (3,), as `sweep` does, in all three dimensions.
+
+        Between two looks a body that climbs and advances at once may enter what it grazes with its rim by a
+        centimetre at most.
+        """
+        ends = checked([start, end], "start and end", 3).ravel().tolist()
+        return self._sweep(_kernels.Way(*ends, False), protocol, limit)
+
+    def _sweep(self, way: _kernels.Way, protocol: SurveyProtocol, limit: float) -> Sweep:
         radius, height = protocol.body_radius, protocol.body_height
-        # A whole number would have the kernel compiled once more.
-        ends = float(start.x), float(start.y), float(end.x), float(end.y)
-        free, least = _kernels.sweep(self.index, *ends, protocol.altitude, radius, height, float(limit), PACE)
-        return Sweep(free, least)
+        return Sweep(*_kernels.sweep(self.index, way, radius, height, float(limit), PACE))
 
     def passes(self, starts: npt.ArrayLike, ends: npt.ArrayLike, protocol: SurveyProtocol) -> BoolArray:
         """(M,) bool: which straight moves, from starts (M, 2) to ends (M, 2), touch nothing; as `sweep`."""
-        begin, end = checked(starts, "starts", 2), checked(ends, "ends", 2)
-        if begin.shape != end.shape:
-            raise ValueError(f"ends: expected {begin.shape} like starts, got {end.shape}")
+        begin, end = _paired(starts, ends, 2)
+        begin, end = _at_height(begin, protocol.altitude), _at_height(end, protocol.altitude)
+        return self._passes(begin, end, True, protocol)
+
+    def passes_through(
+        self, starts: npt.ArrayLike, ends: npt.ArrayLike, protocol: SurveyProtocol
+    ) -> BoolArray:
+        """(M,) bool: which straight moves, from (M, 3) to (M, 3), touch nothing; as `sweep_through`."""
+        return self._passes(*_paired(starts, ends, 3), False, protocol)
+
+    def _passes(
+        self, starts: Float64Array, ends: Float64Array, over_ground: bool, protocol: SurveyProtocol
+    ) -> BoolArray:
         radius, height = protocol.body_radius, protocol.body_height
-        return _kernels.passes(self.index, begin, end, protocol.altitude, radius, height, PACE)
+        return _kernels.passes(self.index, starts, ends, over_ground, radius, height, PACE)
 
     def lattice(self, protocol: SurveyProtocol) -> FreeLattice:
         """The protocol's positions inside the bounds: where the body is free, and where it can get."""

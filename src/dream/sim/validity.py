@@ -82,6 +82,9 @@ def _check_any_start(world: World) -> None:
 
 
 def _check_targets(world: World) -> None:
+    if world.hull.shape != (len(world.targets),) or world.hull.dtype != np.bool_:
+        got = f"{world.hull.dtype} {world.hull.shape}"
+        raise ValueError(f"hull: expected bool ({len(world.targets)},), one an individual, got {got}")
     _check_instances("targets", world.targets, world)
     group, most = world.targets.group, len(world.targets) - 1
     _check_rows("targets.group", (group >= 0) & (group <= most), group, f"0 to {most}")
@@ -235,17 +238,19 @@ def _check_size(name: str, table: Instances, world: World) -> None:
     _, middle, longest = np.sort(sides[table.mesh] * table.scale, axis=1).T
     box = world.bounds
     side = max(box.width, box.depth)
-    if name == "targets" and not world.targets_are_hull:
-        most = np.full(len(table), LARGEST_INDIVIDUAL)
-        within = "of an individual that is no part of a hull"
-    else:
-        most = np.where(middle <= SLENDER * longest, LARGEST * side, side)
-        for k in np.flatnonzero((longest > most) & (longest <= LARGEST * side)):
-            if _goes_round(world.meshes[table.mesh[k]], table, int(k), box):
-                most[k] = LARGEST * side
-        within = f"in bounds of {box.width:g} x {box.depth:g} m"
+    small = ~world.hull if name == "targets" else np.zeros(len(table), np.bool_)
+    most = np.where(middle <= SLENDER * longest, LARGEST * side, side)
+    for k in np.flatnonzero(~small & (longest > most) & (longest <= LARGEST * side)):
+        if _goes_round(world.meshes[table.mesh[k]], table, int(k), box):
+            most[k] = LARGEST * side
+    most[small] = LARGEST_INDIVIDUAL
     row = int((longest / most).argmax())
     if longest[row] > most[row]:
+        within = (
+            "of an individual that is no part of a hull"
+            if small[row]
+            else f"in bounds of {box.width:g} x {box.depth:g} m"
+        )
         raise ValueError(
             f"{name}, row {row + 1}: expected at most {most[row]:g} m {within}, got {longest[row]:g} m "
             f"(mesh {table.mesh[row]}). Are its lengths in millimetres? Export metres, or give it a scale of "

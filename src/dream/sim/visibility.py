@@ -14,7 +14,7 @@ from dream.geometry import SE3, wrap_angle
 from dream.protocol import SurveyProtocol
 from dream.sim import _kernels
 from dream.sim.solids import FreeLattice, Solids, checked, corners
-from dream.sim.world import World
+from dream.sim.world import Instances, Mesh, World
 
 Float64Array = npt.NDArray[np.float64]
 IntpArray = npt.NDArray[np.intp]
@@ -30,12 +30,12 @@ CELL = 1.0
 """Metres a side of the ground cells that the points are sorted into."""
 
 
-def _triangles(world: World) -> tuple[Float64Array, IntpArray]:
-    """Corners (T, 3, 3) of all individuals, one after the other, and where each begins (N + 1,)."""
-    parts: list[Float64Array] = [np.empty((0, 3, 3))] * len(world.targets)
-    for mesh in np.unique(world.targets.mesh):
-        which = np.flatnonzero(world.targets.mesh == mesh)
-        for i, placed in zip(which, corners(world.meshes[mesh], world.targets, which), strict=True):
+def _triangles(meshes: tuple[Mesh, ...], instances: Instances) -> tuple[Float64Array, IntpArray]:
+    """Corners (T, 3, 3) of all instances, one after the other, and where each begins (N + 1,)."""
+    parts: list[Float64Array] = [np.empty((0, 3, 3))] * len(instances)
+    for mesh in np.unique(instances.mesh):
+        which = np.flatnonzero(instances.mesh == mesh)
+        for i, placed in zip(which, corners(meshes[mesh], instances, which), strict=True):
             parts[i] = placed
     first = np.cumsum([0, *map(len, parts)], dtype=np.intp)
     return np.concatenate([np.empty((0, 3, 3)), *parts]), first
@@ -92,13 +92,15 @@ def hull_points(
 
 def _points(world: World, solids: Solids) -> tuple[Float64Array, IntpArray]:
     """The points (M, 3) of all individuals and whose they are (M,), individual after individual."""
-    if not len(world.targets):
-        return np.empty((0, 3)), np.empty(0, np.intp)
-    triangles, first = _triangles(world)
-    if not world.targets_are_hull:
-        return top_points(triangles, first), np.arange(len(world.targets))
-    two_sided = np.array([mesh.two_sided for mesh in world.meshes])[world.targets.mesh]
-    return hull_points(triangles, first, two_sided, solids)
+    clumps, patches = np.flatnonzero(~world.hull), np.flatnonzero(world.hull)
+    points, owner = top_points(*_triangles(world.meshes, world.targets.chosen(~world.hull))), clumps
+    if len(patches):
+        hull = world.targets.chosen(world.hull)
+        two_sided = np.array([mesh.two_sided for mesh in world.meshes])[hull.mesh]
+        of_hull, patch = hull_points(*_triangles(world.meshes, hull), two_sided, solids)
+        points, owner = np.concatenate([points, of_hull]), np.concatenate([clumps, patches[patch]])
+    order = np.argsort(owner, kind="stable")
+    return points[order], owner[order]
 
 
 class Visibility:

@@ -14,6 +14,7 @@ from dream.sim.water import Water
 Float32Array = npt.NDArray[np.float32]
 Int32Array = npt.NDArray[np.int32]
 UInt8Array = npt.NDArray[np.uint8]
+BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +51,7 @@ class Instances:
     def __len__(self) -> int:
         return len(self.mesh)
 
-    def chosen(self, which: npt.NDArray[np.bool_]) -> Instances:
+    def chosen(self, which: BoolArray) -> Instances:
         """Those for which `which`, (N,), is true."""
         return Instances(*(getattr(self, field.name)[which] for field in fields(self)))
 
@@ -104,7 +105,7 @@ class World:
     meshes: tuple[Mesh, ...]
     targets: Instances
     """The individuals: clumps of shells, or patches of a wreck's surface, each its own mesh instance."""
-    targets_are_hull: bool
-    """The individuals block sight and motion, as a wreck does. Clumps of shells do neither."""
+    hull: BoolArray
+    """(N,) of each individual: is it hull, which blocks sight and motion? Clumps of shells do neither."""
     obstacles: Instances
     water: Water

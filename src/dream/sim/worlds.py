@@ -1,7 +1,8 @@
 """Every world by its name, and how an arena is put together.
 
 `make_world("reef/string", 3)` gives the same world for ever, on every machine; `reef/string+1y2` is the same
-reef a year on, the second of its futures (`dream.sim.years`).
+reef a year on, the second of its futures (`dream.sim.years`). `wreck/2+wreck/3` are two wrecks side by side,
+and `wreck/4+reef/patch` is a wreck with a reef around it (`dream.sim.structures`).
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from dream.sim.sampling import (
     uniform,
     uniforms,
 )
+from dream.sim.structures import around, beside
 from dream.sim.terrain import APRON, grid, smoothstep, terrain, undulation
 from dream.sim.terrain import SPACING as TERRAIN_SPACING
 from dream.sim.validity import check_seed
@@ -57,6 +59,8 @@ PATCH = 5.0
 """Metres: strokes shorter than this are single patches."""
 HULL_CLEAR = 4.5
 """Least metres over ground between a start and a wreck."""
+MOST_STRUCTURES = 4
+"""Worlds that one name may join."""
 
 
 def reef(shape: Callable[[float, np.random.Generator], list[Stroke]], rng: np.random.Generator) -> World:
@@ -90,7 +94,7 @@ def reef(shape: Callable[[float, np.random.Generator], list[Stroke]], rng: np.ra
         terrain=seabed,
         meshes=clumps + stones,
         targets=targets,
-        targets_are_hull=False,
+        hull=np.zeros(len(targets), np.bool_),
         obstacles=boulders.placed(rocks, stones, len(clumps), seabed, rng),
         water=_sea(rng),
     )
@@ -137,7 +141,7 @@ def sunken(number: int, rng: np.random.Generator) -> World:
             tint=np.ones((count, 3), np.float32),
             group=renumbered(np.asarray(found.group, np.int32)),
         ),
-        targets_are_hull=True,
+        hull=np.ones(count, np.bool_),
         obstacles=boulders.placed(rocks, stones, count, seabed, rng),
         water=_sea(rng),
     )
@@ -164,7 +168,7 @@ def flat(rng: np.random.Generator) -> World:
         terrain=terrain(np.full((count, count), FLOOR), half + APRON),
         meshes=(),
         targets=nothing,
-        targets_are_hull=False,
+        hull=np.empty(0, np.bool_),
         obstacles=nothing,
         water=WATERS["clear"],
     )
@@ -189,24 +193,53 @@ WORLDS: tuple[str, ...] = tuple(BUILDERS)
 def make_world(name: str, seed: int) -> World:
     """The world of that name and seed; a name such as `reef/string+1y2` is that reef some years on.
 
+    `wreck/2+wreck/3+reef/patch` is a wreck, another beside it, and a reef around both; see `structures_in`.
+
     Raises:
         ValueError: No world has that name, or the seed is not in [0, 2**63).
     """
     on = LATER.fullmatch(name)
     if on is not None:
         return later(make_world(on["name"], seed), float(on["years"]), int(on["seed"]))
-    build = look_up(BUILDERS, name, "world", see="See dream worlds")
     check_seed(seed)
-    words = np.frombuffer(hashlib.sha256(name.encode()).digest()[:16], "<u4")
-    sequence = np.random.SeedSequence([int(seed), *(int(word) for word in words)])
-    made = build(np.random.Generator(np.random.PCG64(sequence)))
+    parts = structures_in(name)
+    if parts:
+        made = _built(parts[0], seed, f"{name} 0")
+        for number, part in enumerate(parts[1:], 1):
+            another = _built(part, seed, f"{name} {number}")
+            made = (beside if another.hull.any() else around)(made, another)
+    else:
+        made = _built(name, seed, name)
     return dataclasses.replace(made, name=name, seed=int(seed))
 
 
+def _built(name: str, seed: int, words: str) -> World:
+    """What that name gives, with its randomness from the seed and these words."""
+    build = look_up(BUILDERS, name, "world", see="See dream worlds")
+    digest = np.frombuffer(hashlib.sha256(words.encode()).digest()[:16], "<u4")
+    sequence = np.random.SeedSequence([int(seed), *(int(word) for word in digest)])
+    return build(np.random.Generator(np.random.PCG64(sequence)))
+
+
+def structures_in(name: str) -> tuple[str, ...]:
+    """The names that `wreck/2+wreck/3+reef/patch` is made of: a wreck, others beside it, a reef around them.
+
+    Empty where it is no such name; 2 to `MOST_STRUCTURES` otherwise.
+    """
+    parts = name.split("+")
+    wrecks = [part for part in parts if part in BUILDERS and part.startswith("wreck/")]
+    reefs = [part for part in parts if part in BUILDERS and part.startswith("reef/")]
+    if not (wrecks and 2 <= len(parts) <= MOST_STRUCTURES and len(reefs) <= 1 and parts == wrecks + reefs):
+        return ()
+    return tuple(parts)
+
+
 def origin(name: str) -> str | None:
-    """Which of `WORLDS` a name is of, be it some years on; None where it is the user's own."""
+    """The name of the package's world that a name is of, be it some years on; None where it is the user's."""
     on = LATER.fullmatch(name)
-    return origin(on["name"]) if on is not None else name if name in BUILDERS else None
+    if on is not None:
+        return origin(on["name"])
+    return name if name in BUILDERS or structures_in(name) else None
 
 
 def is_saved(folder: Path) -> bool:

@@ -20,10 +20,8 @@ from dream.sim.sampling import (
     FACTOR,
     MILLIMETRE,
     QUATERNION,
-    Float64Array,
     exponential,
     indices,
-    length,
     normals,
     power,
     quantised,
@@ -31,6 +29,7 @@ from dream.sim.sampling import (
     uniforms,
     yaw_and_tilt,
 )
+from dream.sim.structures import feet
 from dream.sim.terrain import smoothstep
 from dream.sim.validity import check_seed, check_world
 from dream.sim.world import Instances, Terrain, World
@@ -106,25 +105,28 @@ def later(world: World, years: float, seed: int, change: Change = A_YEAR) -> Wor
     Raises:
         ValueError: It is no reef, or nothing of it is left.
     """
-    if world.targets_are_hull or world.protocol != DREAM_V1.name or not len(world.targets):
+    if world.hull.all() or world.protocol != DREAM_V1.name:
         raise ValueError(f"years: expected a reef of {DREAM_V1.name}, which lives, got {world.name}")
     if not 0.0 < years <= MOST_YEARS:
         raise ValueError(f"years: expected more than 0, up to {MOST_YEARS:g}, got {years:g}")
     check_seed(seed)
     words = [int(world_hash(world)[k : k + 8], 16) for k in range(0, 32, 8)]
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, round(1e6 * years), *words])))
-    living = _survivors(world.targets, years, change, rng)
-    targets = _grown(world.targets.chosen(living), years, change)
-    targets = _joined(targets, _settled(world, targets, years, change, rng))
-    ground = _silted(world.terrain, targets, min(change.burial * years, 1.0), rng)
-    targets = targets.chosen(~_covered(ground, targets))
-    if not len(targets):
+    hull, clumps = world.targets.chosen(world.hull), world.targets.chosen(~world.hull)
+    clumps = clumps.chosen(_survivors(clumps, years, change, rng))
+    clumps = _grown(clumps, years, change)
+    clumps = _joined(clumps, _settled(world, clumps, years, change, rng))
+    ground = _silted(world.terrain, clumps, min(change.burial * years, 1.0), rng)
+    clumps = clumps.chosen(~_covered(ground, clumps))
+    if not len(clumps):
         raise ValueError(f"years: expected something alive after {years:g}, got nothing left of {world.name}")
+    targets = _joined(hull, clumps)
     made = dataclasses.replace(
         world,
         name=f"{world.name}+{years:g}y{seed}",
         terrain=ground,
         targets=dataclasses.replace(targets, group=renumbered(targets.group)),
+        hull=np.arange(len(targets)) < len(hull),
     )
     check_world(made)
     return made
@@ -158,7 +160,7 @@ def _grown(targets: Instances, years: float, change: Change) -> Instances:
 def _settled(
     world: World, living: Instances, years: float, change: Change, rng: np.random.Generator
 ) -> Instances:
-    """New clumps beside the living, not on boulders and not out of bounds."""
+    """New clumps beside the living, not on boulders or hull and not out of bounds."""
     wanted = round(change.recruitment * years * len(living))
     beside = indices(rng, max(len(living), 1), wanted)
     away = NEAR * normals(rng, (wanted, 2))
@@ -171,7 +173,8 @@ def _settled(
     inside = (np.abs(x - 0.5 * (box.x_min + box.x_max)) < 0.5 * box.width - SETTLED[1]) & (
         np.abs(y - 0.5 * (box.y_min + box.y_max)) < 0.5 * box.depth - SETTLED[1]
     )
-    for x_rock, y_rock, radius in _feet(world):
+    standing = _joined(world.obstacles, world.targets.chosen(world.hull))
+    for x_rock, y_rock, radius in feet(world.meshes, standing):
         inside &= np.square(x - x_rock) + np.square(y - y_rock) > radius * radius
     z = world.terrain.height(x, y) - sunk * size
     made = Instances(
@@ -183,14 +186,6 @@ def _settled(
         group=living.group[beside],
     )
     return made.chosen(np.asarray(inside))
-
-
-def _feet(world: World) -> Float64Array:
-    """(R, 3) circles x, y, radius around all that stands on the ground."""
-    table = world.obstacles
-    reach = np.array([float(length(mesh.vertices).max(initial=0.0)) for mesh in world.meshes])
-    radius = reach[table.mesh] * table.scale.max(axis=1, initial=0.0)
-    return np.column_stack([table.position[:, :2], radius]).astype(np.float64)
 
 
 def _silted(terrain: Terrain, targets: Instances, share: float, rng: np.random.Generator) -> Terrain:

@@ -111,7 +111,7 @@ class Listening:
 
 WRECK = replace(
     arena(targets=placed(0, [(5.0, 0.0, FLOOR)], (2.0, 4.0, 2.2))),
-    targets_are_hull=True,
+    hull=np.ones(1, np.bool_),
     starts=(SE2(-6.0, 0.0, 0.0),),
 )
 

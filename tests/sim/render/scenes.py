@@ -85,6 +85,7 @@ def world(
 ) -> World:
     """A square of seabed with these things on it; `relief` shakes its heights."""
     count = round(2.0 * half) + 1
+    targets = targets if targets is not None else instances([], [])
     heights = floor + relief * np.random.default_rng(5).normal(size=(count, count))
     return World(
         name="hand/made",
@@ -94,8 +95,8 @@ def world(
         starts=(SE2(0.0, 0.0, 0.0),),
         terrain=Terrain(heights.astype(np.float32), -half, -half, 1.0),
         meshes=meshes,
-        targets=targets if targets is not None else instances([], []),
-        targets_are_hull=targets_are_hull,
+        targets=targets,
+        hull=np.full(len(targets), targets_are_hull),
         obstacles=obstacles if obstacles is not None else instances([], []),
         water=water,
     )

@@ -121,26 +121,28 @@ def build_scene(world: World) -> Scene:
         np.concatenate([world.targets.mesh, world.obstacles.mesh]).astype(np.intp),
         minlength=len(world.meshes),
     )
-    hull = _hull(world)
     of_mesh: dict[int, range] = {}
-    for instances, label in ((world.targets, Label.TARGET), (world.obstacles, Label.OBSTACLE)):
+    for instances, label, materials in zip(
+        (world.targets, world.obstacles), (Label.TARGET, Label.OBSTACLE), _materials(world), strict=True
+    ):
         shared = uses[instances.mesh] > 1
         for mesh in np.unique(instances.mesh[shared]):
             if mesh not in of_mesh:
                 cut = list(_cut(_Soup.of_mesh(world.meshes[mesh])))
                 of_mesh[mesh] = range(len(clusters), len(clusters) + len(cut))
                 clusters += cut
-            chosen = np.flatnonzero(shared & (instances.mesh == mesh))
-            material = _material(label, world.meshes[mesh], instances.group[chosen[0]], world, hull)
             two_sided = world.meshes[mesh].two_sided
-            entities += [
-                _place(clusters[index], index, instances, chosen, label, material, two_sided)
-                for index in of_mesh[mesh]
-            ]
+            placed = np.flatnonzero(shared & (instances.mesh == mesh))
+            for material in np.unique(materials[placed]):
+                chosen = placed[materials[placed] == material]
+                entities += [
+                    _place(clusters[index], index, instances, chosen, label, material, two_sided)
+                    for index in of_mesh[mesh]
+                ]
         single = np.flatnonzero(~shared)
         kinds = [
-            (world.meshes[m].two_sided, _material(label, world.meshes[m], g, world, hull))
-            for m, g in zip(instances.mesh[single], instances.group[single], strict=True)
+            (world.meshes[m].two_sided, material)
+            for m, material in zip(instances.mesh[single], materials[single].tolist(), strict=True)
         ]
         for kind in sorted(set(kinds)):
             two_sided, material = kind
@@ -151,20 +153,26 @@ def build_scene(world: World) -> Scene:
     return _pack(clusters, entities, world.terrain)
 
 
-def _material(label: Label, mesh: Mesh, group: int, world: World, hull: Material) -> Material:
-    """Targets are shells or hull; obstacles are rock, or hull where they are plates or part of a wreck."""
-    if label is Label.TARGET:
-        return hull if world.targets_are_hull else Material.SHELL
+def _materials(world: World) -> tuple[Array, Array]:
+    """Of each target and each obstacle its `Material`: targets are shells or hull; obstacles are rock, or
+    hull where they are plates or part of a wreck."""
+    hull, table = _hull(world), world.obstacles
+    targets = np.where(world.hull, hull, Material.SHELL)
     if world.protocol == POOL_V1.name:
-        return Material.PLAIN
-    return hull if mesh.two_sided or (world.targets_are_hull and group >= 0) else Material.ROCK
+        return targets, np.full(len(table), Material.PLAIN)
+    plates = np.array([mesh.two_sided for mesh in world.meshes], np.bool_)[table.mesh]
+    return targets, np.where(plates | (world.hull.any() & (table.group >= 0)), hull, Material.ROCK)
 
 
 def _hull(world: World) -> Material:
-    """Steel rusts somewhere: a tenth of it is far redder than green. A wreck without that is of wood."""
-    if not world.targets_are_hull or not len(world.targets):
+    """Steel rusts somewhere: a tenth of it is far redder than green. A hull without that is of wood.
+
+    All hull of a world looks alike.
+    """
+    if not world.hull.any():
         return Material.HULL
-    colors = linear_from_srgb(np.concatenate([world.meshes[mesh].colors for mesh in world.targets.mesh]))
+    hull = world.targets.mesh[world.hull]
+    colors = linear_from_srgb(np.concatenate([world.meshes[mesh].colors for mesh in hull]))
     redness = np.percentile(colors[:, 0] / np.maximum(colors[:, 1], 1e-3), 90)
     return Material.WOOD if redness < RUSTY else Material.HULL
 
@@ -276,7 +284,7 @@ def _place(
     instances: Instances,
     chosen: Array,
     label: Label,
-    material: Material,
+    material: int,
     two_sided: bool,
 ) -> dict[str, Array]:
     """Entities that put one shared cluster at each of the chosen instances."""
@@ -299,9 +307,7 @@ def _place(
     }
 
 
-def _stand(
-    cluster: _Cluster, index: int, label: Label, material: Material, two_sided: bool
-) -> dict[str, Array]:
+def _stand(cluster: _Cluster, index: int, label: Label, material: int, two_sided: bool) -> dict[str, Array]:
     """The one entity of a cluster that was cut in world coordinates; its faces know their ids."""
     return {
         "cluster": np.array([index], np.int32),

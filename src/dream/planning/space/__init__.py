@@ -1,0 +1,1 @@
+"""Planners that move in three dimensions."""

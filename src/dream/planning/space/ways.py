@@ -1,0 +1,164 @@
+"""Ways through water that is known to be free: where the body fits, and how many steps it takes there."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.geometry import SE2, Bounds, wrap_angle
+from dream.lattice import nodes_in, offsets_of
+from dream.protocol import SurveyProtocol
+from dream.types import BoolArray, Decision
+
+if TYPE_CHECKING:
+    from dream.mapping.volume import Volume
+
+FloatArray = npt.NDArray[np.floating[Any]]
+Node = tuple[int, int, int]
+"""Level, row and column of a node of the lattice, counted from the first in the box."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ways:
+    """The lattice in three dimensions over a box, and where in it the body fits by what is known.
+
+    What it does: the body fits where every voxel that it touches is free, as the guard has it, and stays no
+    lower over what is solid than the protocol says. Between the nodes it is looked at twice a lattice step.
+    Assumes: voxels that are half a lattice step wide and begin at the world's origin.
+    """
+
+    protocol: SurveyProtocol
+    first: Node
+    """Level, row and column of the box's first node, from the world's origin."""
+    fits: npt.NDArray[np.uint8]
+    """(levels, rows, cols) at fine points."""
+    stands: npt.NDArray[np.uint8]
+    """(levels, rows, cols) at nodes."""
+    _moves: Any = field(repr=False)
+
+    @property
+    def shape(self) -> Node:
+        """Levels, rows and columns of nodes."""
+        levels, rows, cols = self.stands.shape
+        return levels, rows, cols
+
+    @property
+    def positions(self) -> FloatArray:
+        """(levels, rows, cols, 3) metres in the world."""
+        at = np.stack(np.indices(self.shape), axis=-1) + np.array(self.first)
+        return np.asarray(at[..., ::-1] * self.protocol.lattice, np.float64)
+
+    def node(self, x: float, y: float, z: float) -> Node:
+        """The node nearest to a position; a ValueError where that is out of the box."""
+        spacing = self.protocol.lattice
+        found = tuple(round(v / spacing) - low for v, low in zip((z, y, x), self.first, strict=True))
+        if not all(0 <= k < size for k, size in zip(found, self.shape, strict=True)):
+            raise ValueError(f"position: expected one in the box of the ways, got ({x}, {y}, {z})")
+        return found[0], found[1], found[2]
+
+    def steps(self, pose: SE2, z: float) -> npt.NDArray[np.int32]:
+        """(levels, rows, cols) fewest steps from a pose to every node; −1 where no known way leads."""
+        return self._search(pose, z, np.zeros(self.shape, np.uint8))[0]
+
+    def to(self, pose: SE2, z: float, goal: BoolArray) -> list[Decision]:
+        """The moves of a shortest way from a pose to the nearest node of a goal; none where none leads there.
+
+        Args:
+            pose: Where the vehicle is.
+            z: Its height.
+            goal: (levels, rows, cols) nodes; at least one.
+        """
+        _, parent, found = self._search(pose, z, goal.astype(np.uint8))
+        if found < 0:
+            return []
+        path = [int(found)]
+        while (before := int(parent[path[-1]])) >= 0:
+            path.append(before)
+        return [self._move(a, b) for a, b in zip(path[::-1], path[-2::-1], strict=False)]
+
+    def _search(
+        self, pose: SE2, z: float, goal: npt.NDArray[np.uint8]
+    ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32], int]:
+        from dream.planning._kernels import ways as kernels
+
+        start = np.array(self.node(pose.x, pose.y, z))
+        heading = self.protocol.heading_index(pose.yaw)
+        steps, parent, found = kernels.search(self.fits, self.stands, self._moves, start, heading, goal)
+        return steps, parent, int(found)
+
+    def _move(self, before: int, after: int) -> Decision:
+        """The decision that leads from one pose of a way to the next."""
+        protocol, headings = self.protocol, self.protocol.headings
+        turn = wrap_angle((after % headings - before % headings) * protocol.heading_step)
+        _, rows, cols = self.shape
+        a, b = (
+            np.array(np.unravel_index(p // headings, (self.shape[0], rows, cols))) for p in (before, after)
+        )
+        up, north, east = (b - a).tolist()
+        lengths = {protocol.offset(after % headings, length): length for length in (0.0, *protocol.advances)}
+        return Decision(turn, lengths[(east, north)], climb=up * protocol.lattice)
+
+
+def ways_in(volume: Volume, bounds: Bounds, protocol: SurveyProtocol) -> Ways:
+    """The ways through a volume within bounds and below the surface of the water, as known now.
+
+    Args:
+        volume: What is known; its voxels are half a lattice step wide.
+        bounds: The survey area.
+        protocol: That moves in space.
+    """
+    from scipy.ndimage import maximum_filter1d, minimum_filter
+
+    from dream.mapping.volume import FREE, SOLID
+    from dream.planning._kernels import ways as kernels
+
+    assert protocol.space is not None
+    spacing, side = protocol.lattice, volume.cell
+    if abs(side * kernels.FINE - spacing) > 1e-9:
+        raise ValueError(f"volume: expected voxels of {spacing / kernels.FINE} m, got {side} m")
+    (row, col), (rows, cols) = nodes_in(bounds, protocol)
+    box = volume.box
+    low, high = (-1.0, -protocol.space.surface) if box is None else (float(box[0, 2]), float(box[1, 2]))
+    level = math.floor(low / spacing)
+    levels = max(math.floor(min(high, -protocol.space.surface) / spacing) - level + 1, 1)
+    # How many voxels the body reaches from a corner of voxels, its margin included.
+    across = math.ceil((protocol.body_radius + 0.05) / side - 1e-9)
+    upright = math.ceil((0.5 * protocol.body_height + 0.05) / side - 1e-9)
+    fine = tuple(kernels.FINE * (n - 1) + 1 for n in (levels, rows, cols))
+    # The voxel (k, j, i) begins at fine point (k, j, i) of the padded grid.
+    pad = (upright, across, across)
+    corner = np.array([level, row, col]) * kernels.FINE - pad
+    size = tuple(n + 2 * p for n, p in zip(fine, pad, strict=True))
+    states = _states(volume, corner, size)
+    window = (2 * upright, 2 * across, 2 * across)
+    free = minimum_filter((states == FREE).astype(np.uint8), window, mode="constant", cval=0)
+    # A window of 2 n voxels that the filter centres on voxel k holds those from k − n to k + n − 1.
+    fits = free[upright : upright + fine[0], across : across + fine[1], across : across + fine[2]]
+    clear = math.ceil(protocol.space.lowest / side - 1e-9)
+    solid = (states == SOLID).astype(np.uint8)
+    # Is any solid, of a voxel and those below it, so many in all?
+    near = maximum_filter1d(solid, clear, axis=0, origin=(clear - 1) // 2, mode="constant")
+    below = near[upright - 1 : upright - 1 + fine[0], across : across + fine[1], across : across + fine[2]]
+    stands = fits[:: kernels.FINE, :: kernels.FINE, :: kernels.FINE].copy()
+    stands[below[:: kernels.FINE, :: kernels.FINE, :: kernels.FINE] > 0] = 0
+    steps = np.array(protocol.turns, np.int64)
+    none = np.zeros((protocol.headings, 1, 2), np.int64)
+    moves = kernels.Moves(
+        steps,
+        np.concatenate([none, offsets_of(protocol)], axis=1),
+        # Of two ways of as many steps, the one that climbs less.
+        np.array(sorted((round(climb / spacing) for climb in protocol.climbs), key=abs), np.int64),
+    )
+    return Ways(protocol, (level, row, col), np.ascontiguousarray(fits), stands, moves)
+
+
+def _states(volume: Volume, corner: npt.NDArray[np.int64], size: tuple[int, ...]) -> npt.NDArray[np.uint8]:
+    """(levels, rows, cols) of a volume's voxels from the one that begins at `corner` voxels on."""
+    middles = [(corner[k] + np.arange(size[k]) + 0.5) * volume.cell for k in range(3)]
+    z, y, x = np.meshgrid(*middles, indexing="ij")
+    points = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
+    return volume.state(points).reshape(size)
