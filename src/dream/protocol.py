@@ -58,7 +58,7 @@ class LastingErrors:
 
     labels: tuple[tuple[float, float], ...] = ()
     """Metres from the camera and the share of surface whose label is wrong there; straight between two of
-    them, and from the last one on the same."""
+    them, up to the first and from the last one on the same."""
     blob: tuple[float, float] = (0.5, 2.0)
     """Least and greatest width of a piece of surface whose label is wrong, fixed in the world; metres."""
     depth: float = 0.0
@@ -71,15 +71,15 @@ class LastingErrors:
     def __post_init__(self) -> None:
         far = [metres for metres, _ in self.labels]
         if far != sorted(set(far)) or not all(
-            0.0 <= m < math.inf and 0.0 <= share <= 1.0 for m, share in self.labels
+            0.0 <= m < math.inf and 0.0 <= share <= 0.9 for m, share in self.labels
         ):
             raise ValueError(
-                f"lasting.labels: expected rising metres of 0 or more, each with a share in [0, 1], "
+                f"lasting.labels: expected rising metres of 0 or more, each with a share in [0, 0.9], "
                 f"got {self.labels}"
             )
-        if not 0.0 < self.blob[0] <= self.blob[1] < math.inf:
+        if not 0.2 <= self.blob[0] <= self.blob[1] <= 20.0:
             raise ValueError(
-                f"lasting.blob: expected two widths above 0 m, the lesser first, got {self.blob}"
+                f"lasting.blob: expected two widths from 0.2 to 20 m, the lesser first, got {self.blob}"
             )
         for name, most in (("depth", 0.5), ("height", 5.0), ("tilt", 0.5)):
             if not 0.0 <= getattr(self, name) <= most:

@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,13 +15,11 @@ from dream.ending import why
 from dream.geometry import SE3, Bounds, Camera, camera_mount
 from dream.orders import Flown, Leg, Orders, Outcome, Task, place
 from dream.protocol import SurveyProtocol
+from dream.sim.inspection import Inspection
 from dream.sim.render import Renderer
 from dream.sim.visibility import Visibility
 from dream.sim.world import Mesh, World
 from dream.types import Exchange, Step
-
-if TYPE_CHECKING:
-    from dream.sim.inspection import Inspection
 
 MILESTONES = {"t90": 0.90, "t95": 0.95, "t98": 0.9826, "t100": 1.0}
 """Shares of the instances whose step is reported; 98.26 % is the paper's own coverage."""
@@ -209,11 +207,7 @@ class Logbook:
 
 def sight_in(world: World, protocol: SurveyProtocol) -> Visibility | Inspection:
     """What counts as found in a world: what is seen, or in space what is inspected."""
-    if protocol.space is None:
-        return Visibility(world, protocol)
-    from dream.sim.inspection import Inspection
-
-    return Inspection(world, protocol)
+    return Visibility(world, protocol) if protocol.space is None else Inspection(world, protocol)
 
 
 class Scorer(Logbook):
@@ -238,7 +232,6 @@ class Scorer(Logbook):
         self._bounds, self._positions = world.bounds, np.asarray(world.targets.position[:, :2], np.float64)
         super().__init__(protocol, orders)
         self._sight = sight_in(world, protocol) if visibility is None else visibility
-        self._inspection = None if protocol.space is None else cast("Inspection", self._sight)
         self._renderer = renderer or Renderer(world)
         self._countable = self._counted()
         self._group = np.asarray(world.targets.group)
@@ -256,13 +249,15 @@ class Scorer(Logbook):
         T_world_base = step.observation.T_world_base if step.arrival.truth is None else step.arrival.truth
         if step.guarded.decision.tilt is not None:
             self._tilt = step.guarded.decision.tilt
-        counts = self._sight.found(T_world_base, self._tilt)
-        self._first_seen[counts & ~self._seen] = step.index
-        T_base_camera = step.observation.T_base_camera
-        if self._inspection is not None:
-            seen = self._inspection.seen(T_world_base, self._tilt)
-            self._first_at_any_angle[seen & (self._first_at_any_angle < 0)] = step.index
+        T_base_camera, pose = step.observation.T_base_camera, T_world_base.se2
+        if isinstance(self._sight, Inspection):
+            look = self._sight.look(T_world_base, self._tilt)
+            self._first_at_any_angle[look.seen & (self._first_at_any_angle < 0)] = step.index
+            counts = look.inspected
             T_base_camera = camera_mount(self._tilt)  # What the observation says may be off.
+        else:
+            counts = self._sight.seen(np.array([[pose.x, pose.y, pose.yaw]]))[0]
+        self._first_seen[counts & ~self._seen] = step.index
         self._shown |= self._shows(step.observation.camera, T_world_base @ T_base_camera)
         self.note(step)
         self._countable = self._counted()
@@ -364,9 +359,9 @@ class Scorer(Logbook):
         `whole` is of the area of all individuals, `dropped` the share of that area which no pose space can
         show well enough to count; `seen` counts what was seen at any angle, of what counts.
         """
-        if self._inspection is None:
+        if not isinstance(self._sight, Inspection):
             return {}
-        area, countable = self._inspection.area, self._countable
+        area, countable = self._sight.surface.area, self._countable
         whole = float(area.sum())
         inspected = float(area[self._seen].sum())
         return {
@@ -374,7 +369,7 @@ class Scorer(Logbook):
                 "inspected": round(_share(self._seen[countable]), 6),
                 "seen": round(_share(self._first_at_any_angle[countable] >= 0), 6),
                 "whole": round(inspected / whole if whole > 0.0 else 1.0, 6),
-                "dropped": round(self._inspection.dropped, 6),
+                "dropped": round(self._sight.dropped, 6),
             }
         }
 

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -51,6 +51,7 @@ from dream.planning.vlm.asking.options import WHERE_KEPT
 from dream.protocol import SHOWN, SurveyProtocol, protocol_named
 from dream.robots import Swimming, Teleport
 from dream.sim.files import world_hash
+from dream.sim.inspection import Inspection
 from dream.sim.render import Renderer
 from dream.sim.solids import Solids
 from dream.sim.visibility import Visibility
@@ -59,9 +60,6 @@ from dream.sim.worlds import WORLDS
 from dream.sim.years import years_on
 from dream.types import Step, Target
 from dream.versions import commit
-
-if TYPE_CHECKING:
-    from dream.sim.inspection import Inspection
 
 logger = logging.getLogger(__name__)
 

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 
+import numpy as np
+
 from dream.geometry import SE2, SE3, camera_mount
-from dream.protocol import SurveyProtocol
+from dream.protocol import LastingErrors, SurveyProtocol
 from dream.sim.camera_noise import noise_generator, with_noise
+from dream.sim.lasting import mission_errors, with_wrong_labels
 from dream.sim.render import Frame, Renderer
-from dream.sim.world import World
-from dream.types import Observation
+from dream.sim.visual_range import through_water
+from dream.sim.world import UInt8Array, World
+from dream.types import Label, Observation
 
 
 class SimulatedCamera:
     """Draws what a robot sees, with the errors that the protocol declares.
+
+    What it does: drawn is what is there. Labels are then wrong where they are wrong all mission long; depth
+    and labels end where the water's range does; the frame's own noise comes on top, and the mission's errors
+    of scale last. Colours stay as they are drawn.
 
     Assumes: it is told of every move, since errors are drawn anew with each.
     """
@@ -35,11 +44,18 @@ class SimulatedCamera:
         self._start = start
         self._given = renderer
         self._fineness = fineness
+        self.errors = mission_errors(world, start, protocol.lasting or LastingErrors())
+        """What this mission gets wrong from start to end: zeros where the protocol declares nothing."""
 
     @cached_property
     def _renderer(self) -> Renderer:
         """Made at the first look: a tour that is only driven needs none."""
         return self._given or Renderer(self._world)
+
+    @cached_property
+    def _missed_as(self) -> UInt8Array:
+        """(N,) what each individual is taken for that is not recognised; see `with_noise`."""
+        return np.where(self._world.hull, Label.OBSTACLE, Label.SEABED).astype(np.uint8)
 
     def observe(self, time: float, moves: int, truth: SE3, believed: SE3, tilt: float) -> Observation:
         """One frame.
@@ -48,29 +64,47 @@ class SimulatedCamera:
             time: When.
             moves: Of the robot since the start.
             truth: `T_world_base` that it is drawn from.
-            believed: `T_world_base` that the observation says.
-            tilt: Pitch of the camera, radians, positive downwards.
+            believed: `T_world_base` that the robot's own sensors say. The observation's is off from it by the
+                mission's error of height.
+            tilt: Pitch of the camera, radians, positive downwards, that it is drawn with. The observation's
+                is off from it by the mission's error of tilt.
         """
-        T_base_camera = camera_mount(tilt)
-        frame = self._frame(truth @ T_base_camera, moves)
+        T_world_camera = truth @ camera_mount(tilt)
+        frame = self._frame(T_world_camera, moves)
         rgb = frame.rgb
         if self._fineness > 1:
             fine = self._protocol.camera.scaled(self._fineness)
-            rgb = self._renderer.render(fine, truth @ T_base_camera).rgb
+            rgb = self._renderer.render(fine, T_world_camera).rgb
         return Observation(
             time=time,
             rgb=rgb,
             depth=frame.depth,
             labels=frame.labels,
             camera=self._protocol.camera,
-            T_world_base=believed,
-            T_base_camera=T_base_camera,
+            T_world_base=_raised(believed, self.errors.height),
+            T_base_camera=camera_mount(tilt + self.errors.tilt),
         )
 
     def _frame(self, T_world_camera: SE3, moves: int) -> Frame:
-        camera, noise = self._protocol.camera, self._protocol.noise
+        protocol, camera, world = self._protocol, self._protocol.camera, self._world
         frame = self._renderer.render(camera, T_world_camera)
-        if noise is None:
-            return frame
-        rng = noise_generator(self._world, self._start, moves)
-        return with_noise(frame, camera, T_world_camera, noise, rng, hull=self._world.hull)
+        if protocol.lasting is not None:
+            labels = with_wrong_labels(
+                frame, camera, T_world_camera, protocol.lasting, self.errors.key, self._missed_as
+            )
+            frame = replace(frame, labels=labels)
+        if protocol.space is not None:
+            frame = through_water(frame, camera, world.water, protocol.space, protocol.max_depth)
+        if protocol.noise is not None:
+            rng = noise_generator(world, self._start, moves)
+            frame = with_noise(frame, camera, T_world_camera, protocol.noise, rng, hull=world.hull)
+        if self.errors.depth != 0.0:
+            frame = replace(frame, depth=frame.depth * np.float32(1.0 + self.errors.depth))
+        return frame
+
+
+def _raised(T_world_base: SE3, by: float) -> SE3:
+    """The pose so many metres higher; the very same where that is 0."""
+    if by == 0.0:
+        return T_world_base
+    return SE3(T_world_base.rotation, T_world_base.translation + np.array([0.0, 0.0, by]))

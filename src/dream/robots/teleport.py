@@ -58,9 +58,9 @@ class Teleport:
         self._protocol = protocol
         self._solids = solids or Solids(world)
         self._pose = protocol.snap(pose)
-        self._z = launch_height(world, protocol, self._pose)
-        self._tilt = protocol.camera_pitch
         self._camera = SimulatedCamera(world, protocol, self._pose, renderer, fineness)
+        self._z = launch_height(world, protocol, self._pose) - self._camera.errors.height
+        self._tilt = protocol.camera_pitch
         self._moves = 0
         self._time = 0.0
         if not self._is_free(self._pose, self._z):
@@ -75,16 +75,20 @@ class Teleport:
         """Turn, then advance and climb; at contact, stop. The camera tilts on the way."""
         start, z = self._pose, self._z
         goal = SE2(setpoint.x, setpoint.y, setpoint.yaw)
-        sweep = self._sweep(goal, setpoint.z)
+        # Where it is sent is a height as it believes it.
+        height = None if setpoint.z is None else setpoint.z - self._camera.errors.height
+        sweep = self._sweep(goal, height)
         collided = sweep.contact
-        end, height = self._last_free_node(goal, setpoint.z, sweep.free) if collided else (goal, setpoint.z)
+        end, height = self._last_free_node(goal, height, sweep.free) if collided else (goal, height)
         travelled = start.distance(end) if height is None else math.hypot(start.distance(end), height - z)
         self._time += travelled / SPEED + abs(wrap_angle(goal.yaw - start.yaw)) / TURN_RATE
         self._pose = end
         self._z = launch_height(self._world, self._protocol, end) if height is None else height
         self._tilt = self._tilt if setpoint.tilt is None else setpoint.tilt
         self._moves += 1
-        return Arrival(end, collided, travelled, sweep.clearance)
+        # Where the mission's heights are off, what is told of the pose is not the truth.
+        truth = self._T_world_base() if self._camera.errors.height else None
+        return Arrival(end, collided, travelled, sweep.clearance, truth=truth)
 
     def _sweep(self, goal: SE2, z: float | None) -> Sweep:
         """How the way to a goal goes; to its altitude over ground where no height is given."""
@@ -102,7 +106,7 @@ class Teleport:
             node = self._protocol.snap(
                 SE2(start.x + along * (goal.x - start.x), start.y + along * (goal.y - start.y), goal.yaw)
             )
-            height = None if z is None else round((self._z + along * rise) / spacing) * spacing
+            height = None if z is None else self._z + along * rise
             if self._is_free(node, height):
                 return node, height
         return SE2(start.x, start.y, goal.yaw), None if z is None else self._z

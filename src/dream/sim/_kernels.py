@@ -18,6 +18,8 @@ BoolArray = npt.NDArray[np.bool_]
 
 END = 1e-3
 """Metres at the end of a ray that nothing blocks: coordinates are quantised to a millimetre."""
+NOTHING, GROUND = -1, -2
+"""What is between two points where that is no triangle."""
 PAD = 1e-6
 """Metres by which cells reach beyond what they hold, so that rounding loses nothing at their borders."""
 
@@ -193,15 +195,15 @@ def _buried(
 
 
 @njit(cache=True, nogil=True)
-def blocked(index: Index, ex: float, ey: float, ez: float, px: float, py: float, pz: float) -> bool:
-    """Does terrain or a triangle lie between e and p? Beyond the cells nothing does."""
+def blocker(index: Index, ex: float, ey: float, ez: float, px: float, py: float, pz: float) -> int:
+    """A triangle that lies between e and p, GROUND or NOTHING. Beyond the cells nothing does."""
     dx, dy, dz = px - ex, py - ey, pz - ez
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     if length <= END:
-        return False
+        return NOTHING
     end = 1.0 - END / length
     if pz < ground(index, px, py) - END:
-        return True
+        return GROUND
 
     cell = index.cell
     rows, cols = index.top.shape
@@ -210,14 +212,14 @@ def blocked(index: Index, ex: float, ey: float, ez: float, px: float, py: float,
         a, b = (index.x0 - ex) / dx, (index.x0 + cols * cell - ex) / dx
         t, last = max(t, min(a, b)), min(last, max(a, b))
     elif not index.x0 <= ex <= index.x0 + cols * cell:
-        return False
+        return NOTHING
     if dy != 0.0:
         a, b = (index.y0 - ey) / dy, (index.y0 + rows * cell - ey) / dy
         t, last = max(t, min(a, b)), min(last, max(a, b))
     elif not index.y0 <= ey <= index.y0 + rows * cell:
-        return False
+        return NOTHING
     if t >= last:
-        return False
+        return NOTHING
 
     # Walk the cells that the ray crosses (Amanatides and Woo, 1987).
     col = min(max(math.floor((ex + t * dx - index.x0) / cell), 0), cols - 1)
@@ -237,11 +239,11 @@ def blocked(index: Index, ex: float, ey: float, ez: float, px: float, py: float,
             cell_id = row * cols + col
             for k in range(index.first[cell_id], index.first[cell_id + 1]):
                 if 0.0 < _crossing(index.triangles[index.members[k]], ex, ey, ez, dx, dy, dz) < end:
-                    return True
+                    return index.members[k]
         if low <= index.ground_top[row, col] and _buried(index, gx, gy, ez, dgx, dgy, dz, t, leave):
-            return True
+            return GROUND
         if leave >= last:
-            return False
+            return NOTHING
         t = leave
         if next_x < next_y:
             col += step_x
@@ -250,7 +252,21 @@ def blocked(index: Index, ex: float, ey: float, ez: float, px: float, py: float,
             row += step_y
             next_y += delta_y
         if not (0 <= col < cols and 0 <= row < rows):
-            return False
+            return NOTHING
+
+
+@njit(cache=True, nogil=True)
+def blocked(index: Index, ex: float, ey: float, ez: float, px: float, py: float, pz: float) -> bool:
+    """Does terrain or a triangle lie between e and p?"""
+    return blocker(index, ex, ey, ez, px, py, pz) != NOTHING
+
+
+@njit(cache=True, nogil=True)
+def between(triangle: Float64Array, ex: float, ey: float, ez: float, px: float, py: float, pz: float) -> bool:
+    """Does this triangle lie between e and p, as `blocker` means it?"""
+    dx, dy, dz = px - ex, py - ey, pz - ez
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    return length > END and 0.0 < _crossing(triangle, ex, ey, ez, dx, dy, dz) < 1.0 - END / length
 
 
 @njit(cache=True, nogil=True)
@@ -515,7 +531,7 @@ def room(index: Index, x: float, y: float, low: float, high: float, limit: float
 
 @njit(cache=True, nogil=True)
 def _solid_room(index: Index, x: float, y: float, low: float, high: float, limit: float) -> float:
-    """As `room`, and 0 where the terrain holds the axis or a part of it: what is in the ground is not free."""
+    """As `room`, but 0 where the axis is in the ground, be it a part of it: there is no room in there."""
     rows, cols = index.top.shape
     row, col = math.floor((y - index.y0) / index.cell), math.floor((x - index.x0) / index.cell)
     # Most bodies are above all terrain of their cell; where there is none, its top is −inf.
@@ -567,7 +583,7 @@ class Way(NamedTuple):
 
 @njit(cache=True, nogil=True, inline="always")
 def _along(index: Index, way: Way, s: float) -> tuple[float, float, float]:
-    """Where a share s of the way has been made. Inlined: a call with the whole index costs a third of a pass."""
+    """Where a share s of the way has been made. Inlined: a call costs a third of a pass."""
     x, y = way.x0 * (1.0 - s) + way.x1 * s, way.y0 * (1.0 - s) + way.y1 * s
     # In this order a way that keeps its height keeps it to the last bit.
     z = way.z0 + s * (way.z1 - way.z0)
@@ -649,43 +665,69 @@ def passes(
 
 
 @njit(cache=True, nogil=True)
+def tops(index: Index, positions: Float64Array, radius: float) -> Float64Array:
+    """Greatest z of the triangles in the cells within `radius` of positions (P, 2), or −inf."""
+    result = np.full(len(positions), -np.inf)
+    rows, cols = index.top.shape
+    for i in range(len(positions)):
+        x, y = positions[i, 0] - index.x0, positions[i, 1] - index.y0
+        for row in range(
+            max(math.floor((y - radius) / index.cell), 0),
+            min(math.floor((y + radius) / index.cell), rows - 1) + 1,
+        ):
+            for col in range(
+                max(math.floor((x - radius) / index.cell), 0),
+                min(math.floor((x + radius) / index.cell), cols - 1) + 1,
+            ):
+                result[i] = max(result[i], index.top[row, col])
+    return result
+
+
+@njit(cache=True, nogil=True)
 def reachable(
     index: Index,
     free: BoolArray,
     x0: float,
     y0: float,
+    z0: float,
     spacing: float,
     seeds: IntpArray,
     offsets: IntpArray,
-    altitude: float,
+    over_ground: bool,
     radius: float,
     height: float,
     pace: float,
 ) -> BoolArray:
-    """Nodes that moves by the offsets (M, 2: east, north) reach from the seeds (S, 2: row, col) untouched."""
-    rows, cols = free.shape
-    done = np.zeros((rows, cols), np.bool_)
-    queue = np.empty((rows * cols, 2), np.intp)
+    """Nodes that moves by the offsets (M, 3: east, north, up) reach untouched from the seeds (S, 3).
+
+    Nodes and seeds are (level, row, col); node 0 lies at (x0, y0) lattice steps and at z0 metres.
+    """
+    levels, rows, cols = free.shape
+    done = np.zeros((levels, rows, cols), np.bool_)
+    queue = np.empty((levels * rows * cols, 3), np.intp)
     head = tail = 0
     for i in range(len(seeds)):
-        row, col = seeds[i, 0], seeds[i, 1]
-        if 0 <= row < rows and 0 <= col < cols and free[row, col] and not done[row, col]:
-            done[row, col] = True
-            queue[tail, 0], queue[tail, 1] = row, col
+        level, row, col = seeds[i, 0], seeds[i, 1], seeds[i, 2]
+        inside = 0 <= level < levels and 0 <= row < rows and 0 <= col < cols
+        if inside and free[level, row, col] and not done[level, row, col]:
+            done[level, row, col] = True
+            queue[tail] = seeds[i]
             tail += 1
     while head < tail:
-        row, col = queue[head, 0], queue[head, 1]
+        level, row, col = queue[head, 0], queue[head, 1], queue[head, 2]
         head += 1
         for m in range(len(offsets)):
-            r, c = row + offsets[m, 1], col + offsets[m, 0]
-            if not (0 <= r < rows and 0 <= c < cols) or done[r, c] or not free[r, c]:
+            k, r, c = level + offsets[m, 2], row + offsets[m, 1], col + offsets[m, 0]
+            if not (0 <= k < levels and 0 <= r < rows and 0 <= c < cols):
                 continue
-            ax, ay = (x0 + col) * spacing, (y0 + row) * spacing
-            bx, by = (x0 + c) * spacing, (y0 + r) * spacing
-            way = Way(ax, ay, altitude, bx, by, altitude, True)
+            if done[k, r, c] or not free[k, r, c]:
+                continue
+            ax, ay, az = (x0 + col) * spacing, (y0 + row) * spacing, z0 + level * spacing
+            bx, by, bz = (x0 + c) * spacing, (y0 + r) * spacing, z0 + k * spacing
+            way = Way(ax, ay, az, bx, by, bz, over_ground)
             if _passes(index, way, radius, height, pace):
-                done[r, c] = True
-                queue[tail, 0], queue[tail, 1] = r, c
+                done[k, r, c] = True
+                queue[tail, 0], queue[tail, 1], queue[tail, 2] = k, r, c
                 tail += 1
     return done
 

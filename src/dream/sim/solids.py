@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dream.geometry import SE2
+from dream.geometry import SE2, Bounds
 from dream.protocol import SurveyProtocol
 from dream.sim import _kernels
-from dream.sim.world import Instances, Mesh, World
+from dream.sim.world import Instances, Mesh, Terrain, World
 
 Float64Array = npt.NDArray[np.float64]
 IntpArray = npt.NDArray[np.intp]
@@ -63,6 +63,28 @@ class FreeLattice:
         return np.stack([self.first[0] + col, self.first[1] + row], axis=-1).astype(np.float64) * self.spacing
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FreeSpace:
+    """A protocol's positions in space; node (level, row, col) is at `(first + (col, row, level)) · spacing`."""
+
+    first: tuple[int, int, int]
+    """(col, row, level) of the first node, counted from the origin of the world."""
+    spacing: float
+    free: BoolArray
+    """(levels, rows, cols) the protocol lets the body be there, and it is not in contact."""
+    reachable: BoolArray
+    """(levels, rows, cols) the protocol's moves lead there from a start of the world without contact."""
+
+
+def _nodes_in(bounds: Bounds, spacing: float) -> tuple[tuple[int, int], tuple[int, int]]:
+    """(col, row) of the first node of a lattice inside the bounds, and how many (cols, rows) there are."""
+    # Nudged, so that bounds that are multiples of the spacing up to rounding keep their outermost nodes.
+    col0, row0 = math.ceil(bounds.x_min / spacing - 1e-6), math.ceil(bounds.y_min / spacing - 1e-6)
+    cols = math.floor(bounds.x_max / spacing + 1e-6) - col0 + 1
+    rows = math.floor(bounds.y_max / spacing + 1e-6) - row0 + 1
+    return (col0, row0), (cols, rows)
+
+
 def corners(mesh: Mesh, instances: Instances, which: IntpArray) -> Float64Array:
     """(K, F, 3, 3) corners in the world of the faces of the instances `which`, all of that mesh."""
     w, x, y, z = instances.wxyz[which].astype(np.float64).T
@@ -87,24 +109,32 @@ def _soup(world: World) -> Float64Array:
 
 
 def _index(world: World) -> _kernels.Index:
-    heights = world.terrain.heights.astype(np.float64)
-    x0, y0, spacing = world.terrain.x0, world.terrain.y0, world.terrain.spacing
-    triangles = _soup(world)
-    low, high = triangles.min(axis=1), triangles.max(axis=1)
-    grid_low = np.min([[x0, y0], *low[:, :2]], axis=0)
-    grid_high = np.max(
-        [[x0 + (heights.shape[1] - 1) * spacing, y0 + (heights.shape[0] - 1) * spacing], *high[:, :2]], axis=0
-    )
-    cols, rows = (math.floor(extent / CELL) + 1 for extent in grid_high - grid_low)
-    left, near = float(grid_low[0]), float(grid_low[1])
+    """All that blocks, under one grid over the terrain and whatever lies beyond it."""
+    terrain, triangles = world.terrain, _soup(world)
+    rows, cols = terrain.heights.shape
+    far = [terrain.x0 + (cols - 1) * terrain.spacing, terrain.y0 + (rows - 1) * terrain.spacing]
+    low = np.min([[terrain.x0, terrain.y0], *triangles[..., :2].min(axis=1)], axis=0)
+    high = np.max([far, *triangles[..., :2].max(axis=1)], axis=0)
+    return index_of(terrain, triangles, low, high, CELL)
+
+
+def index_of(
+    terrain: Terrain, triangles: Float64Array, low: Float64Array, high: Float64Array, cell: float
+) -> _kernels.Index:
+    """Terrain and triangles (T, 3, 3) under a grid of cells from low (2,) to high (2,) on the ground."""
+    heights = terrain.heights.astype(np.float64)
+    x0, y0, spacing = terrain.x0, terrain.y0, terrain.spacing
+    cols, rows = (math.floor(extent / cell) + 1 for extent in high - low)
+    left, near = float(low[0]), float(low[1])
 
     pad = _kernels.PAD
-    boxes = np.ascontiguousarray(np.concatenate([low[:, :2] - pad, high[:, :2] + pad], axis=1))
-    first, members = _kernels.bin_boxes(boxes, left, near, CELL, rows, cols)
+    least, most = triangles.min(axis=1), triangles.max(axis=1)
+    boxes = np.ascontiguousarray(np.concatenate([least[:, :2] - pad, most[:, :2] + pad], axis=1))
+    first, members = _kernels.bin_boxes(boxes, left, near, cell, rows, cols)
     cells = np.repeat(np.arange(rows * cols), np.diff(first))
     bottom, top = np.full(rows * cols, np.inf), np.full(rows * cols, -np.inf)
-    np.minimum.at(bottom, cells, low[members, 2])
-    np.maximum.at(top, cells, high[members, 2])
+    np.minimum.at(bottom, cells, least[members, 2])
+    np.maximum.at(top, cells, most[members, 2])
     return _kernels.Index(
         heights=heights,
         terrain_x0=float(x0),
@@ -115,10 +145,10 @@ def _index(world: World) -> _kernels.Index:
         members=members,
         bottom=bottom.reshape(rows, cols),
         top=top.reshape(rows, cols),
-        ground_top=_kernels.cell_ground_tops(heights, x0, y0, spacing, left, near, CELL, rows, cols),
+        ground_top=_kernels.cell_ground_tops(heights, x0, y0, spacing, left, near, cell, rows, cols),
         x0=left,
         y0=near,
-        cell=CELL,
+        cell=cell,
     )
 
 
@@ -247,19 +277,20 @@ class Solids:
         agree about whether there is one. Headings play no part.
         """
         z = float(protocol.altitude)
-        ends = float(start.x), float(start.y), z, float(end.x), float(end.y), z
-        return self._sweep(_kernels.Way(*ends, True), protocol, limit)
+        way = _kernels.Way(float(start.x), float(start.y), z, float(end.x), float(end.y), z, True)
+        return self._sweep(way, protocol, limit)
 
     def sweep_through(
         self, start: npt.ArrayLike, end: npt.ArrayLike, protocol: SurveyProtocol, *, limit: float = 5.0
     ) -> Sweep:
-        """Move the body's centre straight from start (3,) to end (3,), as `sweep` does, in all three dimensions.
+        """Move the body's centre straight through the water from start (3,) to end (3,), as `sweep` does.
 
         Between two looks a body that climbs and advances at once may enter what it grazes with its rim by a
         centimetre at most.
         """
-        ends = checked([start, end], "start and end", 3).ravel().tolist()
-        return self._sweep(_kernels.Way(*ends, False), protocol, limit)
+        x0, y0, z0 = checked(np.reshape(start, (1, -1)), "start", 3)[0].tolist()
+        x1, y1, z1 = checked(np.reshape(end, (1, -1)), "end", 3)[0].tolist()
+        return self._sweep(_kernels.Way(x0, y0, z0, x1, y1, z1, False), protocol, limit)
 
     def _sweep(self, way: _kernels.Way, protocol: SurveyProtocol, limit: float) -> Sweep:
         radius, height = protocol.body_radius, protocol.body_height
@@ -285,27 +316,79 @@ class Solids:
 
     def lattice(self, protocol: SurveyProtocol) -> FreeLattice:
         """The protocol's positions inside the bounds: where the body is free, and where it can get."""
-        bounds, spacing = self.world.bounds, protocol.lattice
-        # Nudged, so that bounds that are multiples of the spacing up to rounding keep their outermost nodes.
-        col0, row0 = math.ceil(bounds.x_min / spacing - 1e-6), math.ceil(bounds.y_min / spacing - 1e-6)
-        cols = math.floor(bounds.x_max / spacing + 1e-6) - col0 + 1
-        rows = math.floor(bounds.y_max / spacing + 1e-6) - row0 + 1
+        (col0, row0), (cols, rows) = _nodes_in(self.world.bounds, protocol.lattice)
         nothing = np.zeros((rows, cols), np.bool_)
-        nodes = FreeLattice((col0, row0), spacing, nothing, nothing).positions
+        nodes = FreeLattice((col0, row0), protocol.lattice, nothing, nothing).positions
         free = self.free(nodes.reshape(-1, 2), protocol).reshape(rows, cols)
-        seeds = [(round(s.y / spacing) - row0, round(s.x / spacing) - col0) for s in self.world.starts]
-        moves = sorted({protocol.offset(h, a) for h in range(protocol.headings) for a in protocol.advances})
-        reachable = _kernels.reachable(
+        seeds = [(0, *self._start_node(s, (col0, row0), protocol)) for s in self.world.starts]
+        moves = sorted(
+            {(*protocol.offset(h, a), 0) for h in range(protocol.headings) for a in protocol.advances}
+        )
+        reached = self._reachable(free[None], (col0, row0), protocol.altitude, seeds, moves, True, protocol)
+        return FreeLattice((col0, row0), protocol.lattice, free, reached[0])
+
+    def free_space(self, protocol: SurveyProtocol) -> FreeSpace:
+        """The positions of a protocol that moves in space: where the body is free, and where it can get.
+
+        A position is one where its `space` lets the centre be, from the lowest height over ground to the
+        highest over what stands there, and so far under the surface. A start has its height rounded to the
+        lattice, both ways.
+
+        Raises:
+            ValueError: The protocol is a planar one.
+        """
+        space, spacing, terrain = protocol.space, protocol.lattice, self.world.terrain
+        if space is None:
+            raise ValueError(f"protocol: expected one that moves in space, got {protocol.name}")
+        (col0, row0), (cols, rows) = _nodes_in(self.world.bounds, spacing)
+        x, y = np.meshgrid((col0 + np.arange(cols)) * spacing, (row0 + np.arange(rows)) * spacing)
+        ground = terrain.height(x, y)
+        flat = np.column_stack([x.ravel(), y.ravel()])
+        tops = _kernels.tops(self.index, flat, protocol.body_radius).reshape(rows, cols)
+        highest = np.minimum(np.maximum(ground, tops) + space.highest, -space.surface)
+        level0 = math.ceil((ground.min() + space.lowest) / spacing)
+        levels = max(math.floor(highest.max() / spacing) - level0 + 1, 1)
+        z = ((level0 + np.arange(levels)) * spacing)[:, None, None]
+        free = (z >= ground + space.lowest) & (z <= highest)
+        level, row, col = np.nonzero(free)
+        free[free] = self.free_at(np.column_stack([x[row, col], y[row, col], z[level, 0, 0]]), protocol)
+
+        seeds = []
+        for start in self.world.starts:
+            at = self._start_node(start, (col0, row0), protocol)
+            height = (float(terrain.height(start.x, start.y)) + protocol.altitude) / spacing - level0
+            seeds += [(math.floor(height), *at), (math.ceil(height), *at)]
+        ahead = {protocol.offset(h, a) for h in range(protocol.headings) for a in (0.0, *protocol.advances)}
+        climbs = [round(climb / spacing) for climb in protocol.climbs]
+        moves = sorted({(*offset, climb) for offset in ahead for climb in climbs} - {(0, 0, 0)})
+        reached = self._reachable(free, (col0, row0), level0 * spacing, seeds, moves, False, protocol)
+        return FreeSpace((col0, row0, level0), spacing, free, reached)
+
+    def _start_node(self, start: SE2, first: tuple[int, int], protocol: SurveyProtocol) -> tuple[int, int]:
+        """(row, col)."""
+        return round(start.y / protocol.lattice) - first[1], round(start.x / protocol.lattice) - first[0]
+
+    def _reachable(
+        self,
+        free: BoolArray,
+        first: tuple[int, int],
+        z0: float,
+        seeds: list[tuple[int, int, int]],
+        moves: list[tuple[int, int, int]],
+        over_ground: bool,
+        protocol: SurveyProtocol,
+    ) -> BoolArray:
+        return _kernels.reachable(
             self.index,
             free,
-            float(col0),
-            float(row0),
-            spacing,
-            np.array(seeds, np.intp).reshape(-1, 2),
-            np.array(moves, np.intp).reshape(-1, 2),
-            protocol.altitude,
+            float(first[0]),
+            float(first[1]),
+            float(z0),
+            protocol.lattice,
+            np.array(seeds, np.intp).reshape(-1, 3),
+            np.array(moves, np.intp).reshape(-1, 3),
+            over_ground,
             protocol.body_radius,
             protocol.body_height,
             PACE,
         )
-        return FreeLattice((col0, row0), spacing, free, reachable)

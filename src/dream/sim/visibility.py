@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream import traversal
-from dream.geometry import SE3, wrap_angle
+from dream.geometry import wrap_angle
 from dream.protocol import SurveyProtocol
 from dream.sim import _kernels
 from dream.sim.solids import FreeLattice, Solids, checked, corners
@@ -30,7 +30,7 @@ CELL = 1.0
 """Metres a side of the ground cells that the points are sorted into."""
 
 
-def _triangles(meshes: tuple[Mesh, ...], instances: Instances) -> tuple[Float64Array, IntpArray]:
+def triangles_of(meshes: tuple[Mesh, ...], instances: Instances) -> tuple[Float64Array, IntpArray]:
     """Corners (T, 3, 3) of all instances, one after the other, and where each begins (N + 1,)."""
     parts: list[Float64Array] = [np.empty((0, 3, 3))] * len(instances)
     for mesh in np.unique(instances.mesh):
@@ -93,11 +93,11 @@ def hull_points(
 def _points(world: World, solids: Solids) -> tuple[Float64Array, IntpArray]:
     """The points (M, 3) of all individuals and whose they are (M,), individual after individual."""
     clumps, patches = np.flatnonzero(~world.hull), np.flatnonzero(world.hull)
-    points, owner = top_points(*_triangles(world.meshes, world.targets.chosen(~world.hull))), clumps
+    points, owner = top_points(*triangles_of(world.meshes, world.targets.chosen(~world.hull))), clumps
     if len(patches):
         hull = world.targets.chosen(world.hull)
         two_sided = np.array([mesh.two_sided for mesh in world.meshes])[hull.mesh]
-        of_hull, patch = hull_points(*_triangles(world.meshes, hull), two_sided, solids)
+        of_hull, patch = hull_points(*triangles_of(world.meshes, hull), two_sided, solids)
         points, owner = np.concatenate([points, of_hull]), np.concatenate([clumps, patches[patch]])
     order = np.argsort(owner, kind="stable")
     return points[order], owner[order]
@@ -164,11 +164,6 @@ class Visibility:
             self._cells,
             where,
         )
-
-    def found(self, T_world_base: SE3, tilt: float) -> BoolArray:
-        """(N,) which individuals a vehicle sees from where it is; its camera's tilt is the protocol's."""
-        pose = T_world_base.se2
-        return np.asarray(self.seen(np.array([[pose.x, pose.y, pose.yaw]]))[0])
 
     @cached_property
     def lattice(self) -> FreeLattice:

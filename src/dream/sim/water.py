@@ -8,12 +8,17 @@ once the water has filtered them. Diffuse coefficients are a lower bound of what
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from dream.names import look_up
+
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Shares of linear red, green and blue in luminance: Rec. ITU-R BT.709-6, item 3.2, for the primaries of
+sRGB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +37,15 @@ class Water:
     """B, linear light in [0, 1]: the colour of open water."""
     particles: float = 0.0
     """Marine snow: expected number of visible flakes in an image."""
+
+    @property
+    def attenuation_length(self) -> float:
+        """Metres over which direct light falls to 1/e, by the attenuations' mean weighed as luminance.
+
+        Infinity where the water takes nothing.
+        """
+        rate = math.fsum(share * a for share, a in zip(LUMINANCE, self.attenuation, strict=True))
+        return 1.0 / rate if rate > 0.0 else math.inf
 
     def direct(self, distance: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """Share of the light that arrives over `distance` metres: (..., 3)."""

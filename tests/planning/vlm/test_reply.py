@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from dream.planning.vlm.reply import MOST_WORDS, STEPS, dream_reply, ranked_reply, vanilla_reply
-from dream.protocol import DREAM_V1, POOL_V1, SurveyProtocol
+from dream.protocol import DREAM_V1, DREAM_V2_DRAFT, POOL_V1, SurveyProtocol
 
 SIX = dict.fromkeys(STEPS, "Because.")
 AHEAD = {"direction": "forward", "turn_deg": 0, "step_m": 2, "done": False}
@@ -34,6 +34,24 @@ def test_every_action_of_the_protocol_can_be_said_and_nothing_else(protocol: Sur
     turns = {round(math.remainder(turn, 2.0 * math.pi), 6) for turn in protocol.turn_angles}
     turns |= {-turn for turn in turns if abs(abs(turn) - math.pi) < 1e-5}
     assert said == {(turn, advance) for turn in turns for advance in (0.0, *protocol.advances)}
+
+
+def test_in_space_an_action_has_every_climb_and_tilt_of_the_protocol_and_no_other() -> None:
+    Action = vanilla_reply(DREAM_V2_DRAFT)
+    schema = Action.model_json_schema()["properties"]
+    assert schema["climb_m"]["enum"] == [-1, -0.5, 0, 0.5, 1]
+    assert schema["tilt_deg"]["enum"] == [-25, 20, 45]
+    for climb in schema["climb_m"]["enum"]:
+        for tilt in schema["tilt_deg"]["enum"]:
+            said = Action.model_validate({**AHEAD, "climb_m": climb, "tilt_deg": tilt}).decision
+            assert said.climb == climb
+            assert said.tilt is not None
+            assert min(abs(said.tilt - allowed) for allowed in DREAM_V2_DRAFT.tilts) < 1e-6
+    for wrong in ({"climb_m": 0.7, "tilt_deg": 20}, {"climb_m": 0, "tilt_deg": 30}, {"climb_m": 0}):
+        with pytest.raises(ValidationError):
+            Action.model_validate({**AHEAD, **wrong})
+    done = Action.model_validate({**AHEAD, "climb_m": 1, "tilt_deg": 45, "done": True}).decision
+    assert (done.climb, done.tilt) == (0.0, None)
 
 
 def without_titles(schema: Any) -> Any:

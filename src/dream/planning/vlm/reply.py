@@ -66,7 +66,14 @@ class Acting(StrictReply):
         if action.done:
             return Decision(done=True, reasoning=reasoning)
         turn = math.radians(action.turn_deg) * (-1.0 if action.direction == "right" else 1.0)
-        return Decision(turn, float(action.step_m), reasoning=reasoning)
+        climb, tilt = getattr(action, "climb_m", 0.0), getattr(action, "tilt_deg", None)
+        return Decision(
+            turn,
+            float(action.step_m),
+            reasoning=reasoning,
+            climb=float(climb),
+            tilt=None if tilt is None else math.radians(tilt),
+        )
 
 
 class _ReasonedActing(Reasoned, Acting):
@@ -139,14 +146,25 @@ class Ranking(Reasoned):
 
 def _action_fields(protocol: SurveyProtocol) -> dict[str, Any]:
     angles = tuple(sorted({round(math.degrees(abs(turn)), 3) for turn in protocol.turn_angles}))
-    turns = tuple(int(angle) if angle == int(angle) else angle for angle in angles)
-    lengths = tuple(int(a) if a == int(a) else a for a in (0.0, *sorted(protocol.advances)))
-    return {
+    turns = tuple(map(_whole, angles))
+    lengths = tuple(map(_whole, (0.0, *sorted(protocol.advances))))
+    fields: dict[str, Any] = {
         "direction": (Literal["left", "forward", "right"], Field(description="which way to turn first")),
         "turn_deg": (_one_of(turns), Field(description="degrees")),
         "step_m": (_one_of(lengths), Field(description="metres forward after the turn")),
-        "done": (bool, Field(description="the mission is complete")),
     }
+    if protocol.space is not None:
+        up = "metres upwards on the way forward, downwards where negative"
+        down = "degrees that the camera looks down after that, up where negative"
+        tilts = tuple(_whole(round(math.degrees(tilt), 3)) for tilt in sorted(protocol.tilts))
+        fields["climb_m"] = (_one_of(tuple(map(_whole, protocol.climbs))), Field(description=up))
+        fields["tilt_deg"] = (_one_of(tilts), Field(description=down))
+    return {**fields, "done": (bool, Field(description="the mission is complete"))}
+
+
+def _whole(value: float) -> float:
+    """As an integer where it is one: JSON then shows no point."""
+    return int(value) if value == int(value) else value
 
 
 def _one_of(values: tuple[float, ...]) -> Any:

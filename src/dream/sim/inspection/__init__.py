@@ -1,0 +1,171 @@
+"""Which individuals a frame inspects: the geometry of a vehicle that moves in three dimensions."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.geometry import SE3, camera_mount
+from dream.protocol import Space, SurveyProtocol
+from dream.sim.inspection import _kernels, kept
+from dream.sim.inspection.points import Surface, sight_index, surface_of
+from dream.sim.solids import FreeSpace, Solids
+from dream.sim.visibility import lattice_yaws
+from dream.sim.world import World
+
+Float64Array = npt.NDArray[np.float64]
+IntpArray = npt.NDArray[np.intp]
+BoolArray = npt.NDArray[np.bool_]
+UInt8Array = npt.NDArray[np.uint8]
+
+SHARE = 0.2
+"""Of its points, so many must be inspected in one frame. `perf/inspection.py` measures what that asks: alone on
+level ground, of the views from 1 to 7 m at up to 70° to its mean normal, evenly over the sky, a clump passes
+in 98 % and a flat patch in all; with three tenths a clump passes in 92 %, with four in 77 %."""
+NODES = 20
+"""From so many places at least, and from ..."""
+NODE_SHARE = 0.01
+"""... this share of the places within reach, must an individual be inspected to count as one that can be."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """What one frame makes of a world's individuals."""
+
+    points: UInt8Array
+    """(M,) of each point of `Inspection.surface`: 2 inspected, 1 seen, 0 neither."""
+    seen: BoolArray
+    """(N,) a point is seen, at whatever angle."""
+    inspected: BoolArray
+    """(N,) enough points are inspected."""
+
+
+class Inspection:
+    """Which individuals of a world are inspected from where, under a protocol that moves in space.
+
+    What it does: an individual has a handful of points on its surface (`points.surface_of`). One is seen when
+    it lies within `reach` straight through the water, projects into the image at a valid depth, shows the eye
+    its face, and has a clear line of sight past everything: terrain, boulders, hull, clumps, its own
+    individual too. It is inspected when it is seen at an incidence of the protocol's `space` at most. An
+    individual is inspected when `SHARE` of its points are, in one frame, and seen when one of them is.
+    Assumes: the camera sits at the vehicle's centre. What the water hides does not count; labels play no part.
+    Fails when: a pose lies inside something solid. It then sees what that hides; ask `Solids.free_at` first.
+    """
+
+    def __init__(self, world: World, protocol: SurveyProtocol, solids: Solids | None = None) -> None:
+        if protocol.space is None:
+            raise ValueError(f"protocol: expected one that moves in space, got {protocol.name}")
+        self.world, self.protocol = world, protocol
+        self.solids = solids or Solids(world)
+        self._clumps = sight_index(world)
+        self.surface: Surface = surface_of(world, self.solids.index, self._clumps)
+        """The points, and the area that each individual has."""
+        count = np.diff(self.surface.first)
+        self._points = _kernels.Points(
+            at=self.surface.points,
+            normal=self.surface.normals,
+            both=self.surface.two_sided[self.surface.owner],
+            first=self.surface.first,
+            # Nudged, so that a fifth of ten is two.
+            needed=np.maximum(np.ceil(SHARE * count - 1e-9), 1.0).astype(np.intp),
+        )
+        self._optics = _optics(protocol, protocol.space)
+
+    def __len__(self) -> int:
+        return len(self.surface.area)
+
+    def look(self, T_world_base: SE3, tilt: float) -> Look:
+        """What the vehicle sees and inspects from one pose.
+
+        Args:
+            T_world_base: Where it is.
+            tilt: Of the camera, radians downwards.
+        """
+        T_world_camera = T_world_base @ camera_mount(tilt)
+        points = _kernels.look(
+            self.solids.index,
+            self._clumps,
+            self._points,
+            self._optics,
+            np.ascontiguousarray(T_world_camera.rotation, np.float64),
+            np.ascontiguousarray(T_world_camera.translation, np.float64),
+        )
+        owner, count = self.surface.owner, len(self)
+        inspected = np.bincount(owner[points == _kernels.INSPECTED], minlength=count)
+        seen = np.bincount(owner[points > 0], minlength=count)
+        return Look(points, seen > 0, inspected >= self._points.needed)
+
+    def inspected(self, T_world_base: SE3, tilt: float) -> BoolArray:
+        """(N,) as `look`."""
+        return self.look(T_world_base, tilt).inspected
+
+    def seen(self, T_world_base: SE3, tilt: float) -> BoolArray:
+        """(N,) as `look`."""
+        return self.look(T_world_base, tilt).seen
+
+    @cached_property
+    def free_space(self) -> FreeSpace:
+        """Where the vehicle can be."""
+        return self.solids.free_space(self.protocol)
+
+    @cached_property
+    def countable(self) -> BoolArray:
+        """(N,) the individuals that what a vehicle can do can show: only they count.
+
+        Such a one is inspected from at least `NODE_SHARE` of the reachable places within reach of the middle
+        of its points, and from `NODES` at least; a place inspects it when the frame does whose heading and
+        tilt point nearest to that middle. Kept on disk, by the world and by what of the protocol matters.
+        """
+        return kept.countable(self.world, self.protocol, self._inspectable)
+
+    @property
+    def dropped(self) -> float:
+        """Share of the area of all individuals that belongs to those that are not `countable`."""
+        area = self.surface.area
+        return float(area[~self.countable].sum() / area.sum()) if len(area) else 0.0
+
+    def _inspectable(self) -> BoolArray:
+        space, protocol = self.free_space, self.protocol
+        span = math.ceil(protocol.reach / space.spacing) + 1
+        offsets = np.stack(np.meshgrid(*[np.arange(-span, span + 1)] * 3), axis=-1).reshape(-1, 3)
+        square = (offsets**2).sum(axis=1)
+        offsets = offsets[square <= span * span]
+        nearest_first = offsets[np.argsort((offsets**2).sum(axis=1), kind="stable")]
+        rotations = [
+            [(SE3.level(0.0, 0.0, 0.0, yaw) @ camera_mount(tilt)).rotation for tilt in protocol.tilts]
+            for yaw in lattice_yaws(protocol)
+        ]
+        return _kernels.inspectable(
+            self.solids.index,
+            self._clumps,
+            self._points,
+            self._optics,
+            space.reachable,
+            space.first,
+            space.spacing,
+            nearest_first.astype(np.intp),
+            np.array(rotations, np.float64),
+            np.array(protocol.tilts, np.float64),
+            NODE_SHARE,
+            NODES,
+        )
+
+
+def _optics(protocol: SurveyProtocol, space: Space) -> _kernels.Optics:
+    camera = protocol.camera
+    return _kernels.Optics(
+        fx=float(camera.fx),
+        fy=float(camera.fy),
+        cx=float(camera.cx),
+        cy=float(camera.cy),
+        width=float(camera.width),
+        height=float(camera.height),
+        min_depth=float(protocol.min_depth),
+        max_depth=float(protocol.max_depth),
+        reach=float(protocol.reach),
+        cosine=math.cos(space.incidence),
+    )

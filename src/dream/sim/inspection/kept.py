@@ -1,0 +1,50 @@
+"""What takes minutes to work out about a world is kept in the user's cache."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.files import whole_or_nothing
+from dream.protocol import SurveyProtocol
+from dream.sim.files import world_hash
+from dream.sim.world import World
+
+BoolArray = npt.NDArray[np.bool_]
+
+RULE = 1
+"""Counts the rules by which it was worked out; whoever changes one raises it, so that nothing old is taken."""
+
+
+def folder() -> Path:
+    """`$XDG_CACHE_HOME/dream-auv`, or `~/.cache/dream-auv`."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "dream-auv"
+
+
+def countable(world: World, protocol: SurveyProtocol, work_out: Callable[[], BoolArray]) -> BoolArray:
+    """(N,) `Inspection.countable`, from the cache or worked out and put there.
+
+    A file that cannot be read or is another's is worked out anew; a folder that cannot be written to keeps
+    nothing.
+    """
+    # Names, noise and errors have no part in the geometry.
+    rules = replace(protocol, name="", noise=None, lasting=None, swims=False)
+    key = hashlib.sha256(f"{RULE} {world_hash(world)} {rules!r}".encode()).hexdigest()
+    path = folder() / f"countable-{key[:32]}.npy"
+    with contextlib.suppress(OSError, ValueError, EOFError):
+        found = np.load(path, allow_pickle=False)
+        if found.shape == (len(world.targets),) and found.dtype == np.bool_:
+            return np.asarray(found, np.bool_)
+    result = work_out()
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_or_nothing(path) as partial, partial.open("wb") as file:
+            np.save(file, result)
+    return result
