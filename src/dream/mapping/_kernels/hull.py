@@ -31,7 +31,7 @@ BEARINGS, RANGES = 16, 4
 """Sides from which an element is looked at, 64 in all: 22.5° of bearings by a quarter of the reach."""
 
 
-class Volume(NamedTuple):
+class HullVoxels(NamedTuple):
     """What returns and rays have shown, voxel by voxel. The arrays are written in place."""
 
     voxels: npt.NDArray[np.uint8]
@@ -78,7 +78,7 @@ class LevelCamera(NamedTuple):
     """Metres over ground."""
 
 
-def empty_volume(shape: tuple[int, int, int], corner: FloatArray, side: float) -> Volume:
+def empty_volume(shape: tuple[int, int, int], corner: FloatArray, side: float) -> HullVoxels:
     """Nothing is known yet.
 
     Args:
@@ -87,7 +87,7 @@ def empty_volume(shape: tuple[int, int, int], corner: FloatArray, side: float) -
         side: Metres along a voxel.
     """
     levels, rows, cols = (-(-n // BLOCK) * BLOCK for n in shape)
-    return Volume(
+    return HullVoxels(
         np.zeros((levels, rows, cols), np.uint8),
         np.zeros((levels, rows, cols), np.uint64),
         np.zeros((levels // BLOCK, rows // BLOCK, cols // BLOCK), np.uint8),

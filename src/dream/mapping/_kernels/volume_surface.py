@@ -1,0 +1,128 @@
+"""The surface of what is solid in a volume, and where the unknown begins."""
+
+# mypy: disable-error-code="no-untyped-def"
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from dream.mapping._kernels.volume import BITS, FREE, SIDE, SOLID, UNKNOWN, VOXELS, find, state_of
+
+HALO = SIDE + 2
+"""Voxels along a brick with one more on each side."""
+
+
+@njit(cache=True, nogil=True)
+def around(bricks, level, row, col, states):
+    """Write into (10, 10, 10) the states of a brick and of one voxel around it."""
+    slots = np.empty((3, 3, 3), np.int64)
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                slots[i, j, k] = find(bricks, level + i - 1, row + j - 1, col + k - 1)
+    for i in range(HALO):
+        h, up = (i - 1) & (SIDE - 1), (i + SIDE - 1) >> BITS
+        for j in range(HALO):
+            r, north = (j - 1) & (SIDE - 1), (j + SIDE - 1) >> BITS
+            line = (h << 2 * BITS) | (r << BITS)
+            for k in range(HALO):
+                slot = slots[up, north, (k + SIDE - 1) >> BITS]
+                states[i, j, k] = state_of(bricks.log_odds[slot, line | ((k - 1) & (SIDE - 1))])
+
+
+@njit(cache=True, nogil=True)
+def touches(states, i, j, k, state):
+    """Is a face neighbour of such a state?"""
+    return (
+        states[i - 1, j, k] == state
+        or states[i + 1, j, k] == state
+        or states[i, j - 1, k] == state
+        or states[i, j + 1, k] == state
+        or states[i, j, k - 1] == state
+        or states[i, j, k + 1] == state
+    )
+
+
+@njit(cache=True, nogil=True)
+def _normal(states, i, j, k):
+    """(3,) east, north, up: towards the free voxels among the 26 around, of length 1."""
+    normal = np.zeros(3)
+    for a in range(-1, 2):
+        for b in range(-1, 2):
+            for c in range(-1, 2):
+                state = states[i + a, j + b, k + c]
+                if state == UNKNOWN or (a == 0 and b == 0 and c == 0):
+                    continue
+                weight = (1.0 if state == FREE else -1.0) / math.sqrt(a * a + b * b + c * c)
+                normal[0] += c * weight
+                normal[1] += b * weight
+                normal[2] += a * weight
+    length = math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+    if length < 1e-6:
+        # A plate that is free on both sides alike: the first of its free faces.
+        for axis in range(3):
+            for sign in (1, -1):
+                a, b, c = (sign if axis == 2 else 0), (sign if axis == 1 else 0), (sign if axis == 0 else 0)
+                if states[i + a, j + b, k + c] == FREE:
+                    normal[:] = 0.0
+                    normal[axis] = sign
+                    return normal
+    return normal / length
+
+
+@njit(cache=True, nogil=True)
+def surface(bricks):
+    """All solid voxels with a free face neighbour, brick by brick.
+
+    Args:
+        bricks: What is known.
+
+    Returns:
+        voxels: (n, 3) int64 level, row and column.
+        normals: (n, 3) east, north, up, of length 1.
+        share: (n,) of votes for target.
+        seen: (n,) bool.
+        sides: (n,) uint32.
+    """
+    size, count = 1024, 0
+    voxels, normals, share = np.empty((size, 3), np.int64), np.empty((size, 3)), np.empty(size)
+    seen, sides = np.empty(size, np.bool_), np.empty(size, np.uint32)
+    states = np.empty((HALO, HALO, HALO), np.uint8)
+    for slot in range(1, bricks.used[0]):
+        kept = bricks.surface_of[slot]
+        if kept == 0:
+            continue
+        level, row, col = (
+            np.int64(bricks.names[slot, 0]),
+            np.int64(bricks.names[slot, 1]),
+            np.int64(bricks.names[slot, 2]),
+        )
+        around(bricks, level, row, col, states)
+        if count + VOXELS > size:
+            size *= 2
+            voxels, normals = grown(voxels, size), grown(normals, size)
+            share, seen, sides = grown(share, size), grown(seen, size), grown(sides, size)
+        for number in range(VOXELS):
+            i, j, k = (number >> 2 * BITS) + 1, ((number >> BITS) & (SIDE - 1)) + 1, (number & (SIDE - 1)) + 1
+            if states[i, j, k] != SOLID or not touches(states, i, j, k, FREE):
+                continue
+            voxels[count, 0] = level * SIDE + i - 1
+            voxels[count, 1] = row * SIDE + j - 1
+            voxels[count, 2] = col * SIDE + k - 1
+            normals[count] = _normal(states, i, j, k)
+            share[count] = bricks.votes[kept, number, 0] / max(bricks.votes[kept, number, 1], 1)
+            seen[count] = bricks.seen[kept, number] != 0
+            sides[count] = bricks.sides[kept, number]
+            count += 1
+    return voxels[:count], normals[:count], share[:count], seen[:count], sides[:count]
+
+
+@njit(cache=True, nogil=True)
+def grown(array, size):
+    """A longer array that begins with this one."""
+    larger = np.empty((size, *array.shape[1:]), array.dtype)
+    larger[: len(array)] = array
+    return larger
