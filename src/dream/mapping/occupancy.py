@@ -50,6 +50,10 @@ MOST_SIDE = 8192
 """Likewise of images with a longer side. Within both no cell's counts overflow."""
 MOST_CELLS = 1400
 """Of the reach and of the lengths around the vehicle: a window's cells and labels then fit 32 bits."""
+SURE = (20, -6)
+"""Log-odds of a cell, in steps, that the volume shows to be solid from above, and of one that is not."""
+VOTED = (0x30, 0x03)
+"""Votes of a cell that the volume shows to be target from above, and of one that is not."""
 MARGIN_BLOCKS = 1 + MOST_CELLS // BLOCK
 """Blocks around the bounds that a file may hold, in which nothing is written."""
 FARTHEST = 1 << 30
@@ -252,7 +256,62 @@ class OccupancyMap(Layers):
         self.volume.clear_body(place if self._place is None else self._place, place)
         self._place = place.copy()
         self.volume.integrate(depth, labels, camera, T_world_camera, confidence)
-        self._changed()
+        if math.isnan(self._datum):
+            self._datum = float(place[2]) - self.protocol.altitude
+        self._look_from_above(*place.tolist())
+
+    def _look_from_above(self, x: float, y: float, z: float) -> None:
+        """Write what the volume shows from above, as far as a frame from there may have changed it."""
+        assert self.volume is not None
+        from dream.mapping.volume import FREE
+
+        (low, past), width = self._seen_from(x, y), 1 << post_bits(self.protocol)
+        if min(b - a for a, b in zip(low, past, strict=True)) <= 0:
+            return
+        above = self.volume.above(self._window(low, (past[0] - low[0], past[1] - low[1])))
+        rows, cols = np.indices(above.solid.shape)
+        rows, cols = rows + low[0], cols + low[1]
+        inside = np.ones(rows.shape, np.bool_)
+        if self._bounded:
+            inside = (rows < self._shape[0]) & (cols < self._shape[1])
+        known, returned = inside & ~np.isnan(above.ground), inside & ~np.isnan(above.top)
+        self._write("log_odds", low, np.where(known, np.where(above.solid, *SURE), 0))
+        self._write("votes", low, np.where(returned, np.where(above.target > 0.5, *VOTED), 0))
+
+        cell, (west, south) = self.protocol.cell, self._origin
+        east, north = west + (cols.ravel() + 0.5) * cell, south + (rows.ravel() + 0.5) * cell
+        level = np.column_stack([east, north, np.full(east.size, z)])
+        marked = self._store.read("flags", low, inside.shape) & flags.CROSSED
+        for bits, where in (
+            (flags.CROSSED, inside & (self.volume.state(level) == FREE).reshape(inside.shape)),
+            (flags.RETURNED, returned),
+            (flags.EXPLORED, inside & above.explored),
+            (flags.BARE | flags.SEABED, known & ~above.solid),
+        ):
+            marked[where] |= bits
+        self._write("flags", low, marked)
+
+        folded = (known.shape[0] // width, width, known.shape[1] // width, width)
+        posts = low[0] // width, low[1] // width
+        total = np.where(known, above.ground, 0.0).reshape(folded).sum(axis=(1, 3))
+        self._write("ground_sum", posts, total)
+        self._write("ground_count", posts, known.reshape(folded).sum(axis=(1, 3)))
+
+    def _seen_from(self, x: float, y: float) -> tuple[tuple[int, int], tuple[int, int]]:
+        """First cell and past the last, in whole posts, of what a frame from there may change."""
+        from dream.mapping.volume import KEPT
+
+        protocol, width = self.protocol, 1 << post_bits(self.protocol)
+        row, col = self._global(x, y)
+        half = math.ceil(KEPT * protocol.reach / protocol.cell) + width
+        low, past = [], []
+        for at, size in zip((row, col), self._shape, strict=True):
+            first, last = at - half, at + half
+            if self._bounded:
+                first, last = max(first, 0), min(last, size)
+            low.append(first // width * width)
+            past.append(-(-last // width) * width)
+        return (low[0], low[1]), (past[0], past[1])
 
     def _traverse(self, T_world_camera: SE3) -> None:
         """Mark what a frame from there traverses; the camera sits at the vehicle's centre and looks ahead."""
@@ -351,6 +410,7 @@ class OccupancyMap(Layers):
         other = OccupancyMap(self.bounds if self._bounded else None, self.protocol, self.evidence)
         other._store = self._store.copy()
         other._stamp, other._datum, other.area = self._stamp, self._datum, self.area
+        other._place, other.volume = self._place, None if self.volume is None else self.volume.copy()
         other._changed()
         return other
 
