@@ -219,6 +219,7 @@ def swum(robot: Simulated, goal: SE2, seconds: float, *, stay: float = STAY) -> 
         robot._at_ping,
         np.array([goal.x, goal.y, goal.yaw]),
         PROTOCOL.altitude,
+        math.nan,
         seconds,
         motion.near,
         motion.aligned,

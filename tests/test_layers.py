@@ -23,7 +23,7 @@ LAYERS = [
         "versions",
     },
     {"protocol"},
-    {"types", "measurements", "traversal", "vehicle", "lattice"},
+    {"types", "measurements", "traversal", "vehicle", "lattice", "scene"},
     {"orders", "own_code"},
     {"perception", "mapping"},
     {"planning", "control", "estimation", "sim"},

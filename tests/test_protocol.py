@@ -81,10 +81,10 @@ def test_dream_v1_noisy_is_dream_v1_with_the_noise_of_the_design() -> None:
 
 
 def test_only_noisy_protocols_declare_noise() -> None:
-    noisy = ["dream-v1-noisy", "dream-v1-nav", "dream-v2-draft"]
+    noisy = ["dream-v1-noisy", "dream-v1-nav", "dream-v2-draft", "dream-v2-draft-nav"]
     assert [p.name for p in PROTOCOLS.values() if p.noise is not None] == noisy
-    assert [p.name for p in PROTOCOLS.values() if p.lasting is not None] == ["dream-v2-draft"]
-    assert [p.name for p in PROTOCOLS.values() if p.swims] == ["dream-v1-nav"]
+    assert [p.name for p in PROTOCOLS.values() if p.lasting is not None] == noisy[2:]
+    assert [p.name for p in PROTOCOLS.values() if p.swims] == ["dream-v1-nav", "dream-v2-draft-nav"]
 
 
 def test_dream_v1_nav_is_the_noisy_one_with_a_vehicle_that_swims() -> None:
@@ -96,6 +96,7 @@ def test_a_planar_protocol_has_one_tilt_and_no_climb() -> None:
     assert {p.name for p in PROTOCOLS.values()} - {p.name for p in planar} == {
         "dream-v2-draft",
         "dream-v2-draft-true",
+        "dream-v2-draft-nav",
     }
     for protocol in planar:
         assert (protocol.tilts, protocol.climbs) == ((protocol.camera_pitch,), (0.0,))

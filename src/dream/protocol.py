@@ -242,6 +242,11 @@ class SurveyProtocol:
         """Allowed climbs, 0 among them, from the lowest."""
         return (0.0,) if self.space is None else tuple(sorted({0.0, *self.space.climbs}))
 
+    def launch_height(self, seabed: float) -> float:
+        """World z at the altitude above a seabed at that height; in space the lattice's next height above."""
+        z = seabed + self.altitude
+        return z if self.space is None else math.ceil(z / self.lattice - 1e-9) * self.lattice
+
     @property
     def returns(self) -> tuple[float, float]:
         """Least and greatest depth that something returned from, metres."""
@@ -364,6 +369,9 @@ DREAM_V2_DRAFT = replace(
 DREAM_V2_TRUE_DRAFT = replace(DREAM_V2_DRAFT, name="dream-v2-draft-true", noise=None, lasting=None)
 """`dream-v2-draft` with a sensor that does not err."""
 
+DREAM_V2_NAV_DRAFT = replace(DREAM_V2_DRAFT, name="dream-v2-draft-nav", swims=True)
+"""`dream-v2-draft` with a vehicle that has to swim, and knows where it is only by its sensors."""
+
 REACHES = (4.0, 6.0, 8.0, 10.0)
 """Metres: the reaches that `dream-v1` is swept over; 8 is its own."""
 
@@ -383,6 +391,7 @@ _ALL = (
     DREAM_V1_NAV,
     DREAM_V2_DRAFT,
     DREAM_V2_TRUE_DRAFT,
+    DREAM_V2_NAV_DRAFT,
     *_OTHER_REACHES,
 )
 PROTOCOLS = {protocol.name: protocol for protocol in _ALL}

@@ -1,4 +1,4 @@
-"""Run folder → one self-contained HTML file: no network, no WebGL, opens anywhere.
+"""Run folder → one self-contained HTML file: no network, opens anywhere.
 
 Whatever stands in the run folder is treated as text from a stranger: it enters the page as JSON that
 cannot close its element, is shown as text only, and the page's policy forbids it to load anything.
@@ -37,6 +37,7 @@ from dream.recording import (
     read_steps,
     read_summary,
 )
+from dream.scene import SPACE, view
 from dream.types import Label, UInt8Array
 
 logger = logging.getLogger(__name__)
@@ -49,7 +50,6 @@ T = TypeVar("T")
 SHARED_SCRIPTS = ("words.js", "pictures.js", "asked.js", "chart.js", "step.js", "player.js")
 """What the page of a mission under way is made of, too; in this order."""
 
-_SCRIPTS = (*SHARED_SCRIPTS, "page.js")
 _JPEG_QUALITY = 80
 _MAX_SIDE = 4096
 _MOST_DRAWN = 1 << 16
@@ -61,7 +61,8 @@ _BOMBS = (Image.DecompressionBombError, Image.DecompressionBombWarning)
 def write_report(folder: Path) -> Path:
     """Make `report.html` in a run folder, from what lies in that folder alone.
 
-    An aborted run, which may have no summary, is shown as far as it went.
+    An aborted run, which may have no summary, is shown as far as it went. A run with `space.npz` is shown in
+    three dimensions, too; where that file is damaged, the page says so.
 
     Raises:
         FileNotFoundError: It is no run folder.
@@ -85,8 +86,13 @@ def write_report(folder: Path) -> Path:
         "command": repeating_command(config),
         **of_protocol(config),
     }
-    style = part("page.css")
-    script = "".join(map(part, _SCRIPTS))
+    style, script, space = part("page.css"), "".join(map(part, SHARED_SCRIPTS)), ""
+    if (folder / SPACE).exists():
+        style += view.part("space.css")
+        script += view.part("space.js") + view.part("space_report.js")
+        space = view.part("space.html")
+        blocks.append(_block("space-data", view.shown(folder / SPACE)))
+    script += part("page.js")
     policy = (
         "default-src 'none'; img-src data:; base-uri 'none'; form-action 'none'; "
         f"style-src {digest(style)}; script-src {digest(script)}"
@@ -98,6 +104,7 @@ def write_report(folder: Path) -> Path:
             "title": html.escape(f"{_place(config)}, {config.planner} · DREAM"),
             "style": style,
             "stage": part("stage.html"),
+            "space": space,
             "player": part("player.html"),
             "run": _json(run),
             "pictures": "\n".join(blocks),

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import fields, replace
 
 import pytest
 
+from dream.cli import run_command
 from dream.evaluation.metrics import COMPLETE, VISIBLE_PIXELS, Coverage
 from dream.geometry import Camera
 from dream.protocol import (
     DREAM_V1,
     DREAM_V1_NAV,
     DREAM_V1_NOISY,
+    DREAM_V2_DRAFT,
     POOL_V1,
     PROTOCOLS,
     SHOWN,
+    LastingErrors,
     SensorNoise,
+    Space,
     SurveyProtocol,
 )
+from dream.sim.visual_range import UNTOLD
+from dream.sim.water import LUMINANCE, WATERS
 from dream.sim.worlds import SIDES
 from dream.types import LOOK_AROUND, Label
 from tests.docs.reading import ROOT, tables
@@ -26,6 +33,13 @@ from tests.docs.reading import ROOT, tables
 PAGE = (ROOT / "docs" / "protocols.md").read_text(encoding="utf-8")
 WORDS = " ".join(PAGE.split())
 TABLES = {heading: (head, rows) for heading, head, rows in tables(PAGE)}
+
+
+def tables_under(heading: str) -> list[tuple[list[str], list[list[str]]]]:
+    """Head and rows of each table under a heading."""
+    return [(head, rows) for under, head, rows in tables(PAGE) if under == heading]
+
+
 METRES = ("altitude", "body_radius", "body_height", "min_depth", "max_depth", "reach", "cell", "lattice")
 
 
@@ -78,6 +92,53 @@ def test_the_noise_is_told() -> None:
         "false_size": f"{low:g} to {high:g} m",
     }
     assert {row[0].strip("`") for row in rows} == {one.name for one in fields(SensorNoise)}
+
+
+def test_the_draft_is_told() -> None:
+    draft = DREAM_V2_DRAFT
+    assert draft.space is not None
+    space = draft.space
+    assert replace(draft, name="dream-v1-noisy", space=None, lasting=None) == DREAM_V1_NOISY
+    _, rows = tables_under("In three dimensions")[0]
+    assert {row[0].strip("`"): row[2] for row in rows} == {
+        "climbs": ", ".join(f"±{climb:g}" for climb in space.climbs if climb > 0.0) + " m",
+        "tilts": ", ".join(f"{math.degrees(tilt):.0f}°" for tilt in space.tilts).replace("-", "−"),
+        "lowest": f"{space.lowest:g} m",
+        "highest": f"{space.highest:g} m",
+        "surface": f"{space.surface:g} m",
+        "incidence": f"{math.degrees(space.incidence):.0f}°",
+        "label_lengths": f"{space.label_lengths:g}",
+        "depth_lengths": f"{space.depth_lengths:g}",
+    }
+    assert {row[0].strip("`") for row in rows} == {one.name for one in fields(Space)}
+    assert set(space.climbs) == {-climb for climb in space.climbs}
+    assert f"the reach of {draft.reach:g} m is straight through the water" in WORDS
+
+
+def test_the_range_in_every_water_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["worlds", "--waters"]) == 0
+    printed = capsys.readouterr().out.splitlines()[1 : 1 + len(WATERS)]
+    _, rows = tables_under("In three dimensions")[1]
+    assert [[row[0].strip("`"), *row[1:]] for row in rows] == [
+        re.split(r"\s{2,}", line.strip()) for line in printed
+    ]
+    assert ", ".join(f"{share:g}" for share in LUMINANCE) in WORDS
+    assert f"the label is `{UNTOLD.name.lower()}`" in WORDS
+
+
+def test_the_errors_that_last_are_told() -> None:
+    lasting = DREAM_V2_DRAFT.lasting
+    assert lasting is not None
+    _, rows = TABLES["Errors that last"]
+    least, greatest = lasting.blob
+    assert {row[0].strip("`"): row[2] for row in rows} == {
+        "labels": ", ".join(f"{100 * share:g} % at {metres:g} m" for metres, share in lasting.labels),
+        "blob": f"{least:g} to {greatest:g} m",
+        "depth": f"{100 * lasting.depth:g} %",
+        "height": f"{lasting.height:g} m",
+        "tilt": f"{math.degrees(lasting.tilt):g}°",
+    }
+    assert {row[0].strip("`") for row in rows} == {one.name for one in fields(LastingErrors)}
 
 
 def test_what_counts_is_told() -> None:

@@ -15,6 +15,7 @@ from dream.measurements import Depth, Heading, Imu
 from dream.protocol import SurveyProtocol
 from dream.robots import Motion, _kernels
 from dream.robots.simulated import BEAT, HELD, STEADY
+from dream.robots.teleport import launch_height
 from dream.sim.camera_noise import noise_generator
 from dream.sim.sensors import Ping
 from dream.sim.solids import Solids
@@ -34,7 +35,7 @@ class Slow:
         self.motion, self.protocol, self.solids = motion, protocol, solids
         self.rng = rng = noise_generator(world, start, -1)
         self.seabed = float(world.terrain.height(start.x, start.y))
-        T_world_base = SE3.level(start.x, start.y, self.seabed + protocol.altitude, start.yaw)
+        T_world_base = SE3.level(start.x, start.y, launch_height(world, protocol, start), start.yaw)
         self.vehicle = motion.spread.draw(motion.vehicle, rng)
         bearing = rng.uniform(-math.pi, math.pi)
         east, north = motion.current * math.cos(bearing), motion.current * math.sin(bearing)
@@ -70,7 +71,8 @@ class Slow:
                 estimate = self.filter.correct(estimate, message)
         return estimate
 
-    def beat(self, goal: SE2) -> None:
+    def beat(self, goal: SE2, z: float | None = None) -> None:
+        """Towards a goal, at the protocol's altitude unless a height is given."""
         motion, rng, estimate, time = self.motion, self.rng, self.estimate, self.time
         if self.beats % _kernels.CHECKED == 0:
             self.condition = motion.watch.condition(
@@ -81,7 +83,8 @@ class Slow:
                 position_sigma=_kernels.position_sigma(estimate.packed),
             )
         assert self.condition is Condition.FINE
-        target = (goal.x, goal.y, self.seabed + self.protocol.altitude, goal.yaw)
+        height = self.seabed + self.protocol.altitude if z is None else z
+        target = (goal.x, goal.y, height, goal.yaw)
         commands = self.helm.steer(
             estimate.pose, estimate.velocity, estimate.angular_velocity, target, BEAT
         )  # fmt: skip

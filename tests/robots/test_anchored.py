@@ -184,6 +184,13 @@ def test_what_it_tells_and_what_it_sends_are_in_frames_that_fit(with_a_drift: Fl
     assert robot.sent.altitude == DREAM_V1.altitude
 
 
+def test_height_and_tilt_are_handed_on_as_they_are() -> None:
+    robot = Believing(exact)
+    Anchored(robot, DREAM_V1).go_to(Setpoint(0.5, 0.0, 0.0, None, -1.5, 0.3))
+    assert robot.sent is not None
+    assert (robot.sent.altitude, robot.sent.z, robot.sent.tilt) == (None, -1.5, 0.3)
+
+
 def test_a_heading_is_corrected_for_its_frame_and_forgotten() -> None:
     def turned(truth: SE2, way: float) -> SE2:
         return truth if way < 12.0 else SE2(truth.x, truth.y, truth.yaw + 0.02)

@@ -15,9 +15,10 @@ from dream.control.health import Watch
 from dream.errors import MissionAborted
 from dream.estimation import InEkf
 from dream.geometry import SE2, wrap_angle
-from dream.protocol import DREAM_V1, DREAM_V1_NAV
+from dream.protocol import DREAM_V1, DREAM_V1_NAV, DREAM_V2_NAV_DRAFT, DREAM_V2_TRUE_DRAFT, SurveyProtocol
 from dream.robots import Motion, Simulated, _kernels
 from dream.robots.simulated import BEAT
+from dream.robots.teleport import launch_height
 from dream.sim.render import Renderer
 from dream.sim.sensors import AHRS, BAR30, DVL_A50, ICM_20602, Bursts, Outage
 from dream.sim.solids import Solids
@@ -87,6 +88,100 @@ def test_the_seabed_is_followed(string_reef: World) -> None:
         x, y, z = arrival.truth.translation.tolist()
         heights.append(z - float(string_reef.terrain.height(x, y)))
     assert max(abs(height - DREAM_V1.altitude) for height in heights) < 0.2
+
+
+def height(robot: Simulated) -> float:
+    return float(robot.truth.translation[2])
+
+
+def test_in_space_it_leads_straight_to_a_height_and_says_how_far_that_was(string_reef: World) -> None:
+    """Over ground that is not flat; depth is held by the pressure, which is good to a few centimetres."""
+    robot = Simulated(string_reef, DREAM_V2_NAV_DRAFT, motion=Motion(current=0.2))
+    here = robot.observe()
+    assert here.z / DREAM_V2_NAV_DRAFT.lattice == pytest.approx(round(2.0 * here.z), abs=0.05)
+    x, y, z, yaw = here.pose.x, here.pose.y, round(2.0 * here.z) / 2.0, here.pose.yaw
+    for ahead, climb in ((0.0, 1.0), (2.0, 1.0), (2.0, -0.5), (0.0, -1.0)):
+        begun = robot.truth.translation.copy()
+        x, y, z = x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), z + climb
+        arrival = robot.go_to(Setpoint(x, y, yaw, None, z))
+        assert not arrival.collided
+        assert abs(robot.observe().z - z) < robot._motion.near
+        assert height(robot) == pytest.approx(z, abs=0.1)
+        length = float(np.linalg.norm(robot.truth.translation - begun))
+        assert length > 0.9 * math.hypot(ahead, climb)
+        assert length <= arrival.distance < 1.15 * length + 0.05
+
+
+def test_in_space_the_way_is_straight(empty_world: World) -> None:
+    robot = Simulated(empty_world, DREAM_V2_NAV_DRAFT, SE2(0.0, 0.0, 0.0), motion=CALM)
+    start, rows = robot.truth.translation.copy(), np.full((1000, 9), np.nan)
+    goal, motion = start + np.array([2.0, 0.0, 1.0]), robot._motion
+    how = _kernels.fly(
+        robot._ship,
+        robot._voyage,
+        robot._state,
+        robot._at_ping,
+        np.array([goal[0], goal[1], 0.0]),
+        math.nan,
+        float(goal[2]),
+        10.0,
+        motion.near,
+        motion.aligned,
+        motion.slow,
+        0.3,
+        robot._rng,
+        rows,
+    )[2]
+    assert how == _kernels.ARRIVED
+    flown = rows[~np.isnan(rows[:, 0])][:, 1:4] - start
+    way = (goal - start) / np.linalg.norm(goal - start)
+    aside = flown - np.outer(flown @ way, way)
+    assert np.linalg.norm(aside, axis=1).max() < 0.1
+    assert np.linalg.norm(np.diff(flown, axis=0), axis=1).max() / BEAT < 1.2 * motion.helmsman.speed
+
+
+def test_the_camera_is_tilted_when_it_arrives_and_stays_so(string_reef: World) -> None:
+    protocol = replace(DREAM_V2_TRUE_DRAFT, name="swims", swims=True)
+    robot = Simulated(string_reef, protocol)
+    here, z = robot.observe().pose, round(2.0 * robot.observe().z) / 2.0
+    tilts = []
+    for tilt in (None, math.radians(45.0), None, math.radians(-25.0)):
+        robot.go_to(Setpoint(here.x, here.y, here.yaw, None, z, tilt))
+        seen = robot.observe()
+        tilts.append(round(math.degrees(seen.tilt)))
+        frame = Renderer(string_reef).render(seen.camera, robot.truth @ seen.T_base_camera)
+        np.testing.assert_array_equal(seen.labels, frame.labels)
+    assert tilts == [20, 45, 45, -25]
+
+
+def test_in_space_it_touches_what_is_below_and_stops(string_reef: World) -> None:
+    """A boulder that it passes over at a height, and comes down upon."""
+    tall = np.argmax(string_reef.obstacles.scale[:, 2])
+    x, y = map(float, string_reef.obstacles.position[tall, :2])
+    robot = Simulated(string_reef, DREAM_V2_NAV_DRAFT, SE2(x - 4.0, y, 0.0), motion=CALM)
+    low, high = robot.observe().z, robot.observe().z + 3.0
+    assert robot.go_to(Setpoint(x, y, 0.0, None, low)).collided
+    assert not robot.go_to(Setpoint(x - 4.0, y, 0.0, None, low)).collided
+    for east in (-4.0, 0.0):
+        assert not robot.go_to(Setpoint(x + east, y, 0.0, None, high)).collided
+    down = robot.go_to(Setpoint(x, y, 0.0, None, low))
+    assert down.collided
+    assert down.clearance == 0.0
+    assert low + 0.1 < height(robot) < high
+    assert math.hypot(*(robot.truth.translation[:2] - [x, y])) < 0.3
+
+
+def test_in_space_one_that_is_lost_holds_its_height_too(empty_world: World) -> None:
+    """The way up was looked at as a whole: a climb on the spot is another."""
+    deaf = replace(DVL_A50, dropout=1.0)
+    motion = replace(CALM, dvl=deaf, watch=Watch(blind=1.0, lost=4.0, position_sigma=1.0))
+    robot = Simulated(empty_world, DREAM_V2_NAV_DRAFT, motion=motion)
+    here = robot.observe()
+    high = here.z + 5.0
+    with pytest.raises(MissionAborted, match="diverged"):
+        robot.go_to(Setpoint(here.pose.x + 10.0, here.pose.y, 0.0, None, high))
+    # By its belief, before it surfaced without one.
+    assert here.z < robot.estimate.position[2] < high - 2.0
 
 
 def test_without_bottom_track_it_slows_then_holds_and_at_last_surfaces(empty_world: World) -> None:
@@ -279,15 +374,22 @@ def test_a_beat_of_the_loop_is_the_filter_of_the_package(empty_world: World) -> 
         np.testing.assert_allclose(getattr(after, name), getattr(slow, name), rtol=1e-10, atol=1e-12)
 
 
-@pytest.mark.parametrize("latency", [0.004, 0.2])
-def test_the_compiled_loop_is_the_objects_one_after_another(empty_world: World, latency: float) -> None:
+@pytest.mark.parametrize(
+    ("protocol", "latency", "climb"),
+    [(DREAM_V1_NAV, 0.004, None), (DREAM_V1_NAV, 0.2, None), (DREAM_V2_NAV_DRAFT, 0.004, 0.5)],
+)
+def test_the_compiled_loop_is_the_objects_one_after_another(
+    empty_world: World, protocol: SurveyProtocol, latency: float, climb: float | None
+) -> None:
     start, goal = SE2(1.0, -2.0, 0.5 * math.pi), SE2(1.6, -2.3, 2.0)
     motion, solids = Motion(dvl=replace(DVL_A50, latency=latency)), Solids(empty_world)
-    robot = Simulated(empty_world, DREAM_V1_NAV, start, motion=motion, solids=solids)
-    slow = Slow(empty_world, DREAM_V1_NAV, start, motion, solids)
-    robot.go_to(Setpoint(goal.x, goal.y, goal.yaw, DREAM_V1.altitude))
-    for _ in range(round(robot.observe().time / BEAT)):
-        slow.beat(goal)
+    robot = Simulated(empty_world, protocol, start, motion=motion, solids=solids)
+    slow = Slow(empty_world, protocol, start, motion, solids)
+    altitude = DREAM_V1.altitude if climb is None else None
+    z = None if climb is None else launch_height(empty_world, protocol, start) + climb
+    robot.go_to(Setpoint(goal.x, goal.y, goal.yaw, altitude, z))
+    for _ in range(round(robot._voyage.clock[_kernels.TIME] / BEAT)):
+        slow.beat(goal, z)
     assert slow.beats > 200
     np.testing.assert_allclose(robot._voyage.x, slow.state.vector, rtol=0.0, atol=1e-10)
     for name in ("rotation", "velocity", "position", "gyro_bias", "accelerometer_bias", "covariance"):

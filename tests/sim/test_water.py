@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dream.sim.water import WATERS, water_named
+from dream.sim.water import LUMINANCE, WATERS, Water, water_named
 
 
 def test_water_is_found_by_its_name() -> None:
@@ -42,3 +42,22 @@ def test_red_dies_first(name: str) -> None:
     red, green, blue = WATERS[name].attenuation
     assert red > green
     assert red > blue
+
+
+def test_attenuation_lengths_lie_between_those_of_red_and_of_green() -> None:
+    lengths = [water.attenuation_length for water in WATERS.values()]
+    assert lengths == sorted(lengths, reverse=True)
+    shares = np.array(
+        [[water.attenuation_length * a for a in water.attenuation[:2]] for water in WATERS.values()]
+    )
+    # By red alone 0.4 to 0.7 times as long, by green alone 1.2 to 1.7 times.
+    assert (1.0 / shares).round(1).min(axis=0).tolist() == [0.4, 1.2]
+    assert (1.0 / shares).round(1).max(axis=0).tolist() == [0.7, 1.7]
+
+
+def test_an_attenuation_length_is_that_of_grey_light() -> None:
+    assert sum(LUMINANCE) == pytest.approx(1.0)
+    grey = Water("grey", (0.2, 0.2, 0.2), (0.1, 0.1, 0.1), (0.0, 0.0, 0.0))
+    assert grey.attenuation_length == pytest.approx(5.0)
+    assert grey.direct(grey.attenuation_length) == pytest.approx(np.exp(-1.0))
+    assert Water("none", (0.0, 0.0, 0.0), (0.1, 0.1, 0.1), (0.0, 0.0, 0.0)).attenuation_length == np.inf

@@ -6,14 +6,14 @@ import filecmp
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from dream.commands.console import check_picture, open_world, print_json, save_picture
 from dream.commands.progress import stage
 from dream.options import First
-from dream.protocol import protocol_named
+from dream.protocol import DREAM_V2_DRAFT, protocol_named
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -23,7 +23,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Worlds:
-    """List the worlds by name, save one as a folder to edit, or check such a folder.
+    """List the worlds by name, save one as a folder to edit, make one from a mesh, or check such a folder.
+
+    --from-mesh FILE makes the folder of a world from a mesh of yours (.ply, .obj, .stl), such as
+    photogrammetry of a wreck: cut into patches, on a seabed, with bounds and starts around it.
 
     --check FOLDER says, line by line, what is refused and has to be mended, what was turned (faces that look
     inwards), and what was read in another way than it stands there (polygons that were split, vertices
@@ -33,6 +36,7 @@ class Worlds:
         dream worlds
         dream worlds --save reef/string --seed 3 --out my-reef
         dream worlds --check my-reef
+        dream worlds --from-mesh wreck.ply --up y --scale 1 --target --out my-wreck
     """
 
     save: First[Annotated[str | None, tyro.conf.arg(metavar="WORLD")]] = None
@@ -43,6 +47,22 @@ class Worlds:
     """Folder to save it to."""
     check: First[Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]] = None
     """Check the world in this folder, and say all that has to be mended."""
+    from_mesh: First[Annotated[Path | None, tyro.conf.arg(metavar="FILE")]] = None
+    """Make a world from the mesh in this file."""
+    up: Literal["y", "z"] | None = None
+    """Of --from-mesh: which axis is up in the file. Unless given, z, if that does not look wrong."""
+    scale: float | None = None
+    """Of --from-mesh: metres of one unit of the file. Unless given, 1, if that does not look wrong."""
+    target: bool = False
+    """Of --from-mesh: it is what is to be explored. Otherwise it is an obstacle, and nothing is."""
+    shells: bool = False
+    """Of --from-mesh: its patches are shells, which stop neither sight nor vehicle. Otherwise it is hull."""
+    name: str | None = None
+    """Of --from-mesh: what the world is called. Unless given, as the file."""
+    water: str = "clear"
+    """Of --from-mesh: pool, clear, coastal, green or turbid."""
+    waters: bool = False
+    """List the waters instead, and how far `dream-v2-draft` sees in each."""
     json: bool = False
     """Print one JSON object and nothing else."""
 
@@ -51,9 +71,25 @@ class Worlds:
         from dream.sim.files import save_world, world_hash
         from dream.sim.worlds import WORLDS, make_world
 
+        wanted = [
+            f"--{option.replace('_', '-')}"
+            for option in ("save", "check", "from_mesh", "waters")
+            if getattr(self, option)
+        ]
+        if len(wanted) > 1:
+            raise ValueError(f"{wanted[-1]}: expected it alone, got {wanted[0]} with it. Choose one of them")
+        if self.from_mesh is None and (self.up, self.scale, self.name, self.target) != (
+            None,
+            None,
+            None,
+            False,
+        ):
+            raise ValueError("--up, --scale, --name, --target: expected --from-mesh FILE with them, got none")
+        if self.from_mesh is not None:
+            return self._from(self.from_mesh)
+        if self.waters:
+            return _list_waters(json=self.json)
         if self.check is not None:
-            if self.save is not None:
-                raise ValueError("--check: expected a folder alone, got --save with it. Choose one of them")
             return _checked(self.check, json=self.json)
         if self.save is not None:
             world = make_world(self.save, self.seed)
@@ -78,6 +114,80 @@ class Worlds:
             print("wreck/2+wreck/3 are two wrecks side by side, wreck/4+reef/patch is one in a reef; so with")
             print("all wrecks, and a reef at the end.")
         return 0
+
+    def _from(self, path: Path) -> int:
+        from dream.sim.files import save_world, world_hash
+        from dream.sim.from_mesh import world_of
+        from dream.sim.mesh_files import read_surface
+
+        with stage(f"reading {path}"):
+            surface = read_surface(path)
+        with stage(f"cutting {path} into patches"):
+            made = world_of(
+                surface,
+                path.stem if self.name is None else self.name,
+                seed=self.seed,
+                up=self.up,
+                scale=self.scale,
+                target=self.target,
+                shells=self.shells,
+                water=self.water,
+            )
+        world, box = made.world, made.world.bounds
+        with stage(f"saving {self.out}"):
+            _check_new(world, self.out)
+            save_world(world, self.out)
+        if self.json:
+            print_json(
+                {
+                    "world": world.name,
+                    "seed": world.seed,
+                    "hash": world_hash(world),
+                    "folder": str(self.out),
+                    "extents": list(made.extents),
+                    "patches": len(world.targets),
+                    "findings": list(made.told),
+                }
+            )
+            return 0
+        for words in made.told:
+            print(f"{path.name}: {words}")
+        x, y, z = made.extents
+        size = f"{x:.1f} x {y:.1f} x {z:.1f} m in bounds of {box.width:g} x {box.depth:g} m"
+        patches = (
+            f"{len(world.targets):,} patches" if self.target else "an obstacle; --target makes it a target"
+        )
+        print(f"saved {world.name} {world.seed}: {size}, {patches}")
+        print(f"look at it: dream draw --world {self.out}; fly it with: dream run --world {self.out}")
+        return 0
+
+
+def _list_waters(*, json: bool) -> int:
+    """Print every water's attenuation length and ranges; exit status 0."""
+    from dream.sim.visual_range import visual_range
+    from dream.sim.water import WATERS
+
+    protocol = DREAM_V2_DRAFT
+    assert protocol.space is not None
+    ranges = {name: visual_range(water, protocol.space, protocol.max_depth) for name, water in WATERS.items()}
+    if json:
+        rows = [
+            {
+                "water": name,
+                "attenuation_length": WATERS[name].attenuation_length,
+                "labels": told.labels,
+                "depth": told.depth,
+            }
+            for name, told in ranges.items()
+        ]
+        print_json({"protocol": protocol.name, "waters": rows})
+        return 0
+    print(f"{'water':8}  attenuation length  labels as far as  depth as far as")
+    for name, told in ranges.items():
+        length = WATERS[name].attenuation_length
+        print(f"{name:8}  {length:16.1f} m  {told.labels:14.1f} m  {told.depth:13.1f} m")
+    print(f"\nStraight through the water, under {protocol.name}.")
+    return 0
 
 
 def _check_new(world: World, folder: Path) -> None:

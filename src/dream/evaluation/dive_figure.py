@@ -99,7 +99,9 @@ def read_dive(folder: Path) -> Flown:
                 rows.append((logged.time, *_estimate(message)))
             elif logged.topic == "/goal":
                 said = json.loads(message.data)["said"]
-                rows.append((logged.time, *(float(said[name]) for name in ("x", "y", "yaw", "altitude"))))
+                # One that is held at a height has no altitude.
+                altitude = said.get("altitude", math.nan)
+                rows.append((logged.time, *map(float, (said["x"], said["y"], said["yaw"], altitude))))
             elif logged.topic == "/standing":
                 stances.append((logged.time, str(json.loads(message.data)["said"]["stance"])))
             elif logged.topic == "/mavlink/sent":

@@ -40,6 +40,7 @@ class Player {
     const step = this.steps[this.current];
     if (!step) return;
     this.showStep(this.current);
+    document.dispatchEvent(new CustomEvent("step", { detail: step.step }));
     this.place();
     // Browsers limit how often an address may change, so it follows once the step has settled.
     clearTimeout(this.settle);

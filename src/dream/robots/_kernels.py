@@ -38,9 +38,10 @@ CHECKED = 10
 """Beats between two looks at how sure the filter is."""
 
 # What `Voyage.clock` holds.
-CLOCK = 12
+CLOCK = 13
 TIME, NEXT_PING, ARRIVES, SENT, ABOVE, LAST_DVL, LAST_DEPTH, LAST_IMU = range(8)
-SEABED, DISTANCE, CLEARANCE, CONDITION = range(8, CLOCK)
+SEABED, DISTANCE, WAY, CLEARANCE, CONDITION = range(8, CLOCK)
+"""`DISTANCE` is over ground, `WAY` through the water, heights counted."""
 
 
 class Ship(NamedTuple):
@@ -93,7 +94,7 @@ class Voyage(NamedTuple):
     """(14,) of the autopilot."""
     commands: Float64Array
     clock: Float64Array
-    """(12,) seconds, metres and the worst condition of the move; see the names above."""
+    """(CLOCK,) seconds, metres and the worst condition of the move; see the names above."""
     sample: Float64Array
     """(8,) turn rate, force, depth and heading of the last beat, NaN where none; what the unit said last
     stands for what it does not say."""
@@ -141,7 +142,9 @@ def swim(ship: Ship, voyage: Voyage, before: Float64Array, rng: np.random.Genera
     if abs(x[0]) + abs(x[1]) + abs(x[2]) > FARTHEST:
         return False
     clock[TIME] += ship.dt
-    clock[DISTANCE] += math.hypot(x[0] - before[0], x[1] - before[1])
+    over_ground = math.hypot(x[0] - before[0], x[1] - before[1])
+    clock[DISTANCE] += over_ground
+    clock[WAY] += math.hypot(over_ground, x[2] - before[2])
     water.hold(ship.body, ship.solids, ship.radius, ship.height, before, x, voyage.contact)
     return True
 
@@ -207,6 +210,7 @@ def fly(
     at_ping: inekf.State,
     goal: Float64Array,
     altitude: float,
+    z: float,
     seconds: float,
     near: float,
     aligned: float,
@@ -223,11 +227,12 @@ def fly(
         s: The estimate.
         at_ping: The estimate when the ping was sent whose report is on its way.
         goal: (3,) x, y and yaw.
-        altitude: Metres above the seabed that it holds.
+        altitude: Metres above the seabed that it holds on the way; NaN where it has a height.
+        z: Height in the world that the way leads straight to; NaN where it holds an altitude.
         seconds: At most.
         near: Metres and
         aligned: radians from the goal, by the estimate, and
-        slow: m/s over ground that count as being there, for
+        slow: m/s over ground that count as being there, each in height as well where it has one, for
         stay: seconds on end.
         rng: Of the mission.
         track: (B, 9) is filled with a row each beat, as far as it goes: time, true x, y, z and yaw, and the
@@ -241,6 +246,7 @@ def fly(
     ranges, still = np.empty(4), 0.0
     beats = math.ceil(seconds / ship.dt)
     condition = control.FINE
+    straight = not math.isnan(z)
     for beat in range(beats):
         now = clock[TIME]
         # ------------------------------------------------------------------------------ what is to be done
@@ -256,13 +262,16 @@ def fly(
             clock[CONDITION] = max(clock[CONDITION], condition)
             if condition >= control.DIVERGED:
                 return s, at_ping, GIVEN_UP, beat
-        target[0], target[1], target[2], target[3] = goal[0], goal[1], clock[SEABED] + altitude, goal[2]
+        target[0], target[1], target[3] = goal[0], goal[1], goal[2]
+        target[2] = z if straight else clock[SEABED] + altitude
         pace = 1.0
         if condition == control.BLIND:
             pace = control.SLOW
         elif condition == control.LOST:
             # Where the reference is then is where it stays.
             target[0], target[1], target[3] = voyage.memory[0], voyage.memory[1], voyage.memory[3]
+            if straight:
+                target[2] = voyage.memory[2]
         rates = s.gyro - s.gyro_bias
         control.steer(
             voyage.memory,
@@ -334,6 +343,7 @@ def fly(
             math.hypot(goal[0] - s.position[0], goal[1] - s.position[1]) <= near
             and abs(control.wrapped(goal[2] - yaw)) <= aligned
             and math.hypot(s.velocity[0], s.velocity[1]) <= slow
+            and (not straight or (abs(z - s.position[2]) <= near and abs(s.velocity[2]) <= slow))
         )
         still = still + ship.dt if there else 0.0
         if still >= stay:

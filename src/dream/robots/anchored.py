@@ -111,11 +111,11 @@ class Anchored:
     def go_to(self, setpoint: Setpoint) -> Arrival:
         """Send the robot to where a place in the map is by its own reckoning, and look around there."""
         goal = SE2(setpoint.x, setpoint.y, setpoint.yaw)
-        arrival = self._leg(goal, setpoint.altitude)
+        arrival = self._leg(setpoint)
         off = arrival.pose.distance(goal)
         if self.alignment is not None and off > self._anchoring.settle and not arrival.collided:
             # What it saw there moved it in the map: the rest of the way.
-            rest = self._leg(goal, setpoint.altitude)
+            rest = self._leg(setpoint)
             arrival = replace(
                 rest,
                 distance=arrival.distance + rest.distance,
@@ -124,11 +124,12 @@ class Anchored:
             )
         return arrival
 
-    def _leg(self, goal: SE2, altitude: float) -> Arrival:
+    def _leg(self, goal: Setpoint) -> Arrival:
         if self._seen is None:
             self._look()
-        odom = _through(self._T_map_odom.inverse, goal)
-        arrival = self._robot.go_to(Setpoint(odom.x, odom.y, odom.yaw, altitude))
+        # Heights are the same in both frames: a gauge of pressure does not drift.
+        odom = _through(self._T_map_odom.inverse, SE2(goal.x, goal.y, goal.yaw))
+        arrival = self._robot.go_to(replace(goal, x=odom.x, y=odom.y, yaw=odom.yaw))
         self._look()
         return replace(arrival, pose=_through(self._T_map_odom, arrival.pose), sigma=self.sigma)
 

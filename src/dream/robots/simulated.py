@@ -16,6 +16,7 @@ from dream.geometry import SE2, SE3, wrap_angle
 from dream.protocol import SurveyProtocol
 from dream.robots import _kernels
 from dream.robots.camera import SimulatedCamera
+from dream.robots.teleport import launch_height
 from dream.sim.camera_noise import noise_generator
 from dream.sim.render import Renderer
 from dream.sim.sensors import (
@@ -46,7 +47,8 @@ STEADY = 40.0
 """Seconds for which a compass errs alike: iron turns it by the heading, which a survey keeps for a lane, so
 that the readings within that time say no more than one."""
 STAY = 0.3
-"""Seconds at a setpoint that count as having arrived."""
+"""Seconds at a setpoint that count as having arrived. The servo of the camera (Hitec HS-5055MG, 60° in 0.2 s)
+has tilted it by then."""
 ROOM = 30.0
 """Seconds that a move, or the way up, may take beyond what it takes at half the speeds."""
 SURFACED = 0.5
@@ -169,7 +171,8 @@ class Simulated:
         # The first move's randomness is the camera's, too; the vehicle's is its own.
         self._rng = noise_generator(world, pose, -1)
         seabed = float(world.terrain.height(pose.x, pose.y))
-        T_world_base = SE3.level(pose.x, pose.y, seabed + protocol.altitude, pose.yaw)
+        T_world_base = SE3.level(pose.x, pose.y, launch_height(world, protocol, pose), pose.yaw)
+        self._tilt = protocol.camera_pitch
         self._depth = -float(T_world_base.translation[2])
         self._moves = 0
         self._ship, self._voyage = _launched(
@@ -189,24 +192,31 @@ class Simulated:
             self._moves,
             self.truth,
             self.estimate.pose,
-            self._protocol.camera_pitch,
+            self._tilt,
         )
 
     def go_to(self, setpoint: Setpoint) -> Arrival:
-        """Swim there; at contact, stop.
+        """Swim there; at contact, stop. The camera tilts on the way.
+
+        It follows the seabed at the setpoint's altitude, or leads straight to its height: by the pressure,
+        since the filter has its heights from there.
 
         Raises:
             MissionAborted: The estimate is not to be trusted any more; the vehicle has surfaced, or tried to.
             Diverged: The simulated motion is not: a parameter is wrong.
         """
         motion = self._motion
-        here = self.estimate.pose.se2
-        gap = math.hypot(setpoint.x - here.x, setpoint.y - here.y)
+        east, north, up = self.estimate.position.tolist()
+        gap = math.hypot(setpoint.x - east, setpoint.y - north)
+        if setpoint.z is not None:
+            gap = math.hypot(gap, setpoint.z - up)
         seconds = 2.0 * gap / motion.helmsman.speed + 2.0 * math.pi / motion.helmsman.turn_rate + ROOM
         clock = self._voyage.clock
-        clock[_kernels.DISTANCE], clock[_kernels.CLEARANCE], clock[_kernels.CONDITION] = 0.0, math.inf, 0.0
-        how = self._fly(SE2(setpoint.x, setpoint.y, setpoint.yaw), setpoint.altitude, seconds)
+        clock[[_kernels.DISTANCE, _kernels.WAY, _kernels.CONDITION]] = 0.0
+        clock[_kernels.CLEARANCE] = math.inf
+        how = self._fly(setpoint, seconds)
         self._moves += 1
+        self._tilt = self._tilt if setpoint.tilt is None else setpoint.tilt
         condition = Condition(int(clock[_kernels.CONDITION]))
         if how == _kernels.GIVEN_UP:
             raise MissionAborted(f"navigation: {condition.name.lower()}; {self._surface()}")
@@ -217,7 +227,7 @@ class Simulated:
         return Arrival(
             self.estimate.pose.se2,
             collided=how == _kernels.COLLIDED,
-            distance=float(clock[_kernels.DISTANCE]),
+            distance=float(clock[_kernels.DISTANCE if setpoint.z is None else _kernels.WAY]),
             clearance=float(clock[_kernels.CLEARANCE]),
             note=_note(condition, late=how == _kernels.LATE),
             sigma=float(_kernels.position_sigma(self._state)),
@@ -244,7 +254,7 @@ class Simulated:
         said = "surfaced" if deep <= SURFACED else "could not surface"
         return f"the vehicle {said}: it is {deep:.1f} m deep after {took:.0f} s"
 
-    def _fly(self, goal: SE2, altitude: float, seconds: float) -> int:
+    def _fly(self, goal: Setpoint, seconds: float) -> int:
         motion = self._motion
         self._state, self._at_ping, how, _ = _kernels.fly(
             self._ship,
@@ -252,7 +262,8 @@ class Simulated:
             self._state,
             self._at_ping,
             np.array([goal.x, goal.y, goal.yaw]),
-            altitude,
+            math.nan if goal.altitude is None else float(goal.altitude),
+            math.nan if goal.z is None else float(goal.z),
             seconds,
             motion.near,
             motion.aligned,

@@ -129,5 +129,4 @@ def launch_height(world: World, protocol: SurveyProtocol, pose: SE2) -> float:
         protocol: By which rules.
         pose: Above which place.
     """
-    z = float(world.terrain.height(pose.x, pose.y)) + protocol.altitude
-    return z if protocol.space is None else math.ceil(z / protocol.lattice - 1e-9) * protocol.lattice
+    return protocol.launch_height(float(world.terrain.height(pose.x, pose.y)))

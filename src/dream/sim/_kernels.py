@@ -38,6 +38,8 @@ class Index(NamedTuple):
     """(cells + 1,) where the triangles of a cell begin in `members`; cells are counted row by row."""
     members: IntpArray
     """Triangle indices, cell after cell."""
+    spans: Float64Array
+    """(members, 2) least and greatest z of each of them, so that a ray skips most of what it passes."""
     bottom: Float64Array
     """(cell rows, cell cols) least z of the triangles of a cell; inf where it has none."""
     top: Float64Array
@@ -238,8 +240,10 @@ def blocker(index: Index, ex: float, ey: float, ez: float, px: float, py: float,
         if low <= index.top[row, col] and high >= index.bottom[row, col]:
             cell_id = row * cols + col
             for k in range(index.first[cell_id], index.first[cell_id + 1]):
+                if low > index.spans[k, 1] or high < index.spans[k, 0]:
+                    continue
                 if 0.0 < _crossing(index.triangles[index.members[k]], ex, ey, ez, dx, dy, dz) < end:
-                    return index.members[k]
+                    return int(index.members[k])
         if low <= index.ground_top[row, col] and _buried(index, gx, gy, ez, dgx, dgy, dz, t, leave):
             return GROUND
         if leave >= last:

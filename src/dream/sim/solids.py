@@ -65,7 +65,7 @@ class FreeLattice:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FreeSpace:
-    """A protocol's positions in space; node (level, row, col) is at `(first + (col, row, level)) · spacing`."""
+    """A protocol's positions in space: node (level, row, col) at `(first + (col, row, level)) · spacing`."""
 
     first: tuple[int, int, int]
     """(col, row, level) of the first node, counted from the origin of the world."""
@@ -143,6 +143,7 @@ def index_of(
         triangles=triangles,
         first=first,
         members=members,
+        spans=np.column_stack([least[members, 2], most[members, 2]]),
         bottom=bottom.reshape(rows, cols),
         top=top.reshape(rows, cols),
         ground_top=_kernels.cell_ground_tops(heights, x0, y0, spacing, left, near, cell, rows, cols),

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from dream.sim.formats import Said, text
 from dream.sim.sampling import MILLIMETRE, quantised
 from dream.sim.winding import Standing, turned
-from dream.sim.world import Mesh
+from dream.sim.world import Mesh, UInt8Array
 from dream.telling import one_line
 
 Float64Array = npt.NDArray[np.float64]
@@ -106,6 +106,37 @@ def read_meshes(
             told.taken(f"{_many(flat, 'face')} without area, which nobody sees")
         meshes = _oriented(meshes, names, standing, told)
     return tuple(meshes), names, told.notes
+
+
+def read_surface(
+    path: Path,
+) -> tuple[Float64Array, npt.NDArray[np.int64], UInt8Array | None, tuple[str, ...]]:
+    """All objects of an OBJ file as one surface, as they are wound there.
+
+    Returns:
+        (V, 3) in double precision; (F, 3); (V, 3) sRGB, None where the file has no colours; and what was
+        taken in another way than it stands there.
+
+    Raises:
+        ValueError: What is refused first.
+    """
+    content = _parsed(path)
+    objects, told = content.objects, _Notes(path.name)
+    told.lines(content.refused)
+    table = np.array(content.vertices, np.float64).reshape(-1, 6)
+    colored = len(table) > content.grey
+    _colored(objects, table, told)
+    faces: list[list[int]] = []
+    for one in objects:
+        faces += _split(one, table, told) if any(len(face) != 3 for face in one.faces) else one.faces
+    if content.materials:
+        told.taken("materials and textures are passed over: only colours behind a vertex count")
+    for note in told.notes:
+        if note.what == "refused":
+            raise ValueError(note.words)
+    levels = np.rint(np.clip(table[:, 3:], 0.0, 1.0) * 255.0).astype(np.uint8) if colored else None
+    corners = np.array(faces, np.int64).reshape(-1, 3)
+    return table[:, :3].copy(), corners, levels, tuple(note.words for note in told.notes)
 
 
 @dataclass(slots=True)
@@ -288,14 +319,14 @@ def _split(one: _Object, table: Float64Array, told: _Notes) -> list[list[int]]:
     for face, line in zip(one.faces, one.lines, strict=True):
         if len(face) == 3 or max(face) >= len(table):
             triangles.append(face[:3])
-        elif (fan := _fan(table[face, :3])) is not None:
-            triangles += [[face[k] for k in corner] for corner in fan]
+        elif (split := fan(table[face, :3])) is not None:
+            triangles += [[face[k] for k in corner] for corner in split]
         else:
             told.refused(f"line {line}: expected a polygon that is a fan of triangles. Triangulate the mesh")
     return triangles
 
 
-def _fan(corners: Float64Array) -> list[tuple[int, int, int]] | None:
+def fan(corners: Float64Array) -> list[tuple[int, int, int]] | None:
     """Triangles of a polygon, all from one corner of it and none turned over; None where there are none such.
 
     Args:

@@ -44,6 +44,8 @@ class Turned:
     """One-sided meshes with a part that is open and does not show where outside is."""
     rooms: list[int]
     """Meshes with a part that looks inwards and is left so: a start lies in it."""
+    loose: list[BoolArray]
+    """Of each mesh, (F,) the faces of parts that are open: an edge has nothing on its other side."""
 
 
 def turned(meshes: Sequence[Mesh], standing: Standing | None = None) -> Turned:
@@ -54,9 +56,10 @@ def turned(meshes: Sequence[Mesh], standing: Standing | None = None) -> Turned:
     either way. What looks inwards around a start is left as it is.
     """
     flips = [np.zeros(len(mesh.faces), np.bool_) for mesh in meshes]
+    loose = [np.zeros(len(mesh.faces), np.bool_) for mesh in meshes]
     which = [k for k, mesh in enumerate(meshes) if not mesh.two_sided and is_near(mesh)]
     if not which:
-        return Turned(flips, [], [], [])
+        return Turned(flips, [], [], [], loose)
     points, corners, owner, place = _joined([meshes[k] for k in which])
     parts = _parts(corners)
     decided, undecided, meant = _outwards(points, corners, owner, parts)
@@ -74,13 +77,15 @@ def turned(meshes: Sequence[Mesh], standing: Standing | None = None) -> Turned:
             inner[part] = _around(points[corners[mine]], parts.turn[mine], places[number])
         decided = np.where(inner, meant, decided)
     turn = parts.turn ^ decided[parts.of]
+    of_open = (np.bincount(parts.of, parts.loose.any(axis=1), len(decided)) > 0)[parts.of]
     for k, mesh_number in enumerate(which):
         mine = owner == k
         flips[mesh_number][place[mine]] = turn[mine]
+        loose[mesh_number][place[mine]] = of_open[mine]
     endless = {which[k] for k in np.unique(owner[parts.endless[parts.of]])}
     unknown = {which[k] for k in np.unique(owner[undecided[parts.of]])}
     rooms = {which[k] for k in np.unique(owner[inner[parts.of]])}
-    return Turned(flips, sorted(endless), sorted(unknown - endless), sorted(rooms))
+    return Turned(flips, sorted(endless), sorted(unknown - endless), sorted(rooms), loose)
 
 
 def _joined(meshes: Sequence[Mesh]) -> tuple[Float64Array, IntArray, IntArray, IntArray]:

@@ -495,6 +495,40 @@ def test_the_fence_has_a_margin_and_the_depth_of_a_goal_its_limit() -> None:
     assert "0.9 m deep, 0.7 m are allowed" in scene.bridge.standing.reason
 
 
+def at(x: float, z: float) -> Fix:
+    return fix_at(T_world_base=SE3.level(x, 0.0, z, 0.0))
+
+
+def test_to_a_height_it_climbs_as_it_comes_nearer_whatever_the_floor() -> None:
+    scene = under_way()
+    scene.bridge.go(GOAL, None, -0.4)
+    asked = []
+    for x, z in ((0.0, -0.9), (0.1, -0.8), (0.3, -0.7), (0.2, -0.7), (0.46, -0.5), (0.6, -0.4)):
+        # A wreck under it lifts the floor of the DVL.
+        scene.fix = replace(at(x, z), seabed=-1.5 + x, altitude=0.5)
+        assert set(scene.beats(0.04)) == {"steer"}
+        asked.append(scene.goals[-1][1])
+    # Pushed back, it does not sink again; within 5 cm over ground it is to be there.
+    assert asked == pytest.approx([-0.9, -0.8, -0.6, -0.6, -0.4, -0.4])
+    # Straight down, where no altitude is believed.
+    scene.fix = replace(at(0.5, -0.4), altitude_age=3.0)
+    scene.bridge.go(GOAL, None, -0.9)
+    scene.beats(0.04)
+    assert scene.goals[-1][1] == pytest.approx(-0.9)
+
+
+def test_a_height_has_the_limit_of_depth_and_one_of_the_two_is_given() -> None:
+    scene = Scene(limits=Limits(area=AREA, depth=0.7))
+    for altitude, z in ((None, None), (0.6, -0.5), (None, math.nan)):
+        with pytest.raises(ValueError, match="goal: expected either an altitude or a height"):
+            scene.bridge.go(GOAL, altitude, z)
+    scene.bridge.go(GOAL, None, -0.75)
+    assert set(scene.beats(0.2)) == {"steer"}
+    scene.bridge.go(GOAL, None, -0.85)
+    assert scene.beats(0.2)[-1] == "resort"
+    assert "the goal is 0.8 m deep, 0.7 m are allowed" in scene.bridge.standing.reason
+
+
 def on_its_thread(scene: Scene, clock: LockStep, **options: Any) -> Bridge:
     """The bridge of a scene, on a thread and a clock that both are simulated."""
     scene.bridge = Bridge(scene, scene, scene.limits, clock, threads=clock, **options)  # type: ignore[arg-type]

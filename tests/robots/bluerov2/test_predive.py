@@ -1,6 +1,7 @@
 """The pre-dive list believes no picture that its own models do not."""
 
 import json
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dream.commands.dive.predive import _floor, _in_time, _looked
+from dream.commands.dive.predive import _floor, _in_time, _looked, _pointed
 from dream.geometry import SE2, SE3, Camera
 from dream.perception import FlatFloor, LearnedDepth, Perception, Shells
 from dream.perception.flat_floor import floor_depth, rays
-from dream.protocol import POOL_V1
+from dream.protocol import DREAM_V2_DRAFT, POOL_V1, SurveyProtocol
 from dream.robots.bluerov2.check import Finding
 from dream.robots.bluerov2.lens import Calibrated, Lens
 from dream.robots.bluerov2.navigation import Fix, NotReady
@@ -200,6 +201,38 @@ def test_a_floor_is_well_where_the_dive_is_neither_at_the_surface_nor_too_deep(
     assert found.ok is ok
     assert said in found.said
     assert found.wanted == "0.4 to 2 m: a deeper floor, or another --max-depth"
+
+
+@pytest.mark.parametrize(
+    ("protocol", "most", "ok", "looked"),
+    [
+        (POOL_V1, 45.0, True, [20.0]),
+        (DREAM_V2_DRAFT, 45.0, True, [45.0, -25.0, 20.0]),
+        # A camera that is fixed.
+        (DREAM_V2_DRAFT, 20.0, False, [45.0]),
+    ],
+)
+def test_in_space_a_mount_has_to_look_everywhere_and_ends_as_at_the_launch(
+    protocol: SurveyProtocol, most: float, ok: bool, looked: list[float]
+) -> None:
+    asked = []
+
+    def tilt_camera(up: float) -> float:
+        asked.append(round(-math.degrees(up), 3))
+        if abs(math.degrees(up)) > most + 1e-6:
+            raise TimeoutError("camera tilt: expected -45° within 4 s, got -20°")
+        return up
+
+    ready: Any = SimpleNamespace(
+        told=SimpleNamespace(tilt=20.0, lights=None),
+        protocol=protocol,
+        devices=SimpleNamespace(link=SimpleNamespace(tilt_camera=tilt_camera)),
+    )
+    found = _pointed(ready)
+    assert (found.ok, asked) == (ok, looked)
+    assert (
+        "looks 20° down" if protocol is POOL_V1 else "45° and -25° and 20° down"
+    ) in found.wanted + found.said
 
 
 @dataclass

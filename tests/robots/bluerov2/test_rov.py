@@ -3,19 +3,26 @@
 import math
 import time
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dream.errors import MissionAborted
 from dream.geometry import SE2, SE3, Camera
-from dream.perception import Perception
-from dream.protocol import POOL_V1
+from dream.perception import FlatFloor, Perception, Shells
+from dream.protocol import DREAM_V2_TRUE_DRAFT, POOL_V1
 from dream.robots.bluerov2 import rov
 from dream.robots.bluerov2.bridge import FINE, Stance, Standing
+from dream.robots.bluerov2.devices import LiveEye
+from dream.robots.bluerov2.mavlink import Refused
 from dream.robots.bluerov2.navigation import Fix
 from dream.robots.bluerov2.rov import BlueRov2, Manners
+from dream.robots.bluerov2.standin.rig import Rig
+from dream.robots.bluerov2.telemetry import Telemetry
+from dream.sim.worlds import make_world
 from dream.types import BoolArray, Float32Array, Label, Setpoint, UInt8Array
+from tests.robots.bluerov2 import rigged
 from tests.robots.bluerov2.test_bridge import fix_at
 
 GOAL = Setpoint(0.3, 0.0, 0.0, 0.6)
@@ -36,6 +43,7 @@ class Scene:
     fix: Fix = field(default_factory=fix_at)
     standing: Standing = FINE
     goals: list[SE2] = field(default_factory=list)
+    heights: list[float | None] = field(default_factory=list)
     renewed: list[float] = field(default_factory=list)
     blind: bool = False
     frozen: bool = False
@@ -63,18 +71,21 @@ class Scene:
 
     def sleep(self, seconds: float) -> None:
         self.now += seconds
-        x = float(self.fix.T_world_base.translation[0])
+        x, _, z = self.fix.T_world_base.translation.tolist()
         if self.goals and self.standing.stance is Stance.GO:
-            gap = self.goals[-1].x - x
-            x += math.copysign(min(abs(gap), self.speed * seconds), gap)
-            speed = self.speed if abs(gap) > 1e-9 else 0.0
-            self.fix = replace(fix_at(x), velocity=np.array([speed, 0.0, 0.0]))
+            height = self.heights[-1]
+            ahead, up = self.goals[-1].x - x, 0.0 if height is None else height - z
+            steps = [math.copysign(min(abs(gap), self.speed * seconds), gap) for gap in (ahead, up)]
+            speeds = [self.speed if abs(gap) > 1e-9 else 0.0 for gap in (ahead, up)]
+            pose = SE3.level(x + steps[0], 0.0, z + steps[1], 0.0)
+            self.fix = fix_at(T_world_base=pose, velocity=np.array([speeds[0], 0.0, speeds[1]]))
         if callable(self.each):
             self.each()
 
-    def go(self, goal: SE2, altitude: float) -> None:
-        assert altitude == 0.6
+    def go(self, goal: SE2, altitude: float | None, z: float | None = None) -> None:
+        assert altitude == (0.6 if z is None else None)
         self.goals.append(goal)
+        self.heights.append(z)
 
     def renew(self, seconds: float = 0.5) -> None:
         self.renewed.append(self.now + seconds)
@@ -232,6 +243,115 @@ def test_the_operator_pauses_and_holds(monkeypatch: pytest.MonkeyPatch) -> None:
     robot.go_to(Setpoint(0.0, 0.0, 0.0, 0.6))
     assert scene.now > 60.0
     assert len(scene.goals) == before + 1
+
+
+UP = Setpoint(0.0, 0.0, 0.0, None, -0.4)
+
+
+def test_at_a_height_it_arrives_when_it_rests_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene()
+    arrival = scene.robot(monkeypatch).go_to(UP)
+    assert scene.fix.T_world_base.translation[2] == pytest.approx(-0.4)
+    assert scene.now - 10.0 == pytest.approx(0.5 / scene.speed + Manners().stay, abs=0.1)
+    assert arrival.distance == pytest.approx(0.5)
+    assert (scene.goals, scene.heights) == ([SE2(0.0, 0.0, 0.0)], [-0.4])
+
+
+def test_it_is_held_at_the_height_that_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene()
+
+    def rule() -> None:
+        scene.will = "hold" if 11.0 < scene.now < 20.0 else "go"
+
+    scene.each = rule
+    scene.robot(monkeypatch).go_to(UP)
+    first, held, last = scene.heights
+    assert (first, last) == (-0.4, -0.4)
+    assert held == pytest.approx(-0.8, abs=0.02)
+
+
+@dataclass
+class Servo:
+    """A mount that goes up to 30° either way; says where it looks, unless it is silent."""
+
+    silent: bool = False
+    looks: float = 0.0
+    why: type[Exception] = TimeoutError
+
+    @property
+    def telemetry(self) -> Telemetry:
+        return Telemetry(0.0, camera_tilt=math.nan if self.silent else self.looks)
+
+    def tilt_camera(self, up: float) -> float:
+        self.looks = max(-0.5, min(up, 0.5)) + 0.01
+        if self.silent or abs(self.looks - up) > 0.05:
+            raise self.why("camera tilt: it stays elsewhere")
+        return self.looks
+
+
+def tilted(down: float) -> Setpoint:
+    return Setpoint(0.0, 0.0, 0.0, None, -0.9, down)
+
+
+@pytest.mark.parametrize("why", [TimeoutError, Refused, ValueError])
+def test_the_camera_looks_where_its_mount_says(monkeypatch: pytest.MonkeyPatch, why: type[Exception]) -> None:
+    scene, servo = Scene(), Servo(why=why)
+    at = SE3(POOL_V1.T_base_camera.rotation, np.array([0.2, 0.0, 0.1]))
+    robot = scene.robot(monkeypatch, mount=servo, T_base_camera=at)
+    assert robot.observe().tilt == pytest.approx(POOL_V1.camera_pitch)
+    assert robot.go_to(tilted(0.4)).note == ""
+    for _ in range(2):
+        seen = robot.observe()
+        assert seen.tilt == pytest.approx(0.39)
+        assert seen.T_base_camera.translation.tolist() == [0.2, 0.0, 0.1]
+        robot.go_to(replace(tilted(0.0), tilt=None))
+    # It is looked through as it is where it does not get there.
+    assert robot.go_to(tilted(0.8)).note == "camera tilt: it stays elsewhere"
+    assert robot.observe().tilt == pytest.approx(0.49)
+
+
+@pytest.mark.parametrize(("mount", "why"), [(None, "that tilts it"), (Servo(silent=True), "that says where")])
+def test_without_a_mount_that_tilts_and_tells_there_is_no_tilting(
+    monkeypatch: pytest.MonkeyPatch, mount: Servo | None, why: str
+) -> None:
+    robot = Scene().robot(monkeypatch, mount=mount)
+    with pytest.raises(MissionAborted, match=f"camera: expected a mount {why}"):
+        robot.go_to(tilted(0.4))
+
+
+def test_a_move_in_space_is_straight_and_ends_there(tmp_path: Path) -> None:
+    """Of the vehicle in the water, by the bytes of MAVLink and the lines of the A50."""
+    world, protocol = make_world("flat/empty", 1), DREAM_V2_TRUE_DRAFT
+    with Rig(tmp_path, world, protocol, pictures=2.0, width=80) as rig:
+        rig.ready()
+        bridge = rig.begin()
+        robot = BlueRov2(
+            bridge,
+            rig.navigator,
+            LiveEye(rig.devices.camera, None),
+            Perception(Shells(), FlatFloor()),
+            protocol,
+            rig.now,
+            frozen=lambda: False,
+            mount=rig.link,
+            truth=rig.truth,
+            threads=rig.clock,
+        )
+        start, z = rig.start, protocol.launch_height(bridge.fix.seabed)
+        robot.go_to(Setpoint(start.x, start.y, start.yaw, None, z))
+        begun, way = rig.truth()[0].translation, rigged.truth_at(rig)
+        ahead = np.array([math.cos(start.yaw), math.sin(start.yaw), 1.0])
+        x, y, z = (float(value) for value in np.array([start.x, start.y, z]) + ahead)
+        arrival = robot.go_to(Setpoint(x, y, start.yaw, None, z, math.radians(45.0)))
+        seen, ended = robot.observe(), rig.truth()[0].translation
+    assert (arrival.note, arrival.collided) == ("", False)
+    assert arrival.distance == pytest.approx(math.sqrt(2.0), abs=0.3)
+    np.testing.assert_allclose(ended, [x, y, z], atol=0.15)
+    flown = np.array([pose.translation for _, pose in way]) - begun
+    line = ahead / math.sqrt(2.0)
+    assert np.linalg.norm(flown - np.outer(flown @ line, line), axis=1).max() < 0.2
+    assert math.degrees(seen.tilt) == pytest.approx(45.0, abs=0.1)
+    assert seen.z == pytest.approx(z, abs=0.1)
 
 
 def test_without_pictures_it_gives_up(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -117,8 +117,7 @@ class Flight:
             bridge.start()
             title = f"{name} · {ready.folder.name}"
             with console(title, lambda: self._readings(bridge), operator, terminal) as shown:
-                start = ready.start
-                vehicle.go_to(Setpoint(start.x, start.y, start.yaw, protocol.altitude))
+                vehicle.go_to(self._launch(bridge.fix))
                 occupancy = OccupancyMap(ready.limits.area, protocol)
                 robot = Keeping(vehicle, ready.folder)
                 steps = explore(
@@ -208,6 +207,7 @@ class Flight:
             ready.devices.now,
             frozen=lambda: sight.frozen,
             T_base_camera=ready.mount,
+            mount=ready.devices.link,
             fineness=SHOWN if isinstance(planner, Asking) else 1,
             manners=_manners(planner),
             waits=lambda: operator.will is not Will.GO,
@@ -271,8 +271,18 @@ class Flight:
         if standing.reason:
             logger.warning("%s: %s", standing.stance, standing.reason)
 
-    def _log_goal(self, goal: SE2, altitude: float) -> None:
-        self._log("goal", {"x": goal.x, "y": goal.y, "yaw": goal.yaw, "altitude": altitude})
+    def _launch(self, fix: Fix) -> Setpoint:
+        """Where the mission begins: at the protocol's altitude, or at the height that this is here."""
+        ready, start = self.ready, self.ready.start
+        if ready.protocol.space is None:
+            return Setpoint(start.x, start.y, start.yaw, ready.protocol.altitude)
+        if not math.isfinite(fix.seabed):
+            raise MissionAborted("dive: expected the DVL to see the floor, got none. How deep is it here?")
+        return Setpoint(start.x, start.y, start.yaw, None, ready.protocol.launch_height(fix.seabed))
+
+    def _log_goal(self, goal: SE2, altitude: float | None, z: float | None) -> None:
+        held = {"z": z} if altitude is None else {"altitude": altitude}
+        self._log("goal", {"x": goal.x, "y": goal.y, "yaw": goal.yaw, **held})
 
     def _log_fix(self, fix: Fix) -> None:
         self.ready.devices.log.tap(fix.time, "estimate", False, fix)

@@ -65,12 +65,19 @@ def check_options(told: Dive) -> None:
             check_aboard(name, place)
     if not -90.0 <= told.tilt <= 90.0:
         raise ValueError(f"--tilt: expected -90 to 90 degrees down, got {told.tilt:g}")
+    protocol = protocol_named(told.protocol)
+    if protocol.space is not None and abs(math.radians(told.tilt) - protocol.camera_pitch) > 1e-6:
+        raise ValueError(
+            f"--tilt: expected {math.degrees(protocol.camera_pitch):g}, where the camera looks at the launch "
+            f"under {protocol.name}, got {told.tilt:g}"
+        )
     sound = told.speed_of_sound
     if sound is not None and not SLOWEST_SOUND <= sound <= FASTEST_SOUND:
         raise ValueError(
             f"--speed-of-sound: expected {SLOWEST_SOUND:g} to {FASTEST_SOUND:g} m/s, got {sound:g}"
         )
-    swims = protocol_named(told.protocol).altitude + (told.dvl_at or DVL_AT)[2]
+    lowest = protocol.altitude if protocol.space is None else protocol.space.lowest
+    swims = lowest + (told.dvl_at or DVL_AT)[2]
     if not told.min_altitude < swims:
         raise ValueError(
             f"--min-altitude: expected less than the {swims:g} m of the A50 above the floor under "

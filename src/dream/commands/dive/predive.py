@@ -72,7 +72,7 @@ def _floor(ready: Ready) -> Finding:
         return Finding("floor", ok=False, said="not known before navigation begins", wanted=wanted)
     if math.isnan(seabed):
         return Finding("floor", ok=False, said=problem or "the DVL does not see it", wanted=wanted)
-    deep = -(seabed + altitude)
+    deep = -ready.protocol.launch_height(seabed)
     where = f"{deep:.1f} m deep" if deep > 0.0 else "out of the water"
     said = f"{altitude:g} m above it is {where}, {deepest:g} m are allowed"
     return Finding("floor", ok=SHALLOW <= deep <= deepest, said=said, wanted=wanted)
@@ -214,14 +214,20 @@ def _pointed(ready: Ready) -> Finding:
     from dream.robots.bluerov2.mavlink import Refused
 
     link = ready.devices.link
-    wanted = f"a mount that looks {ready.told.tilt:g}° down and says so: see MNT1_* and --tilt"
+    tilts = [math.radians(ready.told.tilt)]
+    if ready.protocol.space is not None:
+        # All that the mission may ask for, and that of the launch last.
+        tilts = [*(tilt for tilt in ready.protocol.tilts if tilt != ready.protocol.camera_pitch), *tilts]
+    looks = " and ".join(f"{math.degrees(tilt):g}°" for tilt in tilts)
+    wanted = f"a mount that looks {looks} down and says so: see MNT1_* and --tilt"
     try:
         if ready.told.lights is not None:
             link.set_lights(ready.told.lights)
-        up = link.tilt_camera(-math.radians(ready.told.tilt))
+        ups = [link.tilt_camera(-tilt) for tilt in tilts]
     except (Refused, RuntimeError, TimeoutError, ValueError) as error:
         return Finding("camera mount", ok=False, said=str(error), wanted=wanted)
-    return Finding("camera mount", ok=True, said=f"looks {-math.degrees(up):.0f}° down")
+    looks = " and ".join(f"{-math.degrees(up):.0f}°" for up in ups)
+    return Finding("camera mount", ok=True, said=f"looks {looks} down")
 
 
 def print_findings(found: list[Finding], *, as_json: bool) -> int:

@@ -23,6 +23,8 @@ BEATS = 25.0
 LEASE = 0.4
 """Seconds after which a command that was not renewed is neutral: half a second, less what sending takes."""
 
+ON_THE_SPOT = 0.05
+"""Metres from a goal, over ground, at which it is above or below it."""
 TOLERATED = 0.1
 """Metres that the way may lead below the greatest depth: what a floor undulates by."""
 ABOVE, ABOVE_FOR = 0.3, 1.0
@@ -68,6 +70,53 @@ class Standing:
 
 
 FINE = Standing(Stance.GO)
+
+
+@dataclass(slots=True)
+class Aim:
+    """What the vehicle is held to: a pose of the map, and an altitude or a height.
+
+    To a height it climbs as far as it has come nearer to the pose, so that the way is the straight one that
+    the guard has looked at.
+    """
+
+    pose: SE2
+    altitude: float | None
+    """Metres above the seabed; None where there is a height."""
+    z: float | None
+    """Metres in the world; None where there is an altitude."""
+    start: tuple[float, float, float]
+    """Where it was when it was sent, metres in the world."""
+    _way: float = 0.0
+    """Share of the way that it has come, at most so far: it does not sink again where it is pushed back."""
+
+    def height(self, fix: Fix) -> float:
+        """Metres in the world that it is held to just now."""
+        if self.z is not None:
+            x, y, z = self.start
+            length = self.pose.distance(SE2(x, y, 0.0))
+            left = self.pose.distance(fix.T_world_base.se2)
+            come = 1.0 if min(left, length) <= ON_THE_SPOT else 1.0 - left / length
+            self._way = max(self._way, come)
+            return z + self._way * (self.z - z)
+        assert self.altitude is not None
+        sounded = math.isfinite(fix.seabed) and fix.altitude_age <= UNSOUNDED
+        return fix.seabed + self.altitude if sounded else float(fix.T_world_base.translation[2])
+
+    def check_depth(self, height: float, deepest: float) -> str:
+        """Why it must not go there, in words; empty where it may.
+
+        Args:
+            height: Of `height`.
+            deepest: Metres below the surface, at most.
+        """
+        if self.z is not None:
+            height, where = self.z, "the goal"
+        else:
+            where = f"{self.altitude:g} m above the floor"
+        if height >= -deepest - TOLERATED:
+            return ""
+        return f"{where} is {-height:.1f} m deep, {deepest:g} m are allowed"
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +216,7 @@ class Bridge:
         fixed: Callable[[Fix], None] | None = None,
         failing: Callable[[], str] = lambda: "",
         sight: Callable[[Fix], str] = lambda fix: "",
-        aimed: Callable[[SE2, float], None] | None = None,
+        aimed: Callable[[SE2, float | None, float | None], None] | None = None,
         threads: Threads = REAL_TIME,
     ) -> None:
         """On a vehicle whose navigator is aligned.
@@ -186,7 +235,7 @@ class Bridge:
                 over while all that surfacing needs still works.
             sight: Why the mission would not see what is before the vehicle, in words; empty where it would.
                 It goes slowly then, and whoever next looks for a picture ends the dive.
-            aimed: Told of every new goal and its altitude.
+            aimed: Told of every new goal with its altitude and its height, of which one is None.
             threads: What it waits by.
         """
         self._navigator, self._drive, self._limits = navigator, drive, limits
@@ -198,7 +247,7 @@ class Bridge:
         self._said, self._fixed, self._aimed, self._failing = said, fixed, aimed, failing
         self._sight = sight
         self._lock = threads.lock()
-        self._goal: tuple[SE2, float] | None = None
+        self._goal: Aim | None = None
         self._asked = math.nan
         self._mission_until = self._operator_until = math.inf
         self._ended: str = ""
@@ -236,13 +285,26 @@ class Bridge:
         if self._standing.stance is not Stance.YIELD and not self._resorted:
             self._drive.neutral()
 
-    def go(self, goal: SE2, altitude: float) -> None:
-        """Hold the vehicle to this pose of the map, this high above the seabed, from now on."""
+    def go(self, goal: SE2, altitude: float | None, z: float | None = None) -> None:
+        """Hold the vehicle to this pose of the map, from now on.
+
+        Args:
+            goal: Of the map.
+            altitude: Metres above the seabed; None where a height is given.
+            z: Height in the world, metres, to which the way is straight; None where an altitude is given.
+
+        Raises:
+            ValueError: Both are given, or none, or one that is not finite.
+        """
+        given = [value for value in (altitude, z) if value is not None]
+        if len(given) != 1 or not math.isfinite(given[0]):
+            raise ValueError(f"goal: expected either an altitude or a height, got {altitude} and {z}")
+        x, y, up = self.fix.T_world_base.translation.tolist()
         with self._lock:
-            self._goal, self._asked = (goal, altitude), self._now()
+            self._goal, self._asked = Aim(goal, altitude, z, (x, y, up)), self._now()
         self._wake.set()
         if self._aimed is not None:
-            self._aimed(goal, altitude)
+            self._aimed(goal, altitude, z)
 
     def renew(self, seconds: float = LEASE) -> None:
         """The mission lives, and will say so again within that time."""
@@ -274,7 +336,7 @@ class Bridge:
     def goal(self) -> SE2 | None:
         """Where it is held to."""
         goal = self._goal
-        return None if goal is None else goal[0]
+        return None if goal is None else goal.pose
 
     def beat(self) -> None:
         """Take in, judge, and steer or not."""
@@ -350,16 +412,12 @@ class Bridge:
             self._drive.neutral()
             self._pressing.forget()
             return
-        pose, altitude = goal
-        height = float(fix.T_world_base.translation[2])
-        sounded = math.isfinite(fix.seabed) and fix.altitude_age <= UNSOUNDED
-        z = fix.seabed + altitude if sounded else height
-        if z < -self._limits.depth - TOLERATED:
-            deepest = self._limits.depth
-            self.end(f"{altitude:g} m above the floor is {-z:.1f} m deep, {deepest:g} m are allowed")
-        if wrong := self._pressing(self._now(), fix, pose, z, self._drive.effort):
+        z = goal.height(fix)
+        if too_deep := goal.check_depth(z, self._limits.depth):
+            self.end(too_deep)
+        if wrong := self._pressing(self._now(), fix, goal.pose, z, self._drive.effort):
             self.end(wrong)
-        self._drive.steer(fix, pose, z, dt, pace, min(self._now() + LEASE, alive))
+        self._drive.steer(fix, goal.pose, z, dt, pace, min(self._now() + LEASE, alive))
         if not math.isnan(asked):
             self.lags.append(self._now() - asked)
 

@@ -50,6 +50,8 @@ RESTING = 1e-6
 """Radians, metres or either a second, by which a reference that rests may move: rounding keeps it from 0."""
 NEAR, MOST_LEARNT = 0.3, 0.1
 """Metres from the goal within which it is learnt by what velocity an autopilot errs, and m/s at most."""
+LEVEL = np.array([1.0, 1.0, 0.0])
+"""Of a velocity in the world, what is level."""
 STALE = 1.0
 """Seconds after which the autopilot's own height is none to reckon from."""
 
@@ -158,14 +160,18 @@ class _Wired:
         )
 
     def _reference(self, fix: Fix, goal: SE2, dt: float, pace: float) -> Helm:
-        """The helm, its reference one beat on. Height is the autopilot's: the reference has the vehicle's."""
+        """The helm, its reference one beat on.
+
+        Height is the autopilot's: the reference has the vehicle's, and neither climbs. Else the limit of its
+        acceleration would be spent on that, and it would not brake before its goal.
+        """
         helm = self._helm
         assert helm is not None
-        height, climb = float(fix.T_world_base.translation[2]), float(fix.velocity[2])
-        helm.memory[2], helm.memory[6], helm.memory[10] = height, climb, 0.0
+        height = float(fix.T_world_base.translation[2])
+        helm.memory[2], helm.memory[6], helm.memory[10] = height, 0.0, 0.0
         self._wrench = helm.demand(
             fix.T_world_base,
-            fix.velocity,
+            fix.velocity * LEVEL,
             fix.angular_velocity,
             (goal.x, goal.y, height, goal.yaw),
             dt,

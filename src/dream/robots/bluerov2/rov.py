@@ -10,11 +10,12 @@ from typing import Protocol
 import numpy as np
 
 from dream.errors import MissionAborted
-from dream.geometry import SE2, SE3, Camera, wrap_angle
+from dream.geometry import SE2, SE3, Camera, camera_mount, wrap_angle
 from dream.perception import Account, Perception
 from dream.protocol import SurveyProtocol
 from dream.robots.bluerov2.bridge import Bridge, Stance
-from dream.robots.bluerov2.navigation import Navigator
+from dream.robots.bluerov2.navigation import Fix, Navigator
+from dream.robots.bluerov2.telemetry import Telemetry
 from dream.robots.bluerov2.threads import REAL_TIME, Threads
 from dream.types import Arrival, BoolArray, Observation, Setpoint, UInt8Array
 
@@ -22,6 +23,8 @@ POLL = 0.02
 """Seconds between two looks at how a move goes."""
 SOON = 3.0
 """Seconds that looking, and what the mission does with a step, may take each."""
+TILTING = 12.0
+"""Seconds that tilting the camera may take, with all that is asked for again."""
 ASIDE = 0.15
 """Metres that the vehicle may be carried while it may not move itself, and yet go on to its goal."""
 
@@ -43,6 +46,17 @@ class Eye(Protocol):
 
     def view(self, picture: Picture, camera: Camera) -> tuple[UInt8Array, BoolArray]:
         """The picture as that camera would have taken it, and which of its pixels the lens really saw."""
+
+
+class Mount(Protocol):
+    """The servo that tilts the camera, such as `mavlink.Link`."""
+
+    @property
+    def telemetry(self) -> Telemetry:
+        """`camera_tilt` says how far the camera looks up, radians; NaN where that is not known."""
+
+    def tilt_camera(self, up: float) -> float:
+        """Point it there, and see it point there; raises where it does not, see `Link`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +110,7 @@ class BlueRov2:
         *,
         frozen: Callable[[], bool],
         T_base_camera: SE3 | None = None,
+        mount: Mount | None = None,
         fineness: int = 1,
         manners: Manners | None = None,
         waits: Callable[[], bool] = lambda: False,
@@ -113,7 +128,8 @@ class BlueRov2:
             protocol: By which rules it looks and moves.
             now: The dive's clock.
             frozen: Does the camera show the same while the vehicle moves?
-            T_base_camera: Where the camera looks; as the protocol says, unless given.
+            T_base_camera: Where the camera looks at the launch; as the protocol says, unless given.
+            mount: Tilts it; None where it stays.
             fineness: Pixels of colour along each side of a pixel of depth and labels.
             manners: When a move counts as done.
             waits: Does the operator want no further move?
@@ -125,6 +141,7 @@ class BlueRov2:
         self._perception, self._protocol, self._now, self._threads = perception, protocol, now, threads
         self._frozen = frozen
         self._T_base_camera = T_base_camera or protocol.T_base_camera
+        self._mount = mount
         self._fineness = fineness
         self._manners = manners or Manners()
         self._waits, self._holds = waits, holds
@@ -177,10 +194,13 @@ class BlueRov2:
         )
 
     def go_to(self, setpoint: Setpoint) -> Arrival:
-        """Swim there, and come to rest.
+        """Tilt the camera, swim there, and come to rest.
+
+        To a height the way is straight, and depth is held by the pressure there. A camera that does not tilt
+        is noted, and looked through as it is.
 
         Raises:
-            MissionAborted: The dive is over.
+            MissionAborted: The dive is over, or the mount does not say where the camera looks.
         """
         manners, bridge = self._manners, self._bridge
         while self._waits():
@@ -188,12 +208,12 @@ class BlueRov2:
             bridge.renew()
             self._threads.sleep(POLL)
         goal = SE2(setpoint.x, setpoint.y, setpoint.yaw)
-        here = bridge.fix.T_world_base.se2
-        deadline = self._now() + self._allowed(here, goal)
+        notes = self._tilt(setpoint.tilt)
+        start = bridge.fix
+        deadline = self._now() + self._allowed(start, setpoint)
         bridge.renew()
-        bridge.go(goal, setpoint.altitude)
-        notes: list[str] = []
-        way, still_since, last = 0.0, math.nan, here
+        bridge.go(goal, setpoint.altitude, setpoint.z)
+        way, still_since, last = 0.0, math.nan, start
         holding, stood = False, None
         while True:
             self._threads.sleep(POLL)
@@ -202,11 +222,9 @@ class BlueRov2:
             if self._holds() != holding:
                 holding = not holding
                 if holding:
-                    fix = bridge.fix
-                    height = float(fix.T_world_base.translation[2]) - fix.seabed
-                    bridge.go(fix.T_world_base.se2, height if math.isfinite(height) else setpoint.altitude)
+                    self._stay(setpoint)
                 else:
-                    bridge.go(goal, setpoint.altitude)
+                    bridge.go(goal, setpoint.altitude, setpoint.z)
             if holding:
                 deadline += POLL
                 continue
@@ -214,15 +232,13 @@ class BlueRov2:
             if standing.reason and standing.reason not in notes:
                 notes.append(standing.reason)
             pose, now = fix.T_world_base.se2, self._now()
-            # Not a number, and so no reason to wait, where the floor was never heard.
-            height = float(fix.T_world_base.translation[2]) - fix.seabed
-            way, last = way + last.distance(pose), pose
+            way, last = way + _between(last, fix, setpoint), fix
             there = (
                 standing.stance is not Stance.YIELD
                 and pose.distance(goal) <= manners.near
                 and abs(wrap_angle(goal.yaw - pose.yaw)) <= manners.aligned
-                and not abs(height - setpoint.altitude) > manners.level
-                and float(np.hypot(fix.velocity[0], fix.velocity[1])) <= manners.slow
+                and not abs(_lacking(fix, setpoint)) > manners.level
+                and float(np.linalg.norm(fix.velocity[: 2 if setpoint.z is None else 3])) <= manners.slow
             )
             still_since = (still_since if not math.isnan(still_since) else now) if there else math.nan
             if there and now - still_since >= manners.stay:
@@ -235,7 +251,7 @@ class BlueRov2:
             if stood is not None and stood.distance(pose) > ASIDE:
                 # The way from here to the goal is none that the guard has looked at.
                 notes.append("it was moved aside, and the move ends where it is")
-                bridge.go(pose, setpoint.altitude)
+                bridge.go(pose, setpoint.altitude, None if setpoint.z is None else _height(fix))
                 break
             stood = None
             if now > deadline:
@@ -257,11 +273,61 @@ class BlueRov2:
             truth=truth,
         )
 
-    def _allowed(self, here: SE2, goal: SE2) -> float:
+    def _allowed(self, start: Fix, goal: Setpoint) -> float:
         """Seconds that a move may take."""
-        return 10.0 * (here.distance(goal) + abs(wrap_angle(goal.yaw - here.yaw))) + self._manners.room
+        here = start.T_world_base.se2
+        length = here.distance(SE2(goal.x, goal.y, goal.yaw))
+        if goal.z is not None:
+            length = math.hypot(length, _lacking(start, goal))
+        return 10.0 * (length + abs(wrap_angle(goal.yaw - here.yaw))) + self._manners.room
+
+    def _stay(self, setpoint: Setpoint) -> None:
+        """Hold it where it is: at its altitude, or at its height."""
+        fix = self._bridge.fix
+        pose, altitude = fix.T_world_base.se2, _height(fix) - fix.seabed
+        if setpoint.z is not None:
+            self._bridge.go(pose, None, _height(fix))
+        else:
+            self._bridge.go(pose, altitude if math.isfinite(altitude) else setpoint.altitude)
+
+    def _tilt(self, down: float | None) -> list[str]:
+        """Tilt the camera, and take over where it says that it looks; what there is to note of that."""
+        if down is None:
+            return []
+        if self._mount is None:
+            raise MissionAborted("camera: expected a mount that tilts it, got none")
+        note: list[str] = []
+        self._bridge.renew(TILTING)
+        try:
+            up = self._mount.tilt_camera(-down)
+        except (OSError, RuntimeError, ValueError) as error:
+            # What it was told it may have done in part.
+            up, note = self._mount.telemetry.camera_tilt, [str(error)]
+        if not math.isfinite(up):
+            raise MissionAborted(f"camera: expected a mount that says where it looks, got: {'; '.join(note)}")
+        self._T_base_camera = SE3(camera_mount(-up).rotation, self._T_base_camera.translation)
+        return note
 
     def _check(self) -> None:
         standing = self._bridge.standing
         if standing.stance is Stance.OVER or self._bridge.over:
             raise MissionAborted(f"dive: {self._bridge.over or standing.reason}")
+
+
+def _height(fix: Fix) -> float:
+    """Metres in the world."""
+    return float(fix.T_world_base.translation[2])
+
+
+def _lacking(fix: Fix, goal: Setpoint) -> float:
+    """Metres of height that it lacks, upwards. NaN, and so no reason to wait, without a floor to go by."""
+    if goal.z is not None:
+        return goal.z - _height(fix)
+    assert goal.altitude is not None
+    return goal.altitude - (_height(fix) - fix.seabed)
+
+
+def _between(one: Fix, other: Fix, goal: Setpoint) -> float:
+    """Metres of way: over ground, or where it goes to a height, through the water."""
+    over_ground = one.T_world_base.se2.distance(other.T_world_base.se2)
+    return over_ground if goal.z is None else math.hypot(over_ground, _height(other) - _height(one))

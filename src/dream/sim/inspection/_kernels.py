@@ -102,7 +102,7 @@ def _facing(points: Points, i: int, eye: Float64Array) -> float:
     if length == 0.0:
         return -1.0
     cosine = (points.normal[i, 0] * dx + points.normal[i, 1] * dy + points.normal[i, 2] * dz) / length
-    return abs(cosine) if points.both[i] else cosine
+    return float(abs(cosine) if points.both[i] else cosine)
 
 
 @njit(cache=True, nogil=True)
@@ -169,7 +169,7 @@ def _inspects(
             might -= 1
             if not _hidden(solids, clumps, eye, points.at[i], last):
                 done += 1
-    return done >= needed
+    return bool(done >= needed)
 
 
 @njit(cache=True, nogil=True)

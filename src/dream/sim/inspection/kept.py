@@ -20,12 +20,13 @@ from dream.sim.world import World
 BoolArray = npt.NDArray[np.bool_]
 
 RULE = 1
-"""Counts the rules by which it was worked out; whoever changes one raises it, so that nothing old is taken."""
+"""Counts the rules by which it was worked out: raised with every change, so that nothing old is taken."""
 
 
 def folder() -> Path:
-    """`$XDG_CACHE_HOME/dream-auv`, or `~/.cache/dream-auv`."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "dream-auv"
+    """`$DREAM_CACHE`, or `dream-auv` in `$XDG_CACHE_HOME`, or in `~/.cache`."""
+    beside = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache") / "dream-auv"
+    return Path(os.environ.get("DREAM_CACHE") or beside).expanduser()
 
 
 def countable(world: World, protocol: SurveyProtocol, work_out: Callable[[], BoolArray]) -> BoolArray:

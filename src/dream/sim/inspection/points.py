@@ -66,7 +66,7 @@ def surface_of(world: World, solids: sight.Index, clumps: sight.Index) -> Surfac
 
     They lie on the triangles themselves, above ground, and on a clump on faces that look up. A place that
     something covers, be it the individual itself, bears none: to be open, two of seven ways out of it (along
-    the normal and at 45° to it) must be free for half a metre; a two-sided surface may be open on either side.
+    the normal and at 45° to it) must be free for half a metre. A two-sided surface is open on either side.
     An individual that is covered or buried all over keeps its points where they are. Since a point counts by
     its own normal, one that bends around itself, as a mast does, counts by the side that shows.
     """
@@ -87,10 +87,11 @@ def surface_of(world: World, solids: sight.Index, clumps: sight.Index) -> Surfac
     free = _kernels.are_open(solids, clumps, at, _ways(out), OPEN, FREE_WAYS)
     back = np.flatnonzero(~free & np.repeat(two_sided, PLACES))
     free[back] = _kernels.are_open(solids, clumps, at[back], _ways(-out[back]), OPEN, FREE_WAYS)
-    free = free.reshape(count, PLACES)
-    free |= ~free.any(axis=1)[:, None]
+    open_places = free.reshape(count, PLACES)
+    covered = ~open_places.any(axis=1)
+    open_places[covered] = True
 
-    chosen = _evenly(free)
+    chosen = _evenly(open_places)
     begins = np.concatenate([[0], np.cumsum(chosen.sum(axis=1))])
     return Surface(
         points=places[chosen],
@@ -98,7 +99,7 @@ def surface_of(world: World, solids: sight.Index, clumps: sight.Index) -> Surfac
         owner=np.nonzero(chosen)[0],
         first=begins.astype(np.intp),
         two_sided=two_sided,
-        area=np.bincount(owner, areas, count),
+        area=np.bincount(owner, areas, count).astype(np.float64),
     )
 
 
@@ -131,8 +132,7 @@ def _ways(normals: Float64Array) -> Float64Array:
 
 def _evenly(free: BoolArray) -> BoolArray:
     """(N, PLACES) at most POINTS of the free places of each row, evenly among them."""
-    rank, count = np.cumsum(free, axis=1) - 1, free.sum(axis=1)[:, None]
-    # The free place of a rank is chosen where the share of the points up to it grows by one.
-    return free & (
-        (rank + 1) * POINTS // np.maximum(count, POINTS) > rank * POINTS // np.maximum(count, POINTS)
-    )
+    upto, count = np.cumsum(free, axis=1), np.maximum(free.sum(axis=1), POINTS)[:, None]
+    # One is chosen where the number of points that are due by now grows.
+    due = upto * POINTS // count > (upto - 1) * POINTS // count
+    return np.asarray(free & due, np.bool_)

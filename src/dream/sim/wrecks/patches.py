@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dream.sim.sampling import length, products, steady
-from dream.sim.world import Int32Array, Mesh
+from dream.sim.world import Int32Array, Mesh, UInt8Array
 from dream.sim.wrecks.paint import Weathering, weathering
 from dream.sim.wrecks.shapes import FloatArray, IntArray, Part
 
@@ -42,7 +42,7 @@ def individuals(parts: Sequence[Part], rng: np.random.Generator) -> tuple[tuple[
         pieces = _coloured(cut, weather, rng)
         meshes += pieces
         regions += [part.region] * len(pieces)
-    return tuple(meshes), _groups(meshes, regions)
+    return tuple(meshes), groups(meshes, regions)
 
 
 def areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
@@ -156,6 +156,16 @@ def _coloured(part: Part, weather: Weathering, rng: np.random.Generator) -> list
     colours = weather.colours(part.paint, part.vertices, upward).astype(np.float64)
     colours *= 0.94 + 0.12 * rng.random(len(colours))[:, None]
     albedo = np.clip(np.rint(colours), 0, 255).astype(np.uint8)
+    return pieces(part, albedo)
+
+
+def pieces(part: Part, albedo: UInt8Array) -> list[Mesh]:
+    """The patches of a part as meshes of their own, in the order of their numbers.
+
+    Args:
+        part: Cut into patches.
+        albedo: (V, 3) the colour of each vertex.
+    """
     order = np.argsort(part.cell, kind="stable")
     cell = part.cell[order]
     # All patches at once: a key for each vertex of each patch, in the order of the patches.
@@ -177,7 +187,7 @@ def _coloured(part: Part, weather: Weathering, rng: np.random.Generator) -> list
     ]
 
 
-def _groups(meshes: Sequence[Mesh], regions: Sequence[str]) -> Int32Array:
+def groups(meshes: Sequence[Mesh], regions: Sequence[str]) -> Int32Array:
     """Regions as numbers. One with too few patches joins another so that both together stay compact.
 
     That other has the same first word in its name if any has.

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import SE3, Camera
-from dream.protocol import protocol_named
+from dream.protocol import SurveyProtocol, protocol_named
 from dream.robots.bluerov2.bridge import Bridge, Standing
 from dream.robots.bluerov2.camera import Frames
 from dream.robots.bluerov2.devices import Addresses, Devices
@@ -53,6 +53,7 @@ class Rig:
         self,
         folder: Path,
         world: World,
+        protocol: SurveyProtocol | None = None,
         *,
         seed: int = 1,
         guided: bool = False,
@@ -69,6 +70,7 @@ class Rig:
         Args:
             folder: For the log.
             world: Whose first start is where the vehicle lies, and whose bounds are the fence.
+            protocol: Of the mission; the world's own unless given.
             seed: Of all that is drawn.
             guided: Drive by velocities.
             depth: Metres at which it lies at the launch; at the protocol's altitude unless given.
@@ -80,7 +82,7 @@ class Rig:
             limits: Of the dive; the world's bounds unless given.
         """
         self.world, self.guided, self._pictures = world, guided, pictures
-        self.protocol = protocol_named(world.protocol)
+        self.protocol = protocol or protocol_named(world.protocol)
         self.start = self.protocol.snap(world.starts[0])
         self.limits = limits or Limits(area=world.bounds)
         self.clock = clock = LockStep()
@@ -98,6 +100,7 @@ class Rig:
             self.standin = stack.enter_context(
                 StandIn(
                     world,
+                    self.protocol,
                     seed=seed,
                     ground=SURFACE,
                     host=None,
