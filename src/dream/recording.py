@@ -61,6 +61,8 @@ _PNG_LEVEL = 1
 
 COMPILING = "compiling"
 """In the folder of a run while its program compiles for the first time: empty, as old as that takes."""
+VOLUME = "volume.npz"
+"""In the folder of a run in space: the final map in three dimensions."""
 PRIOR = "prior.npz"
 """In the folder of a run: what it was told of an earlier survey."""
 
@@ -383,6 +385,9 @@ def _recording(
             try:
                 with whole_or_nothing(folder / "map.npz") as partial:
                     step.occupancy.save(partial)
+                if step.occupancy.volume is not None:
+                    with whole_or_nothing(folder / VOLUME) as partial:
+                        step.occupancy.volume.save(partial)
             except OSError as full:
                 if stopped is None:
                     raise

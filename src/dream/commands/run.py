@@ -38,6 +38,7 @@ from dream.planning.vlm import WIRE_TEST, Asking, Ranked, stands_in
 from dream.protocol import protocol_named
 
 if TYPE_CHECKING:
+    from dream.evaluation.metrics import Scorer
     from dream.orders import Orders
     from dream.protocol import SurveyProtocol
     from dream.recording import RecordedStep
@@ -188,11 +189,14 @@ class Run:
             with recording.compiling_noted(folder):
                 stopped = _fly(recorded, f"{name} · {world.name} {world.seed}", total)
         tell_lost(getattr(self.planner, "record", None))
-        summary = summarize(world, name, protocol, scorer, working_time() - began, stopped)
+        with stage("working out what there was to inspect" if protocol.space is not None else "scoring"):
+            summary = summarize(world, name, protocol, scorer, working_time() - began, stopped)
         page = None
         try:
             recording.write_summary(folder, summary)
             with stage("writing report.html"):
+                if protocol.space is not None:
+                    _write_scene(folder, world, scorer)
                 page = write_report(folder)
         except KeyboardInterrupt as interrupt:
             raise _aborted(interrupt, folder) from interrupt
@@ -208,6 +212,19 @@ class Run:
         if stopped is not None:
             raise _aborted(stopped, folder, getattr(self.planner, "record", None)) from stopped
         return told_without_answer(without_answer(summary["vlm"]))
+
+
+def _write_scene(folder: Path, world: World, scorer: Scorer) -> None:
+    """What the report shows in three dimensions, where a map was kept."""
+    from dream import recording
+    from dream.evaluation.flown_scene import write_scene
+    from dream.mapping.volume import Volume
+
+    path = folder / recording.VOLUME
+    if path.exists():
+        title = f"{world.name} {world.seed}"
+        steps = recording.read_steps(folder)
+        write_scene(folder, Volume.load(path), world.bounds, steps, title, (world, scorer))
 
 
 def run_with(path: str) -> type[Run]:
@@ -328,9 +345,17 @@ def _print_outcome(
     for number, leg in enumerate(summary.get("legs", ()), start=1):
         print(f"  leg {number}, {leg['task']} {leg['target']}: {leg['outcome']}, {leg['steps']} steps")
     named = {"instances": "individuals", "clusters": "patches (half seen)", "area": "target area"}
-    print("  seen: " + ", ".join(f"{coverage[key]:.1%} of the {name}" for key, name in named.items()))
+    told, how = "seen", summary.get("inspection")
+    if how is not None:
+        told, named["clusters"] = "inspected", "patches (half of them)"
+    print(f"  {told}: " + ", ".join(f"{coverage[key]:.1%} of the {name}" for key, name in named.items()))
+    if how is not None:
+        print(
+            f"  that is {how['whole']:.1%} of all surface; {how['dropped']:.1%} of it cannot be inspected, "
+            f"{how['seen']:.1%} of the individuals were seen at some angle"
+        )
     if times:
-        print(f"  steps until a share of the individuals was seen: {times}")
+        print(f"  steps until a share of the individuals was {told}: {times}")
     print(
         f"  {summary['collisions']} contacts, {summary['distance_m']:.0f} m "
         f"in {summary['mission_s']:.0f} s of the mission; computed in {summary['wall_s']:.1f} s"
