@@ -49,7 +49,7 @@ def alone(world: World, individual: int) -> World:
     """The world with nothing in it but that individual."""
     chosen = np.arange(len(world.targets)) == individual
     x, y, z = map(float, world.targets.position[individual])
-    ground = z - 30.0 if world.targets_are_hull else float(world.terrain.height(x, y))
+    ground = z - 30.0 if world.hull[individual] else float(world.terrain.height(x, y))
     return replace(
         world,
         targets=world.targets.chosen(chosen),

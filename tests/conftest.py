@@ -51,6 +51,14 @@ def progress_is_not_told_by_the_machines_clock() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def what_is_kept_of_worlds_is_not_the_users(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Nor is anything taken that another version of the rules has worked out."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DREAM_CACHE", str(tmp_path_factory.mktemp("kept")))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def worlds_are_prepared_once() -> Iterator[None]:
     """For the camera of a robot and for scores, where the very same world is flown again and again.
 

@@ -196,6 +196,33 @@ def _prior() -> Kind:
     return Kind(seeds, _file("prior.npz", lambda path: Prior.load(path, about, bounds, 0.25)))
 
 
+def _space() -> Kind:
+    from dream.scene import encoded, load, made, mapped, save
+    from dream.scene.parts import Path as Way
+    from tests.scene.test_building import ABOUT, ball, targets
+
+    def seeds(folder: Path) -> list[bytes]:
+        one, at = ball(3, (2.0, 2.0, -5.0)), np.arange(3)
+        way = Way(
+            at.astype(np.int32),
+            np.zeros((3, 3), np.float32),
+            np.zeros(3, np.float32),
+            np.zeros(3, np.float32),
+            at > 1,
+        )
+        scene = made(
+            **ABOUT,
+            targets=targets(one, np.zeros(len(one), int), 1),
+            obstacles=one + 3.0,
+            voxels=mapped(0.5, np.column_stack([at, at, at]) * 0.5, at > 0, at, at - 1),
+            path=way,
+        )
+        save(scene, folder / "space.npz")
+        return [(folder / "space.npz").read_bytes()]
+
+    return Kind(seeds, _file("space.npz", lambda path: encoded(load(path))))
+
+
 def _lesson() -> Kind:
     from dream.learning import rollouts
 
@@ -437,6 +464,7 @@ KINDS: dict[str, Callable[[], Kind]] = {
     "map": _map,
     "observation": _observation,
     "prior": _prior,
+    "space": _space,
     "lesson": _lesson,
     "survey": _survey,
     "geopackage": _geopackage,

@@ -411,7 +411,7 @@ def test_a_planner_that_asks_a_model_is_chosen_and_explained_without_its_client_
         (["survey", "remove", "x"], "dream: SURVEY: expected a whole number, got x. Add --help"),
         (
             ["export", "x"],
-            "dream: expected --to PATH (folder to make) and --title TEXT (name of the data set), got",
+            "dream: expected --to PATH (folder to make, or a file .glb or .ply), got none.",
         ),
         (["report"], "dream: expected RUN (folder of the run; runs/latest is the newest), got none."),
         (["bench", "paper", "--protocol", "pool-v1"], "reef/fringing is made for dream-v1, got pool-v1"),

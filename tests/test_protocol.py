@@ -133,8 +133,10 @@ def test_space_that_cannot_be_is_refused(change: dict[str, Any], message: str) -
     "wrong",
     [
         {"labels": ((5.0, 0.1), (2.0, 0.2))},
-        {"labels": ((2.0, 1.5),)},
+        {"labels": ((2.0, 0.95),)},
+        {"labels": ((2.0, -0.1),)},
         {"blob": (2.0, 0.5)},
+        {"blob": (0.1, 0.5)},
         {"depth": 0.6},
         {"height": -1.0},
         {"tilt": math.nan},
@@ -147,6 +149,7 @@ def test_lasting_errors_that_cannot_be_are_refused(wrong: dict[str, Any]) -> Non
 
 def test_noisy_variants_differ_in_nothing_but_noise() -> None:
     assert noisy_variants(DREAM_V1) == [DREAM_V1_NOISY]
+    assert noisy_variants(protocol_named("dream-v2-draft-true")) == [DREAM_V2_DRAFT]
     assert noisy_variants(replace(DREAM_V1, reach=7.0)) == []
     assert noisy_variants(POOL_V1) == []
 

@@ -410,5 +410,6 @@ def noisy_variants(protocol: SurveyProtocol) -> list[SurveyProtocol]:
     return [
         other
         for other in PROTOCOLS.values()
-        if other.noise is not None and replace(other, name=protocol.name, noise=protocol.noise) == protocol
+        if other.noise is not None
+        and replace(other, name=protocol.name, noise=protocol.noise, lasting=protocol.lasting) == protocol
     ]

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dream import scene
 from dream.cli import run_command
 from dream.evaluation import results
 from dream.evaluation.engines import Processes
@@ -178,6 +179,16 @@ def test_every_array_of_a_map_is_told(tmp_path: Path) -> None:
     assert seen == set(told)
     (row,) = re.findall(r"^\| `about` .* JSON: (.*)$", PAGE, re.MULTILINE)
     assert set(about) == set(re.findall(r"`(\w+)`", row)) - {"ground_sum"}
+
+
+def test_every_array_of_a_scene_is_told_with_its_type(tmp_path: Path) -> None:
+    bounds = [[0.0, 0.0, -1.0], [1.0, 1.0, 0.0]]
+    scene.save(scene.made(title="", bounds=bounds, water=0.0, field_of_view=(1.0, 1.0)), tmp_path / "s.npz")
+    told = types("space.npz")
+    with np.load(tmp_path / "s.npz") as arrays:
+        assert set(arrays.files) == set(described("space.npz"))
+        numbers = {name: str(arrays[name].dtype) for name in arrays.files if arrays[name].dtype.kind != "U"}
+    assert numbers == {name: told[name].rpartition(" ")[2] for name in numbers}
 
 
 def test_every_array_of_a_prior_is_told(tmp_path: Path) -> None:

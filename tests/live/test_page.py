@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -20,6 +21,7 @@ from dream.live.doors import Doors
 from dream.live.folders import Watched
 from dream.live.server import listen, serve
 from tests.live.runs import STEPS, Growing
+from tests.live.test_space import put
 from tests.programs import CHROMIUM, do_without
 
 pytestmark = pytest.mark.slow
@@ -162,6 +164,34 @@ def test_a_page_that_was_out_of_sight_for_an_hour_keeps_up(
     run.write()
     counter(page, 4, 4)
     assert not complaints
+
+
+def test_a_scene_grows_with_its_run_and_goes_with_it(
+    page: Page, complaints: list[str], show: Callable[..., Shown], growing: Make
+) -> None:
+    flat, deep = growing("flat").write(2), growing("deep", world="wreck/1").write(3)
+    shown = show(flat.folder, deep.folder)
+    page.goto(shown.address)
+    counter(page, 1, 1)
+    expect(page.locator("#space-panel")).to_be_hidden()
+    page.locator(".card", has_text="wreck/1").click()
+    counter(page, 2, 2)
+    expect(page.locator("#space-panel")).to_be_hidden()
+    put(deep, 3)
+    expect(page.locator("#space-counts")).to_have_text("ball: 1 of 2 inspected, 1 seen")
+    page.locator("#space-view").scroll_into_view_if_needed()
+    expect(page.locator("#space")).to_have_attribute("data-drawn", re.compile("[1-9]"))
+    page.keyboard.press("ArrowLeft")
+    counter(page, 1, 2)
+    expect(page.locator("#space-counts")).to_have_text("ball: 0 of 2 inspected, 0 seen")
+    page.keyboard.press("End")
+    (deep.folder / "space.npz").write_bytes(b"nothing")
+    expect(page.locator("#space-note")).to_contain_text("space.npz: expected a scene")
+    put(deep, 3)
+    expect(page.locator("#space-note")).to_be_hidden()
+    page.locator(".card", has_text="reef/string").click()
+    expect(page.locator("#space-panel")).to_be_hidden()
+    assert [line for line in complaints if "WebGL" not in line] == []
 
 
 def test_a_lost_connection_is_told_and_made_up_for(

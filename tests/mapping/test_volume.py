@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy import ndimage
 
-from dream.geometry import SE3, Camera, camera_mount
+from dream.geometry import SE3, Bounds, Camera, camera_mount
 from dream.mapping._kernels import volume_frame as frame_kernels
 from dream.mapping.volume import (
     FREE,
@@ -31,6 +34,7 @@ from dream.protocol import DREAM_V2_DRAFT, DREAM_V2_TRUE_DRAFT, LastingErrors, S
 from dream.types import Label
 
 PROTOCOL = DREAM_V2_TRUE_DRAFT
+INCIDENCE = math.radians(70.0)
 CAMERA = Camera.from_fov(160, 120, math.radians(90.0))
 Array = npt.NDArray[Any]
 Distance = Callable[[Array], Array]
@@ -178,9 +182,9 @@ class Twin:
         self.sides |= np.where(believed & (hits[..., 3] > 0), bits, np.uint32(0))
 
     def _facing(self, inverse: Array, camera: Camera) -> Array:
-        """By least squares in every tile: 1 / depth = a x + b y + c over a plane whose normal is (a, b, c)."""
+        """By least squares in every tile: 1 / depth = a x + b y + c on a plane with normal (a, b, c)."""
         facing = np.zeros(inverse.shape, np.bool_)
-        limit = self.protocol.space.incidence
+        limit = INCIDENCE
         for i in range(0, camera.height - 3, 4):
             for j in range(0, camera.width - 3, 4):
                 w = inverse[i : i + 4, j : j + 4].ravel()
@@ -475,6 +479,289 @@ def test_a_move_is_clear_as_far_as_the_body_fits() -> None:
     # It may leave what it touches, and go no nearer.
     touching = volume.room([[4.7, 0.0, -5.0]] * 2, [[4.0, 0.0, -5.0], [4.8, 0.0, -5.0]])
     assert touching.clear.tolist() == [True, False]
+
+
+# ------------------------------------------------------------------- surfaces, frontiers, views, files
+
+
+@pytest.fixture(scope="module")
+def corner() -> Volume:
+    """A floor, a crate and a ball, seen from three sides."""
+    things = [FLOOR, box((2.1, -0.9, -11.0), (3.4, 0.8, -8.6)), ball((1.2, 1.9, -9.3), 0.6)]
+    return looked(
+        things,
+        pose(-1.0, 0.0, -8.0, tilt=0.35),
+        pose(2.5, 3.5, -7.5, yaw=-1.6, tilt=0.6),
+        pose(0.5, -2.0, -8.4, yaw=0.7, tilt=0.2),
+        protocol=replace(PROTOCOL, reach=4.0),
+    )
+
+
+def states_around(volume: Volume) -> tuple[Array, Array]:
+    """All states, with an unknown margin, as (levels, rows, cols), and the low corner's level, row and col."""
+    assert volume.box is not None
+    low, high = volume.box / volume.cell
+    first = np.rint(low).astype(int)[::-1] - 2
+    size = np.rint(high - low).astype(int)[::-1] + 4
+    index = np.stack(np.meshgrid(*(np.arange(n) for n in size), indexing="ij"), axis=-1) + first
+    return volume.state((index[..., ::-1].reshape(-1, 3) + 0.5) * volume.cell).reshape(size), first
+
+
+def test_the_surface_is_all_that_is_solid_and_touches_free_water(corner: Volume) -> None:
+    states, first = states_around(corner)
+    at_face = ndimage.binary_dilation(states == FREE, ndimage.generate_binary_structure(3, 1))
+    expected = (np.argwhere((states == SOLID) & at_face) + first)[:, ::-1] * corner.cell + 0.5 * corner.cell
+    surface = corner.surface()
+    assert len(expected) > 500
+    assert sorted(map(tuple, expected)) == sorted(map(tuple, surface.middles))
+    np.testing.assert_allclose(np.linalg.norm(surface.normals, axis=1), 1.0)
+    np.testing.assert_allclose(surface.target, corner.target(surface.middles))
+
+
+def slow_frontiers(volume: Volume) -> list[tuple[Any, ...]]:
+    states, first = states_around(volume)
+    faces = ndimage.generate_binary_structure(3, 1)
+    edge = (states == UNKNOWN) & ndimage.binary_dilation(states == FREE, faces)
+    by_solid = ndimage.binary_dilation(states == SOLID, faces)
+    index = np.argwhere(edge) + first
+    found = []
+    for home in np.unique(index // 8, axis=0):
+        inside = np.zeros((8, 8, 8), np.bool_)
+        inside[tuple((index[(index // 8 == home).all(axis=1)] - 8 * home).T)] = True
+        parts, count = ndimage.label(inside, np.ones((3, 3, 3)))
+        for part in range(1, count + 1):
+            voxels = np.argwhere(parts == part) + 8 * home
+            solid = by_solid[tuple((voxels - first).T)].any()
+            middle = tuple(np.round((voxels.mean(axis=0) + 0.5)[::-1] * volume.cell, 9))
+            low, past = voxels.min(axis=0)[::-1], voxels.max(axis=0)[::-1] + 1
+            found.append((middle, len(voxels), tuple(low * volume.cell), tuple(past * volume.cell), solid))
+    return sorted(found)
+
+
+def listed(volume: Volume) -> list[tuple[Any, ...]]:
+    clusters = volume.frontiers()
+    return sorted(
+        (tuple(np.round(middle, 9)), size, tuple(low), tuple(high), solid)
+        for middle, size, (low, high), solid in zip(
+            clusters.middles, clusters.sizes, clusters.boxes, clusters.solid, strict=True
+        )
+    )
+
+
+def test_frontiers_are_those_of_a_plain_twin_and_keep_up_with_the_map(corner: Volume) -> None:
+    volume = corner.copy()
+    assert listed(volume) == slow_frontiers(volume)
+    assert len(listed(volume)) > 50
+    view = pose(0.0, 0.0, -8.0, yaw=2.0)
+    volume.integrate(*render([FLOOR], view), CAMERA, view)
+    volume.clear((-6.0, -9.0, -8.0), 1.5)
+    assert listed(volume) == slow_frontiers(volume)
+    assert listed(volume) == listed(volume)
+    clusters, part = volume.frontiers(), volume.frontiers(((-8.0, -11.0, -10.0), (-4.0, -7.0, -6.0)))
+    assert 0 < len(part.sizes) < len(clusters.sizes)
+    assert part.solid.sum() == 0 < clusters.solid.sum()
+
+
+def test_frontiers_of_nothing_are_none() -> None:
+    volume = Volume(PROTOCOL)
+    assert len(volume.frontiers().sizes) == 0
+    assert len(volume.surface().area) == 0
+
+
+def slow_visible(
+    volume: Volume, place: Array, yaw: float, tilt: float, points: Array, normals: Array
+) -> Array:
+    protocol, cell = volume.protocol, volume.cell
+    T = pose(place[0], place[1], place[2], yaw, tilt)
+    offsets = points - place
+    away = np.linalg.norm(offsets, axis=1)
+    pixel, z = protocol.camera.project(T.inverse @ points)
+    shown = (away <= protocol.reach) & (z >= protocol.returns[0]) & (z <= protocol.returns[1])
+    with np.errstate(invalid="ignore"):
+        shown &= ((pixel >= 0.0) & (pixel < (protocol.camera.width, protocol.camera.height))).all(axis=1)
+    shown &= -np.sum(offsets * normals, axis=1) >= math.cos(INCIDENCE) * away
+    for n in np.flatnonzero(shown):
+        end = points[n] + cell * normals[n]
+        length = np.linalg.norm(end - place)
+        steps = np.linspace(0.0, max(1.0 - float(cell / length), 0.0), 3000)[:, None]
+        shown[n] = not (volume.state(place + steps * (end - place)) == SOLID).any()
+    return np.asarray(shown)
+
+
+def test_views_are_those_of_a_plain_twin(corner: Volume) -> None:
+    surface = corner.surface()
+    cameras = np.array([[-0.5, -0.3, -8.2], [2.0, 3.1, -8.9], [0.3, 0.4, -7.1]])
+    yaws, tilts = np.array([0.1, -1.3, 2.0]), np.array([-0.4, 0.35, 0.8])
+    starts, members = corner.visible(cameras, yaws, tilts, surface.middles, surface.normals)
+    assert len(starts) == 28
+    wrong, total = 0, 0
+    for p, k, t in itertools.product(range(3), repeat=3):
+        n = (p * 3 + k) * 3 + t
+        found = np.zeros(len(surface.middles), np.bool_)
+        found[members[starts[n] : starts[n + 1]]] = True
+        slow = slow_visible(corner, cameras[p], yaws[k], tilts[t], surface.middles, surface.normals)
+        wrong, total = wrong + int((found != slow).sum()), total + int(slow.sum())
+    assert total > 300
+    # Samples miss a voxel that a line cuts in a corner.
+    assert wrong <= 0.01 * total
+    every = corner.visible(cameras, yaws, tilts, surface.middles)[1]
+    assert len(every) > len(members)
+
+
+def test_what_a_crate_hides_is_not_shown() -> None:
+    crate = box((3.0, -2.0, -12.0), (4.0, 2.0, -6.0))
+    volume = looked([FLOOR, crate], pose(0.0, 0.0, -8.0))
+    points = [[2.0, 0.0, -9.0], [5.0, 0.0, -9.0], [5.0, 0.0, -4.5]]
+    starts, members = volume.visible([[0.0, 0.0, -8.0]], [0.0], [0.0], points)
+    assert members.tolist() == [0, 2]
+    assert starts.tolist() == [0, 2]
+
+
+def test_from_above_a_mounds_unseen_flank_is_not_explored() -> None:
+    mound = ball((3.0, 0.0, -10.2), 1.2)
+    volume = looked([FLOOR, mound], pose(0.0, 0.0, -9.2, tilt=0.2))
+    above = volume.above(Bounds(1.0, -2.0, 5.0, 2.0))
+    assert above.explored.shape == (16, 16)
+    row, front, back = 8, 4, 11
+    assert above.explored[row, front]
+    assert not above.explored[row, back]
+    assert above.explored[2, 0]
+    # What is no wider than 3 m stands on the ground, half a metre and more above it.
+    assert above.solid[row, front]
+    assert above.target[row, front] == 1.0
+    assert above.ground[row, front] == pytest.approx(-10.125, abs=0.26)
+    assert above.top[row, front] > -9.5
+    assert not above.solid[2, 0]
+    assert above.target[2, 0] == 0.0
+    nothing = volume.above(Bounds(100.0, 100.0, 101.0, 101.0))
+    assert np.isnan(nothing.ground).all()
+    assert not nothing.explored.any()
+
+
+def test_from_above_a_slope_is_ground() -> None:
+    slope = plane((0.0, 0.0, -10.0), (-0.4, 0.0, 1.0))
+    volume = looked([slope], *(pose(x, 0.0, -6.0 + 0.4 * x, tilt=1.0) for x in (0.0, 1.5, 3.0)))
+    above = volume.above(Bounds(2.0, -1.0, 5.0, 1.0))
+    x = 2.0 + (np.arange(12) + 0.5) * 0.25
+    assert above.explored.all()
+    assert not above.solid.any()
+    np.testing.assert_allclose(above.ground, np.broadcast_to(-10.0 + 0.4 * x, (8, 12)), atol=0.4)
+
+
+def test_a_copy_is_its_own(corner: Volume) -> None:
+    copy, points = corner.copy(), grid((-1.0, -3.0, -11.0), (5.0, 4.0, -6.0), 0.25)
+    before = corner.state(points)
+    np.testing.assert_array_equal(copy.state(points), before)
+    view = pose(0.0, 0.0, -8.0, yaw=-2.0)
+    for _ in range(2):
+        copy.integrate(*render([FLOOR], view), CAMERA, view)
+    copy.clear((0.0, -3.0, -8.0), 2.0)
+    np.testing.assert_array_equal(corner.state(points), before)
+    assert (copy.state(points) != before).any()
+    assert copy.revision == corner.revision + 3
+
+
+def test_what_was_saved_is_loaded_and_goes_on_alike(corner: Volume, tmp_path: Path) -> None:
+    corner.save(tmp_path / "volume.npz")
+    loaded = Volume.load(tmp_path / "volume.npz")
+    assert (loaded.protocol, loaded.cell, loaded.revision) == (corner.protocol, 0.25, corner.revision)
+    assert loaded.nbytes == pytest.approx(corner.nbytes, rel=0.2)
+    view, kept = pose(0.0, 0.0, -8.0, yaw=0.4), corner.copy()
+    for volume in (loaded, kept):
+        volume.integrate(*render([FLOOR], view), CAMERA, view)
+    points = grid((-4.0, -5.0, -11.0), (6.0, 6.0, -5.0), 0.25)
+    np.testing.assert_array_equal(loaded.probability(points), kept.probability(points))
+    np.testing.assert_array_equal(loaded.target(points), kept.target(points))
+    assert listed(loaded) == listed(kept)
+    for one, other in zip(by_place(loaded), by_place(kept), strict=True):
+        np.testing.assert_array_equal(one, other)
+    Volume(PROTOCOL, 0.3).save(tmp_path / "nothing.npz")
+    assert Volume.load(tmp_path / "nothing.npz").box is None
+
+
+def by_place(volume: Volume) -> list[Array]:
+    surface = volume.surface()
+    order = np.lexsort(surface.middles.T)
+    return [getattr(surface, name)[order] for name in ("middles", "normals", "target", "seen", "sides")]
+
+
+def changed(name: str, change: Callable[[Array], Any]) -> Callable[[dict[str, Array]], None]:
+    def apply(content: dict[str, Array]) -> None:
+        content[name] = np.asarray(change(content[name].copy()))
+
+    return apply
+
+
+def put(index: Any, value: Any) -> Callable[[Array], Array]:
+    def apply(array: Array) -> Array:
+        array[index] = value
+        return array
+
+    return apply
+
+
+def said(name: str, value: Any) -> Callable[[dict[str, Array]], None]:
+    return changed("about", lambda text: json.dumps(json.loads(str(text)) | {name: value}))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (lambda content: content.pop("sides"), "expected the arrays"),
+        (lambda content: content.update(more=np.zeros(3)), "expected the arrays"),
+        (changed("about", lambda text: 7), "about: expected a text"),
+        (said("format", "dream-map-2"), "format"),
+        (said("cell", 0.0), "cell"),
+        (said("cell", 1e-9), "reach: expected at most"),
+        (said("cell", float("nan")), "cell"),
+        (said("revision", -1), "revision"),
+        (said("revision", 1), "stamps: expected 0 to 1"),
+        (said("sees", -1.0), "sees"),
+        (said("protocol", {}), "protocol"),
+        (changed("names", lambda a: a[:, :2]), "names: expected"),
+        (changed("names", lambda a: a.astype(np.int64)), "names: expected"),
+        (changed("names", put(0, [0, 0, 1 << 21])), "names: expected different bricks"),
+        (changed("names", lambda a: put(0, a[1])(a)), "names: expected different bricks"),
+        (changed("log_odds", lambda a: a[1:]), "log_odds: expected"),
+        (changed("log_odds", put((0, 0), 71)), "log_odds: expected -16 to 70"),
+        (changed("log_odds", put((0, 0), -128)), "log_odds: expected -16 to 70"),
+        (changed("surfaces", put(0, 0)), "surfaces: expected rising"),
+        (changed("surfaces", put(-1, 10**6)), "surfaces: expected rising"),
+        (changed("surfaces", lambda a: a[::-1]), "surfaces: expected rising"),
+        (changed("votes", put((0, 0), [9, 3])), "votes: expected no more"),
+        (changed("seen", put((0, 0), 2)), "seen: expected 0 or 1"),
+        (changed("stamps", put(0, -1)), "stamps: expected"),
+        (
+            lambda content: [
+                content.update({name: content[name][1:]}) for name in ("surfaces", "votes", "seen", "sides")
+            ],
+            "surfaces: expected every brick",
+        ),
+    ],
+)
+def test_a_file_that_is_no_volume_is_refused(
+    corner: Volume, tmp_path: Path, wrong: Callable[[dict[str, Array]], Any], words: str
+) -> None:
+    path = tmp_path / "volume.npz"
+    corner.save(path)
+    with np.load(path) as file:
+        content = dict(file)
+    wrong(content)
+    np.savez_compressed(path, **content)
+    with pytest.raises(ValueError, match=words):
+        Volume.load(path)
+
+
+def test_a_file_that_is_cut_or_missing_is_refused(corner: Volume, tmp_path: Path) -> None:
+    path = tmp_path / "volume.npz"
+    corner.save(path)
+    whole = path.read_bytes()
+    for length in (0, 10, len(whole) // 2, len(whole) - 1):
+        path.write_bytes(whole[:length])
+        with pytest.raises(ValueError, match="expected a volume written by save"):
+            Volume.load(path)
+    with pytest.raises(FileNotFoundError):
+        Volume.load(tmp_path / "none.npz")
 
 
 # ------------------------------------------------------------------------------------------- refusals

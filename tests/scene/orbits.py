@@ -39,7 +39,7 @@ def orbited(name: str = "wreck/1", seed: int = 1004, steps: int = 60) -> Scene:
         targets=Targets(
             triangles,
             owner,
-            ("hull",) if world.targets_are_hull else ("oysters",),
+            ("hull",) if world.hull.all() else ("oysters",),
             np.zeros(len(world.targets), np.uint8),
             seen_at,
             inspected_at,

@@ -128,6 +128,7 @@ class View:
 
     def picture(self) -> Array:
         """(H, W, 3) of the canvas, once nothing is to be drawn any more."""
+        self.page.locator("#space-view").scroll_into_view_if_needed()
         self.page.wait_for_selector("#space[data-drawn]:not([data-moving])")
         self.page.evaluate("() => new Promise((drawn) => requestAnimationFrame(() => setTimeout(drawn, 30)))")
         png = self.page.locator("#space-view").screenshot()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from scipy import ndimage
+from scipy import ndimage, stats
 
 from dream.geometry import SE2, SE3, Camera
 from dream.protocol import DREAM_V2_DRAFT, LastingErrors
@@ -25,6 +26,8 @@ COARSE = CAMERA.scaled(0.25)
 """For what is counted over many views."""
 SHAPE = CAMERA.height, CAMERA.width
 MISSED_AS = np.full(3, Label.OBSTACLE, np.uint8)
+WORD, GOLDEN = 2**64 - 1, 0x9E3779B97F4A7C15
+
 Wrong = npt.NDArray[np.bool_]
 
 
@@ -170,6 +173,78 @@ def test_patches_are_as_wide_as_they_should_be() -> None:
 def test_without_any_share_nothing_is_wrong() -> None:
     for none in ((), ((2.0, 0.0),)):
         assert not below(8.0, replace(LASTING, labels=none)).any()
+
+
+def mixed(x: int) -> int:
+    """SplitMix64's output function, in whole numbers of Python."""
+    x = (x ^ x >> 30) * 0xBF58476D1CE4E5B9 & WORD
+    x = (x ^ x >> 27) * 0x94D049BB133111EB & WORD
+    return x ^ x >> 31
+
+
+def balls(
+    lasting: LastingErrors, key: int, kind: int, low: list[int], past: list[int]
+) -> npt.NDArray[np.float64]:
+    """(n, 5) middle, radius and least share of each ball whose middle is in a box of cells."""
+    (least, greatest), densest = lasting.blob, max(share for _, share in lasting.labels)
+    widths = np.linspace(least, greatest, 20001)
+    mean = -math.log(1.0 - densest) / np.mean(math.pi / 6.0 * widths**3) * greatest**3
+    cumulative = stats.poisson.cdf(np.arange(200), mean)
+    found = []
+    for cell in itertools.product(*map(range, low, past)):
+        state = key + kind
+        for step in cell:
+            state = mixed((state + step + GOLDEN) & WORD)
+        numbers = ((mixed((state + n * GOLDEN) & WORD) >> 11) / 2.0**53 for n in itertools.count(1))
+        for _ in range(int(np.searchsorted(cumulative, next(numbers), side="right"))):
+            middle = [(a + next(numbers)) * greatest for a in cell]
+            radius = 0.5 * (least + (greatest - least) * next(numbers))
+            found.append([*middle, radius, 1.0 - (1.0 - densest) ** next(numbers)])
+    return np.array(found).reshape(-1, 5)
+
+
+# A narrow view is of few cells, whose balls are mostly of those around.
+@pytest.mark.parametrize("fov", [20.0, 90.0])
+@pytest.mark.parametrize(("label", "densest"), [(Label.SEABED, 0.25), (Label.TARGET, 0.6)])
+@pytest.mark.parametrize("x", [3.1, -17.4, 40.2])
+def test_the_kernel_finds_what_all_balls_cover(label: Label, densest: float, x: float, fov: float) -> None:
+    lasting = replace(LASTING, labels=((2.0, 0.02), (5.0, 0.1), (8.0, densest)))
+    key, place = 77, np.array([x, -2.2, -8.0])
+    pose = SE3.level(x, -2.2, -8.0, 0.1 * x) @ DREAM_V2_DRAFT.T_base_camera
+    camera = Camera.from_fov(24, 18, math.radians(fov))
+    rows, cols = np.indices((camera.height, camera.width))
+    # Steps in depth, so that rows end in the middle of cells.
+    frame = showing(3.5 + (rows % 7) * 0.5 + (cols % 5) * 0.5, label)
+    wrong = with_wrong_labels(frame, camera, pose, lasting, key, MISSED_AS) != label
+
+    points = camera.back_project(frame.depth, pose).reshape(-1, 3)
+    shares = np.interp(np.linalg.norm(points - place, axis=1), *np.array(lasting.labels).T)
+    a, b, c = points.T
+    sway, wave = 0.25 * lasting.blob[0], 2.5 * lasting.blob[0]
+    a = a + sway * parabolas((0.93 * b + 0.67 * c) / wave)
+    b = b + sway * parabolas((1.12 * a - 0.81 * c) / wave)
+    c = c + sway * parabolas((0.74 * a + 0.98 * b) / wave)
+    swayed = np.stack([a, b, c], axis=1)
+    side = lasting.blob[1]
+    low = np.floor(swayed.min(axis=0) / side).astype(int) - 2
+    past = np.floor(swayed.max(axis=0) / side).astype(int) + 3
+    expected = np.zeros(len(points), np.bool_)
+    for ball in balls(lasting, key, int(label == Label.TARGET), low.tolist(), past.tolist()):
+        expected |= (np.linalg.norm(swayed - ball[:3], axis=1) < ball[3]) & (ball[4] < shares)
+    assert 0.0 < expected.mean() < 1.0
+    np.testing.assert_array_equal(wrong.ravel(), expected)
+
+
+def parabolas(t: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Of period 1 and within ±1, as minus a sine."""
+    u = np.mod(t, 1.0)
+    return np.where(u < 0.5, -16.0 * u * (0.5 - u), 16.0 * (u - 0.5) * (1.0 - u))
+
+
+def test_a_share_below_the_greatest_is_as_exact_as_that() -> None:
+    sparse = replace(LASTING, labels=((1.0, 0.5), (90.0, 0.5), (91.0, 0.9)))
+    shares = np.array([below(6.0, sparse, x=37.0 * k, camera=COARSE).mean() for k in range(60)])
+    assert abs(shares.mean() - 0.5) < 4.0 * shares.std() / math.sqrt(len(shares))
 
 
 @pytest.mark.parametrize(("share", "blob"), [(0.9, (0.2, 0.2)), (0.9, (1.0, 5.0)), (0.5, (0.2, 2.0))])

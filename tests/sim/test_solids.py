@@ -8,10 +8,13 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from dream.geometry import SE2, Bounds
 from dream.protocol import DREAM_V1
-from dream.sim.solids import Solids
+from dream.protocol import DREAM_V2_TRUE_DRAFT as DREAM_V2
+from dream.sim.solids import FreeSpace, Solids
 from dream.sim.world import Mesh, World
 from tests.sim.arenas import EYE, FLOOR, HALF, arena, flat, placed
 
@@ -417,3 +420,72 @@ def test_a_level_way_over_level_ground_is_the_planar_one() -> None:
     through = solids.passes_through(np.hstack([starts, level]), np.hstack([ends, level]), DREAM_V1)
     assert through.tolist() == passed.tolist()
     assert 0 < passed.sum() < 40
+
+
+def nodes_of(space: FreeSpace, which: npt.NDArray[np.bool_]) -> Array:
+    """(K, 3) metres."""
+    level, row, col = np.nonzero(which)
+    return (np.array(space.first) + np.column_stack([col, row, level])) * space.spacing
+
+
+def test_free_space_keeps_to_the_heights_of_the_protocol() -> None:
+    # A block 3 m high and 2 m wide; the surface is at z = 0 and the seabed at −10 m.
+    world = arena(placed(0, [[2.0, 0, FLOOR]], [2, 2, 3]))
+    space = Solids(world).free_space(DREAM_V2)
+    nodes = nodes_of(space, space.reachable)
+    away = np.abs(nodes[:, :2] - (2.0, 0.0)).max(axis=1)
+    over, far = nodes[away < 1.0], nodes[away > 2.5]
+    # 0.8 m over ground, and 5 m over ground or over the block; 0.2 m of the body are below its centre.
+    assert (far[:, 2].min(), far[:, 2].max()) == (-9.0, -5.0)
+    assert (over[:, 2].min(), over[:, 2].max()) == (-6.5, -2.0)
+    shallow = replace(world, terrain=replace(world.terrain, heights=world.terrain.heights + 6.0))
+    high = Solids(shallow).free_space(DREAM_V2)
+    assert nodes_of(high, high.reachable)[:, 2].max() == -0.5
+
+
+def test_every_place_that_is_reached_in_space_is_reached_by_free_sweeps() -> None:
+    # A room with a door in its roof, one without, and rocks about.
+    walls = [
+        (1.75, 0, 0.2, 3.2, 3.0),
+        (-1.75, 0, 0.2, 3.2, 3.0),
+        (0, 1.75, 3.7, 0.2, 3.0),
+        (0, -1.75, 3.7, 0.2, 3.0),
+    ]
+    boxes = [(2.5 + x, y - 2.5, FLOOR, w, d, h) for x, y, w, d, h in walls]
+    boxes += [(-2.5 + x, y + 2.5, FLOOR, w, d, h) for x, y, w, d, h in walls]
+    boxes += [(-2.5, 2.5, FLOOR + 3.0, 3.7, 3.7, 0.1), (3.5, -2.5, FLOOR + 3.0, 1.7, 3.7, 0.1)]
+    boxes += [(-3.0, -3.0, FLOOR, 1.3, 1.1, 1.6), (3.2, 3.1, FLOOR, 1.2, 1.4, 2.6)]
+    rows = np.array(boxes)
+    world = replace(arena(placed(0, rows[:, :3], rows[:, 3:])), bounds=Bounds(-4.5, -4.5, 4.5, 4.5))
+    solids = Solids(world)
+    # Fewer moves than the protocol has: all of them are tried below.
+    assert DREAM_V2.space is not None
+    fewer = replace(DREAM_V2, advances=(1.0,), space=replace(DREAM_V2.space, climbs=(-0.5, 0.5)))
+    space = solids.free_space(fewer)
+    assert space.free[space.reachable].all()
+    index = {tuple(n): k for k, n in enumerate(np.argwhere(space.free))}
+    ahead = {fewer.offset(h, a) for h in range(12) for a in (0.0, *fewer.advances)}
+    moves = [(round(c / 0.5), n, e) for e, n in ahead for c in fewer.climbs if (e, n, c) != (0, 0, 0.0)]
+    at = (np.argwhere(space.free)[:, ::-1] + np.array(space.first)) * space.spacing
+    pairs = [
+        (k, index[to])
+        for n, k in index.items()
+        for move in moves
+        if (to := tuple(int(v) for v in np.add(n, move))) in index
+    ]
+    starts, ends = np.array(pairs).T
+    passed = solids.passes_through(at[starts], at[ends], DREAM_V2)
+    graph = coo_matrix((np.ones(int(passed.sum())), (starts[passed], ends[passed])), shape=(len(at), len(at)))
+    _, part = connected_components(graph, directed=False)
+    start = index[tuple(np.rint(np.array([-8.0, 0.0, 0.0]) / 0.5).astype(int) - np.array(space.first)[::-1])]
+    assert (space.reachable[space.free] == (part == part[start])).all()
+    inside = (np.abs(at[:, :2] - (-2.5, 2.5)) < 1.6).all(axis=1) & (at[:, 2] < FLOOR + 3.0)
+    below_door = (np.abs(at[:, :2] - (2.5, -2.5)) < 1.6).all(axis=1) & (at[:, 2] < FLOOR + 2.0)
+    assert inside.sum() > 20
+    assert not space.reachable[space.free][inside].any()
+    assert space.reachable[space.free][below_door].all()
+
+
+def test_only_a_protocol_in_space_has_free_space() -> None:
+    with pytest.raises(ValueError, match="one that moves in space, got dream-v1"):
+        Solids(arena()).free_space(DREAM_V1)

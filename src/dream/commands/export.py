@@ -1,4 +1,4 @@
-"""`dream export`: a recorded dive as a data set."""
+"""`dream export`: a recorded dive as a data set, or a run in three dimensions as one file."""
 
 from __future__ import annotations
 
@@ -23,16 +23,21 @@ class Export:
     Its README.md says what is in it, in which frames and units. After an interruption the same command goes
     on. A simulated run can be exported too, if it was flown with --keep-observations.
 
+    Of a run in three dimensions (its folder has space.npz) it makes one file for other programs, too: targets
+    coloured by what was seen and inspected, what stands around them, the map, and the path. The suffix says
+    which: .glb is glTF 2.0, whose y is up and whose z is south; .ply has the axes of the world, without path.
+
     Examples:
         dream export runs/latest --to tank --title "A tank with an arc of shells"
+        dream export runs/latest --to wreck.glb
     """
 
     run: tyro.conf.Positional[Path]
     """Folder of the run."""
     to: Path
-    """Folder to make. It must not exist."""
-    title: str
-    """Name of the data set."""
+    """Folder to make, or a file .glb or .ply. It must not exist."""
+    title: First[str] = ""
+    """Name of the data set, which needs one."""
     what: First[str] = ""
     """What the data set shows, in a sentence or two."""
     where: First[str] = ""
@@ -50,6 +55,10 @@ class Export:
 
     def __call__(self) -> int:
         """Exit status 0."""
+        if self.to.suffix.lower() in (".glb", ".ply"):
+            return self._scene()
+        if not self.title:
+            raise ValueError("--title: expected the name of the data set, got none")
         from dream import recording
         from dream.robots.bluerov2.dataset import Card, export
         from dream.robots.bluerov2.log import dive_began
@@ -79,6 +88,28 @@ class Export:
             print(
                 f"{made.folder}: {made.frames} frames, {made.decisions} decisions, {made.nbytes / 1e6:.1f} MB"
             )
+        return 0
+
+    def _scene(self) -> int:
+        """The run in three dimensions as one file."""
+        from dream import recording
+        from dream.scene import SPACE, load
+        from dream.scene.exports import WRITERS
+
+        recording.read_config(self.run)
+        if not (self.run / SPACE).exists():
+            raise ValueError(
+                f"{self.run}: expected a run in three dimensions, got no {SPACE} in it. "
+                "It is made under a protocol in which the vehicle climbs, such as dream-v2-draft"
+            )
+        if self.to.exists():
+            raise ValueError(f"--to: expected a file that does not exist, got {self.to}")
+        WRITERS[self.to.suffix.lower()](load(self.run / SPACE), self.to)
+        size = self.to.stat().st_size
+        if self.json:
+            print_json({"run": str(self.run), "to": str(self.to), "bytes": size})
+        else:
+            print(f"{self.to}: {size / 1e6:.1f} MB")
         return 0
 
 

@@ -129,7 +129,8 @@ def obstruction(
     start, goal = np.array([[pose.x, pose.y, z]]), np.array([[end.x, end.y, end.z]])
     room = occupancy.volume.room(start, goal)
     if not room.clear[0]:
-        what = "something solid" if room.reason[0] == SOLID else "water that was never looked into"
+        is_solid = occupancy.volume.state(room.where)[0] == SOLID
+        what = "something solid" if is_solid else "water that was never looked into"
         east, north, up = room.where[0].tolist()
         return f"meets {what} at ({east:.1f}, {north:.1f}, {up:.1f})"
     spacing = 0.5 * occupancy.volume.cell

@@ -34,6 +34,7 @@ from dream.recording import (
     read_summary,
 )
 from dream.report import of_protocol
+from dream.scene import SPACE
 
 logger = logging.getLogger(__name__)
 
@@ -80,6 +81,8 @@ class WatchedRun:
     """Whether there is more to read than was read so far."""
     version: int = 0
     """Counts the changes of what is said of the run as a whole."""
+    space: str = ""
+    """Tells one version of its scene from another; empty where it has none."""
     compiling: float | None = None
     """When its program began to compile, on the clock of `time.time`; None where it does not."""
     _numbers: dict[int, int] = field(default_factory=dict)
@@ -106,6 +109,7 @@ class WatchedRun:
         before = self._told()
         try:
             self.compiling = self._since(COMPILING)
+            self.space = self._version_of(SPACE)
             if self.config is None:
                 if not (self.folder / "config.json").exists():
                     return
@@ -138,6 +142,12 @@ class WatchedRun:
         with contextlib.suppress(OSError):
             return None if path is None else path.stat().st_mtime
         return None
+
+    def _version_of(self, name: str) -> str:
+        path = self.file(name)
+        with contextlib.suppress(OSError):
+            return "" if path is None else str(path.stat().st_mtime_ns)
+        return ""
 
     def _read_lines(self) -> bool:
         """Take whole lines; True where none is left."""

@@ -34,6 +34,7 @@ from dream.report import (
     open_picture,
     part,
 )
+from dream.scene import SPACE, view
 from dream.types import Label
 
 if TYPE_CHECKING:
@@ -114,6 +115,12 @@ def application(pages: Pages, doors: Doors, admit: Callable[[Any], bool] = lambd
         content, kind = answer
         return Response(content, headers=_FOR_EVER, media_type=kind)
 
+    async def space(request: Request) -> Response:
+        told = await asyncio.to_thread(_space, pages.watched, **request.path_params)
+        if told is None:
+            return PlainTextResponse("There is nothing of that name.\n", 404, _NEVER)
+        return Response(told, headers=_NEVER, media_type="application/json")
+
     async def events(request: Request) -> Any:
         if pages.open >= MAX_PAGES:
             said = f"{MAX_PAGES} pages are open already; close one.\n"
@@ -132,6 +139,7 @@ def application(pages: Pages, doors: Doors, admit: Callable[[Any], bool] = lambd
     app.add_route("/page.css", fixed(style, "text/css"))
     app.add_route("/page.js", fixed(script, "text/javascript"))
     app.add_route("/events", events)
+    app.add_route("/runs/{key}/space", space)
     app.add_route("/runs/{key}/{step}/{what}", of_run)
     return Doorkeeper(app, doors, admit)
 
@@ -144,11 +152,11 @@ def _page() -> tuple[str, str, str]:
     }
     own = {name: _own_part(name) for name in ("live.html", "live.css", "live.js")}
     shared = {name: part(f"{name}.html") for name in ("stage", "player")}
-    parts = {**shared, "fixed": html.escape(json.dumps(fixed))}
+    parts = {**shared, "space": view.part("space.html"), "fixed": html.escape(json.dumps(fixed))}
     return (
         fill(own["live.html"], parts),
-        part("page.css") + own["live.css"],
-        "".join(map(part, SHARED_SCRIPTS)) + own["live.js"],
+        part("page.css") + view.part("space.css") + own["live.css"],
+        "".join(map(part, SHARED_SCRIPTS)) + view.part("space.js") + own["live.js"],
     )
 
 
@@ -170,6 +178,13 @@ def _of_run(watched: Watched, key: str, step: str, what: str) -> tuple[bytes, st
     path = run.file(_PICTURES[what].format(number)) if what in _PICTURES else None
     content = None if path is None else open_picture(path, _SHOWN.get(what, lambda image: path.read_bytes()))
     return None if content is None else (content, "image/png")
+
+
+def _space(watched: Watched, key: str) -> bytes | None:
+    """What `view.shown` says of a run's scene, as JSON; None where it has none."""
+    run = watched.get(key)
+    path = None if run is None else run.file(SPACE)
+    return None if path is None else json.dumps(view.shown(path), separators=(",", ":")).encode()
 
 
 def _png(image: Image.Image) -> bytes:

@@ -30,6 +30,7 @@ class Cursor:
     counts: dict[str, int] = field(default_factory=dict)
     """Steps that it has, by run."""
     _heads: dict[str, int] = field(default_factory=dict)
+    _space: str = ""
     _places: tuple[Any, ...] | None = None
 
     @classmethod
@@ -71,6 +72,9 @@ class Cursor:
         if self._heads.get(key) != run.version:
             self._heads[key] = run.version
             yield self._event("run", run.head())
+        if key == self.open and run.space != self._space:
+            self._space = run.space
+            yield self._event("space", {"run": key, "version": run.space})
         for index in range(has, len(run.steps)):
             self.counts[key] = index + 1
             step = run.steps[index]

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from dream import arrays
-from dream.geometry import SE3, Bounds, Camera
+from dream.geometry import SE3, Bounds, Camera, FloatArray
 from dream.mapping._kernels import flags
 from dream.mapping._kernels.flags import BLOCK, EDGE
 from dream.mapping.blocks import BlockStore
@@ -124,7 +124,7 @@ class OccupancyMap(Layers):
         self.volume: Volume | None = None if protocol.space is None else _volume(protocol)
         """The map in three dimensions, whose view from above this one then is; None under a planar
         protocol, and of a map that was read from a file."""
-        self._place: Float64Array | None = None
+        self._place: FloatArray | None = None
         """(3,) where the last frame was taken, in space."""
         self._stamp = 0
         self._frame: FrameWindow | None = None
@@ -271,9 +271,8 @@ class OccupancyMap(Layers):
         above = self.volume.above(self._window(low, (past[0] - low[0], past[1] - low[1])))
         rows, cols = np.indices(above.solid.shape)
         rows, cols = rows + low[0], cols + low[1]
-        inside = np.ones(rows.shape, np.bool_)
-        if self._bounded:
-            inside = (rows < self._shape[0]) & (cols < self._shape[1])
+        rows_in, cols_in = self._shape if self._bounded else (FARTHEST, FARTHEST)
+        inside: BoolArray = (rows < rows_in) & (cols < cols_in)
         known, returned = inside & ~np.isnan(above.ground), inside & ~np.isnan(above.top)
         self._write("log_odds", low, np.where(known, np.where(above.solid, *SURE), 0))
         self._write("votes", low, np.where(returned, np.where(above.target > 0.5, *VOTED), 0))

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 import enum
+import json
 import math
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field
 
-from dream.geometry import SE3, Camera, FloatArray
+from dream import arrays
+from dream.geometry import SE3, Bounds, Camera, FloatArray
 from dream.mapping._kernels import volume as bricks_kernels
 from dream.mapping._kernels.volume import SIDE, VOXELS, Bricks
 from dream.mapping.blocks import grown
@@ -27,9 +32,18 @@ SHARE = 0.03
 """Of the pixels that a voxel covers, which must return from it to be believed, where depths scatter."""
 MARGIN = 0.05
 """Metres of water around the body that must be known to be free as well."""
+OVERLAP = 1.0
+"""Voxels before a point in which nothing hides it: at a slant, its own surface would."""
+MOUND = 3.0
+"""Metres: what is narrower stands on the ground, seen from above; what is wider is ground."""
 WIDEST = 400
 """Voxels within which all that is kept of a frame must lie, on each side of the camera."""
 
+FORMAT = "dream-volume-1"
+MOST_TEXT = 1 << 16
+"""Bytes of what a file says of its volume."""
+STORED = ("names", "log_odds", "stamps")
+"""Arrays of a file with an entry for each brick."""
 OF_BRICKS = ("names", "log_odds", "saturated", "stamps", "surface_of")
 OF_SURFACES = ("votes", "seen", "sides")
 """Arrays of `Bricks` with an entry for each brick; and for each that something returned from."""
@@ -78,6 +92,39 @@ class Surface:
     """(n,) square metres of surface that it stands for."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Clusters:
+    """Unknown voxels that touch free water, those of a brick together that touch each other."""
+
+    middles: npt.NDArray[np.float64]
+    """(n, 3) mean of its voxels' middles, metres in the world."""
+    sizes: npt.NDArray[np.int64]
+    """(n,) voxels."""
+    boxes: npt.NDArray[np.float64]
+    """(n, 2, 3) low and high corner, metres in the world."""
+    solid: BoolArray
+    """(n,) whether a solid voxel is at a face of it: there a surface may go on."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Above:
+    """A volume from above, over the cells of a box; row grows with y, col with x."""
+
+    bounds: Bounds
+    ground: npt.NDArray[np.float64]
+    """(rows, cols) world z of the local ground; NaN where nothing solid is known. Grey opening of the lowest
+    solid voxels' middles that are not target: what is narrower than `MOUND` stands on it."""
+    top: npt.NDArray[np.float64]
+    """(rows, cols) world z of the upper face of the highest solid voxel; NaN where there is none."""
+    solid: BoolArray
+    """(rows, cols) whether a solid voxel's middle is within the protocol's height band above the ground."""
+    target: npt.NDArray[np.float64]
+    """(rows, cols) share of the column's votes for target; NaN where nothing returned."""
+    explored: BoolArray
+    """(rows, cols) whether anything solid looks up into free water, and all that does was seen from within
+    reach. So the flank of a mound that was not seen is not explored."""
+
+
 class Volume:
     """A belief over space: free, solid or unknown, voxel by voxel, wherever the vehicle looks.
 
@@ -117,6 +164,15 @@ class Volume:
         self._sees = 0.0
         self._bricks = _empty_bricks()
         self._scratch: Any = None
+        none = np.zeros((0, 3), np.int64)
+        self._frontiers: tuple[npt.NDArray[Any], ...] = (
+            none,
+            none,
+            np.zeros((0, 6), np.int64),
+            np.zeros(0, np.int64),
+            np.zeros(0, np.bool_),
+        )
+        self._frontiers_at = 0
 
     # ------------------------------------------------------------------------------------ what goes in
 
@@ -259,6 +315,128 @@ class Volume:
         area = self.cell**2 / np.abs(normals).max(axis=1, initial=1e-9)
         return Surface(middles, normals, target, seen, sides, area)
 
+    def frontiers(self, within: npt.ArrayLike | None = None) -> Clusters:
+        """Where the unknown begins: clusters of unknown voxels with a free one at a face.
+
+        A cluster lies in one brick of 8³ voxels. Only bricks that changed since the last call are looked at.
+
+        Args:
+            within: (2, 3) low and high corner of a box, metres: clusters that lie partly in it. All if None.
+        """
+        from dream.mapping._kernels import volume_surface as kernels
+
+        fresh = kernels.frontiers(self._bricks, self._frontiers_at)
+        if len(fresh[0]):
+            stale = np.isin(_packed(self._frontiers[0]), _packed(fresh[0]))
+            self._frontiers = tuple(
+                np.concatenate([old[~stale], new])
+                for old, new in zip(self._frontiers, fresh[1:], strict=True)
+            )
+        self._frontiers_at = self.revision
+        _, sums, extents, sizes, solid = self._frontiers
+        middles = (sums / np.maximum(sizes, 1)[:, None] + 0.5)[:, ::-1] * self.cell
+        boxes = extents.reshape(-1, 2, 3)[:, :, ::-1] * self.cell
+        if within is None:
+            return Clusters(middles, sizes.copy(), boxes, solid.copy())
+        low, high = self._points("within", within)
+        inside = ((boxes[:, 0] < high) & (boxes[:, 1] > low)).all(axis=1)
+        return Clusters(middles[inside], sizes[inside], boxes[inside], solid[inside])
+
+    def visible(
+        self,
+        cameras: npt.ArrayLike,
+        yaws: npt.ArrayLike,
+        tilts: npt.ArrayLike,
+        points: npt.ArrayLike,
+        normals: npt.ArrayLike | None = None,
+    ) -> tuple[IntArray, IntArray]:
+        """Which points the protocol's camera would show from each place, under each heading and tilt.
+
+        A point is shown where it is in the image, within reach, not behind anything solid (the unknown hides
+        nothing) and, with normals, at an angle at which its surface is inspected. With a normal, it is looked
+        at a voxel above its surface, and nothing hides it within `OVERLAP` of that; with none, within a voxel
+        more of itself.
+
+        Args:
+            cameras: (P, 3) metres in the world.
+            yaws: (K,) radians.
+            tilts: (T,) pitches of the camera, radians, positive downwards.
+            points: (n, 3) metres in the world, such as `Surface.middles`.
+            normals: (n, 3) of length 1.
+
+        Returns:
+            starts: (P * K * T + 1,) and members: (m,). Place p, heading k and tilt t show the points numbered
+            members[starts[n]:starts[n + 1]], n = (p * K + k) * T + t.
+        """
+        from dream.mapping._kernels import volume_sight as kernels
+
+        protocol, camera = self.protocol, self.protocol.camera
+        places, seen = self._points("cameras", cameras), self._points("points", points)
+        facing = np.zeros((0, 3)) if normals is None else np.ascontiguousarray(normals, np.float64)
+        if normals is not None and facing.shape != seen.shape:
+            raise ValueError(f"normals: expected {seen.shape}, one for every point, got {facing.shape}")
+        directions = []
+        for name, angles in (("yaws", yaws), ("tilts", tilts)):
+            given = np.asarray(angles, np.float64)
+            if given.ndim != 1 or not np.isfinite(given).all():
+                raise ValueError(f"{name}: expected a list of finite radians, got {given}")
+            directions.append(np.stack([np.cos(given), np.sin(given)], axis=1))
+        found: tuple[IntArray, IntArray] = kernels.visible(
+            self._bricks,
+            self.cell,
+            places,
+            directions[0],
+            directions[1],
+            seen,
+            facing,
+            self.cell,
+            (OVERLAP if len(facing) else OVERLAP + 1.0) * self.cell,
+            kernels.TiltedCamera(
+                (camera.fx, camera.fy, camera.cx, camera.cy),
+                (camera.width, camera.height),
+                protocol.returns,
+                protocol.reach,
+                math.cos(self._incidence),
+            ),
+        )
+        return found
+
+    def above(self, bounds: Bounds) -> Above:
+        """The view from above, on cells as wide as voxels, by the column of voxels under each cell's middle.
+
+        Args:
+            bounds: What to look at; cells begin at its lower left corner, and cover it.
+        """
+        from scipy import ndimage
+
+        from dream.mapping._kernels import volume_surface as kernels
+
+        cell = self.cell
+        half = round(0.5 * MOUND / cell)
+        # The opening at an edge needs what lies twice as far outside.
+        rim = 2 * half
+        x = bounds.x_min + (np.arange(-rim, math.ceil(bounds.width / cell - 1e-9) + rim) + 0.5) * cell
+        y = bounds.y_min + (np.arange(-rim, math.ceil(bounds.depth / cell - 1e-9) + rim) + 0.5) * cell
+        names = self._bricks.names[1 : int(self._bricks.used[0]), 0]
+        levels = (int(names.min()), int(names.max()) + 1) if len(names) else (0, 0)
+        lowest, highest, votes, explored = kernels.columns(self._bricks, x, y, cell, levels)
+        none = levels[0] * SIDE - 1
+        known, inner = lowest > none, (slice(rim, len(y) - rim), slice(rim, len(x) - rim))
+        local = np.full(lowest.shape, np.nan)
+        if known.any():
+            # Where none is known, the nearest that is: it neither digs nor fills.
+            nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+            filled = ((lowest + 0.5) * cell)[tuple(nearest)]
+            local = ndimage.grey_opening(filled, size=(2 * half + 1, 2 * half + 1), mode="nearest")
+        low, high = (local[inner] + edge for edge in self.protocol.band)
+        solid = kernels.solid_between(self._bricks, x[inner[1]], y[inner[0]], cell, low, high)
+        highest, votes = highest[inner], votes[inner]
+        ground = np.where(highest > none, local[inner], np.nan)
+        top = np.where(highest > none, (highest + 1) * cell, np.nan)
+        cast = votes[..., 1]
+        target = np.where(cast > 0, votes[..., 0] / np.maximum(cast, 1), np.nan)
+        return Above(bounds, ground, top, solid, target, explored[inner])
+
     @property
     def box(self) -> FloatArray | None:
         """(2, 3) low and high corner of the bricks that hold anything, metres; None where none does."""
@@ -276,6 +454,54 @@ class Volume:
         total += sum(getattr(self._bricks, name)[:kept].nbytes for name in OF_SURFACES)
         return int(total + self._bricks.keys.nbytes + self._bricks.slots.nbytes)
 
+    # ----------------------------------------------------------------------------------- copies, files
+
+    def copy(self) -> Volume:
+        """A volume of its own with the same content."""
+        other = Volume(self.protocol, self.cell)
+        used, kept = self._bricks.used.tolist()
+        other._bricks = Bricks(
+            **{
+                name: pool[: used if name in OF_BRICKS else kept if name in OF_SURFACES else None].copy()
+                for name, pool in self._bricks._asdict().items()
+            }
+        )
+        other.revision, other._sees = self.revision, self._sees
+        other._frontiers, other._frontiers_at = self._frontiers, self._frontiers_at
+        return other
+
+    def save(self, path: str | Path) -> None:
+        """Write everything to one .npz file."""
+        about = {
+            "format": FORMAT,
+            "protocol": dataclasses.asdict(self.protocol),
+            "cell": self.cell,
+            "revision": self.revision,
+            "sees": self._sees,
+        }
+        held, used = self._bricks, int(self._bricks.used[0])
+        with_surface = np.flatnonzero(held.surface_of[:used])
+        kept = held.surface_of[with_surface]
+        arrays_of: dict[str, Any] = {name: getattr(held, name)[1:used] for name in STORED}
+        arrays_of |= {name: getattr(held, name)[kept] for name in OF_SURFACES}
+        arrays_of |= {"about": np.array(json.dumps(about)), "surfaces": with_surface}
+        with Path(path).open("wb") as file:
+            np.savez_compressed(file, **arrays_of)
+
+    @staticmethod
+    def load(path: str | Path) -> Volume:
+        """Read what `save` wrote.
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            ValueError: It is damaged, or no volume; the message says what was expected and what was found.
+        """
+        with arrays.opened(Path(path), "a volume written by save") as content:
+            try:
+                return _read(content)
+            except (ArithmeticError, MemoryError) as error:  # Of lengths that no volume has.
+                raise ValueError(f"about: {error}") from error
+
     # ------------------------------------------------------------------------------------------------------
 
     @property
@@ -283,12 +509,17 @@ class Volume:
         """Radius and half height of the body with its margin, metres."""
         return self.protocol.body_radius + MARGIN, 0.5 * self.protocol.body_height + MARGIN
 
+    @property
+    def _incidence(self) -> float:
+        """Greatest angle at which a surface is inspected; any where the protocol is planar."""
+        space = self.protocol.space
+        return 0.5 * math.pi if space is None else space.incidence
+
     def _rule(self) -> Any:
         from dream.mapping._kernels import volume_frame as kernels
 
         protocol = self.protocol
         scatter = protocol.noise.depth if protocol.noise is not None else 0.0
-        incidence = protocol.space.incidence if protocol.space is not None else 0.5 * math.pi
         return kernels.Weighing(
             side=self.cell,
             reach=protocol.reach,
@@ -296,7 +527,7 @@ class Volume:
             scatter=scatter,
             bias=protocol.lasting.depth if protocol.lasting is not None else 0.0,
             share=SHARE if scatter > 0.0 else 0.0,
-            cosine=math.cos(incidence),
+            cosine=math.cos(self._incidence),
             hit=HIT,
             miss=MISS,
             least=LEAST,
@@ -380,6 +611,12 @@ class Volume:
         return np.asarray(self._bricks.log_odds[slots, numbers])
 
 
+def _packed(names: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
+    """(n,) one number for each name of a brick."""
+    level, row, col = names.T.astype(np.int64) + bricks_kernels.FARTHEST
+    return np.asarray((level << 42) | (row << 21) | col)
+
+
 def _empty_bricks() -> Bricks:
     return Bricks(
         keys=np.full(4, -1, np.int64),
@@ -394,6 +631,76 @@ def _empty_bricks() -> Bricks:
         seen=np.zeros((1, VOXELS), np.uint8),
         sides=np.zeros((1, VOXELS), np.uint32),
     )
+
+
+class _Said(BaseModel):
+    """What a file says of its volume."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    format: Literal["dream-volume-1"]
+    protocol: SurveyProtocol
+    cell: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+    revision: Annotated[int, Field(ge=0, lt=1 << 62)]
+    sees: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+
+
+def _read(content: arrays.Npz) -> Volume:
+    names, headers = {"about", "surfaces", *STORED, *OF_SURFACES}, content.headers
+    if set(headers) != names or len(content.entries) != len(headers):
+        raise ValueError(f"expected the arrays {', '.join(sorted(names))}, got others")
+    shape, dtype = headers["about"][:2]
+    if shape != () or dtype.kind != "U" or dtype.itemsize > MOST_TEXT:
+        raise ValueError(f"about: expected a text, got {shape} {dtype}")
+    about = _Said.model_validate_json(str(content["about"]))
+    volume = Volume(about.protocol, about.cell)
+    count, kept = (headers[name].shape[0] if headers[name].shape else 0 for name in ("names", "surfaces"))
+    empty = volume._bricks
+    expected = {
+        name: (getattr(empty, name).dtype, (count, *getattr(empty, name).shape[1:])) for name in STORED
+    }
+    expected |= {
+        name: (getattr(empty, name).dtype, (kept, *getattr(empty, name).shape[1:])) for name in OF_SURFACES
+    }
+    for name, (dtype, shape) in {**expected, "surfaces": (np.dtype(np.int64), (kept,))}.items():
+        if headers[name][:2] != (shape, dtype):
+            raise ValueError(f"{name}: expected {shape} {dtype}, got {headers[name][:2]}")
+    found = {name: content[name] for name in (*STORED, *OF_SURFACES, "surfaces")}
+    _check_content(found, count, about.revision)
+    volume._reserve(count, kept)
+    held = volume._bricks
+    for name in STORED:
+        getattr(held, name)[1 : 1 + count] = found[name]
+    for name in OF_SURFACES:
+        getattr(held, name)[1 : 1 + kept] = found[name]
+    held.saturated[1 : 1 + count] = (found["log_odds"] <= LEAST).all(axis=1)
+    held.surface_of[found["surfaces"]] = np.arange(1, 1 + kept)
+    held.used[:] = 1 + count, 1 + kept
+    bricks_kernels.enter(held.keys, held.slots, held.names, 1 + count)
+    volume.revision, volume._sees = about.revision, about.sees
+    return volume
+
+
+def _check_content(found: dict[str, npt.NDArray[Any]], count: int, revision: int) -> None:
+    """Raise a ValueError unless the arrays hold what a volume can."""
+    names, surfaces, odds = found["names"], found["surfaces"], found["log_odds"]
+    limit = bricks_kernels.FARTHEST
+    if (names < -limit).any() or (names >= limit).any() or len(np.unique(_packed(names))) != count:
+        raise ValueError("names: expected different bricks of the map, got others")
+    if (odds < LEAST).any() or (odds > MOST).any():
+        raise ValueError(f"log_odds: expected {LEAST} to {MOST}, got others")
+    if (found["stamps"] < 0).any() or (found["stamps"] > revision).any():
+        raise ValueError(f"stamps: expected 0 to {revision}, got others")
+    if (surfaces < 1).any() or (surfaces > count).any() or (np.diff(surfaces) <= 0).any():
+        raise ValueError("surfaces: expected rising numbers of bricks, got others")
+    if (found["votes"][..., 0] > found["votes"][..., 1]).any():
+        raise ValueError("votes: expected no more for target than all, got others")
+    if (found["seen"] > 1).any():
+        raise ValueError("seen: expected 0 or 1, got others")
+    bare = np.ones(count, np.bool_)
+    bare[surfaces - 1] = False
+    if (odds[bare] > 0).any():
+        raise ValueError("surfaces: expected every brick with something solid, got others")
 
 
 def _checked(

@@ -11,10 +11,11 @@ function svg(tag, attributes = {}, ...children) {
 
 // What can be drawn: shares of what there was to see, or, where nobody knew that, explored ground.
 function curves(run) {
+  const how = counted(run.steps);
   const series = [
-    { name: "instances", title: "Individuals seen", of: (step) => step.coverage?.instances },
-    { name: "clusters", title: "Patches, half seen", of: (step) => step.coverage?.clusters },
-    { name: "area", title: "Target area seen", of: (step) => step.coverage?.area },
+    { name: "instances", title: `Individuals ${how}`, of: (step) => step.coverage?.instances },
+    { name: "clusters", title: `Patches, half ${how}`, of: (step) => step.coverage?.clusters },
+    { name: "area", title: `Target area ${how}`, of: (step) => step.coverage?.area },
   ].filter(({ of }) => run.steps.some((step) => known(of(step))));
   if (series.length) return { series, top: 1, say: percent, ticks: [0, 0.25, 0.5, 0.75, 1], tick: (value) => `${100 * value} %` };
   const explored = { name: "instances", title: "Explored ground", of: (step) => step.map.explored };

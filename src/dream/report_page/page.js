@@ -30,11 +30,11 @@ function figure(title, value, unit = "") {
   at("figures").append(element("div", {}, element("dt", { textContent: title }), element("dd", {}, value, element("small", { textContent: unit }))));
 }
 const coverage = summary?.coverage ?? steps.at(-1)?.coverage;
-if (known(coverage?.instances)) figure("Individuals seen", hundredths(coverage.instances), " %");
+if (known(coverage?.instances)) figure(`Individuals ${counted(steps)}`, hundredths(coverage.instances), " %");
 else figure("Explored", Math.round(steps.at(-1)?.map.explored ?? 0), " m²");
 figure("Steps", summary?.steps ?? steps.at(-1)?.step ?? 0);
 const t90 = summary ? summary.t90 : steps.find((step) => step.coverage?.instances >= 0.9)?.step;
-if (known(coverage?.instances)) figure("90 % seen after", known(t90) ? t90 : "–", known(t90) ? " steps" : "");
+if (known(coverage?.instances)) figure(`90 % ${counted(steps)} after`, known(t90) ? t90 : "–", known(t90) ? " steps" : "");
 figure("Distance", (summary?.distance_m ?? steps.reduce((way, step) => way + step.distance_m, 0)).toFixed(0), " m");
 if (!real) figure("Contacts", summary?.collisions ?? collisions);
 

@@ -23,7 +23,7 @@ const FIELDS = [
 
 // Where a move ends beside what was asked: only where moves end on a lattice, and nothing else came between.
 function onLattice(step, lattice) {
-  const other = Math.abs(step.distance_m - step.guarded.advance) > 0.05;
+  const other = Math.abs(step.distance_m - Math.hypot(step.guarded.advance, step.guarded.climb ?? 0)) > 0.05;
   if (!known(lattice) || !other || step.collided || step.arrival_note) return "";
   return ` Moves end at the nearest point of a lattice of ${lattice} m, so that ${metres(step.guarded.advance, 0)} ahead became ${metres(step.distance_m, 2)}.`;
 }
@@ -41,7 +41,7 @@ function carried(step, { lattice, real }) {
   if (step.waited_s > 0) rows.push(...row("Waited", `${minutes(step.waited_s)} for the model`));
   if (step.collided) rows.push(...row("Contact", "Touched something and stopped", "bad"));
   if (!step.ended && step.why) rows.push(...row("Ended", step.why, "bad"));
-  if (step.ended) rows.push(...row("Ended", step.ended === "done" ? "The planner is done and the map agrees" : "Out of steps", step.ended === "done" ? "good" : "warn"));
+  if (step.ended) rows.push(...row("Ended", step.ended === "done" ? (inSpace(step) ? "The planner is done" : "The planner is done and the map agrees") : "Out of steps", step.ended === "done" ? "good" : "warn"));
   return rows;
 }
 

@@ -11,11 +11,18 @@ const plural = (count, noun) => `${count} ${noun}${count === 1 ? "" : "s"}`;
 // As a compass counts: clockwise from up on the map, which is north where the map has one.
 const compass = (yaw) => (((90 - degrees(yaw)) % 360) + 360) % 360;
 
-function place({ x, y, yaw }, real) {
+// What counts: what is seen, or what is inspected of a vehicle that moves in three dimensions.
+const inSpace = ({ pose }) => known(pose.z);
+const counted = (steps) => (steps.length && inSpace(steps[0]) ? "inspected" : "seen");
+
+function place({ x, y, z, yaw, tilt }, real) {
   const names = ["north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west"];
   const towards = real ? "on the map" : `(${names[Math.round(compass(yaw) / 45) % 8]})`;
-  return `(${x.toFixed(1)}, ${y.toFixed(1)}), heading ${compass(yaw)}° ${towards}`;
+  const depth = known(z) ? `, ${metres(-z)} deep` : "";
+  return `(${x.toFixed(1)}, ${y.toFixed(1)})${depth}, heading ${compass(yaw)}° ${towards}${known(tilt) ? `, camera ${looks(tilt)}` : ""}`;
 }
+
+const looks = (tilt) => (degrees(tilt) === 0 ? "level" : `${Math.abs(degrees(tilt))}° ${tilt > 0 ? "down" : "up"}`);
 
 function move(decision) {
   if (decision.done) return "Declare the mission complete";
@@ -23,12 +30,15 @@ function move(decision) {
   const parts = [];
   if (angle !== 0) parts.push(Math.abs(angle) === 180 ? "turn around" : `turn ${Math.abs(angle)}° ${angle > 0 ? "left" : "right"}`);
   if (decision.advance > 0) parts.push(`advance ${Number(decision.advance.toFixed(2))} m`);
+  if (decision.climb) parts.push(`${decision.climb > 0 ? "climb" : "sink"} ${Number(Math.abs(decision.climb).toFixed(2))} m`);
+  if (known(decision.tilt)) parts.push(`tilt the camera ${looks(decision.tilt)}`);
   const text = parts.join(", then ") || "hold and look again";
   return text[0].toUpperCase() + text.slice(1);
 }
 
 const guardChanged = ({ decision, guarded }) =>
-  guarded.note !== "" || Math.abs(decision.turn - guarded.turn) > 1e-9 || Math.abs(decision.advance - guarded.advance) > 1e-9;
+  guarded.note !== "" || Math.abs(decision.turn - guarded.turn) > 1e-9 || Math.abs(decision.advance - guarded.advance) > 1e-9 ||
+  Math.abs((decision.climb ?? 0) - (guarded.climb ?? 0)) > 1e-9 || (decision.tilt ?? null) !== (guarded.tilt ?? null);
 
 // Whether it called the mission complete before its steps were used up, and the map did not agree.
 function claims(steps) {
@@ -55,7 +65,7 @@ function outcome(run) {
     const silent = last?.why ? "" : " It left no word why: the program was killed, or the power failed, or it is still under way.";
     return { badge: "Aborted", tone: "bad", text: `It was aborted ${when}${because(last?.why)}.${silent} ${last ? "Everything recorded until then is shown." : "Nothing was recorded."}` };
   }
-  const where = run.config.orders ? "of the individuals in the ordered area seen" : "of the individuals seen";
+  const where = `of the individuals ${run.config.orders ? "in the ordered area " : ""}${counted(steps)}`;
   // Of a real dive nobody knows what there was to see, nor whether it touched anything.
   const parts = [];
   if (known(summary.coverage.instances)) parts.push(`${percent(summary.coverage.instances)} ${where}`);

@@ -27,7 +27,7 @@ from dream.sim.water import water_named
 from dream.sim.winding import turned
 from dream.sim.world import BoolArray, Instances, Mesh, Terrain, UInt8Array, World
 from dream.sim.wrecks.paint import RUST, weathering
-from dream.sim.wrecks.patches import SLIVER, WIDEST, areas, groups, pieces
+from dream.sim.wrecks.patches import SLIVER, WIDEST, areas, groups, pieces, split
 from dream.sim.wrecks.shapes import PATCH, Part
 
 Float64Array = npt.NDArray[np.float64]
@@ -57,22 +57,28 @@ LEAST_SIDE = 40.0
 """Metres of the shortest side of the bounds."""
 GROUP = 10.0
 """Metres a side of the squares of ground whose patches are one group."""
+RAGGED = 1.1
+"""Metres across that no patch exceeds: triangles of somebody's mesh do not end where a patch should."""
 CONFETTI = 0.01
 """Square metres: what is smaller and hangs together with nothing is left out."""
-GROUND_CELL = 1.0
+GROUND_CELL = 0.5
 """Metres a side of the cells in which the lowest place of the mesh is looked for."""
-SPAN = 14.0
+SPAN = 8.0
 """Metres within which lower ground bounds that about it."""
 STEEP = 0.7
 """Metres that ground rises in one."""
 LOOKS_UP = 0.3
 """Least z of the unit normal of what counts as ground."""
-SMOOTH = 1.0
-"""Metres, one standard deviation, by which the seabed under the mesh is smoothed."""
+RIM = 3
+"""Cells of ground from the edge of the mesh that are its rim."""
+SMOOTH, BROAD = 1.0, 8.0
+"""Metres, one standard deviation, by which the seabed is smoothed under the mesh and so far away from it."""
 SINK = 0.01
 """Metres that the seabed stays under the lowest place."""
-START_EDGE, START_HULL, START_APART = 4.0, 4.5, 8.0
-"""Least metres from a start to the sides, to the mesh, and to another start."""
+START_EDGE, START_APART = 4.0, 8.0
+"""Least metres from a start to the sides, and to another start."""
+START_HULL = 4.5, 8.0
+"""Metres from a start to the mesh, which its camera sees."""
 STARTS = 4
 
 
@@ -368,7 +374,9 @@ def _cells(vertices: Float64Array, faces: IntArray, loose: BoolArray, told: list
     size = length(corners - corners[:, [1, 2, 0]]).ravel()[order[twin]]
     alike = kind[i] == kind[j]
     links = (np.ones(int(alike.sum()), np.int8), (i[alike], j[alike]))
-    count, cell = connected_components(coo_matrix(links, (len(faces),) * 2), directed=False)
+    _, together = connected_components(coo_matrix(links, (len(faces),) * 2), directed=False)
+    cell = split(Part(vertices, faces, together, "", RUST), RAGGED).cell
+    count = int(cell.max()) + 1
     area = np.bincount(cell, areas(vertices, faces), count)
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     for corner in np.moveaxis(corners, 1, 0):
@@ -448,11 +456,12 @@ def _seabed(vertices: Float64Array, faces: IntArray, bounds: Bounds, rng: np.ran
         col, row = np.floor((places[:, :2] + half) / GROUND_CELL).astype(np.intp).T
         return row, col
 
-    low = np.full((rows, cols), np.inf)
-    np.minimum.at(low, cells(points), points[:, 2])
-    # In each cell, does the lowest face look up?
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     normal, middle = np.cross(b - a, c - a), (a + b + c) / 3.0
+    low = np.full((rows, cols), np.inf)
+    for places in (a, middle, 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)):
+        np.minimum.at(low, cells(places), places[:, 2])
+    # In each cell, does the lowest face look up?
     downwards = np.argsort(-middle[:, 2], kind="stable")
     up = np.zeros((rows, cols), np.bool_)
     up[cells(middle[downwards])] = (normal[:, 2] > LOOKS_UP * length(normal))[downwards]
@@ -465,8 +474,15 @@ def _seabed(vertices: Float64Array, faces: IntArray, bounds: Bounds, rng: np.ran
     ground = ndimage.grey_erosion(
         np.where(stands, low, far), footprint=disc, structure=-STEEP * away, mode="constant", cval=far
     )
-    _, nearest = ndimage.distance_transform_edt(~stands, return_indices=True)
-    smooth = ndimage.gaussian_filter(ground[tuple(nearest)], SMOOTH / GROUND_CELL, mode="nearest")
+    # What looks up at the rim of the mesh is ground, however steep; a spar that juts out is no rim.
+    wide = ndimage.binary_opening(ndimage.binary_fill_holes(np.isfinite(low)), iterations=RIM)
+    ground = np.where(wide & up & ~ndimage.binary_erosion(wide, iterations=RIM), low, ground)
+    off, nearest = ndimage.distance_transform_edt(~stands, return_indices=True)
+    filled = ground[tuple(nearest)]
+    smooth = ndimage.gaussian_filter(filled, SMOOTH / GROUND_CELL, mode="nearest")
+    broad = ndimage.gaussian_filter(filled, BROAD / GROUND_CELL, mode="nearest")
+    smooth += smoothstep(0.0, BROAD, GROUND_CELL * off) * (broad - smooth)
+    smooth += smoothstep(0.0, APRON, GROUND_CELL * off) * (float(np.median(ground[stands])) - smooth)
     # Each grid point of the coarse ground lies under all that is in the nine cells about it, so that what is
     # drawn between four of them lies under the mesh everywhere.
     under = ndimage.minimum_filter(low, size=3, mode="constant", cval=np.inf) - SINK
@@ -508,7 +524,7 @@ def _starts(places: Float64Array, bounds: Bounds, rng: np.random.Generator) -> t
     ]
     nodes = np.stack(np.meshgrid(*lines), axis=-1).reshape(-1, 2)
     away, nearest = map(np.asarray, cKDTree(places).query(nodes))
-    free = away >= START_HULL
+    free = (away >= START_HULL[0]) & (away <= START_HULL[1])
     starts: list[SE2] = []
     while len(starts) < STARTS:
         left = np.flatnonzero(free)

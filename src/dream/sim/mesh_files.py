@@ -101,11 +101,11 @@ def _stl(path: Path) -> Surface:
         corners = np.frombuffer(content, facet, count, 84)["corners"].astype(np.float64)
     else:
         words = content.split()
-        if not words or words[0] != b"solid":
+        at = [k for k, word in enumerate(words) if word == b"vertex"]
+        if not at and count >= 0:
             raise ValueError(
                 f"expected {84 + 50 * count:,} bytes of {count:,} triangles, got {len(content):,}"
             )
-        at = [k for k, word in enumerate(words) if word == b"vertex"]
         try:
             corners = np.array([words[k + 1 : k + 4] for k in at], np.float64).reshape(-1, 3, 3)
         except ValueError:

@@ -107,8 +107,7 @@ def test_a_tour_flown_in_the_simulator_scores_its_share_at_its_step(
     drive(found, world)
     poses = tour_poses(found, world, DREAM_V1)
     assert len(poses) + LOOK_AROUND - 1 == found.full.best_tour
-    visible = Scorer(world, DREAM_V1)._sight
-    assert visible.seen(poses).any(axis=0).all()
+    assert Visibility(world, DREAM_V1).seen(poses).any(axis=0).all()
 
 
 # Around the start: in all of a world a graph takes long, and a tour of a wreck is flown for long.

@@ -13,6 +13,7 @@ const SILENCE_MS = 7000;
 const QUIET_S = 60;
 const GRACE_MS = 2000;
 const REDRAW_MS = 250;
+const SPACE_MS = 1000;
 // Of the time, spent on drawing at most, while one takes 50 ms or less: the mission may need the processors more.
 const DRAWING_SHARE = 1 / 20;
 // A page that was out of sight for a while must not take that for the time of its drawing.
@@ -35,6 +36,8 @@ const addressOf = (step, atEnd) => [`run=${opened}`, ...(atEnd ? [] : [`step=${s
 
 const view = new StepView();
 const player = new Player(show, addressOf);
+const space = new SpaceView();
+document.addEventListener("step", ({ detail }) => space.show(detail));
 const chart = new Chart(at("chart"), at("curve-keys"), at("event-keys"), (index) => player.seek(index));
 let asked = null;
 let wantedStep = stepInAddress(); // of the address, until it has come
@@ -72,8 +75,32 @@ function open(key) {
   });
   at("asked").replaceChildren();
   player.open(run.steps);
+  space.clear();
+  spaceShown = "";
   connect();
   soon();
+}
+
+// ---- in three dimensions
+
+let spaceShown = ""; // the run and the version of its scene that is shown
+let spaceRests = -Infinity; // until then no newer one is asked for
+let spaceAsked = false;
+
+// The newest scene, at most so often, and where somebody looks.
+async function bringSpace() {
+  const [key, version] = [opened, runs.get(opened)?.space];
+  if (!version || spaceShown === `${key}.${version}` || spaceAsked || document.hidden || now() < spaceRests) return;
+  spaceAsked = true;
+  const answer = await fetch(`/runs/${key}/space`).catch(() => null);
+  const told = answer?.ok ? await answer.json().catch(() => null) : null;
+  spaceAsked = false;
+  const began = now();
+  if (told && key === opened) {
+    space.take(told);
+    spaceShown = `${key}.${version}`;
+  }
+  spaceRests = now() + Math.max(SPACE_MS, (now() - began) / DRAWING_SHARE);
 }
 
 // ---- masthead and panels
@@ -122,7 +149,7 @@ function showMasthead(run) {
   if (!last) return at("figures").replaceChildren();
   const coverage = summary?.coverage ?? last.coverage;
   const figures = [
-    known(coverage?.instances) ? ["Individuals seen", hundredths(coverage.instances), " %"] : ["Explored", Math.round(last.map.explored ?? 0), " m²"],
+    known(coverage?.instances) ? [`Individuals ${counted(steps)}`, hundredths(coverage.instances), " %"] : ["Explored", Math.round(last.map.explored ?? 0), " m²"],
     ["Steps", last.step, known(run.cap) ? ` of ${run.cap}` : ""],
     ["Distance", steps.reduce((way, step) => way + step.distance_m, 0).toFixed(0), " m"],
     ...(run.real ? [] : [["Contacts", steps.filter((step) => step.collided).length, ""]]),
@@ -318,6 +345,7 @@ function connect() {
   source.addEventListener("run", ({ data }) => hearRun(JSON.parse(data)));
   source.addEventListener("again", ({ data }) => hearAgain(JSON.parse(data)));
   source.addEventListener("step", ({ data }) => hearStep(JSON.parse(data)));
+  source.addEventListener("space", ({ data }) => hearSpace(JSON.parse(data)));
   source.addEventListener("beat", ({ data }) => hearBeat(JSON.parse(data)));
   source.addEventListener("error", () => {
     tried = now();
@@ -364,6 +392,11 @@ function hearStep({ run: key, index, step }) {
   dirty();
 }
 
+function hearSpace({ run, version }) {
+  runOf(run).space = version;
+  bringSpace();
+}
+
 function hearBeat({ ages }) {
   heard = now();
   for (const [key, age] of Object.entries(ages)) if (runs.has(key)) Object.assign(runs.get(key), { age, aged: now() });
@@ -394,6 +427,7 @@ setInterval(() => {
     broken ??= now();
   }
   if (broken !== null && now() - broken > GRACE_MS) lose();
+  bringSpace();
   dirty();
 }, 1000);
 

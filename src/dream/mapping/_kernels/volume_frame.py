@@ -194,7 +194,7 @@ def _tiles(lens, rule, scratch, height, width):
             # False where any depth is NaN.
             facing[i, j] = mean * mean >= rule.cosine * rule.cosine * normal * ray
             if greatest < np.inf:
-                farthest = max(farthest, least * math.sqrt(ray))
+                farthest = max(farthest, float(least) * math.sqrt(ray))
     for level in range(1, LEVELS):
         rows, cols, start = levels[level]
         finer_rows, finer_cols, finer = levels[level - 1]

@@ -137,7 +137,7 @@ def room(bricks, starts, ends, body, side):
     for m in range(count):
         start, step = starts[m], ends[m] - starts[m]
         box = _box(start, ends[m], body, side)
-        last_level, last_row, last_col, slot = np.int64(1) << 62, np.int64(0), np.int64(0), np.int64(0)
+        last_level, last_row, last_col, slot = 1 << 40, 0, 0, 0
         nearest = 2.0
         for row in range(box[0, 1], box[1, 1]):
             for col in range(box[0, 2], box[1, 2]):
@@ -148,7 +148,7 @@ def room(bricks, starts, ends, body, side):
                     brick = level >> BITS, row >> BITS, col >> BITS
                     if brick[0] != last_level or brick[1] != last_row or brick[2] != last_col:
                         last_level, last_row, last_col = brick
-                        slot = np.int64(find(bricks, last_level, last_row, last_col))
+                        slot = find(bricks, last_level, last_row, last_col)
                     state = state_of(bricks.log_odds[slot, within(level, row, col)])
                     if state == FREE:
                         continue

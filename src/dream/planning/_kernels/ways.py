@@ -41,7 +41,7 @@ def _passes(fits, level, row, col, up, north, east):
 
 
 @njit(cache=True, nogil=True)
-def search(fits, stands, moves, start, heading, goal):
+def search(fits, stands, moves, start, heading, goal, facing):
     """Fewest steps to every pose, until one stands on a goal.
 
     Args:
@@ -50,7 +50,8 @@ def search(fits, stands, moves, start, heading, goal):
         moves: Of a step.
         start: (3,) int64 level, row and column of the node where the vehicle is.
         heading: Where it looks.
-        goal: (levels, rows, cols) uint8 at nodes; where none is set all is searched.
+        goal: (levels, rows, cols) bool at nodes; where none is set all is searched.
+        facing: (headings,) bool of those with which a goal counts as reached.
 
     Returns:
         steps: (levels, rows, cols) int32, with any heading; −1 where no way was found.
@@ -75,7 +76,7 @@ def search(fits, stands, moves, start, heading, goal):
         here, deep = queue[head], depth[head]
         head += 1
         node = here // headings
-        if wanted[node]:
+        if wanted[node] and facing[here % headings]:
             return steps.reshape(levels, rows, cols), parent, here
         level, row, col = node // (rows * cols), node // cols % rows, node % cols
         for turn in moves.turns:

@@ -1,7 +1,8 @@
-"""What pilots in space share: to go where they want by known water, and to find something to go to."""
+"""What pilots in space share: to take one look after another, going there by water that is known to be free."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -10,93 +11,114 @@ import numpy.typing as npt
 
 from dream.geometry import wrap_angle
 from dream.planning.space.ways import Ways, ways_in
-from dream.types import Decision, Mission, Observation
+from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
+    from dream.mapping.volume import Volume
 
 FloatArray = npt.NDArray[np.floating[Any]]
+
+ADVANCES = 1.0
+"""Metres by which a way into known water must come nearer to a look for it to be flown."""
+NEARLY = 0.5
+"""Metres: of places that are nearly as near the soonest reached is taken."""
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """Where to look from, and how."""
+    """Where to look from, how, and why."""
 
     position: tuple[float, float, float]
     """x, y and z, metres in the world."""
     bearing: float | None
-    """Radians; None where any will do."""
+    """Radians, a heading step to either side will do; None where any will."""
     tilt: float
     """Pitch of the camera, downwards."""
+    why: str
+    """A sentence."""
     within: float = 1.0
     """Metres from the position that will do."""
+    is_moot: Callable[[], bool] | None = None
+    """Whether it need no longer be taken, asked at every step; it always must where None."""
 
 
 @dataclass(slots=True)
-class Going:
-    """Leads a vehicle to where it wants to look from, step by step over what is known."""
+class Patrol:
+    """A pilot that takes looks in turn, and is done after the last.
+
+    Where no known way leads to a look, it goes as near to it as one leads, and sees from there. A look is left
+    out where that brings it no nearer, or when it took more than twice the steps that the way had at first.
+    """
 
     mission: Mission
-    look: Look | None = None
-    budget: int = 0
-    """Steps that the look may still take."""
-    travel_tilt: float = field(init=False)
-    """Of the camera on the way: what shows the water ahead of the body."""
+    looks: Callable[[Patrol], Iterator[Look]]
+    """Given the patrol, of which it reads what is known; the next one is asked for when one was taken."""
+    observation: Observation = field(init=False)
+    """The latest."""
+    volume: Volume = field(init=False)
+    """What is known."""
+    _ahead: Iterator[Look] | None = None
+    _look: Look | None = None
+    _budget: int = 0
+    """Steps that the look may still take; 0 until it is headed for."""
 
-    def __post_init__(self) -> None:
-        self.travel_tilt = self.mission.protocol.camera_pitch
+    def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
+        """The next step to a look, or done."""
+        assert occupancy.volume is not None
+        self.observation, self.volume = observation, occupancy.volume
+        ways = ways_in(occupancy.volume, self.mission.bounds, self.mission.protocol)
+        if self._ahead is None:
+            self._ahead = self.looks(self)
+        while True:
+            if self._look is not None and not (self._look.is_moot and self._look.is_moot()):
+                step = self._step(self._look, ways)
+                if step is not None:
+                    return replace(step, reasoning=Reasoning(action=self._look.why))
+            self._look, self._budget = next(self._ahead, None), 0
+            if self._look is None:
+                return Decision(done=True, reasoning=Reasoning(action="The pattern is flown to its end."))
 
-    def towards(self, look: Look, observation: Observation, ways: Ways) -> Decision | None:
-        """The next step to a look; None where it was taken, no known way leads there, or it took too long.
-
-        The last step turns to the bearing and tilts the camera: the frame after it is the look.
-        """
-        pose, z, protocol = observation.pose, observation.z, self.mission.protocol
-        if look != self.look:
-            self.look, self.budget = look, 0
+    def _step(self, look: Look, ways: Ways) -> Decision | None:
+        """The next step to a look; None where it was taken, or is left out."""
+        protocol, pose = self.mission.protocol, self.observation.pose
         away = np.linalg.norm(ways.positions - np.array(look.position), axis=-1)
-        here = float(away[ways.node(pose.x, pose.y, z)])
-        if here <= look.within:
-            return self._turned(look, observation)
-        goal = (away <= look.within) & (ways.stands > 0)
-        path = ways.to(pose, z, goal) if goal.any() else []
-        if not path:
+        path = ways.to(pose, self.observation.z, away <= look.within, facing(look.bearing, ways))
+        if path is None:
+            path = self._nearer(look, away, ways)
+            if not path:
+                return None
+        tilt = look.tilt if len(path) <= 1 else protocol.camera_pitch
+        tilt = min(protocol.tilts, key=lambda allowed: abs(allowed - tilt))
+        tilted = tilt if abs(tilt - self.observation.tilt) >= 0.5 * _least_step(protocol.tilts) else None
+        if not path and tilted is None:
             return None
-        if self.budget == 0:
-            self.budget = 2 * len(path) + 4
-        self.budget -= 1
-        if self.budget == 0:
+        if self._budget == 0:
+            self._budget = 2 * len(path) + 4
+        self._budget -= 1
+        if self._budget == 0:
             return None
-        step = path[0]
-        tilt = self.travel_tilt
-        if len(path) == 1 and (look.bearing is None or self._faces(look.bearing, pose.yaw + step.turn)):
-            tilt = look.tilt
-        return replace(
-            step, tilt=None if abs(tilt - observation.tilt) < 0.1 else _nearest(tilt, protocol.tilts)
-        )
+        return replace(path[0] if path else Decision(), tilt=tilted)
 
-    def _faces(self, bearing: float, yaw: float) -> bool:
-        return abs(wrap_angle(bearing - yaw)) <= 0.5 * self.mission.protocol.heading_step + 1e-6
-
-    def _turned(self, look: Look, observation: Observation) -> Decision | None:
-        protocol, pose = self.mission.protocol, observation.pose
-        turn = 0.0
-        if look.bearing is not None and not self._faces(look.bearing, pose.yaw):
-            wanted = wrap_angle(look.bearing - pose.yaw)
-            turn = min(protocol.turn_angles, key=lambda allowed: abs(wrap_angle(wanted - allowed)))
-        tilt = _nearest(look.tilt, protocol.tilts)
-        tilted = abs(tilt - observation.tilt) >= 0.1
-        if turn == 0.0 and not tilted:
+    def _nearer(self, look: Look, away: FloatArray, ways: Ways) -> list[Decision] | None:
+        """The way to where known water comes nearest to a look, if that is nearer than here; facing it."""
+        pose, z = self.observation.pose, self.observation.z
+        reached = ways.steps(pose, z) >= 0
+        nearest = float(away[reached].min())
+        if nearest > float(away[ways.node(pose.x, pose.y, z)]) - ADVANCES:
             return None
-        return Decision(turn, tilt=tilt if tilted else None)
+        bearing = np.arctan2(look.position[1] - pose.y, look.position[0] - pose.x)
+        return ways.to(pose, z, reached & (away <= nearest + NEARLY), facing(float(bearing), ways))
 
 
-def _nearest(value: float, allowed: tuple[float, ...]) -> float:
-    return min(allowed, key=lambda one: abs(one - value))
+def facing(bearing: float | None, ways: Ways) -> BoolArray:
+    """(headings,) those within a heading step of a bearing; all where it is None."""
+    step, count = ways.protocol.heading_step, ways.protocol.headings
+    if bearing is None:
+        return np.ones(count, np.bool_)
+    return np.array([abs(wrap_angle(k * step - bearing)) <= step + 1e-9 for k in range(count)])
 
 
-def ways_now(mission: Mission, occupancy: OccupancyMap) -> Ways:
-    """The ways through what is known now."""
-    assert occupancy.volume is not None
-    volume = occupancy.volume
-    return occupancy.answer("ways", lambda: ways_in(volume, mission.bounds, mission.protocol))
+def _least_step(tilts: tuple[float, ...]) -> float:
+    """Between neighbouring tilts."""
+    return min((b - a for a, b in zip(sorted(tilts), sorted(tilts)[1:], strict=False)), default=np.pi)

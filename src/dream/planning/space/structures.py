@@ -13,6 +13,7 @@ from dream.types import BoolArray
 
 if TYPE_CHECKING:
     from dream.mapping.volume import Surface, Volume
+    from dream.protocol import SurveyProtocol
 
 FloatArray = npt.NDArray[np.floating[Any]]
 
@@ -45,10 +46,15 @@ class Structure:
     """Square metres of it that are known."""
 
     @property
-    def middle(self) -> tuple[float, float]:
-        """World x and y of the mean of its columns."""
+    def columns(self) -> FloatArray:
+        """(n, 2) world x and y of the middles of its columns."""
         rows, cols = np.nonzero(self.mask)
-        return self.west + (cols.mean() + 0.5) * COLUMN, self.south + (rows.mean() + 0.5) * COLUMN
+        return np.column_stack([self.west + (cols + 0.5) * COLUMN, self.south + (rows + 0.5) * COLUMN])
+
+    @property
+    def middle(self) -> FloatArray:
+        """(2,) the mean of its columns."""
+        return np.asarray(self.columns.mean(axis=0))
 
     @property
     def away(self) -> FloatArray:
@@ -144,3 +150,39 @@ def _length(line: FloatArray) -> float:
 def _turns_right(line: FloatArray) -> bool:
     x, y = line.T
     return float((x[:-1] * y[1:] - x[1:] * y[:-1]).sum()) < 0.0
+
+
+def shown(
+    surface: Surface,
+    position: tuple[float, float, float],
+    bearing: float,
+    tilt: float,
+    protocol: SurveyProtocol,
+) -> BoolArray:
+    """(n,) which surface a camera would have in its image, within reach and at a useful angle.
+
+    What stands in between is not looked at.
+
+    Args:
+        surface: Of a volume.
+        position: Of the camera, metres in the world.
+        bearing: Of the vehicle, radians.
+        tilt: Of the camera, downwards.
+        protocol: Its camera and reach; one that moves in space.
+    """
+    assert protocol.space is not None
+    away = surface.middles - np.array(position)
+    distance = np.linalg.norm(away, axis=1)
+    ahead = away[:, 0] * math.cos(bearing) + away[:, 1] * math.sin(bearing)
+    left = away[:, 1] * math.cos(bearing) - away[:, 0] * math.sin(bearing)
+    depth = ahead * math.cos(tilt) - away[:, 2] * math.sin(tilt)
+    above = ahead * math.sin(tilt) + away[:, 2] * math.cos(tilt)
+    camera = protocol.camera
+    in_image = (
+        (depth > 0.0)
+        & (np.abs(left) * camera.fx <= 0.5 * camera.width * depth)
+        & (np.abs(above) * camera.fy <= 0.5 * camera.height * depth)
+    )
+    towards = -(away * surface.normals).sum(axis=1)
+    useful = towards >= math.cos(protocol.space.incidence) * distance
+    return np.asarray(in_image & useful & (distance <= protocol.reach))

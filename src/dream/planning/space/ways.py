@@ -62,32 +62,41 @@ class Ways:
 
     def steps(self, pose: SE2, z: float) -> npt.NDArray[np.int32]:
         """(levels, rows, cols) fewest steps from a pose to every node; −1 where no known way leads."""
-        return self._search(pose, z, np.zeros(self.shape, np.uint8))[0]
+        nowhere = np.zeros(self.shape, np.bool_)
+        return self._search(pose, z, nowhere, np.ones(self.protocol.headings, np.bool_))[0]
 
-    def to(self, pose: SE2, z: float, goal: BoolArray) -> list[Decision]:
-        """The moves of a shortest way from a pose to the nearest node of a goal; none where none leads there.
+    def to(self, pose: SE2, z: float, goal: BoolArray, facing: BoolArray) -> list[Decision] | None:
+        """The moves of a shortest way from a pose to the nearest of a goal; None where no known way leads to any.
 
         Args:
             pose: Where the vehicle is.
             z: Its height.
-            goal: (levels, rows, cols) nodes; at least one.
+            goal: (levels, rows, cols) nodes.
+            facing: (headings,) that it may have at the end.
         """
-        _, parent, found = self._search(pose, z, goal.astype(np.uint8))
+        here = self.node(pose.x, pose.y, z)
+        possible = goal & (self.stands > 0)
+        possible[here] = goal[here]
+        if not possible.any():
+            return None
+        _, parent, found = self._search(pose, z, possible, facing)
         if found < 0:
-            return []
-        path = [int(found)]
+            return None
+        path = [found]
         while (before := int(parent[path[-1]])) >= 0:
             path.append(before)
         return [self._move(a, b) for a, b in zip(path[::-1], path[-2::-1], strict=False)]
 
     def _search(
-        self, pose: SE2, z: float, goal: npt.NDArray[np.uint8]
+        self, pose: SE2, z: float, goal: BoolArray, facing: BoolArray
     ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32], int]:
         from dream.planning._kernels import ways as kernels
 
         start = np.array(self.node(pose.x, pose.y, z))
         heading = self.protocol.heading_index(pose.yaw)
-        steps, parent, found = kernels.search(self.fits, self.stands, self._moves, start, heading, goal)
+        steps, parent, found = kernels.search(
+            self.fits, self.stands, self._moves, start, heading, goal, facing
+        )
         return steps, parent, int(found)
 
     def _move(self, before: int, after: int) -> Decision:
@@ -113,7 +122,8 @@ def ways_in(volume: Volume, bounds: Bounds, protocol: SurveyProtocol) -> Ways:
     """
     from scipy.ndimage import maximum_filter1d, minimum_filter
 
-    from dream.mapping.volume import FREE, SOLID
+    from dream.mapping.volume import FREE, MARGIN, SOLID
+    from dream.mapping.volume_box import states_in
     from dream.planning._kernels import ways as kernels
 
     assert protocol.space is not None
@@ -125,15 +135,15 @@ def ways_in(volume: Volume, bounds: Bounds, protocol: SurveyProtocol) -> Ways:
     low, high = (-1.0, -protocol.space.surface) if box is None else (float(box[0, 2]), float(box[1, 2]))
     level = math.floor(low / spacing)
     levels = max(math.floor(min(high, -protocol.space.surface) / spacing) - level + 1, 1)
-    # How many voxels the body reaches from a corner of voxels, its margin included.
-    across = math.ceil((protocol.body_radius + 0.05) / side - 1e-9)
-    upright = math.ceil((0.5 * protocol.body_height + 0.05) / side - 1e-9)
+    # How many voxels the body reaches from a corner of voxels, its margin included; touching one counts.
+    across = math.floor((protocol.body_radius + MARGIN) / side + 1e-9) + 1
+    upright = math.floor((0.5 * protocol.body_height + MARGIN) / side + 1e-9) + 1
     fine = tuple(kernels.FINE * (n - 1) + 1 for n in (levels, rows, cols))
     # The voxel (k, j, i) begins at fine point (k, j, i) of the padded grid.
     pad = (upright, across, across)
     corner = np.array([level, row, col]) * kernels.FINE - pad
-    size = tuple(n + 2 * p for n, p in zip(fine, pad, strict=True))
-    states = _states(volume, corner, size)
+    size = fine[0] + 2 * pad[0], fine[1] + 2 * pad[1], fine[2] + 2 * pad[2]
+    states = states_in(volume, corner, size)
     window = (2 * upright, 2 * across, 2 * across)
     free = minimum_filter((states == FREE).astype(np.uint8), window, mode="constant", cval=0)
     # A window of 2 n voxels that the filter centres on voxel k holds those from k − n to k + n − 1.
@@ -154,11 +164,3 @@ def ways_in(volume: Volume, bounds: Bounds, protocol: SurveyProtocol) -> Ways:
         np.array(sorted((round(climb / spacing) for climb in protocol.climbs), key=abs), np.int64),
     )
     return Ways(protocol, (level, row, col), np.ascontiguousarray(fits), stands, moves)
-
-
-def _states(volume: Volume, corner: npt.NDArray[np.int64], size: tuple[int, ...]) -> npt.NDArray[np.uint8]:
-    """(levels, rows, cols) of a volume's voxels from the one that begins at `corner` voxels on."""
-    middles = [(corner[k] + np.arange(size[k]) + 0.5) * volume.cell for k in range(3)]
-    z, y, x = np.meshgrid(*middles, indexing="ij")
-    points = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
-    return volume.state(points).reshape(size)

@@ -135,14 +135,17 @@ function pyramid(scene, index, length) {
 // ---- where the reader looks from
 
 class Orbit {
-  constructor(scene) {
+  constructor() {
+    this.aspect = 1;
+  }
+
+  // What is to be looked at.
+  open(scene) {
     this.box = scene.extent();
     const [low, high] = this.box;
     this.size = Math.max(1, Math.hypot(...low.map((value, axis) => high[axis] - value)));
-    this.aspect = 1;
     // From the side, the longer of the two extents lies across the picture.
     this.side = high[0] - low[0] >= high[1] - low[1] ? -Math.PI / 2 : 0;
-    this.take(this.preset("oblique"));
   }
 
   take({ target, distance, azimuth, elevation }) {
@@ -758,31 +761,53 @@ class SpaceView {
   constructor() {
     this.canvas = at("space");
     this.step = 0;
-    this.layers = {};
-    this.touched = false;
     this.wanted = 0;
     this.pointers = new Map();
     this.share = 1; // of the pixels along either side, while it moves
     this.drawnAt = 0;
     this.settling = 0;
+    this.visible = false;
+    this.clear();
     const still = matchMedia("(prefers-reduced-motion: reduce)");
     this.moveMs = () => (still.matches ? 0 : MOVE_MS);
     at("space-views").addEventListener("click", ({ target }) => target.dataset.view && this.look(target.dataset.view));
     at("space-layers").addEventListener("click", ({ target }) => target.dataset.layer && this.toggle(target.dataset.layer));
     new ResizeObserver(() => this.redraw()).observe(at("space-view"));
+    new IntersectionObserver(([{ isIntersecting }]) => {
+      this.visible = isIntersecting;
+      this.redraw();
+    }, { rootMargin: "200px" }).observe(at("space-view"));
     dark.addEventListener("change", () => this.redraw());
     this.listen();
   }
 
-  // A scene, as the page holds it.
+  // Nothing to show, or nothing any more.
+  clear() {
+    Object.assign(this, { scene: null, orbit: null, layers: {}, preset: "oblique", moving: null });
+    at("space-panel").hidden = true;
+  }
+
+  // A scene, or why there is none.
+  take({ scene, problem }) {
+    at("space-panel").hidden = false;
+    at("space-note").textContent = problem ?? "";
+    at("space-note").hidden = !problem;
+    at("space-body").hidden = !scene;
+    if (scene) this.open(scene);
+  }
+
+  // A scene, or what it has become.
   open(packed) {
     this.scene = new SceneData(packed);
     this.painter ??= this.painterFor();
     this.painter.open(this.scene);
-    this.orbit ??= new Orbit(this.scene);
+    this.orbit ??= new Orbit();
+    this.orbit.open(this.scene);
+    if (this.preset && !this.following) this.orbit.take(this.orbit.preset(this.preset));
     const { truth, mapped } = this.has();
     if (!("path" in this.layers)) this.layers = { truth, mapped: mapped && !truth, path: true };
     for (const button of at("space-layers").children) button.hidden = { truth: !truth, mapped: !mapped, path: false }[button.dataset.layer];
+    at("space-views").querySelector("[data-view=behind]").hidden = this.scene.path.step.length === 0;
     this.writeLegend();
     this.press();
     this.show(this.step);
@@ -876,7 +901,7 @@ class SpaceView {
   look(name) {
     this.preset = name;
     this.press();
-    const goal = this.following ? this.orbit.behind(this.scene, Math.max(0, this.scene.indexAt(this.step))) : this.orbit.preset(name === "behind" ? "oblique" : name);
+    const goal = this.following ? this.orbit.behind(this.scene, Math.max(0, this.scene.indexAt(this.step))) : this.orbit.preset(name);
     const from = this.orbit.state;
     const turn = Math.atan2(Math.sin(goal.azimuth - from.azimuth), Math.cos(goal.azimuth - from.azimuth));
     const began = performance.now();
@@ -894,6 +919,7 @@ class SpaceView {
       });
       this.move();
       if (share < 1) requestAnimationFrame(move);
+      else this.moving = null;
     };
     move();
   }
@@ -903,7 +929,6 @@ class SpaceView {
     if (!this.orbit) return;
     this.moving = null;
     this.preset = null;
-    this.touched = true;
     change(this.orbit);
     this.press();
     this.move();
@@ -927,16 +952,12 @@ class SpaceView {
   redraw() {
     this.wanted ||= requestAnimationFrame((now) => {
       this.wanted = 0;
-      if (!this.scene || !this.painter) return;
+      if (!this.scene || !this.painter || !this.visible) return;
       this.drawnAt = now;
       const aspect = this.painter.resize(this.settling ? this.share : 1);
       const reshaped = Math.abs(aspect - this.orbit.aspect) > 0.02;
       this.orbit.aspect = aspect;
-      if (reshaped) {
-        if (!this.touched && !this.moving) this.orbit.take(this.orbit.preset("oblique"));
-        if (!this.touched && !this.preset) this.preset = "oblique";
-        this.press();
-      }
+      if (reshaped && this.preset && !this.following && !this.moving) this.orbit.take(this.orbit.preset(this.preset));
       this.painter.draw(this.orbit, this.step, this.layers);
       at("space-north").querySelector("g").style.transform = `rotate(${this.orbit.azimuth + Math.PI / 2}rad)`;
       this.canvas.dataset.drawn = String(Number(this.canvas.dataset.drawn ?? 0) + 1);

@@ -21,7 +21,7 @@ BoolArray = npt.NDArray[np.bool_]
 POINTS = 10
 """Points of an individual, or fewer where less of it is open."""
 PLACES = 20
-"""Places on an individual that its points are chosen from."""
+"""Places on an individual that its points are chosen from, evenly over its area."""
 UP = 0.3
 """A clump's points lie on faces whose normal has at least this upward part."""
 OPEN = 0.5
@@ -62,9 +62,10 @@ def sight_index(world: World) -> sight.Index:
 
 
 def surface_of(world: World, solids: sight.Index, clumps: sight.Index) -> Surface:
-    """Points of all individuals, evenly over the area of each, the same ones each time.
+    """Points of all individuals, the same ones each time.
 
-    They lie on the triangles themselves, above ground, and on a clump on faces that look up. A place that
+    They lie on the triangles themselves, above ground, and on a clump on faces that look up: of places that
+    are even over the area, each the farthest from those before. A place that
     something covers, be it the individual itself, bears none: to be open, two of seven ways out of it (along
     the normal and at 45° to it) must be free for half a metre. A two-sided surface is open on either side.
     An individual that is covered or buried all over keeps its points where they are. Since a point counts by
@@ -91,7 +92,7 @@ def surface_of(world: World, solids: sight.Index, clumps: sight.Index) -> Surfac
     covered = ~open_places.any(axis=1)
     open_places[covered] = True
 
-    chosen = _evenly(open_places)
+    chosen = _spread(places, open_places)
     begins = np.concatenate([[0], np.cumsum(chosen.sum(axis=1))])
     return Surface(
         points=places[chosen],
@@ -130,9 +131,14 @@ def _ways(normals: Float64Array) -> Float64Array:
     return np.concatenate([normals[:, None], math.sqrt(0.5) * (normals[:, None] + around)], axis=1)
 
 
-def _evenly(free: BoolArray) -> BoolArray:
-    """(N, PLACES) at most POINTS of the free places of each row, evenly among them."""
-    upto, count = np.cumsum(free, axis=1), np.maximum(free.sum(axis=1), POINTS)[:, None]
-    # One is chosen where the number of points that are due by now grows.
-    due = upto * POINTS // count > (upto - 1) * POINTS // count
-    return np.asarray(free & due, np.bool_)
+def _spread(places: Float64Array, free: BoolArray) -> BoolArray:
+    """(N, PLACES) at most POINTS of the free places of each row, each the farthest from those before it."""
+    each = np.arange(len(places))
+    chosen = np.zeros_like(free)
+    gap = np.where(free, np.inf, -1.0)
+    for _ in range(POINTS):
+        following = gap.argmax(axis=1)
+        chosen[each, following] |= gap[each, following] > 0.0
+        away = np.linalg.norm(places - places[each, following, None], axis=2)
+        gap = np.minimum(gap, away)
+    return chosen

@@ -14,7 +14,9 @@ from numba import njit
 Float64Array = npt.NDArray[np.float64]
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-"""Between the states of SplitMix64."""
+"""Between the states of SplitMix64 (Steele, Lea and Flood, 2014)."""
+TWO, THREE, FOUR, FIVE = np.uint64(2), np.uint64(3), np.uint64(4), np.uint64(5)
+"""Signed numbers beside unsigned ones would make floats of both."""
 
 
 class Blobs(NamedTuple):
@@ -59,23 +61,29 @@ def smooth_wave(t):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def balls_of(blobs, kind, x, y, z, out):
-    """Middle, squared radius and share of each ball whose middle is in a cell: rows of `out`; how many."""
+def many_of(blobs, kind, x, y, z):
+    """How many balls have their middle in a cell, and the state that they are drawn from."""
     state = blobs.key + np.uint64(kind)
-    for step in (x, y, z):
-        state = mixed(state + np.uint64(np.int64(step)) + GOLDEN)
-    state += GOLDEN
+    state = mixed(state + np.uint64(x) + GOLDEN)
+    state = mixed(state + np.uint64(y) + GOLDEN)
+    state = mixed(state + np.uint64(z) + GOLDEN) + GOLDEN
     u, count = drawn(state), 0
     while count < len(blobs.counts) and u >= blobs.counts[count]:
         count += 1
-    for k in range(count):
-        for axis, cell in enumerate((x, y, z)):
-            state += GOLDEN
-            out[k, axis] = (cell + drawn(state)) * blobs.side
-        state += GOLDEN
-        radius = 0.5 * (blobs.least + (blobs.greatest - blobs.least) * drawn(state))
+    return count, state
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def balls_of(blobs, kind, x, y, z, out, at):
+    """Middle, squared radius and share of each ball of a cell, into rows of `out` from `at` on; how many."""
+    count, state = many_of(blobs, kind, x, y, z)
+    for k in range(at, at + count):
+        out[k, 0] = (x + drawn(state + GOLDEN)) * blobs.side
+        out[k, 1] = (y + drawn(state + TWO * GOLDEN)) * blobs.side
+        out[k, 2] = (z + drawn(state + THREE * GOLDEN)) * blobs.side
+        radius = 0.5 * (blobs.least + (blobs.greatest - blobs.least) * drawn(state + FOUR * GOLDEN))
         out[k, 3] = radius * radius
-        state += GOLDEN
+        state += FIVE * GOLDEN
         # Libraries differ in the last digits of a power.
         out[k, 4] = round((1.0 - (1.0 - blobs.densest) ** drawn(state)) * 1e9) * 1e-9
     return count
@@ -97,47 +105,60 @@ def gather(blobs, kinds, low, shape):
     """
     nx, ny, nz = shape
     cells = nx * ny * nz
-    found = np.empty((len(blobs.counts), 5))
-    balls = np.empty((1024, 5))
-    kind_of = np.empty(1024, np.int64)
+    room = 0
+    for kind in range(kinds):
+        for i in range(-1, nx + 1):
+            for j in range(-1, ny + 1):
+                for k in range(-1, nz + 1):
+                    room += many_of(blobs, kind, low[0] + i, low[1] + j, low[2] + k)[0]
+    balls = np.empty((room, 5))
+    kind_of = np.empty(room, np.int64)
     n = 0
     for kind in range(kinds):
         for i in range(-1, nx + 1):
             for j in range(-1, ny + 1):
                 for k in range(-1, nz + 1):
-                    count = balls_of(blobs, kind, low[0] + i, low[1] + j, low[2] + k, found)
-                    if n + count > len(balls):
-                        balls = np.concatenate((balls, np.empty((len(balls) + count, 5))))
-                        kind_of = np.concatenate((kind_of, np.empty(len(kind_of) + count, np.int64)))
-                    balls[n : n + count] = found[:count]
-                    kind_of[n : n + count] = kind
+                    count = balls_of(blobs, kind, low[0] + i, low[1] + j, low[2] + k, balls, n)
+                    for b in range(n, n + count):
+                        kind_of[b] = kind
                     n += count
+    # How many each cell has, then where they begin, then which they are.
     first = np.zeros(kinds * cells + 1, np.int64)
-    members = np.empty(0, np.int64)
-    spans = np.empty((3, 2), np.int64)
-    # Counted, then written.
-    for write in range(2):
-        if write:
-            for c in range(kinds * cells):
-                first[c + 1] += first[c]
-            members = np.empty(first[-1], np.int64)
-            begun = first.copy()
-        for b in range(n):
-            radius = math.sqrt(balls[b, 3])
-            for axis in range(3):
-                start, stop = balls[b, axis] - radius, balls[b, axis] + radius
-                spans[axis, 0] = max(math.floor(start / blobs.side) - low[axis], 0)
-                spans[axis, 1] = min(math.floor(stop / blobs.side) - low[axis] + 1, shape[axis])
-            for i in range(spans[0, 0], spans[0, 1]):
-                for j in range(spans[1, 0], spans[1, 1]):
-                    for k in range(spans[2, 0], spans[2, 1]):
-                        c = ((kind_of[b] * nx + i) * ny + j) * nz + k
-                        if write:
-                            members[begun[c]] = b
-                            begun[c] += 1
-                        else:
-                            first[c + 1] += 1
-    return first, members, balls[:n]
+    for b in range(n):
+        box = touched(balls[b], blobs.side, low, shape)
+        for i in range(box[0], box[1]):
+            for j in range(box[2], box[3]):
+                for k in range(box[4], box[5]):
+                    first[((kind_of[b] * nx + i) * ny + j) * nz + k] += 1
+    total = 0
+    for c in range(kinds * cells + 1):
+        total += first[c]
+        first[c] = total
+    members = np.empty(total, np.int64)
+    # From behind: each cell's end moves to its beginning.
+    for b in range(n):
+        box = touched(balls[b], blobs.side, low, shape)
+        for i in range(box[0], box[1]):
+            for j in range(box[2], box[3]):
+                for k in range(box[4], box[5]):
+                    c = ((kind_of[b] * nx + i) * ny + j) * nz + k
+                    first[c] -= 1
+                    members[first[c]] = b
+    return first, members, balls
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def touched(ball, side, low, shape):
+    """First and past last cell of a box that a ball touches, along x, y and z."""
+    radius = math.sqrt(ball[3])
+    return (
+        max(math.floor((ball[0] - radius) / side) - low[0], 0),
+        min(math.floor((ball[0] + radius) / side) - low[0] + 1, shape[0]),
+        max(math.floor((ball[1] - radius) / side) - low[1], 0),
+        min(math.floor((ball[1] + radius) / side) - low[1] + 1, shape[1]),
+        max(math.floor((ball[2] - radius) / side) - low[2], 0),
+        min(math.floor((ball[2] + radius) / side) - low[2] + 1, shape[2]),
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -36,7 +36,7 @@ def individuals(parts: Sequence[Part], rng: np.random.Generator) -> tuple[tuple[
     meshes: list[Mesh] = []
     regions: list[str] = []
     for part in parts:
-        cut = _merged(_split(_cut(part)))
+        cut = _merged(split(_cut(part)))
         if not len(cut.faces):
             continue
         pieces = _coloured(cut, weather, rng)
@@ -68,8 +68,8 @@ def _cut(part: Part) -> Part:
     return Part(vertices, faces.reshape(-1, 3), part.cell[keep], part.region, part.paint, part.two_sided)
 
 
-def _split(part: Part) -> Part:
-    """Patches that bending has made too wide are halved across their longest extent."""
+def split(part: Part, widest: float = WIDEST) -> Part:
+    """Patches that are more than so many metres across are halved across their longest extent."""
     cell = np.unique(part.cell, return_inverse=True)[1]
     middles = part.centroids
     count = int(cell.max(initial=-1)) + 1
@@ -77,12 +77,12 @@ def _split(part: Part) -> Part:
     for corner in np.moveaxis(part.vertices[part.faces], 1, 0):
         np.minimum.at(low, cell, corner)
         np.maximum.at(high, cell, corner)
-    waiting = np.flatnonzero(length(high - low) > WIDEST).tolist()
+    waiting = np.flatnonzero(length(high - low) > widest).tolist()
     while waiting:
         label = waiting.pop()
         members = np.flatnonzero(cell == label)
         points = part.vertices[np.unique(part.faces[members])]
-        if len(members) < 2 or _width(points) <= WIDEST:
+        if len(members) < 2 or _width(points) <= widest:
             continue
         spread = points - points.mean(axis=0)
         far = spread[int(np.argmax(steady(length(spread))))]

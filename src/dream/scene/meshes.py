@@ -1,0 +1,71 @@
+"""Scene → its surfaces as coloured meshes, as of a step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from dream.scene.encoding import SIDES, exposed
+from dream.scene.parts import LEGEND, Float32Array, Int32Array, Scene, State, UInt8Array, Voxels
+
+
+class Mesh(NamedTuple):
+    """A part of a scene."""
+
+    name: str
+    positions: Float32Array
+    """(V, 3) metres in the world, east, north and up."""
+    faces: Int32Array
+    """(F, 3) indices of vertices, none empty."""
+    state: UInt8Array
+    """(V,) `State`."""
+
+    @property
+    def colors(self) -> UInt8Array:
+        """(V, 3) sRGB."""
+        return np.array([color for _, color in LEGEND.values()], np.uint8)[self.state]
+
+
+def meshes(scene: Scene, step: int) -> Iterator[Mesh]:
+    """The parts that have a face: targets by kind, obstacles, seabed, and what the vehicle had mapped."""
+    states = scene.states(step)
+    targets = scene.targets
+    for number, name in enumerate(scene.kinds):
+        of_kind = scene.kind[targets.owner] == number if len(scene.kind) else np.zeros(0, bool)
+        place = (np.cumsum(of_kind) - 1).astype(np.int32)
+        faces = place[targets.faces[of_kind[targets.faces[:, 0]]]]
+        if len(faces):
+            yield Mesh(name, targets.positions[of_kind], faces, states[targets.owner[of_kind]])
+    for name, surface in (("obstacles", scene.obstacles), ("seabed", scene.seabed)):
+        if len(surface.faces):
+            other = np.full(len(surface.positions), State.OTHER, np.uint8)
+            yield Mesh(name, surface.positions, surface.faces, other)
+    if (scene.voxels.seen_at <= step).any():
+        yield _boxes(scene.voxels, step)
+
+
+def _boxes(voxels: Voxels, step: int) -> Mesh:
+    """Those sides of what is mapped at a step that can be looked at: two triangles and four vertices each."""
+    sides = np.where(voxels.seen_at <= step, exposed(voxels), 0)
+    states = voxels.states(step)
+    corners, owners = [], []
+    for bit, side in enumerate(SIDES):
+        which = np.flatnonzero((sides >> bit) & 1)
+        outwards = np.array(side, np.float64)
+        along = np.roll(outwards * outwards.sum(), 1)
+        across = np.cross(outwards, along)
+        square = np.array(
+            [outwards + a * along + b * across for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        )
+        corners.append(voxels.positions[which, None, :] + 0.5 * voxels.size * square)
+        owners.append(np.repeat(which, 4))
+    first = 4 * np.arange(sum(map(len, corners)), dtype=np.int32)[:, None, None]
+    faces = (first + np.array([[0, 1, 2], [0, 2, 3]], np.int32)).reshape(-1, 3)
+    return Mesh(
+        "mapped",
+        np.concatenate(corners).reshape(-1, 3).astype(np.float32),
+        faces,
+        states[np.concatenate(owners)],
+    )
