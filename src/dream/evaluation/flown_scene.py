@@ -32,7 +32,7 @@ def write_scene(
     title: str,
     truth: tuple[World, Scorer] | None = None,
 ) -> None:
-    """Write `space.npz` into the folder of a run.
+    """Write `space.npz`, and `volume.png` with what was mapped of it, into the folder of a run.
 
     Args:
         folder: Of the run.
@@ -45,7 +45,12 @@ def write_scene(
     Raises:
         OSError: It cannot be written.
     """
-    scene.save(_scene(volume, bounds, steps, title, truth), folder / scene.SPACE)
+    from dream.mapping.space_drawing import draw_oblique
+
+    shown = _scene(volume, bounds, steps, title, truth)
+    scene.save(shown, folder / scene.SPACE)
+    if len(shown.voxels.positions):
+        draw_oblique(volume, path=shown.path.positions).save(folder / "volume.png")
 
 
 def _scene(

@@ -65,12 +65,7 @@ function tables() {
   const coverage = summary.coverage;
   const measured = known(coverage.instances);
   return [
-    ["Seen", measured ? [
-      ["Individuals", share(coverage.instances), "that were in view, within reach and unobstructed; an individual is one thing that is counted, as a clump of oysters, 0.5 m of hull or a shell in a tank"],
-      ["Patches", share(coverage.clusters), "of which at least half the individuals were seen; a patch is individuals that lie together"],
-      ["Area", share(coverage.area), "target ground (of a wreck: hull surface) seen"],
-      ...(known(coverage.visible) ? [["In the pictures", share(coverage.visible), "individuals that showed at least three pixels within reach in some frame"]] : []),
-    ] : [["Targets", "not measured", "nobody knows what there was to see"]]],
+    measured ? found(coverage, summary.inspection) : ["Seen", [["Targets", "not measured", "nobody knows what there was to see"]]],
     ["Steps", [
       ...(measured ? [
         ["To 90 %", orNever(summary.t90), "of the individuals"],
@@ -97,6 +92,24 @@ function tables() {
     ]],
     ...(summary.vlm ? [["The model", modelRows(summary.vlm)]] : []),
   ];
+}
+// Shares of what there was to find. In space that is to be inspected: near enough, in the image, unobstructed, and not at a slant.
+function found(coverage, inspection) {
+  const how = inspection ? "inspected" : "seen";
+  const counts = inspection
+    ? "of which a fifth of the surface was within reach, in one picture, unobstructed and at no more than the protocol's angle"
+    : "that were in view, within reach and unobstructed";
+  return [inspection ? "Inspected" : "Seen", [
+    ["Individuals", share(coverage.instances), `${counts}; an individual is one thing that is counted, as a clump of oysters, 0.5 m of hull or a shell in a tank`],
+    ["Patches", share(coverage.clusters), `of which at least half the individuals were ${how}; a patch is individuals that lie together`],
+    ["Area", share(coverage.area), `target ground (of a wreck: hull surface) ${how}`],
+    ...(inspection ? [
+      ["All surface", share(inspection.whole), "inspected, with what nothing the vehicle can do would show"],
+      ["Left out", share(inspection.dropped), "of all surface, for that reason: it does not count above"],
+      ["At any angle", share(inspection.seen), "of the individuals that count were seen at all"],
+    ] : []),
+    ...(known(coverage.visible) ? [["In the pictures", share(coverage.visible), "individuals that showed at least three pixels within reach in some frame"]] : []),
+  ]];
 }
 function modelRows(vlm) {
   return [
