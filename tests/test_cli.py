@@ -1051,14 +1051,15 @@ def test_nothing_breaks_into_the_progress_of_a_run(tmp_path: Path) -> None:
     assert last == f"dream: {tmp_path / 'kept'}: 2 exchanges in all were not kept"
 
 
-def test_worlds_that_can_be_named_are_listed_with_a_reef_some_years_on(
+def test_worlds_that_can_be_named_are_listed_with_others_that_follow_from_them(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert run_command(["worlds"]) == 0
-    *names, _, _, later = capsys.readouterr().out.splitlines()
+    *names, _, _, later, beside, around = capsys.readouterr().out.splitlines()
     assert names == list(WORLDS)
-    # The name that is given there is one.
-    assert make_world(later.split()[0], 1).name == later.split()[0]
+    # The names that are given there are some.
+    for line in (later, beside, around):
+        assert make_world(line.split()[0], 1).name == line.split()[0]
 
 
 def test_a_key_is_sent_but_never_written(

@@ -12,6 +12,7 @@ from dream.mapping import OccupancyMap
 from dream.mapping.targets import connected_extent, target_extent
 from dream.orders import Flown, Orders, Outcome, SideOf, Task, place
 from dream.own_code import check_decision, checked_pilot, is_own, own_file, told_where
+from dream.planning import check_flies
 from dream.types import LOOK_AROUND, UNASKED, Asked, Decision, Mission, Observation
 
 if TYPE_CHECKING:
@@ -62,6 +63,7 @@ class Course:
     _approach: Approach | None = None
 
     def __post_init__(self) -> None:
+        check_flies(self.planner, self.occupancy.protocol)
         self._begin(1, flown=LOOK_AROUND)
 
     def decide(self, observation: Observation, flown: int) -> Decision:

@@ -12,7 +12,7 @@ import pytest
 
 from dream.evaluation.runner import simulate
 from dream.mapping import OccupancyMap
-from dream.planning import OFFLINE, PLANNERS, AnyPlanner, Asking, UivNav
+from dream.planning import OFFLINE, PLANAR, PLANNERS, AnyPlanner, Asking, UivNav
 from dream.protocol import DREAM_V1
 from dream.sim.world import World
 from dream.types import LOOK_AROUND, Mission, Observation, Step
@@ -27,7 +27,7 @@ def model() -> Iterator[Server]:
         yield server
 
 
-@pytest.fixture(scope="module", params=PLANNERS)
+@pytest.fixture(scope="module", params=PLANAR)
 def planner(request: pytest.FixtureRequest, model: Server) -> AnyPlanner:
     return Asking(**model.options).given_to(PLANNERS[request.param])
 

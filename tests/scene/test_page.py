@@ -160,6 +160,16 @@ SCROLLED_UP = """(before) => new Promise((tell) => {
 })"""
 """Whether the page moves up within some frames; its policy lets nothing wait for words."""
 
+LOST_AND_FOUND = """() => new Promise((back) => {
+  const canvas = document.getElementById("space");
+  const card = canvas.getContext("webgl2").getExtension("WEBGL_lose_context");
+  const later = (what) => requestAnimationFrame(() => setTimeout(what, 50));
+  canvas.addEventListener("webglcontextlost", () => later(() => card.restoreContext()), { once: true });
+  canvas.addEventListener("webglcontextrestored", () => later(back), { once: true });
+  card.loseContext();
+})"""
+"""The card takes the memory of the view back, and gives it again."""
+
 BEYOND = """() => {
   const page = document.querySelector(".page");
   const parts = [...document.querySelectorAll("#space-panel *")].filter((node) => !node.closest("svg"));
@@ -250,6 +260,16 @@ def test_the_wheel_scrolls_the_page_until_the_view_was_clicked(browsers: Any, ru
     page.mouse.wheel(0, -120)
     assert page.evaluate(SCROLLED_UP, before)
     assert view.drawn == drawn
+    view.close()
+
+
+@pytest.mark.slow
+def test_a_view_whose_card_took_its_memory_back_is_drawn_again(browsers: Any, run: Path) -> None:
+    view = View(browsers(False), run)
+    before, drawn = view.picture(), view.drawn
+    view.page.evaluate(LOST_AND_FOUND)
+    assert view.drawn > drawn
+    np.testing.assert_allclose(view.picture(), before, atol=8)
     view.close()
 
 

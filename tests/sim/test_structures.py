@@ -83,6 +83,14 @@ def test_each_wreck_stays_as_it_was_on_ground_of_its_own() -> None:
         np.testing.assert_allclose(after, before, atol=0.0011)
 
 
+def test_a_wreck_on_the_border_of_two_seabeds_stays_whole() -> None:
+    wreck = made("wreck/2", 3)
+    world = beside(wreck, made("reef/mixed", 3), 20.0)
+    east = hull_corners(wreck)[:, 0].max()
+    assert east > 0.5 * (wreck.bounds.x_max + made("reef/mixed", 3).bounds.x_min + 20.0), "on the border"
+    np.testing.assert_array_equal(hull_corners(world), hull_corners(wreck))
+
+
 def test_a_reef_grows_around_the_wreck_and_not_through_it() -> None:
     wreck, reef = made("wreck/4", 3), made("reef/mixed", 3)
     world = around(wreck, reef)

@@ -33,7 +33,6 @@ class Worlds:
     without colour). The exit status is 1 where anything is refused. docs/worlds.md says what a folder holds.
 
     Examples:
-        dream worlds
         dream worlds --save reef/string --seed 3 --out my-reef
         dream worlds --check my-reef
         dream worlds --from-mesh wreck.ply --up y --scale 1 --target --out my-wreck
@@ -111,8 +110,8 @@ class Worlds:
             print("\n".join(WORLDS))
             print("\nAny seed makes another of each.")
             print("reef/string+1y1 is reef/string 1 year on, in the first of its fates; so with all reefs.")
-            print("wreck/2+wreck/3 are two wrecks side by side, wreck/4+reef/patch is one in a reef; so with")
-            print("all wrecks, and a reef at the end.")
+            print("wreck/2+wreck/3 are two wrecks side by side; so with all wrecks.")
+            print("wreck/4+reef/patch is a wreck with a reef around it; so with all wrecks and reefs.")
         return 0
 
     def _from(self, path: Path) -> int:

@@ -32,6 +32,7 @@ SHARE = 0.03
 """Of the pixels that a voxel covers, which must return from it to be believed, where depths scatter."""
 MARGIN = 0.05
 """Metres of water around the body that must be known to be free as well."""
+LAST_LABEL = int(max(Label))
 OVERLAP = 1.0
 """Voxels before a point in which nothing hides it: at a slant, its own surface would."""
 MOUND = 3.0
@@ -214,8 +215,9 @@ class Volume:
             (camera.fx, camera.fy, camera.cx, camera.cy),
             self.protocol.returns,
         )
-        rule, window = self._rule(), self._window(camera, T_world_camera)
-        count = int(np.prod(window[1]))
+        rule = self._rule()
+        window = kernels.window_of(lens, camera.width, camera.height, self._farthest, self.cell)
+        count = math.prod(window[1].tolist())
         scratch = self._scratch_for(depth.shape, count)
         water, target = int(Label.WATER), int(Label.TARGET)
         self._sees = max(self._sees, kernels.read(depth, labels, weights, water, lens, rule, scratch))
@@ -534,19 +536,6 @@ class Volume:
             most=MOST,
         )
 
-    def _window(self, camera: Camera, T_world_camera: SE3) -> IntArray:
-        """(2, 3) level, row and column of the first brick around the view, and how many there are."""
-        u, v = np.array([0.0, camera.width]), np.array([0.0, camera.height])
-        a, b = np.meshgrid((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
-        rays = np.stack([a.ravel(), b.ravel(), np.ones(4)], axis=1) @ T_world_camera.rotation.T
-        place, farthest = T_world_camera.translation, self._farthest
-        ends = np.vstack([np.zeros((1, 3)), rays * farthest])
-        low = place + np.clip(ends.min(axis=0), -farthest, None)
-        high = place + np.clip(ends.max(axis=0), None, farthest)
-        first = np.floor(low / (SIDE * self.cell)).astype(np.int64)
-        past = np.floor(high / (SIDE * self.cell)).astype(np.int64) + 1
-        return np.stack([first, past - first])[:, ::-1].copy()
-
     def _scratch_for(self, shape: tuple[int, ...], count: int) -> Any:
         from dream.mapping._kernels import volume_frame as kernels
 
@@ -673,7 +662,10 @@ def _read(content: arrays.Npz) -> Volume:
         getattr(held, name)[1 : 1 + count] = found[name]
     for name in OF_SURFACES:
         getattr(held, name)[1 : 1 + kept] = found[name]
-    held.saturated[1 : 1 + count] = (found["log_odds"] <= LEAST).all(axis=1)
+    # By eighths of a brick: bit 4, 2 and 1 of their number tell upper, northern and eastern ones.
+    eighths = found["log_odds"].reshape(count, 2, SIDE // 2, 2, SIDE // 2, 2, SIDE // 2)
+    full = (eighths <= LEAST).all(axis=(2, 4, 6)).reshape(count, 8)
+    held.saturated[1 : 1 + count] = np.packbits(full, axis=1, bitorder="little")[:, 0]
     held.surface_of[found["surfaces"]] = np.arange(1, 1 + kept)
     held.used[:] = 1 + count, 1 + kept
     bricks_kernels.enter(held.keys, held.slots, held.names, 1 + count)
@@ -720,11 +712,10 @@ def _checked(
         raise ValueError(f"depth: expected floating-point metres, got {depth.dtype}")
     if not np.issubdtype(labels.dtype, np.integer):
         raise ValueError(f"labels: expected integers, values of Label, got {labels.dtype}")
-    if labels.min() < 0 or labels.max() > max(Label):
-        raise ValueError(
-            f"labels: expected values of Label, 0 to {int(max(Label))}, "
-            f"got {labels.max() if labels.min() >= 0 else labels.min()}"
-        )
+    unsigned = np.issubdtype(labels.dtype, np.unsignedinteger)
+    if labels.max() > LAST_LABEL or not (unsigned or labels.min() >= 0):
+        wrong = labels.max() if labels.max() > LAST_LABEL else labels.min()
+        raise ValueError(f"labels: expected values of Label, 0 to {LAST_LABEL}, got {wrong}")
     weights = np.zeros((0, 0), np.uint8)
     if confidence is not None:
         sure = np.asarray(confidence, np.float64)

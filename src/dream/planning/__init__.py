@@ -13,7 +13,9 @@ from dream.planning.baselines import (
 from dream.planning.belief import Belief
 from dream.planning.sixsteps import SixSteps
 from dream.planning.space.orbits import Orbits
+from dream.planning.space.tiers import Tiers
 from dream.planning.vlm import Asking, Dream, Ranked, Vanilla
+from dream.protocol import SurveyProtocol
 
 AnyPlanner = (
     Belief
@@ -26,6 +28,7 @@ AnyPlanner = (
     | RandomWalk
     | UivNav
     | Orbits
+    | Tiers
     | Dream
     | Vanilla
     | Ranked
@@ -42,6 +45,7 @@ PLANNERS: dict[str, AnyPlanner] = {
     "random": RandomWalk(),
     "uivnav": UivNav(),
     "orbits": Orbits(),
+    "tiers": Tiers(),
     "dream": Dream(),
     "vanilla": Vanilla(),
     "ranked": Ranked(),
@@ -51,11 +55,29 @@ PLANNERS: dict[str, AnyPlanner] = {
 LABELLED = "+"
 """Between a planner's name and a label, where a benchmark holds one that asks several models."""
 
-OFFLINE: tuple[str, ...] = tuple(
-    name for name, planner in PLANNERS.items() if not isinstance(planner, Asking | UivNav)
-)
-"""Names of those that need nothing but this machine: they ask no model, and run no network, which takes ONNX
-Runtime."""
+IN_SPACE = ("sixsteps", "orbits", "tiers")
+"""Names of those that fly under a protocol that moves in space. The others read the map's planar layers."""
+
+PLANAR: tuple[str, ...] = tuple(name for name in PLANNERS if name not in ("orbits", "tiers"))
+"""Names of those that fly under a planar protocol."""
+
+OFFLINE: tuple[str, ...] = tuple(name for name in PLANAR if not isinstance(PLANNERS[name], Asking | UivNav))
+"""Names of those of them that need nothing but this machine: they ask no model, and run no network, which takes
+ONNX Runtime."""
+
+
+def check_flies(planner: object, protocol: SurveyProtocol) -> None:
+    """Raise a ValueError that names those that can, where a planner does not fly under a protocol.
+
+    One's own planner is taken to know what it does.
+    """
+    names = PLANAR if protocol.space is None else IN_SPACE
+    known = [name for name, default in PLANNERS.items() if type(default) is type(planner)]
+    if known and known[0] not in names:
+        raise ValueError(
+            f"planner: expected one that flies under {protocol.name}, which are {', '.join(names)}; "
+            f"got {known[0]}"
+        )
 
 
 def check_installed(planner: object) -> None:
@@ -73,7 +95,9 @@ def planner_name(planner: AnyPlanner) -> str:
 
 __all__ = [
     "LABELLED",
+    "IN_SPACE",
     "OFFLINE",
+    "PLANAR",
     "PLANNERS",
     "AnyPlanner",
     "Asking",
@@ -88,8 +112,10 @@ __all__ = [
     "SixSteps",
     "Spiral",
     "SweepAndGraze",
+    "Tiers",
     "UivNav",
     "Vanilla",
+    "check_flies",
     "check_installed",
     "planner_name",
 ]

@@ -21,6 +21,7 @@ from dream.types import Decision, Mission, Observation, Reasoning
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
     from dream.mapping.completion import Completion, Region
+    from dream.planning.space.sixsteps import SpacePilot
 
 FloatArray = npt.NDArray[np.floating[Any]]
 
@@ -71,8 +72,15 @@ class SixSteps:
         check_range("afar", self.afar, 0.0, 1.0)
         check_range("patience", self.patience, 1.0, 1000.0)
 
-    def begin(self, mission: Mission) -> _SixStepsPilot:
-        """A fresh pilot; it remembers the viewpoint it is heading for and the hull it looked at from afar."""
+    def begin(self, mission: Mission) -> _SixStepsPilot | SpacePilot:
+        """A fresh pilot; it remembers the viewpoint it is heading for and the hull it looked at from afar.
+
+        Under a protocol that moves in space it takes the steps on the volume instead.
+        """
+        if mission.protocol.space is not None:
+            from dream.planning.space.sixsteps import SpacePilot
+
+            return SpacePilot(self, mission)
         cell, bounds = mission.protocol.cell, mission.bounds
         surveyed = np.zeros((round(bounds.depth / cell), round(bounds.width / cell)), dtype=np.bool_)
         return _SixStepsPilot(self, mission, surveyed)

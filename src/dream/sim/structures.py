@@ -157,17 +157,9 @@ def _moved(world: World, x: float, y: float) -> World:
 
 def _joined(first: World, second: World, bounds: Bounds, ground: Terrain, starts: int) -> World:
     """All of both on one seabed, with so many starts of the first, and of the second what lacks to four."""
-    targets, obstacles = (
-        _both(
-            [_standing(getattr(world, name), world.terrain, ground) for world in (first, second)],
-            len(first.meshes),
-        )
-        for name in ("targets", "obstacles")
-    )
-    hull = np.concatenate([first.hull, second.hull])
-    # Hull keeps its height: under it the seabed is its own.
-    level = np.concatenate([world.targets.position[:, 2] for world in (first, second)])
-    targets.position[hull, 2] = level[hull]
+    parts, meshes = (first, second), len(first.meshes)
+    targets = [_standing(part.targets, ~part.hull, part.terrain, ground) for part in parts]
+    obstacles = [_standing(part.obstacles, True, part.terrain, ground) for part in parts]
     return replace(
         first,
         name=f"{first.name}+{second.name}",
@@ -175,17 +167,17 @@ def _joined(first: World, second: World, bounds: Bounds, ground: Terrain, starts
         starts=(*first.starts[:starts], *second.starts[: len(first.starts) - starts]),
         terrain=ground,
         meshes=first.meshes + second.meshes,
-        targets=targets,
-        hull=hull,
-        obstacles=obstacles,
+        targets=_both(targets, meshes),
+        hull=np.concatenate([first.hull, second.hull]),
+        obstacles=_both(obstacles, meshes),
     )
 
 
-def _standing(table: Instances, before: Terrain, after: Terrain) -> Instances:
-    """All of the table as high above the seabed as it was."""
+def _standing(table: Instances, which: BoolArray | bool, before: Terrain, after: Terrain) -> Instances:
+    """Those of the table as high above the seabed as they were. A hull keeps its height and stays whole."""
     position = table.position.astype(np.float64)
     x, y = position[:, 0], position[:, 1]
-    position[:, 2] += after.height(x, y) - before.height(x, y)
+    position[:, 2] += np.where(which, after.height(x, y) - before.height(x, y), 0.0)
     return replace(table, position=quantised(position, MILLIMETRE).astype(np.float32))
 
 

@@ -15,7 +15,7 @@ from dream.commands.dive.ready import Ready
 from dream.commands.dive.terminal import Terminal
 from dream.geometry import SE3
 from dream.perception import FlatFloor, Perception, Shells
-from dream.planning import PLANNERS
+from dream.planning import PLANNERS, planner_name
 from dream.robots.bluerov2.check import Finding
 from dream.robots.bluerov2.standin.rig import Rig
 from dream.sim.world import World
@@ -74,7 +74,7 @@ def dive(rig: Rig, folder: Path, *, settle: float = 0.0, **options: Any) -> Dive
     dived = Dived(folder, predive_list(ready))
     if all(finding.ok for finding in dived.found):
         try:
-            Flight(ready, "belief").fly(lambda: None, Terminal())
+            Flight(ready, planner_name(ready.told.planner)).fly(lambda: None, Terminal())
         except Exception as error:  # noqa: BLE001 - it is what the test asks for.
             dived.error = error
     rig.link.restore()

@@ -676,6 +676,7 @@ def test_the_line_that_dives_again_says_what_was_told() -> None:
         ("--area -1 -1 1 1 --min-altitude 0.5", "--min-altitude: expected less than the 0.5 m of the A50"),
         ("--stand-in --area -1 -1 1 1", "--area: expected none with --stand-in"),
         ("--area -1 -1 1 1 --protocol dream-v2-draft --tilt 30", "--tilt: expected 20, where the camera"),
+        ("--area -1 -1 1 1 --protocol dream-v2-draft", "--depth: expected a network that estimates depth"),
         ("--area -1 -1 1 1 --protocol dream-v2-draft --min-altitude 0.7", "less than the 0.7 m of the A50"),
     ],
 )

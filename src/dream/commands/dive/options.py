@@ -83,6 +83,11 @@ def check_options(told: Dive) -> None:
             f"--min-altitude: expected less than the {swims:g} m of the A50 above the floor under "
             f"{told.protocol}, got {told.min_altitude:g}"
         )
+    if protocol.space is not None and told.depth is None and not told.stand_in:
+        raise ValueError(
+            f"--depth: expected a network that estimates depth under {protocol.name}, got none: where the floor "
+            "is taken for flat, what stands on it is not in the map, and the vehicle would run into it"
+        )
     if told.lights is not None and not 0.0 <= told.lights <= 1.0:
         raise ValueError(f"--lights: expected a share from 0 to 1, got {told.lights:g}")
     if told.stand_in:

@@ -44,7 +44,7 @@ class Bricks(NamedTuple):
     log_odds: npt.NDArray[np.int8]
     """(bricks, 512) of solid; 0 is unknown."""
     saturated: npt.NDArray[np.uint8]
-    """(bricks,) whether all of it is as free as can be."""
+    """(bricks,) a bit for each eighth of it, whether all of that is as free as can be."""
     stamps: npt.NDArray[np.int64]
     """(bricks,) the revision at which it was last changed."""
     surface_of: npt.NDArray[np.int32]

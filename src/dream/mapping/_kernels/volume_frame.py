@@ -37,6 +37,7 @@ TARGET, NEAR, INSPECTED = 1, 2, 4
 _NOTHING = -1
 _HIDDEN, _MIXED, _CLEAR = 0, 1, 2
 _SUPER = 4  # Bricks along the largest node.
+_ALL = np.uint8(255)  # Of a brick's eighths.
 
 
 class FrameLens(NamedTuple):
@@ -118,6 +119,24 @@ def _tile_levels(height, width):
 
 
 @njit(cache=True, nogil=True)
+def window_of(lens, width, height, farthest, side):
+    """(2, 3) int64 level, row and column of the first brick around a view, and how many there are."""
+    fx, fy, cx, cy = lens.pinhole
+    window = np.empty((2, 3), np.int64)
+    for k in range(3):
+        low, high = 0.0, 0.0
+        for u in (0.0, float(width)):
+            for v in (0.0, float(height)):
+                a, b = (u - cx) / fx, (v - cy) / fy
+                end = (lens.rotation[k, 0] * a + lens.rotation[k, 1] * b + lens.rotation[k, 2]) * farthest
+                low, high = min(low, end), max(high, end)
+        low, high = lens.place[k] + max(low, -farthest), lens.place[k] + min(high, farthest)
+        first = math.floor(low / (SIDE * side))
+        window[0, 2 - k], window[1, 2 - k] = first, math.floor(high / (SIDE * side)) + 1 - first
+    return window
+
+
+@njit(cache=True, nogil=True)
 def read(depth, labels, weights, water, lens, rule, scratch):
     """How far each ray is clear, by pixel and tile, and which tiles are seen at a useful angle.
 
@@ -166,26 +185,33 @@ def _tiles(lens, rule, scratch, height, width):
     rows, cols = levels[0, 0], levels[0, 1]
     spread = TILE * TILE * (TILE * TILE - 1) / 12.0
     farthest = 0.0
+    # The sums and bounds of four rows of pixels, column by column.
+    sums = np.empty((2, width))
+    bounds = np.empty((2, width), np.float32)
     for i in range(rows):
+        sums[:] = 0.0
+        bounds[0, :], bounds[1, :] = np.float32(np.inf), np.float32(0.0)
+        for v in range(TILE * i, min(TILE * i + TILE, height)):
+            below = v - TILE * i - 0.5 * (TILE - 1)
+            for u in range(width):
+                w, clear = np.float64(inverse[v, u]), clear_to[v, u]
+                sums[0, u] += w
+                sums[1, u] += below * w
+                bounds[0, u] = min(bounds[0, u], clear)
+                bounds[1, u] = max(bounds[1, u], clear)
         for j in range(cols):
             least, greatest = np.float32(np.inf), np.float32(0.0)
-            for v in range(TILE * i, min(TILE * i + TILE, height)):
-                for u in range(TILE * j, min(TILE * j + TILE, width)):
-                    least, greatest = min(least, clear_to[v, u]), max(greatest, clear_to[v, u])
+            total, right, down = 0.0, 0.0, 0.0
+            for u in range(TILE * j, min(TILE * j + TILE, width)):
+                least, greatest = min(least, bounds[0, u]), max(greatest, bounds[1, u])
+                total += sums[0, u]
+                down += sums[1, u]
+                right += (u - TILE * j - 0.5 * (TILE - 1)) * sums[0, u]
             low[i * cols + j], high[i * cols + j] = least, greatest
             facing[i, j] = 0
             if TILE * (i + 1) > height or TILE * (j + 1) > width:
                 continue
             # Over a plane, 1 / depth is linear in the image: its slopes are the plane's normal.
-            total, right, down = 0.0, 0.0, 0.0
-            for v in range(TILE):
-                across = 0.0
-                for u in range(TILE):
-                    w = inverse[TILE * i + v, TILE * j + u]
-                    across += w
-                    right += (u - 0.5 * (TILE - 1)) * w
-                total += across
-                down += (v - 0.5 * (TILE - 1)) * across
             mean = total / (TILE * TILE)
             a, b = (TILE * (j + 0.5) - cx) / fx, (TILE * (i + 0.5) - cy) / fy
             along, below = fx * right / spread, fy * down / spread
@@ -300,34 +326,46 @@ def settle(bricks, lens, rule, window, scratch, found, limit, stamp):
     """
     # First what is clear: what returned from a voxel in the same frame holds there.
     _clear(bricks, lens, rule, window, scratch, limit, stamp)
-    fx, fy = lens.pinhole[0], lens.pinhole[1]
-    rotation, place, side = lens.rotation, lens.place, rule.side
+    # Taken out here: each access to an array of a tuple counts its references.
+    touched, hit_of, slot_of = scratch.touched, scratch.hit_of, scratch.slot_of
+    counts, kinds, log_odds, votes = scratch.counts, scratch.kinds, bricks.log_odds, bricks.votes
+    surface_of, seen, sides = bricks.surface_of, bricks.seen, bricks.sides
+    rotation, place, side, pixels = lens.rotation, lens.place, rule.side, lens.pinhole[0] * lens.pinhole[1]
     for n in range(found):
-        voxel = scratch.touched[n]
+        voxel = touched[n]
         brick, number = voxel >> 3 * BITS, voxel & (VOXELS - 1)
-        hit = scratch.hit_of[brick]
+        hit = hit_of[brick]
         dx, dy, dz = _middle(voxel, window, side, place)
         z = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
-        count, of_target, kind = scratch.counts[hit, number, 0], scratch.counts[hit, number, 1], 0
-        if _is_believed(count, z, fx * fy, rule):
-            kind = scratch.kinds[hit, number]
+        count, of_target, kind = counts[hit, number, 0], counts[hit, number, 1], kinds[hit, number]
+        counts[hit, number, 0] = counts[hit, number, 1] = 0
+        kinds[hit, number] = 0
+        if not _is_believed(count, z, pixels, rule):
+            continue
+        slot = slot_of[brick]
+        if slot == 0 or surface_of[slot] == 0:
             slot = _slot(bricks, brick, window, scratch)
-            # A depth that scatters over several voxels tells each of them less.
-            sure = rule.side / max(2.0 * rule.scatter * z * z, rule.side)
-            step = max(int(rule.hit * sure), 1)
-            odds = np.int64(bricks.log_odds[slot, number])
-            bricks.log_odds[slot, number] = min(odds + step, rule.most)
-            bricks.saturated[slot], bricks.stamps[slot] = 0, stamp
-            at = surface(bricks, slot)
-            _vote(bricks.votes, at, number, of_target / count)
-            if kind & NEAR:
-                bricks.seen[at, number] = 1
-            if kind & INSPECTED:
-                bricks.sides[at, number] |= side_bit(-dx, -dy, -dz)
-        scratch.counts[hit, number, 0] = scratch.counts[hit, number, 1] = 0
-        scratch.kinds[hit, number] = 0
+            surface(bricks, slot)
+        # A depth that scatters over several voxels tells each of them less.
+        sure = side / max(2.0 * rule.scatter * z * z, side)
+        step = max(int(rule.hit * sure), 1)
+        log_odds[slot, number] = min(np.int64(log_odds[slot, number]) + step, rule.most)
+        at = surface_of[slot]
+        _vote(votes, at, number, of_target / count)
+        if kind & NEAR:
+            seen[at, number] = 1
+        if kind & INSPECTED:
+            sides[at, number] |= side_bit(-dx, -dy, -dz)
+        bricks.saturated[slot] &= ~_octant(number)
+        bricks.stamps[slot] = stamp
     scratch.hit_of[:] = 0
     scratch.slot_of[:] = 0
+
+
+@njit(cache=True, nogil=True)
+def _octant(number):
+    """The bit of the eighth of a brick that a voxel is in."""
+    return np.uint8(1) << np.uint8((number >> 8 & 1) << 2 | (number >> 5 & 1) << 1 | (number >> 2 & 1))
 
 
 @njit(cache=True, nogil=True)
@@ -350,7 +388,10 @@ def _vote(votes, at, number, share):
 @njit(cache=True, nogil=True)
 def side_bit(dx, dy, dz):
     """The bit of the side that a voxel is looked at from; from it to the camera."""
-    bearing = int((math.atan2(dy, dx) / (2.0 * math.pi) + 1.0) * BEARINGS) % BEARINGS
+    if dy >= 0.0:
+        bearing = (0 if dy < dx else 1) if dx > 0.0 else (2 if dy > -dx else 3)
+    else:
+        bearing = (4 if dy > dx else 5) if dx < 0.0 else (6 if -dy > dx else 7)
     height = dz / max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-12)
     band = min(int((height + 1.0) * 0.5 * ELEVATIONS), ELEVATIONS - 1)
     return np.uint32(1) << np.uint32(band * BEARINGS + bearing)
@@ -377,35 +418,50 @@ def _slot(bricks, brick, window, scratch):
     return scratch.slot_of[brick]
 
 
-class _View(NamedTuple):
-    """What nodes are held against."""
-
-    lens: FrameLens
-    size: tuple[int, int]
-    """Height and width of the image."""
-    levels: npt.NDArray[np.int64]
-    """(LEVELS, 3) of tiles."""
-    tiles: npt.NDArray[np.float32]
-    clear_to: npt.NDArray[np.float32]
-    limit: float
-    """Metres straight up to which a ray may clear."""
+@njit(cache=True, nogil=True)
+def _edges(pinhole, height, width):
+    """The planes through the camera and the image's edges: each as a normal's two components, inwards."""
+    fx, fy, cx, cy = pinhole
+    left, right = math.hypot(fx, cx), math.hypot(fx, width - cx)
+    top, bottom = math.hypot(fy, cy), math.hypot(fy, height - cy)
+    across = (fx / left, cx / left, -fx / right, (width - cx) / right)
+    return across, (fy / top, cy / top, -fy / bottom, (height - cy) / bottom)
 
 
 @njit(cache=True, nogil=True)
-def _classify(view, x, y, z, extent):
+def _is_outside(edges, x, y, z, radius):
+    """Is a ball about (x, y, z), in the camera's axes, wholly beyond an edge of the image?"""
+    across, along = edges
+    return (
+        across[0] * x + across[1] * z < -radius
+        or across[2] * x + across[3] * z < -radius
+        or along[0] * y + along[1] * z < -radius
+        or along[2] * y + along[3] * z < -radius
+    )
+
+
+@njit(cache=True, nogil=True)
+def _classify(tiles, levels, pinhole, edges, size, limit, x, y, z, extent):
     """Whether a cube about (x, y, z), in the camera's axes, is hidden, clear, or neither.
 
     Args:
+        tiles: Least and greatest depths, see `FrameScratch`.
+        levels: Of the tiles.
+        pinhole: fx, fy, cx and cy in pixels.
+        edges: Of the image.
+        size: Height and width of the image.
+        limit: Metres straight up to which a ray may clear.
+        x, y, z: Metres.
         extent: (4,) half of its extent along the three axes of the camera, and of its diagonal.
     """
     away = math.sqrt(x * x + y * y + z * z)
     nearest, farthest = z - extent[2], z + extent[2]
-    if farthest <= 0.0 or away - extent[3] > view.limit:
+    if farthest <= 0.0 or away - extent[3] > limit or _is_outside(edges, x, y, z, extent[3]):
         return _HIDDEN
     if nearest < NEAREST:
         return _MIXED
-    fx, fy, cx, cy = view.lens.pinhole
-    height, width = view.size
+    fx, fy, cx, cy = pinhole
+    height, width = size
     close, far = 1.0 / nearest, 1.0 / farthest
     left, right = x - extent[0], x + extent[0]
     above, below = y - extent[1], y + extent[1]
@@ -416,61 +472,60 @@ def _classify(view, x, y, z, extent):
     if u_high < 0.0 or v_high < 0.0 or u_low >= width or v_low >= height:
         return _HIDDEN
     inside = u_low >= 0.0 and v_low >= 0.0 and u_high < width and v_high < height
-    inside &= away + extent[3] <= view.limit
+    inside &= away + extent[3] <= limit
     u_first, u_last = max(int(u_low), 0), min(int(u_high), width - 1)
     v_first, v_last = max(int(v_low), 0), min(int(v_high), height - 1)
     level, span = 0, max(u_last - u_first, v_last - v_first)
     while level < LEVELS - 1 and span > 2 * (TILE << level):
         level += 1
     side = TILE << level
-    cols, start = view.levels[level, 1], view.levels[level, 2]
+    cols, start = levels[level, 1], levels[level, 2]
     least, greatest = np.float32(np.inf), np.float32(0.0)
     for i in range(v_first // side, v_last // side + 1):
         for j in range(u_first // side, u_last // side + 1):
-            least = min(least, view.tiles[0, start + i * cols + j])
-            greatest = max(greatest, view.tiles[1, start + i * cols + j])
+            least = min(least, tiles[0, start + i * cols + j])
+            greatest = max(greatest, tiles[1, start + i * cols + j])
     if greatest < nearest:
         return _HIDDEN
     return _CLEAR if inside and least >= farthest else _MIXED
 
 
 @njit(cache=True, nogil=True)
-def _is_passed(view, x, y, z, samples):
+def _is_passed(clear_to, pinhole, limit, x, y, z, samples):
     """Does a ray pass a voxel about (x, y, z), in the camera's axes, by any of some points of it?"""
-    fx, fy, cx, cy = view.lens.pinhole
-    height, width = view.size
+    fx, fy, cx, cy = pinhole
+    height, width = clear_to.shape
     for s in range(len(samples)):
-        ahead = z + samples[s, 2]
-        if ahead <= 0.0:
+        right, down, ahead = x + samples[s, 0], y + samples[s, 1], z + samples[s, 2]
+        if ahead <= 0.0 or right * right + down * down + ahead * ahead > limit * limit:
             continue
         over = 1.0 / ahead
-        u, v = fx * (x + samples[s, 0]) * over + cx, fy * (y + samples[s, 1]) * over + cy
-        if 0.0 <= u < width and 0.0 <= v < height and view.clear_to[int(v), int(u)] >= ahead:
+        u, v = fx * right * over + cx, fy * down * over + cy
+        if 0.0 <= u < width and 0.0 <= v < height and clear_to[int(v), int(u)] >= ahead:
             return True
     return False
 
 
 @njit(cache=True, nogil=True)
-def _is_seen_through(view, x, y, z, corners):
+def _is_seen_through(clear_to, pinhole, limit, x, y, z, corners):
     """Do the four rays around every corner of a voxel about (x, y, z), and around its middle, pass it?
 
     So much is asked where it is solid: else a few rays along a plate would clear it.
     """
-    fx, fy, cx, cy = view.lens.pinhole
-    height, width = view.size
+    fx, fy, cx, cy = pinhole
+    height, width = clear_to.shape
     for s in range(len(corners)):
-        ahead = z + corners[s, 2]
-        if ahead <= 0.0:
+        right, down, ahead = x + corners[s, 0], y + corners[s, 1], z + corners[s, 2]
+        if ahead <= 0.0 or right * right + down * down + ahead * ahead > limit * limit:
             return False
         over = 1.0 / ahead
-        u = fx * (x + corners[s, 0]) * over + cx - 0.5
-        v = fy * (y + corners[s, 1]) * over + cy - 0.5
+        u, v = fx * right * over + cx - 0.5, fy * down * over + cy - 0.5
         if not (0.0 <= u < width - 1 and 0.0 <= v < height - 1):
             return False
         i, j = int(v), int(u)
         nearest = min(
-            min(view.clear_to[i, j], view.clear_to[i, j + 1]),
-            min(view.clear_to[i + 1, j], view.clear_to[i + 1, j + 1]),
+            min(clear_to[i, j], clear_to[i, j + 1]),
+            min(clear_to[i + 1, j], clear_to[i + 1, j + 1]),
         )
         if nearest < ahead:
             return False
@@ -481,11 +536,12 @@ def _is_seen_through(view, x, y, z, corners):
 def _clear(bricks, lens, rule, window, scratch, limit, stamp):
     """Lower the log-odds of every voxel that a ray passes and nothing returned from."""
     height, width = scratch.clear_to.shape
-    view = _View(lens, (height, width), _tile_levels(height, width), scratch.tiles, scratch.clear_to, limit)
+    tiles, tile_levels = scratch.tiles, _tile_levels(height, width)
+    edges = _edges(lens.pinhole, height, width)
     rotation, side = lens.rotation, rule.side
-    # Half extents of nodes of 4 bricks, of a brick, and of half a brick, along the camera's axes.
-    extents = np.empty((3, 4))
-    for n, voxels in enumerate((SIDE * _SUPER, SIDE, SIDE // 2)):
+    # Half extents of nodes of 4 bricks, a brick, half and a quarter of one, along the camera's axes.
+    extents = np.empty((4, 4))
+    for n, voxels in enumerate((SIDE * _SUPER, SIDE, SIDE // 2, SIDE // 4)):
         half = 0.5 * voxels * side
         for k in range(3):
             extents[n, k] = half * (abs(rotation[0, k]) + abs(rotation[1, k]) + abs(rotation[2, k]))
@@ -498,7 +554,18 @@ def _clear(bricks, lens, rule, window, scratch, limit, stamp):
             for east in range(0, cols, _SUPER):
                 half = 0.5 * SIDE * _SUPER
                 _turn(lens, window, side, up * SIDE + half, north * SIDE + half, east * SIDE + half, at)
-                whole = _classify(view, at[0], at[1], at[2], extents[0])
+                whole = _classify(
+                    tiles,
+                    tile_levels,
+                    lens.pinhole,
+                    edges,
+                    (height, width),
+                    limit,
+                    at[0],
+                    at[1],
+                    at[2],
+                    extents[0],
+                )
                 if whole == _HIDDEN:
                     continue
                 for level in range(up, min(up + _SUPER, levels)):
@@ -506,7 +573,10 @@ def _clear(bricks, lens, rule, window, scratch, limit, stamp):
                         for col in range(east, min(east + _SUPER, cols)):
                             _clear_brick(
                                 bricks,
-                                view,
+                                lens,
+                                tile_levels,
+                                edges,
+                                limit,
                                 rule,
                                 window,
                                 scratch,
@@ -542,21 +612,37 @@ def _turn(lens, window, side, level, row, col, at):
 
 
 @njit(cache=True, nogil=True)
-def _clear_brick(bricks, view, rule, window, scratch, name, clear, extents, inner, outer, stamp, at):
+def _clear_brick(
+    bricks,
+    lens,
+    tile_levels,
+    edges,
+    limit,
+    rule,
+    window,
+    scratch,
+    name,
+    clear,
+    extents,
+    inner,
+    outer,
+    stamp,
+    at,
+):
     """Clear what is passed of a brick of the window; all of it where it is known to be clear."""
     level, row, col = name
-    lens, side = view.lens, rule.side
+    side, pinhole, tiles, size = rule.side, lens.pinhole, scratch.tiles, scratch.clear_to.shape
     brick = (level * window[1, 1] + row) * window[1, 2] + col
     half = 0.5 * SIDE
     if not clear:
         _turn(lens, window, side, level * SIDE + half, row * SIDE + half, col * SIDE + half, at)
-        kind = _classify(view, at[0], at[1], at[2], extents[1])
+        kind = _classify(tiles, tile_levels, pinhole, edges, size, limit, at[0], at[1], at[2], extents[1])
         if kind == _HIDDEN:
             return
         clear = kind == _CLEAR
     if clear:
         slot = _slot(bricks, brick, window, scratch)
-        if bricks.saturated[slot]:
+        if bricks.saturated[slot] == _ALL:
             return
         odds = bricks.log_odds[slot]
         greatest = np.int8(-128)
@@ -565,59 +651,125 @@ def _clear_brick(bricks, view, rule, window, scratch, name, clear, extents, inne
             value = max(np.int8(max(odds[n], np.int8(least + miss)) - miss), least)
             odds[n] = value
             greatest = max(greatest, value)
-        bricks.saturated[slot], bricks.stamps[slot] = greatest <= least, stamp
+        bricks.saturated[slot], bricks.stamps[slot] = (_ALL if greatest <= least else 0), stamp
         return
-    hit, slot = scratch.hit_of[brick], scratch.slot_of[brick]
+    slot = scratch.slot_of[brick]
     if slot == 0:
         slot = find(bricks, window[0, 0] + level, window[0, 1] + row, window[0, 2] + col)
         scratch.slot_of[brick] = slot
-    if bricks.saturated[slot] and hit == 0:
+    if bricks.saturated[slot] == _ALL:
         return
     quarter = SIDE // 2
     for part in range(8):
         up, north, east = (part >> 2) * quarter, (part >> 1 & 1) * quarter, (part & 1) * quarter
+        first = within(up, north, east)
+        if bricks.saturated[slot] & _octant(first):
+            continue
         middle = 0.5 * quarter
-        _turn(
-            lens,
-            window,
-            side,
-            level * SIDE + up + middle,
-            row * SIDE + north + middle,
-            col * SIDE + east + middle,
-            at,
-        )
-        x, y, z = at[0], at[1], at[2]
-        kind = _classify(view, x, y, z, extents[2])
+        h, r, c = level * SIDE + up + middle, row * SIDE + north + middle, col * SIDE + east + middle
+        _turn(lens, window, side, h, r, c, at)
+        kind = _classify(tiles, tile_levels, pinhole, edges, size, limit, at[0], at[1], at[2], extents[2])
         if kind == _HIDDEN:
             continue
-        for i in range(quarter):
-            for j in range(quarter):
-                for k in range(quarter):
-                    number = within(up + i, north + j, east + k)
-                    odds = np.int64(bricks.log_odds[slot, number])
-                    if odds <= rule.least and hit == 0:
+        if kind == _CLEAR:
+            # Nothing returned from within it: what did would lie before its far side.
+            slot = _slot(bricks, brick, window, scratch)
+            bricks.stamps[slot] = stamp
+            greatest, log_odds = rule.least, bricks.log_odds
+            for line in range(quarter * quarter):
+                start = first + (line // quarter << 2 * BITS) + (line % quarter << BITS)
+                for number in range(start, start + quarter):
+                    odds_now = max(np.int64(log_odds[slot, number]) - rule.miss, rule.least)
+                    log_odds[slot, number] = odds_now
+                    greatest = max(greatest, odds_now)
+            if greatest <= rule.least:
+                bricks.saturated[slot] |= _octant(first)
+            continue
+        slot = _clear_octant(
+            bricks,
+            lens,
+            tile_levels,
+            edges,
+            limit,
+            rule,
+            window,
+            scratch,
+            brick,
+            slot,
+            first,
+            at,
+            extents[3],
+            inner,
+            outer,
+            stamp,
+        )
+
+
+@njit(cache=True, nogil=True)
+def _clear_octant(
+    bricks,
+    lens,
+    tile_levels,
+    edges,
+    limit,
+    rule,
+    window,
+    scratch,
+    brick,
+    slot,
+    first,
+    at,
+    extent,
+    inner,
+    outer,
+    stamp,
+):
+    """Clear what is passed of the eighth of a brick that begins with voxel `first`, about `at` (3,).
+
+    Returns:
+        The slot of the brick, which may have been made.
+    """
+    # Taken out here: each access to an array of a tuple counts its references.
+    side, rotation, pinhole = rule.side, lens.rotation, lens.pinhole
+    log_odds, counts, tiles, clear_to = bricks.log_odds, scratch.counts, scratch.tiles, scratch.clear_to
+    pixels, size = pinhole[0] * pinhole[1], clear_to.shape
+    hit, greatest, changed = scratch.hit_of[brick], rule.least, False
+    for node in range(8):
+        up, north, east = node >> 2 & 1, node >> 1 & 1, node & 1
+        dx, dy, dz = (2 * east - 1) * side, (2 * north - 1) * side, (2 * up - 1) * side
+        node_x = at[0] + rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
+        node_y = at[1] + rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
+        node_z = at[2] + rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
+        kind = _classify(tiles, tile_levels, pinhole, edges, size, limit, node_x, node_y, node_z, extent)
+        for voxel in range(8):
+            i, j, k = voxel >> 2 & 1, voxel >> 1 & 1, voxel & 1
+            number = first + (2 * up + i << 2 * BITS | 2 * north + j << BITS | 2 * east + k)
+            odds = np.int64(log_odds[slot, number])
+            if odds > rule.least:
+                passed = kind == _CLEAR
+                if kind == _MIXED:
+                    dx, dy, dz = (k - 0.5) * side, (j - 0.5) * side, (i - 0.5) * side
+                    x = node_x + rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
+                    y = node_y + rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
+                    z = node_z + rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
+                    if _is_outside(edges, x, y, z, side):
+                        greatest = max(greatest, odds)
                         continue
-                    dx, dy, dz = (
-                        (k - middle + 0.5) * side,
-                        (j - middle + 0.5) * side,
-                        (i - middle + 0.5) * side,
-                    )
-                    rotation = lens.rotation
-                    px = x + rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
-                    py = y + rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
-                    pz = z + rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
-                    if hit and scratch.counts[hit, number, 0] > 0:
-                        fx, fy = lens.pinhole[0], lens.pinhole[1]
-                        if _is_believed(scratch.counts[hit, number, 0], pz, fx * fy, rule):
-                            continue
-                    passed = kind == _CLEAR
-                    if not passed and px * px + py * py + pz * pz <= view.limit * view.limit:
+                    held = hit and counts[hit, number, 0] > 0
+                    if not (held and _is_believed(counts[hit, number, 0], z, pixels, rule)):
                         if odds > 0:
-                            passed = _is_seen_through(view, px, py, pz, outer)
+                            passed = _is_seen_through(clear_to, pinhole, limit, x, y, z, outer)
                         else:
-                            passed = _is_passed(view, px, py, pz, inner)
-                    if passed:
-                        if slot == 0:
-                            slot = _slot(bricks, brick, window, scratch)
-                        bricks.log_odds[slot, number] = max(odds - rule.miss, rule.least)
-                        bricks.stamps[slot] = stamp
+                            passed = _is_passed(clear_to, pinhole, limit, x, y, z, inner)
+                if passed:
+                    if slot == 0:
+                        slot = _slot(bricks, brick, window, scratch)
+                    odds = max(odds - rule.miss, rule.least)
+                    log_odds[slot, number] = odds
+                    changed = True
+            greatest = max(greatest, odds)
+    if changed:
+        bricks.stamps[slot] = stamp
+    if greatest <= rule.least:
+        bricks.saturated[slot] |= _octant(first)
+    return slot

@@ -205,7 +205,7 @@ def frontiers(bricks, since):
                 looked_at = grown(looked_at, 2 * number)
             looked_at[number, 0], looked_at[number, 1], looked_at[number, 2] = level, row, col
             number += 1
-            if face < 0 and bricks.saturated[slot]:
+            if face < 0 and bricks.saturated[slot] == 255:
                 continue
             around(bricks, level, row, col, states)
             for seed in range(VOXELS):

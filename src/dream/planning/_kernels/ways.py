@@ -54,7 +54,7 @@ def search(fits, stands, moves, start, heading, goal, facing):
         facing: (headings,) bool of those with which a goal counts as reached.
 
     Returns:
-        steps: (levels, rows, cols) int32, with any heading; −1 where no way was found.
+        steps: (levels, rows, cols, headings) int32; −1 where no way was found.
         parent: (poses,) int32 the pose before, −1 at the start and where none leads; a pose is
             node · headings + heading, nodes in the order of the grid.
         found: The first pose on a goal, −1 where none is reached.
@@ -63,21 +63,20 @@ def search(fits, stands, moves, start, heading, goal, facing):
     headings = len(moves.offsets)
     poses = levels * rows * cols * headings
     parent = np.full(poses, -1, np.int32)
-    reached, untried = np.zeros(poses, np.bool_), np.ones(poses, np.bool_)
-    steps = np.full(levels * rows * cols, -1, np.int32)
+    untried = np.ones(poses, np.bool_)
+    steps = np.full(poses, -1, np.int32)
     queue = np.empty(poses, np.int32)
-    depth = np.empty(poses, np.int32)
     first = ((start[0] * rows + start[1]) * cols + start[2]) * headings + heading
-    queue[0], depth[0], reached[first] = first, 0, True
-    steps[first // headings] = 0
+    queue[0], steps[first] = first, 0
     head, tail = 0, 1
     wanted = goal.ravel()
     while head < tail:
-        here, deep = queue[head], depth[head]
+        here = queue[head]
+        deep = steps[here] + 1
         head += 1
         node = here // headings
         if wanted[node] and facing[here % headings]:
-            return steps.reshape(levels, rows, cols), parent, here
+            return steps.reshape(levels, rows, cols, headings), parent, here
         level, row, col = node // (rows * cols), node // cols % rows, node % cols
         for turn in moves.turns:
             to = (here % headings + turn + headings) % headings
@@ -85,10 +84,9 @@ def search(fits, stands, moves, start, heading, goal, facing):
             if not untried[turned]:
                 continue
             untried[turned] = False
-            if not reached[turned]:
-                reached[turned] = True
-                parent[turned] = here
-                queue[tail], depth[tail] = turned, deep + 1
+            if steps[turned] < 0:
+                steps[turned], parent[turned] = deep, here
+                queue[tail] = turned
                 tail += 1
             for a in range(moves.offsets.shape[1]):
                 east, north = moves.offsets[to, a]
@@ -99,16 +97,13 @@ def search(fits, stands, moves, start, heading, goal, facing):
                     if not (0 <= h < levels and 0 <= r < rows and 0 <= c < cols):
                         continue
                     end = ((h * rows + r) * cols + c) * headings + to
-                    if reached[end] or not stands[h, r, c]:
+                    if steps[end] >= 0 or not stands[h, r, c]:
                         continue
                     if not _passes(
                         fits, FINE * level, FINE * row, FINE * col, FINE * up, FINE * north, FINE * east
                     ):
                         continue
-                    reached[end] = True
-                    parent[end] = here
-                    if steps[end // headings] < 0:
-                        steps[end // headings] = deep + 1
-                    queue[tail], depth[tail] = end, deep + 1
+                    steps[end], parent[end] = deep, here
+                    queue[tail] = end
                     tail += 1
-    return steps.reshape(levels, rows, cols), parent, -1
+    return steps.reshape(levels, rows, cols, headings), parent, -1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -116,7 +116,7 @@ class _Round:
         yield from self._above(one)
         self.flown = np.concatenate([self.flown, self._as_known(one).columns])
 
-    def _orbit(self, one: Structure, level: int) -> Iterator[Look]:
+    def _orbit(self, one: Structure, level: int) -> Generator[Look, None, Structure]:
         """Once around; returns the structure as it is known then."""
         planner, patrol = self.planner, self.patrol
         flown, before = 0.0, None
@@ -144,8 +144,8 @@ class _Round:
                 (x, y, z),
                 bearing,
                 tilt,
-                f"Orbit {level + 1} around the structure at ({east:.0f}, {north:.0f}), {z - one.ground:.1f} m "
-                f"above its ground: a look from ({x:.1f}, {y:.1f}), {flown:.0f} of {along[-1]:.0f} m flown.",
+                f"Orbit {level + 1} around the structure at ({east:.0f}, {north:.0f}), "
+                f"{z - one.ground:.1f} m above its ground: a look from ({x:.1f}, {y:.1f}), {flown:.0f} of {along[-1]:.0f} m flown.",
             )
 
     def _above(self, one: Structure) -> Iterator[Look]:
@@ -162,7 +162,8 @@ class _Round:
         for n, place in enumerate(places):
             x, y = (one.middle + place * axis).tolist()
             if self._is_worth((x, y, z), bearing, tilt):
-                why = f"Along the structure from above, {z - one.top:.1f} m over its top: look {n + 1} of {len(places)}."
+                over = f"{z - one.top:.1f} m over its top"
+                why = f"Along the structure from above, {over}: look {n + 1} of {len(places)}."
                 yield Look((x, y, z), bearing, tilt, why, within=1.5)
 
     def _is_worth(self, position: tuple[float, float, float], bearing: float, tilt: float) -> bool:

@@ -1,4 +1,4 @@
-"""What pilots in space share: to take one look after another, going there by water that is known to be free."""
+"""What pilots in space share: to take one look after another, by water that is known to be free."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ class Look:
 class Patrol:
     """A pilot that takes looks in turn, and is done after the last.
 
-    Where no known way leads to a look, it goes as near to it as one leads, and sees from there. A look is left
-    out where that brings it no nearer, or when it took more than twice the steps that the way had at first.
+    Where no known way leads to a look, it goes as near to it as one leads, and sees from there. A look is
+    left out where that brings it no nearer, or when it took more than twice the steps that it had at first.
     """
 
     mission: Mission
@@ -103,7 +103,7 @@ class Patrol:
     def _nearer(self, look: Look, away: FloatArray, ways: Ways) -> list[Decision] | None:
         """The way to where known water comes nearest to a look, if that is nearer than here; facing it."""
         pose, z = self.observation.pose, self.observation.z
-        reached = ways.steps(pose, z) >= 0
+        reached = (ways.steps(pose, z) >= 0).any(axis=-1)
         nearest = float(away[reached].min())
         if nearest > float(away[ways.node(pose.x, pose.y, z)]) - ADVANCES:
             return None

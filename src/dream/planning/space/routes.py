@@ -20,6 +20,9 @@ DISC = 3.0
 SEARCHED = 0.8
 """Share of that ground that something must have returned from, within reach."""
 
+BESIDE = 1.0
+"""Metres from a place within which what lies there is what lies below."""
+
 
 def crossing(mission: Mission, start: SE2, spacing: float) -> Points:
     """(n, 2) places along the shortest way over lanes of a box: of both directions and all corners.
@@ -53,3 +56,10 @@ def searched(volume: Volume, place: Points) -> bool:
     near = middles[np.hypot(*(middles - place).T) <= DISC]
     squares = len(np.unique(np.floor(near), axis=0))
     return bool(squares >= SEARCHED * np.pi * DISC**2)
+
+
+def top(volume: Volume, place: Points, otherwise: float) -> float:
+    """World z of the highest surface near a place (2,), or another height where none is known there."""
+    middles = volume.surface().middles
+    near = middles[np.hypot(*(middles[:, :2] - place).T) <= BESIDE]
+    return float(near[:, 2].max()) if len(near) else otherwise

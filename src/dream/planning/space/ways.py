@@ -16,6 +16,7 @@ from dream.types import BoolArray, Decision
 
 if TYPE_CHECKING:
     from dream.mapping.volume import Volume
+    from dream.planning._kernels.looks import Scene
 
 FloatArray = npt.NDArray[np.floating[Any]]
 Node = tuple[int, int, int]
@@ -38,6 +39,8 @@ class Ways:
     """(levels, rows, cols) at fine points."""
     stands: npt.NDArray[np.uint8]
     """(levels, rows, cols) at nodes."""
+    scene: Scene
+    """The voxels around."""
     _moves: Any = field(repr=False)
 
     @property
@@ -61,12 +64,12 @@ class Ways:
         return found[0], found[1], found[2]
 
     def steps(self, pose: SE2, z: float) -> npt.NDArray[np.int32]:
-        """(levels, rows, cols) fewest steps from a pose to every node; −1 where no known way leads."""
+        """(levels, rows, cols, headings) fewest steps from a pose to all; −1 where no known way leads."""
         nowhere = np.zeros(self.shape, np.bool_)
         return self._search(pose, z, nowhere, np.ones(self.protocol.headings, np.bool_))[0]
 
     def to(self, pose: SE2, z: float, goal: BoolArray, facing: BoolArray) -> list[Decision] | None:
-        """The moves of a shortest way from a pose to the nearest of a goal; None where no known way leads to any.
+        """The moves of a shortest way from a pose to the nearest of a goal; None where none is known.
 
         Args:
             pose: Where the vehicle is.
@@ -125,6 +128,7 @@ def ways_in(volume: Volume, bounds: Bounds, protocol: SurveyProtocol) -> Ways:
     from dream.mapping.volume import FREE, MARGIN, SOLID
     from dream.mapping.volume_box import states_in
     from dream.planning._kernels import ways as kernels
+    from dream.planning._kernels.looks import Scene
 
     assert protocol.space is not None
     spacing, side = protocol.lattice, volume.cell
@@ -163,4 +167,5 @@ def ways_in(volume: Volume, bounds: Bounds, protocol: SurveyProtocol) -> Ways:
         # Of two ways of as many steps, the one that climbs less.
         np.array(sorted((round(climb / spacing) for climb in protocol.climbs), key=abs), np.int64),
     )
-    return Ways(protocol, (level, row, col), np.ascontiguousarray(fits), stands, moves)
+    scene = Scene(states, corner, side)
+    return Ways(protocol, (level, row, col), np.ascontiguousarray(fits), stands, scene, moves)

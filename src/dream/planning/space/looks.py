@@ -1,0 +1,90 @@
+"""What a look from somewhere would show of points on surfaces, as far as the volume is known."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.protocol import SurveyProtocol
+from dream.types import BoolArray
+
+if TYPE_CHECKING:
+    from dream.planning._kernels.looks import Optics
+    from dream.planning.space.ways import Ways
+
+FloatArray = npt.NDArray[np.floating[Any]]
+
+WITHIN = 0.95
+"""A look is counted on as far as this share of the reach, and of the greatest useful angle."""
+
+
+def shown(
+    ways: Ways,
+    position: tuple[float, float, float],
+    yaw: float,
+    tilt: float,
+    points: FloatArray,
+    normals: FloatArray,
+) -> BoolArray:
+    """(P,) which points one look shows: in the image, within reach, at a useful angle, nothing solid between.
+
+    Args:
+        ways: Of which the voxels are taken.
+        position: Of the camera, metres in the world.
+        yaw: Of the vehicle, radians.
+        tilt: Of the camera, radians downwards.
+        points: (P, 3) metres in the world, middles of voxels at the surface.
+        normals: (P, 3) of length 1, towards the water.
+    """
+    from dream.planning._kernels import looks as kernels
+
+    found: BoolArray = kernels.shown(
+        ways.scene, _optics(ways.protocol), np.array(position, np.float64), yaw, tilt, points, normals
+    )
+    return found
+
+
+def gains(
+    ways: Ways, cameras: FloatArray, points: FloatArray, normals: FloatArray, weights: FloatArray
+) -> FloatArray:
+    """(C, headings, tilts) weight (P,) of all points that looks from cameras (C, 3) show; else as `shown`."""
+    from dream.planning._kernels import looks as kernels
+
+    protocol = ways.protocol
+    found: FloatArray = kernels.gains(
+        ways.scene,
+        _optics(protocol),
+        cameras,
+        np.arange(protocol.headings) * protocol.heading_step,
+        np.array(protocol.tilts),
+        points,
+        normals,
+        weights,
+    )
+    return found
+
+
+def edges(ways: Ways, middles: FloatArray) -> FloatArray:
+    """(n, 3) middles of free voxels beside those at (m, 3) that have an unknown one at a face."""
+    from dream.planning._kernels import looks as kernels
+
+    first, side = ways.scene.first, ways.scene.side
+    voxels = np.floor(middles[:, ::-1] / side).astype(np.int64) - first
+    found = np.unique(kernels.edges(ways.scene, voxels), axis=0)
+    return np.asarray((found + first + 0.5)[:, ::-1] * side, np.float64)
+
+
+def _optics(protocol: SurveyProtocol) -> Optics:
+    from dream.planning._kernels.looks import Optics
+
+    assert protocol.space is not None
+    camera = protocol.camera
+    return Optics(
+        0.5 * camera.width / camera.fx,
+        0.5 * camera.height / camera.fy,
+        WITHIN * protocol.reach,
+        math.cos(WITHIN * protocol.space.incidence),
+    )

@@ -1,0 +1,352 @@
+"""The paper's six reasoning steps, carried out on the volume."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.planning.space import words
+from dream.planning.space.looks import edges, gains, shown
+from dream.planning.space.structures import structures
+from dream.planning.space.ways import Ways, ways_in
+from dream.types import Decision, IntArray, Mission, Observation, Reasoning
+
+if TYPE_CHECKING:
+    from dream.mapping import OccupancyMap
+    from dream.mapping.volume import Surface, Volume
+    from dream.planning.sixsteps import SixSteps
+
+FloatArray = npt.NDArray[np.floating[Any]]
+
+COLUMN = 1.0
+"""Metres a side of the columns in which ground is searched."""
+APART = 2.0
+"""Metres between parts of what is left that are told apart."""
+FAILED = 3
+"""Frames that should have shown something and did not, after which it is given up."""
+MANY = 400
+"""Places looked from at once, the soonest reached first."""
+POINTS = 500
+"""Of each kind of what is left so many are looked up at most, each for its neighbours too."""
+TARGET, EDGE, GROUND = 0, 1, 2
+"""Kinds of what is left: target not inspected, unknown beside it, ground from which nothing returned."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Left:
+    """What is left to look at."""
+
+    points: FloatArray
+    """(n, 3) metres in the world."""
+    normals: FloatArray
+    """(n, 3) of length 1."""
+    area: FloatArray
+    """(n,) square metres."""
+    kind: IntArray
+    """(n,) `TARGET`, `EDGE` or `GROUND`."""
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def of(self, kind: int) -> float:
+        """Square metres of one kind."""
+        return float(self.area[self.kind == kind].sum())
+
+    def only(self, kept: npt.NDArray[Any]) -> Left:
+        """Some of it."""
+        return Left(self.points[kept], self.normals[kept], self.area[kept], self.kind[kept])
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """A place, a heading and a tilt, and what they are worth."""
+
+    node: tuple[int, int, int]
+    heading: int
+    tilt: int
+    steps: int
+    rate: float
+    """Weight that it shows for each step there."""
+
+
+@dataclass(slots=True)
+class SpacePilot:
+    """One mission of `SixSteps` under a protocol that moves in space."""
+
+    planner: SixSteps
+    mission: Mission
+    failed: dict[int, int] = field(default_factory=dict)
+    """Frames that should have shown what lies in a voxel and did not, by the voxel."""
+    chosen: View | None = None
+
+    def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
+        """The first move of the way to the look that shows most for its steps; done when none shows any."""
+        assert occupancy.volume is not None
+        volume, protocol = occupancy.volume, self.mission.protocol
+        ways, surface, known = (
+            ways_in(volume, self.mission.bounds, protocol),
+            volume.surface(),
+            structures(volume),
+        )
+        here = (observation.pose.x, observation.pose.y, observation.z)
+        left = self._left(ways, volume, surface, observation)
+        # 1 Distribution: what is known of targets, and how high they stand.
+        is_target = surface.target > 0.5
+        area = float(surface.area[is_target].sum())
+        inspected = float(surface.area[is_target & (surface.sides != 0)].sum())
+        reasoning = Reasoning(
+            distribution=words.distribution(area, inspected, known),
+            completion=words.completion(left.of(TARGET), left.of(EDGE), left.of(GROUND)),
+        )
+        # 2 Target area: the nearest part of what is left of targets. 3 Completion: what is left in all.
+        part = nearest_part(left, here)
+        if part.any():
+            x, y, z = left.points[part].mean(axis=0).tolist()
+            height = z - _ground(surface, np.array([[x, y]]), z)[0]
+            reasoning = replace(
+                reasoning, target_area=words.target_area(x, y, height, float(left.area[part].sum()))
+            )
+        else:
+            reasoning = replace(reasoning, target_area="None: no target that is known has anything left.")
+        # 4 Next target: the look that shows most of it for each step.
+        weights = self._weights(left, surface) * np.where(part, self.planner.focus, 1.0)
+        thin, thin_weights = _thinned(left, weights)
+        view = self._best(ways, ways.steps(observation.pose, observation.z), thin, thin_weights, observation)
+        self.chosen = view
+        if view is None:
+            end = replace(reasoning, action="Nothing is left that any known way leads to a look at: done.")
+            return Decision(done=True, reasoning=end)
+        # 5 Safety is in the ways, whose moves the guard lets pass. 6 Action: the first of them.
+        move = self._move(ways, view, observation)
+        yaw, tilt = view.heading * protocol.heading_step, protocol.tilts[view.tilt]
+        at = tuple(ways.positions[view.node].tolist())
+        seen = shown(ways, at, yaw, tilt, left.points, left.normals)
+        target, ground = left.only(seen).of(TARGET), left.only(seen).of(GROUND)
+        return replace(
+            move,
+            reasoning=replace(
+                reasoning,
+                next_target=words.next_target(at, yaw, tilt, view.steps, target, ground),
+                safety=words.safety(*self._room(surface, move, observation)),
+                action=words.action(move.turn, move.advance, move.climb, move.tilt),
+            ),
+        )
+
+    # ------------------------------------------------------------------------------------------------------
+
+    def _left(self, ways: Ways, volume: Volume, surface: Surface, observation: Observation) -> Left:
+        """All that is left, without what frames kept failing to show."""
+        target = surface.target > 0.5
+        open_target = target & (surface.sides == 0)
+        beside = edges(ways, surface.middles[target])
+        ground = self._ground_left(surface, observation)
+        points = np.concatenate([surface.middles[open_target], beside, ground])
+        count = [int(open_target.sum()), len(beside), len(ground)]
+        # What is unknown shows from all sides, as far as is known.
+        here = np.array([observation.pose.x, observation.pose.y, observation.z])
+        towards = _unit(here - beside)
+        up = np.tile([0.0, 0.0, 1.0], (len(ground), 1))
+        left = Left(
+            points,
+            np.concatenate([surface.normals[open_target], towards, up]),
+            np.concatenate(
+                [surface.area[open_target], np.full(count[1], volume.cell**2), np.full(count[2], COLUMN**2)]
+            ),
+            np.repeat([TARGET, EDGE, GROUND], count),
+        )
+        keys = _keys(points, volume.cell)
+        pose = observation.pose
+        in_view = shown(
+            ways, (pose.x, pose.y, observation.z), pose.yaw, observation.tilt, points, left.normals
+        )
+        for key in keys[in_view].tolist():
+            self.failed[key] = self.failed.get(key, 0) + 1
+        given_up = np.array([key for key, times in self.failed.items() if times >= FAILED], np.int64)
+        return left.only(~np.isin(keys, given_up))
+
+    def _ground_left(self, surface: Surface, observation: Observation) -> FloatArray:
+        """(n, 3) middles of columns of the area from which nothing returned within reach."""
+        box = self.mission.to_see
+        east, north = np.arange(box.x_min, box.x_max, COLUMN), np.arange(box.y_min, box.y_max, COLUMN)
+        returned = np.zeros((len(north), len(east)), np.bool_)
+        cols = np.floor((surface.middles[surface.seen, 0] - box.x_min) / COLUMN).astype(int)
+        rows = np.floor((surface.middles[surface.seen, 1] - box.y_min) / COLUMN).astype(int)
+        inside = (cols >= 0) & (cols < len(east)) & (rows >= 0) & (rows < len(north))
+        returned[rows[inside], cols[inside]] = True
+        rows, cols = np.nonzero(~returned)
+        places = np.column_stack([east[cols] + 0.5 * COLUMN, north[rows] + 0.5 * COLUMN])
+        lowest = _ground(surface, places, observation.z - self.mission.protocol.altitude)
+        return np.column_stack([places, lowest])
+
+    def _weights(self, left: Left, surface: Surface) -> FloatArray:
+        """(n,) what it is worth to look at each: ground less, and less still far from all targets."""
+        from scipy.spatial import cKDTree
+
+        planner, protocol = self.planner, self.mission.protocol
+        worth = np.where(left.kind == GROUND, planner.prior, 1.0)
+        targets = surface.middles[surface.target > 0.5, :2]
+        if len(targets):
+            away, _ = cKDTree(targets).query(left.points[:, :2])
+            near = away <= 2.0 * planner.kernel * protocol.group_radius
+            worth[near & (left.kind == GROUND)] = planner.prior_weight
+        return np.asarray(worth * left.area)
+
+    def _best(
+        self, ways: Ways, steps: IntArray, left: Left, weights: FloatArray, observation: Observation
+    ) -> View | None:
+        """The look with the greatest rate; the one chosen before where it is nearly as good."""
+        soonest = np.where(steps >= 0, steps, np.iinfo(np.int32).max).min(axis=-1)
+        soonest[soonest == np.iinfo(np.int32).max] = -1
+        nodes = _spread(ways, soonest)
+        best, most = None, 0.0
+        for begin in range(0, len(nodes), MANY):
+            some = nodes[begin : begin + MANY]
+            # Later ones take longer: they would have to show twice as much as any before.
+            if best is not None and 2.0 * most / max(int(soonest[tuple(some[0])]), 1) < best.rate:
+                break
+            worth = self._rated(ways, some, left, weights)
+            most = max(most, float(worth.max(initial=0.0)))
+            best = self._better(best, some, worth, steps, observation)
+        if best is None:
+            return None
+        before = self.chosen
+        if before is not None and before.node != ways.node(*_place(observation)):
+            again = np.array([before.node])
+            worth = self._rated(ways, again, left, weights)
+            kept = np.zeros_like(worth)
+            kept[0, before.heading, before.tilt] = worth[0, before.heading, before.tilt]
+            old = self._better(None, again, kept, steps, observation)
+            # Rounded, so that a tie is a tie on every machine.
+            if old is not None and round(old.rate, 6) * self.planner.patience >= round(best.rate, 6):
+                return old
+        return best
+
+    def _rated(self, ways: Ways, nodes: IntArray, left: Left, weights: FloatArray) -> FloatArray:
+        """(n, headings, tilts) what looks from nodes (n, 3) show."""
+        cameras = (nodes + np.array(ways.first))[:, ::-1] * self.mission.protocol.lattice
+        low, high = (
+            cameras.min(axis=0) - self.mission.protocol.reach,
+            cameras.max(axis=0) + self.mission.protocol.reach,
+        )
+        near = ((left.points >= low) & (left.points <= high)).all(axis=1)
+        return gains(ways, cameras, left.points[near], left.normals[near], weights[near])
+
+    def _better(
+        self, best: View | None, nodes: IntArray, worth: FloatArray, steps: IntArray, observation: Observation
+    ) -> View | None:
+        there = steps[tuple(nodes.T)].astype(np.float64)
+        there[there < 0] = np.inf
+        # To tilt the camera where it is takes a step; to look again as it looks shows nothing.
+        tilts = np.array(self.mission.protocol.tilts)
+        same = np.abs(tilts - observation.tilt) < 1e-3
+        taken = np.where(there[:, :, None] == 0.0, np.where(same, np.inf, 1.0), there[:, :, None])
+        rates = np.round(worth / taken, 9)
+        n, heading, tilt = np.unravel_index(int(rates.argmax()), rates.shape)
+        rate = float(rates[n, heading, tilt])
+        if rate <= 1e-6 or (best is not None and rate <= best.rate):
+            return best
+        level, row, col = nodes[n].tolist()
+        return View((level, row, col), int(heading), int(tilt), int(taken[n, heading, tilt]), rate)
+
+    def _move(self, ways: Ways, view: View, observation: Observation) -> Decision:
+        protocol = self.mission.protocol
+        goal = np.zeros(ways.shape, np.bool_)
+        goal[view.node] = True
+        path = ways.to(observation.pose, observation.z, goal, np.arange(protocol.headings) == view.heading)
+        tilt = protocol.tilts[view.tilt] if path is not None and len(path) <= 1 else protocol.camera_pitch
+        move = path[0] if path else Decision()
+        return replace(move, tilt=tilt if abs(tilt - observation.tilt) > 1e-3 else None)
+
+    def _room(self, surface: Surface, move: Decision, observation: Observation) -> tuple[float, float, float]:
+        """Metres to what lies below, to what is solid above, and to the surface, after a move."""
+        yaw = observation.pose.yaw + move.turn
+        x, y = (
+            observation.pose.x + move.advance * math.cos(yaw),
+            observation.pose.y + move.advance * math.sin(yaw),
+        )
+        z = observation.z + move.climb
+        near = surface.middles[
+            np.hypot(surface.middles[:, 0] - x, surface.middles[:, 1] - y)
+            <= self.mission.protocol.body_radius,
+            2,
+        ]
+        below, above = near[near <= z], near[near > z]
+        return (
+            float(z - below.max()) if len(below) else math.inf,
+            float(above.min() - z) if len(above) else math.inf,
+            -z,
+        )
+
+
+def nearest_part(left: Left, here: tuple[float, float, float]) -> npt.NDArray[np.bool_]:
+    """(n,) those of target, or unknown beside it, that hang together and lie nearest to a position."""
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    found = np.zeros(len(left), np.bool_)
+    targets = np.flatnonzero(left.kind != GROUND)
+    if not len(targets):
+        return found
+    # Cubes instead of points, so that what hangs together is soon told.
+    cubes, cube_of = np.unique(np.floor(left.points[targets] / APART), axis=0, return_inverse=True)
+    _, number = connected_components(
+        cKDTree(cubes).sparse_distance_matrix(cKDTree(cubes), math.sqrt(3.0) + 0.01)
+    )
+    nearest = int(np.linalg.norm(left.points[targets] - np.array(here), axis=1).round(6).argmin())
+    cube_of = cube_of.ravel()
+    found[targets[number[cube_of] == number[cube_of[nearest]]]] = True
+    return found
+
+
+def _ground(surface: Surface, places: FloatArray, otherwise: float) -> FloatArray:
+    """(n,) world z of the lowest surface around the nearest column that has any, for places (n, 2)."""
+    from scipy.spatial import cKDTree
+
+    if not len(surface.middles):
+        return np.full(len(places), otherwise)
+    columns, column_of = np.unique(np.floor(surface.middles[:, :2] / COLUMN), axis=0, return_inverse=True)
+    lowest = np.full(len(columns), np.inf)
+    np.minimum.at(lowest, column_of.ravel(), surface.middles[:, 2])
+    _, nearest = cKDTree((columns + 0.5) * COLUMN).query(places)
+    return np.asarray(lowest[nearest])
+
+
+def _spread(ways: Ways, soonest: IntArray) -> IntArray:
+    """(n, 3) nodes to look from, the soonest reached first: every second near by, every fourth far off."""
+    nodes = np.argwhere(soonest >= 0)
+    steps = soonest[tuple(nodes.T)]
+    over_ground = np.where(steps <= 1, 1, np.where(steps <= 6, 2, 4))
+    # Levels are few: every second everywhere.
+    apart = np.column_stack([np.minimum(over_ground, 2), over_ground, over_ground])
+    kept = ((nodes + np.array(ways.first)) % apart == 0).all(axis=1)
+    nodes, steps = nodes[kept], steps[kept]
+    return np.asarray(nodes[np.argsort(steps, kind="stable")])
+
+
+def _thinned(left: Left, weights: FloatArray) -> tuple[Left, FloatArray]:
+    """Every n-th of each kind in the order of the volume, with the weight of n."""
+    kept, heavier = np.zeros(len(left), np.bool_), np.array(weights)
+    for kind in (TARGET, EDGE, GROUND):
+        those = np.flatnonzero(left.kind == kind)
+        stride = max(1, math.ceil(len(those) / POINTS))
+        kept[those[::stride]] = True
+        heavier[those] *= stride
+    return left.only(kept), heavier[kept]
+
+
+def _keys(points: FloatArray, side: float) -> IntArray:
+    """(n,) one number for each voxel."""
+    level, row, col = np.floor(points[:, ::-1] / side).astype(np.int64).T + (1 << 20)
+    return np.asarray((level << 42) | (row << 21) | col)
+
+
+def _place(observation: Observation) -> tuple[float, float, float]:
+    return observation.pose.x, observation.pose.y, observation.z
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9))

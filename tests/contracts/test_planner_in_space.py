@@ -1,0 +1,98 @@
+"""What every planner must do that flies under a protocol that moves in space."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import FrozenInstanceError, fields, replace
+from typing import Any
+
+import pytest
+
+from dream.geometry import Bounds
+from dream.mapping import OccupancyMap
+from dream.mission import explore
+from dream.planning import IN_SPACE, PLANAR, PLANNERS, AnyPlanner
+from dream.protocol import DREAM_V1, DREAM_V2_TRUE_DRAFT
+from dream.robots.teleport import Teleport
+from dream.sim.world import World
+from dream.sim.worlds import make_world
+from dream.types import Step
+
+STEPS = 12
+
+
+@pytest.fixture(scope="module", params=IN_SPACE)
+def planner(request: pytest.FixtureRequest) -> AnyPlanner:
+    return PLANNERS[request.param]
+
+
+@pytest.fixture(scope="module")
+def wreck() -> World:
+    return make_world("wreck/5", 101)
+
+
+def fly(world: World, planner: AnyPlanner, steps: int) -> list[Step]:
+    occupancy = OccupancyMap(world.bounds, DREAM_V2_TRUE_DRAFT)
+    return list(explore(Teleport(world, DREAM_V2_TRUE_DRAFT), planner, occupancy, max_steps=steps))
+
+
+@pytest.fixture(scope="module")
+def flown(planner: AnyPlanner, wreck: World) -> list[Step]:
+    return fly(wreck, planner, STEPS)
+
+
+def test_its_moves_are_moves_of_the_protocol_and_known_to_be_free(flown: list[Step]) -> None:
+    protocol = DREAM_V2_TRUE_DRAFT
+    for step in flown[1:]:
+        decision = step.decision
+        assert min(abs(decision.turn - turn) for turn in protocol.turn_angles) < 1e-9
+        assert decision.advance in (0.0, *protocol.advances)
+        assert decision.climb in protocol.climbs
+        assert decision.tilt is None or decision.tilt in protocol.tilts
+        assert step.guarded.note == ""
+        assert not decision.stops or decision.done
+
+
+def test_it_says_why_and_gets_somewhere_without_contact(flown: list[Step]) -> None:
+    assert all(step.decision.reasoning.action for step in flown[1:])
+    assert sum(step.arrival.distance for step in flown) > 3.0
+    assert not any(step.arrival.collided for step in flown)
+
+
+def test_the_same_mission_gets_the_same_decisions(
+    planner: AnyPlanner, flown: list[Step], wreck: World
+) -> None:
+    again = fly(wreck, planner, STEPS)
+    assert [step.decision for step in again] == [step.decision for step in flown]
+
+
+def test_it_stops_by_itself(planner: AnyPlanner, wreck: World) -> None:
+    start = wreck.start
+    small = Bounds(start.x - 2.0, start.y - 2.0, start.x + 2.0, start.y + 2.0)
+    occupancy = OccupancyMap(small, DREAM_V2_TRUE_DRAFT)
+    *_, last = explore(Teleport(wreck, DREAM_V2_TRUE_DRAFT), planner, occupancy, max_steps=60)
+    assert last.ended == "done"
+
+
+def test_a_parameter_out_of_range_is_refused_by_name(planner: AnyPlanner) -> None:
+    for parameter in fields(planner):
+        wrong: dict[str, Any] = {parameter.name: math.nan}
+        with pytest.raises(ValueError, match=f"{parameter.name}: expected"):
+            replace(planner, **wrong)
+
+
+def test_its_parameters_are_frozen_and_documented(planner: AnyPlanner) -> None:
+    for parameter in fields(planner):
+        with pytest.raises(FrozenInstanceError):
+            setattr(planner, parameter.name, 0)
+    for heading in ("What it does:", "Reference:", "Assumes:", "Fails when:"):
+        assert heading in (planner.__doc__ or "")
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+def test_a_planner_that_cannot_fly_there_is_refused_before_anything_moves(name: str, wreck: World) -> None:
+    for protocol, can in ((DREAM_V1, PLANAR), (DREAM_V2_TRUE_DRAFT, IN_SPACE)):
+        if name in can:
+            continue
+        with pytest.raises(ValueError, match=f"{', '.join(can)}; got {name}"):
+            explore(Teleport(wreck, protocol), PLANNERS[name], OccupancyMap(wreck.bounds, protocol))
