@@ -282,7 +282,7 @@ def truth_of(world: World, frames: list[Frame], cell: float) -> Truth:
 
 def share(part: Array, whole: Array) -> float:
     """Of `whole` that is in `part`."""
-    return float(np.count_nonzero(part & whole) / max(np.count_nonzero(whole), 1))
+    return float((part & whole).sum()) / max(float(whole.sum()), 1.0)
 
 
 def scores(states: Array, truth: Truth) -> dict[str, float]:

@@ -168,6 +168,24 @@ def _map() -> Kind:
     return Kind(seeds, _file("map.npz", OccupancyMap.load))
 
 
+def _volume() -> Kind:
+    from dream.geometry import SE3, camera_mount
+    from dream.mapping.volume import Volume
+    from dream.protocol import DREAM_V2_DRAFT
+
+    def seeds(folder: Path) -> list[bytes]:
+        camera = DREAM_V2_DRAFT.camera
+        depth, labels = (np.full((camera.height, camera.width), value) for value in (3.0, 2))
+        volume = Volume(DREAM_V2_DRAFT)
+        volume.integrate(
+            depth, labels.astype(int), camera, SE3.level(0.0, 0.0, -5.0, 0.0) @ camera_mount(0.3)
+        )
+        volume.save(folder / "volume.npz")
+        return [(folder / "volume.npz").read_bytes()]
+
+    return Kind(seeds, _file("volume.npz", Volume.load))
+
+
 def _observation() -> Kind:
     from dream.protocol import DREAM_V1
     from dream.robots.replay import keep, read
@@ -462,6 +480,7 @@ KINDS: dict[str, Callable[[], Kind]] = {
     "bench-mission": _mission,
     "cassette": _cassette,
     "map": _map,
+    "volume": _volume,
     "observation": _observation,
     "prior": _prior,
     "space": _space,

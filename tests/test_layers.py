@@ -23,7 +23,7 @@ LAYERS = [
         "versions",
     },
     {"protocol"},
-    {"types", "measurements", "traversal", "vehicle", "lattice", "scene"},
+    {"types", "measurements", "traversal", "vehicle", "lattice", "flies", "scene"},
     {"orders", "own_code"},
     {"perception", "mapping"},
     {"planning", "control", "estimation", "sim"},
@@ -97,7 +97,7 @@ CIRCLES = [
         "dream.types",
         *(
             f"dream.mapping.{name}"
-            for name in ("_kernels.window", "blocks", "frame", "layers", "occupancy", "prior")
+            for name in ("_kernels.window", "blocks", "frame", "layers", "occupancy", "prior", "volume")
         ),
     },
 ]

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
 from dream.approach import Approach
+from dream.flies import check_flies
 from dream.geometry import Bounds
 from dream.mapping import OccupancyMap
 from dream.mapping.targets import connected_extent, target_extent
 from dream.orders import Flown, Orders, Outcome, SideOf, Task, place
 from dream.own_code import check_decision, checked_pilot, is_own, own_file, told_where
-from dream.planning import check_flies
 from dream.types import LOOK_AROUND, UNASKED, Asked, Decision, Mission, Observation
 
 if TYPE_CHECKING:

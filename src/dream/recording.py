@@ -447,7 +447,7 @@ def _line(step: Step, annotations: Mapping[str, Any]) -> str:
             f"annotations of step {step.index}: expected names of their own, got {', '.join(taken)}"
         )
     decision, carried_out, reasoning = step.decision, step.guarded.decision, step.decision.reasoning
-    seen, planar = step.observation, step.occupancy.protocol.space is None
+    seen, truth, planar = step.observation, step.arrival.truth, step.occupancy.protocol.space is None
     recorded = RecordedStep(
         step=step.index,
         time=step.observation.time,
@@ -487,7 +487,7 @@ def _line(step: Step, annotations: Mapping[str, Any]) -> str:
         waited_s=step.decision.waited,
         asked=_asked(step.decision.exchanges),
         leg=1 if step.leg is None else step.leg.number,
-        truth=None if step.arrival.truth is None else _pose(step.arrival.truth.se2),
+        truth=None if truth is None else _pose(truth.se2, None if planar else float(truth.translation[2])),
         **annotations,
     )
     left_out: dict[str, Any] = {} if recorded.why else {"why": True}

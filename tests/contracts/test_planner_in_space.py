@@ -67,7 +67,7 @@ def test_the_same_mission_gets_the_same_decisions(
 
 
 def test_it_stops_by_itself(planner: AnyPlanner, wreck: World) -> None:
-    start = wreck.start
+    start = wreck.starts[0]
     small = Bounds(start.x - 2.0, start.y - 2.0, start.x + 2.0, start.y + 2.0)
     occupancy = OccupancyMap(small, DREAM_V2_TRUE_DRAFT)
     *_, last = explore(Teleport(wreck, DREAM_V2_TRUE_DRAFT), planner, occupancy, max_steps=60)
@@ -94,5 +94,9 @@ def test_a_planner_that_cannot_fly_there_is_refused_before_anything_moves(name: 
     for protocol, can in ((DREAM_V1, PLANAR), (DREAM_V2_TRUE_DRAFT, IN_SPACE)):
         if name in can:
             continue
-        with pytest.raises(ValueError, match=f"{', '.join(can)}; got {name}"):
+        kind = type(PLANNERS[name]).__name__
+        with pytest.raises(ValueError, match=f"planner: expected one that flies .*; got {kind}") as refused:
             explore(Teleport(wreck, protocol), PLANNERS[name], OccupancyMap(wreck.bounds, protocol))
+        named = str(refused.value).partition("such as ")[2].partition(";")[0].split(", ")
+        assert set(named) <= set(can)
+        assert protocol.space is None or set(named) == set(IN_SPACE)

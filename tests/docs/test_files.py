@@ -118,7 +118,9 @@ def test_every_key_of_the_steps_of_a_run_is_told(run: Path) -> None:
     lines = [json.loads(line) for line in (run / "steps.jsonl").read_text().splitlines()]
     seen = {key for line in lines for key in keys(line, told)}
     assert seen <= set(told)
-    assert set(told) - seen == {"truth.x", "truth.y", "truth.yaw"}
+    of_truth = {"truth.x", "truth.y", "truth.yaw", "truth.z", "truth.tilt"}
+    in_space = {f"{what}.{part}" for what in ("decision", "guarded") for part in ("climb", "tilt")}
+    assert set(told) - seen == of_truth | in_space | {"pose.z", "pose.tilt"}
 
 
 def test_the_steps_of_a_run_make_a_table(run: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
@@ -133,9 +135,9 @@ def test_the_steps_of_a_run_make_a_table(run: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_every_key_of_a_summary_is_told(run: Path) -> None:
-    told = [name for table in range(3) for name in described("summary.json", table=table)]
+    told = [name for table in range(4) for name in described("summary.json", table=table)]
     seen = set(keys(read(run / "summary.json"), told))
-    assert seen == set(told)
+    assert seen == {name for name in told if not name.startswith("inspection.")}
     assert fields_of(RunSummary) <= {name.partition(".")[0] for name in told}
 
 
@@ -158,13 +160,15 @@ def test_every_picture_of_a_run_is_told(run: Path) -> None:
 def test_every_array_of_an_observation_is_told(run: Path, tmp_path: Path) -> None:
     told = described("observations/")
     with np.load(run / "observations" / "0003.npz") as arrays:
-        assert set(told) - set(arrays.files) == {"confidence", "truth"}
+        assert set(told) - set(arrays.files) == {"confidence", "truth", "height"}
     seen = painted_observation(1, SE2(0.0, 0.0, 0.0), np.random.default_rng(1))
     sure = dataclasses.replace(seen, confidence=np.ones_like(seen.depth))
     arrival = Arrival(SE2(0.0, 0.0, 0.0), False, 1.0, 2.0, truth=SE3.level(0.0, 0.0, 0.0, 0.0))
     replay.write(tmp_path / "0001.npz", Kept(Move(Setpoint(0.0, 0.0, 0.0, 2.0), arrival), sure))
-    with np.load(tmp_path / "0001.npz") as arrays:
-        assert set(arrays.files) == set(told)
+    into_space = Setpoint(0.0, 0.0, 0.0, None, -8.0)
+    replay.write(tmp_path / "0002.npz", Kept(Move(into_space, arrival), sure))
+    with np.load(tmp_path / "0001.npz") as planar, np.load(tmp_path / "0002.npz") as arrays:
+        assert set(arrays.files) == set(told) == {*planar.files, "height"}
         kinds = {name: types("observations/")[name].rpartition(" ")[2] for name in told}
         assert {name: str(arrays[name].dtype) for name in told} == kinds
 

@@ -20,7 +20,7 @@ from dream.live.doors import Doors
 from dream.live.folders import Watched
 from dream.live.server import Pages, application
 from dream.live.stream import Cursor
-from dream.scene import SPACE, Scene, made, mapped, save
+from dream.scene import SPACE, RunScene, made, mapped, save
 from dream.scene import Path as Way
 from tests.live.runs import STEPS, Growing
 from tests.live.test_stream import told
@@ -29,7 +29,7 @@ from tests.scene.test_building import ABOUT, ball, targets
 Make = Callable[..., Growing]
 
 
-def grown(steps: int) -> Scene:
+def grown(steps: int) -> RunScene:
     """A ball of which half is inspected at the third step, and a map and a path of so many steps."""
     one = ball(12, (5.0, 5.0, -5.0))
     owner = (one.mean(axis=1)[:, 0] > 5.0).astype(int)

@@ -2,10 +2,10 @@ from __future__ import annotations
 
 import pytest
 
-from dream.scene import Scene
+from dream.scene import RunScene
 from tests.scene.orbits import orbited
 
 
 @pytest.fixture(scope="session")
-def wreck() -> Scene:
+def wreck() -> RunScene:
     return orbited()

@@ -10,7 +10,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from dream.scene import HeightGrid, Path, Scene, Targets, Voxels, made, mapped
+from dream.scene import HeightGrid, Path, RunScene, Targets, Voxels, made, mapped
 from dream.sim.solids import corners
 from dream.sim.world import Instances, World
 from dream.sim.worlds import make_world
@@ -23,7 +23,7 @@ FIELD = (math.radians(80.0), math.radians(64.0))
 VOXEL = 0.25
 
 
-def orbited(name: str = "wreck/1", seed: int = 1004, steps: int = 60) -> Scene:
+def orbited(name: str = "wreck/1", seed: int = 1004, steps: int = 60) -> RunScene:
     """A scene with every part."""
     world = make_world(name, seed)
     triangles, owner = soup(world, world.targets)

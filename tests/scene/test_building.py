@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dream.scene import NEVER, HeightGrid, Scene, Targets, building, made, mapped
+from dream.scene import NEVER, HeightGrid, RunScene, Targets, building, made, mapped
 from dream.scene.parts import MOST_VOXELS
 from tests.scene.orbits import orbited
 
@@ -119,5 +119,5 @@ def test_a_step_below_zero_is_never() -> None:
 
 def test_a_scene_may_be_empty() -> None:
     scene = made(**ABOUT)
-    assert isinstance(scene, Scene)
+    assert isinstance(scene, RunScene)
     assert [len(part) for part in (scene.targets.faces, scene.voxels.positions, scene.path.step)] == [0] * 3

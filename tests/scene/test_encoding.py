@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dream.scene import NEVER, Scene, encoded, made, mapped
+from dream.scene import NEVER, RunScene, encoded, made, mapped
 from dream.scene.encoding import SIDES, exposed
 from tests.scene.test_building import ABOUT, ball, targets
 
@@ -27,7 +27,7 @@ def positions(told: dict[str, Any], name: str) -> Array:
     return found
 
 
-def test_surfaces_come_back_to_half_a_sixteenth_bit(wreck: Scene) -> None:
+def test_surfaces_come_back_to_half_a_sixteenth_bit(wreck: RunScene) -> None:
     told = json.loads(json.dumps(encoded(wreck), allow_nan=False))
     for name, surface in (
         ("obstacles", wreck.obstacles),
@@ -43,7 +43,7 @@ def test_surfaces_come_back_to_half_a_sixteenth_bit(wreck: Scene) -> None:
     assert np.abs(found - wreck.targets.triangles).max() < 0.51 * max(told["step"])
 
 
-def test_each_vertex_belongs_to_its_individual(wreck: Scene) -> None:
+def test_each_vertex_belongs_to_its_individual(wreck: RunScene) -> None:
     shuffled = np.random.default_rng(1).permutation(len(wreck.targets.positions))
     place = np.argsort(shuffled).astype(np.int32)
     surface = replace(
@@ -72,7 +72,7 @@ def test_a_side_is_exposed_where_nothing_was_mapped_by_then() -> None:
     assert hidden(3) == {(0, 0, 1), (0, 0, -1)}
 
 
-def test_exposed_sides_are_those_of_a_slow_twin(wreck: Scene) -> None:
+def test_exposed_sides_are_those_of_a_slow_twin(wreck: RunScene) -> None:
     voxels = wreck.voxels
     _, cells = voxels.cells()
     seen = {tuple(cell): at for cell, at in zip(cells.tolist(), voxels.seen_at.tolist(), strict=True)}
@@ -98,7 +98,7 @@ def test_an_empty_scene_has_no_surface_and_no_voxels() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 300])
-def test_text_of_a_scene_is_text(count: int, wreck: Scene) -> None:
+def test_text_of_a_scene_is_text(count: int, wreck: RunScene) -> None:
     told = encoded(replace(wreck, title="</script>" * count, kinds=("<b>",)))
     assert told["title"].startswith("</script>")
     assert told["kinds"] == ["<b>"]

@@ -14,7 +14,7 @@ import pytest
 
 from dream.cli import run_command
 from dream.recording import write_config
-from dream.scene import NEVER, SPACE, Scene, State, made, mapped, save
+from dream.scene import NEVER, SPACE, RunScene, SceneState, made, mapped, save
 from dream.scene.exports import write_gltf, write_ply
 from dream.scene.meshes import meshes
 from dream.scene.parts import LEGEND
@@ -81,7 +81,7 @@ class Gltf:
         return found
 
 
-def test_gltf_holds_each_part_with_y_up(wreck: Scene, tmp_path: Path) -> None:
+def test_gltf_holds_each_part_with_y_up(wreck: RunScene, tmp_path: Path) -> None:
     write_gltf(wreck, tmp_path / "wreck.glb")
     parts = Gltf(tmp_path / "wreck.glb").parts()
     assert list(parts) == ["hull", "obstacles", "seabed", "mapped", "path"]
@@ -97,7 +97,7 @@ def test_gltf_holds_each_part_with_y_up(wreck: Scene, tmp_path: Path) -> None:
     np.testing.assert_array_equal(way["POSITION"][:, 1], wreck.path.positions[:, 2])
 
 
-def test_gltf_colours_are_light_and_those_of_the_legend(wreck: Scene, tmp_path: Path) -> None:
+def test_gltf_colours_are_light_and_those_of_the_legend(wreck: RunScene, tmp_path: Path) -> None:
     write_gltf(wreck, tmp_path / "wreck.glb")
     _, hull, _ = Gltf(tmp_path / "wreck.glb").parts()["hull"]
     light = hull["COLOR_0"] / 65535.0
@@ -143,7 +143,7 @@ def ply(path: Path) -> tuple[list[str], Any, Any]:
     return lines, vertices, np.frombuffer(body, face, counts["face"], vertices.nbytes)
 
 
-def test_ply_holds_all_parts_in_the_axes_of_the_world(wreck: Scene, tmp_path: Path) -> None:
+def test_ply_holds_all_parts_in_the_axes_of_the_world(wreck: RunScene, tmp_path: Path) -> None:
     write_ply(replace(wreck, title="a wreck\nelement vertex 7 ü"), tmp_path / "wreck.ply")
     lines, vertices, faces = ply(tmp_path / "wreck.ply")
     assert "comment scene: a wreck?element vertex 7 ?" in lines
@@ -159,12 +159,12 @@ def test_ply_holds_all_parts_in_the_axes_of_the_world(wreck: Scene, tmp_path: Pa
     colors = np.stack([vertices[name] for name in ("red", "green", "blue")], -1)
     np.testing.assert_array_equal(colors, legend[vertices["state"]])
     states = wreck.states(NEVER - 1)
-    assert (vertices["state"][vertices["part"] == 0] == State.INSPECTED).sum() == (
-        states[wreck.targets.owner] == State.INSPECTED
+    assert (vertices["state"][vertices["part"] == 0] == SceneState.INSPECTED).sum() == (
+        states[wreck.targets.owner] == SceneState.INSPECTED
     ).sum()
 
 
-def test_kinds_of_target_are_parts_of_their_own(wreck: Scene) -> None:
+def test_kinds_of_target_are_parts_of_their_own(wreck: RunScene) -> None:
     kind = (np.arange(len(wreck.kind)) % 2).astype(np.uint8)
     both = list(meshes(replace(wreck, kinds=("hull", "oysters"), kind=kind), NEVER - 1))
     assert [mesh.name for mesh in both[:2]] == ["hull", "oysters"]
@@ -181,11 +181,11 @@ def test_two_voxels_beside_each_other_are_a_box_that_is_closed_and_faces_outward
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     volume = (normals * corners[:, 0]).sum() / 6.0
     assert volume == pytest.approx(2 * 0.5**3)
-    assert sorted(set(box.state.tolist())) == [State.OTHER, State.INSPECTED]
+    assert sorted(set(box.state.tolist())) == [SceneState.OTHER, SceneState.INSPECTED]
 
 
 def test_the_command_makes_either_file_and_writes_over_none(
-    wreck: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    wreck: RunScene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (run := tmp_path / "run").mkdir()
     write_config(run, CONFIG)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dream.scene import SPACE, Scene, load, made, save
+from dream.scene import SPACE, RunScene, load, made, save
 
 
 def same(a: Any, b: Any) -> None:
@@ -22,7 +22,7 @@ def same(a: Any, b: Any) -> None:
         assert a == b
 
 
-def test_a_scene_comes_back_as_it_was(wreck: Scene, tmp_path: Path) -> None:
+def test_a_scene_comes_back_as_it_was(wreck: RunScene, tmp_path: Path) -> None:
     save(wreck, tmp_path / SPACE)
     same(load(tmp_path / SPACE), wreck)
     empty = made(title="", bounds=[[0, 0, -1], [1, 1, 0]], water=0.0, field_of_view=(1.0, 1.0))
@@ -30,7 +30,7 @@ def test_a_scene_comes_back_as_it_was(wreck: Scene, tmp_path: Path) -> None:
     same(load(tmp_path / SPACE), empty)
 
 
-def test_a_wreck_takes_less_than_a_megabyte(wreck: Scene, tmp_path: Path) -> None:
+def test_a_wreck_takes_less_than_a_megabyte(wreck: RunScene, tmp_path: Path) -> None:
     save(wreck, tmp_path / SPACE)
     assert (tmp_path / SPACE).stat().st_size < 1e6
 
@@ -61,14 +61,14 @@ def changed(path: Path, **arrays: Any) -> Path:
     ],
 )
 def test_a_foreign_file_is_refused_by_its_name(
-    arrays: dict[str, Any], why: str, wreck: Scene, tmp_path: Path
+    arrays: dict[str, Any], why: str, wreck: RunScene, tmp_path: Path
 ) -> None:
     save(wreck, tmp_path / SPACE)
     with pytest.raises(ValueError, match=rf"space\.npz: expected a scene .*{why}"):
         load(changed(tmp_path / SPACE, **arrays))
 
 
-def test_a_damaged_file_is_refused(wreck: Scene, tmp_path: Path) -> None:
+def test_a_damaged_file_is_refused(wreck: RunScene, tmp_path: Path) -> None:
     save(wreck, tmp_path / SPACE)
     whole = (tmp_path / SPACE).read_bytes()
     for part in (b"", b"PK nothing", whole[: len(whole) // 2]):

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dream.scene import NEVER, Scene, State, Surface, Voxels, mapped
+from dream.scene import NEVER, RunScene, SceneState, SceneSurface, Voxels, mapped
 from dream.scene.parts import LEGEND
 
 Array = npt.NDArray[Any]
@@ -15,22 +15,22 @@ Array = npt.NDArray[Any]
 TRIANGLE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], np.float32)
 
 
-def test_an_individual_is_seen_and_inspected_from_its_steps_on(wreck: Scene) -> None:
+def test_an_individual_is_seen_and_inspected_from_its_steps_on(wreck: RunScene) -> None:
     last = int(wreck.path.step[-1])
     state = wreck.states(last)
-    assert (state == State.INSPECTED).sum() == (wreck.inspected_at <= last).sum() > 100
-    assert (state == State.UNSEEN).sum() == (wreck.seen_at == NEVER).sum() > 100
+    assert (state == SceneState.INSPECTED).sum() == (wreck.inspected_at <= last).sum() > 100
+    assert (state == SceneState.UNSEEN).sum() == (wreck.seen_at == NEVER).sum() > 100
     first = int(wreck.inspected_at.min())
     one = int(wreck.inspected_at.argmin())
-    assert wreck.states(first)[one] == State.INSPECTED
-    assert wreck.states(first - 1)[one] != State.INSPECTED
+    assert wreck.states(first)[one] == SceneState.INSPECTED
+    assert wreck.states(first - 1)[one] != SceneState.INSPECTED
 
 
 def test_a_voxel_is_what_it_was_at_a_step() -> None:
     voxels = mapped(0.5, [[0, 0, 0], [1, 0, 0], [2, 0, 0]], [True, True, False], [2, 2, 0], [4, -1, -1])
-    assert voxels.states(1).tolist() == [State.UNSEEN, State.UNSEEN, State.OTHER]
-    assert voxels.states(3).tolist() == [State.SEEN, State.SEEN, State.OTHER]
-    assert voxels.states(4).tolist() == [State.INSPECTED, State.SEEN, State.OTHER]
+    assert voxels.states(1).tolist() == [SceneState.UNSEEN, SceneState.UNSEEN, SceneState.OTHER]
+    assert voxels.states(3).tolist() == [SceneState.SEEN, SceneState.SEEN, SceneState.OTHER]
+    assert voxels.states(4).tolist() == [SceneState.INSPECTED, SceneState.SEEN, SceneState.OTHER]
 
 
 @pytest.mark.parametrize(
@@ -45,18 +45,18 @@ def test_a_surface_that_contradicts_itself_is_refused(
     faces: list[list[int]], owner: list[int], why: str
 ) -> None:
     with pytest.raises(ValueError, match=why):
-        Surface(TRIANGLE, np.array(faces, np.int32), np.array(owner, np.int32))
+        SceneSurface(TRIANGLE, np.array(faces, np.int32), np.array(owner, np.int32))
 
 
 def test_positions_that_are_no_place_are_refused() -> None:
     for bad in (np.nan, np.inf, 1e6):
         with pytest.raises(ValueError, match="finite metres"):
-            Surface(TRIANGLE + np.float32(bad), np.array([[0, 1, 2]], np.int32), np.zeros(3, np.int32))
+            SceneSurface(TRIANGLE + np.float32(bad), np.array([[0, 1, 2]], np.int32), np.zeros(3, np.int32))
         with pytest.raises(ValueError, match="finite metres"):
             mapped(0.5, [[bad, 0.0, 0.0]], [True], [0], [-1])
 
 
-def test_a_scene_whose_parts_do_not_fit_is_refused(wreck: Scene) -> None:
+def test_a_scene_whose_parts_do_not_fit_is_refused(wreck: RunScene) -> None:
     with pytest.raises(ValueError, match="owner of targets"):
         replace(wreck, kind=wreck.kind[:5], seen_at=wreck.seen_at[:5], inspected_at=wreck.inspected_at[:5])
     with pytest.raises(ValueError, match="seen_at"):

@@ -19,7 +19,7 @@ from dream.geometry import SE3
 from dream.protocol import DREAM_V1
 from dream.sim.files import load_world, world_hash
 from dream.sim.from_mesh import COVER, MARGIN, RAGGED, SINK, Made, world_of
-from dream.sim.mesh_files import Surface, read_surface
+from dream.sim.mesh_files import ReadMesh, read_surface
 from dream.sim.render import Renderer
 from dream.sim.solids import Solids
 from dream.sim.world import World
@@ -31,28 +31,28 @@ QUADS = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (1, 3, 7, 5), (
 BOX = 12.0, 4.0, 3.0
 
 
-def box(x: float, y: float, z: float, at: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Surface:
+def box(x: float, y: float, z: float, at: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> ReadMesh:
     """A closed box of twelve triangles that stands on `at`."""
     corners = np.array([(i, j, k) for k in (0, 1) for j in (0, 1) for i in (0, 1)], np.float64)
     vertices = (corners - (0.5, 0.5, 0.0)) * (x, y, z) + at
     faces = [(q[0], q[k], q[k + 1]) for q in QUADS for k in (1, 2)]
-    return Surface(vertices, np.array(faces, np.int64), None, ())
+    return ReadMesh(vertices, np.array(faces, np.int64), None, ())
 
 
-def both(*surfaces: Surface) -> Surface:
+def both(*surfaces: ReadMesh) -> ReadMesh:
     first = np.cumsum([0, *(len(one.vertices) for one in surfaces)])
     faces = [one.faces + at for one, at in zip(surfaces, first, strict=False)]
-    return Surface(np.concatenate([one.vertices for one in surfaces]), np.concatenate(faces), None, ())
+    return ReadMesh(np.concatenate([one.vertices for one in surfaces]), np.concatenate(faces), None, ())
 
 
-def sheet(height: Any, half: float = 6.0) -> Surface:
+def sheet(height: Any, half: float = 6.0) -> ReadMesh:
     """An open sheet over a square, wound to look up: z is a function of x and y."""
     line = np.linspace(-half, half, 13)
     x, y = np.meshgrid(line, line)
     vertices = np.stack([x, y, height(x, y) + 0.0 * x], axis=-1).reshape(-1, 3)
     a = (np.arange(12)[:, None] * 13 + np.arange(12)).ravel()
     faces = np.concatenate([np.stack(c, 1) for c in ((a, a + 1, a + 14), (a, a + 14, a + 13))])
-    return Surface(vertices, faces, None, ())
+    return ReadMesh(vertices, faces, None, ())
 
 
 def soup(world: World) -> Points:
@@ -90,10 +90,7 @@ def test_the_surface_is_kept_and_cut_into_patches_of_half_a_metre(barge: Made) -
     assert 0.2 < np.median(each) < 0.3
     assert (each < SLIVER).mean() < 0.06, "as of the package's barge"
     assert 0.5 * whole / 0.25 < len(world.targets) < 1.5 * whole / 0.25
-    for mesh in world.meshes:
-        spread = mesh.vertices[:, None] - mesh.vertices[None]
-        assert np.sqrt(np.square(spread).sum(axis=-1)).max() <= RAGGED + 1e-6
-        assert not mesh.two_sided
+    assert not any(mesh.two_sided for mesh in world.meshes)
     assert barge.extents == pytest.approx(BOX)
     assert world.hull.all()
     triangles = soup(world)
@@ -107,11 +104,30 @@ def test_it_stands_on_the_seabed_deep_enough_and_with_room_around(barge: Made) -
     points = soup(world).reshape(-1, 3)
     foot = points[points[:, 2] < points[:, 2].min() + 0.01]
     assert SINK - 0.0011 <= above(world, foot).min() <= above(world, foot).max() < 0.1
-    assert points[:, 2].max() <= -COVER
     box = world.bounds
     assert box.x_max - points[:, 0].max() >= MARGIN
     assert box.y_max - points[:, 1].max() >= MARGIN
     assert world.terrain.x0 <= box.x_min - 20.0
+
+
+def test_no_patch_is_too_wide_whichever_way_the_surface_lies() -> None:
+    c, s = math.cos(0.6), math.sin(0.6)
+    leaning = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ np.array(
+        [[1, 0, 0], [0, c, s], [0, -s, c]]
+    )
+    surface = box(*BOX)
+    made = world_of(replace(surface, vertices=surface.vertices @ leaning), "leaning", up="z")
+    for mesh in made.world.meshes:
+        spread = mesh.vertices[:, None] - mesh.vertices[None]
+        assert np.sqrt(np.square(spread).sum(axis=-1)).max() <= RAGGED + 1e-6
+
+
+@pytest.mark.parametrize(("tall", "deep"), [(3.0, 10.0), (9.5, 14.0)])
+def test_the_top_stays_under_water(tall: float, deep: float) -> None:
+    world = world_of(box(12.0, 10.0, tall), "tower", up="z").world
+    heights = soup(world)[..., 2]
+    assert heights.max() <= -COVER
+    assert heights.min() == pytest.approx(-deep, abs=1e-5)
 
 
 def test_its_starts_are_free_and_look_at_it(barge: Made) -> None:
@@ -122,6 +138,7 @@ def test_its_starts_are_free_and_look_at_it(barge: Made) -> None:
         assert solids.clearance(start.x, start.y, DREAM_V1) > 2.5
         away = places - (start.x, start.y)
         nearest = away[np.hypot(*away.T).argmin()]
+        assert 4.5 <= np.hypot(*nearest) <= 8.0
         turn = math.atan2(nearest[1], nearest[0]) - start.yaw
         assert abs(math.remainder(turn, 2.0 * math.pi)) <= 0.5 * DREAM_V1.heading_step + 1e-6
     lattice = solids.lattice(DREAM_V1)
@@ -193,8 +210,8 @@ def test_the_seabed_does_not_rise_to_what_overhangs() -> None:
 
 def test_edges_of_more_than_two_triangles_and_scraps_are_told() -> None:
     hull = box(*BOX)
-    fin = Surface(np.array([(6.0, 2.0, 1.0)]), np.empty((0, 3), np.int64), None, ())
-    scrap = Surface(np.array([(0, 3, 1), (0.05, 3, 1), (0, 3.05, 1)]), np.array([(0, 1, 2)]), None, ())
+    fin = ReadMesh(np.array([(6.0, 2.0, 1.0)]), np.empty((0, 3), np.int64), None, ())
+    scrap = ReadMesh(np.array([(0, 3, 1), (0.05, 3, 1), (0, 3.05, 1)]), np.array([(0, 1, 2)]), None, ())
     joined = both(hull, fin, scrap)
     one = np.array([(0, 1, 8)])  # On an edge of the box, to a corner of its own.
     made = world_of(replace(joined, faces=np.concatenate([joined.faces, one])), "odd")
@@ -236,7 +253,7 @@ def test_what_is_no_target_is_an_obstacle_and_shells_stop_nothing() -> None:
         (box(300.0, 200.0, 90.0), {"scale": 1.0}, r"expected at most 25,000 m² of surface, got 210,000 m²"),
     ],
 )  # fmt: skip
-def test_what_looks_wrong_is_asked_with_what_to_say(surface: Surface, said: Any, words: str) -> None:
+def test_what_looks_wrong_is_asked_with_what_to_say(surface: ReadMesh, said: Any, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         world_of(surface, "odd", **said)
 
@@ -249,7 +266,7 @@ def test_what_somebody_said_is_believed() -> None:
 # Files
 
 
-def ply(surface: Surface, form: str, colors: bool = False, quads: bool = False) -> bytes:
+def ply(surface: ReadMesh, form: str, colors: bool = False, quads: bool = False) -> bytes:
     """The surface as PLY."""
     order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}[form]
     faces = [list(quad) for quad in QUADS] if quads else surface.faces.tolist()
@@ -269,7 +286,7 @@ def ply(surface: Surface, form: str, colors: bool = False, quads: bool = False) 
     return ("ply\n" + "\n".join(head) + "\nend_header\n").encode() + lines
 
 
-def stl(surface: Surface, text: bool) -> bytes:
+def stl(surface: ReadMesh, text: bool) -> bytes:
     triangles = surface.vertices[surface.faces]
     if text:
         facets = [
@@ -284,7 +301,7 @@ def stl(surface: Surface, text: bool) -> bytes:
     )
 
 
-def obj(surface: Surface) -> bytes:
+def obj(surface: ReadMesh) -> bytes:
     lines = [f"v {x} {y} {z}" for x, y, z in surface.vertices.tolist()]
     lines += ["o hull", *(f"f {' '.join(f'{k + 1}/1' for k in quad)}" for quad in QUADS)]
     return "\n".join(lines).encode()

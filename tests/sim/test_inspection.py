@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from dream.geometry import SE3, Bounds, camera_mount
 from dream.protocol import DREAM_V1, DREAM_V2_DRAFT
 from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
-from dream.sim.inspection import NODE_SHARE, NODES, SHARE, Inspection, Look, kept
+from dream.sim.inspection import NODE_SHARE, NODES, SHARE, Inspected, Inspection, kept
 from dream.sim.inspection.points import POINTS, UP
 from dream.sim.render import Renderer
 from dream.sim.solids import Solids
@@ -41,7 +41,8 @@ def hull(*patches: npt.ArrayLike, two_sided: bool = False, obstacles: Instances 
     targets = replace(
         placed(0, np.zeros((len(patches), 3)), 1.0), mesh=np.arange(1, len(patches) + 1, dtype=np.int32)
     )
-    return replace(arena(obstacles, targets), meshes=(box(), *meshes), targets_are_hull=True)
+    world = arena(obstacles, targets)
+    return replace(world, meshes=(box(), *meshes), hull=np.ones(len(world.targets), np.bool_))
 
 
 def flat(x: float, y: float, z: float, size: float) -> list[list[float]]:
@@ -55,7 +56,7 @@ def upright(x: float, y0: float, y1: float, z0: float, z1: float) -> list[list[f
     return [[x, y0, z0], [x, y0, z1], [x, y1, z1], [x, y1, z0]]
 
 
-def look_at(inspection: Inspection, eye: npt.ArrayLike, target: npt.ArrayLike) -> Look:
+def look_at(inspection: Inspection, eye: npt.ArrayLike, target: npt.ArrayLike) -> Inspected:
     """From the eye, with the target in the middle of the image."""
     x, y, z = (float(way) for way in np.subtract(target, eye))
     ex, ey, ez = (float(at) for at in np.asarray(eye))
@@ -287,7 +288,7 @@ def compare_with_every_triangle(name: str, poses: int, most: int) -> None:
 
 @pytest.mark.parametrize("name", ["reef/string", "wreck/4"])
 def test_a_look_agrees_with_every_triangle_one_by_one(name: str) -> None:
-    compare_with_every_triangle(name, poses=3, most=40)
+    compare_with_every_triangle(name, poses=5, most=25)
 
 
 @pytest.mark.slow
@@ -300,7 +301,8 @@ def test_a_look_at_every_kind_of_world_agrees_with_every_triangle(name: str) -> 
 def compare_with_the_renderer(name: str, poses: int) -> None:
     """Who shows many pixels within reach is seen, and who is inspected shows one.
 
-    But for a few: of a patch at the edge of the image, or between others, a part without a point may show.
+    But for a few: of a patch at the edge of the image, or of a clump between others, a part without a point
+    may show.
     """
     world = make_world(name, 4)
     inspection, renderer = Inspection(world, PROTOCOL), Renderer(world)
@@ -316,7 +318,8 @@ def compare_with_the_renderer(name: str, poses: int) -> None:
         each = many, many & look.seen, look.inspected, look.inspected & (pixels > 0)
         counts += [int(which.sum()) for which in each]
     showing, seen, inspected, shown = counts
-    assert seen >= 0.97 * showing > 0, f"{seen} of {showing}"
+    least = 0.98 if world.hull.all() else 0.94
+    assert seen >= least * showing > 0, f"{seen} of {showing}"
     assert shown >= 0.995 * inspected > 0, f"{shown} of {inspected}"
 
 

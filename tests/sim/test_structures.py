@@ -17,6 +17,7 @@ from dream.sim.solids import Solids, corners
 from dream.sim.structures import OFF_HULL, around, beside, feet
 from dream.sim.world import World
 from dream.sim.worlds import make_world, origin, structures_in
+from dream.sim.years import later
 from dream.types import Target
 from tests.sim.made import made
 
@@ -145,9 +146,19 @@ def test_the_reef_lives_on_and_the_wreck_stays() -> None:
     assert len(after.targets) == len(after.hull)
     assert (~after.hull).sum() != (~before.hull).sum()
     assert set(after.targets.group.tolist()) == set(range(int(after.targets.group.max()) + 1))
-    tree = cKDTree(before.targets.position[before.hull, :2])
-    old = set(map(tuple, before.targets.position[~before.hull, :2].tolist()))
-    new = [place for place in after.targets.position[~after.hull, :2].tolist() if tuple(place) not in old]
-    assert new
-    assert np.min(tree.query(new)[0]) > 0.05
     assert world_hash(after) == world_hash(make_world(f"{GROWN}+2y1", 1))
+
+
+def test_no_recruit_settles_on_the_hull() -> None:
+    world = made(GROWN)
+    hull = world.targets.chosen(world.hull)
+    position = world.targets.position.copy()
+    position[~world.hull] = hull.position[: (~world.hull).sum()] + np.array([0.6, 0.0, 0.0], np.float32)
+    crowded = replace(world, targets=replace(world.targets, position=position))
+    old = set(map(tuple, position[:, :2].tolist()))
+    found = later(crowded, 2.0, 1)
+    places = found.targets.position[~found.hull, :2].astype(np.float64)
+    new = np.array([place for place in places.tolist() if tuple(place) not in old])
+    assert len(new) > 10
+    for x, y, radius in feet(world.meshes, hull):
+        assert (np.hypot(*(new - (x, y)).T) > radius).all()

@@ -293,12 +293,18 @@ def difference(then: RecordedStep, now: Step) -> str:
 def apart(then: RecordedStep, now: Step) -> tuple[float, float]:
     """Metres and radians between where a step ended and where it ended then."""
     pose = now.arrival.pose
-    distance = math.hypot(pose.x - then.pose.x, pose.y - then.pose.y)
+    rise = 0.0 if then.pose.z is None else now.observation.z - then.pose.z
+    distance = math.hypot(pose.x - then.pose.x, pose.y - then.pose.y, rise)
     return distance, abs(wrap_angle(pose.yaw - then.pose.yaw))
 
 
 def _same(then: RecordedDecision | RecordedGuard, now: Decision) -> bool:
-    return abs(wrap_angle(then.turn - now.turn)) <= SAME and abs(then.advance - now.advance) <= SAME
+    apart = [wrap_angle(then.turn - now.turn), then.advance - now.advance, then.climb - now.climb]
+    if then.tilt is not None and now.tilt is not None:
+        apart.append(then.tilt - now.tilt)
+    elif then.tilt is not now.tilt:
+        return False
+    return all(abs(by) <= SAME for by in apart)
 
 
 def _move(decided: Decision | RecordedDecision | RecordedGuard) -> str:
@@ -306,6 +312,9 @@ def _move(decided: Decision | RecordedDecision | RecordedGuard) -> str:
         return "be done"
     turn, advance = math.degrees(decided.turn), decided.advance
     parts = [f"turn {turn:+.0f}°"] * (turn != 0.0) + [f"advance {advance:g} m"] * (advance != 0.0)
+    parts += [f"climb {decided.climb:+g} m"] * (decided.climb != 0.0)
+    if decided.tilt is not None:
+        parts.append(f"tilt to {math.degrees(decided.tilt):.0f}°")
     return " and ".join(parts) or "stay"
 
 

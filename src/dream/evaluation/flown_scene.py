@@ -59,7 +59,7 @@ def _scene(
     steps: Sequence[RecordedStep],
     title: str,
     truth: tuple[World, Scorer] | None,
-) -> scene.Scene:
+) -> scene.RunScene:
     protocol = volume.protocol
     surface = volume.surface()
     low = float(surface.middles[:, 2].min()) if len(surface.middles) else -protocol.altitude
@@ -112,7 +112,7 @@ def _there_was(
 
 def _path(steps: Sequence[RecordedStep], protocol: SurveyProtocol) -> scene.Path:
     where = [step.pose if step.truth is None else step.truth for step in steps]
-    z = [step.pose.z or 0.0 for step in steps]
+    z = [pose.z or 0.0 for pose in where]
     tilts = [protocol.camera_pitch if step.pose.tilt is None else step.pose.tilt for step in steps]
     return scene.Path(
         np.array([step.step for step in steps], np.int32),

@@ -56,12 +56,12 @@ def write_rerun(folder: Path) -> Path:
         for step in steps:
             recording.set_time("step", sequence=step.step)
             recording.set_time("mission", duration=step.time)
-            way.append((step.pose.x, step.pose.y, 0.0))
+            way.append((step.pose.x, step.pose.y, step.pose.z or 0.0))
             travelled += step.distance_m
             _log_pictures(recording, folder, step.step)
             _log_pose(recording, step.pose.yaw, way)
             if step.truth is not None:
-                true_way.append((step.truth.x, step.truth.y, 0.0))
+                true_way.append((step.truth.x, step.truth.y, step.truth.z or 0.0))
                 recording.log("world/true_way", rr.LineStrips3D([true_way], colors=[(120, 120, 120)]))
             _log_words(recording, folder, step)
             for name, value in _measures(step, travelled).items():

@@ -272,7 +272,7 @@ class OccupancyMap(Layers):
         rows, cols = np.indices(above.solid.shape)
         rows, cols = rows + low[0], cols + low[1]
         rows_in, cols_in = self._shape if self._bounded else (FARTHEST, FARTHEST)
-        inside: BoolArray = (rows < rows_in) & (cols < cols_in)
+        inside: BoolArray = np.logical_and(rows < rows_in, cols < cols_in)
         known, returned = inside & ~np.isnan(above.ground), inside & ~np.isnan(above.top)
         self._write("log_odds", low, np.where(known, np.where(above.solid, *SURE), 0))
         self._write("votes", low, np.where(returned, np.where(above.target > 0.5, *VOTED), 0))

@@ -97,8 +97,8 @@ def draw_slice(
     _write(pen, (4, 4), "metres under water", "la")
     if vehicle is not None:
         way = np.subtract(end, start) / length
-        column = EDGE + float(np.subtract(vehicle[:2], start) @ way) * scale
-        _draw_vehicle(pen, column, EDGE + (high - vehicle[2]) * scale)
+        beside = float(np.subtract(vehicle[:2], start) @ way)
+        _draw_vehicle(pen, EDGE + beside * scale, EDGE + (high - vehicle[2]) * scale)
     _draw_legend(pen, EDGE, bottom + EDGE - 6, ((UNKNOWN, "unknown"), (FREE, "free"), *LEGEND))
     return picture
 

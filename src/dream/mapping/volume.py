@@ -28,8 +28,9 @@ HIT, MISS = 17, 8
 """Steps of log-odds, in twentieths, of a voxel that something returned from, and of one that a ray passed."""
 LEAST, MOST = -16, 70
 """Log-odds are kept between them: one return makes what was free solid, so that the guard knows at once."""
-SHARE = 0.03
-"""Of the pixels that a voxel covers, which must return from it to be believed, where depths scatter."""
+HELD, BELIEVED = 0.03, 0.12
+"""Of the pixels that a voxel covers, where depths scatter: where more return from it, the others of the frame
+do not clear it; and where more do, it is solid. In between a thin thing stays unknown, never free."""
 MARGIN = 0.05
 """Metres of water around the body that must be known to be free as well."""
 LAST_LABEL = int(max(Label))
@@ -270,6 +271,17 @@ class Volume:
         """(N,) `VoxelState` of the voxels that points (N, 3) lie in; metres in the world."""
         odds = self._odds(points)
         return np.where(odds > 0, SOLID, np.where(odds < 0, FREE, UNKNOWN)).astype(np.uint8)
+
+    def states_in(self, first: IntArray, shape: tuple[int, int, int]) -> UInt8Array:
+        """(levels, rows, cols) `VoxelState` of the voxels of a box.
+
+        Args:
+            first: (3,) level, row and column of the box's first voxel, from the world's origin.
+            shape: Of the box, in voxels.
+        """
+        states = np.empty(shape, np.uint8)
+        bricks_kernels.states_in(self._bricks, np.asarray(first, np.int64), states)
+        return states
 
     def probability(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """(N,) of being solid, likewise; ½ where nothing is known."""
@@ -528,7 +540,8 @@ class Volume:
             farthest=self._farthest,
             scatter=scatter,
             bias=protocol.lasting.depth if protocol.lasting is not None else 0.0,
-            share=SHARE if scatter > 0.0 else 0.0,
+            held=HELD if scatter > 0.0 else 0.0,
+            believed=BELIEVED if scatter > 0.0 else 0.0,
             cosine=math.cos(self._incidence),
             hit=HIT,
             miss=MISS,

@@ -1,5 +1,6 @@
 """Observation, Map → Decision."""
 
+from dream.flies import flies
 from dream.own_code import own_name
 from dream.planning.baselines import (
     Lawnmower,
@@ -15,7 +16,6 @@ from dream.planning.sixsteps import SixSteps
 from dream.planning.space.orbits import Orbits
 from dream.planning.space.tiers import Tiers
 from dream.planning.vlm import Asking, Dream, Ranked, Vanilla
-from dream.protocol import SurveyProtocol
 
 AnyPlanner = (
     Belief
@@ -55,29 +55,15 @@ PLANNERS: dict[str, AnyPlanner] = {
 LABELLED = "+"
 """Between a planner's name and a label, where a benchmark holds one that asks several models."""
 
-IN_SPACE = ("sixsteps", "orbits", "tiers")
+IN_SPACE: tuple[str, ...] = tuple(name for name, one in PLANNERS.items() if flies(one, in_space=True))
 """Names of those that fly under a protocol that moves in space. The others read the map's planar layers."""
 
-PLANAR: tuple[str, ...] = tuple(name for name in PLANNERS if name not in ("orbits", "tiers"))
+PLANAR: tuple[str, ...] = tuple(name for name, one in PLANNERS.items() if flies(one, in_space=False))
 """Names of those that fly under a planar protocol."""
 
 OFFLINE: tuple[str, ...] = tuple(name for name in PLANAR if not isinstance(PLANNERS[name], Asking | UivNav))
-"""Names of those of them that need nothing but this machine: they ask no model, and run no network, which takes
-ONNX Runtime."""
-
-
-def check_flies(planner: object, protocol: SurveyProtocol) -> None:
-    """Raise a ValueError that names those that can, where a planner does not fly under a protocol.
-
-    One's own planner is taken to know what it does.
-    """
-    names = PLANAR if protocol.space is None else IN_SPACE
-    known = [name for name, default in PLANNERS.items() if type(default) is type(planner)]
-    if known and known[0] not in names:
-        raise ValueError(
-            f"planner: expected one that flies under {protocol.name}, which are {', '.join(names)}; "
-            f"got {known[0]}"
-        )
+"""Names of those of them that need nothing but this machine: they ask no model, and run no network, which
+takes ONNX Runtime."""
 
 
 def check_installed(planner: object) -> None:
@@ -94,8 +80,8 @@ def planner_name(planner: AnyPlanner) -> str:
 
 
 __all__ = [
-    "LABELLED",
     "IN_SPACE",
+    "LABELLED",
     "OFFLINE",
     "PLANAR",
     "PLANNERS",
@@ -115,7 +101,6 @@ __all__ = [
     "Tiers",
     "UivNav",
     "Vanilla",
-    "check_flies",
     "check_installed",
     "planner_name",
 ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +40,8 @@ class SixSteps:
     Assumes: the protocol's prior on the size of a group. Fails when: targets are so scattered that
     their neighbourhood says nothing about them, or one end of a hull is only seen from close by.
     """
+
+    spatial: ClassVar[bool] = True
 
     kernel: float = 4.0 / 3.0
     """How far targets are expected around a target: standard deviation, as a multiple of the radius of the

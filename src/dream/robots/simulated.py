@@ -171,7 +171,8 @@ class Simulated:
         # The first move's randomness is the camera's, too; the vehicle's is its own.
         self._rng = noise_generator(world, pose, -1)
         seabed = float(world.terrain.height(pose.x, pose.y))
-        T_world_base = SE3.level(pose.x, pose.y, launch_height(world, protocol, pose), pose.yaw)
+        z = launch_height(world, protocol, pose) - self._camera.errors.height
+        T_world_base = SE3.level(pose.x, pose.y, z, pose.yaw)
         self._tilt = protocol.camera_pitch
         self._depth = -float(T_world_base.translation[2])
         self._moves = 0
@@ -209,6 +210,8 @@ class Simulated:
         east, north, up = self.estimate.position.tolist()
         gap = math.hypot(setpoint.x - east, setpoint.y - north)
         if setpoint.z is not None:
+            # Where it is sent is a height as its observations tell it.
+            setpoint = replace(setpoint, z=setpoint.z - self._camera.errors.height)
             gap = math.hypot(gap, setpoint.z - up)
         seconds = 2.0 * gap / motion.helmsman.speed + 2.0 * math.pi / motion.helmsman.turn_rate + ROOM
         clock = self._voyage.clock

@@ -6,16 +6,16 @@ It knows no simulator, map or recording. Positions are metres in the world, east
 from dream.scene.building import HeightGrid, Targets, made, mapped
 from dream.scene.encoding import encoded
 from dream.scene.files import SPACE, load, save
-from dream.scene.parts import NEVER, Path, Scene, State, Surface, Voxels
+from dream.scene.parts import NEVER, Path, RunScene, SceneState, SceneSurface, Voxels
 
 __all__ = [
     "NEVER",
     "SPACE",
     "HeightGrid",
     "Path",
-    "Scene",
-    "State",
-    "Surface",
+    "RunScene",
+    "SceneState",
+    "SceneSurface",
     "Targets",
     "Voxels",
     "encoded",

@@ -14,8 +14,8 @@ from dream.scene.parts import (
     Float32Array,
     Int32Array,
     Path,
-    Scene,
-    Surface,
+    RunScene,
+    SceneSurface,
     UInt16Array,
     Voxels,
 )
@@ -27,8 +27,8 @@ FINEST = 0.002
 APRON = 2.0
 """Metres of seabed that are shown beyond the bounds."""
 MOST_POSTS = 220
-"""Squares a side; a finer seabed is thinned. Those of an arena of 50 m, 0.25 m wide, are kept: a coarser seabed
-covers low clumps."""
+"""Squares a side; a finer seabed is thinned. That of an arena of 50 m is kept as it is: a coarser
+one covers low clumps."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +72,7 @@ def made(
     seabed: HeightGrid | None = None,
     voxels: Voxels | None = None,
     path: Path | None = None,
-) -> Scene:
+) -> RunScene:
     """A scene of what is there.
 
     Args:
@@ -91,18 +91,20 @@ def made(
     """
     box = np.asarray(bounds, np.float64)
     none: Int32Array = np.empty(0, np.int32)
-    return Scene(
+    return RunScene(
         title=title,
         bounds=box,
         water=water,
         field_of_view=field_of_view,
-        targets=Surface.none() if targets is None else _thinned(targets.triangles, targets.owner),
+        targets=SceneSurface.none() if targets is None else _thinned(targets.triangles, targets.owner),
         kinds=() if targets is None else targets.kinds,
         kind=np.asarray(none if targets is None else targets.kind, np.uint8),
         seen_at=steps(none if targets is None else targets.seen_at),
         inspected_at=steps(none if targets is None else targets.inspected_at),
-        obstacles=Surface.none() if obstacles is None else _thinned(obstacles, np.full(len(obstacles), -1)),
-        seabed=Surface.none() if seabed is None else _seabed(seabed, box),
+        obstacles=SceneSurface.none()
+        if obstacles is None
+        else _thinned(obstacles, np.full(len(obstacles), -1)),
+        seabed=SceneSurface.none() if seabed is None else _seabed(seabed, box),
         voxels=Voxels.none() if voxels is None else voxels,
         path=Path.none() if path is None else path,
     )
@@ -164,7 +166,7 @@ def _greatest(at: npt.NDArray[np.intp], values: UInt16Array, count: int) -> UInt
     return found
 
 
-def _thinned(triangles: npt.NDArray[np.floating], owner: npt.NDArray[np.integer]) -> Surface:
+def _thinned(triangles: npt.NDArray[np.floating], owner: npt.NDArray[np.integer]) -> SceneSurface:
     """Triangles as a mesh whose corners are shared within an individual; coarser, where they are too many."""
     corners = np.asarray(triangles, np.float64).reshape(-1, 3, 3)
     if len(owner) != len(corners):
@@ -177,7 +179,7 @@ def _thinned(triangles: npt.NDArray[np.floating], owner: npt.NDArray[np.integer]
     return surface
 
 
-def _welded(corners: npt.NDArray[np.float64], owner: npt.NDArray[np.integer], grid: float) -> Surface:
+def _welded(corners: npt.NDArray[np.float64], owner: npt.NDArray[np.integer], grid: float) -> SceneSurface:
     """One vertex for all corners of an individual in one cell of the grid, at their mean.
 
     What has lost its area is left out, and so is a triangle that another covers.
@@ -198,14 +200,14 @@ def _welded(corners: npt.NDArray[np.float64], owner: npt.NDArray[np.integer], gr
     faces = faces[(a != b) & (b != c) & (c != a)]
     _, kept = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
     mean = np.column_stack([np.bincount(at.reshape(-1), axis, len(cells)) for axis in points.T])
-    return Surface(
+    return SceneSurface(
         (mean / count[:, None]).astype(np.float32),
         faces[np.sort(kept)].astype(np.int32),
         np.repeat(owner, 3)[first].astype(np.int32),
     )
 
 
-def _seabed(grid: HeightGrid, bounds: npt.NDArray[np.float64]) -> Surface:
+def _seabed(grid: HeightGrid, bounds: npt.NDArray[np.float64]) -> SceneSurface:
     """Two triangles a square, split from its lower-left to its upper-right corner."""
     rows, cols = grid.heights.shape
     (left, lower), (right, upper) = (
@@ -223,4 +225,4 @@ def _seabed(grid: HeightGrid, bounds: npt.NDArray[np.float64]) -> Surface:
     )
     faces: Int32Array = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
     vertices: Float32Array = positions.astype(np.float32)
-    return Surface(vertices, faces, np.full(len(vertices), -1, np.int32))
+    return SceneSurface(vertices, faces, np.full(len(vertices), -1, np.int32))

@@ -1,4 +1,4 @@
-"""Scene → what a page holds of it: JSON with arrays in base64, positions in 16 bits."""
+"""RunScene → what a page holds of it: JSON with arrays in base64, positions in 16 bits."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dream.scene.parts import LEGEND, Scene, Surface, UInt8Array, UInt16Array, Voxels
+from dream.scene.parts import LEGEND, RunScene, SceneSurface, UInt8Array, UInt16Array, Voxels
 
 SIDES = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
 """Of a voxel, in the order of the bits of `exposed`."""
 
 
-def encoded(scene: Scene) -> dict[str, Any]:
+def encoded(scene: RunScene) -> dict[str, Any]:
     """A scene for the page, which can be written as JSON.
 
     Positions of surfaces are whole numbers of `step`, from `low`: (3,) metres each, `step` a 65535th of the
@@ -95,12 +95,12 @@ def _voxels(voxels: Voxels) -> dict[str, Any]:
     }
 
 
-def _ordered(surface: Surface) -> Surface:
+def _ordered(surface: SceneSurface) -> SceneSurface:
     """Its vertices in the order of their individuals."""
     order = np.argsort(surface.owner, kind="stable")
     place = np.empty(len(order), np.int32)
     place[order] = np.arange(len(order), dtype=np.int32)
-    return Surface(surface.positions[order], place[surface.faces], surface.owner[order])
+    return SceneSurface(surface.positions[order], place[surface.faces], surface.owner[order])
 
 
 def _box(parts: list[npt.NDArray[np.float32]]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:

@@ -1,4 +1,4 @@
-"""Scene → files for other programs: glTF for viewers, PLY for those who measure.
+"""RunScene → files for other programs: glTF for viewers, PLY for those who measure.
 
 Both show the scene as it is at its end. References: glTF 2.0 (Khronos, ISO/IEC 12113:2022), binary form; PLY
 (Turk 1994), binary, the lowest byte first.
@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.files import whole_or_nothing
-from dream.scene.meshes import Mesh, meshes
-from dream.scene.parts import LEGEND, NEVER, Float32Array, Scene, State
+from dream.scene.meshes import SceneMesh, meshes
+from dream.scene.parts import LEGEND, NEVER, Float32Array, RunScene, SceneState
 
 PATH_COLOR = (22, 82, 214)
 """sRGB of the vehicle's way."""
@@ -27,11 +27,11 @@ _POINTS, _FACES = 34962, 34963
 _LINE_STRIP, _TRIANGLES = 3, 4
 
 
-def write_gltf(scene: Scene, path: Path) -> None:
+def write_gltf(scene: RunScene, path: Path) -> None:
     """A binary glTF file, `.glb`: a node for each part, coloured by state, and the way as a line.
 
     glTF has y up: its x is east, its y is up and its z is south. Lengths are metres. The attribute `_STATE`
-    of a vertex is its `State`.
+    of a vertex is its `SceneState`.
 
     Raises:
         OSError: It cannot be written.
@@ -45,7 +45,7 @@ def write_gltf(scene: Scene, path: Path) -> None:
         partial.write_bytes(glb.content(scene.title))
 
 
-def write_ply(scene: Scene, path: Path) -> None:
+def write_ply(scene: RunScene, path: Path) -> None:
     """A PLY file with all surfaces as one mesh, in the axes of the world: x east, y north, z up, metres.
 
     A vertex has a colour, its `state`, and in `part` which of the parts that the header names it belongs to.
@@ -90,14 +90,14 @@ _VERTEX = np.dtype([("position", "<f4", 3), ("color", "u1", 3), ("state", "u1"),
 _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 
 
-def _vertices(mesh: Mesh, part: int) -> npt.NDArray[Any]:
+def _vertices(mesh: SceneMesh, part: int) -> npt.NDArray[Any]:
     vertices = np.empty(len(mesh.positions), _VERTEX)
     vertices["position"], vertices["color"] = mesh.positions, mesh.colors
     vertices["state"], vertices["part"] = mesh.state, min(part, 255)
     return vertices
 
 
-def _faces(mesh: Mesh, first: int) -> npt.NDArray[Any]:
+def _faces(mesh: SceneMesh, first: int) -> npt.NDArray[Any]:
     faces = np.empty(len(mesh.faces), _FACE)
     faces["count"], faces["corners"] = 3, mesh.faces + first
     return faces
@@ -174,7 +174,7 @@ class _Glb:
         return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
-def _mesh(glb: _Glb, mesh: Mesh) -> dict[str, Any]:
+def _mesh(glb: _Glb, mesh: SceneMesh) -> dict[str, Any]:
     return {
         "mode": _TRIANGLES,
         "material": 0,
@@ -189,7 +189,7 @@ def _mesh(glb: _Glb, mesh: Mesh) -> dict[str, Any]:
 
 def _way(glb: _Glb, positions: Float32Array) -> dict[str, Any]:
     colors = np.tile(np.array(PATH_COLOR, np.uint8), (len(positions), 1))
-    states = np.full(len(positions), State.OTHER, np.float32)
+    states = np.full(len(positions), SceneState.OTHER, np.float32)
     return {
         "mode": _LINE_STRIP,
         "material": 0,

@@ -9,7 +9,7 @@ import numpy as np
 
 from dream import arrays
 from dream.files import whole_or_nothing
-from dream.scene.parts import Path, Scene, Surface, Voxels
+from dream.scene.parts import Path, RunScene, SceneSurface, Voxels
 
 SPACE = "space.npz"
 """Its name in a run folder."""
@@ -21,7 +21,7 @@ _VERSION = 1
 _KINDS = 255
 
 
-def save(scene: Scene, path: pathlib.Path) -> None:
+def save(scene: RunScene, path: pathlib.Path) -> None:
     """Write a scene; the file appears whole or not at all.
 
     Raises:
@@ -31,7 +31,7 @@ def save(scene: Scene, path: pathlib.Path) -> None:
         np.savez_compressed(stream, **_arrays(scene))
 
 
-def load(path: pathlib.Path) -> Scene:
+def load(path: pathlib.Path) -> RunScene:
     """The scene that `save` wrote, or anybody.
 
     Raises:
@@ -45,7 +45,7 @@ def load(path: pathlib.Path) -> Scene:
         if len(kinds) > _KINDS:
             raise ValueError(f"kinds: expected at most {_KINDS}, got {len(kinds)}")
         across, up = _of(npz, "field_of_view", (2,), "f").tolist()
-        return Scene(
+        return RunScene(
             title=str(_of(npz, "title", (), "U"))[:MOST_LETTERS],
             bounds=_of(npz, "bounds", (2, 3), "f").astype(np.float64),
             water=float(_of(npz, "water", (), "f")),
@@ -74,7 +74,7 @@ def load(path: pathlib.Path) -> Scene:
         )
 
 
-def _arrays(scene: Scene) -> dict[str, Any]:
+def _arrays(scene: RunScene) -> dict[str, Any]:
     return {
         "version": np.int64(_VERSION),
         "title": np.str_(scene.title[:MOST_LETTERS]),
@@ -105,10 +105,10 @@ def _arrays(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _surface(npz: arrays.Npz, name: str, *, owned: bool) -> Surface:
+def _surface(npz: arrays.Npz, name: str, *, owned: bool) -> SceneSurface:
     positions = _of(npz, f"{name}_positions", (None, 3), "f")
     owner = _of(npz, f"{name}_owner", (None,), "i") if owned else np.full(len(positions), -1, np.int32)
-    return Surface(positions, _of(npz, f"{name}_faces", (None, 3), "i"), owner)
+    return SceneSurface(positions, _of(npz, f"{name}_faces", (None, 3), "i"), owner)
 
 
 def _of(npz: arrays.Npz, name: str, shape: tuple[int | None, ...], kind: str) -> Any:

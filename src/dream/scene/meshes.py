@@ -1,4 +1,4 @@
-"""Scene → its surfaces as coloured meshes, as of a step."""
+"""RunScene → its surfaces as coloured meshes, as of a step."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from dream.scene.encoding import SIDES, exposed
-from dream.scene.parts import LEGEND, Float32Array, Int32Array, Scene, State, UInt8Array, Voxels
+from dream.scene.parts import LEGEND, Float32Array, Int32Array, RunScene, SceneState, UInt8Array, Voxels
 
 
-class Mesh(NamedTuple):
+class SceneMesh(NamedTuple):
     """A part of a scene."""
 
     name: str
@@ -20,7 +20,7 @@ class Mesh(NamedTuple):
     faces: Int32Array
     """(F, 3) indices of vertices, none empty."""
     state: UInt8Array
-    """(V,) `State`."""
+    """(V,) `SceneState`."""
 
     @property
     def colors(self) -> UInt8Array:
@@ -28,7 +28,7 @@ class Mesh(NamedTuple):
         return np.array([color for _, color in LEGEND.values()], np.uint8)[self.state]
 
 
-def meshes(scene: Scene, step: int) -> Iterator[Mesh]:
+def meshes(scene: RunScene, step: int) -> Iterator[SceneMesh]:
     """The parts that have a face: targets by kind, obstacles, seabed, and what the vehicle had mapped."""
     states = scene.states(step)
     targets = scene.targets
@@ -37,16 +37,16 @@ def meshes(scene: Scene, step: int) -> Iterator[Mesh]:
         place = (np.cumsum(of_kind) - 1).astype(np.int32)
         faces = place[targets.faces[of_kind[targets.faces[:, 0]]]]
         if len(faces):
-            yield Mesh(name, targets.positions[of_kind], faces, states[targets.owner[of_kind]])
+            yield SceneMesh(name, targets.positions[of_kind], faces, states[targets.owner[of_kind]])
     for name, surface in (("obstacles", scene.obstacles), ("seabed", scene.seabed)):
         if len(surface.faces):
-            other = np.full(len(surface.positions), State.OTHER, np.uint8)
-            yield Mesh(name, surface.positions, surface.faces, other)
+            other = np.full(len(surface.positions), SceneState.OTHER, np.uint8)
+            yield SceneMesh(name, surface.positions, surface.faces, other)
     if (scene.voxels.seen_at <= step).any():
         yield _boxes(scene.voxels, step)
 
 
-def _boxes(voxels: Voxels, step: int) -> Mesh:
+def _boxes(voxels: Voxels, step: int) -> SceneMesh:
     """Those sides of what is mapped at a step that can be looked at: two triangles and four vertices each."""
     sides = np.where(voxels.seen_at <= step, exposed(voxels), 0)
     states = voxels.states(step)
@@ -54,7 +54,7 @@ def _boxes(voxels: Voxels, step: int) -> Mesh:
     for bit, side in enumerate(SIDES):
         which = np.flatnonzero((sides >> bit) & 1)
         outwards = np.array(side, np.float64)
-        along = np.roll(outwards * outwards.sum(), 1)
+        along = np.roll(outwards, 1)
         across = np.cross(outwards, along)
         square = np.array(
             [outwards + a * along + b * across for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
@@ -63,7 +63,7 @@ def _boxes(voxels: Voxels, step: int) -> Mesh:
         owners.append(np.repeat(which, 4))
     first = 4 * np.arange(sum(map(len, corners)), dtype=np.int32)[:, None, None]
     faces = (first + np.array([[0, 1, 2], [0, 2, 3]], np.int32)).reshape(-1, 3)
-    return Mesh(
+    return SceneMesh(
         "mapped",
         np.concatenate(corners).reshape(-1, 3).astype(np.float32),
         faces,

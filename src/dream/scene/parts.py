@@ -28,7 +28,7 @@ MOST_METRES = 1e5
 """Of a coordinate."""
 
 
-class State(enum.IntEnum):
+class SceneState(enum.IntEnum):
     """What is known of a piece of surface at a step."""
 
     OTHER = 0
@@ -38,17 +38,17 @@ class State(enum.IntEnum):
     INSPECTED = 3
 
 
-LEGEND: Mapping[State, tuple[str, tuple[int, int, int]]] = {
-    State.OTHER: ("Seabed and rock", (132, 146, 152)),
-    State.UNSEEN: ("Target, not yet seen", (122, 28, 92)),
-    State.SEEN: ("Target, seen", (226, 138, 18)),
-    State.INSPECTED: ("Target, inspected", (190, 240, 228)),
+LEGEND: Mapping[SceneState, tuple[str, tuple[int, int, int]]] = {
+    SceneState.OTHER: ("Seabed and rock", (132, 146, 152)),
+    SceneState.UNSEEN: ("Target, not yet seen", (122, 28, 92)),
+    SceneState.SEEN: ("Target, seen", (226, 138, 18)),
+    SceneState.INSPECTED: ("Target, inspected", (190, 240, 228)),
 }
 """Name and sRGB. Their lightness rises with what is known: they differ in grey, and to the colour-blind."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surface:
+class SceneSurface:
     """A triangle mesh."""
 
     positions: Float32Array
@@ -79,9 +79,9 @@ class Surface:
         return self.owner[self.faces[:, 0]] if len(self.faces) else np.empty(0, np.int32)
 
     @staticmethod
-    def none() -> Surface:
+    def none() -> SceneSurface:
         """One without a face."""
-        return Surface(np.empty((0, 3), np.float32), np.empty((0, 3), np.int32), np.empty(0, np.int32))
+        return SceneSurface(np.empty((0, 3), np.float32), np.empty((0, 3), np.int32), np.empty(0, np.int32))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,10 +121,10 @@ class Voxels:
         return low, np.rint((self.positions - low) / self.size).astype(np.uint16)
 
     def states(self, step: int) -> UInt8Array:
-        """(n,) `State` of each at a step; `UNSEEN` of what is not mapped by then."""
-        state = np.where(self.target, State.SEEN, State.OTHER)
-        state[self.target & (self.inspected_at <= step)] = State.INSPECTED
-        state[self.seen_at > step] = State.UNSEEN
+        """(n,) `SceneState` of each at a step; `UNSEEN` of what is not mapped by then."""
+        state = np.where(self.target, SceneState.SEEN, SceneState.OTHER)
+        state[self.target & (self.inspected_at <= step)] = SceneState.INSPECTED
+        state[self.seen_at > step] = SceneState.UNSEEN
         return state.astype(np.uint8)
 
     @staticmethod
@@ -172,7 +172,7 @@ class Path:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class RunScene:
     """All that a picture shows. Each part may be empty; of a real place only map and path are known."""
 
     title: str
@@ -182,7 +182,7 @@ class Scene:
     """Height of the water's surface in the world."""
     field_of_view: tuple[float, float]
     """Of the camera, across and up: full angles, radians."""
-    targets: Surface
+    targets: SceneSurface
     """Its vertices belong to individuals."""
     kinds: tuple[str, ...]
     """Names of the kinds of target, such as "hull"."""
@@ -192,9 +192,9 @@ class Scene:
     """(N,) the step from which on an individual counts as seen; `NEVER` where it does not."""
     inspected_at: UInt16Array
     """(N,) the step from which on it counts as inspected."""
-    obstacles: Surface
+    obstacles: SceneSurface
     """Solid, and no target."""
-    seabed: Surface
+    seabed: SceneSurface
     voxels: Voxels
     path: Path
 
@@ -219,10 +219,10 @@ class Scene:
             _check_between(f"owner of {name}", surface.owner, -1, -1)
 
     def states(self, step: int) -> UInt8Array:
-        """(N,) `State` of each individual at a step."""
-        state = np.full(len(self.kind), State.UNSEEN, np.uint8)
-        state[self.seen_at <= step] = State.SEEN
-        state[self.inspected_at <= step] = State.INSPECTED
+        """(N,) `SceneState` of each individual at a step."""
+        state = np.full(len(self.kind), SceneState.UNSEEN, np.uint8)
+        state[self.seen_at <= step] = SceneState.SEEN
+        state[self.inspected_at <= step] = SceneState.INSPECTED
         return state
 
 

@@ -571,7 +571,7 @@ def clearances(
     return result
 
 
-class Way(NamedTuple):
+class BodyWay(NamedTuple):
     """A straight move over ground, and how high it leads."""
 
     x0: float
@@ -586,7 +586,7 @@ class Way(NamedTuple):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _along(index: Index, way: Way, s: float) -> tuple[float, float, float]:
+def _along(index: Index, way: BodyWay, s: float) -> tuple[float, float, float]:
     """Where a share s of the way has been made. Inlined: a call costs a third of a pass."""
     x, y = way.x0 * (1.0 - s) + way.x1 * s, way.y0 * (1.0 - s) + way.y1 * s
     # In this order a way that keeps its height keeps it to the last bit.
@@ -595,7 +595,7 @@ def _along(index: Index, way: Way, s: float) -> tuple[float, float, float]:
 
 
 @njit(cache=True, nogil=True)
-def _looks(way: Way, pace: float) -> int:
+def _looks(way: BodyWay, pace: float) -> int:
     """How many stretches of at most `pace` metres the way is cut into."""
     length = math.hypot(math.hypot(way.x1 - way.x0, way.y1 - way.y0), way.z1 - way.z0)
     return max(1, math.ceil(length / pace))
@@ -603,7 +603,7 @@ def _looks(way: Way, pace: float) -> int:
 
 @njit(cache=True, nogil=True)
 def sweep(
-    index: Index, way: Way, radius: float, height: float, limit: float, pace: float
+    index: Index, way: BodyWay, radius: float, height: float, limit: float, pace: float
 ) -> tuple[float, float]:
     """Share of a way before contact, and its least clearance, looked at every `pace` metres."""
     count = _looks(way, pace)
@@ -630,7 +630,7 @@ def sweep(
 
 
 @njit(cache=True, nogil=True)
-def _passes(index: Index, way: Way, radius: float, height: float, pace: float) -> bool:
+def _passes(index: Index, way: BodyWay, radius: float, height: float, pace: float) -> bool:
     """Does `sweep` find no contact?
 
     The room in a slab that holds the body at all heights of the move tells how many looks can be skipped.
@@ -663,7 +663,9 @@ def passes(
     """`_passes` for every move from starts (M, 3) to ends (M, 3)."""
     result = np.empty(len(starts), np.bool_)
     for i in range(len(starts)):
-        way = Way(starts[i, 0], starts[i, 1], starts[i, 2], ends[i, 0], ends[i, 1], ends[i, 2], over_ground)
+        way = BodyWay(
+            starts[i, 0], starts[i, 1], starts[i, 2], ends[i, 0], ends[i, 1], ends[i, 2], over_ground
+        )
         result[i] = _passes(index, way, radius, height, pace)
     return result
 
@@ -728,7 +730,7 @@ def reachable(
                 continue
             ax, ay, az = (x0 + col) * spacing, (y0 + row) * spacing, z0 + level * spacing
             bx, by, bz = (x0 + c) * spacing, (y0 + r) * spacing, z0 + k * spacing
-            way = Way(ax, ay, az, bx, by, bz, over_ground)
+            way = BodyWay(ax, ay, az, bx, by, bz, over_ground)
             if _passes(index, way, radius, height, pace):
                 done[k, r, c] = True
                 queue[tail, 0], queue[tail, 1], queue[tail, 2] = k, r, c

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from dream.geometry import SE2, Bounds
 from dream.protocol import DREAM_V1
-from dream.sim.mesh_files import MOST_TRIANGLES, Surface
+from dream.sim.mesh_files import MOST_TRIANGLES, ReadMesh
 from dream.sim.sampling import MILLIMETRE, index, length, quantised
 from dream.sim.terrain import APRON, SPACING, smoothstep, undulation
 from dream.sim.validity import MOST_MESHES, check_seed, check_world
@@ -94,7 +94,7 @@ class Made:
 
 
 def world_of(
-    surface: Surface,
+    surface: ReadMesh,
     name: str,
     *,
     seed: int = 1,
@@ -227,7 +227,7 @@ def _upright(vertices: Float64Array, up: Up | None, scale: float | None) -> Floa
 
 
 def _welded(
-    vertices: Float64Array, surface: Surface, told: list[str]
+    vertices: Float64Array, surface: ReadMesh, told: list[str]
 ) -> tuple[Float64Array, IntArray, UInt8Array | None]:
     """One vertex a millimetre, and no face that has no area or stands there twice."""
     millimetres, first, same = np.unique(
@@ -459,7 +459,7 @@ def _seabed(vertices: Float64Array, faces: IntArray, bounds: Bounds, rng: np.ran
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     normal, middle = np.cross(b - a, c - a), (a + b + c) / 3.0
     low = np.full((rows, cols), np.inf)
-    for places in (a, middle, 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)):
+    for places in (points, middle, 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)):
         np.minimum.at(low, cells(places), places[:, 2])
     # In each cell, does the lowest face look up?
     downwards = np.argsort(-middle[:, 2], kind="stable")

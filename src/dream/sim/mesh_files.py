@@ -34,7 +34,7 @@ _COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_g
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surface:
+class ReadMesh:
     """Triangles in the axes and units of their file."""
 
     vertices: Float64Array
@@ -47,7 +47,7 @@ class Surface:
     """What was read in another way than it stands there."""
 
 
-def read_surface(path: Path) -> Surface:
+def read_surface(path: Path) -> ReadMesh:
     """All objects of a file as one surface.
 
     Raises:
@@ -74,7 +74,7 @@ def read_surface(path: Path) -> Surface:
     return surface
 
 
-def _check(surface: Surface, path: Path) -> None:
+def _check(surface: ReadMesh, path: Path) -> None:
     count, vertices = len(surface.faces), surface.vertices
     if not count:
         raise ValueError(f"{path}: expected triangles, got none. Is it a cloud of points? Mesh it first")
@@ -89,11 +89,11 @@ def _check(surface: Surface, path: Path) -> None:
         raise ValueError(f"{path}: expected corners from 0 to {len(vertices) - 1}, got {got}")
 
 
-def _obj(path: Path) -> Surface:
-    return Surface(*wavefront.read_surface(path))
+def _obj(path: Path) -> ReadMesh:
+    return ReadMesh(*wavefront.read_surface(path))
 
 
-def _stl(path: Path) -> Surface:
+def _stl(path: Path) -> ReadMesh:
     content = path.read_bytes()
     count = int.from_bytes(content[80:84], "little") if len(content) >= 84 else -1
     if len(content) == 84 + 50 * count:
@@ -111,7 +111,7 @@ def _stl(path: Path) -> Surface:
         except ValueError:
             raise ValueError('expected lines "vertex x y z", three a facet, got others') from None
     vertices, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
-    return Surface(vertices, index.reshape(-1, 3).astype(np.int64), None, ())
+    return ReadMesh(vertices, index.reshape(-1, 3).astype(np.int64), None, ())
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +130,7 @@ class _Element:
     properties: list[_Property]
 
 
-def _ply(path: Path) -> Surface:
+def _ply(path: Path) -> ReadMesh:
     content = path.read_bytes()
     order, elements, begin = _header(content)
     tables: dict[str, dict[str, Any]] = {}
@@ -162,7 +162,7 @@ def _ply(path: Path) -> Surface:
                 levels = 255.0 * levels
             colors = np.clip(np.rint(levels.astype(np.float64)), 0, 255).astype(np.uint8)
             break
-    return Surface(vertices, np.asarray(corners, np.int64), colors, tuple(told))
+    return ReadMesh(vertices, np.asarray(corners, np.int64), colors, tuple(told))
 
 
 def _header(content: bytes) -> tuple[str | None, list[_Element], int]:

@@ -278,7 +278,7 @@ class Solids:
         agree about whether there is one. Headings play no part.
         """
         z = float(protocol.altitude)
-        way = _kernels.Way(float(start.x), float(start.y), z, float(end.x), float(end.y), z, True)
+        way = _kernels.BodyWay(float(start.x), float(start.y), z, float(end.x), float(end.y), z, True)
         return self._sweep(way, protocol, limit)
 
     def sweep_through(
@@ -291,9 +291,9 @@ class Solids:
         """
         x0, y0, z0 = checked(np.reshape(start, (1, -1)), "start", 3)[0].tolist()
         x1, y1, z1 = checked(np.reshape(end, (1, -1)), "end", 3)[0].tolist()
-        return self._sweep(_kernels.Way(x0, y0, z0, x1, y1, z1, False), protocol, limit)
+        return self._sweep(_kernels.BodyWay(x0, y0, z0, x1, y1, z1, False), protocol, limit)
 
-    def _sweep(self, way: _kernels.Way, protocol: SurveyProtocol, limit: float) -> Sweep:
+    def _sweep(self, way: _kernels.BodyWay, protocol: SurveyProtocol, limit: float) -> Sweep:
         radius, height = protocol.body_radius, protocol.body_height
         return Sweep(*_kernels.sweep(self.index, way, radius, height, float(limit), PACE))
 

@@ -245,6 +245,8 @@ class Flight:
                 "step": step.index,
                 "turn": decision.turn,
                 "advance": decision.advance,
+                "climb": decision.climb,
+                "tilt": decision.tilt,
                 "done": decision.done,
                 "note": step.guarded.note,
                 "reasoning": asdict(decision.reasoning),

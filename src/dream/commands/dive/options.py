@@ -85,8 +85,8 @@ def check_options(told: Dive) -> None:
         )
     if protocol.space is not None and told.depth is None and not told.stand_in:
         raise ValueError(
-            f"--depth: expected a network that estimates depth under {protocol.name}, got none: where the floor "
-            "is taken for flat, what stands on it is not in the map, and the vehicle would run into it"
+            f"--depth: expected a network that estimates depth under {protocol.name}, got none: where the "
+            "floor is taken for flat, what stands on it is not in the map, and the vehicle would run into it"
         )
     if told.lights is not None and not 0.0 <= told.lights <= 1.0:
         raise ValueError(f"--lights: expected a share from 0 to 1, got {told.lights:g}")

@@ -27,9 +27,13 @@ BEARINGS, ELEVATIONS = 8, 4
 WEIGHT = 16
 """Of a pixel that is sure."""
 CAST, MOST_VOTES = 15, 255
-"""Votes that a voxel casts in a frame, and that are kept; more are halved."""
-INNER = 0.3
-"""Of a voxel's side, from its middle towards each corner: where it is looked up beside its middle."""
+"""Votes that a voxel casts in a frame from `CLOSE` or nearer, and that are kept; more are halved."""
+CLOSE = 2.0
+"""Metres. From farther away votes weigh as so many pixels fewer show a voxel, by the square; one at least. A
+label that is wrong from afar all the time is so put right by a look from near by."""
+INNER = 0.2
+"""Of a voxel's side: at least so far from its middle, towards each corner, it is looked up too; farther where
+half a pixel is less than what is left to the corner, so that a ray that is told to pass does."""
 NEAREST = 0.05
 """Metres along the optical axis, nearer than which nothing is settled by whole nodes."""
 TARGET, NEAR, INSPECTED = 1, 2, 4
@@ -66,8 +70,10 @@ class Weighing(NamedTuple):
     """Per metre: a depth z errs by σ = `scatter` z²."""
     bias: float
     """Share of its range by which a depth may be off."""
-    share: float
-    """Of the pixels that a voxel covers, which must return from it to be believed."""
+    held: float
+    """Of the pixels that a voxel covers: where more of them return from it, no ray of the frame clears it."""
+    believed: float
+    """Likewise: where more do, something solid is there."""
     cosine: float
     """Of the greatest angle at which a surface is inspected."""
     hit: int
@@ -340,7 +346,7 @@ def settle(bricks, lens, rule, window, scratch, found, limit, stamp):
         count, of_target, kind = counts[hit, number, 0], counts[hit, number, 1], kinds[hit, number]
         counts[hit, number, 0] = counts[hit, number, 1] = 0
         kinds[hit, number] = 0
-        if not _is_believed(count, z, pixels, rule):
+        if count <= rule.believed * _covered(z, pixels, side):
             continue
         slot = slot_of[brick]
         if slot == 0 or surface_of[slot] == 0:
@@ -351,7 +357,7 @@ def settle(bricks, lens, rule, window, scratch, found, limit, stamp):
         step = max(int(rule.hit * sure), 1)
         log_odds[slot, number] = min(np.int64(log_odds[slot, number]) + step, rule.most)
         at = surface_of[slot]
-        _vote(votes, at, number, of_target / count)
+        _vote(votes, at, number, of_target / count, _cast(dx * dx + dy * dy + dz * dz))
         if kind & NEAR:
             seen[at, number] = 1
         if kind & INSPECTED:
@@ -369,20 +375,25 @@ def _octant(number):
 
 
 @njit(cache=True, nogil=True)
-def _is_believed(count, z, pixels, rule):
-    """Do enough of the pixels that a voxel covers return from it?"""
-    covered = pixels * (rule.side / max(z, rule.side)) ** 2
-    return count > rule.share * covered * WEIGHT
+def _covered(z, pixels, side):
+    """The weight of the pixels that a voxel at depth z covers, where they are sure; `pixels` is fx fy."""
+    return WEIGHT * pixels * (side / max(z, side)) ** 2
 
 
 @njit(cache=True, nogil=True)
-def _vote(votes, at, number, share):
+def _cast(square):
+    """The votes of a frame from so far away, the square of metres."""
+    return max(1, min(CAST, int(CAST * CLOSE * CLOSE / max(square, CLOSE * CLOSE) + 0.5)))
+
+
+@njit(cache=True, nogil=True)
+def _vote(votes, at, number, share, cast):
     """Cast the votes of a frame."""
     if votes[at, number, 1] > MOST_VOTES - CAST:
         votes[at, number, 0] >>= 1
         votes[at, number, 1] >>= 1
-    votes[at, number, 0] += int(share * CAST + 0.5)
-    votes[at, number, 1] += CAST
+    votes[at, number, 0] += int(share * cast + 0.5)
+    votes[at, number, 1] += cast
 
 
 @njit(cache=True, nogil=True)
@@ -491,12 +502,13 @@ def _classify(tiles, levels, pinhole, edges, size, limit, x, y, z, extent):
 
 
 @njit(cache=True, nogil=True)
-def _is_passed(clear_to, pinhole, limit, x, y, z, samples):
+def _is_passed(clear_to, pinhole, limit, x, y, z, side, corners):
     """Does a ray pass a voxel about (x, y, z), in the camera's axes, by any of some points of it?"""
     fx, fy, cx, cy = pinhole
     height, width = clear_to.shape
-    for s in range(len(samples)):
-        right, down, ahead = x + samples[s, 0], y + samples[s, 1], z + samples[s, 2]
+    off = max(0.5 * side - 0.5 * z / min(fx, fy), INNER * side)
+    for s in range(len(corners)):
+        right, down, ahead = x + off * corners[s, 0], y + off * corners[s, 1], z + off * corners[s, 2]
         if ahead <= 0.0 or right * right + down * down + ahead * ahead > limit * limit:
             continue
         over = 1.0 / ahead
@@ -546,7 +558,7 @@ def _clear(bricks, lens, rule, window, scratch, limit, stamp):
         for k in range(3):
             extents[n, k] = half * (abs(rotation[0, k]) + abs(rotation[1, k]) + abs(rotation[2, k]))
         extents[n, 3] = half * math.sqrt(3.0)
-    inner, outer = _samples(rotation, INNER * side), _samples(rotation, 0.5 * side)
+    inner, outer = _samples(rotation, 1.0), _samples(rotation, 0.5 * side)
     levels, rows, cols = window[1]
     at = np.empty(3)
     for up in range(0, levels, _SUPER):
@@ -755,12 +767,12 @@ def _clear_octant(
                     if _is_outside(edges, x, y, z, side):
                         greatest = max(greatest, odds)
                         continue
-                    held = hit and counts[hit, number, 0] > 0
-                    if not (held and _is_believed(counts[hit, number, 0], z, pixels, rule)):
+                    count = counts[hit, number, 0] if hit else 0
+                    if count == 0 or count <= rule.held * _covered(z, pixels, side):
                         if odds > 0:
                             passed = _is_seen_through(clear_to, pinhole, limit, x, y, z, outer)
                         else:
-                            passed = _is_passed(clear_to, pinhole, limit, x, y, z, inner)
+                            passed = _is_passed(clear_to, pinhole, limit, x, y, z, side, inner)
                 if passed:
                     if slot == 0:
                         slot = _slot(bricks, brick, window, scratch)

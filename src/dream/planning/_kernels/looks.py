@@ -14,7 +14,7 @@ from numba import njit
 from dream.mapping._kernels.volume import FREE, SOLID, UNKNOWN
 
 
-class Scene(NamedTuple):
+class LookScene(NamedTuple):
     """The voxels of a box."""
 
     states: npt.NDArray[np.uint8]
@@ -25,7 +25,7 @@ class Scene(NamedTuple):
     """Metres along a voxel."""
 
 
-class Optics(NamedTuple):
+class LookOptics(NamedTuple):
     """What is in the image, and what is a useful look."""
 
     across: float

@@ -15,7 +15,7 @@ FINE = 2
 """Points at which the body is known to fit or not, along a step of the lattice."""
 
 
-class Moves(NamedTuple):
+class SpaceMoves(NamedTuple):
     """What a step may be, in steps of the lattice."""
 
     turns: npt.NDArray[np.int64]

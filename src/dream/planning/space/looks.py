@@ -12,8 +12,8 @@ from dream.protocol import SurveyProtocol
 from dream.types import BoolArray
 
 if TYPE_CHECKING:
-    from dream.planning._kernels.looks import Optics
-    from dream.planning.space.ways import Ways
+    from dream.planning._kernels.looks import LookOptics
+    from dream.planning.space.ways import KnownWays
 
 FloatArray = npt.NDArray[np.floating[Any]]
 
@@ -22,7 +22,7 @@ WITHIN = 0.95
 
 
 def shown(
-    ways: Ways,
+    ways: KnownWays,
     position: tuple[float, float, float],
     yaw: float,
     tilt: float,
@@ -48,7 +48,7 @@ def shown(
 
 
 def gains(
-    ways: Ways, cameras: FloatArray, points: FloatArray, normals: FloatArray, weights: FloatArray
+    ways: KnownWays, cameras: FloatArray, points: FloatArray, normals: FloatArray, weights: FloatArray
 ) -> FloatArray:
     """(C, headings, tilts) weight (P,) of all points that looks from cameras (C, 3) show; else as `shown`."""
     from dream.planning._kernels import looks as kernels
@@ -67,7 +67,7 @@ def gains(
     return found
 
 
-def edges(ways: Ways, middles: FloatArray) -> FloatArray:
+def edges(ways: KnownWays, middles: FloatArray) -> FloatArray:
     """(n, 3) middles of free voxels beside those at (m, 3) that have an unknown one at a face."""
     from dream.planning._kernels import looks as kernels
 
@@ -77,12 +77,12 @@ def edges(ways: Ways, middles: FloatArray) -> FloatArray:
     return np.asarray((found + first + 0.5)[:, ::-1] * side, np.float64)
 
 
-def _optics(protocol: SurveyProtocol) -> Optics:
-    from dream.planning._kernels.looks import Optics
+def _optics(protocol: SurveyProtocol) -> LookOptics:
+    from dream.planning._kernels.looks import LookOptics
 
     assert protocol.space is not None
     camera = protocol.camera
-    return Optics(
+    return LookOptics(
         0.5 * camera.width / camera.fx,
         0.5 * camera.height / camera.fy,
         WITHIN * protocol.reach,

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
 from dream.options import First
 from dream.planning.parameters import check_range
+from dream.planning.space.looks import shown
 from dream.planning.space.pilot import FloatArray, Look, Patrol
 from dream.planning.space.routes import crossing, highest, searched
-from dream.planning.space.structures import Structure, shown, structures
+from dream.planning.space.structures import Structure, structures
 from dream.types import Mission
 
 SAME = 2.0
@@ -36,6 +38,9 @@ class Orbits:
     Assumes: something stands up. Fails when: a structure has arms closer than twice the standoff, or hides
     its own sides from its outline.
     """
+
+    spatial: ClassVar[bool] = True
+    planar: ClassVar[bool] = False
 
     standoff: First[float] = 3.5
     """Metres from the outline."""
@@ -145,7 +150,8 @@ class _Round:
                 bearing,
                 tilt,
                 f"Orbit {level + 1} around the structure at ({east:.0f}, {north:.0f}), "
-                f"{z - one.ground:.1f} m above its ground: a look from ({x:.1f}, {y:.1f}), {flown:.0f} of {along[-1]:.0f} m flown.",
+                f"{z - one.ground:.1f} m above its ground: a look from ({x:.1f}, {y:.1f}), "
+                f"{flown:.0f} of {along[-1]:.0f} m flown.",
             )
 
     def _above(self, one: Structure) -> Iterator[Look]:
@@ -169,7 +175,7 @@ class _Round:
     def _is_worth(self, position: tuple[float, float, float], bearing: float, tilt: float) -> bool:
         """Is any target surface in view still to be inspected, or none known?"""
         surface = self.patrol.volume.surface()
-        view = shown(surface, position, bearing, tilt, self.patrol.mission.protocol)
+        view = shown(self.patrol.ways, position, bearing, tilt, surface.middles, surface.normals)
         view &= surface.target > 0.5
         left = float(surface.area[view & (surface.sides == 0)].sum())
         return left >= WORTH * float(surface.area[view].sum())

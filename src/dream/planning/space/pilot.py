@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import wrap_angle
-from dream.planning.space.ways import Ways, ways_in
+from dream.planning.space.ways import KnownWays, ways_in
 from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
@@ -58,6 +58,8 @@ class Patrol:
     """The latest."""
     volume: Volume = field(init=False)
     """What is known."""
+    ways: KnownWays = field(init=False)
+    """Through it."""
     _ahead: Iterator[Look] | None = None
     _look: Look | None = None
     _budget: int = 0
@@ -67,25 +69,25 @@ class Patrol:
         """The next step to a look, or done."""
         assert occupancy.volume is not None
         self.observation, self.volume = observation, occupancy.volume
-        ways = ways_in(occupancy.volume, self.mission.bounds, self.mission.protocol)
+        self.ways = ways_in(occupancy.volume, self.mission.bounds, self.mission.protocol)
         if self._ahead is None:
             self._ahead = self.looks(self)
         while True:
             if self._look is not None and not (self._look.is_moot and self._look.is_moot()):
-                step = self._step(self._look, ways)
+                step = self._step(self._look)
                 if step is not None:
                     return replace(step, reasoning=Reasoning(action=self._look.why))
             self._look, self._budget = next(self._ahead, None), 0
             if self._look is None:
                 return Decision(done=True, reasoning=Reasoning(action="The pattern is flown to its end."))
 
-    def _step(self, look: Look, ways: Ways) -> Decision | None:
+    def _step(self, look: Look) -> Decision | None:
         """The next step to a look; None where it was taken, or is left out."""
-        protocol, pose = self.mission.protocol, self.observation.pose
+        protocol, pose, ways = self.mission.protocol, self.observation.pose, self.ways
         away = np.linalg.norm(ways.positions - np.array(look.position), axis=-1)
         path = ways.to(pose, self.observation.z, away <= look.within, facing(look.bearing, ways))
         if path is None:
-            path = self._nearer(look, away, ways)
+            path = self._nearer(look, away)
             if not path:
                 return None
         tilt = look.tilt if len(path) <= 1 else protocol.camera_pitch
@@ -100,9 +102,9 @@ class Patrol:
             return None
         return replace(path[0] if path else Decision(), tilt=tilted)
 
-    def _nearer(self, look: Look, away: FloatArray, ways: Ways) -> list[Decision] | None:
+    def _nearer(self, look: Look, away: FloatArray) -> list[Decision] | None:
         """The way to where known water comes nearest to a look, if that is nearer than here; facing it."""
-        pose, z = self.observation.pose, self.observation.z
+        pose, z, ways = self.observation.pose, self.observation.z, self.ways
         reached = (ways.steps(pose, z) >= 0).any(axis=-1)
         nearest = float(away[reached].min())
         if nearest > float(away[ways.node(pose.x, pose.y, z)]) - ADVANCES:
@@ -111,7 +113,7 @@ class Patrol:
         return ways.to(pose, z, reached & (away <= nearest + NEARLY), facing(float(bearing), ways))
 
 
-def facing(bearing: float | None, ways: Ways) -> BoolArray:
+def facing(bearing: float | None, ways: KnownWays) -> BoolArray:
     """(headings,) those within a heading step of a bearing; all where it is None."""
     step, count = ways.protocol.heading_step, ways.protocol.headings
     if bearing is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -12,13 +12,12 @@ import numpy.typing as npt
 from dream.planning.space import words
 from dream.planning.space.looks import edges, gains, shown
 from dream.planning.space.structures import structures
-from dream.planning.space.ways import Ways, ways_in
+from dream.planning.space.ways import KnownWays, ways_in
 from dream.types import Decision, IntArray, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
     from dream.mapping.volume import Surface, Volume
-    from dream.planning.sixsteps import SixSteps
 
 FloatArray = npt.NDArray[np.floating[Any]]
 
@@ -37,7 +36,7 @@ TARGET, EDGE, GROUND = 0, 1, 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Left:
+class ToInspect:
     """What is left to look at."""
 
     points: FloatArray
@@ -56,9 +55,9 @@ class Left:
         """Square metres of one kind."""
         return float(self.area[self.kind == kind].sum())
 
-    def only(self, kept: npt.NDArray[Any]) -> Left:
+    def only(self, kept: npt.NDArray[Any]) -> ToInspect:
         """Some of it."""
-        return Left(self.points[kept], self.normals[kept], self.area[kept], self.kind[kept])
+        return ToInspect(self.points[kept], self.normals[kept], self.area[kept], self.kind[kept])
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,11 +72,40 @@ class View:
     """Weight that it shows for each step there."""
 
 
+class Weighs(Protocol):
+    """Of the parameters of `SixSteps`, those that count in space."""
+
+    @property
+    def kernel(self) -> float:
+        """How far ground counts as beside a target, as a multiple of half the group radius."""
+        ...
+
+    @property
+    def prior(self) -> float:
+        """Worth of a square metre of ground far from all targets."""
+        ...
+
+    @property
+    def prior_weight(self) -> float:
+        """Worth of one beside a target."""
+        ...
+
+    @property
+    def focus(self) -> float:
+        """Weight of the nearest part of target that is left."""
+        ...
+
+    @property
+    def patience(self) -> float:
+        """The chosen look is given up for one that is this many times better."""
+        ...
+
+
 @dataclass(slots=True)
 class SpacePilot:
     """One mission of `SixSteps` under a protocol that moves in space."""
 
-    planner: SixSteps
+    planner: Weighs
     mission: Mission
     failed: dict[int, int] = field(default_factory=dict)
     """Frames that should have shown what lies in a voxel and did not, by the voxel."""
@@ -138,7 +166,7 @@ class SpacePilot:
 
     # ------------------------------------------------------------------------------------------------------
 
-    def _left(self, ways: Ways, volume: Volume, surface: Surface, observation: Observation) -> Left:
+    def _left(self, ways: KnownWays, volume: Volume, surface: Surface, observation: Observation) -> ToInspect:
         """All that is left, without what frames kept failing to show."""
         target = surface.target > 0.5
         open_target = target & (surface.sides == 0)
@@ -150,7 +178,7 @@ class SpacePilot:
         here = np.array([observation.pose.x, observation.pose.y, observation.z])
         towards = _unit(here - beside)
         up = np.tile([0.0, 0.0, 1.0], (len(ground), 1))
-        left = Left(
+        left = ToInspect(
             points,
             np.concatenate([surface.normals[open_target], towards, up]),
             np.concatenate(
@@ -182,7 +210,7 @@ class SpacePilot:
         lowest = _ground(surface, places, observation.z - self.mission.protocol.altitude)
         return np.column_stack([places, lowest])
 
-    def _weights(self, left: Left, surface: Surface) -> FloatArray:
+    def _weights(self, left: ToInspect, surface: Surface) -> FloatArray:
         """(n,) what it is worth to look at each: ground less, and less still far from all targets."""
         from scipy.spatial import cKDTree
 
@@ -196,7 +224,7 @@ class SpacePilot:
         return np.asarray(worth * left.area)
 
     def _best(
-        self, ways: Ways, steps: IntArray, left: Left, weights: FloatArray, observation: Observation
+        self, ways: KnownWays, steps: IntArray, left: ToInspect, weights: FloatArray, observation: Observation
     ) -> View | None:
         """The look with the greatest rate; the one chosen before where it is nearly as good."""
         soonest = np.where(steps >= 0, steps, np.iinfo(np.int32).max).min(axis=-1)
@@ -225,7 +253,7 @@ class SpacePilot:
                 return old
         return best
 
-    def _rated(self, ways: Ways, nodes: IntArray, left: Left, weights: FloatArray) -> FloatArray:
+    def _rated(self, ways: KnownWays, nodes: IntArray, left: ToInspect, weights: FloatArray) -> FloatArray:
         """(n, headings, tilts) what looks from nodes (n, 3) show."""
         cameras = (nodes + np.array(ways.first))[:, ::-1] * self.mission.protocol.lattice
         low, high = (
@@ -252,7 +280,7 @@ class SpacePilot:
         level, row, col = nodes[n].tolist()
         return View((level, row, col), int(heading), int(tilt), int(taken[n, heading, tilt]), rate)
 
-    def _move(self, ways: Ways, view: View, observation: Observation) -> Decision:
+    def _move(self, ways: KnownWays, view: View, observation: Observation) -> Decision:
         protocol = self.mission.protocol
         goal = np.zeros(ways.shape, np.bool_)
         goal[view.node] = True
@@ -282,7 +310,7 @@ class SpacePilot:
         )
 
 
-def nearest_part(left: Left, here: tuple[float, float, float]) -> npt.NDArray[np.bool_]:
+def nearest_part(left: ToInspect, here: tuple[float, float, float]) -> npt.NDArray[np.bool_]:
     """(n,) those of target, or unknown beside it, that hang together and lie nearest to a position."""
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
@@ -315,7 +343,7 @@ def _ground(surface: Surface, places: FloatArray, otherwise: float) -> FloatArra
     return np.asarray(lowest[nearest])
 
 
-def _spread(ways: Ways, soonest: IntArray) -> IntArray:
+def _spread(ways: KnownWays, soonest: IntArray) -> IntArray:
     """(n, 3) nodes to look from, the soonest reached first: every second near by, every fourth far off."""
     nodes = np.argwhere(soonest >= 0)
     steps = soonest[tuple(nodes.T)]
@@ -327,7 +355,7 @@ def _spread(ways: Ways, soonest: IntArray) -> IntArray:
     return np.asarray(nodes[np.argsort(steps, kind="stable")])
 
 
-def _thinned(left: Left, weights: FloatArray) -> tuple[Left, FloatArray]:
+def _thinned(left: ToInspect, weights: FloatArray) -> tuple[ToInspect, FloatArray]:
     """Every n-th of each kind in the order of the volume, with the weight of n."""
     kept, heavier = np.zeros(len(left), np.bool_), np.array(weights)
     for kind in (TARGET, EDGE, GROUND):

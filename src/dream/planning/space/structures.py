@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from dream.types import BoolArray
+from dream.types import BoolArray, IntArray
 
 if TYPE_CHECKING:
     from dream.mapping.volume import Surface, Volume
-    from dream.protocol import SurveyProtocol
 
 FloatArray = npt.NDArray[np.floating[Any]]
 
@@ -71,13 +70,13 @@ class Structure:
         from contourpy import contour_generator
 
         away = self.away
-        lines = contour_generator(z=away).lines(standoff)
+        lines: list[FloatArray] = [np.asarray(one) for one in contour_generator(z=away).lines(standoff)]
         if not lines:
             return np.zeros((0, 3))
         line = max(lines, key=_length)
         if _turns_right(line):
             line = line[::-1]
-        north, east = np.gradient(away)
+        north, east = (np.asarray(slope) for slope in np.gradient(away))
         cols, rows = np.clip(np.rint(line).astype(int), 0, np.array(away.shape[::-1]) - 1).T
         bearing = np.arctan2(-north[rows, cols], -east[rows, cols])
         x, y = self.west + (line[:, 0] + 0.5) * COLUMN, self.south + (line[:, 1] + 0.5) * COLUMN
@@ -99,8 +98,8 @@ def structures(volume: Volume, surface: Surface | None = None, *, room: float = 
     if not is_target.any():
         return []
     margin = math.ceil(room / COLUMN)
-    low = np.floor(surface.middles[:, :2].min(axis=0) / COLUMN).astype(int) - margin
-    at = np.floor(surface.middles[:, :2] / COLUMN).astype(int) - low
+    low: IntArray = np.floor(surface.middles[:, :2].min(axis=0) / COLUMN).astype(np.int64) - margin
+    at: IntArray = np.floor(surface.middles[:, :2] / COLUMN).astype(np.int64) - low
     shape = tuple(at.max(axis=0)[::-1] + 1 + margin)
     lowest, highest = np.full(shape, np.inf), np.full(shape, -np.inf)
     area = np.zeros(shape)
@@ -150,39 +149,3 @@ def _length(line: FloatArray) -> float:
 def _turns_right(line: FloatArray) -> bool:
     x, y = line.T
     return float((x[:-1] * y[1:] - x[1:] * y[:-1]).sum()) < 0.0
-
-
-def shown(
-    surface: Surface,
-    position: tuple[float, float, float],
-    bearing: float,
-    tilt: float,
-    protocol: SurveyProtocol,
-) -> BoolArray:
-    """(n,) which surface a camera would have in its image, within reach and at a useful angle.
-
-    What stands in between is not looked at.
-
-    Args:
-        surface: Of a volume.
-        position: Of the camera, metres in the world.
-        bearing: Of the vehicle, radians.
-        tilt: Of the camera, downwards.
-        protocol: Its camera and reach; one that moves in space.
-    """
-    assert protocol.space is not None
-    away = surface.middles - np.array(position)
-    distance = np.linalg.norm(away, axis=1)
-    ahead = away[:, 0] * math.cos(bearing) + away[:, 1] * math.sin(bearing)
-    left = away[:, 1] * math.cos(bearing) - away[:, 0] * math.sin(bearing)
-    depth = ahead * math.cos(tilt) - away[:, 2] * math.sin(tilt)
-    above = ahead * math.sin(tilt) + away[:, 2] * math.cos(tilt)
-    camera = protocol.camera
-    in_image = (
-        (depth > 0.0)
-        & (np.abs(left) * camera.fx <= 0.5 * camera.width * depth)
-        & (np.abs(above) * camera.fy <= 0.5 * camera.height * depth)
-    )
-    towards = -(away * surface.normals).sum(axis=1)
-    useful = towards >= math.cos(protocol.space.incidence) * distance
-    return np.asarray(in_image & useful & (distance <= protocol.reach))

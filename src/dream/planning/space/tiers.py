@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import ClassVar
 
 from dream.options import First
 from dream.planning.parameters import check_range
@@ -25,6 +26,9 @@ class Tiers:
     Assumes: the area is a box. Fails when: sides lean over, or face away from all lanes; targets fill a small
     part of the area, since it sees them no sooner than the rest.
     """
+
+    spatial: ClassVar[bool] = True
+    planar: ClassVar[bool] = False
 
     low: First[float] = 2.0
     """Metres above what lies below of the first lanes."""
@@ -55,8 +59,8 @@ class Tiers:
                 ground = top(patrol.volume, place, ground)
                 x, y = place.tolist()
                 why = (
-                    f"Along the {'upper' if number else 'lower'} lanes, {altitude:g} m above what lies below, "
-                    f"to ({x:.1f}, {y:.1f}): place {n + 1} of {len(places)}."
+                    f"Along the {'upper' if number else 'lower'} lanes, {altitude:g} m above what lies "
+                    f"below, to ({x:.1f}, {y:.1f}): place {n + 1} of {len(places)}."
                 )
                 yield Look((x, y, highest(mission, ground + altitude)), None, tilt, why, within=1.5)
             start = patrol.observation.pose

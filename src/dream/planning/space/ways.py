@@ -16,7 +16,7 @@ from dream.types import BoolArray, Decision
 
 if TYPE_CHECKING:
     from dream.mapping.volume import Volume
-    from dream.planning._kernels.looks import Scene
+    from dream.planning._kernels.looks import LookScene
 
 FloatArray = npt.NDArray[np.floating[Any]]
 Node = tuple[int, int, int]
@@ -24,7 +24,7 @@ Node = tuple[int, int, int]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ways:
+class KnownWays:
     """The lattice in three dimensions over a box, and where in it the body fits by what is known.
 
     What it does: the body fits where every voxel that it touches is free, as the guard has it, and stays no
@@ -39,7 +39,7 @@ class Ways:
     """(levels, rows, cols) at fine points."""
     stands: npt.NDArray[np.uint8]
     """(levels, rows, cols) at nodes."""
-    scene: Scene
+    scene: LookScene
     """The voxels around."""
     _moves: Any = field(repr=False)
 
@@ -52,7 +52,7 @@ class Ways:
     @property
     def positions(self) -> FloatArray:
         """(levels, rows, cols, 3) metres in the world."""
-        at = np.stack(np.indices(self.shape), axis=-1) + np.array(self.first)
+        at = np.moveaxis(np.indices(self.shape), 0, -1) + np.array(self.first)
         return np.asarray(at[..., ::-1] * self.protocol.lattice, np.float64)
 
     def node(self, x: float, y: float, z: float) -> Node:
@@ -115,7 +115,7 @@ class Ways:
         return Decision(turn, lengths[(east, north)], climb=up * protocol.lattice)
 
 
-def ways_in(volume: Volume, bounds: Bounds, protocol: SurveyProtocol) -> Ways:
+def ways_in(volume: Volume, bounds: Bounds, protocol: SurveyProtocol) -> KnownWays:
     """The ways through a volume within bounds and below the surface of the water, as known now.
 
     Args:
@@ -126,9 +126,8 @@ def ways_in(volume: Volume, bounds: Bounds, protocol: SurveyProtocol) -> Ways:
     from scipy.ndimage import maximum_filter1d, minimum_filter
 
     from dream.mapping.volume import FREE, MARGIN, SOLID
-    from dream.mapping.volume_box import states_in
     from dream.planning._kernels import ways as kernels
-    from dream.planning._kernels.looks import Scene
+    from dream.planning._kernels.looks import LookScene
 
     assert protocol.space is not None
     spacing, side = protocol.lattice, volume.cell
@@ -145,9 +144,9 @@ def ways_in(volume: Volume, bounds: Bounds, protocol: SurveyProtocol) -> Ways:
     fine = tuple(kernels.FINE * (n - 1) + 1 for n in (levels, rows, cols))
     # The voxel (k, j, i) begins at fine point (k, j, i) of the padded grid.
     pad = (upright, across, across)
-    corner = np.array([level, row, col]) * kernels.FINE - pad
+    corner = np.array([level, row, col], np.int64) * kernels.FINE - np.array(pad, np.int64)
     size = fine[0] + 2 * pad[0], fine[1] + 2 * pad[1], fine[2] + 2 * pad[2]
-    states = states_in(volume, corner, size)
+    states = volume.states_in(corner, size)
     window = (2 * upright, 2 * across, 2 * across)
     free = minimum_filter((states == FREE).astype(np.uint8), window, mode="constant", cval=0)
     # A window of 2 n voxels that the filter centres on voxel k holds those from k − n to k + n − 1.
@@ -161,11 +160,11 @@ def ways_in(volume: Volume, bounds: Bounds, protocol: SurveyProtocol) -> Ways:
     stands[below[:: kernels.FINE, :: kernels.FINE, :: kernels.FINE] > 0] = 0
     steps = np.array(protocol.turns, np.int64)
     none = np.zeros((protocol.headings, 1, 2), np.int64)
-    moves = kernels.Moves(
+    moves = kernels.SpaceMoves(
         steps,
         np.concatenate([none, offsets_of(protocol)], axis=1),
         # Of two ways of as many steps, the one that climbs less.
         np.array(sorted((round(climb / spacing) for climb in protocol.climbs), key=abs), np.int64),
     )
-    scene = Scene(states, corner, side)
-    return Ways(protocol, (level, row, col), np.ascontiguousarray(fits), stands, scene, moves)
+    scene = LookScene(states, corner, side)
+    return KnownWays(protocol, (level, row, col), np.ascontiguousarray(fits), stands, scene, moves)

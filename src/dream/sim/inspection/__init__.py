@@ -12,7 +12,7 @@ import numpy.typing as npt
 from dream.geometry import SE3, camera_mount
 from dream.protocol import Space, SurveyProtocol
 from dream.sim.inspection import _kernels, kept
-from dream.sim.inspection.points import Surface, sight_index, surface_of
+from dream.sim.inspection.points import SurfacePoints, sight_index, surface_of
 from dream.sim.solids import FreeSpace, Solids
 from dream.sim.visibility import lattice_yaws
 from dream.sim.world import World
@@ -34,7 +34,7 @@ NODE_SHARE = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Look:
+class Inspected:
     """What one frame makes of a world's individuals."""
 
     points: UInt8Array
@@ -63,7 +63,7 @@ class Inspection:
         self.world, self.protocol = world, protocol
         self.solids = solids or Solids(world)
         self._clumps = sight_index(world)
-        self.surface: Surface = surface_of(world, self.solids.index, self._clumps)
+        self.surface: SurfacePoints = surface_of(world, self.solids.index, self._clumps)
         """The points, and the area that each individual has."""
         count = np.diff(self.surface.first)
         self._points = _kernels.Points(
@@ -79,7 +79,7 @@ class Inspection:
     def __len__(self) -> int:
         return len(self.surface.area)
 
-    def look(self, T_world_base: SE3, tilt: float) -> Look:
+    def look(self, T_world_base: SE3, tilt: float) -> Inspected:
         """What the vehicle sees and inspects from one pose.
 
         Args:
@@ -98,7 +98,7 @@ class Inspection:
         owner, count = self.surface.owner, len(self)
         inspected = np.bincount(owner[points == _kernels.INSPECTED], minlength=count)
         seen = np.bincount(owner[points > 0], minlength=count)
-        return Look(points, seen > 0, inspected >= self._points.needed)
+        return Inspected(points, seen > 0, inspected >= self._points.needed)
 
     def inspected(self, T_world_base: SE3, tilt: float) -> BoolArray:
         """(N,) as `look`."""

@@ -35,7 +35,7 @@ CLUMP_CELL = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surface:
+class SurfacePoints:
     """Points on the surface of N individuals, one individual after the other."""
 
     points: Float64Array
@@ -61,7 +61,7 @@ def sight_index(world: World) -> sight.Index:
     return index._replace(ground_top=np.full_like(index.ground_top, -np.inf))
 
 
-def surface_of(world: World, solids: sight.Index, clumps: sight.Index) -> Surface:
+def surface_of(world: World, solids: sight.Index, clumps: sight.Index) -> SurfacePoints:
     """Points of all individuals, the same ones each time.
 
     They lie on the triangles themselves, above ground, and on a clump on faces that look up: of places that
@@ -94,7 +94,7 @@ def surface_of(world: World, solids: sight.Index, clumps: sight.Index) -> Surfac
 
     chosen = _spread(places, open_places)
     begins = np.concatenate([[0], np.cumsum(chosen.sum(axis=1))])
-    return Surface(
+    return SurfacePoints(
         points=places[chosen],
         normals=facing[chosen],
         owner=np.nonzero(chosen)[0],
