@@ -43,16 +43,14 @@ def integrated(occupancy: OccupancyMap, observation: Observation) -> None:
     occupancy.integrate(observation.depth, observation.labels, observation.camera, observation.T_world_camera)
 
 
-def touched(start: Array, end: Array, protocol: SurveyProtocol, spacing: float) -> Array:
-    """Points all over the body's way, 5 cm apart or so: another way to ask what `room` answers."""
-    radius, half = protocol.body_radius + MARGIN, 0.5 * protocol.body_height + MARGIN
-    turns = np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
-    disc = np.array([(r * math.cos(a), r * math.sin(a)) for a in turns for r in np.linspace(0.0, radius, 6)])
-    heights = np.linspace(-half, half, 9)
-    body = np.array([(x, y, z) for x, y in disc for z in heights])
-    count = max(2, math.ceil(float(np.linalg.norm(end - start)) / spacing))
-    middles = start + np.linspace(0.0, 1.0, count)[:, None] * (end - start)
-    return np.asarray((middles[:, None] + body).reshape(-1, 3))
+def touches(start: Array, end: Array, voxel: Array, cell: float, protocol: SurveyProtocol) -> bool:
+    """Does the body with its margin, on its way, touch the voxel that a point lies in? Looked at every mm."""
+    low = np.floor(voxel / cell) * cell
+    count = max(2, math.ceil(1000.0 * float(np.linalg.norm(end - start))))
+    way = start + np.linspace(0.0, 1.0, count)[:, None] * (end - start)
+    gap = np.maximum(np.maximum(low - way, way - (low + cell)), 0.0)
+    beside = np.hypot(gap[:, 0], gap[:, 1]) <= protocol.body_radius + MARGIN + 0.002
+    return bool((beside & (gap[:, 2] <= 0.5 * protocol.body_height + MARGIN + 0.002)).any())
 
 
 def check_reason(why: str, move: Decision, seen: Observation, occupancy: OccupancyMap) -> None:
@@ -73,9 +71,9 @@ def check_reason(why: str, move: Decision, seen: Observation, occupancy: Occupan
         found = re.search(r"meets (.*) at \((.*), (.*), (.*)\)", why)
         assert found is not None
         wanted = SOLID if found[1] == "something solid" else UNKNOWN
-        states = volume.state(touched(np.array([seen.pose.x, seen.pose.y, seen.z]), end, protocol, 0.05))
-        assert wanted in states
-        assert volume.state(np.array([[float(found[k]) for k in (2, 3, 4)]]))[0] == wanted
+        where = np.array([float(found[k]) for k in (2, 3, 4)])
+        assert volume.state(where[None])[0] == wanted
+        assert touches(np.array([seen.pose.x, seen.pose.y, seen.z]), end, where, volume.cell, protocol)
 
 
 def walked(name: str, seed: int, protocol: SurveyProtocol, moves: int) -> tuple[int, int, int]:

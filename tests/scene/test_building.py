@@ -68,7 +68,7 @@ def test_too_fine_a_surface_is_thinned_and_keeps_its_place_and_most_of_its_area(
 
 
 def test_no_individual_of_a_reef_vanishes_when_it_is_thinned() -> None:
-    reef = orbited("reef/string", 1, steps=3)
+    reef = orbited("reef/mixed", 1, steps=3)
     assert len(reef.targets.faces) <= building.AIM_FACES
     assert np.unique(reef.targets.face_owner).size == len(reef.kind)
 

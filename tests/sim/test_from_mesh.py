@@ -367,6 +367,8 @@ FACETS = stl(box(*BOX), text=True)
         ("a.ply", TEXT.replace(b"7 3 ", b"7 9 ", 1), r"face: expected numbers for flags"),
         ("a.ply", TEXT.replace(b"-6.0", b"there", 1), r"vertex: expected numbers for x, y"),
         ("a.ply", TEXT.replace(b"-6.0", b"nan", 1), r"vertex 0: expected finite numbers"),
+        ("a.ply", TEXT.replace(b"7 3 0", b"7 3 inf", 1), r"face: expected numbers for flags"),
+        ("a.ply", TEXT.replace(b"7 3 0", b"7 3 1e30", 1), r"expected numbers of vertices, got one past"),
         ("a.ply", TEXT.replace(b"7 3 0", b"7 3 99", 1), r"expected corners from 0 to 7, got 99"),
         ("a.stl", stl(box(*BOX), text=False)[:-1], r"expected 684 bytes of 12 triangles, got 683"),
         ("a.stl", FACETS.replace(b"vertex -6.0", b"vertex six", 1), r'expected lines "vertex x y z", three'),
@@ -410,7 +412,8 @@ def test_the_command_makes_a_folder_that_can_be_flown(
     [
         (["--from-mesh", "no.ply"], "no.ply: expected a file with a mesh, got none"),
         (["--from-mesh", "no.ply", "--save", "reef/O"], "--from-mesh: expected it alone, got --save with it"),
-        (["--scale", "2"], "--up, --scale, --name, --target: expected --from-mesh FILE with them, got none"),
+        (["--scale", "2"], "--shells, --name, --water: expected --from-mesh FILE with them, got none"),
+        (["--water", "turbid", "--shells"], "expected --from-mesh FILE with them, got none"),
     ],
 )
 def test_the_command_refuses_what_it_does_not_understand(

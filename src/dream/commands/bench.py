@@ -15,6 +15,7 @@ from dream.commands.console import check_no_world, print_json, with_scores
 from dream.commands.progress import stage
 from dream.commands.swim import Swim
 from dream.errors import MissionAborted
+from dream.flies import check_flies
 from dream.names import look_up
 from dream.options import First
 from dream.own_code import SUFFIX
@@ -147,6 +148,8 @@ class Bench(Flying):
         planners, engine = self.chosen_planners(), self.chosen_engine()
         name, cases = self._cases()
         protocol = protocol_named(self.protocol or cases[0].open().protocol)
+        for planner in planners.values():
+            check_flies(planner, protocol)
         swimming = self.swim.chosen(protocol)
         plan = Plan(name, cases, planners, protocol, self.max_steps, self.keep_runs, swimming)
         folder = self.out or Path("bench") / self._folder(name)

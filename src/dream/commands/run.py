@@ -39,6 +39,7 @@ from dream.protocol import protocol_named
 
 if TYPE_CHECKING:
     from dream.evaluation.metrics import Scorer
+    from dream.mapping.volume import Volume
     from dream.orders import Orders
     from dream.protocol import SurveyProtocol
     from dream.recording import RecordedStep
@@ -51,6 +52,8 @@ else:
 
 logger = logging.getLogger(__name__)
 
+SCENE_EVERY = 10
+"""Steps after which the live page gets a new view in three dimensions."""
 TRACEBACK = "traceback.txt"
 """File in the folder of a run that a planner or the program broke off by an error in its code."""
 
@@ -116,6 +119,7 @@ class Run:
         from dream.compiling import working_time
         from dream.evaluation.metrics import Scorer, sight_in, without_answer
         from dream.evaluation.runner import run_config, simulate, summarize
+        from dream.mapping.volume import Volume
         from dream.planning.vlm.orders import write_mission
         from dream.report import write_report
         from dream.robots.replay import keep
@@ -164,7 +168,8 @@ class Run:
                     words=words,
                     swimming=swimming,
                 )
-                scorer = Scorer(world, protocol, visibility=visibility, renderer=renderer, orders=orders)
+                with stage(f"working out what counts in {world.name} {world.seed}"):
+                    scorer = Scorer(world, protocol, visibility=visibility, renderer=renderer, orders=orders)
                 check()
             # Only now: what is interrupted before it can fly leaves no folder.
             now = datetime.datetime.now(datetime.UTC)
@@ -180,23 +185,28 @@ class Run:
             known.keep(folder)
             if self.keep_observations or site is not None:
                 steps = keep(steps, folder, protocol)
-            recorded = recording.record(
-                steps, folder, annotate=lambda step: {"coverage": scorer.add(step).as_dict()}
-            )
+
+            def annotated(step: Step) -> Mapping[str, Any]:
+                coverage = scorer.add(step)
+                volume = step.occupancy.volume
+                if self.live and volume is not None and step.index > 0 and step.index % SCENE_EVERY == 0:
+                    _write_scene(folder, world, scorer, volume)
+                return {"coverage": coverage.as_dict()}
+
+            recorded = recording.record(steps, folder, annotate=annotated)
             total = self.max_steps or protocol.cap
             if orders is not None and orders.max_steps is not None:
                 total = min(total, orders.max_steps)
             with recording.compiling_noted(folder):
                 stopped = _fly(recorded, f"{name} · {world.name} {world.seed}", total)
         tell_lost(getattr(self.planner, "record", None))
-        with stage("working out what there was to inspect" if protocol.space is not None else "scoring"):
-            summary = summarize(world, name, protocol, scorer, working_time() - began, stopped)
+        summary = summarize(world, name, protocol, scorer, working_time() - began, stopped)
         page = None
         try:
             recording.write_summary(folder, summary)
             with stage("writing report.html"):
-                if protocol.space is not None:
-                    _write_scene(folder, world, scorer)
+                if (folder / recording.VOLUME).exists():
+                    _write_scene(folder, world, scorer, Volume.load(folder / recording.VOLUME))
                 page = write_report(folder)
         except KeyboardInterrupt as interrupt:
             raise _aborted(interrupt, folder) from interrupt
@@ -214,17 +224,16 @@ class Run:
         return told_without_answer(without_answer(summary["vlm"]))
 
 
-def _write_scene(folder: Path, world: World, scorer: Scorer) -> None:
-    """What the report shows in three dimensions, where a map was kept."""
+def _write_scene(folder: Path, world: World, scorer: Scorer, volume: Volume) -> None:
+    """What report and live page show in three dimensions."""
     from dream import recording
     from dream.evaluation.flown_scene import write_scene
-    from dream.mapping.volume import Volume
 
-    path = folder / recording.VOLUME
-    if path.exists():
-        title = f"{world.name} {world.seed}"
-        steps = recording.read_steps(folder)
-        write_scene(folder, Volume.load(path), world.bounds, steps, title, (world, scorer))
+    title, steps = f"{world.name} {world.seed}", recording.read_steps(folder)
+    try:
+        write_scene(folder, volume, world.bounds, steps, title, (world, scorer))
+    except ValueError as error:  # The rest of the report is worth as much without it.
+        logger.warning("the view in three dimensions is left out: %s", error)
 
 
 def run_with(path: str) -> type[Run]:

@@ -58,8 +58,8 @@ class Worlds:
     """Of --from-mesh: its patches are shells, which stop neither sight nor vehicle. Otherwise it is hull."""
     name: str | None = None
     """Of --from-mesh: what the world is called. Unless given, as the file."""
-    water: str = "clear"
-    """Of --from-mesh: pool, clear, coastal, green or turbid."""
+    water: str | None = None
+    """Of --from-mesh: pool, clear, coastal, green or turbid. Unless given, clear."""
     waters: bool = False
     """List the waters instead, and how far `dream-v2-draft` sees in each."""
     json: bool = False
@@ -77,13 +77,10 @@ class Worlds:
         ]
         if len(wanted) > 1:
             raise ValueError(f"{wanted[-1]}: expected it alone, got {wanted[0]} with it. Choose one of them")
-        if self.from_mesh is None and (self.up, self.scale, self.name, self.target) != (
-            None,
-            None,
-            None,
-            False,
-        ):
-            raise ValueError("--up, --scale, --name, --target: expected --from-mesh FILE with them, got none")
+        of_mesh = ("up", "scale", "target", "shells", "name", "water")
+        if self.from_mesh is None and any(getattr(self, option) for option in of_mesh):
+            told = ", ".join(f"--{option}" for option in of_mesh)
+            raise ValueError(f"{told}: expected --from-mesh FILE with them, got none")
         if self.from_mesh is not None:
             return self._from(self.from_mesh)
         if self.waters:
@@ -130,7 +127,7 @@ class Worlds:
                 scale=self.scale,
                 target=self.target,
                 shells=self.shells,
-                water=self.water,
+                water=self.water or "clear",
             )
         world, box = made.world, made.world.bounds
         with stage(f"saving {self.out}"):

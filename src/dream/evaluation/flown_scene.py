@@ -113,7 +113,8 @@ def _there_was(
 def _path(steps: Sequence[RecordedStep], protocol: SurveyProtocol) -> scene.Path:
     where = [step.pose if step.truth is None else step.truth for step in steps]
     z = [pose.z or 0.0 for pose in where]
-    tilts = [protocol.camera_pitch if step.pose.tilt is None else step.pose.tilt for step in steps]
+    told = protocol.camera_pitch
+    tilts = [told := told if step.guarded.tilt is None else step.guarded.tilt for step in steps]
     return scene.Path(
         np.array([step.step for step in steps], np.int32),
         np.column_stack([[p.x for p in where], [p.y for p in where], z]).astype(np.float32).reshape(-1, 3),

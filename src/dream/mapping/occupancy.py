@@ -201,6 +201,8 @@ class OccupancyMap(Layers):
         return claims nothing. A cell with a return of its own, which a ray over a low boulder may give, is
         observed, but not explored.
 
+        In space the frame goes into the volume, and depth is float metres, labels integers there.
+
         Args:
             depth: (H, W) along the optical axis: float metres, NaN for no return, or uint16 millimetres, 0
                 for no return. What is outside the protocol's limits is ignored.
@@ -218,7 +220,7 @@ class OccupancyMap(Layers):
         """
         depth, labels = np.asarray(depth), np.asarray(labels)
         _check_frame(depth, labels, camera)
-        if self.volume is not None:
+        if self.protocol.space is not None:
             self._integrate_in_space(depth, labels, camera, T_world_camera, confidence)
             return
         if confidence is not None:
@@ -251,7 +253,10 @@ class OccupancyMap(Layers):
         confidence: npt.NDArray[Any] | None,
     ) -> None:
         """Add one frame to the volume; the camera sits at the vehicle's centre, which came there straight."""
-        assert self.volume is not None
+        if self.volume is None:
+            raise ValueError(
+                "map: expected one with a volume to add a frame to, got the view from above that a file holds"
+            )
         place = T_world_camera.translation
         self.volume.clear_body(place if self._place is None else self._place, place)
         self._place = place.copy()
@@ -288,6 +293,8 @@ class OccupancyMap(Layers):
             (flags.BARE | flags.SEABED, known & ~above.solid),
         ):
             marked[where] |= bits
+        # At another height it may be free there.
+        marked[above.solid] &= ~np.uint8(flags.CROSSED)
         self._write("flags", low, marked)
 
         folded = (known.shape[0] // width, width, known.shape[1] // width, width)
@@ -298,11 +305,12 @@ class OccupancyMap(Layers):
 
     def _seen_from(self, x: float, y: float) -> tuple[tuple[int, int], tuple[int, int]]:
         """First cell and past the last, in whole posts, of what a frame from there may change."""
-        from dream.mapping.volume import KEPT
+        from dream.mapping.volume import KEPT, MOUND
 
         protocol, width = self.protocol, 1 << post_bits(self.protocol)
         row, col = self._global(x, y)
-        half = math.ceil(KEPT * protocol.reach / protocol.cell) + width
+        # What becomes known changes the local ground that far around it.
+        half = math.ceil((KEPT * protocol.reach + MOUND) / protocol.cell) + width
         low, past = [], []
         for at, size in zip((row, col), self._shape, strict=True):
             first, last = at - half, at + half
@@ -508,6 +516,7 @@ def _read(content: arrays.Npz) -> OccupancyMap:
     store.stamps[1 : 1 + count] = stamps
     occupancy._stamp = about.stamp
     occupancy._datum = math.nan if about.datum is None else about.datum
+    occupancy.volume = None  # It has a file of its own.
     occupancy.restrict(about.area)
     return occupancy
 

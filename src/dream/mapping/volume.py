@@ -89,7 +89,7 @@ class Surface:
     seen: BoolArray
     """(n,) whether it ever returned from within the protocol's reach."""
     sides: npt.NDArray[np.uint32]
-    """(n,) bits of the sides from which it was inspected, `side_of` tells which."""
+    """(n,) bits of the sides from which it was inspected, see `side_bit` in its kernels."""
     area: npt.NDArray[np.float64]
     """(n,) square metres of surface that it stands for."""
 

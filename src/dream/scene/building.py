@@ -172,17 +172,20 @@ def _thinned(triangles: npt.NDArray[np.floating], owner: npt.NDArray[np.integer]
     if len(owner) != len(corners):
         raise ValueError(f"owner: expected one for each of {len(corners)} triangles, got {len(owner)}")
     grid = FINEST
-    surface = _welded(corners, owner, grid)
-    while len(surface.faces) > AIM_FACES:
+    parts = _welded(corners, owner, grid)
+    while len(parts[1]) > AIM_FACES:
         grid *= 1.5
-        surface = _welded(corners, owner, grid)
-    return surface
+        parts = _welded(corners, owner, grid)
+    return SceneSurface(*parts)
 
 
-def _welded(corners: npt.NDArray[np.float64], owner: npt.NDArray[np.integer], grid: float) -> SceneSurface:
+def _welded(
+    corners: npt.NDArray[np.float64], owner: npt.NDArray[np.integer], grid: float
+) -> tuple[Float32Array, Int32Array, Int32Array]:
     """One vertex for all corners of an individual in one cell of the grid, at their mean.
 
-    What has lost its area is left out, and so is a triangle that another covers.
+    What has lost its area is left out, and so is a triangle that another covers. Positions, faces and owners
+    are those of a `SceneSurface`, which may be too large for one.
 
     Reference: vertex clustering, Rossignac and Borrel (1993).
     """
@@ -200,7 +203,7 @@ def _welded(corners: npt.NDArray[np.float64], owner: npt.NDArray[np.integer], gr
     faces = faces[(a != b) & (b != c) & (c != a)]
     _, kept = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
     mean = np.column_stack([np.bincount(at.reshape(-1), axis, len(cells)) for axis in points.T])
-    return SceneSurface(
+    return (
         (mean / count[:, None]).astype(np.float32),
         faces[np.sort(kept)].astype(np.int32),
         np.repeat(owner, 3)[first].astype(np.int32),

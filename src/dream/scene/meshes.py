@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,7 +11,8 @@ from dream.scene.encoding import SIDES, exposed
 from dream.scene.parts import LEGEND, Float32Array, Int32Array, RunScene, SceneState, UInt8Array, Voxels
 
 
-class SceneMesh(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneMesh:
     """A part of a scene."""
 
     name: str

@@ -68,6 +68,8 @@ def read_surface(path: Path) -> ReadMesh:
         raise ValueError(f"{path}: expected at most {MOST_BYTES:,} bytes, got {size:,}. Simplify the mesh")
     try:
         surface = readers[path.suffix.lower()](path)
+    except OverflowError:
+        raise ValueError(f"{path}: expected numbers of vertices, got one past all files") from None
     except ValueError as error:
         raise ValueError(f"{path}: {str(error).removeprefix(f'{path.name}: ')}") from error
     _check(surface, path)
@@ -222,7 +224,7 @@ def _text_rows(element: _Element, rows: list[bytes]) -> dict[str, Any]:
                     found[one.name].append(values)
                     at += 1 + size
         return found
-    except (ValueError, IndexError):
+    except (ValueError, IndexError, OverflowError):
         raise ValueError(
             f"{element.name}: expected numbers for {', '.join(names)}, got other lines"
         ) from None
@@ -278,6 +280,8 @@ def _one_by_one(element: _Element, content: bytes, begin: int, order: str) -> tu
                 if one.count is not None:
                     size = int(np.frombuffer(content, count[one.name], 1, begin)[0])
                     begin += count[one.name].itemsize
+                    if size < 0:
+                        raise ValueError
                 values = np.frombuffer(content, single[one.name], size, begin)
                 begin += values.nbytes
                 found[one.name].append(values.tolist() if one.count is not None else values[0])

@@ -101,9 +101,12 @@ class _Round:
 
     def _unknown_before(self) -> Structure | None:
         """The largest structure that was not flown around."""
+        from scipy.spatial import cKDTree
+
+        flown = cKDTree(self.flown) if len(self.flown) else None
         for one in structures(self.patrol.volume):
             columns = one.columns
-            apart = np.linalg.norm(columns[:, None] - self.flown[None], axis=-1).min(axis=1, initial=np.inf)
+            apart = np.full(len(columns), np.inf) if flown is None else np.asarray(flown.query(columns)[0])
             if (apart > SAME).mean() > 0.5:
                 return one
         return None

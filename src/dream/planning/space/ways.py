@@ -56,12 +56,11 @@ class KnownWays:
         return np.asarray(at[..., ::-1] * self.protocol.lattice, np.float64)
 
     def node(self, x: float, y: float, z: float) -> Node:
-        """The node nearest to a position; a ValueError where that is out of the box."""
+        """The node nearest to a position; of one beyond the box, as drift may bring it, the nearest in it."""
         spacing = self.protocol.lattice
-        found = tuple(round(v / spacing) - low for v, low in zip((z, y, x), self.first, strict=True))
-        if not all(0 <= k < size for k, size in zip(found, self.shape, strict=True)):
-            raise ValueError(f"position: expected one in the box of the ways, got ({x}, {y}, {z})")
-        return found[0], found[1], found[2]
+        at = (round(v / spacing) - low for v, low in zip((z, y, x), self.first, strict=True))
+        level, row, col = (min(max(k, 0), size - 1) for k, size in zip(at, self.shape, strict=True))
+        return level, row, col
 
     def steps(self, pose: SE2, z: float) -> npt.NDArray[np.int32]:
         """(levels, rows, cols, headings) fewest steps from a pose to all; −1 where no known way leads."""

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from dream import arrays
 from dream.files import whole_or_nothing
 from dream.protocol import SurveyProtocol
 from dream.sim.files import world_hash
@@ -39,10 +40,8 @@ def countable(world: World, protocol: SurveyProtocol, work_out: Callable[[], Boo
     rules = replace(protocol, name="", noise=None, lasting=None, swims=False)
     key = hashlib.sha256(f"{RULE} {world_hash(world)} {rules!r}".encode()).hexdigest()
     path = folder() / f"countable-{key[:32]}.npy"
-    with contextlib.suppress(OSError, ValueError, EOFError):
-        found = np.load(path, allow_pickle=False)
-        if found.shape == (len(world.targets),) and found.dtype == np.bool_:
-            return np.asarray(found, np.bool_)
+    with contextlib.suppress(OSError, ValueError):
+        return arrays.read(path, "which individuals count", (len(world.targets),), np.bool_)
     result = work_out()
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
