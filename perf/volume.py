@@ -50,7 +50,7 @@ RANGE = 8.0
 SCATTER = 0.002
 WORLDS = ("wreck/1", "wreck/4", "reef/string", "reef/K")
 SEEDS = (7, 8)
-"""Neither of a suite nor used while the map was written."""
+"""Of no suite. How many pixels a voxel needs to be believed (`BELIEVED`) was chosen on wreck/1, seed 7."""
 PROTOCOL = dataclasses.replace(DREAM_V2_DRAFT, name="perf", reach=RANGE / KEPT, lasting=None)
 CAMERA = PROTOCOL.camera
 
