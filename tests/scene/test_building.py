@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dream.scene import NEVER, HeightGrid, RunScene, Targets, building, made, mapped
+from dream.scene import NEVER, HeightGrid, RunScene, Targets, building, made, mapped, parts
 from dream.scene.parts import MOST_VOXELS
 from tests.scene.orbits import orbited
 
@@ -59,6 +59,7 @@ def test_too_fine_a_surface_is_thinned_and_keeps_its_place_and_most_of_its_area(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(building, "AIM_FACES", 2000)
+    monkeypatch.setattr(parts, "MOST_FACES", 2000)
     one = ball(60, (2.0, 2.0, -5.0))
     surface = made(**ABOUT, obstacles=one).obstacles
     assert 200 < len(surface.faces) <= 2000
@@ -67,6 +68,7 @@ def test_too_fine_a_surface_is_thinned_and_keeps_its_place_and_most_of_its_area(
     assert (np.abs(away - 1.0) < 0.05).all()
 
 
+@pytest.mark.rare
 def test_no_individual_of_a_reef_vanishes_when_it_is_thinned() -> None:
     reef = orbited("reef/mixed", 1, steps=3)
     assert len(reef.targets.faces) <= building.AIM_FACES
