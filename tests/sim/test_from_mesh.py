@@ -349,6 +349,18 @@ GOOD, TEXT = ply(box(*BOX), "binary_little_endian"), ply(box(*BOX), "ascii")
 FACETS = stl(box(*BOX), text=True)
 
 
+QUAD = np.arange(4, dtype="<f4").tobytes()
+
+
+def faces_of(kinds: bytes, rows: bytes, count: int) -> bytes:
+    """A binary PLY of the corners of a unit square, with faces as they are given."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "<f4").tobytes()
+    head = b"ply\nformat binary_little_endian 1.0\nelement vertex 4\n"
+    head += b"property float x\nproperty float y\nproperty float z\n"
+    head += b"element face %d\nproperty list %s vertex_indices\nend_header\n" % (count, kinds)
+    return head + corners + rows
+
+
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
@@ -367,8 +379,14 @@ FACETS = stl(box(*BOX), text=True)
         ("a.ply", TEXT.replace(b"7 3 ", b"7 9 ", 1), r"face: expected numbers for flags"),
         ("a.ply", TEXT.replace(b"-6.0", b"there", 1), r"vertex: expected numbers for x, y"),
         ("a.ply", TEXT.replace(b"-6.0", b"nan", 1), r"vertex 0: expected finite numbers"),
+        (
+            "a.ply",
+            faces_of(b"uchar float", b"\x04" + np.arange(4, dtype="<f4").tobytes(), 1),
+            r"whole numbers",
+        ),
+        ("a.ply", faces_of(b"char int", b"\xff" + bytes(2048), 1), r"expected 1 rows of face, got 0"),
         ("a.ply", TEXT.replace(b"7 3 0", b"7 3 inf", 1), r"face: expected numbers for flags"),
-        ("a.ply", TEXT.replace(b"7 3 0", b"7 3 1e30", 1), r"expected numbers of vertices, got one past"),
+        ("a.ply", TEXT.replace(b"7 3 0", b"7 3 1e30", 1), r"expected whole numbers of vertices as corners"),
         ("a.ply", TEXT.replace(b"7 3 0", b"7 3 99", 1), r"expected corners from 0 to 7, got 99"),
         ("a.stl", stl(box(*BOX), text=False)[:-1], r"expected 684 bytes of 12 triangles, got 683"),
         ("a.stl", FACETS.replace(b"vertex -6.0", b"vertex six", 1), r'expected lines "vertex x y z", three'),

@@ -68,8 +68,8 @@ def read_surface(path: Path) -> ReadMesh:
         raise ValueError(f"{path}: expected at most {MOST_BYTES:,} bytes, got {size:,}. Simplify the mesh")
     try:
         surface = readers[path.suffix.lower()](path)
-    except OverflowError:
-        raise ValueError(f"{path}: expected numbers of vertices, got one past all files") from None
+    except (OverflowError, IndexError):  # As fractions, or past all that a file may hold.
+        raise ValueError(f"{path}: expected whole numbers of vertices as corners, got others") from None
     except ValueError as error:
         raise ValueError(f"{path}: {str(error).removeprefix(f'{path.name}: ')}") from error
     _check(surface, path)
