@@ -229,9 +229,8 @@ def _write_scene(folder: Path, world: World, scorer: Scorer, volume: Volume) -> 
     from dream import recording
     from dream.evaluation.flown_scene import write_scene
 
-    title, steps = f"{world.name} {world.seed}", recording.read_steps(folder)
     try:
-        write_scene(folder, volume, world.bounds, steps, title, (world, scorer))
+        write_scene(folder, volume, recording.read_steps(folder), world, scorer)
     except ValueError as error:  # The rest of the report is worth as much without it.
         logger.warning("the view in three dimensions is left out: %s", error)
 

@@ -16,7 +16,6 @@ from dream.recording import RecordedStep
 
 if TYPE_CHECKING:
     from dream.evaluation.metrics import Scorer
-    from dream.geometry import Bounds
     from dream.mapping.volume import Volume
     from dream.sim.world import World
 
@@ -27,54 +26,41 @@ KINDS = ("oysters", "hull")
 def write_scene(
     folder: Path,
     volume: Volume,
-    bounds: Bounds,
     steps: Sequence[RecordedStep],
-    title: str,
-    truth: tuple[World, Scorer] | None = None,
+    world: World,
+    scorer: Scorer,
 ) -> None:
     """Write `space.npz`, and `volume.png` with what was mapped of it, into the folder of a run.
 
     Args:
         folder: Of the run.
         volume: What was mapped.
-        bounds: The survey area.
         steps: Where the vehicle went.
-        title: Of the picture.
-        truth: The world and who scored the mission in it, where there is a simulator.
+        world: Where it was flown.
+        scorer: Who was given all of its steps so far.
 
     Raises:
         OSError: It cannot be written.
     """
     from dream.mapping.space_drawing import draw_oblique
 
-    shown = _scene(volume, bounds, steps, title, truth)
+    shown = _scene(volume, steps, world, scorer)
     scene.save(shown, folder / scene.SPACE)
     if len(shown.voxels.positions):
         draw_oblique(volume, path=shown.path.positions).save(folder / "volume.png")
 
 
-def _scene(
-    volume: Volume,
-    bounds: Bounds,
-    steps: Sequence[RecordedStep],
-    title: str,
-    truth: tuple[World, Scorer] | None,
-) -> scene.RunScene:
-    protocol = volume.protocol
-    surface = volume.surface()
-    low = float(surface.middles[:, 2].min()) if len(surface.middles) else -protocol.altitude
-    targets = obstacles = seabed = None
-    if truth is not None:
-        world, scorer = truth
-        targets, obstacles, seabed = _there_was(world, scorer)
-        low = min(low, float(world.terrain.heights.min()))
+def _scene(volume: Volume, steps: Sequence[RecordedStep], world: World, scorer: Scorer) -> scene.RunScene:
+    protocol, bounds, surface = volume.protocol, world.bounds, volume.surface()
+    low = min(float(surface.middles[:, 2].min(initial=0.0)), float(world.terrain.heights.min()))
+    targets, obstacles, seabed = _there_was(world, scorer)
     camera = protocol.camera
     return scene.made(
-        title=title,
+        title=f"{world.name} {world.seed}",
         bounds=[[bounds.x_min, bounds.y_min, low], [bounds.x_max, bounds.y_max, 0.0]],
         water=0.0,
         field_of_view=(
-            2.0 * math.atan(0.5 * camera.width / camera.fx),
+            camera.horizontal_fov,
             2.0 * math.atan(0.5 * camera.height / camera.fy),
         ),
         targets=targets,

@@ -214,9 +214,8 @@ class Scorer(Logbook):
     """Scores a mission while it runs: hand it every step, in order.
 
     Seeing is geometry (`sim.visibility`), and so is inspecting (`sim.inspection`), so that scoring, simulator
-    and oracle agree exactly. Where there
-    are orders, only individuals in the area of a leg that maps count; where that is a side of something,
-    they do so from when it was found on.
+    and oracle agree exactly. Where there are orders, only individuals in the area of a leg that maps count;
+    where that is a side of something, they do so from when it was found on.
     """
 
     def __init__(

@@ -166,6 +166,8 @@ class Volume:
         self._sees = 0.0
         self._bricks = _empty_bricks()
         self._scratch: Any = None
+        self._surface: tuple[int, Surface] | None = None
+        """The latest that was asked for, and of which revision it is."""
         none = np.zeros((0, 3), np.int64)
         self._frontiers: tuple[npt.NDArray[Any], ...] = (
             none,
@@ -320,8 +322,13 @@ class Volume:
         """All solid voxels with a free one at a face.
 
         On a plane whose normal has the greatest component m, one such voxel comes to so many square metres as
-        a face has, over m.
+        a face has, over m. Found once for each change; whoever changes the arrays copies them.
         """
+        if self._surface is None or self._surface[0] != self.revision:
+            self._surface = self.revision, self._find_surface()
+        return self._surface[1]
+
+    def _find_surface(self) -> Surface:
         from dream.mapping._kernels import volume_surface as kernels
 
         voxels, normals, target, seen, sides = kernels.surface(self._bricks)
