@@ -8,12 +8,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from dream.geometry import SE2, SE3, Camera, camera_mount, wrap_angle
 from dream.names import look_up
 
 PADDED = 1e-6
 """A depth that is nearer than this share below the greatest is the greatest itself, as float32 or millimetres
 write it: what many sensors say where nothing returns."""
+TRUSTED = 0.8
+"""Share of labels that must be right for them to be trusted."""
 SHOWN = 2
 """Pixels of the picture that a model is shown, along each side of a pixel of the camera for mapping."""
 
@@ -251,6 +255,18 @@ class SurveyProtocol:
     def returns(self) -> tuple[float, float]:
         """Least and greatest depth that something returned from, metres."""
         return self.min_depth, farthest_return(self.max_depth)
+
+    @property
+    def trusted(self) -> float:
+        """Metres up to which a label is trusted: the reach, or less where labels err lastingly.
+
+        Then it is where `TRUSTED` of them are right: a look from nearer tells more than many from farther.
+        """
+        errors = self.lasting.labels if self.lasting is not None else ()
+        if not errors:
+            return self.reach
+        far, wrong = np.array(errors).T
+        return float(min(np.interp(1.0 - TRUSTED, wrong, far, left=far[0], right=self.reach), self.reach))
 
     @property
     def blind(self) -> float:

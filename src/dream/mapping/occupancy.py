@@ -288,8 +288,7 @@ class OccupancyMap(Layers):
         marked = self._store.read("flags", low, inside.shape) & flags.CROSSED
         for bits, where in (
             (flags.CROSSED, inside & (self.volume.state(level) == FREE).reshape(inside.shape)),
-            (flags.RETURNED, returned),
-            (flags.EXPLORED, inside & above.explored),
+            (flags.RETURNED | flags.EXPLORED, inside & above.explored),
             (flags.BARE | flags.SEABED, known & ~above.solid),
         ):
             marked[where] |= bits

@@ -544,6 +544,7 @@ class Volume:
         return kernels.Weighing(
             side=self.cell,
             reach=protocol.reach,
+            trusted=protocol.trusted,
             farthest=self._farthest,
             scatter=scatter,
             bias=protocol.lasting.depth if protocol.lasting is not None else 0.0,
@@ -636,7 +637,7 @@ def _empty_bricks() -> Bricks:
         saturated=np.zeros(1, np.uint8),
         stamps=np.zeros(1, np.int64),
         surface_of=np.zeros(1, np.int32),
-        votes=np.zeros((1, VOXELS, 2), np.uint8),
+        votes=np.zeros((1, VOXELS, 2), np.uint16),
         seen=np.zeros((1, VOXELS), np.uint8),
         sides=np.zeros((1, VOXELS), np.uint32),
     )

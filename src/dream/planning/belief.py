@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -44,6 +44,7 @@ from dream.types import Decision, Mission, Observation, Reasoning
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
     from dream.mapping.completion import Completion
+    from dream.planning.space.belief import SpaceBelief
 
 NEGLIGIBLE = 1e-9
 """Square metres of targets in ground from which none are expected: what has a weight becomes known when a
@@ -69,6 +70,8 @@ class Belief:
     far better what was still missed. Fails when: patches are much smaller than that and stand alone; then it
     stops too early, which `--certify` never does.
     """
+
+    spatial: ClassVar[bool] = True
 
     risk: First[float] = 0.002
     """The mission ends when the probability that a patch was missed is this small: 0 to 1. A smaller risk
@@ -144,8 +147,13 @@ class Belief:
         check_range("tour", self.tour, 0.0, 10.0)
         check_range("jump", self.jump, 0.0, 1000.0)
 
-    def begin(self, mission: Mission) -> BeliefPilot:
+    def begin(self, mission: Mission) -> BeliefPilot | SpaceBelief:
         """A fresh pilot; it remembers which views failed and where it has been."""
+        if mission.protocol.space is not None:
+            from dream.planning.space.belief import SpaceBelief
+            from dream.planning.space.lookahead import SpaceLookAhead
+
+            return SpaceBelief(self, mission, SpaceLookAhead(self.discount))
         return BeliefPilot(self, mission)
 
     def size_of_groups(self, mission: Mission) -> float:
@@ -166,8 +174,10 @@ class Belief:
         beside = blur, self.prior, self.prior_weight, self.open_edge, self.eager, self.search
         sources.append(TargetsBeside(*beside))
         sources.append(HiddenGroups(size, Groups(self.groups, self.searched), self.search))
-        hull, lattice = Hull(mission.bounds, protocol), lattice_of(mission.bounds, protocol)
-        sources.append(HullSurface(hull, lattice, self.eager, self.hull_left, self.alone))
+        # In space what stands up is no matter of the view from above.
+        if protocol.space is None:
+            hull, lattice = Hull(mission.bounds, protocol), lattice_of(mission.bounds, protocol)
+            sources.append(HullSurface(hull, lattice, self.eager, self.hull_left, self.alone))
         if traverses:
             sources.append(TargetsToTraverse(TraversalTour(mission)))
         if prior is not None:

@@ -283,6 +283,8 @@ class LookAhead:
         from dream.planning._kernels.views import best_gains, look
 
         nodes = _spread(travel)
+        if not len(nodes):
+            return None
         steps = travel.steps_to(nodes)
         viewpoints = Viewpoints(travel.lattice, nodes, steps, best_gains(weights, views, nodes, steps))
         best = viewpoints.best(viewpoints.rates)

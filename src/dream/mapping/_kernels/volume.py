@@ -49,7 +49,7 @@ class Bricks(NamedTuple):
     """(bricks,) the revision at which it was last changed."""
     surface_of: npt.NDArray[np.int32]
     """(bricks,) where what returned from it is kept, 0 where nothing ever did."""
-    votes: npt.NDArray[np.uint8]
+    votes: npt.NDArray[np.uint16]
     """(surfaces, 512, 2) for target, and all that were cast."""
     seen: npt.NDArray[np.uint8]
     """(surfaces, 512) whether it returned from within reach."""

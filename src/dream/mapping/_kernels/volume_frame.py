@@ -26,11 +26,11 @@ BEARINGS, ELEVATIONS = 8, 4
 """Sides from which a voxel is inspected: 45° of bearing by a quarter of a sphere's area in height."""
 WEIGHT = 16
 """Of a pixel that is sure."""
-CAST, MOST_VOTES = 15, 255
+CAST, MOST_VOTES = 256, 65535
 """Votes that a voxel casts in a frame from `CLOSE` or nearer, and that are kept; more are halved."""
 CLOSE = 2.0
-"""Metres. From farther away votes weigh as so many pixels fewer show a voxel, by the square; one at least. A
-label that is wrong from afar all the time is so put right by a look from near by."""
+"""Metres. From farther away votes weigh less, by the fourth power; one at least. A label that is wrong from afar
+all the time is so put right by a look from near by, however many looks there were from afar."""
 INNER = 0.2
 """Of a voxel's side: at least so far from its middle, towards each corner, it is looked up too; farther where
 half a pixel is less than what is left to the corner, so that a ray that is told to pass does."""
@@ -63,7 +63,9 @@ class Weighing(NamedTuple):
     side: float
     """Metres along a voxel."""
     reach: float
-    """Metres straight within which a return counts as seen."""
+    """Metres straight within which something may be seen or inspected."""
+    trusted: float
+    """Metres straight within which a label is trusted, and a voxel counts as seen."""
     farthest: float
     """Metres straight beyond which nothing is kept."""
     scatter: float
@@ -358,7 +360,7 @@ def settle(bricks, lens, rule, window, scratch, found, limit, stamp):
         log_odds[slot, number] = min(np.int64(log_odds[slot, number]) + step, rule.most)
         at = surface_of[slot]
         _vote(votes, at, number, of_target / count, _cast(dx * dx + dy * dy + dz * dz))
-        if kind & NEAR:
+        if kind & NEAR and dx * dx + dy * dy + dz * dz <= rule.trusted * rule.trusted:
             seen[at, number] = 1
         if kind & INSPECTED:
             sides[at, number] |= side_bit(-dx, -dy, -dz)
@@ -383,7 +385,7 @@ def _covered(z, pixels, side):
 @njit(cache=True, nogil=True)
 def _cast(square):
     """The votes of a frame from so far away, the square of metres."""
-    return max(1, min(CAST, int(CAST * CLOSE * CLOSE / max(square, CLOSE * CLOSE) + 0.5)))
+    return max(1, min(CAST, int(CAST * (CLOSE * CLOSE / max(square, CLOSE * CLOSE)) ** 2 + 0.5)))
 
 
 @njit(cache=True, nogil=True)

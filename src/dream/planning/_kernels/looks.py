@@ -106,12 +106,17 @@ def gains(scene, optics, cameras, yaws, tilts, points, normals, weights):
 
 @njit(cache=True, nogil=True)
 def edges(scene, voxels):
-    """(n, 3) free voxels with an unknown face, among the 26 around each of these (m, 3); some more than once.
+    """Free voxels with an unknown face, among the 26 around each of some (m, 3); some more than once.
 
     Both count levels, rows and columns from the box's first voxel.
+
+    Returns:
+        found: (n, 3) int64.
+        away: (n, 3) float64, level, row and column: the sum of the directions from its unknown faces.
     """
     levels, rows, cols = scene.states.shape
     found, count = np.empty((26 * len(voxels), 3), np.int64), 0
+    away = np.zeros((26 * len(voxels), 3))
     for n in range(len(voxels)):
         for a in range(-1, 2):
             for b in range(-1, 2):
@@ -119,14 +124,17 @@ def edges(scene, voxels):
                     i, j, k = voxels[n, 0] + a, voxels[n, 1] + b, voxels[n, 2] + c
                     if not (1 <= i < levels - 1 and 1 <= j < rows - 1 and 1 <= k < cols - 1):
                         continue
-                    if scene.states[i, j, k] == FREE and (
-                        scene.states[i - 1, j, k] == UNKNOWN
-                        or scene.states[i + 1, j, k] == UNKNOWN
-                        or scene.states[i, j - 1, k] == UNKNOWN
-                        or scene.states[i, j + 1, k] == UNKNOWN
-                        or scene.states[i, j, k - 1] == UNKNOWN
-                        or scene.states[i, j, k + 1] == UNKNOWN
-                    ):
-                        found[count, 0], found[count, 1], found[count, 2] = i, j, k
-                        count += 1
-    return found[:count]
+                    if scene.states[i, j, k] != FREE:
+                        continue
+                    up = (scene.states[i - 1, j, k] == UNKNOWN) - (scene.states[i + 1, j, k] == UNKNOWN)
+                    north = (scene.states[i, j - 1, k] == UNKNOWN) - (scene.states[i, j + 1, k] == UNKNOWN)
+                    east = (scene.states[i, j, k - 1] == UNKNOWN) - (scene.states[i, j, k + 1] == UNKNOWN)
+                    if up == 0 and north == 0 and east == 0:
+                        # None, or on both sides: it shows from everywhere.
+                        if scene.states[i - 1, j, k] != UNKNOWN and scene.states[i, j - 1, k] != UNKNOWN:
+                            if scene.states[i, j, k - 1] != UNKNOWN:
+                                continue
+                    found[count, 0], found[count, 1], found[count, 2] = i, j, k
+                    away[count, 0], away[count, 1], away[count, 2] = up, north, east
+                    count += 1
+    return found[:count], away[:count]

@@ -42,7 +42,7 @@ def shown(
     from dream.planning._kernels import looks as kernels
 
     found: BoolArray = kernels.shown(
-        ways.scene, _optics(ways.protocol), np.array(position, np.float64), yaw, tilt, points, normals
+        ways.scene, optics_of(ways.protocol), np.array(position, np.float64), yaw, tilt, points, normals
     )
     return found
 
@@ -56,7 +56,7 @@ def gains(
     protocol = ways.protocol
     found: FloatArray = kernels.gains(
         ways.scene,
-        _optics(protocol),
+        optics_of(protocol),
         cameras,
         np.arange(protocol.headings) * protocol.heading_step,
         np.array(protocol.tilts),
@@ -73,11 +73,12 @@ def edges(ways: KnownWays, middles: FloatArray) -> FloatArray:
 
     first, side = ways.scene.first, ways.scene.side
     voxels = np.floor(middles[:, ::-1] / side).astype(np.int64) - first
-    found = np.unique(kernels.edges(ways.scene, voxels), axis=0)
+    found = np.unique(kernels.edges(ways.scene, voxels)[0], axis=0)
     return np.asarray((found + first + 0.5)[:, ::-1] * side, np.float64)
 
 
-def _optics(protocol: SurveyProtocol) -> LookOptics:
+def optics_of(protocol: SurveyProtocol) -> LookOptics:
+    """Camera, reach and greatest useful angle of a protocol that moves in space."""
     from dream.planning._kernels.looks import LookOptics
 
     assert protocol.space is not None

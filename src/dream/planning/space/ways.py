@@ -17,6 +17,8 @@ from dream.types import BoolArray, Decision
 if TYPE_CHECKING:
     from dream.mapping.volume import Volume
     from dream.planning._kernels.looks import LookScene
+    from dream.planning._kernels.space_beam import SpaceLattice
+    from dream.planning._kernels.ways import SpaceMoves
 
 FloatArray = npt.NDArray[np.floating[Any]]
 Node = tuple[int, int, int]
@@ -41,7 +43,8 @@ class KnownWays:
     """(levels, rows, cols) at nodes."""
     scene: LookScene
     """The voxels around."""
-    _moves: Any = field(repr=False)
+    moves: SpaceMoves = field(repr=False)
+    """Of a step."""
 
     @property
     def shape(self) -> Node:
@@ -97,7 +100,7 @@ class KnownWays:
         start = np.array(self.node(pose.x, pose.y, z))
         heading = self.protocol.heading_index(pose.yaw)
         steps, parent, found = kernels.search(
-            self.fits, self.stands, self._moves, start, heading, goal, facing
+            self.fits, self.stands, self.moves, start, heading, goal, facing
         )
         return steps, parent, int(found)
 
@@ -167,3 +170,23 @@ def ways_in(volume: Volume, bounds: Bounds, protocol: SurveyProtocol) -> KnownWa
     )
     scene = LookScene(states, corner, side)
     return KnownWays(protocol, (level, row, col), np.ascontiguousarray(fits), stands, scene, moves)
+
+
+def lattice_of(ways: KnownWays) -> SpaceLattice:
+    """Ways as the kernels take them."""
+    from dream.planning._kernels.space_beam import SpaceLattice
+
+    protocol = ways.protocol
+    return SpaceLattice(
+        ways.fits,
+        ways.stands,
+        np.array(ways.first[::-1], np.float64) * protocol.lattice,
+        protocol.lattice,
+        _directions(np.arange(protocol.headings) * protocol.heading_step),
+        _directions(np.array(protocol.tilts, np.float64)),
+    )
+
+
+def _directions(angles: FloatArray) -> npt.NDArray[np.float64]:
+    """(n, 2) cosine and sine."""
+    return np.stack([np.cos(angles), np.sin(angles)], axis=1)

@@ -20,6 +20,49 @@ def distribution(area: float, inspected: float, known: list[Structure]) -> str:
     return f"{share}; {what} up, {height:.1f} m above the ground at most."
 
 
+def surface(known: float, inspected: float) -> str:
+    """Step 1: the surface of what stands up, in square metres."""
+    if known == 0.0:
+        return "Nothing that stands up is known to be a target."
+    return (
+        f"{known:.0f} m² of what stands up are known to be target, {inspected / known:.0%} of it inspected."
+    )
+
+
+def remains(left: float, unknown: float, given_up: float, hidden: float) -> str:
+    """Step 3: what is left of that, in square metres, and as a share."""
+    lost = f"; {given_up:.1f} m² did not show where they should have and are given up" if given_up else ""
+    return (
+        f"{left:.1f} m² are still to be inspected, and {unknown:.1f} m² are expected where unknown water touches "
+        f"it: {hidden:.1%} of all{lost}."
+    )
+
+
+def look(
+    position: tuple[float, float, float], yaw: float, tilt: float, steps: int, target: float, unknown: float
+) -> str:
+    """Step 4: where to look from, how, and what it is to show, in square metres."""
+    x, y, z = position
+    count = "1 step" if steps == 1 else f"{steps} steps"
+    return (
+        f"The look from ({x:.1f}, {y:.1f}), {-z:.1f} m deep, towards {sentences.bearing(yaw)}, the camera "
+        f"{tilted(tilt)}, {count} away, is expected to show {target:.1f} m² that are left and to look into "
+        f"unknown water that may hide {unknown:.1f} m²."
+    )
+
+
+def ended(hidden: float, given_up: float) -> str:
+    """Step 6: why the mission ends."""
+    lost = f", {given_up:.1f} m² of it since no look showed them" if given_up else ""
+    return (
+        f"Done: {hidden:.1%} of the surface of structures may be left, which no look shows well enough{lost}."
+    )
+
+
+SAFE = "The body stays in water known to be free all the way."
+"""Step 5."""
+
+
 def target_area(x: float, y: float, height: float, area: float) -> str:
     """Step 2: the nearest part of what is left to inspect."""
     where = f"around ({x:.1f}, {y:.1f}), {height:.1f} m above the ground"

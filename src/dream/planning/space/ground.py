@@ -1,0 +1,131 @@
+"""The search of the ground in three dimensions: as in the plane, at a height that the water allows."""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dream.control import setpoint
+from dream.planning.space.lookahead import nearest_tilt
+from dream.planning.travel import careful_standoff, careful_travel
+from dream.protocol import SurveyProtocol
+from dream.types import Decision, Mission, Observation, Reasoning
+
+if TYPE_CHECKING:
+    from dream.mapping import OccupancyMap
+    from dream.planning.belief import Belief, BeliefPilot
+    from dream.planning.space.ways import KnownWays
+
+HIGHER = 1.5
+"""Metres above the protocol's altitude at which the ground is searched: from there all of it within reach shows at
+a useful angle, and less of it hides behind other parts."""
+LEFT = 0.015
+"""Share of the targets that may lie beside ground which was not searched: with labels that are wrong from
+everywhere some always do."""
+ENOUGH = "Hardly any target lies beside ground that was not searched, and little can have been missed: done."
+ROOM = 16
+"""Places that the vehicle must be able to get to in the plane to plan there."""
+
+
+@dataclass(slots=True)
+class GroundSearch:
+    """`belief` of the plane on the view from above, at the altitude of the start.
+
+    What it does: labels are trusted as far as `SurveyProtocol.trusted` says, straight; over ground that is
+    less, and so far the planar pilot plans for. It climbs or descends to its altitude where the water on the
+    way is known to be free.
+    """
+
+    planner: Belief
+    mission: Mission
+    pilot: BeliefPilot = field(init=False)
+    protocol: SurveyProtocol = field(init=False)
+    """With the reach over ground."""
+
+    def __post_init__(self) -> None:
+        from dream.planning.belief import BeliefPilot
+
+        whole = self.mission.protocol
+        self.protocol = replace(
+            whole, reach=math.sqrt(max(whole.trusted**2 - (whole.altitude + HIGHER) ** 2, whole.cell**2))
+        )
+        self.pilot = BeliefPilot(replace(self.planner, certify=True), replace(self.mission, protocol=self.protocol))
+
+    def decide(self, observation: Observation, occupancy: OccupancyMap, ways: KnownWays) -> Decision:
+        """The next move; done where the risk that something was missed is accepted."""
+        near = copy.copy(occupancy)
+        near.protocol = self.protocol
+        if np.count_nonzero(careful_travel(observation.pose, near).reached) < ROOM:
+            out = self._into_the_open(observation, near, ways)
+            if out is not None:
+                return out
+        thought = self.pilot.consider(observation, near)
+        unseen = np.count_nonzero(near.to_see & ~near.observed & thought.situation.near_places)
+        if unseen <= LEFT * np.count_nonzero(near.to_see):
+            thought = replace(thought, plan=None, why=ENOUGH)
+        decision = self.pilot.act(thought, thought.plan)
+        if decision.done:
+            return decision
+        return replace(self._in_water(decision, observation, occupancy, ways), reasoning=decision.reasoning)
+
+    def _in_water(
+        self, decision: Decision, observation: Observation, occupancy: OccupancyMap, ways: KnownWays
+    ) -> Decision:
+        """A move of the plane through water that is known to be free, towards the altitude of the search.
+
+        Where it leads through none at any height, the way round in three dimensions; where there is none,
+        a look upwards into it, since the image ends there.
+        """
+        assert occupancy.volume is not None
+        protocol, volume, pose = self.mission.protocol, occupancy.volume, observation.pose
+        level = setpoint(pose, decision, protocol, observation.z)
+        ground = float(occupancy.ground[occupancy.cell_of(level.x, level.y)])
+        wanted = protocol.launch_height(ground + HIGHER) - observation.z
+        moves = [replace(decision, climb=climb) for climb in protocol.climbs]
+        ends = np.array([_end(move, observation, protocol) for move in moves])
+        starts = np.broadcast_to([pose.x, pose.y, observation.z], ends.shape)
+        clear = volume.room(starts, ends).clear
+        # What is below the search's own altitude is gone to only where there is no other way.
+        away = [abs(wanted - move.climb) for move in moves]
+        for k in sorted(range(len(moves)), key=lambda k: (away[k], abs(moves[k].climb))):
+            if clear[k]:
+                return replace(moves[k], tilt=self._tilt(observation, protocol.camera_pitch))
+        goal = (
+            np.hypot(ways.positions[..., 0] - level.x, ways.positions[..., 1] - level.y) <= protocol.lattice
+        )
+        path = ways.to(pose, observation.z, goal, np.ones(protocol.headings, np.bool_))
+        if path:
+            return replace(path[0], tilt=self._tilt(observation, protocol.camera_pitch))
+        return Decision(decision.turn, tilt=self._tilt(observation, min(protocol.tilts)))
+
+    def _tilt(self, observation: Observation, wanted: float) -> float | None:
+        """A tilt, or None where the camera has it."""
+        protocol = self.mission.protocol
+        return None if protocol.tilts[nearest_tilt(protocol, observation)] == wanted else wanted
+
+    def _into_the_open(
+        self, observation: Observation, occupancy: OccupancyMap, ways: KnownWays
+    ) -> Decision | None:
+        """The way from above or beside what stands up to where a vehicle at its altitude can move on."""
+        at = ways.positions[0, :, :, :2].reshape(-1, 2)
+        inside = occupancy.contains(*at.T)
+        cells = occupancy.cell_of(*at[inside].T)
+        is_open = np.zeros(len(at), np.bool_)
+        standoff = self.protocol.body_radius + careful_standoff(self.protocol)
+        is_open[inside] = (occupancy.distance_to_solid[cells] >= standoff) & occupancy.observed[cells]
+        goal = np.broadcast_to(is_open.reshape(ways.shape[1:]), ways.shape)
+        path = ways.to(observation.pose, observation.z, goal, np.ones(self.protocol.headings, np.bool_))
+        if not path:
+            return None
+        why = Reasoning(action="Out of what stands around, to where the ground can be searched.")
+        return replace(path[0], reasoning=why)
+
+
+def _end(move: Decision, observation: Observation, protocol: SurveyProtocol) -> tuple[float, float, float]:
+    """Where a move leads, metres in the world."""
+    goal = setpoint(observation.pose, move, protocol, observation.z)
+    return goal.x, goal.y, observation.z if goal.z is None else goal.z

@@ -1,0 +1,216 @@
+"""The search for what stands up: what is glimpsed of it from far off, and where nothing was glimpsed yet."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dream.planning.space.ways import KnownWays
+from dream.types import BoolArray, Decision, IntArray, Label, Mission, Observation
+
+if TYPE_CHECKING:
+    from dream.mapping.volume import Surface
+
+FloatArray = npt.NDArray[np.floating[Any]]
+
+COLUMN = 1.0
+"""Metres a side of the columns that are told apart."""
+EVERY = 4
+"""Pixels apart, along each side of the image, that are looked at."""
+STANDS = 1.0
+"""Metres above the ground at the start from which on a return stands up."""
+WIDE = 4.0
+"""Metres that something is wide at least to be gone to whatever its label says: no boulder is."""
+PIXELS = 4
+"""That a column takes to count as glimpsed to stand."""
+JOINED = 2
+"""Columns apart that parts of one thing may be."""
+FAR = 0.8
+"""Share of the greatest depth up to which a look is counted on."""
+TRIES = 2
+"""Looks that should have brought a column into view and did not, after which it is not looked for any more."""
+ENOUGH = 0.04
+"""Share of the area that may be left unglimpsed."""
+LEAST = 6.0
+"""Square metres a step that a search has to bring into view."""
+
+
+@dataclass(slots=True)
+class FarSearch:
+    """Goes to what stands up far off, else to where most of the area comes into view for the first time.
+
+    What it does: the volume keeps what is within 1.5 times the reach. Beyond, the depth of each frame tells
+    which columns of the area something returned from, and whether that stood up.
+
+    Assumes: ground that is level to a metre. Fails when: a structure is narrow and its label is not told.
+    """
+
+    mission: Mission
+    glimpsed: BoolArray = field(init=False)
+    """(rows, cols) columns that something returned from, from however far."""
+    standing: IntArray = field(init=False)
+    """(2, rows, cols) pixels that stood up there, and those of them that were told to be target."""
+    tried: IntArray = field(init=False)
+    """(rows, cols) looks that columns were in, seen or not."""
+    given_up: BoolArray = field(init=False)
+    """(rows, cols) columns that it came near to and found no structure at."""
+    ground: float | None = None
+    """World z below the start."""
+
+    def __post_init__(self) -> None:
+        bounds = self.mission.bounds
+        shape = math.ceil(bounds.depth / COLUMN), math.ceil(bounds.width / COLUMN)
+        self.glimpsed = np.zeros(shape, np.bool_)
+        self.standing = np.zeros((2, *shape), np.int64)
+        self.given_up = np.zeros(shape, np.bool_)
+        self.tried = np.zeros(shape, np.int64)
+
+    def take(self, observation: Observation, surface: Surface) -> None:
+        """Add a frame; what the volume knows from within reach is not far off any more."""
+        protocol = self.mission.protocol
+        if self.ground is None:
+            self.ground = observation.z - protocol.altitude
+        camera, depth = observation.camera, observation.depth[::EVERY, ::EVERY]
+        rows, cols = np.nonzero(np.isfinite(depth) & (depth <= protocol.returns[1]))
+        z = depth[rows, cols].astype(np.float64)
+        label = observation.labels[::EVERY, ::EVERY][rows, cols]
+        image = np.stack(
+            [
+                (cols * EVERY + 0.5 - camera.cx) / camera.fx * z,
+                (rows * EVERY + 0.5 - camera.cy) / camera.fy * z,
+                z,
+            ]
+        )
+        T = observation.T_world_camera
+        x, y, up = T.rotation @ image + np.asarray(T.translation)[:, None]
+        at, inside = self._columns(x, y)
+        at, stands, label = at[:, inside], up[inside] > self.ground + STANDS, label[inside]
+        self.glimpsed[at[0], at[1]] = True
+        self.tried += self._in_view(observation)
+        np.add.at(self.standing[0], tuple(at[:, stands]), 1)
+        np.add.at(self.standing[1], tuple(at[:, stands & (label == Label.TARGET)]), 1)
+        at, inside = self._columns(*surface.middles[surface.seen, :2].T)
+        self.given_up[tuple(at[:, inside])] = True
+
+    def errand(self, ways: KnownWays, observation: Observation) -> tuple[Decision | None, str]:
+        """The next move to what stands up far off, or to a look at what was never in view; and why."""
+        steps = ways.steps(observation.pose, observation.z)
+        goal = self._structure()
+        if goal is not None:
+            move = self._near(ways, steps, goal, observation)
+            if move is not None:
+                return move, f"Something that stands up was glimpsed at ({goal[0]:.0f}, {goal[1]:.0f})."
+            at, inside = self._columns(goal[:1], goal[1:])
+            self._forget(at[:, inside])
+        return self._look(
+            ways, steps, observation
+        ), "No structure is known yet: a look at ground never in view."
+
+    # ------------------------------------------------------------------------------------------------------
+
+    def _columns(self, x: FloatArray, y: FloatArray) -> tuple[IntArray, BoolArray]:
+        bounds = self.mission.bounds
+        at = np.floor(np.stack([y - bounds.y_min, x - bounds.x_min]) / COLUMN).astype(np.int64)
+        rows, cols = self.glimpsed.shape
+        return at, (at[0] >= 0) & (at[0] < rows) & (at[1] >= 0) & (at[1] < cols)
+
+    def _middles(self, at: IntArray) -> FloatArray:
+        """(n, 2) world x and y of columns (n, 2)."""
+        corner = np.array([self.mission.bounds.x_min, self.mission.bounds.y_min])
+        return np.asarray(corner + (at[:, ::-1] + 0.5) * COLUMN)
+
+    def _in_view(self, observation: Observation) -> BoolArray:
+        """(rows, cols) columns that a look should show, were nothing in between."""
+        bounds, pose, protocol = self.mission.bounds, observation.pose, self.mission.protocol
+        rows, cols = np.indices(self.glimpsed.shape)
+        dx = bounds.x_min + (cols + 0.5) * COLUMN - pose.x
+        dy = bounds.y_min + (rows + 0.5) * COLUMN - pose.y
+        apart = np.abs((np.arctan2(dy, dx) - pose.yaw + np.pi) % (2.0 * np.pi) - np.pi)
+        near = np.hypot(dx, dy) <= FAR * protocol.max_depth
+        return np.asarray(near & (apart <= 0.5 * protocol.camera.horizontal_fov))
+
+    def _structure(self) -> FloatArray | None:
+        """(2,) the place of the largest thing that stands up far off; None where there is none."""
+        from scipy.ndimage import binary_dilation, label
+
+        far = (self.standing[0] >= PIXELS) & ~self.given_up
+        if not far.any():
+            return None
+        parts, count = label(binary_dilation(far, np.ones((3, 3)), JOINED - 1), np.ones((3, 3)))
+        best, most = None, 0
+        for number in range(1, count + 1):
+            at = np.argwhere(far & (parts == number))
+            pixels, target = self.standing[:, at[:, 0], at[:, 1]].sum(axis=1)
+            wide = COLUMN * float((np.ptp(at, axis=0) + 1).max())
+            if (wide >= WIDE or 2 * target > pixels) and pixels > most:
+                best, most = at, int(pixels)
+        return None if best is None else np.asarray(self._middles(best).mean(axis=0))
+
+    def _forget(self, at: IntArray) -> None:
+        """Hope for nothing more around a column."""
+        rows, cols = np.indices(self.glimpsed.shape)
+        for row, col in at.T.tolist():
+            self.given_up |= np.hypot(rows - row, cols - col) * COLUMN <= WIDE
+
+    def _near(
+        self, ways: KnownWays, steps: IntArray, goal: FloatArray, observation: Observation
+    ) -> Decision | None:
+        """A move towards where known water comes nearest to a place, if that is nearer than here."""
+        away = np.hypot(ways.positions[..., 0] - goal[0], ways.positions[..., 1] - goal[1])
+        reached = (steps >= 0).any(axis=-1)
+        nearest = float(away[reached].min())
+        pose = observation.pose
+        if nearest > math.hypot(goal[0] - pose.x, goal[1] - pose.y) - 0.5:
+            return None
+        bearing = math.atan2(goal[1] - pose.y, goal[0] - pose.x)
+        angles = np.arange(ways.protocol.headings) * ways.protocol.heading_step
+        facing = np.cos(angles - bearing) >= math.cos(1.01 * ways.protocol.heading_step)
+        path = ways.to(pose, observation.z, reached & (away <= nearest + 1.0), facing)
+        return self._first(path, observation)
+
+    def _look(self, ways: KnownWays, steps: IntArray, observation: Observation) -> Decision | None:
+        """A move to the look that brings most ground into view for the first time for its steps."""
+        unseen = np.argwhere(~self.glimpsed & (self.tried < TRIES))
+        if len(unseen) <= ENOUGH * self.glimpsed.size:
+            return None
+        places = self._middles(unseen)
+        protocol = self.mission.protocol
+        over = steps.max(axis=(0, 3))
+        soonest = np.where(steps >= 0, steps, np.iinfo(np.int32).max).min(axis=0)
+        rows, cols = np.nonzero(over >= 0)
+        coarse = (rows % 4 == 0) & (cols % 4 == 0)
+        at = np.column_stack([rows[coarse], cols[coarse]])
+        pose = observation.pose
+        here = np.array(ways.node(pose.x, pose.y, observation.z)[1:])
+        at = np.concatenate([here[None], at])
+        x, y = ways.positions[0, at[:, 0], at[:, 1], :2].T
+        dx, dy = places[:, 0] - x[:, None], places[:, 1] - y[:, None]
+        within = np.hypot(dx, dy) <= FAR * protocol.max_depth
+        bearing = np.arctan2(dy, dx)
+        half = 0.5 * protocol.camera.horizontal_fov
+        best, goal = LEAST, None
+        for heading in range(protocol.headings):
+            apart = np.abs((bearing - heading * protocol.heading_step + np.pi) % (2.0 * np.pi) - np.pi)
+            count = (within & (apart <= half)).sum(axis=1) * COLUMN**2
+            there = np.maximum(soonest[at[:, 0], at[:, 1], heading], 1).astype(np.float64)
+            rates = np.round(count / there, 6)
+            k = int(rates.argmax())
+            if rates[k] > best:
+                best, goal = float(rates[k]), (at[k], heading)
+        if goal is None:
+            return None
+        (row, col), heading = goal
+        place = np.zeros(ways.shape, np.bool_)
+        place[:, row, col] = True
+        path = ways.to(pose, observation.z, place, np.arange(protocol.headings) == heading)
+        return self._first(path, observation)
+
+    def _first(self, path: list[Decision] | None, observation: Observation) -> Decision | None:
+        if not path:
+            return None
+        pitch = self.mission.protocol.camera_pitch
+        return replace(path[0], tilt=pitch if abs(pitch - observation.tilt) > 1e-3 else None)
