@@ -279,18 +279,22 @@ def test_every_measure_is_told() -> None:
     assert told - {"size_share_AAA_BBB_cm"} <= set(MEANINGS)
 
 
-@pytest.mark.parametrize("scene", [scenes.reef, scenes.wreck])
+@pytest.mark.parametrize("scene", [scenes.reef, scenes.wreck, scenes.raised_wreck])
 def test_every_part_of_the_file_of_a_survey_is_told(scene: Any, tmp_path: Path) -> None:
     survey = scene()
     survey_files.write(survey, tmp_path / "one.survey.npz")
     with zipfile.ZipFile(tmp_path / "one.survey.npz") as content:
         arrays = {name.removesuffix(".npy") for name in content.namelist()} - {"header.json"}
         header = json.loads(content.read("header.json"))
-    assert set(header) == set(described("NAME.survey.npz", table=0))
-    assert arrays == set(described("NAME.survey.npz", table=1))
-    of_patches = {measure.name for patch in survey.patches for measure in patch.measures}
-    of_all = {measure.name for measure in survey.measures}
-    assert of_patches | of_all <= set(described("Measures"))
+    keys, told = (set(described("NAME.survey.npz", table=table)) for table in (0, 1))
+    if not survey.structures:
+        keys.remove("structures")
+        told -= {name for name in told if name.startswith("cells.")}
+    assert set(header) == keys
+    assert arrays == told
+    sides = [side for one in survey.structures for side in one.sides]
+    parts = [survey, *survey.patches, *survey.structures, *sides]
+    assert {measure.name for part in parts for measure in part.measures} <= set(described("Measures"))
 
 
 def test_every_column_of_an_archive_is_told() -> None:
@@ -322,6 +326,7 @@ def products(tmp_path_factory: pytest.TempPathFactory) -> Path:
     oyster = Species("Ostrea edulis", "urn:lsid:marinespecies.org:taxname:140658")
     wanted = ("geopackage", "netcdf", "tables", "darwin-core", "series")
     export(now, folder, species=oyster, others=[before], only=wanted)
+    export(scenes.raised_wreck(), folder.with_name("in space"), only=("geopackage", "mesh"))
     return folder
 
 
@@ -337,6 +342,8 @@ def without_measures(names: set[str], units: tuple[str, ...] = ("",)) -> set[str
 def test_every_column_of_the_geopackage_is_told(products: Path) -> None:
     told = set(described("survey.gpkg", columns=2))
     seen = columns_of(products / "survey.gpkg")
+    in_space = columns_of(products.with_name("in space") / "survey.gpkg")
+    seen |= {name for name in in_space if name.startswith("structures.")}
     patches = {name for name in seen if name.startswith("patches.")}
     assert (seen - patches) | without_measures(patches, ("", "_m", "_m2", "_per_m2")) == told
 

@@ -6,13 +6,25 @@ Both are the same on every call. A test that needs another one takes `dataclasse
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import Bounds
-from dream.survey import DecisionPoint, Individuals, Layers, Measure, Patch, Survey, Track
+from dream.survey import (
+    Cells,
+    DecisionPoint,
+    Individuals,
+    Layers,
+    Measure,
+    Patch,
+    Side,
+    Structure,
+    Survey,
+    Track,
+)
 from dream.survey.site import Site
 from dream.types import Reasoning, Target
 
@@ -255,3 +267,57 @@ def _decisions() -> tuple[DecisionPoint, ...]:
 
 def _within(name: str, value: float, share: float, unit: str) -> Measure:
     return Measure(name, value, value * (1.0 - share), value * (1.0 + share), unit)
+
+
+def raised_wreck() -> Survey:
+    """The wreck as a mission in space tells it: a wall of 4 by 2 cubes, and a boulder of one cube.
+
+    The wall lies along east. Its north side was inspected from two sides but for one cube, its south side was
+    seen alone, and beyond its east end it may go on.
+    """
+    wall = np.array([(x, y, z) for x in range(4) for y in range(2) for z in range(2)], np.float64)
+    side = np.where(wall[:, 1] == 1, 0, 1).astype(np.uint8)
+    state = np.where(side == 0, 3, 1).astype(np.uint8)
+    state[np.flatnonzero(side == 0)[0]] = 1
+    beyond = np.array([(4.0, 1.0, 0.0)])
+    cells = Cells(
+        0.25 * (np.concatenate([wall, beyond]) + 0.5) + (0.0, 0.0, -10.0),
+        np.append(side, 2).astype(np.uint8),
+        np.append(state, 0).astype(np.uint8),
+    )
+
+    def told(surface: float, inspected: float, more: float) -> tuple[Measure, ...]:
+        return (
+            _within("known_surface", surface, 0.4, "m2"),
+            Measure("inspected_share", inspected, max(inspected - 0.1, 0.0), min(inspected + 0.1, 1.0), ""),
+            Measure("open_area", more, None, None, "m2"),
+        )
+
+    none = (
+        Measure("known_surface", None, None, None, "m2", "none of it is known"),
+        Measure("inspected_share", None, None, None, "", "none of it is known"),
+        Measure("open_area", 0.0, None, None, "m2"),
+    )
+    quarter = 0.5 * math.pi
+    sides = (
+        Side("side", quarter, told(0.5, 0.875, 0.0)),
+        Side("side", -quarter, told(0.5, 0.0, 0.0)),
+        Side("end", 0.0, (*none[:2], Measure("open_area", 0.0625, None, None, "m2"))),
+        Side("end", math.pi, none),
+        Side("top", None, none),
+        Side("underside", None, none),
+    )
+    height = _within("height", 2.5, 0.04, "m")
+    boulder = Cells(np.array([[8.125, 3.125, -9.875]]), np.zeros(1, np.uint8), np.ones(1, np.uint8))
+    return replace(
+        wreck(),
+        protocol="dream-v2-draft",
+        measures=(
+            *(one for one in wreck().measures if one.name != "hull_seen"),
+            *told(1.0, 0.4375, 0.0625),
+        ),
+        structures=(
+            Structure(0.0, (height, *told(1.0, 0.4375, 0.0625)), sides, cells, 0.25),
+            Structure(0.0, (height, *told(0.1, 0.0, 0.0)), sides[1:2] * 6, boulder, 0.25),
+        ),
+    )

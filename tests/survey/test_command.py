@@ -489,3 +489,38 @@ def test_of_a_wreck_pieces_are_told_and_of_a_reef_patches(
         out = capsys.readouterr().out
         assert f", {parts}: {len(made.patches)}" in out
         assert any(line.startswith(part) for line in out.splitlines())
+
+
+@pytest.mark.slow
+@pytest.mark.rare
+def test_a_run_in_space_is_measured_shown_compared_and_told_if_damaged(
+    two: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_site(Site("Wreck", 54.9, 8.3), two / "wreck.json")
+    flying = "run orbits --world wreck/1 --protocol dream-v2-draft-true --max-steps 30 --site wreck.json"
+    said(f"{flying} --out runs", capsys)
+    run = next(path for path in (two / "runs").iterdir() if not path.is_symlink())
+    said(f"survey add {run} --save flown.survey.npz", capsys)
+    (hull,) = said("survey show 1", capsys)["structures"]
+    told = {measure["name"]: measure["value"] for measure in hull["measures"]}
+    assert 2.0 < told["height"] < 7.0
+    assert 0.0 < told["inspected_share"] < 1.0
+    assert [side["kind"] for side in hull["sides"]] == ["side", "side", "end", "end", "top", "underside"]
+    assert "inspected share" in shown("survey show 1", capsys)
+    # A comparison holds the ground against each other, and leaves out what only one tells.
+    said(f"survey add {run} --date 2026-01-01 --save earlier.survey.npz --archive other.gpkg", capsys)
+    compared = said("survey compare earlier.survey.npz flown.survey.npz --out told", capsys)
+    assert {one["name"] for one in compared["measures"]} >= {"inspected_share", "known_surface"}
+    whole = (run / "volume.npz").read_bytes()
+    (run / "volume.npz").write_bytes(whole[: len(whole) // 2])
+    assert "volume.npz: expected a volume written by save" in complaint(f"survey show {run}", capsys)
+    (run / "volume.npz").unlink()
+    assert "expected a run with its volume, got no volume.npz in it" in complaint(
+        f"survey show {run}", capsys
+    )
+
+
+def shown(words: str, capsys: pytest.CaptureFixture[str]) -> str:
+    capsys.readouterr()
+    assert run_command(words.split()) == 0
+    return " ".join(capsys.readouterr().out.split())

@@ -16,7 +16,7 @@ import pytest
 
 from dream.survey import Measure, Patch, Survey, files
 from dream.types import Reasoning
-from tests.survey.scenes import reef, wreck
+from tests.survey.scenes import raised_wreck, reef, wreck
 
 
 def same(a: Any, b: Any) -> bool:
@@ -30,7 +30,11 @@ def same(a: Any, b: Any) -> bool:
     return bool(a == b)
 
 
-@pytest.mark.parametrize("survey", [reef(), reef(site=None), wreck()], ids=["reef", "nowhere", "wreck"])
+@pytest.mark.parametrize(
+    "survey",
+    [reef(), reef(site=None), wreck(), raised_wreck()],
+    ids=["reef", "nowhere", "wreck", "in space"],
+)
 def test_what_was_written_is_what_is_read(survey: Survey, tmp_path: Path) -> None:
     path = tmp_path / f"one{files.SUFFIX}"
     files.write(survey, path)
@@ -270,7 +274,7 @@ def _header(**changes: Any) -> bytes:
         ),
         ("header.json", b"{}", "format: Field required"),
         ("header.json", b"\xff", "header"),
-        ("header.json", _header(version=3), "version: Input should be 1 or 2"),
+        ("header.json", _header(version=4), "version: Input should be 1, 2 or 3"),
         ("header.json", _header(began="0001-01-01T00:00:00+05:00"), "began: expected a year from 1900"),
         (
             "header.json",
@@ -286,6 +290,31 @@ def _header(**changes: Any) -> bytes:
 def test_a_made_up_file_is_refused(entry: str, content: bytes, complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
         files.loaded(_repacked(files.dumped(reef()), entry, content), "it")
+
+
+@pytest.mark.parametrize(
+    "entry, content, complaint",
+    [
+        ("cells.side.npy", _npy(np.full(18, 6, np.uint8)), r"structures.0.cells.side: expected 0 to 5"),
+        ("cells.position.npy", _npy(np.zeros((18, 2))), r"cells.position: expected shape \(18, 3\)"),
+        ("cells.position.npy", _npy(np.full((18, 3), np.nan)), "cells.position: expected finite"),
+        ("cells.state.npy", _npy(np.zeros(17, np.uint8)), "cells.state: expected shape"),
+        ("header.json", _header(version=2), "version: expected the arrays of 2"),
+        ("header.json", _header(version=3, structures=[]), "structures: expected some in version 3 alone"),
+    ],
+)
+def test_made_up_structures_are_refused(entry: str, content: bytes, complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        files.loaded(_repacked(files.dumped(raised_wreck()), entry, content), "it")
+
+
+def test_a_survey_in_the_plane_says_nothing_of_structures() -> None:
+    """Its file is what programs that know of none read."""
+    with zipfile.ZipFile(io.BytesIO(files.dumped(wreck()))) as file:
+        header = json.loads(file.read("header.json"))
+        assert not any(name.startswith("cells.") for name in file.namelist())
+    assert header["version"] == 2
+    assert "structures" not in header
 
 
 def test_an_entry_that_unpacks_to_too_much_is_not_unpacked(monkeypatch: pytest.MonkeyPatch) -> None:

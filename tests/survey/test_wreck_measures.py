@@ -20,6 +20,7 @@ from dream.sim.world import World
 from dream.sim.worlds import make_world
 from dream.survey import About, Measure, Survey, measure_observations, patches
 from dream.survey.footprint import Footprint
+from dream.survey.ground import Frame as MeasuredFrame
 from dream.types import Label, Observation, Target
 
 ABOUT = About("a wreck", datetime(2026, 6, 1, tzinfo=UTC), target=Target.WRECK)
@@ -165,7 +166,11 @@ def test_many_looks_from_afar_do_not_raise_the_highest_point() -> None:
         depth, labels = cast(base, protocol, MAST)
         noisy = noisy_depth(depth.astype(np.float32), protocol.noise.depth, rng)
         footprint.integrate(
-            Observation(float(number), blank, noisy, labels, protocol.camera, base, protocol.T_base_camera)
+            MeasuredFrame.of(
+                Observation(
+                    float(number), blank, noisy, labels, protocol.camera, base, protocol.T_base_camera
+                )
+            )
         )
     top = footprint.top
     assert top is not None

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -66,13 +67,30 @@ def write_ply(scene: RunScene, path: Path) -> None:
         *(f"state {int(state)}: {name}" for state, (name, _) in LEGEND.items()),
         *(_line(f"part {number}: {mesh.name}") for number, mesh in enumerate(parts)),
     ]
+    put_ply(path, says, vertices, faces)
+
+
+def put_ply(path: Path, says: Sequence[str], vertices: npt.NDArray[Any], faces: npt.NDArray[Any]) -> None:
+    """A PLY file of one mesh.
+
+    Args:
+        path: Of the file, which is there whole or not at all.
+        says: Comments, a line each.
+        vertices: (V,) records of `position`, (3,) float32, `color`, (3,) uint8 sRGB, and further bytes.
+        faces: (F,) records of `count`, which is 3, and `corners`, (3,) indices of vertices.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    names = vertices.dtype.names or ()
+    more = [name for name in names if name not in ("position", "color")]
     header = [
         "ply",
         "format binary_little_endian 1.0",
         *(f"comment {line}" for line in says),
         f"element vertex {len(vertices)}",
         *(f"property float {axis}" for axis in "xyz"),
-        *(f"property uchar {name}" for name in ("red", "green", "blue", "state", "part")),
+        *(f"property uchar {name}" for name in ("red", "green", "blue", *more)),
         f"element face {len(faces)}",
         "property list uchar int vertex_indices",
         "end_header\n",
@@ -98,8 +116,13 @@ def _vertices(mesh: SceneMesh, part: int) -> npt.NDArray[Any]:
 
 
 def _faces(mesh: SceneMesh, first: int) -> npt.NDArray[Any]:
-    faces = np.empty(len(mesh.faces), _FACE)
-    faces["count"], faces["corners"] = 3, mesh.faces + first
+    return triangles(mesh.faces + first)
+
+
+def triangles(corners: npt.NDArray[np.integer]) -> npt.NDArray[Any]:
+    """(F,) records of faces for `put_ply`, of their corners, (F, 3)."""
+    faces = np.empty(len(corners), _FACE)
+    faces["count"], faces["corners"] = 3, corners
     return faces
 
 

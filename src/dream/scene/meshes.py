@@ -6,9 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from dream.scene.encoding import SIDES, exposed
 from dream.scene.parts import LEGEND, Float32Array, Int32Array, RunScene, SceneState, UInt8Array, Voxels
+
+IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,9 +51,19 @@ def meshes(scene: RunScene, step: int) -> Iterator[SceneMesh]:
 
 
 def _boxes(voxels: Voxels, step: int) -> SceneMesh:
-    """Those sides of what is mapped at a step that can be looked at: two triangles and four vertices each."""
+    positions, faces, owner = boxes(voxels, step)
+    return SceneMesh("mapped", positions, faces, voxels.states(step)[owner])
+
+
+def boxes(voxels: Voxels, step: int) -> tuple[Float32Array, Int32Array, IntArray]:
+    """Those sides of what is mapped at a step that can be looked at: two triangles and four vertices each.
+
+    Returns:
+        positions: (V, 3) metres in the world.
+        faces: (F, 3) indices of vertices.
+        owner: (V,) the voxel that a vertex belongs to.
+    """
     sides = np.where(voxels.seen_at <= step, exposed(voxels), 0)
-    states = voxels.states(step)
     corners, owners = [], []
     for bit, side in enumerate(SIDES):
         which = np.flatnonzero((sides >> bit) & 1)
@@ -64,9 +77,5 @@ def _boxes(voxels: Voxels, step: int) -> SceneMesh:
         owners.append(np.repeat(which, 4))
     first = 4 * np.arange(sum(map(len, corners)), dtype=np.int32)[:, None, None]
     faces = (first + np.array([[0, 1, 2], [0, 2, 3]], np.int32)).reshape(-1, 3)
-    return SceneMesh(
-        "mapped",
-        np.concatenate(corners).reshape(-1, 3).astype(np.float32),
-        faces,
-        states[np.concatenate(owners)],
-    )
+    positions = np.concatenate(corners).reshape(-1, 3).astype(np.float32)
+    return positions, faces, np.concatenate(owners)

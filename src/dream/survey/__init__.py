@@ -2,24 +2,30 @@
 
 from dream.survey.measuring import About, measure, measure_observations
 from dream.survey.survey import (
+    Cells,
     DecisionPoint,
     Individuals,
     Layers,
     Measure,
     Patch,
     Picture,
+    Side,
+    Structure,
     Survey,
     Track,
 )
 
 __all__ = [
     "About",
+    "Cells",
     "DecisionPoint",
     "Individuals",
     "Layers",
     "Measure",
     "Patch",
     "Picture",
+    "Side",
+    "Structure",
     "Survey",
     "Track",
     "measure",

@@ -25,7 +25,19 @@ from dream.files import whole_or_nothing
 from dream.geometry import Bounds
 from dream.survey.patches import signed_area
 from dream.survey.site import Site
-from dream.survey.survey import DecisionPoint, Individuals, Layers, Measure, Patch, Picture, Survey, Track
+from dream.survey.survey import (
+    Cells,
+    DecisionPoint,
+    Individuals,
+    Layers,
+    Measure,
+    Patch,
+    Picture,
+    Side,
+    Structure,
+    Survey,
+    Track,
+)
 from dream.types import Reasoning, Target
 
 SUFFIX = ".survey.npz"
@@ -61,17 +73,21 @@ _INDIVIDUALS = {
 }
 _LAYERS = {"state": "|u1", "target_probability": "<f4", "relief": "<f4", "times_seen": "<u2"}
 _TRACK = {"time": "<f8", "position": "<f8", "yaw": "<f8", "sigma": "<f8"}
+_CELLS = {"position": "<f8", "side": "|u1", "state": "|u1"}
 _TYPES = {
     **{f"individuals.{name}": kind for name, kind in _INDIVIDUALS.items()},
     **{f"layers.{name}": kind for name, kind in _LAYERS.items()},
     **{f"track.{name}": kind for name, kind in _TRACK.items()},
     "rings": "<f8",
     "picture.share": "|u1",
+    **{f"cells.{name}": kind for name, kind in _CELLS.items()},
 }
 """Of every array in the file; of a survey without a picture, that has no cells."""
-VERSION: Final = 2
-"""Of the files that are written; those of all versions before are read."""
-_SINCE = {"individuals.clear": 2}
+VERSION: Final = 3
+"""The newest of the files that are written; those of all versions before are read."""
+_IN_THE_PLANE: Final = 2
+"""Of the files of surveys without structures."""
+_SINCE = {"individuals.clear": 2, **dict.fromkeys((f"cells.{name}" for name in _CELLS), 3)}
 """The version from which on files hold an array, where it is not the first."""
 _HEADER = "header.json"
 
@@ -109,6 +125,21 @@ class _Patch(_Part):
     measures: Annotated[list[_Measure], Field(max_length=1000)]
 
 
+class _Side(_Part):
+    kind: Literal["side", "end", "top", "underside"]
+    bearing: float | None
+    measures: Annotated[list[_Measure], Field(max_length=1000)]
+
+
+class _Structure(_Part):
+    axis: float
+    measures: Annotated[list[_Measure], Field(max_length=1000)]
+    sides: Annotated[list[_Side], Field(min_length=1, max_length=100)]
+    cells: Annotated[int, Field(ge=0, le=MOST_ROWS)]
+    """How many of the arrays `cells` are its own, in their order."""
+    cell: Annotated[float, Field(gt=0.0, le=1000.0)]
+
+
 class _Reasoning(_Part):
     distribution: Text
     target_area: Text
@@ -144,7 +175,7 @@ class _Picture(_Part):
 
 class _Header(_Part):
     format: Literal["dream-survey"]
-    version: Literal[1, 2]
+    version: Literal[1, 2, 3]
     name: Name
     began: AwareDatetime
     site: _Site | None
@@ -156,6 +187,7 @@ class _Header(_Part):
     layers: _Bounds
     cell: Annotated[float, Field(gt=0.0, le=1000.0)]
     picture: _Picture | None
+    structures: Annotated[list[_Structure], Field(max_length=100_000)] = []
     decisions: Annotated[list[_Decision], Field(max_length=MOST_ROWS)]
     made_by: dict[str, Any]
 
@@ -234,7 +266,7 @@ def _checked(survey: Survey) -> tuple[bytes, Arrays]:
     arrays = _arrays(survey)
     try:
         header = _header(survey)
-        text = header.model_dump_json().encode()
+        text = header.model_dump_json(exclude=None if survey.structures else {"structures"}).encode()
     except ValueError as error:  # pydantic's errors are some.
         raise ValueError(f"survey: {_first(error)}") from error
     _check(header, arrays, "survey")
@@ -316,6 +348,8 @@ def _arrays(survey: Survey) -> dict[str, Array]:
         if rings
         else np.zeros((0, 2)),
     }
+    if parts := [part.cells for part in survey.structures]:
+        found |= {f"cells.{name}": np.concatenate([getattr(one, name) for one in parts]) for name in _CELLS}
     arrays = {}
     for name, value in found.items():
         array, kind = np.asarray(value), np.dtype(_TYPES[name])
@@ -336,7 +370,7 @@ def _header(survey: Survey) -> _Header:
     site, layers = survey.site, survey.layers
     return _Header(
         format="dream-survey",
-        version=VERSION,
+        version=VERSION if survey.structures else _IN_THE_PLANE,
         name=survey.name,
         began=survey.began,
         site=None
@@ -363,6 +397,21 @@ def _header(survey: Survey) -> _Header:
         picture=None
         if survey.picture is None
         else _Picture(bounds=_box(survey.picture.bounds), cell=survey.picture.cell),
+        structures=[
+            _Structure(
+                axis=one.axis,
+                measures=_measures(one.measures),
+                sides=[
+                    _Side.model_validate(
+                        {"kind": side.kind, "bearing": side.bearing, "measures": _measures(side.measures)}
+                    )
+                    for side in one.sides
+                ],
+                cells=len(one.cells.side),
+                cell=one.cell,
+            )
+            for one in survey.structures
+        ],
         decisions=[
             _Decision(
                 step=one.step,
@@ -409,6 +458,12 @@ def _survey(header: _Header, arrays: Arrays, where: str) -> Survey:
         rings = np.split(arrays["rings"][start : ends[-1]], ends[:-1] - start)
         patches.append(Patch(tuple(rings), measures(patch.measures)))
         start = int(ends[-1])
+    structures, start = [], 0
+    for one in header.structures:
+        own = {name: array[start : start + one.cells] for name, array in part("cells.").items()}
+        sides = tuple(Side(side.kind, side.bearing, measures(side.measures)) for side in one.sides)
+        structures.append(Structure(one.axis, measures(one.measures), sides, Cells(**own), one.cell))
+        start += one.cells
     try:
         return Survey(
             name=header.name,
@@ -435,6 +490,7 @@ def _survey(header: _Header, arrays: Arrays, where: str) -> Survey:
             else Picture(
                 Bounds(**header.picture.bounds.model_dump()), header.picture.cell, arrays["picture.share"]
             ),
+            structures=tuple(structures),
         )
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
@@ -463,6 +519,8 @@ def _check(header: _Header, arrays: Arrays, where: str) -> None:
         )
         return whole
 
+    if bool(header.structures) != (header.version == VERSION):
+        raise ValueError(f"{where}: structures: expected some in version {VERSION} alone, got others")
     whole = cells(header.layers, header.cell, "layers")
     fine = (0, 0) if header.picture is None else cells(header.picture.bounds, header.picture.cell, "picture")
     people, steps, points = len(arrays["individuals.sigma"]), len(arrays["track.time"]), len(arrays["rings"])
@@ -479,12 +537,17 @@ def _check(header: _Header, arrays: Arrays, where: str) -> None:
             shape = (steps, 3) if name == "track.position" else (steps,)
         elif name == "picture.share":
             shape = fine
+        elif name.startswith("cells."):
+            known = sum(one.cells for one in header.structures)
+            shape = (known, 3) if name == "cells.position" else (known,)
         elif name == "rings":
             shape = (sum(sum(patch.rings) for patch in header.patches), 2)
         expect(array.shape == shape, name, f"shape {shape}", array.shape)
         if array.dtype.kind == "f" and not name.startswith("layers."):
             expect(np.isfinite(array).all(), name, "finite numbers", "NaN or infinity")
-    for name in ("individuals.position", "track.position", "rings"):
+    for name in ("individuals.position", "track.position", "rings", "cells.position"):
+        if name not in arrays:
+            continue
         expect(not (np.abs(arrays[name]) > FAR).any(), name, f"metres within ±{FAR:g}", "more")
     expect(not (np.abs(arrays["track.time"]) > LONG).any(), "track.time", f"seconds within ±{LONG:g}", "more")
     expect(YEARS[0] <= header.began.year <= YEARS[1], "began", "a year from 1900 to 9000", header.began.year)
@@ -520,6 +583,12 @@ def _check(header: _Header, arrays: Arrays, where: str) -> None:
     expect(not ((share > 200) & (share < 255)).any(), "picture.share", "0 to 200 or 255", "others")
     expect(not np.isinf(arrays["layers.relief"]).any(), "layers.relief", "metres or NaN", "infinity")
     _check_measures(header, where)
+    first = 0
+    for number, structure in enumerate(header.structures):
+        sides = arrays["cells.side"][first : first + structure.cells]
+        first += structure.cells
+        least = len(structure.sides)
+        expect(not (sides >= least).any(), f"structures.{number}.cells.side", f"0 to {least - 1}", "others")
     start = 0
     for number, part in enumerate(header.patches):
         for hole, length in enumerate(part.rings):
@@ -533,7 +602,10 @@ def _check(header: _Header, arrays: Arrays, where: str) -> None:
 
 
 def _check_measures(header: _Header, where: str) -> None:
-    for measure in (*header.measures, *(one for patch in header.patches for one in patch.measures)):
+    of_parts = [part.measures for part in header.patches]
+    for structure in header.structures:
+        of_parts += [structure.measures, *(side.measures for side in structure.sides)]
+    for measure in (*header.measures, *(one for measures in of_parts for one in measures)):
         low, high = measure.low, measure.high
         if (low is None) != (high is None) or (low is not None and high is not None and low > high):
             raise ValueError(

@@ -12,7 +12,7 @@ from dream.geometry import Bounds
 from dream.perception.scatter import SCATTERS, steadied
 from dream.protocol import SurveyProtocol
 from dream.survey.ground import Frame
-from dream.types import BoolArray, Label, Observation
+from dream.types import BoolArray, Label
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -89,11 +89,10 @@ class Footprint:
         """The highest point; None where nothing was seen."""
         return max(self._tops, key=lambda top: top.sure, default=None)
 
-    def integrate(self, seen: Observation) -> None:
-        """Add what an observation shows."""
+    def integrate(self, frame: Frame) -> None:
+        """Add what a frame shows."""
         from dream.survey import _kernels
 
-        frame = Frame.of(seen)
         depth, _ = steadied(frame, FOOT, self._scatter)
         _kernels.vote(
             depth,

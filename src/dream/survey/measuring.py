@@ -15,14 +15,26 @@ import numpy as np
 from dream import __version__
 from dream.mapping import Layers as MapLayers
 from dream.mapping import OccupancyMap
+from dream.mapping.hull import Hull
+from dream.mapping.volume import Volume
 from dream.perception.scatter import scatter_of
-from dream.recording import RecordedStep, RunConfig, digest_of_steps, read_config, read_steps
+from dream.recording import VOLUME, RecordedStep, RunConfig, digest_of_steps, read_config, read_steps
 from dream.survey.calibration import calibration_for
 from dream.survey.ground import Frame, Ground, fuse
 from dream.survey.intervals import around
 from dream.survey.reef import measure_reef
 from dream.survey.site import Site
-from dream.survey.survey import DAYS_A_YEAR, DecisionPoint, Layers, Measure, Picture, Survey, Track
+from dream.survey.standing import Looks, measure_structures, of_what_stands
+from dream.survey.survey import (
+    DAYS_A_YEAR,
+    DecisionPoint,
+    Layers,
+    Measure,
+    Picture,
+    Structure,
+    Survey,
+    Track,
+)
 from dream.survey.wreck import measure_wreck, no_individuals
 from dream.types import Observation, Reasoning, Target
 from dream.versions import commit
@@ -71,15 +83,23 @@ def measure(run: Path, site: Site | None = None, *, told: Told | None = None) ->
     config, steps = read_config(run), read_steps(run)
     kept = _Kept(run)
     occupancy = _map_of(run)
+    volume = volume_of(run) if occupancy.protocol.space is not None else None
     if site is None and (run / "site.json").is_file():
         from dream.survey.site import read_site
 
         site = read_site(run / "site.json")
-    return measure_observations(kept, occupancy, _about(run, config, steps, len(kept), site), told=told)
+    return measure_observations(
+        kept, occupancy, _about(run, config, steps, len(kept), site), volume=volume, told=told
+    )
 
 
 def measure_observations(
-    observations: Collection[Observation], occupancy: MapLayers, about: About, *, told: Told | None = None
+    observations: Collection[Observation],
+    occupancy: MapLayers,
+    about: About,
+    *,
+    volume: Volume | None = None,
+    told: Told | None = None,
 ) -> Survey:
     """The survey of a mission from what it saw.
 
@@ -87,6 +107,7 @@ def measure_observations(
         observations: All of them, in order. They are gone through up to twice.
         occupancy: The map that they made.
         about: The mission.
+        volume: The map in three dimensions of a mission that moved in them.
         told: Is told of the progress.
 
     Raises:
@@ -95,12 +116,24 @@ def measure_observations(
     if not len(observations):
         raise ValueError("survey: expected at least one observation, got none")
     frames, track = _taken_in(observations, about, told)
-    ground = fuse(frames, occupancy.bounds, occupancy.protocol, scatter_of(frames))
+    protocol, scatter = occupancy.protocol, scatter_of(frames)
     # What counts is how far poses err against each other, not against the globe.
     sigma = float(np.median(track.sigma)) if len(track.sigma) else 0.0
     target = _kind(occupancy) if about.target is Target.ANY else about.target
+    looks = None
+    if target is Target.WRECK and volume is not None:
+        looks = Looks(volume, scatter)
+        told_apart = [looks.integrate(frame) for frame in frames]
+        if protocol.lasting is not None:  # Its labels are wrong at the same places from everywhere.
+            frames = told_apart
+    ground = fuse(frames, occupancy.bounds, protocol, scatter)
+    parts: tuple[Structure, ...] = ()
     if target is Target.WRECK:
-        measures, found, above = measure_wreck(ground, observations, occupancy, sigma)
+        hull = _hull_seen(observations, occupancy) if looks is None else None
+        measures, found, above = measure_wreck(ground, frames, protocol, hull, sigma)
+        if looks is not None:
+            inspected, parts = measure_structures(looks, ground, sigma)
+            measures = (*(measures if protocol.lasting is None else of_what_stands(measures)), *inspected)
         individuals = no_individuals()
     else:
         reef = measure_reef(ground, frames, occupancy, sigma)
@@ -118,11 +151,12 @@ def measure_observations(
         measures=(*measures, _seen_share(occupancy)),
         individuals=individuals,
         patches=found,
-        layers=_layers(occupancy, ground, above),
+        layers=_layers(occupancy, ground, above, by_labels=looks is None or protocol.lasting is None),
         track=track,
         decisions=about.decisions,
         made_by={**about.made_by, "measuring": {**parameters, "calibration": calibration}},
         picture=_picture(ground),
+        structures=parts,
     )
 
 
@@ -174,6 +208,13 @@ def _taken_in(
     return frames, track
 
 
+def _hull_seen(observations: Collection[Observation], occupancy: MapLayers) -> Hull:
+    hull = Hull(occupancy.bounds, occupancy.protocol)
+    for seen in observations:
+        hull.integrate(seen)
+    return hull
+
+
 def _kind(occupancy: MapLayers) -> Target:
     """What was found: a hull stands in the way, shells lie on the ground."""
     target = occupancy.target
@@ -192,8 +233,15 @@ def _seen_share(occupancy: MapLayers) -> Measure:
     return Measure("seen_share", share, told.low, min(told.high, 1.0), "", "of the area that was to be seen")
 
 
-def _layers(occupancy: MapLayers, ground: Ground, above: np.ndarray[Any, np.dtype[np.float64]]) -> Layers:
+def _layers(
+    occupancy: MapLayers, ground: Ground, above: np.ndarray[Any, np.dtype[np.float64]], *, by_labels: bool
+) -> Layers:
+    """Maps on the map's grid; target is what the map says by labels, or what the fine picture shows of it."""
     seen, solid, target = occupancy.known, occupancy.solid, occupancy.target
+    if not by_labels:
+        (rows, cols), times = occupancy.shape, round(occupancy.protocol.cell / ground.cell)
+        fine = (ground.share > 0.5).reshape(rows, times, cols, times)
+        target = np.asarray(fine.any(axis=(1, 3)), np.bool_)
     state = np.full(occupancy.shape, UNKNOWN, np.uint8)
     state[seen] = EXPLORED
     state[target & seen] = TARGET
@@ -222,6 +270,19 @@ def _map_of(run: Path) -> OccupancyMap:
     if not path.is_file():
         raise FileNotFoundError(f"{run}: expected a run with its map, got no map.npz in it. Fly it again")
     return OccupancyMap.load(path)
+
+
+def volume_of(run: Path) -> Volume:
+    """The map of a run that moved in three dimensions.
+
+    Raises:
+        FileNotFoundError: It is not there.
+        ValueError: It is damaged.
+    """
+    path = run / VOLUME
+    if not path.is_file():
+        raise FileNotFoundError(f"{run}: expected a run with its volume, got no {VOLUME} in it. Fly it again")
+    return Volume.load(path)
 
 
 def _about(

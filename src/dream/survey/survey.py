@@ -85,6 +85,49 @@ class Patch:
     """Of it: `area`, `length`, `width`, `height`, `rugosity`, `density`, `count`, as far as they apply."""
 
 
+OPEN, SEEN = 0, 1
+"""Values of `Cells.state`: unknown, where the surface may go on; known and not inspected. Each side that a
+cell was inspected from adds one to `SEEN`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cells:
+    """The surface of a structure, cube by cube, and where it may go on. Arrays share their first axis."""
+
+    position: Float64Array
+    """(n, 3) middles, metres in the world."""
+    side: npt.NDArray[np.uint8]
+    """(n,) index into `Structure.sides`."""
+    state: npt.NDArray[np.uint8]
+    """(n,) `OPEN`, `SEEN`, or from how many sides it was inspected, and one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One side of a structure."""
+
+    kind: str
+    """`side` along its long axis, `end` of that, `top` or `underside`."""
+    bearing: float | None
+    """That it looks in, radians in the world; None of top and underside."""
+    measures: tuple[Measure, ...]
+    """Of it: `known_surface`, `inspected_share`, `open_area`, `looked_from`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Structure:
+    """What stands on the ground, of a mission that moved in three dimensions."""
+
+    axis: float
+    """Direction of its long axis, radians in (−π/2, π/2]."""
+    measures: tuple[Measure, ...]
+    """Of it: `height`, `known_surface`, `inspected_share`, `open_area`."""
+    sides: tuple[Side, ...]
+    cells: Cells
+    cell: float
+    """Metres a side."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Layers:
     """Maps on one grid: `cells[row, col]`, row grows with y, col with x, the first cell at the lower left."""
@@ -191,6 +234,8 @@ class Survey:
     where somebody `corrected` it."""
     picture: Picture | None = None
     """None of a survey without, which can be compared less sharply."""
+    structures: tuple[Structure, ...] = ()
+    """The largest first; none of a mission in the plane."""
 
     @property
     def simulated(self) -> bool:

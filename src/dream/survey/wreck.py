@@ -9,15 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dream.mapping import Layers as MapLayers
 from dream.mapping.hull import PATCH, Hull
+from dream.protocol import SurveyProtocol
 from dream.survey import patches, relief
 from dream.survey.calibration import BETWEEN
 from dream.survey.footprint import Footprint
-from dream.survey.ground import Ground
+from dream.survey.ground import Frame, Ground
 from dream.survey.intervals import around, together, unknown
 from dream.survey.survey import Individuals, Measure, Patch
-from dream.types import BoolArray, Observation
+from dream.types import BoolArray
 
 Float64Array = npt.NDArray[np.float64]
 Int32Array = npt.NDArray[np.int32]
@@ -95,36 +95,36 @@ class _Layout:
 
 
 def measure_wreck(
-    ground: Ground, observations: Iterable[Observation], occupancy: MapLayers, sigma: float
+    ground: Ground, frames: Iterable[Frame], protocol: SurveyProtocol, hull: Hull | None, sigma: float
 ) -> tuple[tuple[Measure, ...], tuple[Patch, ...], Float64Array]:
     """Everything about a wreck.
 
     The outline is that of the largest piece of what was labelled target, seen from straight above, closed as
-    a reef's is; every other piece of at least `SMALLEST_PIECE` is debris. How much of the hull was seen
-    comes from the belief over its surface that planners go by (`mapping.hull`).
+    a reef's is; every other piece of at least `SMALLEST_PIECE` is debris.
 
     Args:
         ground: What all frames together show.
-        observations: Of the mission. They are gone through once.
-        occupancy: The mission's map, over the bounds of `ground`.
+        frames: Of the mission. They are gone through once.
+        protocol: Of the mission.
+        hull: The belief over its surface that planners go by in the plane, of all observations: how much of
+            the hull was seen. None where that is told by a volume.
         sigma: Metres by which poses may err against each other.
 
     Returns:
         Measures of the whole, the hull and its debris as patches, and (rows, cols) metres above the seabed on
         the map's grid.
     """
-    footprint = Footprint(ground.bounds, ground.cell, occupancy.protocol, ground.scatter)
-    hull = Hull(occupancy.bounds, occupancy.protocol)
-    for seen in observations:
-        footprint.integrate(seen)
-        hull.integrate(seen)
+    footprint = Footprint(ground.bounds, ground.cell, protocol, ground.scatter)
+    for frame in frames:
+        footprint.integrate(frame)
     cover, cell = footprint.covered(footprint.support), ground.cell
-    base, above = _relief(ground, cover, round(occupancy.protocol.cell / cell))
+    base, above = _relief(ground, cover, round(protocol.cell / cell))
     corner = (ground.bounds.x_min, ground.bounds.y_min)
     found = _laid_out(cover, corner, cell)
     if found is None:
-        names = ("outline_area", "m2"), ("hull_seen", ""), ("debris_extent", "m"), ("debris_area", "m2")
-        every = (*names, ("highest_point", "m"))
+        seen = (("hull_seen", ""),) * (hull is not None)
+        every = ("outline_area", "m2"), *seen, ("debris_extent", "m"), ("debris_area", "m2")
+        every = (*every, ("highest_point", "m"))
         return tuple(unknown(name, unit, "no wreck was found") for name, unit in every), (), above
     known = _SCATTERED if ground.scatter > BETWEEN else _SHARP
     # A cell that is covered in part counts whole.
@@ -142,7 +142,7 @@ def measure_wreck(
     top = _highest(footprint, _foot(ground, found.marks), together(known.top, sigma))
     measures = (
         area,
-        _seen_share(hull, known),
+        *((_seen_share(hull, known),) if hull is not None else ()),
         _extent(found, cover, corner, cell, together(END, sigma)),
         _debris(found, others, edge),
         top,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,7 @@ from dream.options import First
 from dream.telling import one_line, rich_console
 
 if TYPE_CHECKING:
-    from dream.survey import Survey
+    from dream.survey import Measure, Survey
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,15 +69,36 @@ def _told(survey: Survey) -> dict[str, Any]:
         "individuals_found": len(survey.individuals),
         "measures": [asdict(measure) for measure in survey.measures],
         "patches": [[asdict(measure) for measure in patch.measures] for patch in survey.patches],
+        **({"structures": _structures(survey)} if survey.structures else {}),
         "made_by": survey.made_by,
     }
+
+
+def _structures(survey: Survey) -> list[dict[str, Any]]:
+    from dream.survey.products.words import side_name
+
+    return [
+        {
+            "axis": one.axis,
+            "measures": [asdict(measure) for measure in one.measures],
+            "sides": [
+                {
+                    "name": side_name(side, survey.site),
+                    "kind": side.kind,
+                    "bearing": side.bearing,
+                    "measures": [asdict(measure) for measure in side.measures],
+                }
+                for side in one.sides
+            ],
+        }
+        for one in survey.structures
+    ]
 
 
 def _print(survey: Survey) -> None:
     from rich.text import Text
 
     from dream.survey.calibration import doubt
-    from dream.survey.numbers import named
     from dream.types import Target
 
     console = rich_console()
@@ -102,15 +124,27 @@ def _print(survey: Survey) -> None:
         table.add_row(*measure_row(measure))
     console.print()
     console.print(table)
-    if not survey.patches:
-        return
-    names = list(dict.fromkeys(measure.name for patch in survey.patches for measure in patch.measures))
+    if survey.patches:
+        _print_rows(part, [(str(k), patch.measures) for k, patch in enumerate(survey.patches, start=1)])
+    if survey.structures:
+        from dream.survey.products.words import of_structures
+
+        rows = [(f"{number} {side}".strip(), measures) for number, side, measures in of_structures(survey)]
+        _print_rows("structure", rows)
+
+
+def _print_rows(what: str, rows: Sequence[tuple[str, Sequence[Measure]]]) -> None:
+    """A table with a row for each of some parts, and a column for each of their measures."""
+    from dream.survey.numbers import named
+
+    names = list(dict.fromkeys(measure.name for _, measures in rows for measure in measures))
     table = slim_table()
-    for heading in (part, *map(named, names)):
+    for heading in (what, *map(named, names)):
         table.add_column(heading)
-    for k, patch in enumerate(survey.patches, start=1):
-        values = {measure.name: measure_row(measure) for measure in patch.measures}
-        cells = (values.get(name, ("", "", "", "")) for name in names)
-        table.add_row(str(k), *(f"{value}\n{interval}".strip() for _, value, interval, _ in cells))
+    for name, measures in rows:
+        values = {measure.name: measure_row(measure) for measure in measures}
+        cells = (values.get(one, ("", "", "", "")) for one in names)
+        table.add_row(name, *(f"{value}\n{interval}".strip() for _, value, interval, _ in cells))
+    console = rich_console()
     console.print()
     console.print(table)

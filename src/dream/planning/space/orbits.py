@@ -9,12 +9,12 @@ from typing import ClassVar
 
 import numpy as np
 
+from dream.mapping.structures import Structure, structures
 from dream.options import First
 from dream.planning.parameters import check_range
 from dream.planning.space.looks import shown
 from dream.planning.space.pilot import FloatArray, Look, Patrol
 from dream.planning.space.routes import crossing, highest, searched
-from dream.planning.space.structures import Structure, structures
 from dream.types import Mission
 
 SAME = 2.0

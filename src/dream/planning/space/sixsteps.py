@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from dream.mapping.structures import structures
 from dream.planning.space import words
 from dream.planning.space.looks import edges, gains, shown
-from dream.planning.space.structures import structures
 from dream.planning.space.ways import KnownWays, ways_in
 from dream.types import Decision, IntArray, Mission, Observation, Reasoning
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
+from dream.mapping.structures import Structure
 from dream.planning import sentences
-from dream.planning.space.structures import Structure
 
 
 def distribution(area: float, inspected: float, known: list[Structure]) -> str:

@@ -19,6 +19,7 @@ from dream.survey.products import (
     darwin_core,
     geopackage,
     geotiff,
+    mesh,
     mosaic,
     netcdf,
     page,
@@ -38,6 +39,7 @@ PRODUCTS: Mapping[str, str] = {
     "netcdf": "measures and maps by the CF conventions, of all surveys of the site",
     "darwin-core": "individuals that were found as occurrences for OBIS and GBIF",
     "mosaic": "the sea floor as one georeferenced picture",
+    "mesh": "what stands, of a mission in three dimensions, as a mesh",
     "tables": "measures and individuals as CSV",
     "series": "measures of all surveys of the site, as CSV and as a picture",
     "html": "a report to read on a screen",
@@ -55,6 +57,7 @@ FILES: Mapping[str, str] = {
     netcdf.NAME: "measures with intervals, and the maps, by CF 1.8",
     darwin_core.CSV: "one Darwin Core occurrence for each individual that was found and is likely one",
     darwin_core.ARCHIVE: "the same with sizes as a Darwin Core Archive, for OBIS and GBIF",
+    mesh.NAME: "the surface of what stands, coloured by what was inspected; in the map's own metres",
     tables.MEASURES: "all measures with their intervals, of the survey and of each patch",
     tables.INDIVIDUALS: "position, size and confidence of the individuals that were found, which are not "
     "all; one that touches others has no size",
@@ -137,7 +140,8 @@ def export(
     try:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
-        for name in each(only or tuple(PRODUCTS)):
+        every = tuple(name for name in PRODUCTS if name != "mesh" or survey.structures)
+        for name in each(only or every):
             if reason := _missing(name, survey, run, species, surveys):
                 if name in only:
                     raise ValueError(f"{name}: {reason}")
@@ -188,6 +192,7 @@ def _makers(
         "netcdf": lambda: netcdf.write(survey, folder / netcdf.NAME, surveys),
         "darwin-core": occurrences,
         "mosaic": picture,
+        "mesh": lambda: mesh.write(survey, folder / mesh.NAME),
         "tables": lambda: tables.write(survey, folder),
         "series": lambda: series.write(surveys, folder),
         # Last of all, as it lists the others.
@@ -212,6 +217,8 @@ def _missing(
             return "which species the individuals are has to be said: --species and --species-id"
         if not darwin_core.likely(survey):
             return "no individual was found that is likely one"
+    if name == "mesh" and not survey.structures:
+        return "nothing stands in it, or it is of a mission in the plane"
     if name == "series" and len(surveys) < 2:
         return "it takes two surveys of the site: keep them in an archive, or name others with --earlier"
     if name == "mosaic":

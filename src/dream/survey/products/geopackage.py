@@ -24,7 +24,7 @@ from dream.survey.patches import grouped
 from dream.survey.products import styles
 from dream.survey.products.ground import Ground, site_of
 from dream.survey.products.outlines import outlines, ring_around
-from dream.survey.products.words import warning
+from dream.survey.products.words import of_structures, warning
 from dream.survey.survey import Survey
 from dream.types import Reasoning, Target
 
@@ -122,6 +122,7 @@ def write(survey: Survey, path: Path) -> None:
         _track(survey, ground),
         _decisions(survey, ground),
         _measures(survey),
+        *((_structures(survey),) if survey.structures else ()),
         _about(survey),
     )
     path.unlink(missing_ok=True)
@@ -402,6 +403,28 @@ def _measures(survey: Survey) -> Table:
             "note": "TEXT",
         },
         [(m.name, m.value, m.low, m.high, m.unit, m.note) for m in survey.measures],
+    )
+
+
+def _structures(survey: Survey) -> Table:
+    return Table(
+        "structures",
+        "What stands, and what of each of its sides was inspected; of all of it where side is empty",
+        {
+            "structure": "INTEGER",
+            "side": "TEXT",
+            "name": "TEXT",
+            "value": "DOUBLE",
+            "low": "DOUBLE",
+            "high": "DOUBLE",
+            "unit": "TEXT",
+            "note": "TEXT",
+        },
+        [
+            (number, side, m.name, m.value, m.low, m.high, m.unit, m.note)
+            for number, side, measures in of_structures(survey)
+            for m in measures
+        ],
     )
 
 

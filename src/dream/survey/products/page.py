@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dream.survey.products import areas, figures, sheet, web, words
+from dream.survey.products import areas, figures, sheet, side_by_side, web, words
 from dream.survey.products.ground import Ground, site_of
 from dream.survey.products.mosaic import small
 from dream.survey.survey import Measure, Survey
@@ -47,6 +47,7 @@ def write(
             "sea_floor": _sea_floor(survey, mosaic) if mosaic is not None else "",
             "measures": _measures(words.listed(survey)),
             "areas": _areas(survey),
+            "structures": side_by_side.sections(survey),
             "series": _series(surveys) if len(surveys) > 1 else "",
             "patches": _patches(survey),
             "sizes": _sizes(survey),
@@ -70,7 +71,8 @@ def write(
         simulated=words.simulated(survey),
         headlines=_headlines(survey),
     )
-    text = web.page(masthead, main, str(survey.made_by.get("version", "")))
+    style = side_by_side.style(survey.structures)
+    text = web.page(masthead, main, str(survey.made_by.get("version", "")), style)
     path.write_text(text, encoding="utf-8")
 
 
@@ -86,7 +88,8 @@ def _how(survey: Survey) -> str:
 
 def _headlines(survey: Survey) -> list[tuple[str, str, str]]:
     of = {measure.name: measure for measure in survey.measures}
-    shown = [of[name] for name in words.HEADLINES if name in of][:4]
+    first = words.HEADLINES_IN_SPACE if survey.structures else words.HEADLINES
+    shown = [of[name] for name in first if name in of][:4]
     return [(words.meaning(m.name).title, words.value_text(m), words.interval_text(m)) for m in shown]
 
 
@@ -94,12 +97,17 @@ def _measures(measures: Sequence[Measure]) -> str:
     rows = "".join(
         f"<tr><th scope='row'>{html.escape(words.meaning(m.name).title)}</th>"
         f"<td class='value'>{html.escape(words.value_text(m))}</td>"
-        f"<td class='interval' data-is='95 %:'>{html.escape(words.interval_text(m))}</td>"
+        f"<td class='interval'{_is_interval(m)}>{html.escape(words.interval_text(m))}</td>"
         f"<td class='meaning'>{html.escape(words.explained(m))}</td></tr>"
         for m in measures
     )
     head = web.head(("Measure", "Value", "95 % interval", "What it says"))
     return f"<div class='wide'><table>{head}<tbody>{rows}</tbody></table></div>"
+
+
+def _is_interval(measure: Measure) -> str:
+    """What names the interval where a row is a block; nothing of a value that has none."""
+    return "" if measure.value is not None and measure.low is None else " data-is='95 %:'"
 
 
 def _areas(survey: Survey) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from dream.survey.products.ground import Ground
-from dream.survey.products.words import world
+from dream.survey.products.words import of_structures, world
 from dream.survey.survey import Survey
 
 MEASURES, INDIVIDUALS = "measures.csv", "individuals.csv"
@@ -18,7 +18,7 @@ SIMULATED = "simulated"
 
 
 def write(survey: Survey, folder: Path) -> list[Path]:
-    """Write `measures.csv`, of the survey and of each patch, and `individuals.csv`.
+    """Write `measures.csv`, of the survey, of each patch, structure and side, and `individuals.csv`.
 
     Positions are metres in the world of the run; longitude and latitude come with them where there is an
     origin. The last column of both says which world was simulated, and is empty of real water.
@@ -35,6 +35,10 @@ def write(survey: Survey, folder: Path) -> list[Path]:
 def _measures(survey: Survey) -> Iterable[Sequence[Any]]:
     of = [("survey", survey.measures)]
     of += [(f"patch {number}", patch.measures) for number, patch in enumerate(survey.patches, start=1)]
+    of += [
+        (f"structure {number}" + f", {side}" * bool(side), measures)
+        for number, side, measures in of_structures(survey)
+    ]
     for what, measures in of:
         for m in measures:
             numbers = map(plain, (m.value, m.low, m.high))

@@ -40,10 +40,10 @@ def page(masthead: Masthead, main: str, version: str, style: str = "") -> str:
         version: Of the program.
         style: Rules to add to those that all pages share.
     """
-    style = _part("report_page/page.css") + _part("survey/products/page.css") + style
+    style = part("report_page/page.css") + part("survey/products/page.css") + style
     told = html.escape(masthead.simulated)
     return fill(
-        _part("survey/products/page.html"),
+        part("survey/products/page.html"),
         {
             "policy": "default-src 'none'; img-src data:; base-uri 'none'; form-action 'none'; "
             f"style-src {digest(style)}",
@@ -67,7 +67,7 @@ def page(masthead: Masthead, main: str, version: str, style: str = "") -> str:
 
 def filled(name: str, parts: Mapping[str, str]) -> str:
     """A template beside this file, with each part, which is HTML, in its place."""
-    return fill(_part(f"survey/products/{name}"), parts)
+    return fill(part(f"survey/products/{name}"), parts)
 
 
 def picture(content: bytes, kind: str, what: str) -> str:
@@ -121,5 +121,6 @@ def files(of: Sequence[tuple[str, str]]) -> str:
     return f"<section class='panel'><h2>Files beside this page</h2><ul class='files'>{rows}</ul></section>"
 
 
-def _part(name: str) -> str:
+def part(name: str) -> str:
+    """A file of the package as text."""
     return resources.files("dream").joinpath(name).read_text(encoding="utf-8")

@@ -8,8 +8,9 @@ from itertools import pairwise
 
 from dream.survey.calibration import doubt
 from dream.survey.numbers import named
+from dream.survey.site import Site
 from dream.survey.sizes import size_bin
-from dream.survey.survey import Measure, Survey
+from dream.survey.survey import Measure, Side, Structure, Survey
 from dream.types import Target
 
 UNITS = {"m2": "m²", "1/m2": "per m²", "m": "m", "": ""}
@@ -49,6 +50,12 @@ MEANINGS = {
     "debris_extent": Meaning("Debris field", "extent of hull and pieces together"),
     "debris_area": Meaning("Debris", "ground that pieces of the wreck cover"),
     "highest_point": Meaning("Highest point", "of the wreck"),
+    "known_surface": Meaning("Known surface", "of what stands, as far as the map shows it"),
+    "inspected_share": Meaning(
+        "Inspected", "share of that surface that was looked at from near and at a useful angle", share=True
+    ),
+    "open_area": Meaning("May go on", "where that surface ends in what no look has shown"),
+    "looked_from": Meaning("Looked at from", "distance of the nearest look"),
     # Of comparisons.
     "found": Meaning(
         "Found",
@@ -71,13 +78,17 @@ MEANINGS = {
 
 HEADLINES = (
     *("reef_area", "density", "median_size", "reef_height"),
-    *("outline_area", "hull_seen", "debris_extent", "highest_point"),
+    *("outline_area", "hull_seen", "inspected_share", "known_surface", "debris_extent", "highest_point"),
 )
 """Measures that stand first in every report, as far as a survey has them."""
 
+HEADLINES_IN_SPACE = ("highest_point", "inspected_share", "known_surface", "open_area")
+"""The same of a survey that tells of structures."""
+
 FIRST = (
     *("reef_area", "count", "density", "reef_height", "median_size"),
-    *("outline_area", "hull_seen", "debris_extent", "debris_area", "highest_point"),
+    *("outline_area", "hull_seen", "inspected_share", "known_surface", "open_area"),
+    *("debris_extent", "debris_area", "highest_point"),
 )
 """What is told first of a reef, and of a wreck: how large, how many, how dense, how high, of which size."""
 
@@ -169,6 +180,53 @@ def warning(survey: Survey) -> str:
     return f"SIMULATED, nothing real was seen ({made_up})" if (made_up := world(survey)) else ""
 
 
+WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
+
+
+def side_name(side: Side, site: Site | None) -> str:
+    """Such as "north-east side", "south end" or "top".
+
+    Where nobody said how the map lies, its y axis is taken for north.
+    """
+    return side.kind if side.bearing is None else f"{wind(side.bearing, site)} {side.kind}"
+
+
+def wind(bearing: float, site: Site | None) -> str:
+    """The nearest of eight that lies in a world bearing, radians."""
+    clockwise = 90.0 - math.degrees(bearing) + (0.0 if site is None else site.heading_deg)
+    return WINDS[round(clockwise / 45.0) % 8]
+
+
+def structure(one: Structure) -> str:
+    """How high a structure stands, and what of it was inspected, in two sentences."""
+    of = {measure.name: measure for measure in one.measures if measure.value is not None}
+    told = f"It stands {_between(of['height'])} above the ground around it. " if "height" in of else ""
+    share, surface = of.get("inspected_share"), of.get("known_surface")
+    if share is not None and surface is not None:
+        told += f"Of {_between(surface)} of surface that the map knows, {_between(share)} was inspected"
+        more = of.get("open_area")
+        if more is not None and more.value:
+            told += f"; over {value_text(more)} it ends in what no look has shown, and may go on"
+        told += "."
+    return told
+
+
+def of_structures(survey: Survey) -> list[tuple[int, str, tuple[Measure, ...]]]:
+    """Number, side and measures of each structure, and of each of its sides of which something is known.
+
+    The side of a whole structure is empty.
+    """
+    told = []
+    for number, one in enumerate(survey.structures, start=1):
+        told.append((number, "", one.measures))
+        told += [
+            (number, side_name(side, survey.site), side.measures)
+            for side in one.sides
+            if any(m.value for m in side.measures)
+        ]
+    return told
+
+
 def world(survey: Survey) -> str:
     """Which one was simulated, such as "world reef/string, seed 1"; empty of real water."""
     if not survey.simulated:
@@ -204,6 +262,11 @@ def summary(survey: Survey) -> list[str]:
             lines.append(f"Its highest point stands {_between(high)} above the bare seabed around it.")
         if seen := of.get("hull_seen"):
             lines.append(f"{value_text(seen)} of its outer surface was looked at.")
+        share, more = of.get("inspected_share"), of.get("open_area")
+        if share:
+            lines.append(f"{_between(share)} of its surface that the map knows was inspected.")
+        if more and more.value:
+            lines.append(f"Over {value_text(more)} that surface ends in what no look has shown.")
     else:
         if area := of.get("reef_area"):
             count = len(survey.patches)
@@ -285,6 +348,14 @@ def limits(survey: Survey) -> list[str]:
         "and told with the area. What lies farther into it is in no figure and in no interval. The map of "
         "how often each place was looked at shows where the figures rest on few frames."
     )
+    if survey.structures:
+        lines += [
+            "Surface is that of the cubes of the map: a thin plate counts once, an edge more than once. An "
+            "inspected share is of the surface that the map knows; what no look has shown is in no share, "
+            "and of how much there may be only its edge is told.",
+            "What hangs together above the ground is the wreck or not as a whole, by most of its labels. A "
+            "boulder that is labelled wrongly from everywhere is told as a structure.",
+        ]
     if worst > 0.0:
         errs = f"along the way they may err by up to {max(worst, 0.01):.2f} m (one sigma)"
     else:

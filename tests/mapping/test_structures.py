@@ -8,8 +8,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from dream.mapping.structures import COLUMN, Structure, structures
 from dream.mapping.volume import Surface
-from dream.planning.space.structures import COLUMN, Structure, structures
 
 STANDOFF = 3.5
 
