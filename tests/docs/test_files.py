@@ -25,6 +25,7 @@ from dream.evaluation import results
 from dream.evaluation.engines import Processes
 from dream.evaluation.metrics import Coverage
 from dream.evaluation.oracle.bounds import read_bounds
+from dream.evaluation.oracle.space_bounds import SpaceBounds
 from dream.evaluation.probe import Score, write_page
 from dream.evaluation.runner import Plan, _manifest
 from dream.evaluation.suites import Case
@@ -231,6 +232,8 @@ def test_every_key_of_a_manifest_is_told(tmp_path: Path) -> None:
 def test_every_key_of_a_bound_is_told() -> None:
     known = Path(inspect.getfile(read_bounds)).parent / "known" / "paper.jsonl"
     assert list(read_bounds(known)[0].as_dict()) == described("Bounds")
+    in_space = SpaceBounds("tower", 1, 0, "dream-v2-draft", "0" * 64, 0, None, None, (), (), 0.0)
+    assert list(in_space.as_dict()) == described("Bounds in space")
 
 
 def test_every_key_of_a_probe_is_told(tmp_path: Path) -> None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import multiprocessing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
 
@@ -28,9 +28,12 @@ from dream.telling import rich_console
 
 if TYPE_CHECKING:
     from dream.evaluation.oracle.bounds import OracleBounds
+    from dream.evaluation.oracle.space_bounds import SpaceBounds
     from dream.evaluation.results import Results
     from dream.evaluation.suites import Case
     from dream.sim.world import World
+
+    Bounds = OracleBounds | SpaceBounds
 
 Key = tuple[str, str, int, int]
 """What `OracleBounds.key` gives."""
@@ -45,6 +48,10 @@ class Oracle:
     bound. An exact search proves it: no shorter walk sees even a few chosen individuals. The best tour is a
     walk that does see them, flown in the simulator. Where both numbers are equal, the tour is optimal. All
     numbers of steps include the look-around. The search begins at bounds that come with the package.
+
+    Under a protocol that moves in space, such as dream-v2-draft, it is the steps to 98.26 % of what counts
+    as inspected, the lower bound is a coarse one, and finding what each pose shows takes a minute or two at
+    first.
 
     With a suite, the bounds of all its worlds are kept in a file (`--out`). After an interruption the same
     command goes on with the other worlds.
@@ -111,6 +118,8 @@ class Oracle:
         with stage(f"opening {name} {self.seed}"):
             world = open_world(name, self.seed)
         protocol = protocol_named(self.protocol or world.protocol)
+        if protocol.space is not None:
+            return self._one_in_space(world, protocol)
         known = known_bounds(protocol.name, world.name, world.seed, self.start, world_hash(world))
         results = _results(self.traces)
         key = (protocol.name, world.name, world.seed, self.start)
@@ -126,6 +135,7 @@ class Oracle:
                 visibility=visibility,
             ),
             self.budget,
+            _ends,
         )
         try:
             drive(found, world, visibility=visibility)
@@ -141,18 +151,47 @@ class Oracle:
             raise KeyboardInterrupt
         return 0
 
+    def _one_in_space(self, world: World, protocol: SurveyProtocol) -> int:
+        from dream.commands.space_oracle import draw, ends, print_one
+        from dream.evaluation.oracle.space_bounds import drive, tighten
+        from dream.sim.inspection import Inspection
+
+        self._check_no_traces(protocol)
+        inspection = Inspection(world, protocol)
+        states = tighten(world, protocol, start=self.start, budget_s=self.budget, inspection=inspection)
+        found, interrupted = _last(states, self.budget, ends)
+        try:
+            drive(found, world, inspection=inspection)
+        except ValueError as error:
+            raise MissionAborted(f"{world.name} {world.seed}: {error}") from error
+        if self.picture is not None:
+            draw(found, world, protocol, self.picture)
+        if self.json:
+            print_json(found.summary())
+        else:
+            print_one(found, self.picture)
+        if interrupted:
+            raise KeyboardInterrupt
+        return 0
+
+    def _check_no_traces(self, protocol: SurveyProtocol) -> None:
+        if self.traces is not None and protocol.space is not None:
+            raise ValueError(f"--traces: expected a planar protocol, got {protocol.name}")
+
     def _all(self) -> int:
         from dream.evaluation.locks import alone_at
-        from dream.evaluation.oracle.bounds import read_bounds, write_bounds
+        from dream.evaluation.oracle.bounds import write_bounds
         from dream.evaluation.suites import suite_named
 
         cases = suite_named(self.suite or "")
         out = self.out or Path(f"{Path(self.suite or '').stem}.jsonl")
         if out.is_dir():
             raise ValueError(f"--out: expected a file, got the folder {out}")
+        protocol = protocol_named(self.protocol or "dream-v1")
+        self._check_no_traces(protocol)
         failed: dict[Key, str] = {}
         with alone_at(out, out.with_name(f".{out.name}.lock")):
-            kept = {bounds.key: bounds for bounds in read_bounds(out)} if out.is_file() else {}
+            kept = _kept_in(out, protocol) if out.is_file() else {}
             keys = {self._key(case): case for case in cases}
             for case, bounds in with_progress(
                 self._search(cases, kept), f"searching {self.suite}", len(cases), "worlds"
@@ -183,8 +222,8 @@ class Oracle:
         return self.protocol or "dream-v1", case.world, case.seed, case.start
 
     def _search(
-        self, cases: Sequence[Case], kept: Mapping[Key, OracleBounds]
-    ) -> Iterator[tuple[Case, OracleBounds | str]]:
+        self, cases: Sequence[Case], kept: Mapping[Key, Bounds]
+    ) -> Iterator[tuple[Case, Bounds | str]]:
         """Each case with its bounds, or with what was wrong, in the order in which they end."""
         if not cases:
             return
@@ -207,7 +246,7 @@ class Oracle:
             }
             try:
                 for future in as_completed(running):
-                    found: OracleBounds | str
+                    found: Bounds | str
                     try:
                         found = future.result()
                     except ValueError as error:
@@ -222,12 +261,13 @@ class Oracle:
                 pool.shutdown(wait=True, cancel_futures=True)
 
     def _check_all(self) -> int:
-        from dream.evaluation.oracle.bounds import check, every_known, read_bounds
+        from dream.evaluation.oracle.bounds import every_known
         from dream.evaluation.suites import suite_named
 
         cases = suite_named(self.suite or "")
+        protocol = protocol_named(self.protocol or "dream-v1")
         # Whether the world is today's is for the check to say, so the hash does not choose here.
-        kept = every_known() if self.out is None else {b.key: b for b in read_bounds(self.out)}
+        kept: Mapping[Key, Bounds] = every_known() if self.out is None else _kept_in(self.out, protocol)
         known = [case for case in cases if self._key(case) in kept]
         unknown = len(cases) - len(known)
         if not known:
@@ -240,7 +280,7 @@ class Oracle:
         for case in with_progress(known, f"checking {self.suite}", len(known), "worlds"):
             wrong = ""
             try:
-                check(kept[self._key(case)], case.open())
+                _check(kept[self._key(case)], case.open())
             except ValueError as error:
                 wrong = str(error)
             outcomes.append({"world": case.world, "seed": case.seed, "start": case.start, "wrong": wrong})
@@ -255,30 +295,93 @@ class Oracle:
         return 1 if failed else 0
 
 
+def _kept_in(path: Path, protocol: SurveyProtocol) -> dict[Key, Bounds]:
+    """The bounds in a file, by their missions."""
+    from dream.evaluation.oracle.bounds import read_bounds, read_lines
+    from dream.evaluation.oracle.space_bounds import SpaceBounds
+
+    planar = protocol.space is None
+    return {bounds.key: bounds for bounds in (read_bounds(path) if planar else read_lines(path, SpaceBounds))}
+
+
+def _check(bounds: Bounds, world: World) -> None:
+    """Raise a ValueError unless the bounds hold."""
+    from dream.evaluation.oracle import space_bounds
+    from dream.evaluation.oracle.bounds import OracleBounds, check
+
+    if isinstance(bounds, OracleBounds):
+        check(bounds, world)
+    else:
+        space_bounds.check(bounds, world)
+
+
 def _search_case(
     case: Case,
     protocol: str,
+    budget_s: float,
+    kept: Bounds | None,
+    results: Results | None,
+    *,
+    again: bool,
+) -> Bounds:
+    """The bounds of a case, its tours flown: those kept, where they are of this very world and will do."""
+    from dream.evaluation.oracle.bounds import OracleBounds
+    from dream.sim.files import world_hash
+
+    world, rules = case.open(), protocol_named(protocol)
+    if kept is not None and kept.world_hash != world_hash(world):
+        kept = None
+    if rules.space is None:
+        planar = kept if isinstance(kept, OracleBounds) else None
+        return _search_planar(case, world, rules, budget_s, planar, results, again=again)
+    return _search_space(
+        case, world, rules, budget_s, None if isinstance(kept, OracleBounds) else kept, again=again
+    )
+
+
+def _search_space(
+    case: Case, world: World, rules: SurveyProtocol, budget_s: float, kept: SpaceBounds | None, *, again: bool
+) -> SpaceBounds:
+    from dream.evaluation.oracle.space_bounds import drive, tighten
+    from dream.sim.inspection import Inspection
+
+    inspection = Inspection(world, rules)
+    found = kept
+    if kept is None or (again and kept.status == "gap"):
+        *_, found = tighten(
+            world,
+            rules,
+            start=case.start,
+            budget_s=budget_s,
+            known=kept,
+            # A search that goes on must not try the same again.
+            seed=0 if kept is None else round(10.0 * kept.cpu_s),
+            inspection=inspection,
+        )
+    assert found is not None
+    drive(found, world, inspection=inspection)
+    return found
+
+
+def _search_planar(
+    case: Case,
+    world: World,
+    rules: SurveyProtocol,
     budget_s: float,
     kept: OracleBounds | None,
     results: Results | None,
     *,
     again: bool,
 ) -> OracleBounds:
-    """The bounds of a case, its tours flown: those kept, where they are of this very world and will do."""
     from dream.evaluation.oracle.bounds import bound, drive, known_bounds, walks_of
     from dream.sim.files import world_hash
     from dream.sim.visibility import Visibility
 
-    world = case.open()
-    rules = protocol_named(protocol)
     visibility = Visibility(world, rules)
-    key = (protocol, case.world, case.seed, case.start)
-    digest = world_hash(world)
-    if kept is not None and kept.world_hash != digest:
-        kept = None
+    key = (rules.name, case.world, case.seed, case.start)
     gap = kept is None or "gap" in (kept.full.status, kept.t98.status)
     if kept is None or (again and gap):
-        kept = kept or known_bounds(*key, digest)
+        kept = kept or known_bounds(*key, world_hash(world))
         found = bound(
             world,
             rules,
@@ -302,7 +405,10 @@ def _results(folder: Path | None) -> Results | None:
     return None if folder is None else read_kept(folder)
 
 
-def _last(states: Iterator[OracleBounds], budget_s: float) -> tuple[OracleBounds, bool]:
+B = TypeVar("B", bound="Bounds")
+
+
+def _last(states: Iterator[B], budget_s: float, ends: Callable[[B], str]) -> tuple[B, bool]:
     """The last of some bounds, and whether the user ended them; they are told of meanwhile."""
     with stage("finding what each pose shows"):
         found = next(states)
@@ -311,7 +417,7 @@ def _last(states: Iterator[OracleBounds], budget_s: float) -> tuple[OracleBounds
         spent = found.cpu_s
         try:
             for found in states:
-                work.done, work.said = round(found.cpu_s - spent), _ends(found)
+                work.done, work.said = round(found.cpu_s - spent), ends(found)
         except KeyboardInterrupt:
             return found, True
     return found, False
@@ -340,18 +446,24 @@ def _print_one(bounds: OracleBounds, picture: Path | None) -> None:
         print(f"  picture: {picture}")
 
 
-def _print_table(found: Sequence[OracleBounds]) -> None:
+def _print_table(found: Sequence[Bounds]) -> None:
     import sys
 
     from rich.table import Table
 
+    from dream.evaluation.oracle.bounds import OracleBounds
+
+    planar = all(isinstance(bounds, OracleBounds) for bounds in found)
+    shares = ("100 %", "98.26 %") if planar else ("98.26 %",)
     table = Table(title="steps, the look-around counted")
-    for heading in ("world", "seed", "100 %: at least", "best tour", "98.26 %: at least", "best tour", "s"):
+    headings = [heading for share in shares for heading in (f"{share}: at least", "best tour")]
+    for heading in ("world", "seed", *headings, "s"):
         table.add_column(heading, justify="left" if heading == "world" else "right")
     for bounds in found:
+        limits = (bounds.full, bounds.t98) if isinstance(bounds, OracleBounds) else (bounds,)
         ends = [
             str(number) if number is not None else "–"
-            for limit in (bounds.full, bounds.t98)
+            for limit in limits
             for number in (limit.lower_bound, limit.best_tour)
         ]
         table.add_row(bounds.world, str(bounds.seed), *ends, f"{bounds.cpu_s:.0f}")
@@ -364,16 +476,12 @@ def _draw(bounds: OracleBounds, world: World, protocol: SurveyProtocol, path: Pa
     from PIL import ImageDraw
 
     from dream.evaluation.oracle.bounds import tour_poses
-    from dream.sim.chart import START, chart
+    from dream.sim.chart import START, chart, chart_sheet
 
-    pixels = 900
-    page = chart(world, pixels=pixels)
+    page = chart(world)
     draw = ImageDraw.Draw(page)
-    # As the chart itself lays the world out.
-    pad = 0.04 * max(world.bounds.width, world.bounds.depth)
-    scale = pixels / (max(world.bounds.width, world.bounds.depth) + 2.0 * pad)
     x, y, yaw = tour_poses(bounds, world, protocol).T
-    across, down = (x - world.bounds.x_min + pad) * scale, (world.bounds.y_max + pad - y) * scale
+    across, down = chart_sheet(world).at(x, y)
     track = list(zip(across.tolist(), down.tolist(), strict=True))
     draw.line(track, fill=(255, 255, 255), width=6, joint="curve")
     draw.line(track, fill=START, width=3, joint="curve")

@@ -20,7 +20,7 @@ PAPER = (246, 244, 238)
 _Coordinate = TypeVar("_Coordinate", float, npt.NDArray[np.float64])
 
 
-class _ChartSheet(NamedTuple):
+class ChartSheet(NamedTuple):
     """How metres of the world lie on the picture."""
 
     west: float
@@ -40,10 +40,7 @@ def chart(world: World, *, pixels: int = 900) -> Image.Image:
         world: What to draw.
         pixels: Side of the square map; a margin with the legend comes on top.
     """
-    bounds = world.bounds
-    pad = 0.04 * max(bounds.width, bounds.depth)
-    scale = pixels / (max(bounds.width, bounds.depth) + 2.0 * pad)
-    sheet = _ChartSheet(bounds.x_min - pad, bounds.y_max + pad, scale)
+    bounds, sheet = world.bounds, chart_sheet(world, pixels=pixels)
     image = _seabed(world, sheet, pixels)
     draw = ImageDraw.Draw(image)
     groups = np.unique(world.targets.group)
@@ -64,11 +61,19 @@ def chart(world: World, *, pixels: int = 900) -> Image.Image:
         )
     page = Image.new("RGB", (pixels, pixels + 46), PAPER)
     page.paste(image, (0, 0))
-    _legend(ImageDraw.Draw(page), world, scale, pixels)
+    _legend(ImageDraw.Draw(page), world, sheet.scale, pixels)
     return page
 
 
-def _seabed(world: World, sheet: _ChartSheet, pixels: int) -> Image.Image:
+def chart_sheet(world: World, *, pixels: int = 900) -> ChartSheet:
+    """How `chart` lays out a world."""
+    bounds = world.bounds
+    pad = 0.04 * max(bounds.width, bounds.depth)
+    scale = pixels / (max(bounds.width, bounds.depth) + 2.0 * pad)
+    return ChartSheet(bounds.x_min - pad, bounds.y_max + pad, scale)
+
+
+def _seabed(world: World, sheet: ChartSheet, pixels: int) -> Image.Image:
     """Sand lit from the north-west, darker where it is deeper; slopes are exaggerated."""
     line = (np.arange(pixels) + 0.5) / sheet.scale
     x, y = np.meshgrid(sheet.west + line, sheet.north - line)
@@ -88,7 +93,7 @@ def _seabed(world: World, sheet: _ChartSheet, pixels: int) -> Image.Image:
 def _dots(
     draw: ImageDraw.ImageDraw,
     targets: Instances,
-    sheet: _ChartSheet,
+    sheet: ChartSheet,
     colors: dict[int, tuple[int, int, int]],
 ) -> None:
     """Individuals too small to draw by their triangles: a dot each, as wide as they are, upper ones last."""
@@ -106,7 +111,7 @@ def _triangles(
     draw: ImageDraw.ImageDraw,
     world: World,
     instances: Instances,
-    sheet: _ChartSheet,
+    sheet: ChartSheet,
     colors: dict[int, tuple[int, int, int]],
 ) -> None:
     """All triangles from above, lowest first, lit from the north-west; high ones are lighter."""

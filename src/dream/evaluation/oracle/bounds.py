@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +38,24 @@ if TYPE_CHECKING:
     from dream.evaluation.results import Results
 
 Walk = tuple[int, ...]
+
+
+class Kept(Protocol):
+    """What a line of a file of bounds holds: `OracleBounds`, or in space `space_bounds.SpaceBounds`."""
+
+    @property
+    def key(self) -> tuple[str, str, int, int]:
+        """What tells its mission from every other."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """The line."""
+
+    @classmethod
+    def from_dict(cls, record: Any) -> Self:
+        """What `as_dict` gave; a ValueError where that is damaged."""
+
+
+K = TypeVar("K", bound=Kept)
 
 LONGEST_LINE = 4_000_000
 """Characters; a longer line of a file of bounds is refused. An honest one takes some ten thousand."""
@@ -118,8 +136,8 @@ class OracleBounds:
             "witnesses_t98": [list(witness) for witness in self.t98.witnesses],
         }
 
-    @staticmethod
-    def from_dict(record: Any) -> OracleBounds:
+    @classmethod
+    def from_dict(cls, record: Any) -> OracleBounds:
         """The bounds that `as_dict` gave.
 
         Raises:
@@ -506,23 +524,32 @@ def walks_of(
 
 
 def read_bounds(path: Path) -> list[OracleBounds]:
+    """As `read_lines`, of planar protocols."""
+    return read_lines(path, OracleBounds)
+
+
+def read_lines(path: Path, kind: type[K]) -> list[K]:
     """All lines of a file of bounds.
+
+    Args:
+        path: Where it lies.
+        kind: What a line holds.
 
     Raises:
         OSError: There is no such file.
         ValueError: A line is damaged or stands twice; names file and line.
     """
     with path.open(encoding="utf-8") as file:
-        return _read(file, str(path))
+        return _read(file, str(path), kind)
 
 
-def _read(lines: Iterable[str], name: str) -> list[OracleBounds]:
-    found: dict[tuple[str, str, int, int], OracleBounds] = {}
+def _read(lines: Iterable[str], name: str, kind: type[K]) -> list[K]:
+    found: dict[tuple[str, str, int, int], K] = {}
     for number, line in enumerate(lines, 1):
         try:
             if len(line) > LONGEST_LINE:
                 raise ValueError(f"expected at most {LONGEST_LINE} characters, got {len(line)}")
-            bounds = OracleBounds.from_dict(json.loads(line))
+            bounds = kind.from_dict(json.loads(line))
             if bounds.key in found:
                 raise ValueError(f"{bounds.key} stands there twice")
         except (ValueError, RecursionError) as error:
@@ -531,7 +558,7 @@ def _read(lines: Iterable[str], name: str) -> list[OracleBounds]:
     return list(found.values())
 
 
-def write_bounds(path: Path, every: Sequence[OracleBounds]) -> None:
+def write_bounds(path: Path, every: Sequence[Kept]) -> None:
     """Write a file of bounds, whole or not at all."""
     lines = (json.dumps(bounds.as_dict(), allow_nan=False, separators=(",", ":")) for bounds in every)
     write_whole(path, "".join(line + "\n" for line in lines).encode())
@@ -561,7 +588,9 @@ def every_known() -> dict[tuple[str, str, int, int], OracleBounds]:
     for suite in KNOWN:
         with contextlib.suppress(FileNotFoundError):
             lines = (folder / f"{suite}.jsonl").read_text(encoding="utf-8").splitlines()
-            found.update({bounds.key: bounds for bounds in _read(lines, f"known/{suite}.jsonl")})
+            found.update(
+                {bounds.key: bounds for bounds in _read(lines, f"known/{suite}.jsonl", OracleBounds)}
+            )
     for bounds in list(found.values()):
         for noisy in noisy_variants(protocol_named(bounds.protocol)):
             alike = replace(bounds, protocol=noisy.name)

@@ -13,7 +13,7 @@ from dream.geometry import SE3, camera_mount
 from dream.protocol import Space, SurveyProtocol
 from dream.sim.inspection import _kernels, kept
 from dream.sim.inspection.points import SurfacePoints, sight_index, surface_of
-from dream.sim.solids import FreeSpace, Solids
+from dream.sim.solids import FreeSpace, Solids, checked
 from dream.sim.visibility import lattice_yaws
 from dream.sim.world import World
 
@@ -21,6 +21,8 @@ Float64Array = npt.NDArray[np.float64]
 IntpArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]
 UInt8Array = npt.NDArray[np.uint8]
+Int32Array = npt.NDArray[np.int32]
+UInt64Array = npt.NDArray[np.uint64]
 
 SHARE = 0.2
 """So much of its points must be inspected in one frame. `perf/inspection.py share` measures what that asks:
@@ -137,10 +139,6 @@ class Inspection:
         square = (offsets**2).sum(axis=1)
         offsets = offsets[square <= span * span]
         nearest_first = offsets[np.argsort((offsets**2).sum(axis=1), kind="stable")]
-        rotations = [
-            [(SE3.level(0.0, 0.0, 0.0, yaw) @ camera_mount(tilt)).rotation for tilt in protocol.tilts]
-            for yaw in lattice_yaws(protocol)
-        ]
         return _kernels.inspectable(
             self.solids.index,
             self._clumps,
@@ -150,11 +148,59 @@ class Inspection:
             space.first,
             space.spacing,
             nearest_first.astype(np.intp),
-            np.array(rotations, np.float64),
+            self._rotations,
             np.array(protocol.tilts, np.float64),
             NODE_SHARE,
             NODES,
         )
+
+    @property
+    def _rotations(self) -> Float64Array:
+        """(headings, tilts, 3, 3) of `T_world_camera`."""
+        rotations = [
+            [(SE3.level(0.0, 0.0, 0.0, yaw) @ camera_mount(tilt)).rotation for tilt in self.protocol.tilts]
+            for yaw in lattice_yaws(self.protocol)
+        ]
+        return np.array(rotations, np.float64)
+
+    def shown_from(self, eyes: npt.ArrayLike) -> tuple[IntpArray, Int32Array, UInt64Array]:
+        """Which frames inspect which countable individuals from each of some places, as `look` does.
+
+        Args:
+            eyes: (E, 3) metres in the world.
+
+        Returns:
+            first: (E + 1,) place e has the entries first[e] to first[e + 1].
+            who: (K,) the individual of an entry, as an index into those that are countable.
+            frames: (K,) bit `heading · tilts + tilt` is set where the frame with that heading and tilt of the
+                protocol inspects it.
+
+        Raises:
+            ValueError: The protocol has more than 64 frames at a place.
+        """
+        rotations = self._rotations.reshape(-1, 3, 3)
+        if len(rotations) > 64:
+            raise ValueError(f"protocol: expected at most 64 headings and tilts, got {len(rotations)}")
+        wanted, first = np.flatnonzero(self.countable), self.surface.first
+        middles = np.zeros((len(wanted), 3))
+        radii = np.zeros(len(wanted))
+        for r, n in enumerate(wanted):
+            own = self.surface.points[first[n] : first[n + 1]]
+            middles[r] = own.mean(axis=0)
+            # Nudged, so that rounding leaves no point outside.
+            radii[r] = np.linalg.norm(own - middles[r], axis=1).max() + 1e-6
+        found: tuple[IntpArray, Int32Array, UInt64Array] = _kernels.shown_from(
+            self.solids.index,
+            self._clumps,
+            self._points,
+            self._optics,
+            wanted,
+            middles,
+            radii,
+            checked(eyes, "eyes", 3),
+            rotations,
+        )
+        return found
 
 
 def _optics(protocol: SurveyProtocol, space: Space) -> _kernels.Optics:

@@ -19,6 +19,8 @@ Float64Array = npt.NDArray[np.float64]
 IntpArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]
 UInt8Array = npt.NDArray[np.uint8]
+Int32Array = npt.NDArray[np.int32]
+UInt64Array = npt.NDArray[np.uint64]
 
 SEEN, INSPECTED = 1, 2
 """What comes of a point; 0 where it does not show."""
@@ -237,3 +239,73 @@ def inspectable(
                 found += 1
         result[n] = found >= enough
     return result
+
+
+@njit(cache=True, nogil=True)
+def shown_from(
+    solids: Index,
+    clumps: Index,
+    points: Points,
+    optics: Optics,
+    wanted: IntpArray,
+    middles: Float64Array,
+    radii: Float64Array,
+    eyes: Float64Array,
+    rotations: Float64Array,
+) -> tuple[IntpArray, Int32Array, UInt64Array]:
+    """Which frames from each of the eyes (E, 3) inspect which of the individuals `wanted` (R,)?
+
+    What has range, angle and a clear line is found once for an eye, whichever way the camera looks. All
+    points of individual `wanted[r]` lie within `radii[r]` of `middles[r]`.
+
+    Returns:
+        first: (E + 1,) the entries of eye e are first[e] to first[e + 1].
+        who: (K,) index into `wanted`.
+        frames: (K,) bit f is set where the frame with rotations[f], of at most 64, inspects it.
+    """
+    first = np.zeros(len(eyes) + 1, np.intp)
+    who = np.empty(1024, np.int32)
+    frames = np.empty(1024, np.uint64)
+    last = np.full(2, -1)
+    count = 0
+    tally = np.empty(len(rotations), np.intp)
+    clear = np.empty(np.diff(points.first).max() if len(wanted) else 0, np.intp)
+    for e in range(len(eyes)):
+        eye = eyes[e]
+        for r in range(len(wanted)):
+            dx, dy, dz = middles[r, 0] - eye[0], middles[r, 1] - eye[1], middles[r, 2] - eye[2]
+            far = optics.reach + radii[r]
+            if dx * dx + dy * dy + dz * dz > far * far:
+                continue
+            n = wanted[r]
+            might = 0
+            for i in range(points.first[n], points.first[n + 1]):
+                might += _facing(points, i, eye) >= optics.cosine
+            open_points = 0
+            for i in range(points.first[n], points.first[n + 1]):
+                if open_points + might < points.needed[n]:
+                    break
+                if _facing(points, i, eye) >= optics.cosine:
+                    might -= 1
+                    if not _hidden(solids, clumps, eye, points.at[i], last):
+                        clear[open_points] = i
+                        open_points += 1
+            if open_points < points.needed[n]:
+                continue
+            tally[:] = 0
+            for k in range(open_points):
+                for f in range(len(rotations)):
+                    tally[f] += _in_frame(optics, rotations[f], eye, points.at[clear[k]])
+            bits = np.uint64(0)
+            for f in range(len(rotations)):
+                if tally[f] >= points.needed[n]:
+                    bits |= np.uint64(1) << np.uint64(f)
+            if bits == 0:
+                continue
+            if count == len(who):
+                who = np.concatenate((who, np.empty_like(who)))
+                frames = np.concatenate((frames, np.empty_like(frames)))
+            who[count], frames[count] = r, bits
+            count += 1
+        first[e + 1] = count
+    return first, who[:count].copy(), frames[:count].copy()
