@@ -15,7 +15,7 @@ from PIL import Image
 
 from dream.cli import run_command
 from dream.commands.mission import draw_orders
-from dream.geometry import SE2, Bounds
+from dream.geometry import Bounds
 from dream.mapping import OccupancyMap
 from dream.mapping.drawing import OUTLINE
 from dream.orders import Leg, Orders, Side, SideOf, Task, written
@@ -29,6 +29,7 @@ from dream.recording import read_config, read_steps
 from dream.report import repeating_command
 from dream.types import Mission, Target
 from tests.model_server import NAME, Server, serving
+from tests.planning.flights import observed_at
 from tests.planning.vlm.worded import BOX, NORTH, NORTHERN, ORDERS, WEST, WESTERN, leg, reply, will_say
 
 
@@ -288,7 +289,8 @@ def test_a_planner_that_asks_a_model_takes_plain_words(
 
 
 def test_a_model_that_flies_is_told_of_the_area_and_of_what_was_flown_before(model: Server) -> None:
-    planner, occupancy, here = Dream(**model.options), OccupancyMap(BOX, DREAM_V1), SE2(0.0, 0.0, 0.0)
+    planner, occupancy = Dream(**model.options), OccupancyMap(BOX, DREAM_V1)
+    here = observed_at(0.0, 0.0, 0.0)
     plain = planner.begin(Mission(DREAM_V1, BOX, 200))._situation(here, occupancy)
     assert "3 steps are done; 197 are left" in plain
     assert "Only the area" not in plain

@@ -53,10 +53,10 @@ def test_a_slice_shows_free_water_before_a_wall_and_nothing_behind_it() -> None:
     assert volume.box is not None
     high = min(float(volume.box[1, 2]), 0.0)
     picture = draw_slice(volume, (-2.0, 0.1), (6.0, 0.1))
-    assert at(picture, 4.0, -5.0, high) == FREE
-    assert at(picture, 6.1, -5.0, high) == SOLID
-    assert at(picture, 7.2, -5.0, high) == UNKNOWN
-    assert at(picture, 1.0, -5.0, high) == UNKNOWN
+    assert at(picture, 4.1, -5.1, high) == FREE
+    assert at(picture, 6.1, -5.1, high) == SOLID
+    assert at(picture, 7.2, -5.1, high) == UNKNOWN
+    assert at(picture, 1.1, -5.1, high) == UNKNOWN
 
 
 def test_a_target_that_was_looked_at_squarely_is_drawn_as_inspected_and_one_beyond_reach_is_not() -> None:
@@ -64,7 +64,7 @@ def test_a_target_that_was_looked_at_squarely_is_drawn_as_inspected_and_one_beyo
         volume = faced(Label.TARGET, away)
         assert volume.box is not None
         picture = draw_slice(volume, (0.0, 0.1), (away + 2.0, 0.1))
-        assert at(picture, away + 0.1, -5.0, min(float(volume.box[1, 2]), 0.0)) == color
+        assert at(picture, away + 0.1, -5.1, min(float(volume.box[1, 2]), 0.0)) == color
         # The legend holds a small square of each colour.
         assert (colors(picture) == other).all(axis=1).sum() < 200
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +32,12 @@ TRAVERSED: Color = (0, 165, 110)
 SOLID: Color = (0, 0, 0)
 SOLID_TARGET: Color = (0, 95, 0)
 """A wreck's wall: target, and yet not to be run into."""
+INSPECTED: Color = (150, 90, 230)
+"""A target whose surface is inspected, under a protocol that moves in space."""
+SOLID_INSPECTED: Color = (80, 30, 140)
+"""One of those that is solid, too."""
+FREE: Color = (190, 215, 240)
+"""Water that is known to be free, where it is drawn."""
 VEHICLE: Color = (0, 70, 255)
 TRAIL: Color = (0, 150, 255)
 MARK: Color = (255, 201, 14)
@@ -69,9 +75,22 @@ class Palette:
     """Known to be free, with its floor not seen: the launch was there, or a level ray passed through."""
     clear_view: bool
     """Whether targets and solids keep their colours in the vehicle's field of view."""
+    inspected: tuple[Color, Color] | None = None
+    """A target that is inspected, and one that is solid, too; None where they are not told apart."""
 
     def legend(self, protocol: SurveyProtocol) -> tuple[tuple[Color, str], ...]:
         """What the colours mean under a protocol."""
+        if self.inspected is not None:
+            return (
+                (self.unknown, "unknown"),
+                (self.explored, "explored"),
+                (self.target, "target"),
+                (self.solid_target, "target, solid"),
+                (self.inspected[0], "inspected"),
+                (self.inspected[1], "inspected, solid"),
+                (self.solid, "solid"),
+                (VEHICLE, "vehicle"),
+            )
         names = [(self.unknown, "unknown")]
         if self.crossed != self.unknown:
             names.append((self.crossed, "free"))
@@ -85,6 +104,8 @@ FOR_MODELS = Palette(
     UNKNOWN, EXPLORED, TARGET, TRAVERSED, SOLID, SOLID_TARGET, crossed=UNKNOWN, clear_view=False
 )
 """The picture that models are asked about. It stays as it is: answers are recorded with its bytes."""
+FOR_MODELS_IN_SPACE = replace(FOR_MODELS, inspected=(INSPECTED, SOLID_INSPECTED))
+"""The same for a map with a volume, which says what is inspected."""
 FOR_PEOPLE = Palette(
     unknown=UNKNOWN,
     explored=(198, 200, 203),
@@ -105,6 +126,8 @@ class Mark:
     number: int
     path: npt.NDArray[np.float64]
     """(N, 2) metres in the world; the mark is drawn at the last."""
+    note: str = ""
+    """Written beside its disc."""
 
 
 def draw_map(
@@ -134,6 +157,35 @@ def draw_map(
     Returns:
         An RGB image. Its size depends on the map's shape and the scale alone.
     """
+    legend = palette.legend(occupancy.protocol)
+    return draw_cells(
+        occupancy, _paint(occupancy, palette), legend, pose, trail, marks, scale=scale, palette=palette
+    )
+
+
+def draw_cells(
+    occupancy: OccupancyMap,
+    colors: npt.NDArray[np.uint8],
+    legend: tuple[tuple[Color, str], ...],
+    pose: SE2 | None = None,
+    trail: npt.ArrayLike = (),
+    marks: Sequence[Mark] = (),
+    *,
+    scale: int = SCALE,
+    palette: Palette = FOR_MODELS,
+) -> Image.Image:
+    """The same picture with colours of one's own in its cells.
+
+    Args:
+        occupancy: Whose area is drawn.
+        colors: (rows, cols, 3) uint8, rows from the south.
+        legend: What the colours mean.
+        pose: See `draw_map`, as of the others.
+        trail: Likewise.
+        marks: Likewise.
+        scale: Likewise.
+        palette: Says how the vehicle's field of view is drawn.
+    """
     from PIL import Image
 
     if scale < 1:
@@ -143,12 +195,11 @@ def draw_map(
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise ValueError(f"trail: expected (N, 2) metres, got {points.shape}")
     sheet = _Sheet(occupancy.bounds, occupancy.protocol, scale)
-    area, legend = occupancy.area, palette.legend(occupancy.protocol)
+    area = occupancy.area
     if area is not None:
         legend = (*legend, (OUTLINE, "area"))
     picture = _blank(sheet, legend).copy()
-    colors = _paint(occupancy, palette)
-    cells = Image.fromarray(colors.repeat(scale, 0).repeat(scale, 1))
+    cells = Image.fromarray(colors[::-1].repeat(scale, 0).repeat(scale, 1))
     picture.paste(cells, (sheet.left, sheet.top))
     if pose is not None and palette.clear_view:
         _draw_view(picture, sheet, pose)
@@ -165,7 +216,10 @@ def draw_map(
             _draw_view(picture, sheet, pose)
         _draw_vehicle(picture, sheet, pose)
     for mark in reversed(marks):
-        draw_disc(picture, _on_picture(sheet, mark, pose), mark.number)
+        at = _on_picture(sheet, mark, pose)
+        if mark.note:
+            _draw_note(picture, sheet, at, mark.note)
+        draw_disc(picture, at, mark.number)
     return picture
 
 
@@ -352,7 +406,23 @@ def _paint(occupancy: OccupancyMap, palette: Palette) -> npt.NDArray[np.uint8]:
     colors[occupancy.target & occupancy.traversed] = palette.traversed
     colors[occupancy.solid] = palette.solid
     colors[occupancy.solid & occupancy.target] = palette.solid_target
-    return colors[::-1]
+    if palette.inspected is not None:
+        done = _inspected(occupancy)
+        colors[done & occupancy.target] = palette.inspected[0]
+        colors[done & occupancy.target & occupancy.solid] = palette.inspected[1]
+    return colors
+
+
+def _inspected(occupancy: OccupancyMap) -> npt.NDArray[np.bool_]:
+    """(rows, cols) where at least half of the target surface of a column is inspected."""
+    assert occupancy.volume is not None
+    surface, shape = occupancy.volume.surface(), occupancy.shape
+    corner = occupancy.bounds.x_min, occupancy.bounds.y_min
+    at = np.floor((surface.middles[:, :2] - corner) / occupancy.protocol.cell).astype(np.int64)
+    kept = (surface.target > 0.5) & ((at >= 0) & (at < shape[::-1])).all(axis=1)
+    cell, area, sides = at[kept, 1] * shape[1] + at[kept, 0], surface.area[kept], surface.sides[kept]
+    whole, done = (np.bincount(cell, area * weight, shape[0] * shape[1]) for weight in (1.0, sides != 0))
+    return np.asarray(((whole > 0.0) & (done >= 0.5 * whole)).reshape(shape))
 
 
 def _draw_grid(picture: Image.Image, sheet: _Sheet) -> None:
@@ -399,6 +469,20 @@ def _draw_way(picture: Image.Image, sheet: _Sheet, mark: Mark) -> None:
 
     if len(way) > 1:
         _paste(picture, sheet, way, MARK, draw)
+
+
+def _draw_note(picture: Image.Image, sheet: _Sheet, disc: Point, note: str) -> None:
+    """Beside a disc: to the right of it, or to the left where the map ends."""
+    from PIL import ImageDraw, ImageFont
+
+    pen, font = ImageDraw.Draw(picture), ImageFont.load_default(DIGIT)
+    pen.fontmode = "1"
+    column, row = math.floor(disc[0]), math.floor(disc[1])
+    width = math.ceil(pen.textlength(note, font=font))
+    fits = column + DISC + width + 6 <= sheet.left + sheet.width
+    left = column + DISC if fits else column - DISC - width - 6
+    pen.rectangle((left, row - DISC + 1, left + width + 6, row + DISC - 1), fill=PAPER, outline=INK)
+    pen.text((left + 4, row), note, fill=INK, font=font, anchor="lm")
 
 
 def _on_picture(sheet: _Sheet, mark: Mark, pose: SE2 | None) -> Point:

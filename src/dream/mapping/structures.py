@@ -133,6 +133,23 @@ def structures(volume: Volume, surface: Surface | None = None, *, room: float = 
     return sorted(found, key=lambda one: -one.area)
 
 
+def clearance(surface: Surface, position: tuple[float, float, float], radius: float) -> tuple[float, float]:
+    """Metres from a position to the highest surface below it and the lowest above; inf where none is known.
+
+    Args:
+        surface: All that is known.
+        position: x, y and z, metres in the world.
+        radius: Metres around it within which surface lies below or above.
+    """
+    x, y, z = position
+    near = surface.middles[np.hypot(surface.middles[:, 0] - x, surface.middles[:, 1] - y) <= radius, 2]
+    below, above = near[near <= z], near[near > z]
+    return (
+        float(z - below.max()) if len(below) else math.inf,
+        float(above.min() - z) if len(above) else math.inf,
+    )
+
+
 def _grown(mask: BoolArray, radius: float) -> BoolArray:
     """The mask with all columns whose middles lie within a radius of one of its own."""
     from scipy.ndimage import distance_transform_edt

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache, lru_cache
 
 import numpy as np
 from scipy import ndimage
 
 from dream.standin import sight
+from dream.standin.lettering import darkness, first_number, likeness, written
 from dream.standin.marks import OUTER, RADIUS, Disc, read_marks
 from dream.standin.sight import Bool, Floats, UInt8, UnreadableError
 
@@ -31,8 +31,6 @@ LEAST_ARROW = 0.75
 """Overlap of the arrow, and of the sector in view, with what is seen of them."""
 LEAST_COVERED = 0.5
 """The same where ways or discs are drawn over the arrow."""
-FARTHEST = 400
-"""Lines of the grid between the origin and the map, at most."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,30 +58,54 @@ class Chart:
     """(rows, cols): where the vehicle came from."""
     marks: tuple[tuple[int, float, float], ...]
     """Number and world x and y of each place, by number."""
+    discs: tuple[Disc, ...]
+    """The same on the picture of the cells, whose upper left corner is its origin."""
+    ground: UInt8
+    """(H, W, 3) that picture."""
 
     def place(self, x: float, y: float) -> tuple[float, float]:
         """Row and column of a point, as fractions."""
         return (self.north - y) / self.cell, (x - self.west) / self.cell
 
 
-def read_map(picture: UInt8) -> Chart:
+PLANAR = (sight.EXPLORED, sight.TARGET, sight.SOLID, sight.SOLID_TARGET)
+"""What may be seen of cells on a map in the plane, in that order in its legend."""
+INSPECTING = (*PLANAR, sight.INSPECTED, sight.SOLID_INSPECTED)
+"""Likewise on one that says what is inspected."""
+LEVEL = (sight.FREE, sight.SOLID, sight.SOLID_TARGET, sight.SOLID_INSPECTED)
+"""Likewise on a level cut."""
+
+
+def read_map(picture: UInt8, kinds: tuple[int, ...] = PLANAR, name: str = "map") -> Chart:
     """All that the picture of a map shows.
 
     Args:
         picture: (H, W, 3) uint8.
+        kinds: `PLANAR`, `INSPECTING` or `LEVEL`.
+        name: Of the picture, for the error.
 
     Raises:
         UnreadableError: Something that belongs on a map is missing, hidden or of a colour that means nothing.
     """
+    try:
+        return _read_map(picture, kinds)
+    except UnreadableError as error:
+        raise UnreadableError(str(error).replace("[map]", f"[{name}]")) from error
+
+
+def _read_map(picture: UInt8, kinds: tuple[int, ...]) -> Chart:
     if picture.ndim != 3:
         raise UnreadableError("[map]: expected colours, got gray")
     top, left, bottom, right = _frame(picture)
     per_metre, spacing = _scale(picture, top, left, bottom)
-    _check_legend(picture, bottom)
+    _check_legend(picture, bottom, kinds)
     west, north = _corner(picture, (top, left, bottom), per_metre, spacing)
     ground = picture[top:bottom, left:right]
     discs = read_marks(ground, "map")
-    seen, tinted = sight.classes(ground)
+    colors = sight.COLORS if kinds == PLANAR else sight.COLORS_IN_SPACE
+    seen, tinted = sight.classes(ground, colors)
+    # What another kind of picture shows is strange here.
+    seen[(seen < len(colors)) & ~np.isin(seen, (sight.UNKNOWN, *kinds))] = sight.STRANGE
     column, row, yaw, size = _arrow(ground, seen, tinted, discs)
     cells, side = _cells(ground, seen, _arrow_cover(seen.shape, (column, row, yaw, size)), discs)
     trail = sight.is_color(ground, sight.TRAIL)
@@ -100,6 +122,8 @@ def read_map(picture: UInt8) -> Chart:
         yaw=yaw,
         reach=8.0 * size / per_metre,
         trail=passed,
+        discs=discs,
+        ground=ground,
         marks=tuple((d.number, west + d.column / per_metre, north - d.row / per_metre) for d in discs),
     )
 
@@ -134,8 +158,8 @@ def _scale(picture: UInt8, top: int, left: int, bottom: int) -> tuple[float, flo
     bar = int(ends[0]) if len(ends) else 0
     if bar < 10:
         raise UnreadableError("[map]: expected a scale bar below its left corner, got none")
-    strip = _darkness(picture[row - top : row + top, left + 2 + bar : left + 2 + bar + 4 * top])
-    fits = {spacing: _likeness(strip, _written(f"{spacing:g} m", top)) for spacing in SPACINGS}
+    strip = darkness(picture[row - top : row + top, left + 2 + bar : left + 2 + bar + 4 * top])
+    fits = {spacing: likeness(strip, written(f"{spacing:g} m", top)) for spacing in SPACINGS}
     best = max(fits, key=lambda spacing: fits[spacing])
     if fits[best] < 0.8:
         raise UnreadableError(
@@ -144,11 +168,14 @@ def _scale(picture: UInt8, top: int, left: int, bottom: int) -> tuple[float, flo
     return bar / best, best
 
 
-def _check_legend(picture: UInt8, bottom: int) -> None:
+NAMES = ("unknown", "explored", "target", "solid", "both", "inspected", "inspected, solid", "free")
+"""Of what a cell may be, in that order."""
+
+
+def _check_legend(picture: UInt8, bottom: int, kinds: tuple[int, ...]) -> None:
     below = picture[bottom + 2 :]
-    for name, color in zip(
-        ("explored", "target", "solid", "both", "vehicle"), (*sight.COLORS[1:], sight.VEHICLE), strict=True
-    ):
+    shown = [(NAMES[kind], sight.COLORS_IN_SPACE[kind]) for kind in kinds]
+    for name, color in (*shown, ("vehicle", sight.VEHICLE)):
         if np.count_nonzero(sight.is_color(below, color)) < 16:
             raise UnreadableError(f"[map]: expected {name} as {color} in the legend, got no such square")
 
@@ -158,8 +185,8 @@ def _corner(
 ) -> tuple[float, float]:
     """World x of the left edge and y of the upper edge, by the numbers along the border."""
     top, left, bottom = frame
-    below = _darkness(picture[bottom + 2 : bottom + 2 + round(1.3 * top)])
-    beside = _darkness(picture[:, : left - 2])
+    below = darkness(picture[bottom + 2 : bottom + 2 + round(1.3 * top)])
+    beside = darkness(picture[:, : left - 2])
     # In the lower left corner the numbers of both axes touch.
     across = [(a + b) / 2.0 - left for a, b in _groups(below.max(axis=0), 0.6 * top)]
     across = [c for c in across if c > 1.2 * top]
@@ -187,35 +214,11 @@ def _origin(strips: list[Floats], places: list[float], step: float, spacing: flo
     off = [abs(place - places[0] - k * step) for place, k in zip(places, phases, strict=True)]
     if max(off) > 0.35 * letter + 2.0:
         raise UnreadableError(f"[map]: expected numbers every {abs(step):g} pixels, got {places}")
-    first = _first_number(tuple((s.shape, s.tobytes()) for s in strips), tuple(phases), spacing, letter)
+    first = first_number(tuple((s.shape, s.tobytes()) for s in strips), tuple(phases), spacing, letter, "map")
     residue = float(np.median([place - k * step for place, k in zip(places, phases, strict=True)]))
     # A number's middle is a pixel off its line: areas end where a round part of a metre does.
     part = 20.0 if abs(step) > 60.0 * spacing else 10.0
     return round(part * (first - residue / step * spacing)) / part
-
-
-@lru_cache(maxsize=64)
-def _first_number(
-    strips: tuple[tuple[tuple[int, ...], bytes], ...], phases: tuple[int, ...], spacing: float, letter: int
-) -> float:
-    """What the first of some numbers says, judged by all of them."""
-    pictures = [np.frombuffer(data, np.float64).reshape(shape) for shape, data in strips]
-
-    @cache
-    def fit(place: int, multiple: int) -> float:
-        return _likeness(pictures[place], _written(f"{multiple * spacing:g}", letter))
-
-    def joint(first: int) -> float:
-        return float(np.mean([fit(place, first + k) for place, k in enumerate(phases)]))
-
-    lone = sorted(range(-FARTHEST, FARTHEST + 1), key=lambda multiple: -fit(0, multiple))[:12]
-    order = sorted(lone, key=lambda first: -joint(first))
-    if joint(order[0]) < 0.8 or joint(order[0]) - joint(order[1]) < 0.03:
-        raise UnreadableError(
-            f"[map]: expected numbers along the border, got {joint(order[0]):.2f} of {order[0] * spacing:g} "
-            f"and {joint(order[1]):.2f} of {order[1] * spacing:g} at the first"
-        )
-    return order[0] * spacing
 
 
 def _groups(dark: Floats, gap: float) -> list[tuple[int, int]]:
@@ -226,45 +229,6 @@ def _groups(dark: Floats, gap: float) -> list[tuple[int, int]]:
     breaks = np.flatnonzero(np.diff(at) > gap)
     starts, ends = [0, *(breaks + 1)], [*breaks, len(at) - 1]
     return [(int(at[a]), int(at[b]) + 1) for a, b in zip(starts, ends, strict=True)]
-
-
-def _darkness(picture: UInt8) -> Floats:
-    """(H, W), 0 on paper to 1 in ink."""
-    dark: Floats = np.clip((244.0 - picture[..., 0]) / 204.0, 0.0, 1.0)
-    return np.where(dark > 0.05, dark, 0.0)
-
-
-@lru_cache(maxsize=4096)
-def _written(text: str, letter: int) -> Floats:
-    """A text in the letters of the map, cut to its ink."""
-    from PIL import Image, ImageDraw, ImageFont
-
-    picture = Image.new("L", ((len(text) + 2) * letter, 3 * letter), 0)
-    ImageDraw.Draw(picture).text((letter, letter), text, fill=255, font=ImageFont.load_default(letter))
-    return _trimmed(np.asarray(picture) / 255.0)
-
-
-def _trimmed(dark: Floats) -> Floats:
-    rows, columns = (np.flatnonzero((dark > 0.25).any(axis=axis)) for axis in (1, 0))
-    if not len(rows):
-        return np.zeros((1, 1))
-    return dark[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-
-
-def _likeness(strip: Floats, text: Floats) -> float:
-    """From 0 to 1: how much the ink of two pictures has in common, at the best of some shifts."""
-    strip = _trimmed(strip)
-    if abs(strip.shape[0] - text.shape[0]) > 2 or abs(strip.shape[1] - text.shape[1]) > 2:
-        return 0.0
-    shape = max(strip.shape[0], text.shape[0]) + 2, max(strip.shape[1], text.shape[1]) + 2
-    still = np.zeros(shape)
-    still[1 : 1 + strip.shape[0], 1 : 1 + strip.shape[1]] = strip
-    best = 0.0
-    for down in range(shape[0] - text.shape[0] + 1):
-        for across in range(shape[1] - text.shape[1] + 1):
-            part = still[down : down + text.shape[0], across : across + text.shape[1]]
-            best = max(best, 2.0 * float((part * text).sum()) / float((still**2).sum() + (text**2).sum()))
-    return best
 
 
 # -------------------------------------------------------------------------------------------- the vehicle
@@ -293,7 +257,7 @@ def _arrow(
         for m, most in zip(middle, blue.shape, strict=True)
     )
     hidden = hidden[down, across]
-    known = seen[down, across] < len(sight.COLORS)
+    known = seen[down, across] < sight.OVERLAY
     fit = _fit(
         core[down, across] & ~hidden,
         hidden,
@@ -427,14 +391,14 @@ def _arrow_cover(shape: tuple[int, ...], at: tuple[float, float, float, float]) 
 
 def _cells(ground: UInt8, seen: UInt8, cover: Bool, discs: tuple[Disc, ...]) -> tuple[UInt8, int]:
     """What each cell is, (rows, cols), and pixels along a cell."""
-    known = (seen < len(sight.COLORS)) & ~cover
+    known = (seen < sight.OVERLAY) & ~cover
     # What is drawn over the cells blends with them at its edges into colours of any kind.
     side = _side(seen, known & ~ndimage.maximum_filter((seen >= sight.OVERLAY) | cover, 3))
     rows, cols = seen.shape[0] // side, seen.shape[1] // side
     votes = np.stack(
         [
             (known & (seen == k)).reshape(rows, side, cols, side).sum(axis=(1, 3), dtype=np.int16)
-            for k in range(len(sight.COLORS))
+            for k in range(len(sight.COLORS_IN_SPACE))
         ]
     )
     cells = votes.argmax(axis=0).astype(np.uint8)

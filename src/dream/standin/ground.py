@@ -22,6 +22,9 @@ GROUP = 0.1875
 LAUNCH = 0.4
 """Around the start, ground that is white is known to be free; in reaches of the camera."""
 
+CRUMB = 4
+"""Cells of target that are taken for one, at least."""
+
 Ints = npt.NDArray[np.int64]
 
 
@@ -75,19 +78,11 @@ class Ground:
 
 def understand(chart: Chart) -> Ground:
     """What follows from a map."""
-    cells, cell, launch = chart.cells, chart.cell, LAUNCH * chart.reach
+    cells, cell = chart.cells, chart.cell
     white = cells == sight.UNKNOWN
     black = (cells == sight.SOLID) | (cells == sight.SOLID_TARGET)
     green = (cells == sight.TARGET) | (cells == sight.SOLID_TARGET)
-    start = chart.trail & white
-    if start.any():
-        free_white = white & (ndimage.distance_transform_edt(~start) * cell < launch)
-    else:
-        free_white = np.zeros_like(white)
-    row, col = (math.floor(v) for v in chart.place(chart.x, chart.y))
-    rows, cols = np.ogrid[: cells.shape[0], : cells.shape[1]]
-    close = np.hypot(rows - row, cols - col) * cell
-    free_white |= white & (close < launch) & (not (chart.trail & ~white).any())
+    free_white = _launch(chart, white)
     free = np.pad((~white | free_white) & ~black, 1)
     room = ndimage.distance_transform_edt(free)[1:-1, 1:-1] * cell
     away = ndimage.distance_transform_edt(~black) * cell if black.any() else np.full(cells.shape, np.inf)
@@ -104,6 +99,54 @@ def understand(chart: Chart) -> Ground:
         room=room,
         away=away,
     )
+
+
+def understand_in_space(chart: Chart, level: Chart | None) -> Ground:
+    """What follows from a map that says what is inspected, and from a level cut at the vehicle's height.
+
+    Without a cut, what is solid on the map is.
+    """
+    cells, cell = chart.cells, chart.cell
+    white = cells == sight.UNKNOWN
+    if level is None:
+        black = np.isin(cells, (sight.SOLID, sight.SOLID_TARGET, sight.SOLID_INSPECTED))
+        free = ~white & ~black
+    else:
+        free = level.cells == sight.FREE
+        black = ~free & (level.cells != sight.UNKNOWN)
+    green = (cells == sight.TARGET) | (cells == sight.SOLID_TARGET)
+    inspected = (cells == sight.INSPECTED) | (cells == sight.SOLID_INSPECTED)
+    # Crumbs are what the sensor takes for a target now and then.
+    parts, count = ndimage.label(green, np.ones((3, 3)))
+    large = np.bincount(parts.ravel(), minlength=count + 1) >= CRUMB
+    large[0] = False
+    beside = white & ndimage.binary_dilation(large[parts] | inspected, np.ones((3, 3), np.bool_))
+    places = ndimage.distance_transform_edt(np.pad(white, 1))[1:-1, 1:-1] * cell > GROUP * chart.reach
+    return Ground(
+        chart=chart,
+        green=green,
+        black=black,
+        white=white,
+        open=beside | large[parts],
+        hiding=places & ~_launch(chart, white),
+        room=ndimage.distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * cell,
+        away=ndimage.distance_transform_edt(~black) * cell if black.any() else np.full(cells.shape, np.inf),
+    )
+
+
+def _launch(chart: Chart, white: Bool) -> Bool:
+    """(rows, cols) white that is known to be free, around the start."""
+    cell, launch = chart.cell, LAUNCH * chart.reach
+    start = chart.trail & white
+    if start.any():
+        free_white = white & (ndimage.distance_transform_edt(~start) * cell < launch)
+    else:
+        free_white = np.zeros_like(white)
+    row, col = (math.floor(v) for v in chart.place(chart.x, chart.y))
+    rows, cols = np.ogrid[: white.shape[0], : white.shape[1]]
+    close = np.hypot(rows - row, cols - col) * cell
+    free_white |= white & (close < launch) & (not (chart.trail & ~white).any())
+    return np.asarray(free_white)
 
 
 def sees(ground: Ground, places: Floats, points: Floats, *, nearest: float, farthest: float) -> Bool:

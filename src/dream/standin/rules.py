@@ -11,12 +11,14 @@ import numpy as np
 from scipy import ndimage
 
 from dream.names import look_up
-from dream.standin import eyes, reading, sight, views
+from dream.standin import eyes, offered, reading, sight, views
 from dream.standin.chat import Asked, Json, asked
+from dream.standin.climbing import climb_and_tilt, in_space_too
 from dream.standin.eyes import Chart
-from dream.standin.ground import Ground, Ints, sees, understand
+from dream.standin.ground import Ground, Ints, sees, understand, understand_in_space
 from dream.standin.marks import read_marks
 from dream.standin.sight import Bool, Floats, UnreadableError
+from dream.standin.upright import Upright
 from dream.standin.views import CameraView
 from dream.standin.way import UNREACHED, Moves, Ways, ways
 
@@ -44,6 +46,8 @@ class Scene:
     ground: Ground
     view: CameraView | None
     """None where the pictures of the camera were not sent."""
+    upright: Upright | None = None
+    """None where the vehicle keeps its height."""
 
 
 def answer(request: Json) -> Json:
@@ -63,18 +67,26 @@ def answer(request: Json) -> Json:
 def see(question: Asked) -> Scene:
     """What the pictures of a question show, checked against each other and against the text."""
     picture, *_ = views.needed(question.pictures, "map")
-    chart = eyes.read_map(picture)
+    climbs = "climb_m" in question.schema.get("properties", {})
+    in_space = climbs or offered.OF_SPACE in question.text
+    chart = eyes.read_map(picture, eyes.INSPECTING if in_space else eyes.PLANAR)
     _check_text(question, chart)
     view = None
     if {"depth", "labels"} & set(question.pictures):
-        view = views.read_views(*views.needed(question.pictures, "camera", "depth", "labels"))
-        green = (chart.cells == sight.TARGET) | (chart.cells == sight.SOLID_TARGET)
+        shown = views.needed(question.pictures, "camera", "depth", "labels")
+        view = views.read_views(*shown, in_space=in_space)
+        green = np.isin(
+            chart.cells, (sight.TARGET, sight.SOLID_TARGET, sight.INSPECTED, sight.SOLID_INSPECTED)
+        )
         if view.near_target > 0.02 and not green.any():
             raise UnreadableError(
                 f"[labels], [map]: expected what is near and green on both, "
                 f"got {100.0 * view.near_target:.0f} % of the labels and nothing of the map"
             )
-    return Scene(chart, understand(chart), view)
+    if not in_space:
+        return Scene(chart, understand(chart), view)
+    level, upright = in_space_too(question, chart) if climbs else (None, None)
+    return Scene(chart, understand_in_space(chart, level), view, upright)
 
 
 def _check_text(question: Asked, chart: Chart) -> None:
@@ -142,9 +154,18 @@ def _act(question: Asked) -> tuple[Json, Scene, Floats | None]:
     refused = "Done was said" in question.text
     goal = _best_view(ground, found, np.argwhere(ground.open), np.argwhere(ground.hiding), refused=refused)
     if goal is None:
-        return {"direction": "forward", "turn_deg": 0, "step_m": 0, "done": True}, scene, None
+        stay = {"direction": "forward", "turn_deg": 0, "step_m": 0, "done": True}
+        return stay | _upwards(question, scene, 0, 0.0), scene, None
     turn, advance = found.first(goal)
-    return as_fields(moves, turn, advance), scene, np.array([found.x[goal[2]], found.y[goal[1]]])
+    move = as_fields(moves, turn, advance) | _upwards(question, scene, turn, advance)
+    return move, scene, np.array([found.x[goal[2]], found.y[goal[1]]])
+
+
+def _upwards(question: Asked, scene: Scene, turn: int, advance: float) -> Json:
+    """The climb and the tilt of a move; nothing where the vehicle keeps its height."""
+    if scene.upright is None:
+        return {}
+    return climb_and_tilt(question, scene.upright, ahead=advance if turn == 0 else None if advance else 0.0)
 
 
 def _thinned(cells: Ints, most: int) -> Ints:
@@ -241,6 +262,9 @@ def ranked_places(question: Asked) -> Json:
         raise UnreadableError(f"[map]: expected the marks {wanted}, which the schema names, got {numbers}")
     if "camera" in question.pictures:
         _check_camera_marks(question, wanted)
+    if offered.OF_SPACE in question.text:
+        values = offered.worth_in_space(question, chart)
+        return _ranking(scene, values, sorted(values, key=lambda number: (-values[number], number)))
     radius = AROUND_MARK * chart.reach
     values = {
         number: _Value(
@@ -251,7 +275,19 @@ def ranked_places(question: Asked) -> Json:
         for number, x, y in chart.marks
     }
     ranking = sorted(values, key=lambda number: (not values[number].open, -values[number].worth, number))
-    lead = values[ranking[0]].worth - values[ranking[1]].worth if len(ranking) > 1 else 1.0
+    return _ranking(scene, {number: value.worth for number, value in values.items()}, ranking)
+
+
+def _ranking(scene: Scene, worth: Mapping[int, float], ranking: list[int]) -> Json:
+    """The fields of a reply.
+
+    Args:
+        scene: What was seen.
+        worth: Of each place by its number; higher is better.
+        ranking: The numbers in order.
+    """
+    chart, ground = scene.chart, scene.ground
+    lead = worth[ranking[0]] - worth[ranking[1]] if len(ranking) > 1 else 1.0
     _, x, y = next(mark for mark in chart.marks if mark[0] == ranking[0])
     words = f"I would visit them in the order {', '.join(map(str, ranking))}."
     return {
@@ -305,7 +341,10 @@ def _in_words(move: Json) -> str:
         if move["turn_deg"] == 0
         else f"Turn {move['turn_deg']} degrees {move['direction']}"
     )
-    return f"{turn}, then go {move['step_m']} m forward." if move["step_m"] else f"{turn}."
+    words = f"{turn}, then go {move['step_m']} m forward." if move["step_m"] else f"{turn}."
+    if "climb_m" in move:
+        words = f"{words[:-1]}, {move['climb_m']} m up, the camera {move['tilt_deg']} degrees down."
+    return words
 
 
 def _figure(metres: float) -> str:

@@ -18,6 +18,10 @@ UNKNOWN, EXPLORED, TARGET, SOLID, SOLID_TARGET = range(5)
 """What a cell of the map may be."""
 COLORS: tuple[Color, ...] = ((255, 255, 255), (127, 127, 127), (0, 200, 0), (0, 0, 0), (0, 95, 0))
 """Of what a cell may be, in that order."""
+INSPECTED, SOLID_INSPECTED, FREE = 5, 6, 7
+"""What a cell may be besides, in a picture of three dimensions."""
+COLORS_IN_SPACE: tuple[Color, ...] = (*COLORS, (150, 90, 230), (80, 30, 140), (190, 215, 240))
+"""Of all of those."""
 TRAVERSED: Color = (0, 165, 110)
 """Of a target that was traversed, where that is asked for: a target like any other."""
 VEHICLE: Color = (0, 70, 255)
@@ -70,15 +74,19 @@ def is_color(picture: UInt8, color: Color) -> Bool:
     return same
 
 
-def classes(picture: UInt8) -> tuple[UInt8, Bool]:
+def classes(picture: UInt8, colors: tuple[Color, ...] = COLORS) -> tuple[UInt8, Bool]:
     """What the cell under each pixel is, under thin lines too, and whether it is tinted as what is in view.
+
+    Args:
+        picture: (H, W, 3) uint8.
+        colors: That cells may have.
 
     Returns:
         (H, W) what it is, `OVERLAY` or `STRANGE`; and (H, W), true in view.
     """
     codes: npt.NDArray[Any] = picture.astype(np.uint32)
-    found = _table()[codes[..., 0] << 16 | codes[..., 1] << 8 | codes[..., 2]]
-    tinted = (found >= _TINTED) & (found < _TINTED + len(COLORS))
+    found = _table(colors)[codes[..., 0] << 16 | codes[..., 1] << 8 | codes[..., 2]]
+    tinted = (found >= _TINTED) & (found < _TINTED + len(colors))
     return np.where(tinted, found - _TINTED, found), tinted
 
 
@@ -87,8 +95,8 @@ def _blend(below: Color, above: Color, opacity: int) -> Color:
     return mixed[0], mixed[1], mixed[2]
 
 
-@lru_cache(maxsize=1)
-def _table() -> UInt8:
+@lru_cache(maxsize=2)
+def _table(colors: tuple[Color, ...]) -> UInt8:
     """(2^24,): the class of every colour."""
     table = np.full((256, 256, 256), STRANGE, np.uint8)
 
@@ -98,7 +106,7 @@ def _table() -> UInt8:
     for color in (VEHICLE, TRAIL, MARK, INK):
         enter(color, OVERLAY)
         enter(_blend(color, VEHICLE, VIEW_OPACITY), OVERLAY)
-    for meaning, color in (*enumerate(COLORS), (TARGET, TRAVERSED)):
+    for meaning, color in (*enumerate(colors), (TARGET, TRAVERSED)):
         lined = _blend(color, GRID_LINE, LINE_OPACITY)
         for plain in (color, lined):
             enter(plain, meaning)

@@ -28,13 +28,14 @@ class CameraView:
     """Part of the picture that is target and within 5 m of the camera, 0 to 1."""
 
 
-def read_views(camera: UInt8, depth: UInt8, labels: UInt8) -> CameraView:
+def read_views(camera: UInt8, depth: UInt8, labels: UInt8, *, in_space: bool = False) -> CameraView:
     """What three pictures of one view show.
 
     Args:
         camera: (H, W, 3) uint8, in colour.
         depth: (H, W) uint8, white at the camera.
         labels: (H, W, 3) uint8, in the colours of the legend.
+        in_space: Targets may stand up, so that one above is nearer than the ground.
 
     Raises:
         UnreadableError: One of them is not what its name says, or they do not show the same.
@@ -68,7 +69,7 @@ def read_views(camera: UInt8, depth: UInt8, labels: UInt8) -> CameraView:
             f"got {tuple(int(v) for v in labels[row, column])} at pixel ({column}, {row})"
         )
     rows = len(depth)
-    ground = gray | green
+    ground = gray if in_space else gray | green
     if ground[-rows // 4 :].any() and ground[: rows * 3 // 4].any():
         bottom = depth[-rows // 4 :][ground[-rows // 4 :]].mean()
         above = depth[: rows * 3 // 4][ground[: rows * 3 // 4]].mean()

@@ -12,7 +12,7 @@ from dream.mapping import OccupancyMap
 from dream.planning import Dream
 from dream.planning.vlm import prompts
 from dream.planning.vlm.reply import STEPS
-from dream.protocol import DREAM_V1, POOL_V1
+from dream.protocol import DREAM_V1, DREAM_V2_DRAFT, POOL_V1
 from dream.types import Mission, Target
 
 FILES = sorted(
@@ -69,6 +69,24 @@ def test_what_is_said_of_the_robot_is_what_the_protocol_says() -> None:
         assert "5 m apart" in text
 
 
+@pytest.mark.parametrize("name", ["vanilla", "dream"])
+def test_in_space_every_climb_and_tilt_is_named_and_what_counts_is_said(name: str) -> None:
+    text, label = filled(name, Mission(DREAM_V2_DRAFT, ARENA, 200))
+    assert "$" not in text
+    assert label.endswith(", space 1, steering 1")
+    assert "one of -1, -0.5, 0, 0.5, 1:" in text
+    assert "one of -25, 20, 45:" in text
+    for said in ("[level]", "[slice]", "no more than 70 degrees", "at least 0.8 m above", "0.5 m under"):
+        assert said in text
+
+
+@pytest.mark.parametrize("name", ["vanilla", "dream", "ranked"])
+def test_in_the_plane_nothing_is_said_of_heights(name: str) -> None:
+    text, label = filled(name, Mission(DREAM_V1, ARENA, 200))
+    assert not any(word in text for word in ("climb", "tilt", "[slice]", "violet"))
+    assert "space" not in label
+
+
 def test_every_prompt_names_the_places_that_are_filled_in() -> None:
     assert set(FILES) == set(prompts.PLACES)
 
@@ -81,7 +99,8 @@ def test_every_place_that_may_be_named_is_filled_in(name: str, tmp_path: Path) -
     if name == "orders":
         return  # `tests/test_mission_words.py` asks with all of its places.
     asked = name if "mission" in prompts.PLACES[name] else "dream"
-    text, label = filled(asked, Mission(POOL_V1, ARENA, 200, Target.OYSTERS), str(tmp_path))
+    protocol = DREAM_V2_DRAFT if name in ("space", "steering") else POOL_V1
+    text, label = filled(asked, Mission(protocol, ARENA, 200, Target.OYSTERS), str(tmp_path))
     assert "$" not in text
     assert re.search(rf"{name} 1 \(own, [0-9a-f]{{8}}\)", label)
 

@@ -17,7 +17,7 @@ from dream.evaluation.runner import simulate
 from dream.geometry import Bounds
 from dream.mapping import OccupancyMap
 from dream.planning import Belief
-from dream.planning.vlm import Ranked, ranked, ranking_question
+from dream.planning.vlm import Ranked, offline, ranking_question
 from dream.planning.vlm.places import Place, places
 from dream.planning.vlm.ranked import RankedPilot
 from dream.protocol import DREAM_V1
@@ -133,7 +133,7 @@ def own_place(question: str) -> int:
 def test_one_place_is_no_choice_and_two_are_one(
     count: int, string_reef: World, monkeypatch: pytest.MonkeyPatch, *, asked: bool
 ) -> None:
-    monkeypatch.setattr(ranked, "places", lambda *known: places(*known)[:count])
+    monkeypatch.setattr(offline, "places", lambda *known: places(*known)[:count])
     assert bool(fly(ranking(), string_reef, 1).asked) == asked
 
 

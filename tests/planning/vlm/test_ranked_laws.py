@@ -22,7 +22,7 @@ from dream.planning.belief import BeliefPilot, Thought
 from dream.planning.lookahead import Plan, Prospect
 from dream.planning.sources import Expected, Situation
 from dream.planning.viewpoints import Viewpoints
-from dream.planning.vlm import Ranked, ranked
+from dream.planning.vlm import Ranked, offline
 from dream.planning.vlm.asking import Question
 from dream.planning.vlm.places import APART, Place, places
 from dream.planning.vlm.ranking_question import ranking_question
@@ -133,7 +133,7 @@ def questions(string_reef: World) -> list[list[Sent]]:
             listed.append(places(*args))
             return listed[-1]
 
-        patch.setattr(ranked, "places", listening)
+        patch.setattr(offline, "places", listening)
         for world, steps, votes in ((string_reef, 8, 1), (WRECK, 5, 3)):
             asking = Ranked(**server.options, votes=votes, **often)  # type: ignore[arg-type]
             flight = Listening(asking, server, listed)

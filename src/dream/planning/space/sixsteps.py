@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from dream.mapping.structures import structures
+from dream.mapping.structures import clearance, structures
 from dream.planning.space import words
 from dream.planning.space.looks import edges, gains, shown
 from dream.planning.space.ways import KnownWays, ways_in
@@ -31,6 +31,10 @@ MANY = 400
 """Places looked from at once, the soonest reached first."""
 POINTS = 500
 """Of each kind of what is left so many are looked up at most, each for its neighbours too."""
+NEAR = 6
+"""Steps within which others than the chosen look are looked for."""
+LEAST_RATE = 1e-6
+"""A look that shows less a step shows nothing."""
 TARGET, EDGE, GROUND = 0, 1, 2
 """Kinds of what is left: target not inspected, unknown beside it, ground from which nothing returned."""
 
@@ -70,6 +74,27 @@ class View:
     steps: int
     rate: float
     """Weight that it shows for each step there."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpaceThought:
+    """What the pilot holds of the situation, and the look that it would take."""
+
+    observation: Observation
+    ways: KnownWays
+    surface: Surface
+    left: ToInspect
+    """All that is left."""
+    thin: ToInspect
+    """Some of it, for all."""
+    thin_weights: FloatArray
+    """(n,) what it is worth to look at each of `thin`."""
+    steps: IntArray
+    """(levels, rows, cols, headings) to get there; −1 where no way leads."""
+    reasoning: Reasoning
+    """The first three steps."""
+    view: View | None
+    """The look; None where the mission should end."""
 
 
 class Weighs(Protocol):
@@ -113,6 +138,11 @@ class SpacePilot:
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         """The first move of the way to the look that shows most for its steps; done when none shows any."""
+        thought = self.consider(observation, occupancy)
+        return self.act(thought, thought.view)
+
+    def consider(self, observation: Observation, occupancy: OccupancyMap) -> SpaceThought:
+        """Take in what is new, and choose the look that shows most for its steps."""
         assert occupancy.volume is not None
         volume, protocol = occupancy.volume, self.mission.protocol
         ways, surface, known = (
@@ -120,7 +150,7 @@ class SpacePilot:
             volume.surface(),
             structures(volume),
         )
-        here = (observation.pose.x, observation.pose.y, observation.z)
+        here = _place(observation)
         left = self._left(ways, volume, surface, observation)
         # 1 Distribution: what is known of targets, and how high they stand.
         is_target = surface.target > 0.5
@@ -143,26 +173,73 @@ class SpacePilot:
         # 4 Next target: the look that shows most of it for each step.
         weights = self._weights(left, surface) * np.where(part, self.planner.focus, 1.0)
         thin, thin_weights = _thinned(left, weights)
-        view = self._best(ways, ways.steps(observation.pose, observation.z), thin, thin_weights, observation)
-        self.chosen = view
+        steps = ways.steps(observation.pose, observation.z)
+        self.chosen = self._best(ways, steps, thin, thin_weights, observation)
+        return SpaceThought(
+            observation, ways, surface, left, thin, thin_weights, steps, reasoning, self.chosen
+        )
+
+    def act(self, thought: SpaceThought, view: View | None) -> Decision:
+        """The first move of the way to a look; done without one."""
+        protocol, ways, observation = self.mission.protocol, thought.ways, thought.observation
         if view is None:
-            end = replace(reasoning, action="Nothing is left that any known way leads to a look at: done.")
-            return Decision(done=True, reasoning=end)
+            why = "Nothing is left that any known way leads to a look at: done."
+            return Decision(done=True, reasoning=replace(thought.reasoning, action=why))
         # 5 Safety is in the ways, whose moves the guard lets pass. 6 Action: the first of them.
         move = self._move(ways, view, observation)
         yaw, tilt = view.heading * protocol.heading_step, protocol.tilts[view.tilt]
         at = tuple(ways.positions[view.node].tolist())
-        seen = shown(ways, at, yaw, tilt, left.points, left.normals)
-        target, ground = left.only(seen).of(TARGET), left.only(seen).of(GROUND)
+        target, _, ground = self.shows(thought, view)
         return replace(
             move,
             reasoning=replace(
-                reasoning,
+                thought.reasoning,
                 next_target=words.next_target(at, yaw, tilt, view.steps, target, ground),
-                safety=words.safety(*self._room(surface, move, observation)),
+                safety=words.safety(*self._room(thought.surface, move, observation)),
                 action=words.action(move.turn, move.advance, move.climb, move.tilt),
             ),
         )
+
+    def shows(self, thought: SpaceThought, view: View) -> tuple[float, float, float]:
+        """Square metres of target, of unknown beside it, and of ground that are left and a look shows."""
+        protocol, left = self.mission.protocol, thought.left
+        yaw, tilt = view.heading * protocol.heading_step, protocol.tilts[view.tilt]
+        at = tuple(thought.ways.positions[view.node].tolist())
+        seen = left.only(shown(thought.ways, at, yaw, tilt, left.points, left.normals))
+        return seen.of(TARGET), seen.of(EDGE), seen.of(GROUND)
+
+    def views(self, thought: SpaceThought, most: int, apart: float) -> list[View]:
+        """The looks with the greatest rates from places that are apart, the chosen one first.
+
+        Args:
+            thought: Of this moment.
+            most: How many.
+            apart: Metres between any two at least.
+        """
+        own = thought.view
+        if own is None:
+            return []
+        ways, found = thought.ways, [own]
+        soonest = _soonest(thought.steps)
+        nodes = _spread(ways, np.where(soonest <= NEAR, soonest, -1))
+        nodes = nodes[:: max(1, math.ceil(len(nodes) / MANY))]
+        worth = self._rated(ways, nodes, thought.thin, thought.thin_weights)
+        rates, taken = self._rates(nodes, worth, thought.steps, thought.observation)
+        rated = []
+        for n, of_node in enumerate(rates):
+            heading, tilt = (int(k) for k in np.unravel_index(int(of_node.argmax()), of_node.shape))
+            if of_node[heading, tilt] > LEAST_RATE:
+                level, row, col = nodes[n].tolist()
+                there, rate = int(taken[n, heading, tilt]), float(of_node[heading, tilt])
+                rated.append(View((level, row, col), heading, tilt, there, rate))
+        positions = ways.positions
+        for one in sorted(rated, key=lambda view: -round(view.rate, 6)):
+            if len(found) == most:
+                break
+            at = positions[one.node]
+            if all(np.linalg.norm(positions[other.node] - at) > apart for other in found):
+                found.append(one)
+        return found
 
     # ------------------------------------------------------------------------------------------------------
 
@@ -227,8 +304,7 @@ class SpacePilot:
         self, ways: KnownWays, steps: IntArray, left: ToInspect, weights: FloatArray, observation: Observation
     ) -> View | None:
         """The look with the greatest rate; the one chosen before where it is nearly as good."""
-        soonest = np.where(steps >= 0, steps, np.iinfo(np.int32).max).min(axis=-1)
-        soonest[soonest == np.iinfo(np.int32).max] = -1
+        soonest = _soonest(steps)
         nodes = _spread(ways, soonest)
         best, most = None, 0.0
         for begin in range(0, len(nodes), MANY):
@@ -266,19 +342,25 @@ class SpacePilot:
     def _better(
         self, best: View | None, nodes: IntArray, worth: FloatArray, steps: IntArray, observation: Observation
     ) -> View | None:
+        rates, taken = self._rates(nodes, worth, steps, observation)
+        n, heading, tilt = np.unravel_index(int(rates.argmax()), rates.shape)
+        rate = float(rates[n, heading, tilt])
+        if rate <= LEAST_RATE or (best is not None and rate <= best.rate):
+            return best
+        level, row, col = nodes[n].tolist()
+        return View((level, row, col), int(heading), int(tilt), int(taken[n, heading, tilt]), rate)
+
+    def _rates(
+        self, nodes: IntArray, worth: FloatArray, steps: IntArray, observation: Observation
+    ) -> tuple[FloatArray, FloatArray]:
+        """(n, headings, tilts) what looks are worth for each step there, and these steps."""
         there = steps[tuple(nodes.T)].astype(np.float64)
         there[there < 0] = np.inf
         # To tilt the camera where it is takes a step; to look again as it looks shows nothing.
         tilts = np.array(self.mission.protocol.tilts)
         same = np.abs(tilts - observation.tilt) < 1e-3
         taken = np.where(there[:, :, None] == 0.0, np.where(same, np.inf, 1.0), there[:, :, None])
-        rates = np.round(worth / taken, 9)
-        n, heading, tilt = np.unravel_index(int(rates.argmax()), rates.shape)
-        rate = float(rates[n, heading, tilt])
-        if rate <= 1e-6 or (best is not None and rate <= best.rate):
-            return best
-        level, row, col = nodes[n].tolist()
-        return View((level, row, col), int(heading), int(tilt), int(taken[n, heading, tilt]), rate)
+        return np.round(worth / taken, 9), taken
 
     def _move(self, ways: KnownWays, view: View, observation: Observation) -> Decision:
         protocol = self.mission.protocol
@@ -297,17 +379,7 @@ class SpacePilot:
             observation.pose.y + move.advance * math.sin(yaw),
         )
         z = observation.z + move.climb
-        near = surface.middles[
-            np.hypot(surface.middles[:, 0] - x, surface.middles[:, 1] - y)
-            <= self.mission.protocol.body_radius,
-            2,
-        ]
-        below, above = near[near <= z], near[near > z]
-        return (
-            float(z - below.max()) if len(below) else math.inf,
-            float(above.min() - z) if len(above) else math.inf,
-            -z,
-        )
+        return *clearance(surface, (x, y, z), self.mission.protocol.body_radius), -z
 
 
 def nearest_part(left: ToInspect, here: tuple[float, float, float]) -> npt.NDArray[np.bool_]:
@@ -341,6 +413,14 @@ def _ground(surface: Surface, places: FloatArray, otherwise: float) -> FloatArra
     np.minimum.at(lowest, column_of.ravel(), surface.middles[:, 2])
     _, nearest = cKDTree((columns + 0.5) * COLUMN).query(places)
     return np.asarray(lowest[nearest])
+
+
+def _soonest(steps: IntArray) -> IntArray:
+    """(levels, rows, cols) steps with whatever heading; −1 where no way leads."""
+    never = np.iinfo(np.int32).max
+    soonest = np.where(steps >= 0, steps, never).min(axis=-1)
+    soonest[soonest == never] = -1
+    return np.asarray(soonest)
 
 
 def _spread(ways: KnownWays, soonest: IntArray) -> IntArray:

@@ -1,4 +1,4 @@
-"""What a model is shown: the camera's three pictures and the map, as PNG files."""
+"""What a model is shown: the camera's three pictures, the map and cuts through the volume, as PNG files."""
 
 from __future__ import annotations
 
@@ -27,6 +27,10 @@ FAR = 12.0
 """Metres that are black in the picture of the depth."""
 HIDDEN = 1.0
 """Metres by which a return must be nearer than a place to hide it: the seabed is not quite level."""
+BEHIND, AHEAD = 5.0, 12.0
+"""Metres behind the vehicle and ahead of it that the upright cut shows."""
+PER_METRE = 32
+"""Its pixels."""
 WATER: Color = (60, 110, 190)
 
 
@@ -55,26 +59,59 @@ def camera_picture(observation: Observation) -> Image.Image:
 def map_picture(
     occupancy: OccupancyMap, pose: SE2, trail: npt.ArrayLike, marks: Sequence[Mark] = ()
 ) -> Image.Image:
-    """The map as it is known."""
-    from dream.mapping.drawing import draw_map
+    """The map as it is known; with a volume it says what is inspected."""
+    from dream.mapping.drawing import FOR_MODELS, FOR_MODELS_IN_SPACE, draw_map
 
-    return draw_map(occupancy, pose, trail, marks, scale=scale_of(occupancy))
+    palette = FOR_MODELS if occupancy.volume is None else FOR_MODELS_IN_SPACE
+    return draw_map(occupancy, pose, trail, marks, scale=scale_of(occupancy), palette=palette)
 
 
-def mark_in_view(picture: Image.Image, observation: Observation, mark: Mark, altitude: float) -> None:
+def cuts(occupancy: OccupancyMap, observation: Observation, trail: npt.ArrayLike) -> dict[str, bytes]:
+    """What is known of the water at the height of the vehicle, and upright straight ahead of it.
+
+    Args:
+        occupancy: With a volume.
+        observation: Made where the vehicle is.
+        trail: (N, 2) where it was, metres in the world.
+    """
+    from dream.mapping.space_drawing import FOR_MODELS, Beholder, draw_level, draw_slice
+
+    assert occupancy.volume is not None
+    pose, protocol = observation.pose, occupancy.protocol
+    ahead = np.array([math.cos(pose.yaw), math.sin(pose.yaw)])
+    back, front = (np.array([pose.x, pose.y]) + along * ahead for along in (-BEHIND, AHEAD))
+    vehicle = Beholder(
+        (pose.x, pose.y, observation.z),
+        protocol.body_radius,
+        protocol.body_height,
+        observation.tilt,
+        math.atan(0.5 * protocol.camera.height / protocol.camera.fy),
+        protocol.reach,
+    )
+    level = draw_level(occupancy, pose, observation.z, trail, scale=scale_of(occupancy))
+    upright = draw_slice(
+        occupancy.volume,
+        (float(back[0]), float(back[1])),
+        (float(front[0]), float(front[1])),
+        vehicle=vehicle,
+        scale=PER_METRE,
+        colors=FOR_MODELS,
+    )
+    return {"level": png(level), "slice": png(upright)}
+
+
+def mark_in_view(picture: Image.Image, observation: Observation, number: int, place: npt.ArrayLike) -> None:
     """Draw a mark's number where its place is in the camera's picture, if it can be seen there.
 
     Args:
         picture: Of that observation, of any size; changed.
         observation: What the camera saw.
-        mark: Its place is marked on the ground below.
-        altitude: Metres of the vehicle above that ground.
+        number: Of the mark.
+        place: (3,) metres in the world.
     """
     from dream.mapping.drawing import DISC, draw_disc
 
-    x, y = mark.path[-1]
-    ground = np.array([x, y, observation.T_world_base.translation[2] - altitude])
-    point = observation.T_world_camera.inverse @ ground
+    point = observation.T_world_camera.inverse @ np.asarray(place, np.float64)
     if point[2] <= 0.0:
         return
     camera = observation.camera
@@ -87,7 +124,7 @@ def mark_in_view(picture: Image.Image, observation: Observation, mark: Mark, alt
     scale, edge = picture.width / camera.width, DISC + 1
     column = min(max(scale * u, edge), picture.width - edge)
     row = min(max(scale * v, edge), picture.height - edge)
-    draw_disc(picture, (float(column), float(row)), mark.number)
+    draw_disc(picture, (float(column), float(row)), number)
 
 
 def png(picture: Image.Image) -> bytes:

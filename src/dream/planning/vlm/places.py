@@ -1,9 +1,13 @@
-"""Places to go next: the offline planner's own, and what else it could do."""
+"""Places to go next: the offline planner's own, and what else it could do.
+
+In the plane they are found here; what one in space must say of itself stands here, too.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -47,6 +51,46 @@ class Place:
     def steps(self) -> int:
         """To get there."""
         return len(self.plan.path) - 1
+
+
+class SpacePlace(Protocol):
+    """Somewhere to look from next."""
+
+    @property
+    def position(self) -> tuple[float, float, float]:
+        """x, y and z, metres in the world."""
+        ...
+
+    @property
+    def yaw(self) -> float:
+        """Radians, where the vehicle heads there."""
+        ...
+
+    @property
+    def tilt(self) -> float:
+        """Pitch of the camera there, radians, positive downwards."""
+        ...
+
+    @property
+    def steps(self) -> int:
+        """To get there."""
+        ...
+
+    @property
+    def loss(self) -> float:
+        """Steps that going there first is expected to cost, against the planner's own choice."""
+        ...
+
+    @property
+    def shows(self) -> Mapping[str, float]:
+        """Square metres that the look is expected to show: `target` that is left to inspect, `unknown` water
+        beside target, `ground` from which nothing returned."""
+        ...
+
+    @property
+    def path(self) -> npt.NDArray[np.float64]:
+        """(N, 3) metres in the world, where the vehicle is first."""
+        ...
 
 
 def places(pilot: BeliefPilot, thought: Thought) -> list[Place]:

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 
 from dream.geometry import SE2
 from dream.planning.travel import careful_standoff
-from dream.planning.vlm.pictures import FAR, bearing, scale_of
+from dream.planning.vlm.pictures import AHEAD, BEHIND, FAR, bearing, scale_of
+from dream.protocol import SurveyProtocol
 from dream.types import Mission
 
 if TYPE_CHECKING:
@@ -31,12 +32,16 @@ PLACES: Mapping[str, tuple[str, ...]] = {
     "probe": OF_A_MISSION,
     "legend": ("grid", "pixels", "far"),
     "traversal": ("traversal",),
+    "space": ("reach", "incidence", "lowest", "surface"),
+    "steering": ("climbs", "tilts", "behind", "ahead", "body", "reach"),
     "oysters": (),
     "wreck": (),
     "any": (),
     "orders": ("x_min", "y_min", "x_max", "y_max", "labelled", "cap", "advance", "most"),
 }
 """Every prompt by name, and the places that are filled in in its text."""
+STEERS = ("dream", "vanilla")
+"""Those whose answer is a move."""
 KNOWLEDGE = ("oysters", "wreck", "any")
 """Those told of a kind of target, whose head `mission` says what is to be done."""
 MOST_BYTES = 1 << 16
@@ -157,6 +162,10 @@ def instructions(
     if protocol.traversal is not None:
         parts.append(chosen("traversal", own))
         told += "\n\n" + filled(parts[-1], {"traversal": f"{protocol.traversal:g}"})
+    if protocol.space is not None:
+        for part in ("space", *(["steering"] if name in STEERS else [])):
+            parts.append(chosen(part, own))
+            told += "\n\n" + filled(parts[-1], in_space(protocol))
     values = {
         "mission": knowledge.heads["mission"],
         "knowledge": knowledge.text,
@@ -169,6 +178,23 @@ def instructions(
         **further,
     }
     return filled(prompt, values), ", ".join(part.label for part in parts)
+
+
+def in_space(protocol: SurveyProtocol) -> dict[str, str]:
+    """What a protocol that moves in space says of heights and tilts, for the prompts that are about them."""
+    space = protocol.space
+    assert space is not None
+    return {
+        "reach": f"{protocol.reach:g}",
+        "incidence": f"{math.degrees(space.incidence):.0f}",
+        "lowest": f"{space.lowest:g}",
+        "surface": f"{space.surface:g}",
+        "climbs": ", ".join(f"{climb:g}" for climb in protocol.climbs),
+        "tilts": ", ".join(f"{math.degrees(tilt):.3g}" for tilt in sorted(protocol.tilts)),
+        "behind": f"{BEHIND:g}",
+        "ahead": f"{AHEAD:g}",
+        "body": f"{2.0 * protocol.body_radius:g}",
+    }
 
 
 def filled(prompt: Prompt, values: Mapping[str, str]) -> str:

@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from dream.geometry import SE2
-from dream.lattice import Pose
 from dream.options import First
-from dream.planning.belief import Belief, achieved
-from dream.planning.lookahead import Plan
 from dream.planning.parameters import check_count, check_range
 from dream.planning.vlm.asking import Answer, Asking, Line
-from dream.planning.vlm.places import again, places
-from dream.planning.vlm.ranking_question import ranking_question
+from dream.planning.vlm.offline import Offline, Spot, offline_planner
 from dream.planning.vlm.reply import Ranking
 from dream.planning.vlm.votes import Poll, Vote
 from dream.types import Decision, Exchange, Mission, Observation
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
-    from dream.planning.belief import BeliefPilot, Thought
 
 FEWEST = 2
 """Places that make a choice."""
@@ -56,6 +51,8 @@ class Ranked(Asking):
     says; better only where the model knows more about how targets lie than geometry does.
     """
 
+    spatial: ClassVar[bool] = True
+
     margin: First[float] = 2.0
     """A place can be chosen if it is expected to cost at most this many steps more than the best one."""
     weight: float = 3.0
@@ -86,7 +83,7 @@ class Ranked(Asking):
 class _Chosen:
     """A place that the vehicle goes to on the model's advice."""
 
-    pose: Pose
+    place: Any
     why: str
 
 
@@ -97,19 +94,19 @@ class RankedPilot:
     planner: Ranked
     mission: Mission
     line: Line = field(init=False)
-    offline: BeliefPilot = field(init=False)
+    offline: Offline[Any, Any, Any, Any] = field(init=False)
     trail: list[SE2] = field(default_factory=list)
     """Where it decided."""
     asked: Poll | None = None
     chosen: _Chosen | None = None
     spent: float = 0.0
     """Steps that the model's choices have cost, by expectation."""
-    heading_for: SE2 | None = None
+    heading_for: Spot | None = None
     """What was decided at the last event: until it is reached, or another comes, nobody is asked again."""
     enclosed: int = 0
     """Regions at the last event."""
     achieved: int = 0
-    """Cells; see `belief.achieved`."""
+    """See `Offline.achieved`."""
     idle: int = 0
     """Steps since more of them were."""
     resting: int = 0
@@ -117,7 +114,7 @@ class RankedPilot:
 
     def __post_init__(self) -> None:
         self.line = self.planner.line(self.mission.asked)
-        self.offline = Belief().begin(self.mission)
+        self.offline = offline_planner(self.mission)
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         """What the model chose, where that holds; else what `belief` does."""
@@ -133,14 +130,14 @@ class RankedPilot:
                 break
             waited = max(waited, self._due(answers) - observation.time)
             asked, self.asked = self.asked, None
-            in_time = asked.to_end == (thought.plan is None)
-            outcome = self._choose(asked, answers, thought, occupancy) if in_time else LATE
+            in_time = asked.to_end == (self.offline.own(thought) is None)
+            outcome = self._choose(asked, answers, thought) if in_time else LATE
             exchanges += asked.told(outcome, answers)
             if in_time:
                 break
-        plan, why = self._follow(thought, occupancy)
+        way, why = self._follow(thought)
         self.trail.append(observation.pose)
-        decision = self.offline.act(thought, plan)
+        decision = self.offline.act(thought, way)
         if why:
             reasoning = decision.reasoning
             reasoning = replace(reasoning, next_target=f"{reasoning.next_target} {why}")
@@ -151,44 +148,43 @@ class RankedPilot:
 
     def _watch(self, occupancy: OccupancyMap) -> None:
         """Who goes round in circles on advice goes on without it."""
-        now = achieved(occupancy)
+        now = self.offline.achieved(occupancy)
         self.idle = 0 if now > self.achieved else self.idle + 1
         self.achieved = max(now, self.achieved)
         self.resting = max(self.resting - 1, 0)
         if self.idle >= STUCK and self.chosen is not None:
             self.chosen, self.resting = None, REST
 
-    def _event(self, thought: Thought) -> bool:
+    def _event(self, thought: Any) -> bool:
         """Has something changed that makes the choice a new one?"""
-        if _walks(thought):
+        if self.offline.is_bound(thought):
             return False
-        closed = sum(region.enclosed for region in thought.completion.regions)
+        closed, own, here = (
+            self.offline.closed(thought),
+            self.offline.own(thought),
+            self.offline.here(thought),
+        )
         more, self.enclosed = closed > self.enclosed, closed
-        if thought.plan is None:
+        if own is None:
             # The mission would end: worth a question, once for all that is known.
-            return self.chosen is None and self.heading_for != thought.pose
+            return self.chosen is None and self.heading_for != here
         if self.chosen is not None:
             return more
         reach, goal = self.mission.protocol.reach, self.heading_for
         if goal is None or more or self.idle == STUCK:
             return True
-        end = self._position(thought, thought.plan.path[-1])
-        return goal.distance(thought.pose) <= ARRIVED * reach or goal.distance(end) > reach
-
-    def _position(self, thought: Thought, pose: Pose) -> SE2:
-        x, y = thought.travel.lattice.position(pose)
-        return SE2(float(x), float(y), 0.0)
+        end = self.offline.goal(thought, own)
+        return goal.distance(here) <= ARRIVED * reach or goal.distance(end) > reach
 
     # ------------------------------------------------------------------------------------------- question
 
-    def _ask(self, observation: Observation, thought: Thought, occupancy: OccupancyMap) -> None:
+    def _ask(self, observation: Observation, thought: Any, occupancy: OccupancyMap) -> None:
         """Ask where the choice is close; remember that it was looked at in any case."""
-        self.heading_for = (
-            thought.pose if thought.plan is None else self._position(thought, thought.plan.path[-1])
-        )
-        to_end = thought.plan is None
+        own = self.offline.own(thought)
+        to_end = own is None
+        self.heading_for = self.offline.here(thought) if to_end else self.offline.goal(thought, own)
         most = self._affordable(to_end=to_end)
-        choice = [place for place in places(self.offline, thought) if place.loss <= most]
+        choice = [place for place in self.offline.places(thought) if place.loss <= most]
         if len(choice) < (1 if to_end else FEWEST):
             return
         votes = []
@@ -196,8 +192,7 @@ class RankedPilot:
             # Other numbers each time, so that a liking for one of them decides nothing.
             rng = np.random.default_rng([len(self.trail), vote])
             numbers = (1 + rng.permutation(len(choice))).tolist()
-            question = ranking_question(
-                self.mission,
+            question = self.offline.question(
                 observation,
                 occupancy,
                 thought,
@@ -208,12 +203,12 @@ class RankedPilot:
             votes.append(Vote({number: k for k, number in enumerate(numbers)}, self.line.ask(question)))
         self.asked = Poll(observation.time, choice, votes, to_end)
 
-    def _answers(self, now: float, thought: Thought) -> list[Answer[Ranking]]:
+    def _answers(self, now: float, thought: Any) -> list[Answer[Ranking]]:
         """All answers, once they are due; earlier where the vehicle waits for them. Empty before."""
         assert self.asked is not None
         # After the last step nobody would hear the answer.
         last = self.mission.flown + len(self.trail) + 1 >= self.mission.max_steps
-        waits = self.planner.wait or thought.plan is None or last
+        waits = self.planner.wait or self.offline.own(thought) is None or last
         if not waits and not self._may_have_come(now):
             return []
         answers = [self.line.insist(vote.pending.answer()) for vote in self.asked.votes]
@@ -244,9 +239,7 @@ class RankedPilot:
 
     # -------------------------------------------------------------------------------------------- choice
 
-    def _choose(
-        self, asked: Poll, answers: list[Answer[Ranking]], thought: Thought, occupancy: OccupancyMap
-    ) -> str:
+    def _choose(self, asked: Poll, answers: list[Answer[Ranking]], thought: Any) -> str:
         """Fuse the ranking with what the offline planner holds of the places now.
 
         Returns:
@@ -267,7 +260,7 @@ class RankedPilot:
         affordable = self._affordable(to_end=asked.to_end)
         standing, short = [], {} if asked.to_end else {0: "the offline planner's own"}
         for k in range(others, len(asked.places)):
-            now = again(self.offline, thought, asked.places[k].pose)
+            now = self.offline.again(thought, asked.places[k])
             if now is None:
                 short[k] = "where no way leads any more, or nothing is left to see"
             elif now[1] > affordable:
@@ -290,29 +283,23 @@ class RankedPilot:
         place = asked.places[k]
         self.spent += loss
         self.chosen = _Chosen(
-            place.pose,
+            place,
             f"The model ranked place {number} of {len(asked.places)} "
             f"{_ordinal(rank)}; it costs {loss:.1f} steps by expectation.",
         )
-        x, y = place.path[-1]
-        self.heading_for = SE2(float(x), float(y), 0.0)
+        self.heading_for = self.offline.spot(place)
 
-    def _follow(self, thought: Thought, occupancy: OccupancyMap) -> tuple[Plan | None, str]:
-        """The plan to carry out, and why it is not the offline planner's own."""
-        if _walks(thought):
+    def _follow(self, thought: Any) -> tuple[Any, str]:
+        """The way to carry out, and why it is not the offline planner's own."""
+        if self.offline.is_bound(thought):
             self.chosen = None
         if self.chosen is None:
-            return thought.plan, ""
-        now = again(self.offline, thought, self.chosen.pose)
+            return self.offline.own(thought), ""
+        now = self.offline.again(thought, self.chosen.place)
         if now is None or now[1] > self._most:
             self.chosen = None
-            return thought.plan, ""
+            return self.offline.own(thought), ""
         return now[0], self.chosen.why
-
-
-def _walks(thought: Thought) -> bool:
-    """Is it about to traverse what was found? The way to do that is no matter of opinion."""
-    return thought.plan is not None and thought.plan.passed > 0
 
 
 def _ordinal(rank: int) -> str:

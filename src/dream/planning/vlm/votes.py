@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from dream.planning.vlm.asking import Answer, Pending
-from dream.planning.vlm.places import Place
 from dream.planning.vlm.reply import Ranking
 from dream.types import Exchange
 
@@ -30,7 +31,7 @@ class Poll:
 
     at: float
     """Seconds on the mission's clock."""
-    places: list[Place]
+    places: Sequence[Any]
     votes: list[Vote]
     to_end: bool
     """Whether the offline planner would have ended the mission."""
