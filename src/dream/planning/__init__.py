@@ -14,6 +14,9 @@ from dream.planning.baselines import (
 from dream.planning.belief import Belief
 from dream.planning.sixsteps import SixSteps
 from dream.planning.space.orbits import Orbits
+from dream.planning.space.rivals.cover_tour import CoverTour
+from dream.planning.space.rivals.fuel import Fuel
+from dream.planning.space.rivals.space_nbv import SpaceNextBestView
 from dream.planning.space.tiers import Tiers
 from dream.planning.vlm import Asking, Dream, Ranked, Vanilla
 
@@ -29,6 +32,9 @@ AnyPlanner = (
     | UivNav
     | Orbits
     | Tiers
+    | CoverTour
+    | SpaceNextBestView
+    | Fuel
     | Dream
     | Vanilla
     | Ranked
@@ -46,6 +52,9 @@ PLANNERS: dict[str, AnyPlanner] = {
     "uivnav": UivNav(),
     "orbits": Orbits(),
     "tiers": Tiers(),
+    "cover-tour": CoverTour(),
+    "space-nbv": SpaceNextBestView(),
+    "fuel": Fuel(),
     "dream": Dream(),
     "vanilla": Vanilla(),
     "ranked": Ranked(),
@@ -88,7 +97,9 @@ __all__ = [
     "AnyPlanner",
     "Asking",
     "Belief",
+    "CoverTour",
     "Dream",
+    "Fuel",
     "Lawnmower",
     "NearestFrontier",
     "NextBestView",
@@ -96,6 +107,7 @@ __all__ = [
     "RandomWalk",
     "Ranked",
     "SixSteps",
+    "SpaceNextBestView",
     "Spiral",
     "SweepAndGraze",
     "Tiers",

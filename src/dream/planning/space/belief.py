@@ -99,6 +99,7 @@ class SpaceBelief:
             shown_by(ways.scene, optics_of(protocol), elements_of(left, protocol), at, yaw, tilt)
         )
         x, y, z = at.tolist()
+        surface, unknown = shows.of(SURFACE) + shows.of(LOW), shows.of(UNKNOWN)
         return replace(
             told,
             next_target=words.look(

@@ -48,6 +48,8 @@ class SpacePlan:
     heading: int
     tilt: int
     """With which it looks there."""
+    why: str = ""
+    """A sentence on how it was chosen."""
 
 
 @dataclass(frozen=True, slots=True)
