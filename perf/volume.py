@@ -370,12 +370,9 @@ def memory() -> None:
     size = " x ".join(f"{length:.0f}" for length in volume.box[1] - volume.box[0])
     start = time.process_time()
     surface = volume.surface()
-    middle = time.process_time()
-    clusters = volume.frontiers()
     end = time.process_time()
     print(f"{size} m at {volume.cell} m: {volume.nbytes / 1e6:.1f} MB")
-    print(f"surface {len(surface.area)} voxels, {1e3 * (middle - start):.0f} ms")
-    print(f"frontiers {len(clusters.sizes)} clusters, {1e3 * (end - middle):.0f} ms at first")
+    print(f"surface {len(surface.area)} voxels, {1e3 * (end - start):.0f} ms")
 
 
 def main() -> None:

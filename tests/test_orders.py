@@ -281,7 +281,7 @@ class Watched:
     pilots: list[BeliefPilot] = field(default_factory=list)
 
     def begin(self, mission: Mission) -> BeliefPilot:
-        self.pilots.append(Belief().begin(mission))
+        self.pilots.append(Belief().in_plane(mission))
         return self.pilots[-1]
 
 

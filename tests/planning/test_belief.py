@@ -97,7 +97,7 @@ class Flown:
     pilots: list[BeliefPilot] = field(default_factory=list)
 
     def begin(self, mission: Mission) -> Flown:
-        self.pilots.append(self.planner.begin(mission))
+        self.pilots.append(self.planner.in_plane(mission))
         return self
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
@@ -265,7 +265,7 @@ def test_ground_that_becomes_solid_under_way_is_gone_round() -> None:
             toy.solid[:] = False
             toy.solid[60:64, 20:40] = True
 
-    steps = toy.fly(Belief().begin(MISSION), change, 120)
+    steps = toy.fly(Belief().in_plane(MISSION), change, 120)
     assert steps > 12
     assert toy.explored[40:56, 70:90].all(), "it saw what lay behind"
 
@@ -276,14 +276,14 @@ def test_a_false_target_is_looked_round_and_forgotten_when_it_goes() -> None:
     def change(step: int) -> None:
         toy.target[46:49, 54:56] = 4 <= step < 12
 
-    steps = toy.fly(Belief(certify=True).begin(MISSION), change, 120)
+    steps = toy.fly(Belief(certify=True).in_plane(MISSION), change, 120)
     assert steps > 12
     assert not check_completion(toy.map, toy.pose).open_region
 
 
 def test_new_ground_after_done_is_looked_at() -> None:
     toy = Toy(SE2(-6.0, 0.0, 0.0), all_but())
-    pilot = Belief().begin(MISSION)
+    pilot = Belief().in_plane(MISSION)
     assert toy.step(pilot).done
     toy.explored = _half_known()
     decision = toy.step(pilot)
@@ -298,7 +298,7 @@ def test_new_ground_after_done_is_looked_at() -> None:
 @pytest.mark.parametrize("sway", [0.0, 0.03])
 def test_a_refused_done_raises_its_patience_and_only_that_does(sway: float) -> None:
     """Also where the vehicle swims, so that it stays only about where it was."""
-    pilot = Belief().begin(MISSION)
+    pilot = Belief().in_plane(MISSION)
     before = pilot.failed.patience
     complete = map_with(explored=all_but())
     for refused in range(4):
@@ -314,7 +314,7 @@ def test_a_refused_done_raises_its_patience_and_only_that_does(sway: float) -> N
 def test_ground_that_never_shows_is_given_up_then_tried_again_when_refused() -> None:
     never = ~all_but(SLIT)
     toy = Toy(SE2(-3.0, 2.0, 0.0), ~never, never=never)
-    pilot = Belief().begin(MISSION)
+    pilot = Belief().in_plane(MISSION)
     claims = [toy.step(pilot).done for _ in range(30)]
     assert not claims[0], "the map promises that the slit can be seen"
     first = claims.index(True)
@@ -325,7 +325,7 @@ def test_ground_that_never_shows_is_given_up_then_tried_again_when_refused() -> 
 def _visited_in_vain(planner: Belief, most: int) -> tuple[bool, int]:
     """With a box that never shows: is it done within so many steps, and how often was it at one pose?"""
     toy = Toy(SE2(-3.0, 2.0, 0.0), all_but(WITHHELD), never=~all_but(WITHHELD))
-    pilot, visits = planner.begin(MISSION), Counter[SE2]()
+    pilot, visits = planner.in_plane(MISSION), Counter[SE2]()
     for _ in range(most):
         visits[toy.pose] += 1
         if toy.step(pilot).done:
@@ -359,7 +359,7 @@ def test_what_only_the_map_still_promises_brings_it_to_no_pose_more_often_than_t
 def test_it_says_how_much_ground_it_gave_up_and_counts_for_searched(patience: int) -> None:
     """Looked at in vain often enough; or, where no number of looks is, given up with what it headed for."""
     toy = Toy(SE2(-3.0, 2.0, 0.0), all_but(WITHHELD), never=~all_but(WITHHELD))
-    pilot = Belief(patience=patience).begin(MISSION)
+    pilot = Belief(patience=patience).in_plane(MISSION)
     areas = []
     for _ in range(40):
         dropped = np.count_nonzero(pilot.failed.count >= GIVEN_UP)
@@ -383,7 +383,7 @@ def test_it_says_how_much_ground_it_gave_up_and_counts_for_searched(patience: in
 def test_neither_ground_outside_the_area_nor_what_was_seen_is_among_what_it_gave_up() -> None:
     occupancy = map_with(explored=_half_known())
     occupancy.restrict(Bounds(-12.0, -12.0, 12.0, -4.0))
-    pilot, observation = Belief().begin(MISSION), observed_at(-6.0, -6.0, math.pi)
+    pilot, observation = Belief().in_plane(MISSION), observed_at(-6.0, -6.0, math.pi)
     assert "given up" not in pilot.decide(observation, occupancy).reasoning.completion
     assert occupancy.observed[:32, 48:56].all()
     pilot.failed.count[:, 48:72] = pilot.failed.patience
@@ -403,7 +403,7 @@ def test_asked_the_same_for_ever_it_does_not_answer_the_same_for_ever(name: str)
     """As when the vehicle does not move, whatever it is told."""
     planner, world = Belief(), replace(WORLDS[name], starts=(SE2(-5.0, 5.0, 0.0),))
     *_, last = simulate(world, planner, DREAM_V1, max_steps=5, renderer=Colourless(world))
-    pilot = planner.begin(Mission(DREAM_V1, world.bounds, DREAM_V1.cap))
+    pilot = planner.in_plane(Mission(DREAM_V1, world.bounds, DREAM_V1.cap))
     aims: Counter[str] = Counter()
     for _ in range(40):
         decision = pilot.decide(last.observation, last.occupancy)
@@ -488,7 +488,7 @@ def _with_a_reef(*unknown: tuple[slice, slice]) -> OccupancyMap:
 
 def test_certify_says_what_is_left_to_see_and_no_probability() -> None:
     observation = observed_at(3.0, -4.0, 0.0)
-    said = Belief(certify=True).begin(MISSION).decide(observation, _with_a_reef(SLIT)).reasoning.completion
+    said = Belief(certify=True).in_plane(MISSION).decide(observation, _with_a_reef(SLIT)).reasoning.completion
     assert f"{NOTHING[SLIT].size * DREAM_V1.cell**2:.1f} m² that can be seen were not yet" in said
     assert "probability" not in said
 
@@ -511,7 +511,7 @@ def test_certify_is_not_done_while_a_single_cell_can_be_seen() -> None:
         occupancy = _with_a_reef(*unknown)
         assert check_completion(occupancy, observation.pose).complete
         for planner, done in ((Belief(), by_default), (Belief(certify=True), certified)):
-            assert planner.begin(MISSION).decide(observation, occupancy).done == done
+            assert planner.in_plane(MISSION).decide(observation, occupancy).done == done
 
 
 def _behind_a_wall() -> OccupancyMap:
@@ -523,7 +523,7 @@ def _behind_a_wall() -> OccupancyMap:
 
 def test_ground_that_cannot_be_seen_is_no_risk() -> None:
     observation = observed_at(-6.0, -4.0, 0.0)
-    decision = Belief(risk=0.0).begin(MISSION).decide(observation, _behind_a_wall())
+    decision = Belief(risk=0.0).in_plane(MISSION).decide(observation, _behind_a_wall())
     assert could_hide(_behind_a_wall(), Belief().size, NOTHING).sum() > 1000
     assert decision.done
     assert "with a probability below 0.01%; up to 0.00% is accepted" in decision.reasoning.completion
@@ -533,7 +533,7 @@ def test_ground_that_cannot_be_seen_is_no_risk() -> None:
 def test_hints_that_no_place_can_see_do_not_keep_it_going() -> None:
     observation = observed_at(-6.0, -4.0, 0.0)
     for beyond, done in ((np.s_[:, 50:70, 60:80], True), (np.s_[:, 50:70, 20:30], False)):
-        pilot = Belief(risk=0.5).begin(MISSION)
+        pilot = Belief(risk=0.5).in_plane(MISSION)
         source = source_of(pilot, HintedTargets)
         assert source is not None
         source.hints._pixels[beyond] = 10
@@ -549,7 +549,7 @@ def test_the_risk_knows_what_was_glimpsed(over_the_reef: Flown) -> None:
     planner, less = over_the_reef.planner, 0
     size, square = planner.size * DREAM_V1.group_radius, DREAM_V1.cell**2
     for observation, occupancy, _ in over_the_reef.asked[::3]:
-        pilot = planner.begin(MISSION)
+        pilot = planner.in_plane(MISSION)
         said = pilot.decide(observation, occupancy).reasoning.completion
         completion = check_completion(occupancy, observation.pose)
         hiding = could_hide(occupancy, size, NOTHING)
@@ -571,7 +571,7 @@ def test_in_a_tank_and_with_a_survey_no_hints_are_taken() -> None:
     told = np.zeros((SIDE, SIDE), np.float32)
     survey = replace(MISSION, prior=Prior(AREA, DREAM_V1.cell, told, NOTHING, years=1.0))
     for mission in (tank, survey):
-        pilot = Belief().begin(mission)
+        pilot = Belief().in_plane(mission)
         assert source_of(pilot, HintedTargets) is None
         empty = OccupancyMap(mission.bounds, mission.protocol)
         assert pilot.expect(situation_of(pilot, observed_at(0.0, 0.0, 0.0), empty)).calibration is OBSERVED
@@ -584,7 +584,7 @@ def test_while_a_region_is_open_no_group_is_expected_farther_than_any_view_reach
     opened = map_with(solid=occupancy.solid, explored=explored, target=occupancy.target)
     assert not check_completion(opened, observation.pose).complete
     planner = Belief()
-    said = planner.begin(MISSION).decide(observation, opened).reasoning.distribution
+    said = planner.in_plane(MISSION).decide(observation, opened).reasoning.distribution
     match = re.search(r"and (\S+) patches on average", said)
     assert match
     everywhere = could_hide(opened, planner.size, NOTHING).sum() * DREAM_V1.cell**2
@@ -593,7 +593,7 @@ def test_while_a_region_is_open_no_group_is_expected_farther_than_any_view_reach
 
 
 def test_ground_looked_at_in_vain_often_enough_is_no_risk() -> None:
-    pilot, observation = Belief(risk=0.0).begin(MISSION), observed_at(-6.0, 0.0, 0.0)
+    pilot, observation = Belief(risk=0.0).in_plane(MISSION), observed_at(-6.0, 0.0, 0.0)
     occupancy = map_with(explored=_half_known())
     assert not pilot.decide(observation, occupancy).done
     pilot.failed.count[~occupancy.observed] = pilot.failed.patience + 2
@@ -606,7 +606,7 @@ def test_who_is_done_at_some_risk_is_done_at_any_greater_one() -> None:
     risks = (0.0, 0.002, 0.01, 0.05, 0.2, 0.5, 1.0)
     verdicts = []
     for observation, occupancy, _ in _fly(REEF, Belief(risk=0.0)).asked[::4]:
-        done = [Belief(risk=risk).begin(MISSION).decide(observation, occupancy).done for risk in risks]
+        done = [Belief(risk=risk).in_plane(MISSION).decide(observation, occupancy).done for risk in risks]
         assert done == sorted(done), "never done at a risk and not at a greater one"
         verdicts += done
     assert any(verdicts)
@@ -665,7 +665,7 @@ def test_with_all_else_seen_it_goes_to_the_side_of_a_hull_that_it_has_not_seen()
     assert not decision.done
     (patches,) = _numbers(r"(\S+) pieces of hull", decision)
     assert 0.0 < patches <= _hull(pilot).unseen + 0.05  # As it is rounded.
-    unbelieving = Belief(hull_left=1.0).begin(MISSION)
+    unbelieving = Belief(hull_left=1.0).in_plane(MISSION)
     assert unbelieving.decide(observation, known).done
 
 
@@ -741,7 +741,7 @@ def test_it_says_the_risk_and_the_groups_that_its_model_gives(over_the_reef: Flo
     planner, risks = Belief(glimpse=1.0), set()
     prior = Groups(planner.groups, planner.searched)
     for observation, occupancy, _ in over_the_reef.asked[::3]:
-        said = planner.begin(MISSION).decide(observation, occupancy).reasoning
+        said = planner.in_plane(MISSION).decide(observation, occupancy).reasoning
         completion = check_completion(occupancy, observation.pose)
         hiding = could_hide(occupancy, planner.size * DREAM_V1.group_radius, NOTHING)
         if completion.complete:
@@ -766,7 +766,7 @@ def test_it_says_what_it_expects_of_a_hull_and_what_it_would_accept(over_the_ree
     assert share > 0.005
     sentence = f" Of the hull {area:.1f} m² more are to be expected, {share:.1%} of it; 0.5% is accepted."
     assert decision.reasoning.completion.endswith(sentence)
-    certified = Belief(certify=True).begin(MISSION).decide(observation, occupancy).reasoning.completion
+    certified = Belief(certify=True).in_plane(MISSION).decide(observation, occupancy).reasoning.completion
     assert "0.5% is accepted" in certified
     assert not any("hull" in decision.reasoning.completion for _, _, decision in over_the_reef.asked)
 
@@ -801,7 +801,7 @@ class Explained:
     """With square metres of targets, of middles of groups, and patches."""
 
     def begin(self, mission: Mission) -> Explained:
-        self.pilot = self.planner.begin(mission)
+        self.pilot = self.planner.in_plane(mission)
         return self
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
@@ -880,12 +880,12 @@ def test_on_a_walk_over_targets_or_round_what_a_survey_foretells_it_says_that() 
     surveyed = replace(MISSION, prior=Prior(AREA, DREAM_V1.cell, told, NOTHING, years=1.0))
     occupancy, observation = map_with(explored=_half_known()), observed_at(-6.0, 0.0, 0.0)
     for mission, round_it in ((surveyed, True), (MISSION, False)):
-        said = Belief().begin(mission).decide(observation, occupancy).reasoning.next_target
+        said = Belief().in_plane(mission).decide(observation, occupancy).reasoning.next_target
         assert said.endswith(sentences.ROUND) == round_it
 
 
 def test_whoever_takes_another_plan_is_given_no_reasons_for_this_one() -> None:
-    pilot, observation = Belief().begin(MISSION), observed_at(-6.0, 0.0, 0.0)
+    pilot, observation = Belief().in_plane(MISSION), observed_at(-6.0, 0.0, 0.0)
     occupancy = map_with(explored=_half_known())
     thought = pilot.consider(observation, occupancy)
     assert thought.plan is not None
@@ -903,7 +903,7 @@ def test_the_cells_that_it_says_are_still_to_be_seen_are_those_of_the_view_there
     """From afar, and where the look-ahead has nothing to go for: a slit that never shows."""
     monkeypatch.setattr(LookAhead, "plan", lambda *_: None)
     toy, steps = Toy(SE2(9.0, -9.0, 0.0), all_but(SLIT), never=~all_but(SLIT)), []
-    pilot = Belief().begin(MISSION)
+    pilot = Belief().in_plane(MISSION)
     for _ in range(30):
         decision = toy.step(pilot)
         if decision.done:

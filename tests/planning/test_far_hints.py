@@ -239,7 +239,7 @@ class _Kept:
     pilots: list[BeliefPilot]
 
     def begin(self, mission: Mission) -> BeliefPilot:
-        self.pilots.append(self.planner.begin(mission))
+        self.pilots.append(self.planner.in_plane(mission))
         return self.pilots[-1]
 
 

@@ -13,12 +13,12 @@ import pytest
 from dream.geometry import SE2, Bounds
 from dream.mapping.volume import Volume
 from dream.planning._kernels.space_cover import Shown, best_of_parts, greedy_cover, grow_tree, open_tour
+from dream.planning.space.belief import Chooser
 from dream.planning.space.looks import optics_of
 from dream.planning.space.remains import SURFACE, Left
 from dream.planning.space.rivals.cover_tour import CoverTour, CoverTourChooser
 from dream.planning.space.rivals.fuel import Fuel, FuelChooser, clusters_of, layered_path
-from dream.planning.space.belief import Chooser
-from dream.planning.space.rivals.inspection import Scene, rate_of, travel
+from dream.planning.space.rivals.inspection import FloatArray, Scene, rate_of, travel
 from dream.planning.space.rivals.space_nbv import SpaceNextBestView, SpaceNextBestViewChooser
 from dream.planning.space.ways import KnownWays, ways_in
 from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
@@ -40,7 +40,7 @@ def ways() -> KnownWays:
 
 def at(x: float = 0.0, y: float = 0.0, z: float = Z, yaw: float = 0.0) -> Observation:
     """As much of an observation as planning from it takes."""
-    return cast(Any, SimpleNamespace(pose=SE2(x, y, yaw), z=z, tilt=PROTOCOL.camera_pitch))
+    return cast(Observation, SimpleNamespace(pose=SE2(x, y, yaw), z=z, tilt=PROTOCOL.camera_pitch))
 
 
 def plate(x: float = 4.5, *, kept: slice = slice(None)) -> Left:
@@ -53,7 +53,9 @@ def plate(x: float = 4.5, *, kept: slice = slice(None)) -> Left:
 
 def random_shown(rng: np.random.Generator, nodes: int, elements: int) -> Shown:
     """Each node shows some elements by some looks."""
-    which, bits, first = [], [], [0]
+    which: list[int] = []
+    bits: list[int] = []
+    first = [0]
     for _ in range(nodes):
         some = rng.choice(elements, rng.integers(1, elements), replace=False)
         which.extend(some)
@@ -142,7 +144,8 @@ def test_a_short_tour_is_hardly_longer_than_the_shortest(seed: int) -> None:
 
 def test_a_shortest_path_through_layers_is_what_brute_force_finds() -> None:
     rng = np.random.default_rng(1)
-    first, between = rng.random(4), [rng.random((4, 3)), rng.random((3, 5)), rng.random((5, 1))]
+    first = rng.random(4)
+    between: list[FloatArray] = [rng.random((4, 3)), rng.random((3, 5)), rng.random((5, 1))]
 
     def cost(path: tuple[int, ...]) -> float:
         return float(
@@ -270,7 +273,8 @@ def moved(observation: Observation, move: Decision) -> Observation:
         yaw,
     )
     return cast(
-        Any, SimpleNamespace(pose=to.pose, z=to.z, tilt=observation.tilt if move.tilt is None else move.tilt)
+        Observation,
+        SimpleNamespace(pose=to.pose, z=to.z, tilt=observation.tilt if move.tilt is None else move.tilt),
     )
 
 

@@ -55,7 +55,7 @@ def beside_a_wreck() -> tuple[Observation, OccupancyMap, BeliefPilot]:
 
     class Kept:
         def begin(self, mission: Mission) -> BeliefPilot:
-            pilots.append(Belief().begin(mission))
+            pilots.append(Belief().in_plane(mission))
             return pilots[-1]
 
     *_, last = simulate(WRECK, Kept(), DREAM_V1, max_steps=6, renderer=Colourless(WRECK))
@@ -67,7 +67,7 @@ def test_any_source_may_be_left_out(
     kind: type[BeliefSource], beside_a_wreck: tuple[Observation, OccupancyMap, BeliefPilot]
 ) -> None:
     observation, occupancy, _ = beside_a_wreck
-    pilot = Without(left_out=kind).begin(Mission(DREAM_V1, occupancy.bounds, DREAM_V1.cap))
+    pilot = Without(left_out=kind).in_plane(Mission(DREAM_V1, occupancy.bounds, DREAM_V1.cap))
     assert source_of(pilot, kind) is None
     thought = pilot.consider(observation, occupancy)
     said, expected = thought.reasoning, thought.expected
@@ -93,7 +93,7 @@ def test_so_may_those_that_only_some_missions_have(
     empty = OccupancyMap(mission.bounds, mission.protocol)
     said, has = [], []
     for planner in (Belief(**options), Without(left_out=kind, **options)):
-        pilot = planner.begin(mission)
+        pilot = planner.in_plane(mission)
         has.append(source_of(pilot, kind) is not None)
         expected = pilot.expect(situation_of(pilot, observed_at(0.0, 0.0, 0.0), empty))
         reasoning, _ = pilot._explain(expected, situation_of(pilot, observed_at(0.0, 0.0, 0.0), empty))
@@ -105,7 +105,7 @@ def test_so_may_those_that_only_some_missions_have(
 
 
 def test_without_any_source_nothing_is_expected_and_the_map_alone_decides() -> None:
-    pilot = Without().begin(MISSION)
+    pilot = Without().in_plane(MISSION)
     assert pilot.sources == []
     occupancy = map_with(explored=all_but(np.s_[:, 56:]))
     thought = pilot.consider(observed_at(-6.0, 0.0, 0.0), occupancy)
@@ -167,7 +167,7 @@ def test_the_best_rate_of_a_hull_is_that_of_the_best_view_for_its_distance() -> 
 
 
 def test_a_plan_for_what_only_the_map_promises_has_no_weight_and_counts_its_cells() -> None:
-    pilot = Without().begin(MISSION)
+    pilot = Without().in_plane(MISSION)
     occupancy = map_with(explored=all_but(np.s_[:, 56:]))
     plan = pilot.consider(observed_at(-6.0, 0.0, 0.0), occupancy).plan
     assert plan is not None
@@ -180,7 +180,7 @@ def test_a_plan_for_what_only_the_map_promises_has_no_weight_and_counts_its_cell
 def test_targets_beside_known_ones_weigh_their_square_metres_times_how_eager_it_is() -> None:
     target = ~all_but(np.s_[44:52, 44:52])
     occupancy = map_with(explored=all_but(np.s_[:, 50:]), target=target)
-    pilot = Belief().begin(MISSION)
+    pilot = Belief().in_plane(MISSION)
     situation = situation_of(pilot, observed_at(-6.0, 0.0, 0.0), occupancy)
     source = source_of(pilot, TargetsBeside)
     assert source is not None
@@ -192,7 +192,7 @@ def test_targets_beside_known_ones_weigh_their_square_metres_times_how_eager_it_
 
 
 def test_where_nothing_was_seen_and_no_group_can_hide_open_ground_weighs_what_a_search_of_it_would() -> None:
-    pilot = Without(left_out=HiddenGroups).begin(MISSION)
+    pilot = Without(left_out=HiddenGroups).in_plane(MISSION)
     occupancy = map_with(explored=all_but(np.s_[:, 56:]))
     situation = situation_of(pilot, observed_at(-6.0, 0.0, 0.0), occupancy)
     source = source_of(pilot, TargetsBeside)

@@ -421,6 +421,29 @@ def test_what_is_countable_is_kept_by_world_and_rules(
     assert len(calls) == 6
 
 
+def test_what_its_frames_show_is_kept_by_world_and_rules(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DREAM_CACHE", str(tmp_path / "kept"))
+    calls = []
+
+    def work_out() -> dict[str, npt.NDArray[np.int32]]:
+        calls.append(1)
+        return {"first": np.arange(3, dtype=np.int32), "who": np.array([7], np.int32)}
+
+    world = hull(flat(1.0, -1.0, FLOOR + 0.5, 0.5))
+    for protocol in (PROTOCOL, DREAM_V2_DRAFT):
+        tables = kept.tables("frames", world, protocol, work_out)
+        assert {name: table.tolist() for name, table in tables.items()} == {"first": [0, 1, 2], "who": [7]}
+    assert len(calls) == 1
+    kept.tables("other", world, PROTOCOL, work_out)
+    assert len(calls) == 2
+    for path in (tmp_path / "kept").iterdir():
+        path.write_bytes(b"no arrays")
+    kept.tables("frames", world, PROTOCOL, work_out)
+    assert len(calls) == 3
+
+
 def test_a_planar_protocol_inspects_nothing() -> None:
     with pytest.raises(ValueError, match="one that moves in space, got dream-v1"):
         Inspection(arena(), DREAM_V1)

@@ -215,8 +215,7 @@ def draw_cells(
         if not palette.clear_view:
             _draw_view(picture, sheet, pose)
         _draw_vehicle(picture, sheet, pose)
-    for mark in reversed(marks):
-        at = _on_picture(sheet, mark, pose)
+    for mark, at in list(zip(marks, _apart(sheet, marks, pose), strict=True))[::-1]:
         if mark.note:
             _draw_note(picture, sheet, at, mark.note)
         draw_disc(picture, at, mark.number)
@@ -483,6 +482,20 @@ def _draw_note(picture: Image.Image, sheet: _Sheet, disc: Point, note: str) -> N
     left = column + DISC if fits else column - DISC - width - 6
     pen.rectangle((left, row - DISC + 1, left + width + 6, row + DISC - 1), fill=PAPER, outline=INK)
     pen.text((left + 4, row), note, fill=INK, font=font, anchor="lm")
+
+
+def _apart(sheet: _Sheet, marks: Sequence[Mark], pose: SE2 | None) -> list[Point]:
+    """Where the discs of marks stand; of those with a note, one that would hide another is below it.
+
+    Such are places above each other, which their notes tell apart.
+    """
+    placed: list[Point] = []
+    for mark in marks:
+        column, row = _on_picture(sheet, mark, pose)
+        while mark.note and any(math.dist((column, row), other) < 2 * DISC for other in placed):
+            row += 2 * DISC + 4
+        placed.append((column, row))
+    return placed
 
 
 def _on_picture(sheet: _Sheet, mark: Mark, pose: SE2 | None) -> Point:

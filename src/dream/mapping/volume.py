@@ -34,8 +34,6 @@ do not clear it; and where more do, it is solid. In between a thin thing stays u
 MARGIN = 0.05
 """Metres of water around the body that must be known to be free as well."""
 LAST_LABEL = int(max(Label))
-OVERLAP = 1.0
-"""Voxels before a point in which nothing hides it: at a slant, its own surface would."""
 MOUND = 3.0
 """Metres: what is narrower stands on the ground, seen from above; what is wider is ground."""
 WIDEST = 400
@@ -92,20 +90,6 @@ class Surface:
     """(n,) bits of the sides from which it was inspected, see `side_bit` in its kernels."""
     area: npt.NDArray[np.float64]
     """(n,) square metres of surface that it stands for."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Clusters:
-    """Unknown voxels that touch free water, those of a brick together that touch each other."""
-
-    middles: npt.NDArray[np.float64]
-    """(n, 3) mean of its voxels' middles, metres in the world."""
-    sizes: npt.NDArray[np.int64]
-    """(n,) voxels."""
-    boxes: npt.NDArray[np.float64]
-    """(n, 2, 3) low and high corner, metres in the world."""
-    solid: BoolArray
-    """(n,) whether a solid voxel is at a face of it: there a surface may go on."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,15 +152,6 @@ class Volume:
         self._scratch: Any = None
         self._surface: tuple[int, Surface] | None = None
         """The latest that was asked for, and of which revision it is."""
-        none = np.zeros((0, 3), np.int64)
-        self._frontiers: tuple[npt.NDArray[Any], ...] = (
-            none,
-            none,
-            np.zeros((0, 6), np.int64),
-            np.zeros(0, np.int64),
-            np.zeros(0, np.bool_),
-        )
-        self._frontiers_at = 0
 
     # ------------------------------------------------------------------------------------ what goes in
 
@@ -336,92 +311,6 @@ class Volume:
         area = self.cell**2 / np.abs(normals).max(axis=1, initial=1e-9)
         return Surface(middles, normals, target, seen, sides, area)
 
-    def frontiers(self, within: npt.ArrayLike | None = None) -> Clusters:
-        """Where the unknown begins: clusters of unknown voxels with a free one at a face.
-
-        A cluster lies in one brick of 8³ voxels. Only bricks that changed since the last call are looked at.
-
-        Args:
-            within: (2, 3) low and high corner of a box, metres: clusters that lie partly in it. All if None.
-        """
-        from dream.mapping._kernels import volume_surface as kernels
-
-        fresh = kernels.frontiers(self._bricks, self._frontiers_at)
-        if len(fresh[0]):
-            stale = np.isin(_packed(self._frontiers[0]), _packed(fresh[0]))
-            self._frontiers = tuple(
-                np.concatenate([old[~stale], new])
-                for old, new in zip(self._frontiers, fresh[1:], strict=True)
-            )
-        self._frontiers_at = self.revision
-        _, sums, extents, sizes, solid = self._frontiers
-        middles = (sums / np.maximum(sizes, 1)[:, None] + 0.5)[:, ::-1] * self.cell
-        boxes = extents.reshape(-1, 2, 3)[:, :, ::-1] * self.cell
-        if within is None:
-            return Clusters(middles, sizes.copy(), boxes, solid.copy())
-        low, high = self._points("within", within)
-        inside = ((boxes[:, 0] < high) & (boxes[:, 1] > low)).all(axis=1)
-        return Clusters(middles[inside], sizes[inside], boxes[inside], solid[inside])
-
-    def visible(
-        self,
-        cameras: npt.ArrayLike,
-        yaws: npt.ArrayLike,
-        tilts: npt.ArrayLike,
-        points: npt.ArrayLike,
-        normals: npt.ArrayLike | None = None,
-    ) -> tuple[IntArray, IntArray]:
-        """Which points the protocol's camera would show from each place, under each heading and tilt.
-
-        A point is shown where it is in the image, within reach, not behind anything solid (the unknown hides
-        nothing) and, with normals, at an angle at which its surface is inspected. With a normal, it is looked
-        at a voxel above its surface, and nothing hides it within `OVERLAP` of that; with none, within a voxel
-        more of itself.
-
-        Args:
-            cameras: (P, 3) metres in the world.
-            yaws: (K,) radians.
-            tilts: (T,) pitches of the camera, radians, positive downwards.
-            points: (n, 3) metres in the world, such as `Surface.middles`.
-            normals: (n, 3) of length 1.
-
-        Returns:
-            starts: (P * K * T + 1,) and members: (m,). Place p, heading k and tilt t show the points numbered
-            members[starts[n]:starts[n + 1]], n = (p * K + k) * T + t.
-        """
-        from dream.mapping._kernels import volume_sight as kernels
-
-        protocol, camera = self.protocol, self.protocol.camera
-        places, seen = self._points("cameras", cameras), self._points("points", points)
-        facing = np.zeros((0, 3)) if normals is None else np.ascontiguousarray(normals, np.float64)
-        if normals is not None and facing.shape != seen.shape:
-            raise ValueError(f"normals: expected {seen.shape}, one for every point, got {facing.shape}")
-        directions = []
-        for name, angles in (("yaws", yaws), ("tilts", tilts)):
-            given = np.asarray(angles, np.float64)
-            if given.ndim != 1 or not np.isfinite(given).all():
-                raise ValueError(f"{name}: expected a list of finite radians, got {given}")
-            directions.append(np.stack([np.cos(given), np.sin(given)], axis=1))
-        found: tuple[IntArray, IntArray] = kernels.visible(
-            self._bricks,
-            self.cell,
-            places,
-            directions[0],
-            directions[1],
-            seen,
-            facing,
-            self.cell,
-            (OVERLAP if len(facing) else OVERLAP + 1.0) * self.cell,
-            kernels.TiltedCamera(
-                (camera.fx, camera.fy, camera.cx, camera.cy),
-                (camera.width, camera.height),
-                protocol.returns,
-                protocol.reach,
-                math.cos(self._incidence),
-            ),
-        )
-        return found
-
     def above(self, bounds: Bounds) -> Above:
         """The view from above, on cells as wide as voxels, by the column of voxels under each cell's middle.
 
@@ -488,7 +377,6 @@ class Volume:
             }
         )
         other.revision, other._sees = self.revision, self._sees
-        other._frontiers, other._frontiers_at = self._frontiers, self._frontiers_at
         return other
 
     def save(self, path: str | Path) -> None:

@@ -149,11 +149,15 @@ class Belief:
 
     def begin(self, mission: Mission) -> BeliefPilot | SpaceBelief:
         """A fresh pilot; it remembers which views failed and where it has been."""
-        if mission.protocol.space is not None:
-            from dream.planning.space.belief import SpaceBelief
-            from dream.planning.space.lookahead import SpaceLookAhead
+        if mission.protocol.space is None:
+            return self.in_plane(mission)
+        from dream.planning.space.belief import SpaceBelief
+        from dream.planning.space.lookahead import SpaceLookAhead
 
-            return SpaceBelief(self, mission, SpaceLookAhead(self.discount))
+        return SpaceBelief(self, mission, SpaceLookAhead(self.discount))
+
+    def in_plane(self, mission: Mission) -> BeliefPilot:
+        """A fresh pilot that keeps its altitude, under whatever protocol."""
         return BeliefPilot(self, mission)
 
     def size_of_groups(self, mission: Mission) -> float:

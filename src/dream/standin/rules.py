@@ -263,8 +263,8 @@ def ranked_places(question: Asked) -> Json:
     if "camera" in question.pictures:
         _check_camera_marks(question, wanted)
     if offered.OF_SPACE in question.text:
-        values = offered.worth_in_space(question, chart)
-        return _ranking(scene, values, sorted(values, key=lambda number: (-values[number], number)))
+        worth = offered.worth_in_space(question, chart)
+        return _ranking(scene, worth, sorted(worth, key=lambda number: (-worth[number], number)))
     radius = AROUND_MARK * chart.reach
     values = {
         number: _Value(

@@ -29,7 +29,7 @@ def looked_around(string_reef: World) -> tuple[Observation, OccupancyMap]:
 @pytest.fixture(scope="module")
 def listed(looked_around: tuple[Observation, OccupancyMap]) -> tuple[list[Place], Any, Any]:
     observation, occupancy = looked_around
-    pilot = Belief().begin(Mission(DREAM_V1, occupancy.bounds, 200))
+    pilot = Belief().in_plane(Mission(DREAM_V1, occupancy.bounds, 200))
     thought = pilot.consider(observation, occupancy)
     return places(pilot, thought), pilot, thought
 
@@ -78,7 +78,7 @@ def test_a_place_closes_the_regions_whose_open_cells_all_come_into_view_on_the_w
     far = np.s_[20:24, 92:96]
     target = ~all_but(np.s_[44:46, 40:44], whole, np.s_[18:20, 92:96])
     occupancy = map_with(explored=all_but(hole, far), target=target)
-    pilot = Belief(width=4, horizon=2).begin(Mission(DREAM_V1, occupancy.bounds, 200))
+    pilot = Belief(width=4, horizon=2).in_plane(Mission(DREAM_V1, occupancy.bounds, 200))
     thought = pilot.consider(observed_at(-6.0, 0.0, 0.0), occupancy)
     regions = thought.completion.regions
     assert sorted(region.enclosed for region in regions) == [False, False, True]

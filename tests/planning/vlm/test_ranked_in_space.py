@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 import re
 from dataclasses import dataclass, field, replace
@@ -11,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from dream.control import guard
 from dream.evaluation.runner import simulate
@@ -23,9 +21,11 @@ from dream.planning.vlm.offline import offline_planner
 from dream.planning.vlm.places import APART, MOST
 from dream.planning.vlm.places_in_space import Considered, InSpace, SixStepsPlace, SixStepsPlaces
 from dream.standin import eyes, sight
+from dream.standin.rules import answer
 from dream.types import LOOK_AROUND, Decision, Exchange, Mission, Observation
 from tests.model_server import error, ranking, serving
 from tests.planning.vlm.in_space import PROTOCOL, flown, mission, reef
+from tests.standin.sheets import request
 
 
 @cache
@@ -105,11 +105,15 @@ def test_table_and_map_have_the_same_places_with_the_same_depths() -> None:
     assert table == {n: (*place.position, place.steps) for n, place in numbered.items()}
     chart = eyes.read_map(sight.decode(question.pictures["map"], "map"), eyes.INSPECTING)
     assert [number for number, _, _ in chart.marks] == sorted(numbered)
-    # A depth stands beside each disc: another one is another picture.
-    deeper = {n: replace(place, position=(*place.position[:2], -3.25)) for n, place in numbered.items()}  # type: ignore[type-var]
-    other = offline.question(observation, occupancy, thought, [], deeper, {})
-    one, two = (np.asarray(Image.open(io.BytesIO(q.pictures["map"]))) for q in (question, other))
-    assert (one != two).any()
+    # A depth stands beside each disc: another one is another picture, and of two places one above the
+    # other both discs are seen.
+    first = found[0]
+    assert isinstance(first, SixStepsPlace)
+    above = replace(first, position=(*first.position[:2], first.position[2] + 4.0))
+    stacked = offline.question(observation, occupancy, thought, [], {1: first, 2: above}, {})
+    chart = eyes.read_map(sight.decode(stacked.pictures["map"], "map"), eyes.INSPECTING)
+    assert [number for number, _, _ in chart.marks] == [1, 2]
+    assert answer(request(stacked.reply, stacked.pictures, stacked.text))["ranking"]
 
 
 # ---------------------------------------------------------------------------------------------- on its way
@@ -137,7 +141,7 @@ class Watched:
 def fly(answer: Any, steps: int, **options: Any) -> tuple[list[Decision], list[Exchange], list[float]]:
     told = {"margin": 20.0, "weight": 50.0, "allowance": 10.0, "latency": 0.0, **options}
     with serving(answer) as server:
-        watched = Watched(Ranked(**server.options, timeout=5.0, **told))  # type: ignore[arg-type]
+        watched = Watched(Ranked(**server.options, timeout=5.0, **told))
         flight = list(simulate(reef(), watched, PROTOCOL, max_steps=LOOK_AROUND + steps))
     later = flight[1 + LOOK_AROUND :]
     assert not any(step.guarded.note or step.arrival.collided for step in later)

@@ -29,8 +29,8 @@ WEIGHT = 16
 CAST, MOST_VOTES = 256, 65535
 """Votes that a voxel casts in a frame from `CLOSE` or nearer, and that are kept; more are halved."""
 CLOSE = 2.0
-"""Metres. From farther away votes weigh less, by the fourth power; one at least. A label that is wrong from afar
-all the time is so put right by a look from near by, however many looks there were from afar."""
+"""Metres. From farther away votes weigh less, by the fourth power; one at least. A label that is wrong from
+afar all the time is so put right by a look from near by, however many looks there were from afar."""
 INNER = 0.2
 """Of a voxel's side: at least so far from its middle, towards each corner, it is looked up too; farther where
 half a pixel is less than what is left to the corner, so that a ray that is told to pass does."""

@@ -1,4 +1,4 @@
-"""The surface of what is solid in a volume, and where the unknown begins."""
+"""The surface of what is solid in a volume, and the view of it from above."""
 
 # mypy: disable-error-code="no-untyped-def"
 
@@ -24,7 +24,6 @@ from dream.mapping._kernels.volume import (
 
 HALO = SIDE + 2
 """Voxels along a brick with one more on each side."""
-_TAKEN = 3  # A state of what belongs to a cluster already.
 
 
 @njit(cache=True, nogil=True)
@@ -138,124 +137,6 @@ def grown(array, size):
     larger = np.empty((size, *array.shape[1:]), array.dtype)
     larger[: len(array)] = array
     return larger
-
-
-_FACES = np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]], np.int64)
-
-
-@njit(cache=True, nogil=True)
-def _is_newer(bricks, level, row, col, since):
-    """Was a brick, or one at a face of it, changed after a revision?"""
-    if bricks.stamps[find(bricks, level, row, col)] > since:
-        return True
-    for face in range(6):
-        beside = level + _FACES[face, 0], row + _FACES[face, 1], col + _FACES[face, 2]
-        if bricks.stamps[find(bricks, beside[0], beside[1], beside[2])] > since:
-            return True
-    return False
-
-
-@njit(cache=True, nogil=True)
-def _is_missing(bricks, slot, level, row, col):
-    """Is there no brick of that name, and is this slot the first of those at its faces?"""
-    if find(bricks, level, row, col):
-        return False
-    for face in range(6):
-        other = find(bricks, level + _FACES[face, 0], row + _FACES[face, 1], col + _FACES[face, 2])
-        if 0 < other < slot:
-            return False
-    return True
-
-
-@njit(cache=True, nogil=True)
-def frontiers(bricks, since):
-    """Clusters of unknown voxels with a free one at a face, in each brick that may have changed.
-
-    Voxels of a cluster are in one brick, and touch by a face, an edge or a corner.
-
-    Args:
-        bricks: What is known.
-        since: Revision after which a brick, or one at a face of it, was changed.
-
-    Returns:
-        looked_at: (m, 3) int64 bricks whose clusters were found anew.
-        homes: (n, 3) int64 brick of each cluster.
-        sums: (n, 3) int64 of its voxels' levels, rows and columns.
-        extents: (n, 6) int64 its first level, row and column, and past the last.
-        sizes: (n,) int64 voxels.
-        solid: (n,) bool whether a solid voxel is at a face of it.
-    """
-    looked_at, homes = np.empty((64, 3), np.int64), np.empty((64, 3), np.int64)
-    sums, extents = np.empty((64, 3), np.int64), np.empty((64, 6), np.int64)
-    sizes, solid = np.empty(64, np.int64), np.empty(64, np.bool_)
-    states = np.empty((HALO, HALO, HALO), np.uint8)
-    stack = np.empty((VOXELS, 3), np.int64)
-    number, count = 0, 0
-    for slot in range(1, bricks.used[0]):
-        for face in range(-1, 6):
-            level = np.int64(bricks.names[slot, 0])
-            row, col = np.int64(bricks.names[slot, 1]), np.int64(bricks.names[slot, 2])
-            if face >= 0:
-                level, row, col = level + _FACES[face, 0], row + _FACES[face, 1], col + _FACES[face, 2]
-                if not _is_missing(bricks, slot, level, row, col):
-                    continue
-            if not _is_newer(bricks, level, row, col, since):
-                continue
-            if number == len(looked_at):
-                looked_at = grown(looked_at, 2 * number)
-            looked_at[number, 0], looked_at[number, 1], looked_at[number, 2] = level, row, col
-            number += 1
-            if face < 0 and bricks.saturated[slot] == 255:
-                continue
-            around(bricks, level, row, col, states)
-            for seed in range(VOXELS):
-                i, j = (seed >> 2 * BITS) + 1, ((seed >> BITS) & (SIDE - 1)) + 1
-                k = (seed & (SIDE - 1)) + 1
-                if not (states[i, j, k] == UNKNOWN and touches(states, i, j, k, FREE)):
-                    continue
-                if count == len(sizes):
-                    homes, sums = grown(homes, 2 * count), grown(sums, 2 * count)
-                    extents, sizes = grown(extents, 2 * count), grown(sizes, 2 * count)
-                    solid = grown(solid, 2 * count)
-                homes[count, 0], homes[count, 1], homes[count, 2] = level, row, col
-                sizes[count], solid[count] = _gather(states, i, j, k, stack, sums[count], extents[count])
-                for axis in range(3):
-                    first = homes[count, axis] * SIDE - 1
-                    sums[count, axis] += first * sizes[count]
-                    extents[count, axis] += first
-                    extents[count, axis + 3] += first
-                count += 1
-    return looked_at[:number], homes[:count], sums[:count], extents[:count], sizes[:count], solid[:count]
-
-
-@njit(cache=True, nogil=True)
-def _gather(states, i, j, k, stack, total, extent):
-    """Take a cluster out of the states of a brick, which it is marked in as seen.
-
-    Returns:
-        Its voxels, and whether a solid one is at a face of it; `total` (3,) and `extent` (6,) are written.
-    """
-    total[:] = 0
-    extent[:3], extent[3:] = HALO, 0
-    size, height, by_solid = 0, 1, False
-    stack[0, 0], stack[0, 1], stack[0, 2] = i, j, k
-    states[i, j, k] = _TAKEN
-    while height:
-        height -= 1
-        a, b, c = stack[height]
-        size += 1
-        by_solid |= touches(states, a, b, c, SOLID)
-        for axis, at in enumerate((a, b, c)):
-            total[axis] += at
-            extent[axis], extent[axis + 3] = min(extent[axis], at), max(extent[axis + 3], at + 1)
-        for x in range(max(a - 1, 1), min(a + 2, HALO - 1)):
-            for y in range(max(b - 1, 1), min(b + 2, HALO - 1)):
-                for z in range(max(c - 1, 1), min(c + 2, HALO - 1)):
-                    if states[x, y, z] == UNKNOWN and touches(states, x, y, z, FREE):
-                        states[x, y, z] = _TAKEN
-                        stack[height, 0], stack[height, 1], stack[height, 2] = x, y, z
-                        height += 1
-    return size, by_solid
 
 
 @njit(cache=True, nogil=True)

@@ -129,11 +129,14 @@ def edges(scene, voxels):
                     up = (scene.states[i - 1, j, k] == UNKNOWN) - (scene.states[i + 1, j, k] == UNKNOWN)
                     north = (scene.states[i, j - 1, k] == UNKNOWN) - (scene.states[i, j + 1, k] == UNKNOWN)
                     east = (scene.states[i, j, k - 1] == UNKNOWN) - (scene.states[i, j, k + 1] == UNKNOWN)
-                    if up == 0 and north == 0 and east == 0:
-                        # None, or on both sides: it shows from everywhere.
-                        if scene.states[i - 1, j, k] != UNKNOWN and scene.states[i, j - 1, k] != UNKNOWN:
-                            if scene.states[i, j, k - 1] != UNKNOWN:
-                                continue
+                    # Where they cancel out it is unknown on both sides, or on none.
+                    is_between = (
+                        scene.states[i - 1, j, k] == UNKNOWN
+                        or scene.states[i, j - 1, k] == UNKNOWN
+                        or scene.states[i, j, k - 1] == UNKNOWN
+                    )
+                    if up == 0 and north == 0 and east == 0 and not is_between:
+                        continue
                     found[count, 0], found[count, 1], found[count, 2] = i, j, k
                     away[count, 0], away[count, 1], away[count, 2] = up, north, east
                     count += 1

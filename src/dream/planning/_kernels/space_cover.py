@@ -107,18 +107,18 @@ def greedy_cover(shown, weights, allowed, least):
     looks, added = np.empty((count, 2), np.int64), np.empty(count)
     k = 0
     while k < count:
-        n = bound.argmax()
-        if bound[n] < least:
+        best = bound.argmax()
+        if bound[best] < least:
             break
-        if not is_new[n]:
-            look_gains(shown, weights, covered, allowed, n, sums)
-            look[n] = sums.argmax()
-            bound[n], is_new[n] = sums[look[n]], True
+        if not is_new[best]:
+            look_gains(shown, weights, covered, allowed, best, sums)
+            look[best] = sums.argmax()
+            bound[best], is_new[best] = sums[look[best]], True
             continue
-        looks[k, 0], looks[k, 1], added[k] = n, look[n], bound[n]
+        looks[k, 0], looks[k, 1], added[k] = best, look[best], bound[best]
         k += 1
-        for i in range(shown.first[n], shown.first[n + 1]):
-            if (shown.bits[i] >> np.uint64(look[n])) & np.uint64(1):
+        for i in range(shown.first[best], shown.first[best + 1]):
+            if (shown.bits[i] >> np.uint64(look[best])) & np.uint64(1):
                 covered[shown.which[i]] = True
         is_new[:] = False
     return looks[:k], added[:k]

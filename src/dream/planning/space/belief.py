@@ -22,8 +22,10 @@ if TYPE_CHECKING:
 
 LEAST = 0.25
 """Square metres that a step has to show of structures for them to be gone on with."""
+
+
 LOOKED_OVER = 0.04
-"""Share of the surface of structures, as it is estimated, that may be left when the mission ends."""
+"""Share of the surface of structures, as it is estimated, that may be left when they are done with."""
 
 
 class Chooser(Protocol):
@@ -64,8 +66,10 @@ class SpaceBelief:
             return self.ground.decide(observation, occupancy, ways)
         left = self.remains.take(observation, volume, ways)
         self.far.take(observation, volume.surface())
-        plan = None if left.hidden <= LOOKED_OVER else self.chooser.plan(ways, left, observation)
-        if plan is not None and plan.rate >= LEAST:
+        plan = self._plan(ways, left, observation)
+        if plan is None and (again := self.remains.look_again()) is not None:
+            left, plan = again, self._plan(ways, again, observation)
+        if plan is not None:
             return replace(plan.move, reasoning=self._words(ways, left, plan))
         move, why = self.far.errand(ways, observation)
         if move is not None:
@@ -80,6 +84,11 @@ class SpaceBelief:
         said = self._words(ways, left, None)
         completion = f"{said.completion} {decision.reasoning.completion}"
         return replace(decision, reasoning=replace(decision.reasoning, completion=completion))
+
+    def _plan(self, ways: KnownWays, left: Left, observation: Observation) -> SpacePlan | None:
+        """What to do about structures; None where hardly anything is left, or little of it to be had."""
+        plan = None if left.hidden <= LOOKED_OVER else self.chooser.plan(ways, left, observation)
+        return plan if plan is not None and plan.rate >= LEAST else None
 
     def _words(self, ways: KnownWays, left: Left, plan: SpacePlan | None) -> Reasoning:
         """What is known and left of structures, and what a plan shows of it."""
@@ -100,11 +109,10 @@ class SpaceBelief:
         )
         x, y, z = at.tolist()
         surface, unknown = shows.of(SURFACE) + shows.of(LOW), shows.of(UNKNOWN)
+        look = words.look((x, y, z), yaw, tilt, plan.steps, surface, unknown)
         return replace(
             told,
-            next_target=words.look(
-                (x, y, z), yaw, tilt, plan.steps, shows.of(SURFACE) + shows.of(LOW), shows.of(UNKNOWN)
-            ),
+            next_target=f"{look} {plan.why}".rstrip(),
             safety=words.SAFE,
             action=_action(plan.move),
         )

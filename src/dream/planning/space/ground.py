@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from dream.planning.space.ways import KnownWays
 
 HIGHER = 1.5
-"""Metres above the protocol's altitude at which the ground is searched: from there all of it within reach shows at
-a useful angle, and less of it hides behind other parts."""
+"""Metres above the protocol's altitude at which the ground is searched: from there all of it within reach
+shows at a useful angle, and less of it hides behind other parts."""
 LEFT = 0.015
 """Share of the targets that may lie beside ground which was not searched: with labels that are wrong from
 everywhere some always do."""
@@ -47,13 +47,12 @@ class GroundSearch:
     """With the reach over ground."""
 
     def __post_init__(self) -> None:
-        from dream.planning.belief import BeliefPilot
-
         whole = self.mission.protocol
         self.protocol = replace(
             whole, reach=math.sqrt(max(whole.trusted**2 - (whole.altitude + HIGHER) ** 2, whole.cell**2))
         )
-        self.pilot = BeliefPilot(replace(self.planner, certify=True), replace(self.mission, protocol=self.protocol))
+        mission = replace(self.mission, protocol=self.protocol)
+        self.pilot = replace(self.planner, certify=True).in_plane(mission)
 
     def decide(self, observation: Observation, occupancy: OccupancyMap, ways: KnownWays) -> Decision:
         """The next move; done where the risk that something was missed is accepted."""

@@ -54,7 +54,7 @@ class SpacePlan:
 
 @dataclass(frozen=True, slots=True)
 class SpaceLookAhead:
-    """Chooses the sequence of real actions that shows most soonest and leaves the shortest way round the rest.
+    """Chooses the real actions that show most soonest and leave the shortest way round the rest.
 
     What it does: a beam over turn, advance, climb and tilt, through water that is known to be free. A
     sequence is worth what it shows, each square metre once and the later the less, less the steps along the
@@ -179,7 +179,7 @@ def nodes_near(ways: KnownWays, steps: IntArray, elements: SpaceElements) -> Int
 def first_move(
     ways: KnownWays, node: tuple[int, int, int], heading: int, tilt: int, observation: Observation
 ) -> Decision:
-    """The first move of the shortest way to a look; with its tilt where it is the last, else looking ahead."""
+    """The first move of the shortest way to a look, with its tilt where it is the last."""
     protocol = ways.protocol
     goal = np.zeros(ways.shape, np.bool_)
     goal[node] = True

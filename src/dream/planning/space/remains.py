@@ -41,8 +41,9 @@ LEAST = 1.0
 BESIDE = 5.0
 """Metres from a structure up to which pieces that lie low are taken for its own."""
 LOOKS = 2
-"""Looks into unknown water after which it is given up. One look that shows a surface well is enough, whatever the
-map made of it: normals from noisy depths miss some."""
+"""Looks into unknown water after which it is given up."""
+TWICE = 2
+"""Looks that what the map does not hold for inspected gets in the end."""
 SURFACE, UNKNOWN, LOW = 0, 1, 2
 """Kinds of what is left: surface that stands up, unknown water that touches it, pieces that lie about."""
 HIDES = 2.0
@@ -54,8 +55,8 @@ AXES = np.eye(3, dtype=np.int64)
 FOOT = 0.6
 """Metres from what is steep and stands up to which low surface shows its foot."""
 ASLANT = 0.4
-"""Cosine of the angle between a face and the middle of a side from which it was inspected, at least: sides are
-45° wide."""
+"""Cosine of the angle between a face and the middle of a side from which it was inspected, at least: sides
+are 45° wide."""
 OPEN = 0.015
 """Share of the water within reach of it from which a piece must be seen to be asked for: what shows through
 slits alone does not count."""
@@ -71,11 +72,11 @@ GRAZING = 0.2
 class Left:
     """What is left, in pieces."""
 
-    points: npt.NDArray[np.float64]
+    points: FloatArray
     """(n, 3) metres in the world."""
-    normals: npt.NDArray[np.float64]
+    normals: FloatArray
     """(n, 3) of length 1, towards the water from which it is to be looked at."""
-    area: npt.NDArray[np.float64]
+    area: FloatArray
     """(n,) square metres of surface to be expected."""
     kind: IntArray
     """(n,) `SURFACE`, `UNKNOWN` or `LOW`."""
@@ -113,8 +114,12 @@ class Remains:
     """What is left of structures, from look to look of one mission."""
 
     mission: Mission
+    looks: int = 1
+    """That should have shown a piece of surface, after which it counts as shown whatever the map made of it:
+    normals from noisy depths miss some."""
     failed: dict[int, int] = field(default_factory=dict)
-    """Looks that should have shown a piece and did not, by the piece."""
+    """Looks that should have shown a piece and left it open, by the piece."""
+    _latest: tuple[KnownWays, IntArray, Left] | None = None
 
     def take(self, observation: Observation, volume: Volume, ways: KnownWays) -> Left:
         """What is left after a look."""
@@ -130,7 +135,21 @@ class Remains:
         edge_keys, edges = _edges(ways, surface, found)
         all_keys = np.concatenate([keys, low_keys, edge_keys])
         whole = _joined([left, lying, edges], inspected)
-        gone = self._failed(observation, ways, all_keys, whole)
+        self._note(observation, ways, all_keys, whole)
+        self._latest = ways, all_keys, whole
+        return self._hopeful(ways, all_keys, whole)
+
+    def look_again(self) -> Left | None:
+        """Once: ask for one more look at what the map does not hold for inspected; None ever after."""
+        if self.looks == TWICE or self._latest is None:
+            return None
+        self.looks = TWICE
+        return self._hopeful(*self._latest)
+
+    def _hopeful(self, ways: KnownWays, keys: IntArray, whole: Left) -> Left:
+        """What is not given up, and shows from enough places; it counts less where few show it."""
+        times = np.array([self.failed.get(key, 0) for key in keys.tolist()], np.int64)
+        gone = times >= np.where(whole.kind == UNKNOWN, LOOKS, self.looks)
         given_up = float(whole.area[gone & (whole.kind != LOW)].sum())
         open_to = whole.only(~gone)
         share = _openness(ways, open_to)
@@ -150,19 +169,16 @@ class Remains:
         low[told[np.isfinite(away)]] = True
         return low
 
-    def _failed(self, observation: Observation, ways: KnownWays, keys: IntArray, whole: Left) -> BoolArray:
-        """(n,) which pieces are given up, with the latest look counted."""
+    def _note(self, observation: Observation, ways: KnownWays, keys: IntArray, whole: Left) -> None:
+        """Count the latest look for every piece that it should have shown."""
         from dream.planning._kernels.space_beam import shown_by
         from dream.planning.space.looks import optics_of
 
         elements, pose = elements_of(whole, ways.protocol), observation.pose
         place = np.array([pose.x, pose.y, observation.z])
         in_view = shown_by(ways.scene, optics_of(ways.protocol), elements, place, pose.yaw, observation.tilt)
-        counts = np.where(whole.kind[in_view] == UNKNOWN, 1, LOOKS)
-        for key, count in zip(keys[in_view].tolist(), counts.tolist(), strict=True):
-            self.failed[key] = self.failed.get(key, 0) + count
-        given_up = np.array([key for key, times in self.failed.items() if times >= LOOKS], np.int64)
-        return np.isin(keys, given_up)
+        for key in keys[in_view].tolist():
+            self.failed[key] = self.failed.get(key, 0) + 1
 
 
 def _joined(parts: list[Left], inspected: float) -> Left:
@@ -180,10 +196,10 @@ def elements_of(left: Left, protocol: SurveyProtocol) -> SpaceElements:
     _, part_of, count = np.unique(_keys(left.points, PART), return_inverse=True, return_counts=True)
     middles = [np.bincount(part_of, left.points[:, k], len(count)) / np.maximum(count, 1) for k in range(3)]
     return SpaceElements(
-        np.ascontiguousarray(left.points),
-        np.ascontiguousarray(left.normals),
+        np.ascontiguousarray(left.points, np.float64),
+        np.ascontiguousarray(left.normals, np.float64),
         np.where(left.kind == UNKNOWN, GRAZING, useful),
-        left.area,
+        np.asarray(left.area, np.float64),
         part_of.astype(np.int64),
         np.stack(middles, axis=1),
     )
@@ -266,7 +282,7 @@ def _faces(surface: Surface, found: BoolArray, ways: KnownWays) -> Faces:
     middles, normals, area = surface.middles[found], surface.normals[found], surface.area[found]
     states, first, side = ways.scene
     at = np.floor(middles[:, ::-1] / side).astype(np.int64) - first
-    # A normal says nothing of what has water on both sides: along each axis where it has, there are two faces.
+    # A normal says nothing of what has water on both sides: there are two faces along each axis where it has.
     thin = np.stack([_is_free(states, at - step) & _is_free(states, at + step) for step in AXES], axis=1)
     voxel, axis = np.nonzero(thin)
     plain = np.flatnonzero(~thin.any(axis=1))
@@ -276,7 +292,8 @@ def _faces(surface: Surface, found: BoolArray, ways: KnownWays) -> Faces:
     foot, outwards = np.zeros(0, np.int64), np.zeros((0, 3))
     if steep.any():
         others = np.flatnonzero(~found & surface.seen)
-        away, nearest = cKDTree(middles[steep]).query(surface.middles[others], distance_upper_bound=FOOT)
+        found_at = cKDTree(middles[steep]).query(surface.middles[others], distance_upper_bound=FOOT)
+        away, nearest = np.asarray(found_at[0]), np.asarray(found_at[1])
         others, nearest = others[np.isfinite(away)], nearest[np.isfinite(away)]
         apart = surface.middles[others] - middles[steep][nearest]
         is_below = apart[:, 2] < -0.1
@@ -324,7 +341,7 @@ def _pieces(
         return np.zeros(0, np.int64), _nothing(), 0.0
     axis = np.abs(normals).argmax(axis=1)
     side = 2 * axis + (normals[np.arange(len(axis)), axis] > 0.0)
-    keys, piece, count = np.unique(_keys(middles, PIECE) * 16 + side, return_inverse=True, return_counts=True)
+    keys, piece = np.unique(_keys(middles, PIECE) * 16 + side, return_inverse=True)
     total, inspected = np.bincount(piece, area), np.bincount(piece, area * done)
     open_piece = inspected < ENOUGH * total
     # Of each the voxel nearest to the mean of those that are not inspected stands for it.
@@ -370,7 +387,14 @@ def _edges(ways: KnownWays, surface: Surface, found: BoolArray) -> tuple[IntArra
     away = np.linalg.norm(middles - mean[piece], axis=1)
     order = np.lexsort((away, piece))
     chosen = order[np.unique(piece[order], return_index=True)[1]]
-    edges = Left(middles[chosen], normal, HIDES * side**2 * count, np.full(n, UNKNOWN), 0.0, 0.0)
+    edges = Left(
+        middles[chosen],
+        np.asarray(normal, np.float64),
+        HIDES * side**2 * count,
+        np.full(n, UNKNOWN),
+        0.0,
+        0.0,
+    )
     return keys * 16 + 7, edges
 
 

@@ -32,7 +32,7 @@ JOINED = 2
 FAR = 0.8
 """Share of the greatest depth up to which a look is counted on."""
 TRIES = 2
-"""Looks that should have brought a column into view and did not, after which it is not looked for any more."""
+"""Looks that should have brought a column into view and did not, after which it is not looked for."""
 ENOUGH = 0.04
 """Share of the area that may be left unglimpsed."""
 LEAST = 6.0
@@ -140,7 +140,7 @@ class FarSearch:
         far = (self.standing[0] >= PIXELS) & ~self.given_up
         if not far.any():
             return None
-        parts, count = label(binary_dilation(far, np.ones((3, 3)), JOINED - 1), np.ones((3, 3)))
+        parts, count = label(binary_dilation(far, np.ones((3, 3), np.bool_), JOINED - 1), np.ones((3, 3)))
         best, most = None, 0
         for number in range(1, count + 1):
             at = np.argwhere(far & (parts == number))

@@ -33,8 +33,8 @@ def remains(left: float, unknown: float, given_up: float, hidden: float) -> str:
     """Step 3: what is left of that, in square metres, and as a share."""
     lost = f"; {given_up:.1f} m² did not show where they should have and are given up" if given_up else ""
     return (
-        f"{left:.1f} m² are still to be inspected, and {unknown:.1f} m² are expected where unknown water touches "
-        f"it: {hidden:.1%} of all{lost}."
+        f"{left:.1f} m² are still to be inspected, and {unknown:.1f} m² are expected where unknown water "
+        f"touches it: {hidden:.1%} of all{lost}."
     )
 
 

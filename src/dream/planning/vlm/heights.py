@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import SE2
-from dream.planning.space import words
 from dream.mapping.structures import COLUMN, Structure, clearance, structures
+from dream.planning.space import words
 from dream.planning.vlm.pictures import bearing
 from dream.types import BoolArray, Observation
 

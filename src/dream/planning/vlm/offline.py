@@ -119,7 +119,7 @@ class Offline(Protocol[T, P, W, S_co]):
 def offline_planner(mission: Mission) -> Offline[Any, Any, Any, Any]:
     """The planner behind the models of a mission."""
     if mission.protocol.space is None:
-        return InPlane(Belief().begin(mission))
+        return InPlane(Belief().in_plane(mission))
     return InSpace(mission, offline_pilot(mission))
 
 
