@@ -170,3 +170,21 @@ def test_noise_that_makes_no_sense_is_refused(wrong: dict[str, float], complaint
     right = {"depth": 0.002, "missed": 0.1, "false_targets": 0.3, "false_size": (0.15, 0.5)}
     with pytest.raises(ValueError, match=complaint):
         SensorNoise(**(right | wrong))  # type: ignore[arg-type]
+
+
+def lasting(*labels: tuple[float, float]) -> SurveyProtocol:
+    assert DREAM_V2_DRAFT.lasting is not None
+    return replace(DREAM_V2_DRAFT, lasting=replace(DREAM_V2_DRAFT.lasting, labels=labels))
+
+
+def test_a_label_is_trusted_as_far_as_enough_of_them_are_right() -> None:
+    reach = DREAM_V2_DRAFT.reach
+    assert replace(DREAM_V2_DRAFT, lasting=None).trusted == reach
+    assert lasting().trusted == reach
+    # A fifth may be wrong: between two distances in proportion.
+    assert lasting((2.0, 0.1), (6.0, 0.3)).trusted == pytest.approx(4.0)
+    assert lasting((2.0, 0.2), (6.0, 0.3)).trusted == pytest.approx(2.0)
+    # Already at the first, and nowhere; never more than the reach.
+    assert lasting((3.0, 0.5), (6.0, 0.6)).trusted == pytest.approx(3.0)
+    assert lasting((2.0, 0.0), (6.0, 0.1)).trusted == reach
+    assert lasting((2.0, 0.0), (4.0 * reach, 0.3)).trusted == reach

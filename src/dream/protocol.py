@@ -266,7 +266,8 @@ class SurveyProtocol:
         if not errors:
             return self.reach
         far, wrong = np.array(errors).T
-        return float(min(np.interp(1.0 - TRUSTED, wrong, far, left=far[0], right=self.reach), self.reach))
+        found = float(np.interp(1.0 - TRUSTED, wrong, far, left=far[0], right=self.reach))
+        return min(max(found, self.cell), self.reach)
 
     @property
     def blind(self) -> float:

@@ -17,6 +17,7 @@ from scipy import ndimage
 
 from dream.geometry import SE3, Bounds, Camera, camera_mount
 from dream.mapping._kernels import volume_frame as frame_kernels
+from dream.mapping._kernels.volume_frame import CAST, MOST_VOTES
 from dream.mapping.volume import (
     BELIEVED,
     FREE,
@@ -171,14 +172,14 @@ class Twin:
         self.odds[passed] = np.maximum(self.odds[passed] - MISS, LEAST)
         step = np.maximum((HIT * cell / np.maximum(2.0 * scatter * ahead**2, cell)).astype(int), 1)
         self.odds = np.where(believed, np.minimum(self.odds + step, MOST), self.odds)
-        full = believed & (self.votes[..., 1] > 240)
+        full = believed & (self.votes[..., 1] > MOST_VOTES - CAST)
         self.votes[full] >>= 1
         part = hits[..., 1] / np.maximum(hits[..., 0], 1)
         square = (to_middle**2).sum(axis=-1)
-        cast = np.maximum(np.floor(15 * 4.0 / np.maximum(square, 4.0) + 0.5).astype(int), 1)
+        cast = np.maximum(np.floor(CAST * (4.0 / np.maximum(square, 4.0)) ** 2 + 0.5).astype(int), 1)
         self.votes[..., 0] += np.where(believed, np.floor(cast * part + 0.5).astype(int), 0)
         self.votes[..., 1] += np.where(believed, cast, 0)
-        self.seen |= believed & (hits[..., 2] > 0)
+        self.seen |= believed & (hits[..., 2] > 0) & (square <= protocol.trusted**2)
         bearing = np.arctan2(-to_middle[..., 1], -to_middle[..., 0]) / (2.0 * math.pi)
         band = np.floor(2.0 - 2.0 * to_middle[..., 2] / np.linalg.norm(to_middle, axis=-1))
         side = np.minimum(band, 3) * 8 + np.floor((bearing + 1.0) * 8) % 8
@@ -294,6 +295,25 @@ def slow_room(volume: Volume, start: Array, end: Array) -> tuple[int, float]:
         share = min(share, float(way[touched.argmax()]))
         worst = int(state) if int(state) == SOLID or worst == FREE else worst
     return worst, share
+
+
+def test_one_look_from_near_by_outweighs_many_from_afar() -> None:
+    def integrate(volume: Volume, away: float, label: Label) -> None:
+        depth, labels = render([plane((away, 0.0, 0.0), (-1.0, 0.0, 0.0))], pose(0.0, 0.0, -5.0))
+        T = pose(6.1 - away, 0.0, -5.0)
+        labels[labels != Label.WATER] = label
+        volume.integrate(depth, labels, CAMERA, T)
+
+    volume, on_axis = Volume(PROTOCOL), np.array([[6.1, 0.1, -4.9]])
+    for _ in range(50):
+        integrate(volume, 8.0, Label.TARGET)
+    assert volume.target(on_axis)[0] == 1.0
+    integrate(volume, 2.0, Label.SEABED)
+    assert volume.target(on_axis)[0] < 0.5
+    # Nor do as many from afar put it wrong again.
+    for _ in range(20):
+        integrate(volume, 8.0, Label.TARGET)
+    assert volume.target(on_axis)[0] < 0.5
 
 
 def test_room_is_what_a_sampled_way_finds() -> None:

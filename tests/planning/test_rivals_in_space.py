@@ -12,12 +12,12 @@ import pytest
 
 from dream.geometry import SE2, Bounds
 from dream.mapping.volume import Volume
-from dream.planning._kernels.space_cover import Shown, best_of_parts, greedy_cover, grow_tree, open_tour
+from dream.planning._kernels.space_cover import ShownFrom, best_of_parts, greedy_cover, grow_tree, open_tour
 from dream.planning.space.belief import Chooser
 from dream.planning.space.looks import optics_of
-from dream.planning.space.remains import SURFACE, Left
+from dream.planning.space.remains import SURFACE, LeftToInspect
 from dream.planning.space.rivals.cover_tour import CoverTour, CoverTourChooser
-from dream.planning.space.rivals.fuel import Fuel, FuelChooser, clusters_of, layered_path
+from dream.planning.space.rivals.fuel import Fuel, FuelChooser, layered_path, parts_of
 from dream.planning.space.rivals.inspection import FloatArray, Scene, rate_of, travel
 from dream.planning.space.rivals.space_nbv import SpaceNextBestView, SpaceNextBestViewChooser
 from dream.planning.space.ways import KnownWays, ways_in
@@ -43,15 +43,17 @@ def at(x: float = 0.0, y: float = 0.0, z: float = Z, yaw: float = 0.0) -> Observ
     return cast(Observation, SimpleNamespace(pose=SE2(x, y, yaw), z=z, tilt=PROTOCOL.camera_pitch))
 
 
-def plate(x: float = 4.5, *, kept: slice = slice(None)) -> Left:
+def plate(x: float = 4.5, *, kept: slice = slice(None)) -> LeftToInspect:
     """A plate across the x axis, 4 m wide and 2 m high, that is to be looked at from the origin."""
     y, z = np.meshgrid(np.arange(-1.75, 2.0, 0.5), Z + np.arange(-0.75, 1.0, 0.5))
     points = np.column_stack([np.full(y.size, x), y.ravel(), z.ravel()])[kept]
     n = len(points)
-    return Left(points, np.tile([-1.0, 0.0, 0.0], (n, 1)), np.full(n, 0.25), np.full(n, SURFACE), 0.0, 0.0)
+    return LeftToInspect(
+        points, np.tile([-1.0, 0.0, 0.0], (n, 1)), np.full(n, 0.25), np.full(n, SURFACE), 0.0, 0.0
+    )
 
 
-def random_shown(rng: np.random.Generator, nodes: int, elements: int) -> Shown:
+def random_shown(rng: np.random.Generator, nodes: int, elements: int) -> ShownFrom:
     """Each node shows some elements by some looks."""
     which: list[int] = []
     bits: list[int] = []
@@ -61,10 +63,10 @@ def random_shown(rng: np.random.Generator, nodes: int, elements: int) -> Shown:
         which.extend(some)
         bits.extend(rng.integers(1, 1 << LOOKS, len(some), dtype=np.uint64))
         first.append(len(which))
-    return Shown(np.array(first), np.array(which, np.int32), np.array(bits, np.uint64))
+    return ShownFrom(np.array(first), np.array(which, np.int32), np.array(bits, np.uint64))
 
 
-def sets_of(shown: Shown, allowed: np.ndarray[Any, Any]) -> dict[tuple[int, int], set[int]]:
+def sets_of(shown: ShownFrom, allowed: np.ndarray[Any, Any]) -> dict[tuple[int, int], set[int]]:
     """The elements of each look that is allowed."""
     return {
         (node, look): {
@@ -96,7 +98,7 @@ def test_the_cover_covers_all_that_looks_show_and_takes_the_best_each_time(seed:
 
 
 def test_a_look_that_adds_too_little_is_left_out() -> None:
-    shown = Shown(np.array([0, 2, 3]), np.array([0, 1, 2], np.int32), np.array([1, 1, 1], np.uint64))
+    shown = ShownFrom(np.array([0, 2, 3]), np.array([0, 1, 2], np.int32), np.array([1, 1, 1], np.uint64))
     looks, added = greedy_cover(shown, np.array([1.0, 1.0, 0.4]), np.ones((2, LOOKS), np.bool_), 0.5)
     assert looks.tolist() == [[0, 0]]
     assert added.tolist() == [2.0]
@@ -197,7 +199,7 @@ def test_what_faces_away_or_is_apart_is_another_cluster_and_none_is_too_long() -
     wall = np.column_stack([np.arange(0.0, 10.0, 0.5), np.zeros(20), np.zeros(20)])
     points = np.concatenate([wall, wall + np.array([0.0, 0.2, 0.0]), [[0.0, 9.0, 0.0]]])
     normals = np.repeat([[0.0, -1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0]], [20, 20, 1], axis=0)
-    number = clusters_of(points, normals, 4.0)
+    number = parts_of(points, normals, 4.0)
     assert set(number) == set(range(number.max() + 1))
     for k in range(number.max() + 1):
         assert np.ptp(points[number == k, 0]) <= 4.0

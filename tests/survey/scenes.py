@@ -20,9 +20,9 @@ from dream.survey import (
     Layers,
     Measure,
     Patch,
-    Side,
-    Structure,
+    StructureSide,
     Survey,
+    SurveyedStructure,
     Track,
 )
 from dream.survey.site import Site
@@ -300,12 +300,12 @@ def raised_wreck() -> Survey:
     )
     quarter = 0.5 * math.pi
     sides = (
-        Side("side", quarter, told(0.5, 0.875, 0.0)),
-        Side("side", -quarter, told(0.5, 0.0, 0.0)),
-        Side("end", 0.0, (*none[:2], Measure("open_area", 0.0625, None, None, "m2"))),
-        Side("end", math.pi, none),
-        Side("top", None, none),
-        Side("underside", None, none),
+        StructureSide("side", quarter, told(0.5, 0.875, 0.0)),
+        StructureSide("side", -quarter, told(0.5, 0.0, 0.0)),
+        StructureSide("end", 0.0, (*none[:2], Measure("open_area", 0.0625, None, None, "m2"))),
+        StructureSide("end", math.pi, none),
+        StructureSide("top", None, none),
+        StructureSide("underside", None, none),
     )
     height = _within("height", 2.5, 0.04, "m")
     boulder = Cells(np.array([[8.125, 3.125, -9.875]]), np.zeros(1, np.uint8), np.ones(1, np.uint8))
@@ -317,7 +317,7 @@ def raised_wreck() -> Survey:
             *told(1.0, 0.4375, 0.0625),
         ),
         structures=(
-            Structure(0.0, (height, *told(1.0, 0.4375, 0.0625)), sides, cells, 0.25),
-            Structure(0.0, (height, *told(0.1, 0.0, 0.0)), sides[1:2] * 6, boulder, 0.25),
+            SurveyedStructure(0.0, (height, *told(1.0, 0.4375, 0.0625)), sides, cells, 0.25),
+            SurveyedStructure(0.0, (height, *told(0.1, 0.0, 0.0)), sides[1:2] * 6, boulder, 0.25),
         ),
     )

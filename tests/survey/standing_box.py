@@ -54,7 +54,7 @@ def box_volume(
     if unknown is not None:
         odds[unknown(i, j, k)] = 0
     shape = odds.shape
-    counts = np.zeros((*shape, 2), np.uint8)
+    counts = np.zeros((*shape, 2), np.uint16)
     counts[..., 1] = np.where(odds > 0, 100, 0)
     counts[..., 0] = np.where(odds > 0, np.where(box, 100, 0) if votes is None else votes(i, j, k), 0)
     number = np.zeros(shape, np.int64) if looked_at is None else np.asarray(looked_at(i, j, k))

@@ -15,7 +15,7 @@ from dream.geometry import SE3, Bounds
 from dream.mapping import OccupancyMap
 from dream.mapping.volume import Volume
 from dream.protocol import DREAM_V2_DRAFT, DREAM_V2_TRUE_DRAFT
-from dream.survey import About, Measure, Structure, Survey, measure_observations, measuring
+from dream.survey import About, Measure, Survey, SurveyedStructure, measure_observations, measuring
 from dream.survey.ground import fuse
 from dream.survey.standing import RISES, Looks, measure_structures, sides_of, standing
 from dream.survey.survey import OPEN, SEEN
@@ -41,7 +41,7 @@ def of(measures: tuple[Measure, ...]) -> dict[str, float | None]:
     return {measure.name: measure.value for measure in measures}
 
 
-def structures_of(volume: Volume) -> tuple[Structure, ...]:
+def structures_of(volume: Volume) -> tuple[SurveyedStructure, ...]:
     protocol = volume.protocol
     ground = fuse([], Bounds(-8.0, -8.0, 8.0, 8.0), protocol, 0.0)
     return measure_structures(Looks(volume, 0.0), ground, 0.0)[1]

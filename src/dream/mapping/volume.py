@@ -85,7 +85,7 @@ class Surface:
     target: npt.NDArray[np.float64]
     """(n,) share of its votes that were for target."""
     seen: BoolArray
-    """(n,) whether it ever returned from within the protocol's reach."""
+    """(n,) whether it ever returned from where labels are trusted: `SurveyProtocol.trusted`."""
     sides: npt.NDArray[np.uint32]
     """(n,) bits of the sides from which it was inspected, see `side_bit` in its kernels."""
     area: npt.NDArray[np.float64]

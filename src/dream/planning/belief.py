@@ -44,7 +44,7 @@ from dream.types import Decision, Mission, Observation, Reasoning
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
     from dream.mapping.completion import Completion
-    from dream.planning.space.belief import SpaceBelief
+    from dream.planning.space.belief import Chooser, SpaceBelief
 
 NEGLIGIBLE = 1e-9
 """Square metres of targets in ground from which none are expected: what has a weight becomes known when a
@@ -151,10 +151,23 @@ class Belief:
         """A fresh pilot; it remembers which views failed and where it has been."""
         if mission.protocol.space is None:
             return self.in_plane(mission)
-        from dream.planning.space.belief import SpaceBelief
         from dream.planning.space.lookahead import SpaceLookAhead
 
-        return SpaceBelief(self, mission, SpaceLookAhead(self.discount))
+        return self.in_space(mission, SpaceLookAhead(self.discount))
+
+    def in_space(self, mission: Mission, chooser: Chooser) -> SpaceBelief:
+        """A fresh pilot that moves in three dimensions.
+
+        Args:
+            mission: Under a protocol that does.
+            chooser: Of the way to what is left of structures; all else is the same for all of them.
+        """
+        from dream.planning.space.belief import SpaceBelief
+        from dream.planning.space.ground import GroundSearch
+
+        # Where labels are wrong from everywhere, what is known of ground tells little of that beside it.
+        ground = GroundSearch(mission, replace(self, certify=True).in_plane)
+        return SpaceBelief(mission, ground, chooser)
 
     def in_plane(self, mission: Mission) -> BeliefPilot:
         """A fresh pilot that keeps its altitude, under whatever protocol."""

@@ -9,9 +9,9 @@ from dream.survey.survey import (
     Measure,
     Patch,
     Picture,
-    Side,
-    Structure,
+    StructureSide,
     Survey,
+    SurveyedStructure,
     Track,
 )
 
@@ -24,9 +24,9 @@ __all__ = [
     "Measure",
     "Patch",
     "Picture",
-    "Side",
-    "Structure",
+    "StructureSide",
     "Survey",
+    "SurveyedStructure",
     "Track",
     "measure",
     "measure_observations",

@@ -33,9 +33,9 @@ from dream.survey.survey import (
     Measure,
     Patch,
     Picture,
-    Side,
-    Structure,
+    StructureSide,
     Survey,
+    SurveyedStructure,
     Track,
 )
 from dream.types import Reasoning, Target
@@ -461,8 +461,8 @@ def _survey(header: _Header, arrays: Arrays, where: str) -> Survey:
     structures, start = [], 0
     for one in header.structures:
         own = {name: array[start : start + one.cells] for name, array in part("cells.").items()}
-        sides = tuple(Side(side.kind, side.bearing, measures(side.measures)) for side in one.sides)
-        structures.append(Structure(one.axis, measures(one.measures), sides, Cells(**own), one.cell))
+        sides = tuple(StructureSide(side.kind, side.bearing, measures(side.measures)) for side in one.sides)
+        structures.append(SurveyedStructure(one.axis, measures(one.measures), sides, Cells(**own), one.cell))
         start += one.cells
     try:
         return Survey(

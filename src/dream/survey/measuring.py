@@ -31,8 +31,8 @@ from dream.survey.survey import (
     Layers,
     Measure,
     Picture,
-    Structure,
     Survey,
+    SurveyedStructure,
     Track,
 )
 from dream.survey.wreck import measure_wreck, no_individuals
@@ -127,7 +127,7 @@ def measure_observations(
         if protocol.lasting is not None:  # Its labels are wrong at the same places from everywhere.
             frames = told_apart
     ground = fuse(frames, occupancy.bounds, protocol, scatter)
-    parts: tuple[Structure, ...] = ()
+    parts: tuple[SurveyedStructure, ...] = ()
     if target is Target.WRECK:
         hull = _hull_seen(observations, occupancy) if looks is None else None
         measures, found, above = measure_wreck(ground, frames, protocol, hull, sigma)

@@ -14,7 +14,7 @@ from dream.perception.scatter import SCATTERS, steadied
 from dream.survey.footprint import TOP, Top
 from dream.survey.ground import Frame, Ground
 from dream.survey.intervals import around, in_ratio, together, unknown
-from dream.survey.survey import OPEN, SEEN, Cells, Measure, Side, Structure
+from dream.survey.survey import OPEN, SEEN, Cells, Measure, StructureSide, SurveyedStructure
 from dream.survey.wreck import FOOT, GAP
 from dream.types import BoolArray, IntArray, Label
 
@@ -147,7 +147,7 @@ class Looks:
 
 def measure_structures(
     looks: Looks, ground: Ground, sigma: float
-) -> tuple[tuple[Measure, ...], tuple[Structure, ...]]:
+) -> tuple[tuple[Measure, ...], tuple[SurveyedStructure, ...]]:
     """What was inspected of all that stands, and each structure.
 
     Args:
@@ -208,7 +208,7 @@ def _shares(
 
 def _structure(
     number: int, looks: Looks, ground: Ground, opened: tuple[Float64Array, IntArray], sigma: float
-) -> Structure:
+) -> SurveyedStructure:
     found, scattered = looks.found, looks.scatter > SCATTERS
     own = np.flatnonzero(found.owner == number)
     surface = _chosen(found.surface, own)
@@ -226,7 +226,7 @@ def _structure(
         measures = _shares(
             surface.area[on], inspected[on], float((open_side == index).sum()) * face, scattered
         )
-        told.append(Side(kind, bearing, (*measures, _looked_from(nearest[on], surface.area[on]))))
+        told.append(StructureSide(kind, bearing, (*measures, _looked_from(nearest[on], surface.area[on]))))
     whole = _shares(surface.area, inspected, len(places) * face, scattered)
     count = len(places)
     cells = Cells(
@@ -239,7 +239,9 @@ def _structure(
             ]
         ).astype(np.uint8),
     )
-    return Structure(axis, (_height(looks, number, ground, sigma), *whole), tuple(told), cells, found.cell)
+    return SurveyedStructure(
+        axis, (_height(looks, number, ground, sigma), *whole), tuple(told), cells, found.cell
+    )
 
 
 def long_axis(places: Float64Array) -> float:

@@ -97,13 +97,13 @@ class Cells:
     position: Float64Array
     """(n, 3) middles, metres in the world."""
     side: npt.NDArray[np.uint8]
-    """(n,) index into `Structure.sides`."""
+    """(n,) index into `SurveyedStructure.sides`."""
     state: npt.NDArray[np.uint8]
     """(n,) `OPEN`, `SEEN`, or from how many sides it was inspected, and one."""
 
 
 @dataclass(frozen=True, slots=True)
-class Side:
+class StructureSide:
     """One side of a structure."""
 
     kind: str
@@ -115,14 +115,14 @@ class Side:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Structure:
+class SurveyedStructure:
     """What stands on the ground, of a mission that moved in three dimensions."""
 
     axis: float
     """Direction of its long axis, radians in (−π/2, π/2]."""
     measures: tuple[Measure, ...]
     """Of it: `height`, `known_surface`, `inspected_share`, `open_area`."""
-    sides: tuple[Side, ...]
+    sides: tuple[StructureSide, ...]
     cells: Cells
     cell: float
     """Metres a side."""
@@ -234,7 +234,7 @@ class Survey:
     where somebody `corrected` it."""
     picture: Picture | None = None
     """None of a survey without, which can be compared less sharply."""
-    structures: tuple[Structure, ...] = ()
+    structures: tuple[SurveyedStructure, ...] = ()
     """The largest first; none of a mission in the plane."""
 
     @property

@@ -103,7 +103,7 @@ class Dive:
     area: First[Annotated[tuple[float, float, float, float] | None, tyro.conf.arg(metavar="X Y X Y")]] = None
     """Area to survey: least x and y, largest x and y, metres in the map. Not needed with --stand-in."""
     at: First[Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y DEGREES")]] = (0.0, 0.0, 0.0)
-    """Where the vehicle lies at the launch, metres in the map, and its heading: 0 is along x, 90 along y."""
+    """Where the vehicle lies at the launch, metres in the map, and its heading: 0 along x, 90 along y."""
     protocol: str = "pool-v1"
     """Rules of the survey: sensors, reach and cap."""
     drive: Literal["alt-hold", "guided"] = "alt-hold"

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 Walk = tuple[int, ...]
 
 
-class Kept(Protocol):
+class KeptBounds(Protocol):
     """What a line of a file of bounds holds: `OracleBounds`, or in space `space_bounds.SpaceBounds`."""
 
     @property
@@ -55,7 +55,7 @@ class Kept(Protocol):
         """What `as_dict` gave; a ValueError where that is damaged."""
 
 
-K = TypeVar("K", bound=Kept)
+K = TypeVar("K", bound=KeptBounds)
 
 LONGEST_LINE = 4_000_000
 """Characters; a longer line of a file of bounds is refused. An honest one takes some ten thousand."""
@@ -558,7 +558,7 @@ def _read(lines: Iterable[str], name: str, kind: type[K]) -> list[K]:
     return list(found.values())
 
 
-def write_bounds(path: Path, every: Sequence[Kept]) -> None:
+def write_bounds(path: Path, every: Sequence[KeptBounds]) -> None:
     """Write a file of bounds, whole or not at all."""
     lines = (json.dumps(bounds.as_dict(), allow_nan=False, separators=(",", ":")) for bounds in every)
     write_whole(path, "".join(line + "\n" for line in lines).encode())

@@ -94,7 +94,7 @@ class SpaceBounds:
             ValueError: A field is missing, is none of ours, or does not fit the others.
         """
         try:
-            line = _Line.model_validate(record)
+            line = _SpaceLine.model_validate(record)
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             where = ".".join(str(part) for part in first["loc"]) or "record"
@@ -106,7 +106,7 @@ _Index = Annotated[int, Field(ge=0, le=10_000_000)]
 _Steps = Annotated[int, Field(ge=0, le=2000)]
 
 
-class _Line(BaseModel):
+class _SpaceLine(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
     protocol: Annotated[str, Field(max_length=100)]

@@ -39,7 +39,7 @@ Pose = tuple[int, int, int]
 class SpaceGraph:
     """P nodes, the moves between them, and the individuals that the frames at each of them inspect."""
 
-    kernel: _kernels.Graph
+    kernel: _kernels.SpaceArcs
     """As the kernels take it."""
     spacing: float
     """Metres between nodes."""
@@ -156,7 +156,7 @@ def space_graph(inspection: Inspection, *, start: int = 0) -> SpaceGraph:
         return {"first": first, "who": who, "frames": frames, "ends": ends}
 
     tables = kept.tables("frames", world, protocol, work_out)
-    kernel = _kernels.Graph(
+    kernel = _kernels.SpaceArcs(
         places=places,
         ends=tables["ends"],
         moves=moves,

@@ -35,7 +35,7 @@ Walk = list[Pose]
 """Poses one move apart, the first after the look-around."""
 
 
-class _Search:
+class _SpaceSearch:
     """One search for a tour: the best so far, and what it takes to find others."""
 
     def __init__(self, graph: SpaceGraph, may_miss: int, seed: int) -> None:
@@ -329,7 +329,7 @@ def best_tour(
         Actions after the look-around.
     """
     until = thread_time() + budget_s
-    search = _Search(graph, may_miss, seed)
+    search = _SpaceSearch(graph, may_miss, seed)
     if int(search.open.sum()) <= may_miss:
         yield ()
         return

@@ -15,7 +15,7 @@ from dream.planning._kernels.space_beam import FAR, _is_seen, _seen_from
 from dream.planning._kernels.ways import FINE, _passes
 
 
-class Shown(NamedTuple):
+class ShownFrom(NamedTuple):
     """What is shown from some nodes."""
 
     first: npt.NDArray[np.int64]
@@ -47,7 +47,7 @@ class SpaceTree(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def shown_from(scene, optics, lattice, elements, nodes):
-    """`Shown` of nodes (n, 3)."""
+    """`ShownFrom` of nodes (n, 3)."""
     count = len(elements.weights)
     first = np.zeros(len(nodes) + 1, np.int64)
     which, bits = np.empty(1 << 14, np.int32), np.empty(1 << 14, np.uint64)
@@ -62,7 +62,7 @@ def shown_from(scene, optics, lattice, elements, nodes):
             camera[i] = lattice.first[i] + nodes[n, 2 - i] * lattice.spacing
         written += _seen_from(scene, optics, lattice, elements, camera, which[written:], bits[written:])
         first[n + 1] = written
-    return Shown(first, which[:written], bits[:written])
+    return ShownFrom(first, which[:written], bits[:written])
 
 
 @njit(cache=True, nogil=True)

@@ -10,28 +10,27 @@ import numpy as np
 from dream.planning.space import words
 from dream.planning.space.ground import GroundSearch
 from dream.planning.space.looks import optics_of
-from dream.planning.space.remains import LOW, SURFACE, UNKNOWN, Left, Remains, elements_of
+from dream.planning.space.remains import LOW, SURFACE, UNKNOWN, LeftOfStructures, LeftToInspect, elements_of
 from dream.planning.space.search import FarSearch
 from dream.planning.space.ways import KnownWays, ways_in
 from dream.types import Decision, Mission, Observation, Reasoning, Target
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
-    from dream.planning.belief import Belief
     from dream.planning.space.lookahead import SpacePlan
 
-LEAST = 0.25
+LEAST = 0.35
 """Square metres that a step has to show of structures for them to be gone on with."""
 
 
-LOOKED_OVER = 0.04
+LOOKED_OVER = 0.03
 """Share of the surface of structures, as it is estimated, that may be left when they are done with."""
 
 
 class Chooser(Protocol):
     """Chooses the way to what is left of structures."""
 
-    def plan(self, ways: KnownWays, left: Left, observation: Observation) -> SpacePlan | None:
+    def plan(self, ways: KnownWays, left: LeftToInspect, observation: Observation) -> SpacePlan | None:
         """The best way; None where nothing is in sight."""
         ...
 
@@ -45,16 +44,14 @@ class SpaceBelief:
     is spent on is told.
     """
 
-    planner: Belief
     mission: Mission
+    ground: GroundSearch
     chooser: Chooser
-    ground: GroundSearch = field(init=False)
-    remains: Remains = field(init=False)
+    remains: LeftOfStructures = field(init=False)
     far: FarSearch = field(init=False)
 
     def __post_init__(self) -> None:
-        self.ground = GroundSearch(self.planner, self.mission)
-        self.remains = Remains(self.mission)
+        self.remains = LeftOfStructures()
         self.far = FarSearch(self.mission)
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
@@ -85,12 +82,12 @@ class SpaceBelief:
         completion = f"{said.completion} {decision.reasoning.completion}"
         return replace(decision, reasoning=replace(decision.reasoning, completion=completion))
 
-    def _plan(self, ways: KnownWays, left: Left, observation: Observation) -> SpacePlan | None:
+    def _plan(self, ways: KnownWays, left: LeftToInspect, observation: Observation) -> SpacePlan | None:
         """What to do about structures; None where hardly anything is left, or little of it to be had."""
         plan = None if left.hidden <= LOOKED_OVER else self.chooser.plan(ways, left, observation)
         return plan if plan is not None and plan.rate >= LEAST else None
 
-    def _words(self, ways: KnownWays, left: Left, plan: SpacePlan | None) -> Reasoning:
+    def _words(self, ways: KnownWays, left: LeftToInspect, plan: SpacePlan | None) -> Reasoning:
         """What is known and left of structures, and what a plan shows of it."""
         known = left.inspected + left.given_up + left.of(SURFACE)
         told = Reasoning(

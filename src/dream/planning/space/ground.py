@@ -4,45 +4,56 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from dream.control import setpoint
-from dream.planning.space.lookahead import nearest_tilt
+from dream.planning.space.looks import nearest_tilt
 from dream.planning.travel import careful_standoff, careful_travel
 from dream.protocol import SurveyProtocol
 from dream.types import Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
-    from dream.planning.belief import Belief, BeliefPilot
     from dream.planning.space.ways import KnownWays
 
 HIGHER = 1.5
 """Metres above the protocol's altitude at which the ground is searched: from there all of it within reach
 shows at a useful angle, and less of it hides behind other parts."""
 LEFT = 0.015
-"""Share of the targets that may lie beside ground which was not searched: with labels that are wrong from
-everywhere some always do."""
-ENOUGH = "Hardly any target lies beside ground that was not searched, and little can have been missed: done."
+"""Share of the ground that may be left unsearched."""
+ENOUGH = "Hardly any ground that can be seen is left: done."
 ROOM = 16
 """Places that the vehicle must be able to get to in the plane to plan there."""
 
 
+class PilotInPlane(Protocol):
+    """`belief` at one altitude, as it is needed here."""
+
+    def consider(self, observation: Observation, occupancy: OccupancyMap) -> Any:
+        """Its thought: the situation, and a plan or none."""
+        ...
+
+    def act(self, thought: Any, plan: Any) -> Decision:
+        """The first move of a plan; done without one."""
+        ...
+
+
 @dataclass(slots=True)
 class GroundSearch:
-    """`belief` of the plane on the view from above, at the altitude of the start.
+    """`belief` of the plane on the view from above, from higher up.
 
     What it does: labels are trusted as far as `SurveyProtocol.trusted` says, straight; over ground that is
     less, and so far the planar pilot plans for. It climbs or descends to its altitude where the water on the
     way is known to be free.
     """
 
-    planner: Belief
     mission: Mission
-    pilot: BeliefPilot = field(init=False)
+    in_plane: Callable[[Mission], PilotInPlane]
+    """Makes the pilot that plans."""
+    pilot: PilotInPlane = field(init=False)
     protocol: SurveyProtocol = field(init=False)
     """With the reach over ground."""
 
@@ -52,7 +63,7 @@ class GroundSearch:
             whole, reach=math.sqrt(max(whole.trusted**2 - (whole.altitude + HIGHER) ** 2, whole.cell**2))
         )
         mission = replace(self.mission, protocol=self.protocol)
-        self.pilot = replace(self.planner, certify=True).in_plane(mission)
+        self.pilot = self.in_plane(mission)
 
     def decide(self, observation: Observation, occupancy: OccupancyMap, ways: KnownWays) -> Decision:
         """The next move; done where the risk that something was missed is accepted."""
@@ -81,8 +92,8 @@ class GroundSearch:
         """
         assert occupancy.volume is not None
         protocol, volume, pose = self.mission.protocol, occupancy.volume, observation.pose
-        level = setpoint(pose, decision, protocol, observation.z)
-        ground = float(occupancy.ground[occupancy.cell_of(level.x, level.y)])
+        x, y, _ = _end(decision, observation, protocol)
+        ground = float(occupancy.ground[occupancy.cell_of(x, y)])
         wanted = protocol.launch_height(ground + HIGHER) - observation.z
         moves = [replace(decision, climb=climb) for climb in protocol.climbs]
         ends = np.array([_end(move, observation, protocol) for move in moves])
@@ -93,9 +104,7 @@ class GroundSearch:
         for k in sorted(range(len(moves)), key=lambda k: (away[k], abs(moves[k].climb))):
             if clear[k]:
                 return replace(moves[k], tilt=self._tilt(observation, protocol.camera_pitch))
-        goal = (
-            np.hypot(ways.positions[..., 0] - level.x, ways.positions[..., 1] - level.y) <= protocol.lattice
-        )
+        goal = np.hypot(ways.positions[..., 0] - x, ways.positions[..., 1] - y) <= protocol.lattice
         path = ways.to(pose, observation.z, goal, np.ones(protocol.headings, np.bool_))
         if path:
             return replace(path[0], tilt=self._tilt(observation, protocol.camera_pitch))
@@ -125,6 +134,13 @@ class GroundSearch:
 
 
 def _end(move: Decision, observation: Observation, protocol: SurveyProtocol) -> tuple[float, float, float]:
-    """Where a move leads, metres in the world."""
-    goal = setpoint(observation.pose, move, protocol, observation.z)
-    return goal.x, goal.y, observation.z if goal.z is None else goal.z
+    """Where a move leads, metres in the world: what does not move is not put on the lattice."""
+    pose, spacing = observation.pose, protocol.lattice
+    x, y, z = pose.x, pose.y, observation.z
+    if move.advance > 0.0:
+        at, heading = protocol.snap(pose), protocol.heading_index(pose.yaw + move.turn)
+        east, north = protocol.offset(heading, move.advance)
+        x, y = at.x + east * spacing, at.y + north * spacing
+    if move.advance > 0.0 or move.climb != 0.0:
+        z = round(z / spacing) * spacing + move.climb
+    return x, y, z

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dream.geometry import wrap_angle
-from dream.planning.space.looks import optics_of
-from dream.planning.space.remains import Left, elements_of
+from dream.planning.space.looks import nearest_tilt, optics_of
+from dream.planning.space.remains import LeftToInspect, elements_of
 from dream.planning.space.ways import KnownWays, lattice_of
-from dream.protocol import SurveyProtocol
 from dream.types import Decision, IntArray, Observation
 
 if TYPE_CHECKING:
@@ -67,7 +66,7 @@ class SpaceLookAhead:
     discount: float
     """What a square metre is worth a step later."""
 
-    def plan(self, ways: KnownWays, left: Left, observation: Observation) -> SpacePlan | None:
+    def plan(self, ways: KnownWays, left: LeftToInspect, observation: Observation) -> SpacePlan | None:
         """The best way; None where nothing is in sight.
 
         Args:
@@ -189,11 +188,6 @@ def first_move(
     return replace(
         move, tilt=None if wanted == nearest_tilt(protocol, observation) else protocol.tilts[wanted]
     )
-
-
-def nearest_tilt(protocol: SurveyProtocol, observation: Observation) -> int:
-    """Which of the protocol's tilts the camera has."""
-    return int(np.abs(np.array(protocol.tilts) - observation.tilt).argmin())
 
 
 def _traced(found: SpaceSequences, end: int) -> list[int]:

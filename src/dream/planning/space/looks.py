@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.protocol import SurveyProtocol
-from dream.types import BoolArray
+from dream.types import BoolArray, Observation
 
 if TYPE_CHECKING:
     from dream.planning._kernels.looks import LookOptics
@@ -89,3 +89,8 @@ def optics_of(protocol: SurveyProtocol) -> LookOptics:
         WITHIN * protocol.reach,
         math.cos(WITHIN * protocol.space.incidence),
     )
+
+
+def nearest_tilt(protocol: SurveyProtocol, observation: Observation) -> int:
+    """Which of the protocol's tilts the camera has."""
+    return int(np.abs(np.array(protocol.tilts) - observation.tilt).argmin())

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.protocol import SurveyProtocol
-from dream.types import BoolArray, IntArray, Mission, Observation
+from dream.types import BoolArray, IntArray, Observation
 
 if TYPE_CHECKING:
     from dream.mapping.volume import Surface, Volume
@@ -69,7 +69,7 @@ GRAZING = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Left:
+class LeftToInspect:
     """What is left, in pieces."""
 
     points: FloatArray
@@ -98,7 +98,7 @@ class Left:
         left = self.of(SURFACE) + self.of(UNKNOWN)
         return left / max(left + self.given_up + self.inspected, 1e-9)
 
-    def only(self, kept: npt.NDArray[Any]) -> Left:
+    def only(self, kept: npt.NDArray[Any]) -> LeftToInspect:
         """Some of it."""
         return replace(
             self,
@@ -110,20 +110,21 @@ class Left:
 
 
 @dataclass(slots=True)
-class Remains:
+class LeftOfStructures:
     """What is left of structures, from look to look of one mission."""
 
-    mission: Mission
     looks: int = 1
     """That should have shown a piece of surface, after which it counts as shown whatever the map made of it:
     normals from noisy depths miss some."""
     failed: dict[int, int] = field(default_factory=dict)
     """Looks that should have shown a piece and left it open, by the piece."""
-    _latest: tuple[KnownWays, IntArray, Left] | None = None
+    _latest: tuple[KnownWays, IntArray, LeftToInspect] | None = None
 
-    def take(self, observation: Observation, volume: Volume, ways: KnownWays) -> Left:
+    def take(self, observation: Observation, volume: Volume, ways: KnownWays) -> LeftToInspect:
         """What is left after a look."""
-        surface = volume.surface()
+        surface, self._latest = volume.surface(), None
+        if not len(surface.area):
+            return _nothing()
         standing, target = standing_targets(surface)
         found = standing & target
         if float(surface.area[found].sum()) < LEAST:
@@ -139,14 +140,14 @@ class Remains:
         self._latest = ways, all_keys, whole
         return self._hopeful(ways, all_keys, whole)
 
-    def look_again(self) -> Left | None:
+    def look_again(self) -> LeftToInspect | None:
         """Once: ask for one more look at what the map does not hold for inspected; None ever after."""
         if self.looks == TWICE or self._latest is None:
             return None
         self.looks = TWICE
         return self._hopeful(*self._latest)
 
-    def _hopeful(self, ways: KnownWays, keys: IntArray, whole: Left) -> Left:
+    def _hopeful(self, ways: KnownWays, keys: IntArray, whole: LeftToInspect) -> LeftToInspect:
         """What is not given up, and shows from enough places; it counts less where few show it."""
         times = np.array([self.failed.get(key, 0) for key in keys.tolist()], np.int64)
         gone = times >= np.where(whole.kind == UNKNOWN, LOOKS, self.looks)
@@ -169,25 +170,33 @@ class Remains:
         low[told[np.isfinite(away)]] = True
         return low
 
-    def _note(self, observation: Observation, ways: KnownWays, keys: IntArray, whole: Left) -> None:
+    def _note(self, observation: Observation, ways: KnownWays, keys: IntArray, whole: LeftToInspect) -> None:
         """Count the latest look for every piece that it should have shown."""
         from dream.planning._kernels.space_beam import shown_by
-        from dream.planning.space.looks import optics_of
+        from dream.planning.space.looks import nearest_tilt, optics_of
 
-        elements, pose = elements_of(whole, ways.protocol), observation.pose
-        place = np.array([pose.x, pose.y, observation.z])
-        in_view = shown_by(ways.scene, optics_of(ways.protocol), elements, place, pose.yaw, observation.tilt)
+        protocol, pose = ways.protocol, observation.pose
+        node = np.array(ways.node(pose.x, pose.y, observation.z)) + np.array(ways.first)
+        # As plans foretell it, from the lattice: else what is at the edge of an image is promised for ever.
+        in_view = shown_by(
+            ways.scene,
+            optics_of(protocol),
+            elements_of(whole, protocol),
+            node[::-1] * protocol.lattice,
+            protocol.heading_index(pose.yaw) * protocol.heading_step,
+            protocol.tilts[nearest_tilt(protocol, observation)],
+        )
         for key in keys[in_view].tolist():
             self.failed[key] = self.failed.get(key, 0) + 1
 
 
-def _joined(parts: list[Left], inspected: float) -> Left:
+def _joined(parts: list[LeftToInspect], inspected: float) -> LeftToInspect:
     names = ("points", "normals", "area", "kind")
     points, normals, area, kind = (np.concatenate([getattr(one, name) for one in parts]) for name in names)
-    return Left(points, normals, area, kind, inspected, 0.0)
+    return LeftToInspect(points, normals, area, kind, inspected, 0.0)
 
 
-def elements_of(left: Left, protocol: SurveyProtocol) -> SpaceElements:
+def elements_of(left: LeftToInspect, protocol: SurveyProtocol) -> SpaceElements:
     """What is left as the kernels take it, in parts that are `PART` wide."""
     from dream.planning._kernels.space_beam import SpaceElements
 
@@ -244,7 +253,7 @@ def _smoothed(middles: FloatArray, values: FloatArray, weights: FloatArray) -> F
     return np.asarray((total / np.maximum(count, 1e-9))[tuple(at.T)], np.float64)
 
 
-def _openness(ways: KnownWays, left: Left) -> FloatArray:
+def _openness(ways: KnownWays, left: LeftToInspect) -> FloatArray:
     """(n,) from which share of the known water within reach of it each piece can be seen."""
     from dream.planning._kernels.space_beam import openness
     from dream.planning.space.ways import lattice_of
@@ -335,12 +344,13 @@ def _inspected_from(sides: npt.NDArray[np.uint32], normals: FloatArray) -> BoolA
 
 def _pieces(
     middles: FloatArray, normals: FloatArray, area: FloatArray, done: BoolArray, kind: int
-) -> tuple[IntArray, Left, float]:
+) -> tuple[IntArray, LeftToInspect, float]:
     """Faces in pieces: their keys, those that are not inspected, and the area of those that are."""
     if not len(middles):
         return np.zeros(0, np.int64), _nothing(), 0.0
     axis = np.abs(normals).argmax(axis=1)
-    side = 2 * axis + (normals[np.arange(len(axis)), axis] > 0.0)
+    # Pieces that lie low are none of those that stand in the same cube.
+    side = 2 * axis + (normals[np.arange(len(axis)), axis] > 0.0) + 8 * (kind == LOW)
     keys, piece = np.unique(_keys(middles, PIECE) * 16 + side, return_inverse=True)
     total, inspected = np.bincount(piece, area), np.bincount(piece, area * done)
     open_piece = inspected < ENOUGH * total
@@ -355,7 +365,7 @@ def _pieces(
     chosen = left[order[np.unique(of[order], return_index=True)[1]]]
     number = piece[chosen]
     factor = LYING if kind == LOW else 1.0
-    found = Left(
+    found = LeftToInspect(
         middles[chosen],
         normals[chosen],
         factor * total[number],
@@ -366,7 +376,7 @@ def _pieces(
     return keys[number], found, float(total[~open_piece].sum())
 
 
-def _edges(ways: KnownWays, surface: Surface, found: BoolArray) -> tuple[IntArray, Left]:
+def _edges(ways: KnownWays, surface: Surface, found: BoolArray) -> tuple[IntArray, LeftToInspect]:
     """Free water beside structures that touches the unknown, in pieces, looking out of the unknown."""
     from dream.planning._kernels import looks as kernels
 
@@ -387,7 +397,7 @@ def _edges(ways: KnownWays, surface: Surface, found: BoolArray) -> tuple[IntArra
     away = np.linalg.norm(middles - mean[piece], axis=1)
     order = np.lexsort((away, piece))
     chosen = order[np.unique(piece[order], return_index=True)[1]]
-    edges = Left(
+    edges = LeftToInspect(
         middles[chosen],
         np.asarray(normal, np.float64),
         HIDES * side**2 * count,
@@ -404,6 +414,6 @@ def _keys(points: FloatArray, side: float) -> IntArray:
     return np.asarray((level << 38) | (row << 19) | col)
 
 
-def _nothing() -> Left:
+def _nothing() -> LeftToInspect:
     none = np.zeros((0, 3))
-    return Left(none, none, np.zeros(0), np.zeros(0, np.int64), 0.0, 0.0)
+    return LeftToInspect(none, none, np.zeros(0), np.zeros(0, np.int64), 0.0, 0.0)

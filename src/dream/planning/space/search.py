@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from dream.planning.space.looks import nearest_tilt
 from dream.planning.space.ways import KnownWays
 from dream.types import BoolArray, Decision, IntArray, Label, Mission, Observation
 
@@ -58,6 +59,8 @@ class FarSearch:
     """(rows, cols) looks that columns were in, seen or not."""
     given_up: BoolArray = field(init=False)
     """(rows, cols) columns that it came near to and found no structure at."""
+    to_see: BoolArray = field(init=False)
+    """(rows, cols) columns of the area that has to be seen."""
     ground: float | None = None
     """World z below the start."""
 
@@ -68,12 +71,19 @@ class FarSearch:
         self.standing = np.zeros((2, *shape), np.int64)
         self.given_up = np.zeros(shape, np.bool_)
         self.tried = np.zeros(shape, np.int64)
+        x, y = self._middles(np.argwhere(np.ones(shape, np.bool_))).T
+        box = self.mission.to_see
+        inside = (x >= box.x_min) & (x <= box.x_max) & (y >= box.y_min) & (y <= box.y_max)
+        self.to_see = inside.reshape(shape)
 
     def take(self, observation: Observation, surface: Surface) -> None:
         """Add a frame; what the volume knows from within reach is not far off any more."""
         protocol = self.mission.protocol
         if self.ground is None:
-            self.ground = observation.z - protocol.altitude
+            # A later leg begins at whatever height the one before ended.
+            heights = surface.middles[surface.seen, 2]
+            low = observation.z - protocol.altitude
+            self.ground = float(np.percentile(heights, 10)) if len(heights) else low
         camera, depth = observation.camera, observation.depth[::EVERY, ::EVERY]
         rows, cols = np.nonzero(np.isfinite(depth) & (depth <= protocol.returns[1]))
         z = depth[rows, cols].astype(np.float64)
@@ -137,7 +147,7 @@ class FarSearch:
         """(2,) the place of the largest thing that stands up far off; None where there is none."""
         from scipy.ndimage import binary_dilation, label
 
-        far = (self.standing[0] >= PIXELS) & ~self.given_up
+        far = (self.standing[0] >= PIXELS) & ~self.given_up & self.to_see
         if not far.any():
             return None
         parts, count = label(binary_dilation(far, np.ones((3, 3), np.bool_), JOINED - 1), np.ones((3, 3)))
@@ -148,7 +158,11 @@ class FarSearch:
             wide = COLUMN * float((np.ptp(at, axis=0) + 1).max())
             if (wide >= WIDE or 2 * target > pixels) and pixels > most:
                 best, most = at, int(pixels)
-        return None if best is None else np.asarray(self._middles(best).mean(axis=0))
+        if best is None:
+            return None
+        places = self._middles(best)
+        # One of its own columns: of a ring the middle is none, and would never be given up.
+        return np.asarray(places[np.hypot(*(places - places.mean(axis=0)).T).argmin()])
 
     def _forget(self, at: IntArray) -> None:
         """Hope for nothing more around a column."""
@@ -174,8 +188,8 @@ class FarSearch:
 
     def _look(self, ways: KnownWays, steps: IntArray, observation: Observation) -> Decision | None:
         """A move to the look that brings most ground into view for the first time for its steps."""
-        unseen = np.argwhere(~self.glimpsed & (self.tried < TRIES))
-        if len(unseen) <= ENOUGH * self.glimpsed.size:
+        unseen = np.argwhere(~self.glimpsed & (self.tried < TRIES) & self.to_see)
+        if len(unseen) <= ENOUGH * np.count_nonzero(self.to_see):
             return None
         places = self._middles(unseen)
         protocol = self.mission.protocol
@@ -196,6 +210,9 @@ class FarSearch:
         for heading in range(protocol.headings):
             apart = np.abs((bearing - heading * protocol.heading_step + np.pi) % (2.0 * np.pi) - np.pi)
             count = (within & (apart <= half)).sum(axis=1) * COLUMN**2
+            if heading == protocol.heading_index(pose.yaw):
+                # The look that was just taken.
+                count = np.where((at == here).all(axis=1), 0.0, count)
             there = np.maximum(soonest[at[:, 0], at[:, 1], heading], 1).astype(np.float64)
             rates = np.round(count / there, 6)
             k = int(rates.argmax())
@@ -212,5 +229,6 @@ class FarSearch:
     def _first(self, path: list[Decision] | None, observation: Observation) -> Decision | None:
         if not path:
             return None
-        pitch = self.mission.protocol.camera_pitch
-        return replace(path[0], tilt=pitch if abs(pitch - observation.tilt) > 1e-3 else None)
+        protocol = self.mission.protocol
+        is_ahead = protocol.tilts[nearest_tilt(protocol, observation)] == protocol.camera_pitch
+        return replace(path[0], tilt=None if is_ahead else protocol.camera_pitch)

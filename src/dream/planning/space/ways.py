@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from dream.planning._kernels.ways import SpaceMoves
 
 FloatArray = npt.NDArray[np.floating[Any]]
+WORD = 64
+"""Bits of the words that say under which heading and tilt something shows."""
 Node = tuple[int, int, int]
 """Level, row and column of a node of the lattice, counted from the first in the box."""
 
@@ -162,6 +164,10 @@ def ways_in(volume: Volume, bounds: Bounds, protocol: SurveyProtocol) -> KnownWa
     stands[below[:: kernels.FINE, :: kernels.FINE, :: kernels.FINE] > 0] = 0
     steps = np.array(protocol.turns, np.int64)
     none = np.zeros((protocol.headings, 1, 2), np.int64)
+    # What lies beyond the area's cells has none: its edge in the north and the east is theirs no more.
+    at = np.arange(rows) + row, np.arange(cols) + col
+    stands[:, at[0] * spacing >= bounds.y_max - 1e-9] = 0
+    stands[:, :, at[1] * spacing >= bounds.x_max - 1e-9] = 0
     moves = kernels.SpaceMoves(
         steps,
         np.concatenate([none, offsets_of(protocol)], axis=1),
@@ -173,10 +179,19 @@ def ways_in(volume: Volume, bounds: Bounds, protocol: SurveyProtocol) -> KnownWa
 
 
 def lattice_of(ways: KnownWays) -> SpaceLattice:
-    """Ways as the kernels take them."""
+    """Ways as the kernels take them.
+
+    Raises:
+        ValueError: There are more headings and tilts than bits in a word: each has one.
+    """
     from dream.planning._kernels.space_beam import SpaceLattice
 
     protocol = ways.protocol
+    if protocol.headings * len(protocol.tilts) > WORD:
+        raise ValueError(
+            f"protocol: expected at most {WORD} headings times tilts to plan in space, "
+            f"got {protocol.headings} times {len(protocol.tilts)}"
+        )
     return SpaceLattice(
         ways.fits,
         ways.stands,

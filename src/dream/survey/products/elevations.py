@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dream.survey.survey import OPEN, SEEN, Structure
+from dream.survey.survey import OPEN, SEEN, SurveyedStructure
 
 Float64Array = npt.NDArray[np.float64]
 Color = tuple[int, int, int]
@@ -34,11 +34,11 @@ ENLARGED = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class Elevation:
     """One side from outside, without perspective. All views of a structure have one scale."""
 
     index: int
-    """Of the side, in `Structure.sides`."""
+    """Of the side, in `SurveyedStructure.sides`."""
     colors: npt.NDArray[np.uint8]
     """(rows, cols, 3) sRGB, one cell a pixel; the first row is the highest."""
     right: float
@@ -54,13 +54,13 @@ class View:
         return content.getvalue()
 
 
-def views(structure: Structure) -> list[View]:
+def views(structure: SurveyedStructure) -> list[Elevation]:
     """The sides that have any surface, or where some may go on, in the order that they are drawn in."""
     present = set(structure.cells.side.tolist())
     return [_view(structure, index) for index in ORDER if index in present]
 
 
-def extents(structure: Structure) -> tuple[float, float, float]:
+def extents(structure: SurveyedStructure) -> tuple[float, float, float]:
     """Metres along its axis, across it and up, that the views show."""
     along = _directions(structure.axis, structure.sides[4].bearing, below=False)
     ahead, across = (structure.cells.position @ way for way in along[:2])
@@ -88,7 +88,7 @@ def _directions(
     return np.array([-towards[1], towards[0], 0.0]), np.array([0.0, 0.0, 1.0]), towards
 
 
-def _view(structure: Structure, index: int) -> View:
+def _view(structure: SurveyedStructure, index: int) -> Elevation:
     cells, side = structure.cells, structure.sides[index]
     right, up, towards = _directions(structure.axis, side.bearing, below=side.kind == "underside")
     flat = np.stack([cells.position @ right, cells.position @ up], axis=1)
@@ -107,4 +107,4 @@ def _view(structure: Structure, index: int) -> View:
         np.where((state == SEEN)[:, None], np.array(SEEN_ALONE), np.array(INSPECTED)),
     )
     colors[height - 1 - rows[own], cols[own]] = paint
-    return View(index, colors, math.atan2(right[1], right[0]))
+    return Elevation(index, colors, math.atan2(right[1], right[0]))

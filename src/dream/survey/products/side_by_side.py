@@ -6,7 +6,7 @@ import html
 from collections.abc import Sequence
 
 from dream.survey.products import elevations, web, words
-from dream.survey.survey import Structure, Survey
+from dream.survey.survey import Survey, SurveyedStructure
 
 
 def sections(survey: Survey) -> str:
@@ -14,7 +14,7 @@ def sections(survey: Survey) -> str:
     return "".join(_section(survey, number) for number in range(len(survey.structures)))
 
 
-def style(structures: Sequence[Structure]) -> str:
+def style(structures: Sequence[SurveyedStructure]) -> str:
     """Rules of the sections. Columns are as wide as what they show, which keeps all sides to one scale."""
     if not structures:
         return ""
@@ -51,7 +51,7 @@ def _bar(long: float) -> int:
     return max(1, min(5, int(long)))
 
 
-def _figures(survey: Survey, one: Structure) -> list[str]:
+def _figures(survey: Survey, one: SurveyedStructure) -> list[str]:
     drawn = []
     for view in elevations.views(one):
         side = one.sides[view.index]
@@ -68,7 +68,7 @@ def _figures(survey: Survey, one: Structure) -> list[str]:
     return drawn
 
 
-def _table(survey: Survey, one: Structure) -> str:
+def _table(survey: Survey, one: SurveyedStructure) -> str:
     names = list(dict.fromkeys(measure.name for side in one.sides for measure in side.measures))
     rows = []
     for index, side in enumerate(one.sides):
@@ -91,6 +91,6 @@ def _held(text: str) -> str:
     return html.escape(f"{figure}\N{NO-BREAK SPACE}{unit}" if space else text)
 
 
-def _title(survey: Survey, one: Structure, index: int) -> str:
+def _title(survey: Survey, one: SurveyedStructure, index: int) -> str:
     name = words.side_name(one.sides[index], survey.site)
     return name[:1].upper() + name[1:]

@@ -10,7 +10,7 @@ from dream.survey.calibration import doubt
 from dream.survey.numbers import named
 from dream.survey.site import Site
 from dream.survey.sizes import size_bin
-from dream.survey.survey import Measure, Side, Structure, Survey
+from dream.survey.survey import Measure, StructureSide, Survey, SurveyedStructure
 from dream.types import Target
 
 UNITS = {"m2": "m²", "1/m2": "per m²", "m": "m", "": ""}
@@ -183,7 +183,7 @@ def warning(survey: Survey) -> str:
 WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 
 
-def side_name(side: Side, site: Site | None) -> str:
+def side_name(side: StructureSide, site: Site | None) -> str:
     """Such as "north-east side", "south end" or "top".
 
     Where nobody said how the map lies, its y axis is taken for north.
@@ -197,7 +197,7 @@ def wind(bearing: float, site: Site | None) -> str:
     return WINDS[round(clockwise / 45.0) % 8]
 
 
-def structure(one: Structure) -> str:
+def structure(one: SurveyedStructure) -> str:
     """How high a structure stands, and what of it was inspected, in two sentences."""
     of = {measure.name: measure for measure in one.measures if measure.value is not None}
     told = f"It stands {_between(of['height'])} above the ground around it. " if "height" in of else ""

@@ -18,7 +18,7 @@ FAR = 255
 """Steps of a way that is longer than any looked for."""
 
 
-class Graph(NamedTuple):
+class SpaceArcs(NamedTuple):
     """P nodes, their moves, and what the frames at them inspect."""
 
     places: npt.NDArray[np.int32]
@@ -49,7 +49,7 @@ class Graph(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def steps_in_open_water(offsets, turns, side):  # type: ignore[no-untyped-def]
-    """(H, H, side, side) uint8 for `Graph.apart`: offsets (H, A, 2: east, north) that each heading allows.
+    """(H, H, side, side) uint8 for `SpaceArcs.apart`: offsets (H, A, 2: east, north) of each heading.
 
     FAR where there is no way within the square. One square is searched for each heading to begin with.
     """

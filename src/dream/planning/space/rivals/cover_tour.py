@@ -11,7 +11,7 @@ from dream.options import First
 from dream.planning.parameters import check_range
 from dream.planning.space.lookahead import SpacePlan
 from dream.planning.space.looks import optics_of
-from dream.planning.space.remains import Left
+from dream.planning.space.remains import LeftToInspect
 from dream.planning.space.rivals.inspection import (
     FloatArray,
     Scene,
@@ -63,9 +63,8 @@ class CoverTour:
     def begin(self, mission: Mission) -> SpaceBelief:
         """A fresh pilot."""
         from dream.planning.belief import Belief
-        from dream.planning.space.belief import SpaceBelief
 
-        return SpaceBelief(Belief(), mission, CoverTourChooser(self))
+        return Belief().in_space(mission, CoverTourChooser(self))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +89,7 @@ class CoverTourChooser:
     tour: Tour | None = None
     """The one that it is on."""
 
-    def plan(self, ways: KnownWays, left: Left, observation: Observation) -> SpacePlan | None:
+    def plan(self, ways: KnownWays, left: LeftToInspect, observation: Observation) -> SpacePlan | None:
         """The next move, and the square metres a step that the tour yields; None without one."""
         if not len(left):
             self.tour = None
@@ -131,6 +130,8 @@ class CoverTourChooser:
             nodes = scene.places(nearest, farthest)
             shown = shown_from(scene.ways.scene, optics_of(protocol), scene.lattice, scene.elements, nodes)
             allowed = scene.reached(nodes)
+            here = (nodes == scene.here[:3]).all(axis=1)
+            allowed[here, scene.here[3] * len(protocol.tilts) + scene.here[4]] = False
             looks, gains = greedy_cover(shown, scene.elements.weights, allowed, planner.least)
             if len(looks):
                 break

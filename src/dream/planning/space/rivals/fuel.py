@@ -1,4 +1,4 @@
-"""A tour over clusters of what is left, and the best looks at the first of them."""
+"""A tour over parts of what is left, and the best looks at the first of them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dream.options import First
 from dream.planning.parameters import check_count, check_range
 from dream.planning.space.lookahead import SpacePlan
 from dream.planning.space.looks import optics_of
-from dream.planning.space.remains import Left
+from dream.planning.space.remains import LeftToInspect
 from dream.planning.space.rivals.inspection import (
     FloatArray,
     Scene,
@@ -27,48 +27,48 @@ if TYPE_CHECKING:
     from dream.planning.space.belief import SpaceBelief
 
 JOINED = 1.0
-"""Metres between pieces of one cluster."""
+"""Metres between pieces of one part."""
 FACING = 0.5
-"""Cosine of the angle between the normals of joined pieces, at least: a plate has two clusters."""
+"""Cosine of the angle between the normals of joined pieces, at least: a plate has two parts."""
 NEAREST, FARTHEST = 1.0, 4.0
 """Metres from what is left at which viewpoints are."""
 ENOUGH = 0.5
-"""Share of what the best look at a cluster shows that another must show to be one of its viewpoints."""
+"""Share of what the best look at a part shows that another must show to be one of its viewpoints."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fuel:
-    """Order clusters of what is left by a tour, and choose the looks at the first few by a shortest path.
+    """Order parts of what is left by a tour, and choose the looks at the first few by a shortest path.
 
-    What it does: joins pieces that are near and face alike to clusters, and splits those that are longer than
-    `cluster` across their longest axis. Each has several viewpoints, the looks that show most of it. An open
+    What it does: joins pieces that are near and face alike to parts, and splits those that are longer than
+    `longest` across their longest axis. Each has several viewpoints, the looks that show most of it. An open
     travelling salesman's tour from here over the best of each gives the order; then, of the first `refined`
-    clusters, the looks with the fewest steps in all are chosen by a shortest path through their viewpoints,
-    layer by layer. It flies to the first, and plans again at every step. A cluster of which no look shows
+    parts, the looks with the fewest steps in all are chosen by a shortest path through their viewpoints,
+    layer by layer. It flies to the first, and plans again at every step. A part of which no look shows
     `least` is left out. Everything else is as in `belief`.
 
     Reference: a re-implementation of FUEL (Zhou et al., RA-L 2021, arXiv 2010.11561) under this protocol:
-    frontier clusters with viewpoints, a global tour, local refinement. There clusters are of frontier cells
+    frontier parts with viewpoints, a global tour, local refinement. There parts are of frontier cells
     alone, and a trajectory of least time is flown; here surface that is still to be inspected counts as well.
 
-    Assumes: a cluster shows from one look. Fails when: what is left lies in many small clusters; it takes
+    Assumes: a part shows from one look. Fails when: what is left lies in many small parts; it takes
     each for as urgent as a large one.
     """
 
     spatial: ClassVar[bool] = True
     planar: ClassVar[bool] = False
 
-    cluster: First[float] = 4.0
-    """Metres along a cluster at most."""
+    longest: First[float] = 4.0
+    """Metres along a part at most."""
     least: First[float] = 0.5
-    """Square metres of a cluster that a look has to show."""
+    """Square metres of a part that a look has to show."""
     viewpoints: First[int] = 8
-    """Of a cluster at most."""
+    """Of a part at most."""
     refined: First[int] = 5
-    """Clusters of the tour whose looks are chosen together."""
+    """Parts of the tour whose looks are chosen together."""
 
     def __post_init__(self) -> None:
-        check_range("cluster", self.cluster, 0.5, 100.0)
+        check_range("longest", self.longest, 0.5, 100.0)
         check_range("least", self.least, 0.01, 100.0)
         check_count("viewpoints", self.viewpoints, 1, 1000)
         check_count("refined", self.refined, 1, 1000)
@@ -76,13 +76,12 @@ class Fuel:
     def begin(self, mission: Mission) -> SpaceBelief:
         """A fresh pilot."""
         from dream.planning.belief import Belief
-        from dream.planning.space.belief import SpaceBelief
 
-        return SpaceBelief(Belief(), mission, FuelChooser(self))
+        return Belief().in_space(mission, FuelChooser(self))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cluster:
+class PartToInspect:
     """Of what is left, as far as looks show it."""
 
     views: IntArray
@@ -97,31 +96,31 @@ class FuelChooser:
 
     planner: Fuel
 
-    def plan(self, ways: KnownWays, left: Left, observation: Observation) -> SpacePlan | None:
+    def plan(self, ways: KnownWays, left: LeftToInspect, observation: Observation) -> SpacePlan | None:
         """The next move, and the square metres a step that the tour yields; None without one."""
         if not len(left):
             return None
         scene = Scene(ways, left, observation)
-        clusters = self._viewpoints(scene)
-        if not clusters:
+        parts = self._viewpoints(scene)
+        if not parts:
             return None
-        order, costs = self._tour(scene, clusters)
-        first = [clusters[k] for k in order[: self.planner.refined]]
-        chosen = self._refined(scene, first, clusters[order[len(first)]] if len(order) > len(first) else None)
+        order, costs = self._tour(scene, parts)
+        first = [parts[k] for k in order[: self.planner.refined]]
+        chosen = self._refined(scene, first, parts[order[len(first)]] if len(order) > len(first) else None)
         views = np.stack([one.views[k] for one, k in zip(first, chosen, strict=True)])
         gains = np.array([one.gains[k] for one, k in zip(first, chosen, strict=True)])
         between = np.diagonal(travel(views[:-1], views[1:], scene.protocol))
         path = scene.way(views[0])
         assert path, "a way leads to every viewpoint, and none is here"
-        why = f"It is the first of a tour over {len(clusters)} clusters of what is left."
+        why = f"It is the first of a tour over {len(parts)} parts of what is left."
         rate = rate_of(
-            np.concatenate([gains, [clusters[k].gains[0] for k in order[len(first) :]]]),
+            np.concatenate([gains, [parts[k].gains[0] for k in order[len(first) :]]]),
             np.concatenate([scene.steps_to(views[:1]), between, costs[len(first) :]]),
         )
         return scene.plan(path[0], views[0], len(path), rate, why)
 
-    def _viewpoints(self, scene: Scene) -> list[Cluster]:
-        """The clusters that looks show, with those looks."""
+    def _viewpoints(self, scene: Scene) -> list[PartToInspect]:
+        """The parts that looks show, with those looks."""
         from dream.planning._kernels.space_cover import best_of_parts, shown_from
 
         protocol, elements, planner = scene.protocol, scene.elements, self.planner
@@ -132,37 +131,39 @@ class FuelChooser:
         allowed = scene.reached(nodes)
         here = (nodes == scene.here[:3]).all(axis=1)
         allowed[here, scene.here[3] * len(protocol.tilts) + scene.here[4]] = False
-        number = clusters_of(elements.points, elements.normals, planner.cluster)
+        number = parts_of(elements.points, elements.normals, planner.longest)
         gains, looks = best_of_parts(shown, elements.weights, number, int(number.max()) + 1, allowed)
         found = []
         for gain, look in zip(gains.T.round(6), looks.T, strict=True):
             enough = np.flatnonzero((gain >= planner.least) & (gain >= ENOUGH * gain.max()))
             if len(enough):
                 best = enough[np.argsort(-gain[enough], kind="stable")][: planner.viewpoints]
-                found.append(Cluster(views_of(nodes[best], look[best], len(protocol.tilts)), gain[best]))
+                found.append(
+                    PartToInspect(views_of(nodes[best], look[best], len(protocol.tilts)), gain[best])
+                )
         return found
 
-    def _tour(self, scene: Scene, clusters: list[Cluster]) -> tuple[IntArray, FloatArray]:
-        """The order of the clusters, and the steps to each from the one before, by their best viewpoints."""
+    def _tour(self, scene: Scene, parts: list[PartToInspect]) -> tuple[IntArray, FloatArray]:
+        """The order of the parts, and the steps to each from the one before, by their best viewpoints."""
         from dream.planning._kernels.space_cover import open_tour
 
-        views = np.stack([one.views[0] for one in clusters])
+        views = np.stack([one.views[0] for one in parts])
         costs = np.zeros((len(views) + 1, len(views) + 1))
-        costs[0, 1:] = [scene.steps_to(one.views).min() for one in clusters]
+        costs[0, 1:] = [scene.steps_to(one.views).min() for one in parts]
         costs[1:, 1:] = travel(views, views, scene.protocol)
         order = open_tour(costs)
         return order - 1, costs[np.concatenate([[0], order[:-1]]), order]
 
-    def _refined(self, scene: Scene, first: list[Cluster], then: Cluster | None) -> list[int]:
-        """Which viewpoint of each of the first clusters makes the way through them shortest."""
+    def _refined(self, scene: Scene, first: list[PartToInspect], then: PartToInspect | None) -> list[int]:
+        """Which viewpoint of each of the first parts makes the way through them shortest."""
         between = [travel(a.views, b.views, scene.protocol) for a, b in pairwise(first)]
         if then is not None:
             between.append(travel(first[-1].views, then.views[:1], scene.protocol))
         return layered_path(scene.steps_to(first[0].views), between)[: len(first)]
 
 
-def clusters_of(points: FloatArray, normals: FloatArray, longest: float) -> IntArray:
-    """(n,) the cluster of each piece: those near that face alike, split until none is longer, in metres."""
+def parts_of(points: FloatArray, normals: FloatArray, longest: float) -> IntArray:
+    """(n,) the part of each piece: those near that face alike, split until none is longer, in metres."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree

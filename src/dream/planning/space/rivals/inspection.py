@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from dream.planning.space.lookahead import SpacePlan, nearest_tilt
-from dream.planning.space.looks import optics_of
-from dream.planning.space.remains import Left, elements_of
+from dream.planning.space.lookahead import SpacePlan
+from dream.planning.space.looks import nearest_tilt, optics_of
+from dream.planning.space.remains import LeftToInspect, elements_of
 from dream.planning.space.ways import KnownWays, lattice_of
 from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, Decision, IntArray, Observation
@@ -32,7 +32,7 @@ class Scene:
     """What is known at one step, as the kernels take it."""
 
     ways: KnownWays
-    left: Left
+    left: LeftToInspect
     observation: Observation
 
     @property
@@ -97,8 +97,9 @@ class Scene:
         if path is None or np.array_equal(view, self.here):
             return path
         path = path or [Decision()]
-        tilt = protocol.tilts[view[4]] if len(path) == 1 else protocol.camera_pitch
-        path[0] = replace(path[0], tilt=tilt if abs(tilt - observation.tilt) > 1e-3 else None)
+        tilt = int(view[4]) if len(path) == 1 else protocol.tilts.index(protocol.camera_pitch)
+        is_so = tilt == nearest_tilt(protocol, observation)
+        path[0] = replace(path[0], tilt=None if is_so else protocol.tilts[tilt])
         return path
 
     def steps_to(self, views: IntArray) -> FloatArray:

@@ -12,7 +12,7 @@ from dream.options import First
 from dream.planning.parameters import check_count, check_range
 from dream.planning.space.lookahead import SpacePlan
 from dream.planning.space.looks import optics_of
-from dream.planning.space.remains import Left
+from dream.planning.space.remains import LeftToInspect
 from dream.planning.space.rivals.inspection import FloatArray, Scene
 from dream.planning.space.ways import KnownWays
 from dream.types import IntArray, Mission, Observation
@@ -70,9 +70,8 @@ class SpaceNextBestView:
     def begin(self, mission: Mission) -> SpaceBelief:
         """A fresh pilot."""
         from dream.planning.belief import Belief
-        from dream.planning.space.belief import SpaceBelief
 
-        return SpaceBelief(Belief(), mission, SpaceNextBestViewChooser(self))
+        return Belief().in_space(mission, SpaceNextBestViewChooser(self))
 
 
 @dataclass(slots=True)
@@ -93,7 +92,7 @@ class SpaceNextBestViewChooser:
         self.rng = np.random.default_rng(0)
         self.branch = np.empty((0, 5), np.int64)
 
-    def plan(self, ways: KnownWays, left: Left, observation: Observation) -> SpacePlan | None:
+    def plan(self, ways: KnownWays, left: LeftToInspect, observation: Observation) -> SpacePlan | None:
         """The next move, and the square metres a step that its branch shows; None where none shows any."""
         if not len(left):
             return None
@@ -188,6 +187,7 @@ class SpaceNextBestViewChooser:
         views = np.column_stack([nodes, heading, tilt])
         score: FloatArray = weight * np.exp(-self.planner.decay * scene.steps_to(views))
         score[(views == scene.here).all(axis=1) | (weight < self.planner.least)] = 0.0
+        score[~np.isfinite(score)] = 0.0
         best = int(score.round(9).argmax())
         return (
             (views[best], float(weight[best])) if score[best] > 0.0 and math.isfinite(score[best]) else None
