@@ -73,7 +73,7 @@ def test_the_gain_of_a_look_is_the_weight_of_what_it_shows(ways: KnownWays) -> N
 
 def test_edges_are_free_and_touch_what_is_unknown(ways: KnownWays) -> None:
     # The ball of known water ends 6 m from its middle.
-    found = edges(ways, np.array([[0.0, 5.9, -8.0], [0.1, 0.1, -8.0]]))
+    found = edges(ways, np.array([[0.0, 5.9, -8.0], [0.1, 0.1, -8.0]]))[0]
     assert len(found)
     away = np.linalg.norm(found - np.array([0.0, 0.0, -8.0]), axis=1)
     assert (away > 5.4).all()

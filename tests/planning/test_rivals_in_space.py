@@ -304,15 +304,10 @@ def test_it_turns_to_a_plate_behind_it_until_all_was_shown(number: int, ways: Kn
 
 def shown(scene: Scene) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """(n,) what shows from here."""
-    from dream.planning._kernels.space_beam import shown_by
+    from dream.planning.space.looks import shown
 
-    pose = scene.observation.pose
-    place = np.array([pose.x, pose.y, scene.observation.z])
-    return np.asarray(
-        shown_by(
-            scene.ways.scene, optics_of(PROTOCOL), scene.elements, place, pose.yaw, scene.observation.tilt
-        )
-    )
+    pose, here = scene.observation.pose, scene.observation
+    return shown(scene.ways, (pose.x, pose.y, here.z), pose.yaw, here.tilt, *scene.elements[:3])
 
 
 @every

@@ -16,7 +16,6 @@ from dream.planning.space.belief import SpaceBelief
 from dream.planning.space.ground import GroundSearch
 from dream.planning.space.remains import LeftOfStructures, LeftToInspect
 from dream.planning.space.search import FarSearch
-from dream.planning.space.ways import ways_in
 from dream.protocol import DREAM_V1
 from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
 from dream.sim.world import World
@@ -118,9 +117,8 @@ def through(volume: Any, z: float, decision: Decision) -> Decision:
     """A move over a level seabed as it is made through known water."""
     flat = np.full((1, 1), SEABED)
     occupancy: Any = SimpleNamespace(volume=volume, ground=flat, cell_of=lambda *_: (0, 0))
-    ways = ways_in(volume, mission().bounds, PROTOCOL)
     search = GroundSearch(mission(), Belief().in_plane)
-    return search._in_water(decision, observed(0.0, 0.0, z, 0.0), occupancy, ways)
+    return search._in_water(decision, observed(0.0, 0.0, z, 0.0), occupancy)
 
 
 def test_it_climbs_to_its_altitude_and_stays_there() -> None:

@@ -10,9 +10,8 @@ import pytest
 from dream.control.setpoints import setpoint
 from dream.geometry import SE2
 from dream.mapping.volume import Volume
-from dream.planning._kernels.space_beam import shown_by
 from dream.planning.space.lookahead import HORIZON, SpaceLookAhead, SpacePlan
-from dream.planning.space.looks import optics_of
+from dream.planning.space.looks import shown
 from dream.planning.space.remains import SURFACE, LeftToInspect, elements_of
 from dream.planning.space.ways import KnownWays, ways_in
 from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
@@ -51,11 +50,9 @@ def planned(ways: KnownWays, left: LeftToInspect, observation: Observation) -> S
 
 
 def shows(ways: KnownWays, left: LeftToInspect, observation: Observation) -> bool:
-    at = np.array([observation.pose.x, observation.pose.y, observation.z])
-    elements = elements_of(left, PROTOCOL)
-    return bool(
-        shown_by(ways.scene, optics_of(PROTOCOL), elements, at, observation.pose.yaw, observation.tilt).any()
-    )
+    pose, elements = observation.pose, elements_of(left, PROTOCOL)
+    at = pose.x, pose.y, observation.z
+    return bool(shown(ways, at, pose.yaw, observation.tilt, *elements[:3]).any())
 
 
 def steps_to_see(ways: KnownWays, left: LeftToInspect, observation: Observation) -> int:

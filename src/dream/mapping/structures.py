@@ -83,6 +83,21 @@ class Structure:
         return np.column_stack([x, y, bearing])
 
 
+def lowest_around(at: IntArray, z: FloatArray, shape: npt.ArrayLike) -> FloatArray:
+    """World z of the lowest surface within `AROUND` of each column of a grid: the ground there.
+
+    Args:
+        at: (n, 2) the columns that surface is in.
+        z: (n,) its world z.
+        shape: Of the grid.
+    """
+    from scipy.ndimage import minimum_filter
+
+    lowest = np.full(np.asarray(shape), np.inf)
+    np.minimum.at(lowest, tuple(at.T), z)
+    return np.asarray(minimum_filter(lowest, 2 * math.ceil(AROUND / COLUMN) + 1, mode="nearest"))
+
+
 def structures(volume: Volume, surface: Surface | None = None, *, room: float = 8.0) -> list[Structure]:
     """The structures of target in a volume, the largest first.
 
@@ -91,7 +106,7 @@ def structures(volume: Volume, surface: Surface | None = None, *, room: float = 
         surface: Of it, where it was read already.
         room: Metres of columns around each.
     """
-    from scipy.ndimage import find_objects, label, minimum_filter
+    from scipy.ndimage import find_objects, label
 
     surface = volume.surface() if surface is None else surface
     is_target = surface.target > 0.5
@@ -101,13 +116,11 @@ def structures(volume: Volume, surface: Surface | None = None, *, room: float = 
     low: IntArray = np.floor(surface.middles[:, :2].min(axis=0) / COLUMN).astype(np.int64) - margin
     at: IntArray = np.floor(surface.middles[:, :2] / COLUMN).astype(np.int64) - low
     shape = tuple(at.max(axis=0)[::-1] + 1 + margin)
-    lowest, highest = np.full(shape, np.inf), np.full(shape, -np.inf)
-    area = np.zeros(shape)
-    np.minimum.at(lowest, (at[:, 1], at[:, 0]), surface.middles[:, 2])
+    highest, area = np.full(shape, -np.inf), np.zeros(shape)
     mine = at[is_target]
     np.maximum.at(highest, (mine[:, 1], mine[:, 0]), surface.middles[is_target, 2])
     np.add.at(area, (mine[:, 1], mine[:, 0]), surface.area[is_target])
-    ground = minimum_filter(lowest, 2 * math.ceil(AROUND / COLUMN) + 1, mode="nearest")
+    ground = lowest_around(at[:, ::-1], surface.middles[:, 2], shape)
     stands = highest - ground >= STANDS
     near = _grown(stands, 0.5 * JOINED)
     labels, _ = label(near)

@@ -56,6 +56,7 @@ class KeptBounds(Protocol):
 
 
 K = TypeVar("K", bound=KeptBounds)
+M = TypeVar("M", bound=BaseModel)
 
 LONGEST_LINE = 4_000_000
 """Characters; a longer line of a file of bounds is refused. An honest one takes some ten thousand."""
@@ -143,13 +144,7 @@ class OracleBounds:
         Raises:
             ValueError: A field is missing, is none of ours, or does not fit the others.
         """
-        try:
-            line = _Line.model_validate(record)
-        except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            where = ".".join(str(part) for part in first["loc"]) or "record"
-            raise ValueError(f"{where}: {first['msg']}") from error
-        return line.bounds()
+        return checked(_Line, record).bounds()
 
 
 _Index = Annotated[int, Field(ge=0, le=10_000_000)]
@@ -201,19 +196,42 @@ def _limit(
     share: str, lower: int, best: int | None, status: str, tour: list[int], witnesses: list[list[int]]
 ) -> Limit:
     limit = Limit(lower, best, tuple(map(tuple, witnesses)), tuple(tour))
-    if best is None:
-        expected = 0
-    else:
-        expected = max(best - LOOK_AROUND, 0)
-        if best < lower:
-            raise ValueError(f"best_tour{share}: expected at least the lower bound of {lower}, got {best}")
+    check_limit(share, lower, best, tour, limit.status, status)
+    return limit
+
+
+def checked(kind: type[M], record: Any) -> M:
+    """A line of a file of bounds by its model; a ValueError that names the first field that is wrong."""
+    try:
+        return kind.model_validate(record)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"]) or "record"
+        raise ValueError(f"{where}: {first['msg']}") from error
+
+
+def check_limit(
+    share: str, lower: int | None, best: int | None, tour: Sequence[int], status: str, told: str
+) -> None:
+    """Raise a ValueError where the parts of a limit do not fit each other.
+
+    Args:
+        share: How the names of its fields end.
+        lower: The lower bound, None where none is known.
+        best: Steps of the best tour, likewise.
+        tour: Its actions after the look-around.
+        status: What follows from the bounds.
+        told: What is said to.
+    """
+    if best is not None and lower is not None and best < lower:
+        raise ValueError(f"best_tour{share}: expected at least the lower bound of {lower}, got {best}")
+    expected = 0 if best is None else max(best - LOOK_AROUND, 0)
     if len(tour) != expected:
         raise ValueError(
             f"tour{share}: expected {expected} actions for best_tour{share} = {best}, got {len(tour)}"
         )
-    if status != limit.status:
-        raise ValueError(f'status{share}: expected "{limit.status}", got "{status}"')
-    return limit
+    if told != status:
+        raise ValueError(f'status{share}: expected "{status}", got "{told}"')
 
 
 def may_miss_t98(countable: int) -> int:

@@ -14,12 +14,12 @@ from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from dream.compiling import thread_time
 from dream.control import setpoint
 from dream.evaluation.metrics import COMPLETE
-from dream.evaluation.oracle.bounds import may_miss_t98
+from dream.evaluation.oracle.bounds import check_limit, checked, may_miss_t98
 from dream.evaluation.oracle.space_graph import SpaceGraph, actions_of, space_graph
 from dream.evaluation.oracle.space_limits import PriceLimit
 from dream.evaluation.oracle.space_tours import best_tour
@@ -93,13 +93,7 @@ class SpaceBounds:
         Raises:
             ValueError: A field is missing, is none of ours, or does not fit the others.
         """
-        try:
-            line = _SpaceLine.model_validate(record)
-        except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            where = ".".join(str(part) for part in first["loc"]) or "record"
-            raise ValueError(f"{where}: {first['msg']}") from error
-        return line.bounds()
+        return checked(_SpaceLine, record).bounds()
 
 
 _Index = Annotated[int, Field(ge=0, le=10_000_000)]
@@ -128,16 +122,7 @@ class _SpaceLine(BaseModel):
             self.lower_bound_t98, self.best_tour_t98, tuple(self.prices_t98), tuple(self.tour_t98),
             self.cpu_s,
         )  # fmt: skip
-        best, lower = bounds.best_tour, bounds.lower_bound
-        if best is not None and lower is not None and best < lower:
-            raise ValueError(f"best_tour_t98: expected at least the lower bound of {lower}, got {best}")
-        expected = 0 if best is None else max(best - LOOK_AROUND, 0)
-        if len(bounds.tour) != expected:
-            raise ValueError(
-                f"tour_t98: expected {expected} actions for best_tour_t98 = {best}, got {len(bounds.tour)}"
-            )
-        if self.status_t98 != bounds.status:
-            raise ValueError(f'status_t98: expected "{bounds.status}", got "{self.status_t98}"')
+        check_limit("_t98", bounds.lower_bound, bounds.best_tour, bounds.tour, bounds.status, self.status_t98)
         return bounds
 
 

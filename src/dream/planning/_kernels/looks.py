@@ -39,7 +39,7 @@ class LookOptics(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def _is_clear(scene, camera, point):
+def is_clear(scene, camera, point):
     """Is nothing solid on the straight line between? What lies outside the box is not."""
     levels, rows, cols = scene.states.shape
     dx, dy, dz = point[0] - camera[0], point[1] - camera[1], point[2] - camera[2]
@@ -56,21 +56,23 @@ def _is_clear(scene, camera, point):
 
 
 @njit(cache=True, nogil=True)
-def _is_useful(scene, optics, camera, point, normal):
-    """Is a point within reach, seen at a useful angle and with nothing in between?"""
+def is_facing(optics, camera, point, normal, cosine):
+    """Is a point within reach, and its surface looked at by at most the angle of that cosine?"""
     dx, dy, dz = point[0] - camera[0], point[1] - camera[1], point[2] - camera[2]
     square = dx * dx + dy * dy + dz * dz
     if square > optics.reach * optics.reach:
         return False
-    towards = -(dx * normal[0] + dy * normal[1] + dz * normal[2])
-    if towards < optics.cosine * math.sqrt(square):
-        return False
-    # A voxel before the surface, whose own neighbours would hide it.
-    return _is_clear(scene, camera, point + scene.side * normal)
+    return -(dx * normal[0] + dy * normal[1] + dz * normal[2]) >= cosine * math.sqrt(square)
 
 
 @njit(cache=True, nogil=True)
-def _is_in_image(optics, camera, yaw, tilt, point):
+def is_open(scene, camera, point, normal):
+    """Is nothing solid between? A voxel before the surface is looked at: its own neighbours would hide it."""
+    return is_clear(scene, camera, point + scene.side * normal)
+
+
+@njit(cache=True, nogil=True)
+def is_in_image(optics, camera, yaw, tilt, point):
     """Does a point project into the image?"""
     dx, dy, dz = point[0] - camera[0], point[1] - camera[1], point[2] - camera[2]
     ahead, left = dx * math.cos(yaw) + dy * math.sin(yaw), dy * math.cos(yaw) - dx * math.sin(yaw)
@@ -80,12 +82,25 @@ def _is_in_image(optics, camera, yaw, tilt, point):
 
 
 @njit(cache=True, nogil=True)
-def shown(scene, optics, camera, yaw, tilt, points, normals):
-    """(P,) bool which points (P, 3) with normals (P, 3) one look shows; `camera` (3,), angles in radians."""
+def shown(scene, optics, camera, yaw, tilt, points, normals, cosines):
+    """(P,) bool which points (P, 3) with normals (P, 3) one look shows.
+
+    Args:
+        scene: The voxels around.
+        optics: Camera and reach.
+        camera: (3,) metres.
+        yaw: Radians.
+        tilt: Radians, downwards.
+        points: (P, 3) metres in the world.
+        normals: (P, 3) of length 1.
+        cosines: (P,) of the greatest angle between each normal and the line of sight.
+    """
     result = np.zeros(len(points), np.bool_)
     for p in range(len(points)):
-        if _is_in_image(optics, camera, yaw, tilt, points[p]):
-            result[p] = _is_useful(scene, optics, camera, points[p], normals[p])
+        if is_in_image(optics, camera, yaw, tilt, points[p]):
+            result[p] = is_facing(optics, camera, points[p], normals[p], cosines[p]) and is_open(
+                scene, camera, points[p], normals[p]
+            )
     return result
 
 
@@ -95,11 +110,13 @@ def gains(scene, optics, cameras, yaws, tilts, points, normals, weights):
     result = np.zeros((len(cameras), len(yaws), len(tilts)))
     for c in range(len(cameras)):
         for p in range(len(points)):
-            if not _is_useful(scene, optics, cameras[c], points[p], normals[p]):
+            if not is_facing(optics, cameras[c], points[p], normals[p], optics.cosine):
+                continue
+            if not is_open(scene, cameras[c], points[p], normals[p]):
                 continue
             for y in range(len(yaws)):
                 for t in range(len(tilts)):
-                    if _is_in_image(optics, cameras[c], yaws[y], tilts[t], points[p]):
+                    if is_in_image(optics, cameras[c], yaws[y], tilts[t], points[p]):
                         result[c, y, t] += weights[p]
     return result
 

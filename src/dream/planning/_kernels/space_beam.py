@@ -12,8 +12,10 @@ import numpy.typing as npt
 from numba import njit
 
 from dream.mapping._kernels.volume import SOLID
-from dream.planning._kernels.looks import _is_clear, _is_in_image
-from dream.planning._kernels.ways import FINE, _passes
+from dream.mapping._kernels.volume_surface import grown
+from dream.planning._kernels.looks import is_facing, is_open
+from dream.planning._kernels.views import is_in
+from dream.planning._kernels.ways import FINE, passes
 
 FAR = 1e9
 """Steps to nowhere."""
@@ -90,7 +92,7 @@ class SpaceSequences(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def _seen_from(scene, optics, lattice, elements, camera, which, bits):
+def seen_from(scene, optics, lattice, elements, camera, which, bits):
     """Which elements show from a place at any heading and tilt, and as bits under which; how many.
 
     Bit `heading · tilts + tilt` is set where the element is in the image.
@@ -98,14 +100,10 @@ def _seen_from(scene, optics, lattice, elements, camera, which, bits):
     count = 0
     tilts = len(lattice.tilts)
     for e in range(len(elements.points)):
-        px, py, pz = elements.points[e, 0], elements.points[e, 1], elements.points[e, 2]
-        dx, dy, dz = px - camera[0], py - camera[1], pz - camera[2]
-        square = dx * dx + dy * dy + dz * dz
-        if square > optics.reach * optics.reach:
+        point, normal = elements.points[e], elements.normals[e]
+        if not is_facing(optics, camera, point, normal, elements.cosines[e]):
             continue
-        normal = elements.normals[e]
-        if -(dx * normal[0] + dy * normal[1] + dz * normal[2]) < elements.cosines[e] * math.sqrt(square):
-            continue
+        dx, dy, dz = point[0] - camera[0], point[1] - camera[1], point[2] - camera[2]
         shown = np.uint64(0)
         for h in range(len(lattice.headings)):
             east, north = lattice.headings[h, 0], lattice.headings[h, 1]
@@ -119,19 +117,11 @@ def _seen_from(scene, optics, lattice, elements, camera, which, bits):
                     and abs(above) <= optics.upright * depth
                 ):
                     shown |= np.uint64(1) << np.uint64(h * tilts + t)
-        if shown == np.uint64(0):
-            continue
-        # A voxel before the surface, whose own neighbours would hide it.
-        if not _is_clear(scene, camera, elements.points[e] + scene.side * normal):
+        if shown == np.uint64(0) or not is_open(scene, camera, point, normal):
             continue
         which[count], bits[count] = e, shown
         count += 1
     return count
-
-
-@njit(cache=True, nogil=True)
-def _is_seen(seen, element):
-    return (seen[element >> 6] >> np.uint64(element & 63)) & np.uint64(1) != 0
 
 
 @njit(cache=True, nogil=True)
@@ -146,7 +136,7 @@ def _left(elements, seen, mass):
     """Write the weight that is left of each part."""
     mass[:] = 0.0
     for e in range(len(elements.weights)):
-        if not _is_seen(seen, e):
+        if not is_in(seen, e):
             mass[elements.part_of[e]] += elements.weights[e]
 
 
@@ -182,14 +172,22 @@ def _tree(between, mass, slight):
 
 
 @njit(cache=True, nogil=True)
-def _away(elements, score, mass, x, y, z):
+def _away(elements, score, mass, camera):
     """Steps to the nearest part of which something is left; 0 where none is."""
     least = FAR
     for p in range(len(mass)):
         if mass[p] > score.slight:
             part = elements.parts[p]
-            least = min(least, _way(score, part[0] - x, part[1] - y, part[2] - z))
+            least = min(least, _way(score, part[0] - camera[0], part[1] - camera[1], part[2] - camera[2]))
     return 0.0 if least == FAR else least
+
+
+@njit(cache=True, nogil=True)
+def put_at(lattice, level, row, col, camera):
+    """Write the position (3,) of a node, metres in the world."""
+    camera[0] = lattice.first[0] + col * lattice.spacing
+    camera[1] = lattice.first[1] + row * lattice.spacing
+    camera[2] = lattice.first[2] + level * lattice.spacing
 
 
 # One loop: what it keeps from level to level would be a dozen arguments of any part of it.
@@ -234,25 +232,15 @@ def beam(scene, optics, lattice, moves, elements, score, start, heading, tilt, w
             d = elements.parts[p] - elements.parts[q]
             # From where one is seen well a part of the other is seen already.
             between[p, q] = _way(score, d[0], d[1], d[2])
-    mass = np.zeros(parts)
+    mass, camera, gains = np.zeros(parts), np.empty(3), np.empty(tilts)
     _left(elements, seen[0], mass)
-    value[0] = -score.step * (
-        _tree(between, mass, score.slight)
-        + _away(
-            elements,
-            score,
-            mass,
-            lattice.first[0] + start[2] * lattice.spacing,
-            lattice.first[1] + start[1] * lattice.spacing,
-            lattice.first[2] + start[0] * lattice.spacing,
-        )
-    )
+    put_at(lattice, start[0], start[1], start[2], camera)
+    value[0] = -score.step * (_tree(between, mass, score.slight) + _away(elements, score, mass, camera))
     # What shows from a node is found once.
     list_from = np.full(levels * rows * cols, -1, np.int64)
     list_to = np.zeros(levels * rows * cols, np.int64)
     which, bits = np.empty(1 << 14, np.int32), np.empty(1 << 14, np.uint64)
     written = 0
-    camera, gains = np.empty(3), np.empty(tilts)
     next_total, next_value = np.empty(width * branches), np.empty(width * branches)
     next_at = np.empty((width * branches, 6), np.int64)
     taken = np.zeros(((levels // 2 + 1) * (rows // 2 + 1) * (cols // 2 + 1)) * headings, np.int32)
@@ -275,7 +263,7 @@ def beam(scene, optics, lattice, moves, elements, score, start, heading, tilt, w
                         if not stays:
                             if not lattice.stands[l1, r1, c1]:
                                 continue
-                            if not _passes(
+                            if not passes(
                                 lattice.fits,
                                 FINE * l0,
                                 FINE * r0,
@@ -286,29 +274,25 @@ def beam(scene, optics, lattice, moves, elements, score, start, heading, tilt, w
                             ):
                                 continue
                         place = (l1 * rows + r1) * cols + c1
-                        camera[0] = lattice.first[0] + c1 * lattice.spacing
-                        camera[1] = lattice.first[1] + r1 * lattice.spacing
-                        camera[2] = lattice.first[2] + l1 * lattice.spacing
+                        put_at(lattice, l1, r1, c1, camera)
                         if list_from[place] < 0:
                             if written + count > len(which):
                                 more = max(2 * len(which), written + count)
-                                old_which, old_bits = which, bits
-                                which, bits = np.empty(more, np.int32), np.empty(more, np.uint64)
-                                which[:written], bits[:written] = old_which[:written], old_bits[:written]
+                                which, bits = grown(which, more), grown(bits, more)
                             list_from[place] = written
-                            written += _seen_from(
+                            written += seen_from(
                                 scene, optics, lattice, elements, camera, which[written:], bits[written:]
                             )
                             list_to[place] = written
                         gains[:] = 0.0
                         for i in range(list_from[place], list_to[place]):
                             shown = (bits[i] >> np.uint64(to * tilts)) & np.uint64((1 << tilts) - 1)
-                            if shown == np.uint64(0) or _is_seen(seen[k], which[i]):
+                            if shown == np.uint64(0) or is_in(seen[k], which[i]):
                                 continue
                             for t in range(tilts):
                                 if (shown >> np.uint64(t)) & np.uint64(1):
                                     gains[t] += elements.weights[which[i]]
-                        away = _away(elements, score, mass, camera[0], camera[1], camera[2])
+                        away = _away(elements, score, mass, camera)
                         for t in range(tilts):
                             if stays and turn == 0 and t == pitch[k]:
                                 continue
@@ -333,16 +317,9 @@ def beam(scene, optics, lattice, moves, elements, score, start, heading, tilt, w
                 if (bits[j] >> np.uint64(to * tilts + t)) & np.uint64(1):
                     seen[past, which[j] >> 6] |= np.uint64(1) << np.uint64(which[j] & 63)
             _left(elements, seen[past], mass)
+            put_at(lattice, l1, r1, c1, camera)
             value[past] = total[past] - score.step * (
-                _tree(between, mass, score.slight)
-                + _away(
-                    elements,
-                    score,
-                    mass,
-                    lattice.first[0] + c1 * lattice.spacing,
-                    lattice.first[1] + r1 * lattice.spacing,
-                    lattice.first[2] + l1 * lattice.spacing,
-                )
+                _tree(between, mass, score.slight) + _away(elements, score, mass, camera)
             )
             past += 1
             if past - first == width:
@@ -411,24 +388,6 @@ def openness(scene, lattice, elements, reach, directions):
 
 
 @njit(cache=True, nogil=True)
-def shown_by(scene, optics, elements, camera, yaw, tilt):
-    """(E,) bool which elements one look shows; `camera` (3,) metres, angles in radians."""
-    result = np.zeros(len(elements.weights), np.bool_)
-    for e in range(len(result)):
-        if not _is_in_image(optics, camera, yaw, tilt, elements.points[e]):
-            continue
-        dx, dy, dz = elements.points[e] - camera
-        square = dx * dx + dy * dy + dz * dz
-        normal = elements.normals[e]
-        if square > optics.reach * optics.reach:
-            continue
-        if -(dx * normal[0] + dy * normal[1] + dz * normal[2]) < elements.cosines[e] * math.sqrt(square):
-            continue
-        result[e] = _is_clear(scene, camera, elements.points[e] + scene.side * normal)
-    return result
-
-
-@njit(cache=True, nogil=True)
 def best_views(scene, optics, lattice, elements, nodes):
     """What the best look from each node (n, 3) shows: (n,) weight, heading and tilt."""
     count, tilts = len(elements.weights), len(lattice.tilts)
@@ -437,10 +396,9 @@ def best_views(scene, optics, lattice, elements, nodes):
     heading, tilt = np.zeros(len(nodes), np.int64), np.zeros(len(nodes), np.int64)
     camera, sums = np.empty(3), np.empty(len(lattice.headings) * tilts)
     for n in range(len(nodes)):
-        for i in range(3):
-            camera[i] = lattice.first[i] + nodes[n, 2 - i] * lattice.spacing
+        put_at(lattice, nodes[n, 0], nodes[n, 1], nodes[n, 2], camera)
         sums[:] = 0.0
-        for k in range(_seen_from(scene, optics, lattice, elements, camera, which, bits)):
+        for k in range(seen_from(scene, optics, lattice, elements, camera, which, bits)):
             for b in range(len(sums)):
                 if (bits[k] >> np.uint64(b)) & np.uint64(1):
                     sums[b] += elements.weights[which[k]]

@@ -11,8 +11,10 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from dream.planning._kernels.space_beam import FAR, _is_seen, _seen_from
-from dream.planning._kernels.ways import FINE, _passes
+from dream.mapping._kernels.volume_surface import grown
+from dream.planning._kernels.space_beam import FAR, put_at, seen_from
+from dream.planning._kernels.views import is_in
+from dream.planning._kernels.ways import FINE, passes
 
 
 class ShownFrom(NamedTuple):
@@ -55,12 +57,9 @@ def shown_from(scene, optics, lattice, elements, nodes):
     for n in range(len(nodes)):
         if written + count > len(which):
             more = max(2 * len(which), written + count)
-            old_which, old_bits = which, bits
-            which, bits = np.empty(more, np.int32), np.empty(more, np.uint64)
-            which[:written], bits[:written] = old_which[:written], old_bits[:written]
-        for i in range(3):
-            camera[i] = lattice.first[i] + nodes[n, 2 - i] * lattice.spacing
-        written += _seen_from(scene, optics, lattice, elements, camera, which[written:], bits[written:])
+            which, bits = grown(which, more), grown(bits, more)
+        put_at(lattice, nodes[n, 0], nodes[n, 1], nodes[n, 2], camera)
+        written += seen_from(scene, optics, lattice, elements, camera, which[written:], bits[written:])
         first[n + 1] = written
     return ShownFrom(first, which[:written], bits[:written])
 
@@ -249,7 +248,7 @@ def _towards(lattice, moves, node, heading, sample, turning, to):
                 else:
                     if not lattice.stands[l1, r1, c1]:
                         continue
-                    if not _passes(
+                    if not passes(
                         lattice.fits,
                         FINE * node[0],
                         FINE * node[1],
@@ -314,12 +313,11 @@ def grow_tree(
         if pose in taken:
             continue
         taken.add(pose)
-        for i in range(3):
-            camera[i] = lattice.first[i] + to[2 - i] * lattice.spacing
-        shown = _seen_from(scene, optics, lattice, elements, camera, which, bits)
+        put_at(lattice, to[0], to[1], to[2], camera)
+        shown = seen_from(scene, optics, lattice, elements, camera, which, bits)
         gains[:] = 0.0
         for i in range(shown):
-            if not _is_seen(seen[k], which[i]):
+            if not is_in(seen[k], which[i]):
                 for t in range(tilts):
                     if (bits[i] >> np.uint64(to[3] * tilts + t)) & np.uint64(1):
                         gains[t] += elements.weights[which[i]]

@@ -27,7 +27,7 @@ class SpaceMoves(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def _passes(fits, level, row, col, up, north, east):
+def passes(fits, level, row, col, up, north, east):
     """Does the body fit all along a straight move? All in fine points; between two, both count."""
     steps = max(abs(up), abs(north), abs(east))
     for k in range(1, steps + 1):
@@ -99,7 +99,7 @@ def search(fits, stands, moves, start, heading, goal, facing):
                     end = ((h * rows + r) * cols + c) * headings + to
                     if steps[end] >= 0 or not stands[h, r, c]:
                         continue
-                    if not _passes(
+                    if not passes(
                         fits, FINE * level, FINE * row, FINE * col, FINE * up, FINE * north, FINE * east
                     ):
                         continue

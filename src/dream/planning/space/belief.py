@@ -9,8 +9,7 @@ import numpy as np
 
 from dream.planning.space import words
 from dream.planning.space.ground import GroundSearch
-from dream.planning.space.looks import optics_of
-from dream.planning.space.remains import LOW, SURFACE, UNKNOWN, LeftOfStructures, LeftToInspect, elements_of
+from dream.planning.space.remains import LOW, SURFACE, UNKNOWN, LeftOfStructures, LeftToInspect
 from dream.planning.space.search import FarSearch
 from dream.planning.space.ways import KnownWays, ways_in
 from dream.types import Decision, Mission, Observation, Reasoning, Target
@@ -21,8 +20,6 @@ if TYPE_CHECKING:
 
 LEAST = 0.35
 """Square metres that a step has to show of structures for them to be gone on with."""
-
-
 LOOKED_OVER = 0.03
 """Share of the surface of structures, as it is estimated, that may be left when they are done with."""
 
@@ -57,10 +54,10 @@ class SpaceBelief:
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         """The next move, or done."""
         assert occupancy.volume is not None
+        if self.mission.target is Target.OYSTERS:
+            return self.ground.decide(observation, occupancy)
         volume = occupancy.volume
         ways = ways_in(volume, self.mission.bounds, self.mission.protocol)
-        if self.mission.target is Target.OYSTERS:
-            return self.ground.decide(observation, occupancy, ways)
         left = self.remains.take(observation, volume, ways)
         self.far.take(observation, volume.surface())
         plan = self._plan(ways, left, observation)
@@ -75,7 +72,7 @@ class SpaceBelief:
         if self.mission.target is Target.WRECK and left.inspected:
             said = replace(self._words(ways, left, None), action=words.ended(left.hidden, left.given_up))
             return Decision(done=True, reasoning=said)
-        decision = self.ground.decide(observation, occupancy, ways)
+        decision = self.ground.decide(observation, occupancy)
         if not len(left) and not left.inspected:
             return decision
         said = self._words(ways, left, None)
@@ -96,15 +93,10 @@ class SpaceBelief:
         )
         if plan is None:
             return told
-        from dream.planning._kernels.space_beam import shown_by
-
         protocol = self.mission.protocol
+        shows = left.only(left.shown(ways, plan.node, plan.heading, plan.tilt))
+        x, y, z = ((np.array(plan.node) + np.array(ways.first))[::-1] * protocol.lattice).tolist()
         yaw, tilt = plan.heading * protocol.heading_step, protocol.tilts[plan.tilt]
-        at = (np.array(plan.node) + np.array(ways.first))[::-1] * protocol.lattice
-        shows = left.only(
-            shown_by(ways.scene, optics_of(protocol), elements_of(left, protocol), at, yaw, tilt)
-        )
-        x, y, z = at.tolist()
         surface, unknown = shows.of(SURFACE) + shows.of(LOW), shows.of(UNKNOWN)
         look = words.look((x, y, z), yaw, tilt, plan.steps, surface, unknown)
         return replace(

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from dream.planning.space.looks import nearest_tilt
+from dream.planning.space.ways import ways_in
 from dream.planning.travel import careful_standoff, careful_travel
 from dream.protocol import SurveyProtocol
 from dream.types import Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
-    from dream.planning.space.ways import KnownWays
 
 HIGHER = 1.5
 """Metres above the protocol's altitude at which the ground is searched: from there all of it within reach
@@ -65,12 +65,12 @@ class GroundSearch:
         mission = replace(self.mission, protocol=self.protocol)
         self.pilot = self.in_plane(mission)
 
-    def decide(self, observation: Observation, occupancy: OccupancyMap, ways: KnownWays) -> Decision:
+    def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         """The next move; done where the risk that something was missed is accepted."""
         near = copy.copy(occupancy)
         near.protocol = self.protocol
         if np.count_nonzero(careful_travel(observation.pose, near).reached) < ROOM:
-            out = self._into_the_open(observation, near, ways)
+            out = self._into_the_open(observation, near)
             if out is not None:
                 return out
         thought = self.pilot.consider(observation, near)
@@ -80,11 +80,9 @@ class GroundSearch:
         decision = self.pilot.act(thought, thought.plan)
         if decision.done:
             return decision
-        return replace(self._in_water(decision, observation, occupancy, ways), reasoning=decision.reasoning)
+        return replace(self._in_water(decision, observation, occupancy), reasoning=decision.reasoning)
 
-    def _in_water(
-        self, decision: Decision, observation: Observation, occupancy: OccupancyMap, ways: KnownWays
-    ) -> Decision:
+    def _in_water(self, decision: Decision, observation: Observation, occupancy: OccupancyMap) -> Decision:
         """A move of the plane through water that is known to be free, towards the altitude of the search.
 
         Where it leads through none at any height, the way round in three dimensions; where there is none,
@@ -104,6 +102,7 @@ class GroundSearch:
         for k in sorted(range(len(moves)), key=lambda k: (away[k], abs(moves[k].climb))):
             if clear[k]:
                 return replace(moves[k], tilt=self._tilt(observation, protocol.camera_pitch))
+        ways = ways_in(volume, self.mission.bounds, protocol)
         goal = np.hypot(ways.positions[..., 0] - x, ways.positions[..., 1] - y) <= protocol.lattice
         path = ways.to(pose, observation.z, goal, np.ones(protocol.headings, np.bool_))
         if path:
@@ -115,10 +114,10 @@ class GroundSearch:
         protocol = self.mission.protocol
         return None if protocol.tilts[nearest_tilt(protocol, observation)] == wanted else wanted
 
-    def _into_the_open(
-        self, observation: Observation, occupancy: OccupancyMap, ways: KnownWays
-    ) -> Decision | None:
+    def _into_the_open(self, observation: Observation, occupancy: OccupancyMap) -> Decision | None:
         """The way from above or beside what stands up to where a vehicle at its altitude can move on."""
+        assert occupancy.volume is not None
+        ways = ways_in(occupancy.volume, self.mission.bounds, self.mission.protocol)
         at = ways.positions[0, :, :, :2].reshape(-1, 2)
         inside = occupancy.contains(*at.T)
         cells = occupancy.cell_of(*at[inside].T)

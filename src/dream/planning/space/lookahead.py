@@ -152,8 +152,9 @@ class SpaceLookAhead:
             return None
         level, row, col = nodes[best].tolist()
         node, to, pitch = (level, row, col), int(heading[best]), int(tilt[best])
-        move = first_move(ways, node, to, pitch, observation)
-        return SpacePlan(move, float(rates[best]), max(int(there[best]), 1), node, to, pitch)
+        path = way_to(ways, node, to, pitch, observation)
+        assert path, "a way leads to what was reached"
+        return SpacePlan(path[0], float(rates[best]), max(int(there[best]), 1), node, to, pitch)
 
 
 def nodes_near(ways: KnownWays, steps: IntArray, elements: SpaceElements) -> IntArray:
@@ -175,19 +176,24 @@ def nodes_near(ways: KnownWays, steps: IntArray, elements: SpaceElements) -> Int
     return np.ascontiguousarray(nodes[np.isfinite(away)])
 
 
-def first_move(
+def way_to(
     ways: KnownWays, node: tuple[int, int, int], heading: int, tilt: int, observation: Observation
-) -> Decision:
-    """The first move of the shortest way to a look, with its tilt where it is the last."""
+) -> list[Decision] | None:
+    """The moves of the shortest way to a look, at least one; None where no way is known.
+
+    The first tilts the camera as the look has it where it is the last as well, else ahead.
+    """
     protocol = ways.protocol
     goal = np.zeros(ways.shape, np.bool_)
     goal[node] = True
     path = ways.to(observation.pose, observation.z, goal, np.arange(protocol.headings) == heading)
-    wanted = tilt if path is not None and len(path) <= 1 else protocol.tilts.index(protocol.camera_pitch)
-    move = path[0] if path else Decision()
-    return replace(
-        move, tilt=None if wanted == nearest_tilt(protocol, observation) else protocol.tilts[wanted]
-    )
+    if path is None:
+        return None
+    path = path or [Decision()]
+    wanted = tilt if len(path) == 1 else protocol.tilts.index(protocol.camera_pitch)
+    is_so = wanted == nearest_tilt(protocol, observation)
+    path[0] = replace(path[0], tilt=None if is_so else protocol.tilts[wanted])
+    return path
 
 
 def _traced(found: SpaceSequences, end: int) -> list[int]:

@@ -28,6 +28,7 @@ def shown(
     tilt: float,
     points: FloatArray,
     normals: FloatArray,
+    cosines: FloatArray | None = None,
 ) -> BoolArray:
     """(P,) which points one look shows: in the image, within reach, at a useful angle, nothing solid between.
 
@@ -38,11 +39,14 @@ def shown(
         tilt: Of the camera, radians downwards.
         points: (P, 3) metres in the world, middles of voxels at the surface.
         normals: (P, 3) of length 1, towards the water.
+        cosines: (P,) of the greatest angle to each normal that is useful; the protocol's where None.
     """
     from dream.planning._kernels import looks as kernels
 
+    optics = optics_of(ways.protocol)
+    least = np.full(len(points), optics.cosine) if cosines is None else cosines
     found: BoolArray = kernels.shown(
-        ways.scene, optics_of(ways.protocol), np.array(position, np.float64), yaw, tilt, points, normals
+        ways.scene, optics, np.array(position, np.float64), yaw, tilt, points, normals, least
     )
     return found
 
@@ -67,14 +71,24 @@ def gains(
     return found
 
 
-def edges(ways: KnownWays, middles: FloatArray) -> FloatArray:
-    """(n, 3) middles of free voxels beside those at (m, 3) that have an unknown one at a face."""
+def edges(ways: KnownWays, middles: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Where known water beside some voxels ends.
+
+    Args:
+        ways: Of which the voxels are taken.
+        middles: (m, 3) of those voxels, metres in the world.
+
+    Returns:
+        found: (n, 3) middles of free voxels around them that have an unknown one at a face.
+        towards: (n, 3) the sum of the directions out of the unknown, of no length where they cancel out.
+    """
     from dream.planning._kernels import looks as kernels
 
     first, side = ways.scene.first, ways.scene.side
     voxels = np.floor(middles[:, ::-1] / side).astype(np.int64) - first
-    found = np.unique(kernels.edges(ways.scene, voxels)[0], axis=0)
-    return np.asarray((found + first + 0.5)[:, ::-1] * side, np.float64)
+    at, away = kernels.edges(ways.scene, voxels)
+    found, index = np.unique(at, axis=0, return_index=True)
+    return np.asarray((found + first + 0.5)[:, ::-1] * side, np.float64), away[index][:, ::-1]
 
 
 def optics_of(protocol: SurveyProtocol) -> LookOptics:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from dream.mapping.structures import COLUMN, lowest_around
 from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, IntArray, Observation
 
@@ -29,13 +30,9 @@ STANDS = 0.6
 """Metres above the lowest surface around from which on surface belongs to what stands up."""
 STEEP = 0.75
 """Surface whose normal has less of an upward part belongs to it from half that height on."""
-AROUND = 6.0
-"""Metres within which the lowest surface is taken for the ground."""
 SMOOTHED = 1.2
 """Metres, standard deviation: labels are decided by those around. Pieces of surface whose labels are wrong
 from everywhere are up to 2 m wide."""
-COLUMN = 0.5
-"""Metres a side of the columns that ground is found in."""
 LEAST = 1.0
 """Square metres that stand up and are target, for there to be a structure."""
 BESIDE = 5.0
@@ -97,6 +94,15 @@ class LeftToInspect:
         """Share of all surface, known and expected, that is still to be inspected."""
         left = self.of(SURFACE) + self.of(UNKNOWN)
         return left / max(left + self.given_up + self.inspected, 1e-9)
+
+    def shown(self, ways: KnownWays, node: tuple[int, int, int], heading: int, tilt: int) -> BoolArray:
+        """(n,) which pieces a look from a node shows, with one of the protocol's headings and tilts."""
+        from dream.planning.space.looks import shown
+
+        protocol = ways.protocol
+        x, y, z = ((np.array(node) + np.array(ways.first))[::-1] * protocol.lattice).tolist()
+        yaw, pitch = heading * protocol.heading_step, protocol.tilts[tilt]
+        return shown(ways, (x, y, z), yaw, pitch, *elements_of(self, protocol)[:3])
 
     def only(self, kept: npt.NDArray[Any]) -> LeftToInspect:
         """Some of it."""
@@ -172,19 +178,15 @@ class LeftOfStructures:
 
     def _note(self, observation: Observation, ways: KnownWays, keys: IntArray, whole: LeftToInspect) -> None:
         """Count the latest look for every piece that it should have shown."""
-        from dream.planning._kernels.space_beam import shown_by
-        from dream.planning.space.looks import nearest_tilt, optics_of
+        from dream.planning.space.looks import nearest_tilt
 
         protocol, pose = ways.protocol, observation.pose
-        node = np.array(ways.node(pose.x, pose.y, observation.z)) + np.array(ways.first)
         # As plans foretell it, from the lattice: else what is at the edge of an image is promised for ever.
-        in_view = shown_by(
-            ways.scene,
-            optics_of(protocol),
-            elements_of(whole, protocol),
-            node[::-1] * protocol.lattice,
-            protocol.heading_index(pose.yaw) * protocol.heading_step,
-            protocol.tilts[nearest_tilt(protocol, observation)],
+        in_view = whole.shown(
+            ways,
+            ways.node(pose.x, pose.y, observation.z),
+            protocol.heading_index(pose.yaw),
+            nearest_tilt(protocol, observation),
         )
         for key in keys[in_view].tolist():
             self.failed[key] = self.failed.get(key, 0) + 1
@@ -221,13 +223,9 @@ def standing_targets(surface: Surface) -> tuple[BoolArray, BoolArray]:
         standing: (n,) it stands up from the ground around it.
         target: (n,) most votes around it are for target, among what stands up or among what lies low.
     """
-    from scipy.ndimage import minimum_filter
-
     at = np.floor(surface.middles[:, :2] / COLUMN).astype(np.int64)
     at -= at.min(axis=0)
-    lowest = np.full(at.max(axis=0) + 1, np.inf)
-    np.minimum.at(lowest, (at[:, 0], at[:, 1]), surface.middles[:, 2])
-    ground = minimum_filter(lowest, 2 * math.ceil(AROUND / COLUMN) + 1, mode="nearest")
+    ground = lowest_around(at, surface.middles[:, 2], at.max(axis=0) + 1)
     height = surface.middles[:, 2] - ground[at[:, 0], at[:, 1]]
     standing = (height > STANDS) | ((height > 0.5 * STANDS) & (np.abs(surface.normals[:, 2]) < STEEP))
     share = np.empty(len(standing))
@@ -354,15 +352,8 @@ def _pieces(
     keys, piece = np.unique(_keys(middles, PIECE) * 16 + side, return_inverse=True)
     total, inspected = np.bincount(piece, area), np.bincount(piece, area * done)
     open_piece = inspected < ENOUGH * total
-    # Of each the voxel nearest to the mean of those that are not inspected stands for it.
     left = np.flatnonzero(open_piece[piece] & ~done)
-    of = piece[left]
-    n = len(keys)
-    how_many = np.maximum(np.bincount(of, minlength=n), 1)
-    mean = np.stack([np.bincount(of, middles[left, k], n) for k in range(3)], axis=1) / how_many[:, None]
-    away = np.linalg.norm(middles[left] - mean[of], axis=1)
-    order = np.lexsort((away, of))
-    chosen = left[order[np.unique(of[order], return_index=True)[1]]]
+    chosen = left[_middlemost(middles[left], piece[left])]
     number = piece[chosen]
     factor = LYING if kind == LOW else 1.0
     found = LeftToInspect(
@@ -378,34 +369,36 @@ def _pieces(
 
 def _edges(ways: KnownWays, surface: Surface, found: BoolArray) -> tuple[IntArray, LeftToInspect]:
     """Free water beside structures that touches the unknown, in pieces, looking out of the unknown."""
-    from dream.planning._kernels import looks as kernels
+    from dream.planning.space.looks import edges
 
-    first, side = ways.scene.first, ways.scene.side
-    voxels = np.floor(surface.middles[found][:, ::-1] / side).astype(np.int64) - first
-    at, towards = kernels.edges(ways.scene, voxels)
-    if not len(at):
+    middles, towards = edges(ways, surface.middles[found])
+    if not len(middles):
         return np.zeros(0, np.int64), _nothing()
-    at, index = np.unique(at, axis=0, return_index=True)
-    towards = towards[index][:, ::-1]
-    middles = (at + first + 0.5)[:, ::-1] * side
     keys, piece, count = np.unique(_keys(middles, WATER), return_inverse=True, return_counts=True)
     n = len(keys)
-    mean = np.stack([np.bincount(piece, middles[:, k], n) for k in range(3)], axis=1) / count[:, None]
     normal = np.stack([np.bincount(piece, towards[:, k], n) for k in range(3)], axis=1)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     normal = np.where(length > 1e-6, normal / np.maximum(length, 1e-6), [0.0, 0.0, 1.0])
-    away = np.linalg.norm(middles - mean[piece], axis=1)
-    order = np.lexsort((away, piece))
-    chosen = order[np.unique(piece[order], return_index=True)[1]]
-    edges = LeftToInspect(
+    chosen = _middlemost(middles, piece)
+    left = LeftToInspect(
         middles[chosen],
         np.asarray(normal, np.float64),
-        HIDES * side**2 * count,
+        HIDES * ways.scene.side**2 * count,
         np.full(n, UNKNOWN),
         0.0,
         0.0,
     )
-    return keys * 16 + 7, edges
+    return keys * 16 + 7, left
+
+
+def _middlemost(middles: FloatArray, piece: IntArray) -> IntArray:
+    """(pieces,) of each piece that occurs the one of its places (n, 3) that is nearest to their mean."""
+    n = int(piece.max(initial=-1)) + 1
+    count = np.maximum(np.bincount(piece, minlength=n), 1)
+    mean = np.stack([np.bincount(piece, middles[:, k], n) for k in range(3)], axis=1) / count[:, None]
+    away = np.linalg.norm(middles - mean[piece], axis=1)
+    order = np.lexsort((away, piece))
+    return np.asarray(order[np.unique(piece[order], return_index=True)[1]])
 
 
 def _keys(points: FloatArray, side: float) -> IntArray:

@@ -61,8 +61,10 @@ class FarSearch:
     """(rows, cols) columns that it came near to and found no structure at."""
     to_see: BoolArray = field(init=False)
     """(rows, cols) columns of the area that has to be seen."""
+    middles: FloatArray = field(init=False)
+    """(rows, cols, 2) world x and y of the middle of each."""
     ground: float | None = None
-    """World z below the start."""
+    """World z of the ground."""
 
     def __post_init__(self) -> None:
         bounds = self.mission.bounds
@@ -71,10 +73,12 @@ class FarSearch:
         self.standing = np.zeros((2, *shape), np.int64)
         self.given_up = np.zeros(shape, np.bool_)
         self.tried = np.zeros(shape, np.int64)
-        x, y = self._middles(np.argwhere(np.ones(shape, np.bool_))).T
-        box = self.mission.to_see
-        inside = (x >= box.x_min) & (x <= box.x_max) & (y >= box.y_min) & (y <= box.y_max)
-        self.to_see = inside.reshape(shape)
+        rows, cols = np.indices(shape)
+        self.middles = np.stack(
+            [bounds.x_min + (cols + 0.5) * COLUMN, bounds.y_min + (rows + 0.5) * COLUMN], axis=-1
+        )
+        (x, y), box = np.moveaxis(self.middles, -1, 0), self.mission.to_see
+        self.to_see = (x >= box.x_min) & (x <= box.x_max) & (y >= box.y_min) & (y <= box.y_max)
 
     def take(self, observation: Observation, surface: Surface) -> None:
         """Add a frame; what the volume knows from within reach is not far off any more."""
@@ -108,17 +112,13 @@ class FarSearch:
 
     def errand(self, ways: KnownWays, observation: Observation) -> tuple[Decision | None, str]:
         """The next move to what stands up far off, or to a look at what was never in view; and why."""
-        steps = ways.steps(observation.pose, observation.z)
         goal = self._structure()
         if goal is not None:
-            move = self._near(ways, steps, goal, observation)
+            move = self._near(ways, goal, observation)
             if move is not None:
                 return move, f"Something that stands up was glimpsed at ({goal[0]:.0f}, {goal[1]:.0f})."
-            at, inside = self._columns(goal[:1], goal[1:])
-            self._forget(at[:, inside])
-        return self._look(
-            ways, steps, observation
-        ), "No structure is known yet: a look at ground never in view."
+            self._forget(goal)
+        return self._look(ways, observation), "No structure is known yet: a look at ground never in view."
 
     # ------------------------------------------------------------------------------------------------------
 
@@ -128,17 +128,10 @@ class FarSearch:
         rows, cols = self.glimpsed.shape
         return at, (at[0] >= 0) & (at[0] < rows) & (at[1] >= 0) & (at[1] < cols)
 
-    def _middles(self, at: IntArray) -> FloatArray:
-        """(n, 2) world x and y of columns (n, 2)."""
-        corner = np.array([self.mission.bounds.x_min, self.mission.bounds.y_min])
-        return np.asarray(corner + (at[:, ::-1] + 0.5) * COLUMN)
-
     def _in_view(self, observation: Observation) -> BoolArray:
         """(rows, cols) columns that a look should show, were nothing in between."""
-        bounds, pose, protocol = self.mission.bounds, observation.pose, self.mission.protocol
-        rows, cols = np.indices(self.glimpsed.shape)
-        dx = bounds.x_min + (cols + 0.5) * COLUMN - pose.x
-        dy = bounds.y_min + (rows + 0.5) * COLUMN - pose.y
+        pose, protocol = observation.pose, self.mission.protocol
+        dx, dy = np.moveaxis(self.middles - [pose.x, pose.y], -1, 0)
         apart = np.abs((np.arctan2(dy, dx) - pose.yaw + np.pi) % (2.0 * np.pi) - np.pi)
         near = np.hypot(dx, dy) <= FAR * protocol.max_depth
         return np.asarray(near & (apart <= 0.5 * protocol.camera.horizontal_fov))
@@ -160,24 +153,20 @@ class FarSearch:
                 best, most = at, int(pixels)
         if best is None:
             return None
-        places = self._middles(best)
+        places = self.middles[tuple(best.T)]
         # One of its own columns: of a ring the middle is none, and would never be given up.
         return np.asarray(places[np.hypot(*(places - places.mean(axis=0)).T).argmin()])
 
-    def _forget(self, at: IntArray) -> None:
-        """Hope for nothing more around a column."""
-        rows, cols = np.indices(self.glimpsed.shape)
-        for row, col in at.T.tolist():
-            self.given_up |= np.hypot(rows - row, cols - col) * COLUMN <= WIDE
+    def _forget(self, place: FloatArray) -> None:
+        """Hope for nothing more around a place (2,)."""
+        self.given_up |= np.hypot(*np.moveaxis(self.middles - place, -1, 0)) <= WIDE
 
-    def _near(
-        self, ways: KnownWays, steps: IntArray, goal: FloatArray, observation: Observation
-    ) -> Decision | None:
+    def _near(self, ways: KnownWays, goal: FloatArray, observation: Observation) -> Decision | None:
         """A move towards where known water comes nearest to a place, if that is nearer than here."""
         away = np.hypot(ways.positions[..., 0] - goal[0], ways.positions[..., 1] - goal[1])
-        reached = (steps >= 0).any(axis=-1)
-        nearest = float(away[reached].min())
         pose = observation.pose
+        reached = (ways.steps(pose, observation.z) >= 0).any(axis=-1)
+        nearest = float(away[reached].min())
         if nearest > math.hypot(goal[0] - pose.x, goal[1] - pose.y) - 0.5:
             return None
         bearing = math.atan2(goal[1] - pose.y, goal[0] - pose.x)
@@ -186,13 +175,14 @@ class FarSearch:
         path = ways.to(pose, observation.z, reached & (away <= nearest + 1.0), facing)
         return self._first(path, observation)
 
-    def _look(self, ways: KnownWays, steps: IntArray, observation: Observation) -> Decision | None:
+    def _look(self, ways: KnownWays, observation: Observation) -> Decision | None:
         """A move to the look that brings most ground into view for the first time for its steps."""
         unseen = np.argwhere(~self.glimpsed & (self.tried < TRIES) & self.to_see)
         if len(unseen) <= ENOUGH * np.count_nonzero(self.to_see):
             return None
-        places = self._middles(unseen)
+        places = self.middles[tuple(unseen.T)]
         protocol = self.mission.protocol
+        steps = ways.steps(observation.pose, observation.z)
         over = steps.max(axis=(0, 3))
         soonest = np.where(steps >= 0, steps, np.iinfo(np.int32).max).min(axis=0)
         rows, cols = np.nonzero(over >= 0)

@@ -247,7 +247,7 @@ class SpacePilot:
         """All that is left, without what frames kept failing to show."""
         target = surface.target > 0.5
         open_target = target & (surface.sides == 0)
-        beside = edges(ways, surface.middles[target])
+        beside, _ = edges(ways, surface.middles[target])
         ground = self._ground_left(surface, observation)
         points = np.concatenate([surface.middles[open_target], beside, ground])
         count = [int(open_target.sum()), len(beside), len(ground)]

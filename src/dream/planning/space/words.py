@@ -42,12 +42,9 @@ def look(
     position: tuple[float, float, float], yaw: float, tilt: float, steps: int, target: float, unknown: float
 ) -> str:
     """Step 4: where to look from, how, and what it is to show, in square metres."""
-    x, y, z = position
-    count = "1 step" if steps == 1 else f"{steps} steps"
     return (
-        f"The look from ({x:.1f}, {y:.1f}), {-z:.1f} m deep, towards {sentences.bearing(yaw)}, the camera "
-        f"{tilted(tilt)}, {count} away, is expected to show {target:.1f} m² that are left and to look into "
-        f"unknown water that may hide {unknown:.1f} m²."
+        f"{_look_from(position, yaw, tilt, steps)} is expected to show {target:.1f} m² that are left and to "
+        f"look into unknown water that may hide {unknown:.1f} m²."
     )
 
 
@@ -81,12 +78,19 @@ def next_target(
     position: tuple[float, float, float], yaw: float, tilt: float, steps: int, target: float, ground: float
 ) -> str:
     """Step 4: where to look from, how, and what it is to show, in square metres."""
+    return (
+        f"{_look_from(position, yaw, tilt, steps)} is expected to show {target:.1f} m² of target that are "
+        f"left and {ground:.0f} m² of ground."
+    )
+
+
+def _look_from(position: tuple[float, float, float], yaw: float, tilt: float, steps: int) -> str:
+    """The beginning of both sentences."""
     x, y, z = position
     count = "1 step" if steps == 1 else f"{steps} steps"
     return (
         f"The look from ({x:.1f}, {y:.1f}), {-z:.1f} m deep, towards {sentences.bearing(yaw)}, the camera "
-        f"{tilted(tilt)}, {count} away, is expected to show {target:.1f} m² of target that are left and "
-        f"{ground:.0f} m² of ground."
+        f"{tilted(tilt)}, {count} away,"
     )
 
 

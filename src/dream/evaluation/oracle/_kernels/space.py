@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from dream.evaluation.oracle._kernels.tours import lowest
+from dream.evaluation.oracle._kernels.tours import is_covered, lowest
 
 FAR = 255
 """Steps of a way that is longer than any looked for."""
@@ -382,16 +382,7 @@ def beam(  # type: ignore[no-untyped-def]
             key = q * headings + f // tilts
             for w in range(words):
                 trial[w] = mask[s, w] | rows[row, f, w]
-            covered = held[key] >= crowd
-            other = head[key]
-            while other >= 0 and not covered:
-                covered = True
-                for w in range(words):
-                    if trial[w] & ~mask_next[other, w]:
-                        covered = False
-                        break
-                other = link[other]
-            if covered:
+            if held[key] >= crowd or is_covered(trial, mask_next, head[key], link):
                 continue
             path[layer + 1, kept, 0], path[layer + 1, kept, 1] = q, f // tilts
             path[layer + 1, kept, 2] = f % tilts

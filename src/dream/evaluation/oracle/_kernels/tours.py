@@ -385,6 +385,28 @@ def bits(individuals, words):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def is_covered(mask, others, first, link):  # type: ignore[no-untyped-def]
+    """Has one of a chain of walks seen all that a walk has seen?
+
+    Args:
+        mask: (words,) bits of what it has seen.
+        others: (n, words) likewise.
+        first: The first of the chain; −1 where there is none.
+        link: (n,) the next one.
+    """
+    while first >= 0:
+        covered = True
+        for w in range(len(mask)):
+            if mask[w] & ~others[first, w]:
+                covered = False
+                break
+        if covered:
+            return True
+        first = link[first]
+    return False
+
+
+@njit(cache=True, nogil=True)
 def _tree(unseen, between, anchored):  # type: ignore[no-untyped-def]
     """Length of a least spanning tree over some landmarks, and over the end of the walk where it has one."""
     count = len(between) - 1
@@ -541,16 +563,7 @@ def beam(  # type: ignore[no-untyped-def]
             q = arcs[pose[s], c_action[c]]
             for w in range(words):
                 trial[w] = mask[s, w] | views[q, w]
-            covered = held[q] >= crowd
-            other = head[q]
-            while other >= 0 and not covered:
-                covered = True
-                for w in range(words):
-                    if trial[w] & ~mask_next[other, w]:
-                        covered = False
-                        break
-                other = link[other]
-            if covered:
+            if held[q] >= crowd or is_covered(trial, mask_next, head[q], link):
                 continue
             pose_next[kept] = q
             mask_next[kept] = trial

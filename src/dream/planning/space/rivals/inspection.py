@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from dream.planning.space.lookahead import SpacePlan
-from dream.planning.space.looks import nearest_tilt, optics_of
+from dream.planning.space.lookahead import SpacePlan, way_to
+from dream.planning.space.looks import nearest_tilt
 from dream.planning.space.remains import LeftToInspect, elements_of
 from dream.planning.space.ways import KnownWays, lattice_of
 from dream.protocol import SurveyProtocol
@@ -79,28 +79,15 @@ class Scene:
 
     def shown_by(self, view: IntArray) -> float:
         """Weight that a view (5,) shows."""
-        from dream.planning._kernels.space_beam import shown_by
-
-        lattice, protocol = self.lattice, self.protocol
-        camera = lattice.first + view[2::-1] * lattice.spacing
-        yaw, tilt = view[3] * protocol.heading_step, protocol.tilts[view[4]]
-        seen = shown_by(self.ways.scene, optics_of(protocol), self.elements, camera, yaw, tilt)
-        return float(self.elements.weights[seen].sum())
+        level, row, col, heading, tilt = view.tolist()
+        return float(self.left.area[self.left.shown(self.ways, (level, row, col), heading, tilt)].sum())
 
     def way(self, view: IntArray) -> list[Decision] | None:
         """The moves to a view (5,), the last of which tilts the camera; none where it is here."""
-        observation, protocol = self.observation, self.protocol
-        goal = np.zeros(self.ways.shape, np.bool_)
-        goal[tuple(view[:3])] = True
-        facing = np.arange(protocol.headings) == view[3]
-        path = self.ways.to(observation.pose, observation.z, goal, facing)
-        if path is None or np.array_equal(view, self.here):
-            return path
-        path = path or [Decision()]
-        tilt = int(view[4]) if len(path) == 1 else protocol.tilts.index(protocol.camera_pitch)
-        is_so = tilt == nearest_tilt(protocol, observation)
-        path[0] = replace(path[0], tilt=None if is_so else protocol.tilts[tilt])
-        return path
+        if np.array_equal(view, self.here):
+            return []
+        level, row, col, heading, tilt = view.tolist()
+        return way_to(self.ways, (level, row, col), heading, tilt, self.observation)
 
     def steps_to(self, views: IntArray) -> FloatArray:
         """(n,) from here to views (n, 5), at least one; inf where no way is known."""
