@@ -55,6 +55,13 @@ class Structure:
         """(2,) the mean of its columns."""
         return np.asarray(self.columns.mean(axis=0))
 
+    def column_of(self, middles: FloatArray) -> tuple[IntArray, IntArray, BoolArray]:
+        """(n,) row and column of `mask` that places (n, 2 or 3) lie in, and whether they are any of it."""
+        cols = np.floor((middles[:, 0] - self.west) / COLUMN).astype(np.int64)
+        rows = np.floor((middles[:, 1] - self.south) / COLUMN).astype(np.int64)
+        inside = (rows >= 0) & (rows < self.mask.shape[0]) & (cols >= 0) & (cols < self.mask.shape[1])
+        return rows, cols, inside
+
     @property
     def away(self) -> FloatArray:
         """(rows, cols) metres from the middle of each column to the nearest one of it."""
@@ -83,18 +90,23 @@ class Structure:
         return np.column_stack([x, y, bearing])
 
 
-def lowest_around(at: IntArray, z: FloatArray, shape: npt.ArrayLike) -> FloatArray:
-    """World z of the lowest surface within `AROUND` of each column of a grid: the ground there.
+def lowest_in(at: IntArray, z: FloatArray, shape: npt.ArrayLike) -> FloatArray:
+    """World z of the lowest surface in each column of a grid; inf where there is none.
 
     Args:
         at: (n, 2) the columns that surface is in.
         z: (n,) its world z.
         shape: Of the grid.
     """
-    from scipy.ndimage import minimum_filter
-
     lowest = np.full(np.asarray(shape), np.inf)
     np.minimum.at(lowest, tuple(at.T), z)
+    return lowest
+
+
+def lowest_around(lowest: FloatArray) -> FloatArray:
+    """World z of the lowest surface within `AROUND` of each column: the ground of what stands there."""
+    from scipy.ndimage import minimum_filter
+
     return np.asarray(minimum_filter(lowest, 2 * math.ceil(AROUND / COLUMN) + 1, mode="nearest"))
 
 
@@ -120,7 +132,7 @@ def structures(volume: Volume, surface: Surface | None = None, *, room: float = 
     mine = at[is_target]
     np.maximum.at(highest, (mine[:, 1], mine[:, 0]), surface.middles[is_target, 2])
     np.add.at(area, (mine[:, 1], mine[:, 0]), surface.area[is_target])
-    ground = lowest_around(at[:, ::-1], surface.middles[:, 2], shape)
+    ground = lowest_around(lowest_in(at[:, ::-1], surface.middles[:, 2], shape))
     stands = highest - ground >= STANDS
     near = _grown(stands, 0.5 * JOINED)
     labels, _ = label(near)

@@ -320,10 +320,9 @@ def _above_ground(surface: Surface) -> Float64Array:
     at = np.floor(surface.middles[:, :2] / kept.COLUMN).astype(np.int64) - low
     cells = at[:, 1], at[:, 0]
     shape = tuple(at.max(axis=0)[::-1] + 1)
-    lowest, highest = np.full(shape, np.inf), np.full(shape, -np.inf)
-    np.minimum.at(lowest, cells, surface.middles[:, 2])
+    lowest, highest = kept.lowest_in(at[:, ::-1], surface.middles[:, 2], shape), np.full(shape, -np.inf)
     np.maximum.at(highest, cells, surface.middles[:, 2])
-    around_it = ndimage.minimum_filter(lowest, 2 * math.ceil(kept.AROUND / kept.COLUMN) + 1, mode="nearest")
+    around_it = kept.lowest_around(lowest)
     known = np.isfinite(lowest)
     bare = known & ~ndimage.binary_dilation(known & (highest - around_it >= GROUND_RISES))
     if not bare.any():
@@ -351,9 +350,7 @@ def _hanging_together(middles: Float64Array, within: float) -> IntArray:
 
 def _away(one: kept.Structure, middles: Float64Array) -> Float64Array:
     """(n,) metres from the columns of points to the nearest one of a structure; inf far from it."""
-    cols = np.floor((middles[:, 0] - one.west) / kept.COLUMN).astype(np.int64)
-    rows = np.floor((middles[:, 1] - one.south) / kept.COLUMN).astype(np.int64)
-    near = (rows >= 0) & (rows < one.mask.shape[0]) & (cols >= 0) & (cols < one.mask.shape[1])
+    rows, cols, near = one.column_of(middles)
     away = np.full(len(middles), np.inf)
     away[near] = one.away[rows[near], cols[near]]
     return away
@@ -376,10 +373,7 @@ def _chosen(surface: Surface, which: npt.NDArray[np.generic]) -> Surface:
 
 
 def _open(volume: Volume, found: Standing) -> tuple[Float64Array, IntArray]:
-    """Where the surface of structures may go on.
-
-    `Volume.frontiers` has clusters that span a brick and touch anything solid, the seabed too; here it
-    matters which side of which structure an unknown voxel lies at.
+    """Where the surface of structures may go on, and which of it: that tells the side of which structure.
 
     Returns:
         (m, 3) middles of the unknown voxels at a face of both free water and such surface, and (m,) the voxel

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from dream.mapping.structures import COLUMN, lowest_around
+from dream.mapping.structures import COLUMN, lowest_around, lowest_in
 from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, IntArray, Observation
 
@@ -225,7 +225,7 @@ def standing_targets(surface: Surface) -> tuple[BoolArray, BoolArray]:
     """
     at = np.floor(surface.middles[:, :2] / COLUMN).astype(np.int64)
     at -= at.min(axis=0)
-    ground = lowest_around(at, surface.middles[:, 2], at.max(axis=0) + 1)
+    ground = lowest_around(lowest_in(at, surface.middles[:, 2], at.max(axis=0) + 1))
     height = surface.middles[:, 2] - ground[at[:, 0], at[:, 1]]
     standing = (height > STANDS) | ((height > 0.5 * STANDS) & (np.abs(surface.normals[:, 2]) < STEEP))
     share = np.empty(len(standing))

@@ -52,9 +52,7 @@ def heights(volume: Volume, observation: Observation, body_radius: float) -> lis
 
 
 def _structure(one: Structure, surface: Surface, is_target: BoolArray, inspected: BoolArray) -> str:
-    cols = np.floor((surface.middles[:, 0] - one.west) / COLUMN).astype(np.int64)
-    rows = np.floor((surface.middles[:, 1] - one.south) / COLUMN).astype(np.int64)
-    inside = (rows >= 0) & (rows < one.mask.shape[0]) & (cols >= 0) & (cols < one.mask.shape[1])
+    rows, cols, inside = one.column_of(surface.middles)
     inside[inside] = one.mask[rows[inside], cols[inside]]
     whole, done = _area(surface, inside & is_target), _area(surface, inside & inspected)
     x, y = one.middle.tolist()
