@@ -11,6 +11,7 @@ import pytest
 
 from dream.control import setpoint
 from dream.evaluation.runner import simulate
+from dream.mapping import OccupancyMap
 from dream.planning import Belief
 from dream.planning.space.belief import SpaceBelief
 from dream.planning.space.ground import GroundSearch
@@ -21,7 +22,7 @@ from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
 from dream.sim.world import World
 from dream.sim.worlds import make_world
 from dream.types import LOOK_AROUND, Decision, Mission, Target
-from tests.planning.standing import SEABED, forget, mission, observed, water
+from tests.planning.standing import SEABED, forget, inspect, middles_in, mission, observed, vote, water
 
 STEPS = 20
 SENTENCES = ("distribution", "completion", "next_target", "safety", "action")
@@ -148,3 +149,46 @@ def test_it_never_moves_through_water_that_is_not_known(above: float) -> None:
             start, goal = [0.0, 0.0, z], [end.x, end.y, z if end.z is None else end.z]
             if start != goal:
                 assert volume.room([start], [goal]).clear.all(), (turn, advance)
+
+
+def test_it_looks_down_while_the_water_ahead_is_known() -> None:
+    z = SEABED + 3.5
+    down, ahead = max(PROTOCOL.tilts), None
+    assert through(water(), z, Decision(advance=1.0)).tilt == down
+    near = water()
+    forget(near, (2.0, -7.0, SEABED), (7.0, 7.0, SEABED + 9.0))
+    assert through(near, z, Decision(advance=1.0)).tilt is ahead
+
+
+def test_ground_with_targets_is_searched_once_it_was_inspected_from_two_sides() -> None:
+    volume, area = water(), mission().bounds
+    occupancy = OccupancyMap(area, PROTOCOL)
+    occupancy.volume = volume
+    reef = middles_in((1.0, 1.0, SEABED - PROTOCOL.cell), (3.0, 3.0, SEABED))
+    vote(volume, reef, 1.0)
+    row, col = occupancy.cell_of(2.0, 2.0)
+    bare = occupancy.cell_of(-2.0, -2.0)
+    search = GroundSearch(mission(), Belief().in_plane)
+    found = []
+    for side in (None, (1.0, 0.1, 1.0), (1.0, 0.2, 0.5), (-1.0, 0.1, 1.0)):
+        if side is not None:
+            inspect(volume, reef, side)
+        occupancy._look_from_above(0.0, 0.0, SEABED + 2.0)
+        occupancy._changed()
+        assert occupancy.seen[row, col]
+        assert occupancy.target[row, col]
+        searched = search._searched(occupancy)
+        assert searched[bare] == occupancy.seen[bare]
+        found.append(bool(searched[row, col]))
+    assert found == [False, False, False, True]
+
+
+def test_a_map_of_which_other_ground_counts_as_seen_leaves_the_map_as_it_was() -> None:
+    occupancy = OccupancyMap(mission().bounds, PROTOCOL)
+    before = occupancy.seen.copy()
+    other = occupancy.counting(~before, replace(PROTOCOL, reach=5.0))
+    assert other.observed.all()
+    assert other.protocol.reach == 5.0
+    assert not occupancy.observed.any()
+    assert occupancy.protocol == PROTOCOL
+    assert np.array_equal(other.solid, occupancy.solid)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import json
 import math
@@ -410,6 +411,21 @@ class OccupancyMap(Layers):
         return self._store.nbytes
 
     # ----------------------------------------------------------------------------------- copies, files
+
+    def counting(self, seen: BoolArray, protocol: SurveyProtocol) -> OccupancyMap:
+        """The map as it is now to a planner to which other cells (rows, cols) count as seen, to be read only.
+
+        Args:
+            seen: Counts as `Layers.seen`.
+            protocol: Under which it plans, with another reach.
+        """
+        other = copy.copy(self)
+        other.protocol, other._answers = protocol, {}
+        kept = np.array(seen, np.bool_)
+        kept.flags.writeable = False
+        other._layers = {name: layer for name, layer in self._layers.items() if name != "observed"}
+        other._layers["seen"] = kept
+        return other
 
     def copy(self) -> OccupancyMap:
         """A map of its own with the same content."""

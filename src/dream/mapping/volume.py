@@ -91,6 +91,13 @@ class Surface:
     area: npt.NDArray[np.float64]
     """(n,) square metres of surface that it stands for."""
 
+    @property
+    def bearings(self) -> npt.NDArray[np.uint8]:
+        """(n,) bits of the eighths of the compass from which it was inspected, from whatever height."""
+        # Each byte is a band of heights.
+        bands = np.ascontiguousarray(self.sides)[:, None].view(np.uint8)
+        return np.asarray(np.bitwise_or.reduce(bands, axis=1))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Above:
@@ -103,12 +110,14 @@ class Above:
     top: npt.NDArray[np.float64]
     """(rows, cols) world z of the upper face of the highest solid voxel; NaN where there is none."""
     solid: BoolArray
-    """(rows, cols) whether a solid voxel's middle is within the protocol's height band above the ground."""
+    """(rows, cols) whether a solid voxel is in the protocol's height band above the ground, and no part of
+    it below."""
     target: npt.NDArray[np.float64]
     """(rows, cols) share of the column's votes for target; NaN where nothing returned."""
     explored: BoolArray
     """(rows, cols) whether anything solid looks up into free water, and all that does was seen from within
-    reach. So the flank of a mound that was not seen is not explored."""
+    reach, or lies a voxel above or below what was. So the flank of a mound that was not seen is not
+    explored."""
 
 
 class Volume:
@@ -339,6 +348,8 @@ class Volume:
             filled = ((lowest + 0.5) * cell)[tuple(nearest)]
             local = ndimage.grey_opening(filled, size=(2 * half + 1, 2 * half + 1), mode="nearest")
         low, high = (local[inner] + edge for edge in self.protocol.band)
+        # Ground whose height errs by a voxel does not stand up.
+        low += 0.5 * cell
         solid = kernels.solid_between(self._bricks, x[inner[1]], y[inner[0]], cell, low, high)
         highest, votes = highest[inner], votes[inner]
         ground = np.where(highest > none, local[inner], np.nan)

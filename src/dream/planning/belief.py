@@ -49,6 +49,8 @@ if TYPE_CHECKING:
 NEGLIGIBLE = 1e-9
 """Square metres of targets in ground from which none are expected: what has a weight becomes known when a
 sequence of actions shows it, and can then be crossed."""
+HOLE = 0.5
+"""Metres: in three dimensions, holes in ground that was seen are not gone back for up to that radius."""
 KEEP = 0.01
 """Share of all that is worth looking at that a tour may leave."""
 
@@ -174,9 +176,11 @@ class Belief:
         return BeliefPilot(self, mission)
 
     def size_of_groups(self, mission: Mission) -> float:
-        """Radius of the groups that are searched for, metres; a cell's where everything must be seen."""
+        """Radius of the groups that are searched for, metres, or of holes where all ground must be seen."""
         protocol = mission.protocol
-        return 0.5 * protocol.cell if self.certify else self.size * protocol.group_radius
+        if not self.certify:
+            return self.size * protocol.group_radius
+        return 0.5 * protocol.cell if protocol.space is None else HOLE
 
     def sources(self, mission: Mission) -> list[BeliefSource]:
         """What it expects targets by, in the order in which they are asked; each may be left out."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -14,7 +13,7 @@ from dream.planning.space.looks import nearest_tilt
 from dream.planning.space.ways import ways_in
 from dream.planning.travel import careful_standoff, careful_travel
 from dream.protocol import SurveyProtocol
-from dream.types import Decision, Mission, Observation, Reasoning
+from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
@@ -22,8 +21,16 @@ if TYPE_CHECKING:
 HIGHER = 1.5
 """Metres above the protocol's altitude at which the ground is searched: from there all of it within reach
 shows at a useful angle, and less of it hides behind other parts."""
-LEFT = 0.015
+LEFT = 0.01
 """Share of the ground that may be left unsearched."""
+AROUND = 1.0
+"""Metres a side of the square in which labels decide whether there are targets."""
+TOLD = 0.2
+"""Share of it from which on there are: on a reef two or three cells of five are told to be target."""
+SIDES = 2
+"""Eighths of the compass from which ground with targets is to be inspected: they hide one another."""
+AHEAD = 3.0
+"""Metres of water ahead that are to be known for the camera to look down."""
 ENOUGH = "Hardly any ground that can be seen is left: done."
 ROOM = 16
 """Places that the vehicle must be able to get to in the plane to plan there."""
@@ -46,8 +53,9 @@ class GroundSearch:
     """`belief` of the plane on the view from above, from higher up.
 
     What it does: labels are trusted as far as `SurveyProtocol.trusted` says, straight; over ground that is
-    less, and so far the planar pilot plans for. It climbs or descends to its altitude where the water on the
-    way is known to be free.
+    less, and so far the planar pilot plans for. Where targets are told, ground counts as seen once it was
+    inspected from two sides. It climbs or descends to its altitude where the water on the way is known to be
+    free, and looks down, where targets hide one another least, while the water ahead of it is.
     """
 
     mission: Mission
@@ -67,20 +75,32 @@ class GroundSearch:
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         """The next move; done where the risk that something was missed is accepted."""
-        near = copy.copy(occupancy)
-        near.protocol = self.protocol
+        near = occupancy.counting(self._searched(occupancy), self.protocol)
         if np.count_nonzero(careful_travel(observation.pose, near).reached) < ROOM:
             out = self._into_the_open(observation, near)
             if out is not None:
                 return out
         thought = self.pilot.consider(observation, near)
-        unseen = np.count_nonzero(near.to_see & ~near.observed & thought.situation.near_places)
-        if unseen <= LEFT * np.count_nonzero(near.to_see):
+        if np.count_nonzero(thought.expected.hiding) <= LEFT * np.count_nonzero(near.to_see):
             thought = replace(thought, plan=None, why=ENOUGH)
         decision = self.pilot.act(thought, thought.plan)
         if decision.done:
             return decision
         return replace(self._in_water(decision, observation, occupancy), reasoning=decision.reasoning)
+
+    def _searched(self, occupancy: OccupancyMap) -> BoolArray:
+        """(rows, cols) what was seen of the ground, and where targets are told, inspected from two sides."""
+        from scipy.ndimage import uniform_filter
+
+        assert occupancy.volume is not None
+        surface = occupancy.volume.surface()
+        x, y = surface.middles[:, :2].T
+        inside = occupancy.contains(x, y)
+        bearings = np.zeros(occupancy.shape, np.uint8)
+        np.bitwise_or.at(bearings, occupancy.cell_of(x[inside], y[inside]), surface.bearings[inside])
+        width = round(AROUND / self.protocol.cell)
+        told = uniform_filter(occupancy.target.astype(np.float32), width, mode="nearest") >= TOLD
+        return np.asarray(occupancy.seen & (~told | (np.bitwise_count(bearings) >= SIDES)))
 
     def _in_water(self, decision: Decision, observation: Observation, occupancy: OccupancyMap) -> Decision:
         """A move of the plane through water that is known to be free, towards the altitude of the search.
@@ -101,7 +121,11 @@ class GroundSearch:
         away = [abs(wanted - move.climb) for move in moves]
         for k in sorted(range(len(moves)), key=lambda k: (away[k], abs(moves[k].climb))):
             if clear[k]:
-                return replace(moves[k], tilt=self._tilt(observation, protocol.camera_pitch))
+                to = pose.yaw + moves[k].turn
+                ahead = ends[k] + AHEAD * np.array([math.cos(to), math.sin(to), 0.0])
+                known = volume.room(ends[k, None], ahead[None]).clear[0]
+                tilt = max(protocol.tilts) if known else protocol.camera_pitch
+                return replace(moves[k], tilt=self._tilt(observation, tilt))
         ways = ways_in(volume, self.mission.bounds, protocol)
         goal = np.hypot(ways.positions[..., 0] - x, ways.positions[..., 1] - y) <= protocol.lattice
         path = ways.to(pose, observation.z, goal, np.ones(protocol.headings, np.bool_))
