@@ -47,6 +47,10 @@ class KnownWays:
     """The voxels around."""
     moves: SpaceMoves = field(repr=False)
     """Of a step."""
+    _from: dict[tuple[Node, int], tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]] = field(
+        default_factory=dict, repr=False
+    )
+    """Steps to all poses and the pose before each, by the node and heading from which they were asked for."""
 
     @property
     def shape(self) -> Node:
@@ -69,8 +73,12 @@ class KnownWays:
 
     def steps(self, pose: SE2, z: float) -> npt.NDArray[np.int32]:
         """(levels, rows, cols, headings) fewest steps from a pose to all; −1 where no known way leads."""
-        nowhere = np.zeros(self.shape, np.bool_)
-        return self._search(pose, z, nowhere, np.ones(self.protocol.headings, np.bool_))[0]
+        here = self.node(pose.x, pose.y, z), self.protocol.heading_index(pose.yaw)
+        if here not in self._from:
+            nowhere = np.zeros(self.shape, np.bool_)
+            every = np.ones(self.protocol.headings, np.bool_)
+            self._from[here] = self._search(*here, nowhere, every)[:2]
+        return self._from[here][0]
 
     def to(self, pose: SE2, z: float, goal: BoolArray, facing: BoolArray) -> list[Decision] | None:
         """The moves of a shortest way from a pose to the nearest of a goal; None where none is known.
@@ -81,12 +89,19 @@ class KnownWays:
             goal: (levels, rows, cols) nodes.
             facing: (headings,) that it may have at the end.
         """
-        here = self.node(pose.x, pose.y, z)
+        here, heading = self.node(pose.x, pose.y, z), self.protocol.heading_index(pose.yaw)
         possible = goal & (self.stands > 0)
         possible[here] = goal[here]
-        if not possible.any():
+        count = np.count_nonzero(possible)
+        if not count:
             return None
-        _, parent, found = self._search(pose, z, possible, facing)
+        if count == 1 and np.count_nonzero(facing) == 1 and (here, heading) in self._from:
+            steps, parent = self._from[here, heading]
+            found = int(possible.argmax()) * self.protocol.headings + int(facing.argmax())
+            if steps.flat[found] < 0:
+                return None
+        else:
+            _, parent, found = self._search(here, heading, possible, facing)
         if found < 0:
             return None
         path = [found]
@@ -95,14 +110,12 @@ class KnownWays:
         return [self._move(a, b) for a, b in zip(path[::-1], path[-2::-1], strict=False)]
 
     def _search(
-        self, pose: SE2, z: float, goal: BoolArray, facing: BoolArray
+        self, here: Node, heading: int, goal: BoolArray, facing: BoolArray
     ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32], int]:
         from dream.planning._kernels import ways as kernels
 
-        start = np.array(self.node(pose.x, pose.y, z))
-        heading = self.protocol.heading_index(pose.yaw)
         steps, parent, found = kernels.search(
-            self.fits, self.stands, self.moves, start, heading, goal, facing
+            self.fits, self.stands, self.moves, np.array(here), heading, goal, facing
         )
         return steps, parent, int(found)
 
@@ -127,8 +140,6 @@ def ways_in(volume: Volume, bounds: Bounds, protocol: SurveyProtocol) -> KnownWa
         bounds: The survey area.
         protocol: That moves in space.
     """
-    from scipy.ndimage import maximum_filter1d, minimum_filter
-
     from dream.mapping.volume import FREE, MARGIN, SOLID
     from dream.planning._kernels import ways as kernels
     from dream.planning._kernels.looks import LookScene
@@ -151,17 +162,21 @@ def ways_in(volume: Volume, bounds: Bounds, protocol: SurveyProtocol) -> KnownWa
     corner = np.array([level, row, col], np.int64) * kernels.FINE - np.array(pad, np.int64)
     size = fine[0] + 2 * pad[0], fine[1] + 2 * pad[1], fine[2] + 2 * pad[2]
     states = volume.states_in(corner, size)
-    window = (2 * upright, 2 * across, 2 * across)
-    free = minimum_filter((states == FREE).astype(np.uint8), window, mode="constant", cval=0)
-    # A window of 2 n voxels that the filter centres on voxel k holds those from k − n to k + n − 1.
-    fits = free[upright : upright + fine[0], across : across + fine[1], across : across + fine[2]]
+    fits = states == FREE
+    for axis, (reached, count) in enumerate(zip(pad, fine, strict=True)):
+        # The body at a fine point touches as many voxels before it as after it.
+        fits = _all_in_a_row(fits, 2 * reached, axis)[(slice(None),) * axis + (slice(count),)]
+    nodes = (slice(None, None, kernels.FINE),) * 3
+    stands = fits[nodes].astype(np.uint8)
+    # Does the bottom stay clear of anything solid, so many voxels below it?
     clear = math.ceil(protocol.space.lowest / side - 1e-9)
-    solid = (states == SOLID).astype(np.uint8)
-    # Is any solid, of a voxel and those below it, so many in all?
-    near = maximum_filter1d(solid, clear, axis=0, origin=(clear - 1) // 2, mode="constant")
-    below = near[upright - 1 : upright - 1 + fine[0], across : across + fine[1], across : across + fine[2]]
-    stands = fits[:: kernels.FINE, :: kernels.FINE, :: kernels.FINE].copy()
-    stands[below[:: kernels.FINE, :: kernels.FINE, :: kernels.FINE] > 0] = 0
+    column = tuple(slice(across, across + count, kernels.FINE) for count in fine[1:])
+    bare = np.pad(
+        states[(slice(upright + fine[0] - 1), *column)] != SOLID,
+        ((clear, 0), (0, 0), (0, 0)),
+        constant_values=True,
+    )
+    stands[~_all_in_a_row(bare, clear, 0)[upright : upright + fine[0] : kernels.FINE]] = 0
     steps = np.array(protocol.turns, np.int64)
     none = np.zeros((protocol.headings, 1, 2), np.int64)
     # What lies beyond the area's cells has none: its edge in the north and the east is theirs no more.
@@ -175,7 +190,19 @@ def ways_in(volume: Volume, bounds: Bounds, protocol: SurveyProtocol) -> KnownWa
         np.array(sorted((round(climb / spacing) for climb in protocol.climbs), key=abs), np.int64),
     )
     scene = LookScene(states, corner, side)
-    return KnownWays(protocol, (level, row, col), np.ascontiguousarray(fits), stands, scene, moves)
+    return KnownWays(
+        protocol, (level, row, col), np.ascontiguousarray(fits).view(np.uint8), stands, scene, moves
+    )
+
+
+def _all_in_a_row(values: BoolArray, count: int, axis: int) -> BoolArray:
+    """Whether so many values in a row along an axis are all set, by the first of each row of them."""
+    length, before = 1, (slice(None),) * axis
+    while length < count:
+        step = min(length, count - length)
+        values = values[(*before, slice(None, -step))] & values[(*before, slice(step, None))]
+        length += step
+    return values
 
 
 def lattice_of(ways: KnownWays) -> SpaceLattice:
