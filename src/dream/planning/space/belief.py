@@ -22,6 +22,10 @@ LEAST = 0.35
 """Square metres that a step has to show of structures for them to be gone on with."""
 LOOKED_OVER = 0.03
 """Share of the surface of structures, as it is estimated, that may be left when they are done with."""
+MISSED = 0.012, 0.004, 0.022
+"""Share of what can be inspected at all that a mission for a wreck leaves when it ends by its own word: the
+mean, and what eight of ten leave between, over 20 wrecks of `dev`. What the map has for left is five times as
+much and tells those that leave more from those that leave less no better: most of it shows from nowhere."""
 
 
 class Chooser(Protocol):
@@ -70,7 +74,7 @@ class SpaceBelief:
             told = replace(self._words(ways, left, None), next_target=why)
             return replace(move, reasoning=replace(told, action=_action(move)))
         if self.mission.target is Target.WRECK and left.inspected:
-            said = replace(self._words(ways, left, None), action=words.ended(left.hidden, left.given_up))
+            said = replace(self._words(ways, left, None), action=words.ended(left.hidden, left.given_up, MISSED))
             return Decision(done=True, reasoning=said)
         decision = self.ground.decide(observation, occupancy)
         if not len(left) and not left.inspected:
