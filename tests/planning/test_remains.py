@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dream.geometry import Bounds
 from dream.mapping.volume import FREE, SOLID, Volume
 from dream.planning._kernels.looks import LookScene
 from dream.planning._kernels.space_beam import SpaceElements, SpaceLattice, openness
 from dream.planning.space.remains import (
+    FOOT,
     LOOKS,
     LOW,
     SPHERE,
@@ -30,6 +32,7 @@ from tests.planning.standing import (
     free,
     inspect,
     middles_in,
+    mission,
     observed,
     solid,
     vote,
@@ -53,8 +56,18 @@ def boxed(target: float = 1.0) -> Volume:
 def left_of(
     volume: Volume, observation: Observation = ELSEWHERE, remains: LeftOfStructures | None = None
 ) -> LeftToInspect:
-    remains = LeftOfStructures() if remains is None else remains
+    remains = LeftOfStructures(mission().bounds) if remains is None else remains
     return remains.take(observation, volume, ways_of(volume))
+
+
+def test_what_stands_outside_the_ordered_area_is_left_alone() -> None:
+    volume = boxed()
+    whole = left_of(volume)
+    half = left_of(volume, remains=LeftOfStructures(Bounds(-6.0, -6.0, 0.0, 6.0)))
+    # A foot reaches a little out of it.
+    assert half.points[half.kind != UNKNOWN, 0].max() < FOOT
+    assert 0.3 * whole.of(SURFACE) < half.of(SURFACE) < 0.7 * whole.of(SURFACE)
+    assert not len(left_of(volume, remains=LeftOfStructures(Bounds(3.0, 3.0, 6.0, 6.0))))
 
 
 def facing(left: LeftToInspect, way: tuple[float, float, float]) -> int:
@@ -154,7 +167,7 @@ def test_one_good_look_is_enough_for_surface_and_more_are_taken_into_the_unknown
     volume = boxed()
     # Water behind the box that was never seen.
     forget(volume, (-3.0, -1.0, SEABED), (-1.0, 1.0, SEABED + 1.5))
-    remains = LeftOfStructures()
+    remains = LeftOfStructures(mission().bounds)
     before = left_of(volume, remains=remains)
     assert before.of(UNKNOWN) > 0.0
     assert before.given_up == 0.0

@@ -52,7 +52,7 @@ class SpaceBelief:
     far: FarSearch = field(init=False)
 
     def __post_init__(self) -> None:
-        self.remains = LeftOfStructures()
+        self.remains = LeftOfStructures(self.mission.to_see)
         self.far = FarSearch(self.mission)
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
@@ -74,7 +74,9 @@ class SpaceBelief:
             told = replace(self._words(ways, left, None), next_target=why)
             return replace(move, reasoning=replace(told, action=_action(move)))
         if self.mission.target is Target.WRECK and left.inspected:
-            said = replace(self._words(ways, left, None), action=words.ended(left.hidden, left.given_up, MISSED))
+            said = replace(
+                self._words(ways, left, None), action=words.ended(left.hidden, left.given_up, MISSED)
+            )
             return Decision(done=True, reasoning=said)
         decision = self.ground.decide(observation, occupancy)
         if not len(left) and not left.inspected:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from dream.geometry import Bounds
 from dream.mapping.structures import COLUMN, lowest_around, lowest_in
 from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, IntArray, Observation
@@ -119,6 +120,8 @@ class LeftToInspect:
 class LeftOfStructures:
     """What is left of structures, from look to look of one mission."""
 
+    to_see: Bounds
+    """What stands in here is to be looked at."""
     looks: int = 1
     """That should have shown a piece of surface, after which it counts as shown whatever the map made of it:
     normals from noisy depths miss some."""
@@ -132,7 +135,7 @@ class LeftOfStructures:
         if not len(surface.area):
             return _nothing()
         standing, target = standing_targets(surface)
-        found = standing & target
+        found = standing & target & _within(surface.middles, self.to_see)
         if float(surface.area[found].sum()) < LEAST:
             return _nothing()
         keys, left, inspected = _pieces(*_faces(surface, found, ways), SURFACE)
@@ -167,7 +170,8 @@ class LeftOfStructures:
         """(n,) what lies low near a structure and is told to be target."""
         from scipy.spatial import cKDTree
 
-        told = np.flatnonzero(~standing & (surface.target > 0.5) & surface.seen)
+        lies = ~standing & (surface.target > 0.5) & surface.seen
+        told = np.flatnonzero(lies & _within(surface.middles, self.to_see))
         columns = np.unique(np.floor(surface.middles[found, :2] / COLUMN), axis=0)
         away, _ = cKDTree((columns + 0.5) * COLUMN).query(
             surface.middles[told, :2], distance_upper_bound=BESIDE
@@ -190,6 +194,12 @@ class LeftOfStructures:
         )
         for key in keys[in_view].tolist():
             self.failed[key] = self.failed.get(key, 0) + 1
+
+
+def _within(points: FloatArray, box: Bounds) -> BoolArray:
+    """(n,) which points (n, 3) lie over or under a box of the ground."""
+    low, high = (box.x_min, box.y_min), (box.x_max, box.y_max)
+    return np.asarray(((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1))
 
 
 def _joined(parts: list[LeftToInspect], inspected: float) -> LeftToInspect:

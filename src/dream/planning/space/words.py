@@ -53,8 +53,8 @@ def ended(hidden: float, given_up: float, missed: tuple[float, float, float]) ->
     lost = f", {given_up:.1f} m² of it since no look showed them" if given_up else ""
     mean, least, most = missed
     return (
-        f"Done: {hidden:.1%} of the surface of structures may be left, which no look shows well enough{lost}. "
-        f"Missions that end so miss {mean:.1%} of what can be inspected at all, eight of ten {least:.1%} to "
+        f"Done: {hidden:.1%} of the surface of structures may be left, which no look shows well enough{lost}."
+        f" Missions that end so miss {mean:.1%} of what can be inspected at all, eight of ten {least:.1%} to "
         f"{most:.1%}."
     )
 
