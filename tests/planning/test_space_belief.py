@@ -11,6 +11,7 @@ import pytest
 
 from dream.control import setpoint
 from dream.evaluation.runner import simulate
+from dream.geometry import Bounds
 from dream.mapping import OccupancyMap
 from dream.planning import Belief
 from dream.planning.space.belief import SpaceBelief
@@ -109,6 +110,7 @@ def test_a_mission_for_a_wreck_ends_when_all_of_it_is_looked_over(
     decision = pilot.decide(observed(0.0, 0.0, SEABED + 2.0, 0.0), occupancy)
     assert decision.done == done
     assert decision.reasoning.completion
+    assert ("missed 1.1% of what can be inspected" in decision.reasoning.action) == done
 
 
 # -------------------------------------------------------------------------------------- over the ground
@@ -160,7 +162,7 @@ def test_it_looks_down_while_the_water_ahead_is_known() -> None:
     assert through(near, z, Decision(advance=1.0)).tilt is ahead
 
 
-def test_ground_with_targets_is_searched_once_it_was_inspected_from_two_sides() -> None:
+def test_ground_with_targets_is_searched_once_it_was_inspected_out_of_two_eighths() -> None:
     volume, area = water(), mission().bounds
     occupancy = OccupancyMap(area, PROTOCOL)
     occupancy.volume = volume
@@ -170,7 +172,7 @@ def test_ground_with_targets_is_searched_once_it_was_inspected_from_two_sides() 
     bare = occupancy.cell_of(-2.0, -2.0)
     search = GroundSearch(mission(), Belief().in_plane)
     found = []
-    for side in (None, (1.0, 0.1, 1.0), (1.0, 0.2, 0.5), (-1.0, 0.1, 1.0)):
+    for side in (None, (1.0, 0.1, 1.0), (1.0, 0.2, 0.5), (0.1, 1.0, 1.0)):
         if side is not None:
             inspect(volume, reef, side)
         occupancy._look_from_above(0.0, 0.0, SEABED + 2.0)
@@ -185,10 +187,13 @@ def test_ground_with_targets_is_searched_once_it_was_inspected_from_two_sides() 
 
 def test_a_map_of_which_other_ground_counts_as_seen_leaves_the_map_as_it_was() -> None:
     occupancy = OccupancyMap(mission().bounds, PROTOCOL)
-    before = occupancy.seen.copy()
-    other = occupancy.counting(~before, replace(PROTOCOL, reach=5.0))
-    assert other.observed.all()
-    assert other.protocol.reach == 5.0
-    assert not occupancy.observed.any()
+    occupancy.restrict(Bounds(-3.0, -3.0, 3.0, 3.0))
+    before, area = occupancy.observed, occupancy.to_see
+    seen = np.zeros(occupancy.shape, np.bool_)
+    seen[occupancy.cell_of(1.0, 1.0)] = True
+    other = occupancy.counting(seen, 5.0)
+    assert np.array_equal(other.observed, seen | ~area)
+    assert other.protocol == replace(PROTOCOL, reach=5.0)
     assert occupancy.protocol == PROTOCOL
-    assert np.array_equal(other.solid, occupancy.solid)
+    assert np.array_equal(occupancy.observed, before)
+    assert np.array_equal(before, ~area)

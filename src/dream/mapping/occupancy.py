@@ -412,15 +412,15 @@ class OccupancyMap(Layers):
 
     # ----------------------------------------------------------------------------------- copies, files
 
-    def counting(self, seen: BoolArray, protocol: SurveyProtocol) -> OccupancyMap:
-        """The map as it is now to a planner to which other cells (rows, cols) count as seen, to be read only.
+    def counting(self, seen: BoolArray, reach: float) -> OccupancyMap:
+        """The map to a planner to which other cells count as seen, to be read until this map changes.
 
         Args:
-            seen: Counts as `Layers.seen`.
-            protocol: Under which it plans, with another reach.
+            seen: (rows, cols) in the place of `Layers.seen`.
+            reach: Metres, in the place of the protocol's.
         """
         other = copy.copy(self)
-        other.protocol, other._answers = protocol, {}
+        other.protocol, other._answers = dataclasses.replace(self.protocol, reach=reach), {}
         kept = np.array(seen, np.bool_)
         kept.flags.writeable = False
         other._layers = {name: layer for name, layer in self._layers.items() if name != "observed"}

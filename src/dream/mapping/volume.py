@@ -116,8 +116,7 @@ class Above:
     """(rows, cols) share of the column's votes for target; NaN where nothing returned."""
     explored: BoolArray
     """(rows, cols) whether anything solid looks up into free water, and all that does was seen from within
-    reach, or lies a voxel above or below what was. So the flank of a mound that was not seen is not
-    explored."""
+    reach, or lies on a voxel that was. So the flank of a mound that was not seen is not explored."""
 
 
 class Volume:

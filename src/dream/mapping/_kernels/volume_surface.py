@@ -154,7 +154,7 @@ def columns(bricks, x, y, side, levels):
         highest: (rows, cols) level of the highest solid voxel, likewise.
         votes: (rows, cols, 2) for target, and all.
         explored: (rows, cols) whether something solid looks up into free water, and all that does was seen,
-            or is next to a voxel of its column that was: heights from afar err by one.
+            or lies on a voxel that was: heights from afar err by one.
     """
     shape = (len(y), len(x))
     none = levels[0] * SIDE - 1
@@ -164,7 +164,7 @@ def columns(bricks, x, y, side, levels):
         row = math.floor(y[i] / side)
         for j in range(len(x)):
             col = math.floor(x[j] / side)
-            bare, open_above, was_seen, waits = False, False, none - 1, none
+            bare, open_above, was_seen = False, False, none - 1
             for brick in range(levels[0], levels[1]):
                 slot = find(bricks, brick, row >> BITS, col >> BITS)
                 kept = bricks.surface_of[slot]
@@ -185,14 +185,10 @@ def columns(bricks, x, y, side, levels):
                     above = slot if h + 1 < SIDE else over
                     if bricks.log_odds[above, within(h + 1, row, col)] < 0:
                         open_above = True
-                        if bricks.seen[kept, number] == 0 and was_seen < level - 1:
-                            bare |= waits > none
-                            waits = level
+                        bare |= bricks.seen[kept, number] == 0 and was_seen < level - 1
                     if bricks.seen[kept, number] != 0:
                         was_seen = level
-                        if waits == level - 1:
-                            waits = none
-            explored[i, j] = open_above and not bare and waits == none
+            explored[i, j] = open_above and not bare
     return lowest, highest, votes, explored
 
 

@@ -22,13 +22,13 @@ HIGHER = 1.5
 """Metres above the protocol's altitude at which the ground is searched: from there all of it within reach
 shows at a useful angle, and less of it hides behind other parts."""
 LEFT = 0.01
-"""Share of the ground that may be left unsearched."""
+"""Share of the ground in which the middle of a hole may lie, of the least radius that is gone back for."""
 AROUND = 1.0
 """Metres a side of the square in which labels decide whether there are targets."""
 TOLD = 0.2
 """Share of it from which on there are: on a reef two or three cells of five are told to be target."""
 SIDES = 2
-"""Eighths of the compass from which ground with targets is to be inspected: they hide one another."""
+"""Eighths of the compass out of which ground with targets is to be inspected: they hide one another."""
 AHEAD = 3.0
 """Metres of water ahead that are to be known for the camera to look down."""
 ENOUGH = "Hardly any ground that can be seen is left: done."
@@ -54,8 +54,11 @@ class GroundSearch:
 
     What it does: labels are trusted as far as `SurveyProtocol.trusted` says, straight; over ground that is
     less, and so far the planar pilot plans for. Where targets are told, ground counts as seen once it was
-    inspected from two sides. It climbs or descends to its altitude where the water on the way is known to be
-    free, and looks down, where targets hide one another least, while the water ahead of it is.
+    inspected out of two eighths of the compass: until then the pilot expects targets there and comes again,
+    but gives it up like other ground. It climbs or descends to its altitude where the water on the way is
+    known to be free, and looks down, where targets hide one another least, while the water ahead of it is.
+
+    Assumes: that what the camera shows ahead it shows looking down too, since plans know one tilt only.
     """
 
     mission: Mission
@@ -75,7 +78,7 @@ class GroundSearch:
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         """The next move; done where the risk that something was missed is accepted."""
-        near = occupancy.counting(self._searched(occupancy), self.protocol)
+        near = occupancy.counting(self._searched(occupancy), self.protocol.reach)
         if np.count_nonzero(careful_travel(observation.pose, near).reached) < ROOM:
             out = self._into_the_open(observation, near)
             if out is not None:
@@ -89,7 +92,7 @@ class GroundSearch:
         return replace(self._in_water(decision, observation, occupancy), reasoning=decision.reasoning)
 
     def _searched(self, occupancy: OccupancyMap) -> BoolArray:
-        """(rows, cols) what was seen of the ground, and where targets are told, inspected from two sides."""
+        """(rows, cols) what was seen of the ground, and where targets are told, inspected as `SIDES` asks."""
         from scipy.ndimage import uniform_filter
 
         assert occupancy.volume is not None

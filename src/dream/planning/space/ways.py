@@ -168,7 +168,7 @@ def ways_in(volume: Volume, bounds: Bounds, protocol: SurveyProtocol) -> KnownWa
         fits = _all_in_a_row(fits, 2 * reached, axis)[(slice(None),) * axis + (slice(count),)]
     nodes = (slice(None, None, kernels.FINE),) * 3
     stands = fits[nodes].astype(np.uint8)
-    # Does the bottom stay clear of anything solid, so many voxels below it?
+    # Is nothing solid in the voxels right below the centre, as far as it stays above the ground?
     clear = math.ceil(protocol.space.lowest / side - 1e-9)
     column = tuple(slice(across, across + count, kernels.FINE) for count in fine[1:])
     bare = np.pad(

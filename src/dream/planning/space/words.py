@@ -49,13 +49,13 @@ def look(
 
 
 def ended(hidden: float, given_up: float, missed: tuple[float, float, float]) -> str:
-    """Step 6: why the mission ends, and how much such missions miss: the mean, least and most."""
+    """Step 6: why the mission ends, and what such missions missed in simulation: the mean, least and most."""
     lost = f", {given_up:.1f} m² of it since no look showed them" if given_up else ""
     mean, least, most = missed
     return (
         f"Done: {hidden:.1%} of the surface of structures may be left, which no look shows well enough{lost}."
-        f" Missions that end so miss {mean:.1%} of what can be inspected at all, eight of ten {least:.1%} to "
-        f"{most:.1%}."
+        f" Simulated missions that ended so missed {mean:.1%} of what can be inspected at all, eight of ten "
+        f"{least:.1%} to {most:.1%}."
     )
 
 
