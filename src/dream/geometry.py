@@ -246,6 +246,10 @@ class Bounds:
         """Metres from south to north."""
         return self.y_max - self.y_min
 
+    def covers(self, x: npt.NDArray[Any], y: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+        """Which of many points are inside or on a side?"""
+        return np.asarray((x >= self.x_min) & (x <= self.x_max) & (y >= self.y_min) & (y <= self.y_max))
+
     def contains(self, x: float, y: float, margin: float = 0.0) -> bool:
         """Is the point inside, at least `margin` metres from every side?"""
         return (

@@ -286,7 +286,7 @@ class Scorer(Logbook):
         if area is None:
             return np.ones(len(self._positions), np.bool_)
         x, y = self._positions.T
-        return np.asarray((x >= area.x_min) & (x <= area.x_max) & (y >= area.y_min) & (y <= area.y_max))
+        return area.covers(x, y)
 
     def _shows(self, camera: Camera, T_world_camera: SE3) -> BoolArray:
         frame = self._renderer.measure(camera, T_world_camera)

@@ -135,7 +135,7 @@ class LeftOfStructures:
         if not len(surface.area):
             return _nothing()
         standing, target = standing_targets(surface)
-        found = standing & target & _within(surface.middles, self.to_see)
+        found = standing & target & self.to_see.covers(*surface.middles[:, :2].T)
         if float(surface.area[found].sum()) < LEAST:
             return _nothing()
         keys, left, inspected = _pieces(*_faces(surface, found, ways), SURFACE)
@@ -171,7 +171,7 @@ class LeftOfStructures:
         from scipy.spatial import cKDTree
 
         lies = ~standing & (surface.target > 0.5) & surface.seen
-        told = np.flatnonzero(lies & _within(surface.middles, self.to_see))
+        told = np.flatnonzero(lies & self.to_see.covers(*surface.middles[:, :2].T))
         columns = np.unique(np.floor(surface.middles[found, :2] / COLUMN), axis=0)
         away, _ = cKDTree((columns + 0.5) * COLUMN).query(
             surface.middles[told, :2], distance_upper_bound=BESIDE
@@ -194,12 +194,6 @@ class LeftOfStructures:
         )
         for key in keys[in_view].tolist():
             self.failed[key] = self.failed.get(key, 0) + 1
-
-
-def _within(points: FloatArray, box: Bounds) -> BoolArray:
-    """(n,) which points (n, 3) lie over or under a box of the ground."""
-    low, high = (box.x_min, box.y_min), (box.x_max, box.y_max)
-    return np.asarray(((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1))
 
 
 def _joined(parts: list[LeftToInspect], inspected: float) -> LeftToInspect:

@@ -77,8 +77,7 @@ class FarSearch:
         self.middles = np.stack(
             [bounds.x_min + (cols + 0.5) * COLUMN, bounds.y_min + (rows + 0.5) * COLUMN], axis=-1
         )
-        (x, y), box = np.moveaxis(self.middles, -1, 0), self.mission.to_see
-        self.to_see = (x >= box.x_min) & (x <= box.x_max) & (y >= box.y_min) & (y <= box.y_max)
+        self.to_see = self.mission.to_see.covers(*np.moveaxis(self.middles, -1, 0))
 
     def take(self, observation: Observation, surface: Surface) -> None:
         """Add a frame; what the volume knows from within reach is not far off any more."""
