@@ -114,7 +114,7 @@ class _Hesitant(BeliefPilot):
             rest = rest_of(self.way, travel, thought.situation.moves)
             if len(rest) > 1 and rest[1] != plan.path[1]:
                 prospect = self.prospect(thought.expected, thought.situation)
-                new, old = self.look_ahead.judge(prospect, travel, [plan.path, rest])
+                new, old = self.planner.look_ahead.judge(prospect, travel, [plan.path, rest])
                 if new.value - old.value < self.more:
                     plan = old.plan
         self.way = [] if plan is None else plan.path

@@ -170,7 +170,8 @@ class SurveyProtocol:
     group_radius: float
     """No group of targets is smaller than this: the prior that makes a stop justifiable."""
     cap: int
-    """Steps after which a mission ends; an unfinished one counts as this many."""
+    """Steps after which a mission ends; an unfinished one counts as this many. In space the least, see
+    `ordered`."""
     traversal: float | None = None
     """Where set, an individual counts when it passed under or in front of the vehicle this near."""
     noise: SensorNoise | None = None
@@ -230,6 +231,19 @@ class SurveyProtocol:
                     f"traversal: expected more than a cell's {self.cell} m and no more than the reach of "
                     f"{self.reach} m, got {self.traversal} m"
                 )
+
+    def ordered(self, area: float, labels: float) -> SurveyProtocol:
+        """The same for a site: no label counts from farther than they are told, and steps go by the area.
+
+        A mission has as many steps as the area is large over the metres up to which a label is trusted, at
+        least `cap`: lanes as wide apart as twice that, with a look each metre, take half of them.
+
+        Args:
+            area: To survey, square metres.
+            labels: Metres straight through the water up to which labels are told.
+        """
+        there = replace(self, reach=min(self.reach, labels))
+        return replace(there, cap=max(self.cap, math.ceil(area / there.trusted)))
 
     @property
     def T_base_camera(self) -> SE3:

@@ -8,6 +8,7 @@ until the step that is being written is whole; of one for which there is no room
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import hashlib
 import json
 import logging
@@ -32,6 +33,7 @@ from pydantic_core import from_json
 from dream.ending import WORDS
 from dream.files import whole_or_nothing
 from dream.geometry import SE2, Bounds
+from dream.protocol import SurveyProtocol, protocol_named
 from dream.types import Exchange, Float32Array, Label, Step, UInt8Array
 
 logger = logging.getLogger(__name__)
@@ -195,12 +197,21 @@ class RecordedStep(_Recorded):
     """Where the vehicle really was, as only a simulator knows; None where that is `pose`."""
 
 
+class OrderedRules(_Recorded):
+    """What of a protocol that moves in space goes by the site (`SurveyProtocol.ordered`)."""
+
+    reach: Annotated[float, Field(gt=0.0, le=1000.0)]
+    cap: Annotated[int, Field(ge=1, le=1_000_000)]
+
+
 class RunConfig(_Recorded):
     """`config.json`: enough to run it again."""
 
     version: str
     commit: str | None = None
     protocol: str
+    ordered: OrderedRules | None = None
+    """What of it goes by the site; None of a planar protocol, and in older files."""
     bounds: Bounds | None = None
     """Of the map, metres; None in older files."""
     world: str
@@ -236,6 +247,14 @@ class RunConfig(_Recorded):
     """The line that does it again, where that is not `dream run`."""
     began: AwareDatetime | None = None
     """By the clock of the machine; None in older files."""
+
+    @property
+    def rules(self) -> SurveyProtocol:
+        """The protocol as it was ordered; a ValueError where none here has its name."""
+        known = protocol_named(self.protocol)
+        if self.ordered is None:
+            return known
+        return dataclasses.replace(known, reach=self.ordered.reach, cap=self.ordered.cap)
 
     @property
     def dive(self) -> dict[str, Any] | None:

@@ -27,7 +27,6 @@ from PIL import Image
 
 from dream.files import whole_or_nothing
 from dream.planning import PLANNERS
-from dream.protocol import protocol_named
 from dream.recording import (
     LABEL_COLORS,
     RecordedStep,
@@ -127,7 +126,7 @@ def of_protocol(config: RunConfig) -> dict[str, Any]:
     from dream.mapping.drawing import FOR_PEOPLE, OUTLINE, grid_spacing, inset
 
     try:
-        protocol = protocol_named(config.protocol)
+        protocol = config.rules
     except ValueError:
         return {"inset": None, "lattice": None}
     lattice = None if config.swimming or config.dive else protocol.lattice

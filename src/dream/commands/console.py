@@ -150,8 +150,11 @@ class _Scores:
     """How far a benchmark is."""
 
     def __init__(self, plan: Plan) -> None:
+        from dream.evaluation.results import MAX_STEPS
+
         self._plan = plan
-        cap = plan.protocol.cap
+        # In space the cap goes by the world, and a row tells it.
+        cap = plan.protocol.cap if plan.protocol.space is None else MAX_STEPS
         self._horizon = cap if plan.max_steps is None else min(cap, plan.max_steps)
         self._of = {name: _Score() for name in plan.planners}
         self._kept = 0
@@ -167,7 +170,7 @@ class _Scores:
             row = mission.outcome.row
             score.flown += 1
             score.successes += row.success
-            score.t98 += self._horizon if row.t98 is None else row.t98
+            score.t98 += min(row.cap or self._horizon, self._horizon) if row.t98 is None else row.t98
             score.collisions += row.collisions
         else:
             score.failed += 1

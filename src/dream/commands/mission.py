@@ -13,7 +13,6 @@ from dream.commands.console import check_writable, open_world, price, print_json
 from dream.commands.progress import stage
 from dream.errors import MissionAborted
 from dream.options import First
-from dream.protocol import protocol_named
 from dream.telling import one_line
 
 if TYPE_CHECKING:
@@ -61,6 +60,7 @@ class Mission:
         from dream.orders import written
         from dream.planning.vlm.asking import Asking
         from dream.planning.vlm.orders import write_mission
+        from dream.sim.ordered import protocol_in
 
         if self.out.is_dir():
             raise ValueError(f"--out: expected a file, got the folder {self.out}")
@@ -75,7 +75,7 @@ class Mission:
         asking.line()  # What is missing to ask a model is told before anything compiles.
         with stage(f"opening {self.world} {self.seed}"):
             world = open_world(self.world, self.seed)
-        protocol = protocol_named(self.protocol or world.protocol)
+        protocol = protocol_in(world, self.protocol)
         told = sys.stderr if self.json else sys.stdout
         wanted = None if self.yes else ("Keep these orders?", picture.with_suffix(".draft.png"))
         orders = confirmed(self.text, asking, world, protocol, wanted, told)

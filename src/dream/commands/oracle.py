@@ -107,6 +107,7 @@ class Oracle:
     def _one(self) -> int:
         from dream.evaluation.oracle.bounds import drive, known_bounds, tighten, walks_of
         from dream.sim.files import world_hash
+        from dream.sim.ordered import protocol_in
         from dream.sim.visibility import Visibility
 
         for name in ("out", "check", "again"):
@@ -117,7 +118,7 @@ class Oracle:
         name = self.world or DEFAULT_WORLD
         with stage(f"opening {name} {self.seed}"):
             world = open_world(name, self.seed)
-        protocol = protocol_named(self.protocol or world.protocol)
+        protocol = protocol_in(world, self.protocol)
         if protocol.space is not None:
             return self._one_in_space(world, protocol)
         known = known_bounds(protocol.name, world.name, world.seed, self.start, world_hash(world))
@@ -327,8 +328,10 @@ def _search_case(
     """The bounds of a case, its tours flown: those kept, where they are of this very world and will do."""
     from dream.evaluation.oracle.bounds import OracleBounds
     from dream.sim.files import world_hash
+    from dream.sim.ordered import protocol_in
 
-    world, rules = case.open(), protocol_named(protocol)
+    world = case.open()
+    rules = protocol_in(world, protocol)
     if kept is not None and kept.world_hash != world_hash(world):
         kept = None
     if rules.space is None:

@@ -35,7 +35,6 @@ from dream.options import First
 from dream.own_code import own_planner
 from dream.planning import PLANNERS, AnyPlanner, check_installed, planner_name
 from dream.planning.vlm import WIRE_TEST, Asking, Ranked, stands_in
-from dream.protocol import protocol_named
 
 if TYPE_CHECKING:
     from dream.evaluation.metrics import Scorer
@@ -123,6 +122,7 @@ class Run:
         from dream.planning.vlm.orders import write_mission
         from dream.report import write_report
         from dream.robots.replay import keep
+        from dream.sim.ordered import protocol_in
         from dream.sim.render import Renderer
 
         site = self.ground.where()
@@ -133,7 +133,7 @@ class Run:
             with kept_interrupts() as check:
                 with stage(f"opening {self.world} {self.seed}"):
                     world = open_world(self.world, self.seed)
-                protocol = protocol_named(self.protocol or world.protocol)
+                protocol = protocol_in(world, self.protocol)
                 check_max_steps(self.max_steps, protocol)
                 swimming = self.swim.chosen(protocol)
                 name = planner_name(self.planner)

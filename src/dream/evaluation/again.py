@@ -22,7 +22,7 @@ from dream.planning.baselines.uivnav import weights_sha256
 from dream.planning.identity import code_sha256, prompts_sha256
 from dream.planning.vlm import stands_in
 from dream.planning.vlm.orders import read_orders
-from dream.protocol import SurveyProtocol, protocol_named
+from dream.protocol import SurveyProtocol
 from dream.recording import (
     PRIOR,
     RecordedDecision,
@@ -53,7 +53,7 @@ class Record:
     @property
     def protocol(self) -> SurveyProtocol:
         """By which it was flown."""
-        return protocol_named(self.config.protocol)
+        return self.config.rules
 
     @property
     def world_name(self) -> str | None:

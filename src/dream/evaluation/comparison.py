@@ -115,6 +115,10 @@ class Comparison:
         """The finished missions of a planner, in the order of the cases."""
         return [(case, self.rows[case, planner]) for case in cases if (case, planner) in self.rows]
 
+    def horizon_of(self, row: Row) -> int:
+        """Steps that a mission had: in space, by its world."""
+        return self.horizon if row.cap is None else min(row.cap, self.horizon)
+
     def by_world(self, planner: str, cases: Sequence[Case], measure: Measure) -> dict[tuple[str, int], float]:
         """A measure for each world (name, seed): the mean over its starts, where it has a value."""
         found: dict[tuple[str, int], list[float]] = {}
@@ -142,7 +146,8 @@ class Comparison:
 
         def steps(case: Case, row: Row) -> float:
             value = getattr(row, mark)
-            return float(self.horizon if value is None else min(value, self.horizon))
+            most = self.horizon_of(row)
+            return float(most if value is None else min(value, most))
 
         return steps
 
@@ -157,7 +162,7 @@ class Comparison:
             if limit is None or limit.best_tour is None:
                 return math.nan
             ratios = {
-                name: ratio(row, getattr(row, mark), length, self.horizon)
+                name: ratio(row, getattr(row, mark), length, self.horizon_of(row))
                 for name, length in (("lower_bound", limit.lower_bound), ("best_tour", limit.best_tour))
             }
             return math.nan if any(map(math.isnan, ratios.values())) else ratios[which]

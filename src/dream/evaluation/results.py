@@ -126,6 +126,8 @@ class Row:
     """What a model was asked, likewise."""
     why: _Line | None
     """Why it ended, in words (`dream.ending`); None where that was not written down yet."""
+    cap: _Step | None
+    """Steps that the rules allow in that world; None where that was not written down yet."""
     success: bool
     wall_s: _Amount
 
@@ -147,6 +149,7 @@ LATER: tuple[tuple[str, ...], ...] = (
     ("vlm_waited_s", "mission_s"),
     ("vlm_questions",),
     ("why",),
+    ("cap",),
 )
 """Columns that files may lack which were written before there were any: each time some came, these."""
 TRACE_COLUMNS: tuple[str, ...] = (
@@ -424,7 +427,7 @@ def _check_agrees(flown: Flown) -> None:
     row, trace = flown.row, flown.trace
     told: dict[str, Any] = {
         "instances": float(trace.instances[-1]),
-        **curve(trace.instances.tolist(), protocol_named(row.protocol).cap),
+        **curve(trace.instances.tolist(), row.cap or protocol_named(row.protocol).cap),
         "collisions": int(trace.collided[1:].sum()),
         "t_stop": row.steps if row.ended == "done" else None,
     }

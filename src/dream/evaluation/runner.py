@@ -27,6 +27,7 @@ from dream.evaluation.engines import Engine, Failure
 from dream.evaluation.locks import alone_at
 from dream.evaluation.metrics import Scorer, curve, sight_in
 from dream.evaluation.results import (
+    MAX_STEPS,
     Flown,
     MissionKey,
     Row,
@@ -52,6 +53,7 @@ from dream.protocol import SHOWN, SurveyProtocol, protocol_named
 from dream.robots import Swimming, Teleport
 from dream.sim.files import world_hash
 from dream.sim.inspection import Inspection
+from dream.sim.ordered import ordered_in, protocol_in
 from dream.sim.render import Renderer
 from dream.sim.solids import Solids
 from dream.sim.visibility import Visibility
@@ -103,7 +105,7 @@ def simulate(
     """
     if not 0 <= start < len(world.starts):
         raise ValueError(f"start: expected 0 to {len(world.starts) - 1} for {world.name}, got {start}")
-    protocol = protocol or protocol_named(world.protocol)
+    protocol = ordered_in(world, protocol or protocol_named(world.protocol))
     check_fits(world, protocol)
     # A model is shown finer pictures than the map is made from; nobody else pays for them.
     fineness = SHOWN if isinstance(planner, Asking) else 1
@@ -186,6 +188,7 @@ def run_config(
         "version": __version__,
         "commit": commit(),
         "protocol": protocol.name,
+        "ordered": None if protocol.space is None else {"reach": protocol.reach, "cap": protocol.cap},
         "bounds": asdict(world.bounds),
         "world": world.name,
         "seed": world.seed,
@@ -238,7 +241,7 @@ class _Stage:
 @lru_cache(maxsize=1)
 def _stage(world: str, seed: int, folder: str, world_hash: str, protocol: str) -> _Stage:
     made = Case(world, seed, folder=folder, world_hash=world_hash).open()
-    return _Stage(made, sight_in(made, protocol_named(protocol)), Renderer(made))
+    return _Stage(made, sight_in(made, protocol_in(made, protocol)), Renderer(made))
 
 
 def fly(flight: Flight) -> Flown:
@@ -317,7 +320,7 @@ def fly_mission(
         max_steps=max_steps,
         record_to=folder,
     )
-    return _fly_on(_Stage(world, sight_in(world, rules), Renderer(world)), flight, began)
+    return _fly_on(_Stage(world, sight_in(world, ordered_in(world, rules)), Renderer(world)), flight, began)
 
 
 def _fly_on(stage: _Stage, flight: Flight, began: float) -> Flown:
@@ -328,14 +331,14 @@ def _fly_on(stage: _Stage, flight: Flight, began: float) -> Flown:
         flight: Of that world.
         began: `time.perf_counter` when it was begun to be prepared.
     """
-    protocol = protocol_named(flight.protocol)
+    protocol = protocol_in(stage.world, flight.protocol)
     scorer = Scorer(stage.world, protocol, visibility=stage.visibility, renderer=stage.renderer)
     steps = simulate(
         stage.world,
         flight.planner,
         protocol,
         start=flight.case.start,
-        max_steps=flight.max_steps,
+        max_steps=None if flight.max_steps is None else min(flight.max_steps, protocol.cap),
         swimming=flight.swimming,
         renderer=stage.renderer,
         solids=stage.visibility.solids,
@@ -420,6 +423,7 @@ def _flown(
     )
     values: dict[str, Any] = {
         "start": start,
+        "cap": cap,
         **{name: summary[name] for name in same},
         **{name: summary["coverage"][name] for name in ("instances", "clusters", "area", "visible")},
         **{f"planner_ms_{name}": summary["planner_ms"][name] for name in ("p50", "p99")},
@@ -456,10 +460,11 @@ class Plan:
             raise ValueError(f"suite: expected a name without a comma, got {self.suite}. Rename it")
         if not self.planners:
             raise ValueError(f"planners: expected one or more of {', '.join(PLANNERS)}, got none")
-        if self.max_steps is not None and not 1 <= self.max_steps <= self.protocol.cap:
+        # In space each world has a cap of its own, which no mission goes beyond.
+        most = self.protocol.cap if self.protocol.space is None else MAX_STEPS
+        if self.max_steps is not None and not 1 <= self.max_steps <= most:
             raise ValueError(
-                f"--max-steps: expected 1 to {self.protocol.cap}, the cap of {self.protocol.name}, "
-                f"got {self.max_steps}"
+                f"--max-steps: expected 1 to {most}, the cap of {self.protocol.name}, got {self.max_steps}"
             )
 
     def __len__(self) -> int:

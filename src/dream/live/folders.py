@@ -21,7 +21,6 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from dream.protocol import protocol_named
 from dream.recording import (
     COMPILING,
     MAX_LINE_BYTES,
@@ -319,6 +318,6 @@ def _cap(config: RunConfig) -> int | None:
     most = config.max_steps
     if most is None:
         with contextlib.suppress(ValueError):
-            most = protocol_named(config.protocol).cap
+            most = config.rules.cap
     ordered = (config.orders or {}).get("max_steps")
     return min((steps for steps in (most, ordered) if isinstance(steps, int)), default=None)

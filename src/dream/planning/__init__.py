@@ -12,6 +12,7 @@ from dream.planning.baselines import (
     UivNav,
 )
 from dream.planning.belief import Belief
+from dream.planning.greedy import Greedy
 from dream.planning.sixsteps import SixSteps
 from dream.planning.space.orbits import Orbits
 from dream.planning.space.rivals.cover_tour import CoverTour
@@ -22,6 +23,7 @@ from dream.planning.vlm import Asking, Dream, Ranked, Vanilla
 
 AnyPlanner = (
     Belief
+    | Greedy
     | SixSteps
     | Lawnmower
     | Spiral
@@ -42,6 +44,7 @@ AnyPlanner = (
 
 PLANNERS: dict[str, AnyPlanner] = {
     "belief": Belief(),
+    "greedy": Greedy(),
     "sixsteps": SixSteps(),
     "lawnmower": Lawnmower(),
     "spiral": Spiral(),
@@ -100,6 +103,7 @@ __all__ = [
     "CoverTour",
     "Dream",
     "Fuel",
+    "Greedy",
     "Lawnmower",
     "NearestFrontier",
     "NextBestView",

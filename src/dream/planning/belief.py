@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -39,7 +39,7 @@ from dream.planning.sources.source import LEAVE, MOST_VISITS
 from dream.planning.travel import Travel, careful_travel, nearest_open, travel_from
 from dream.planning.traversal_tour import TraversalTour
 from dream.planning.viewpoints import all_viewpoints_from
-from dream.types import Decision, Mission, Observation, Reasoning
+from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
@@ -53,6 +53,16 @@ HOLE = 0.5
 """Metres: in three dimensions, holes in ground that was seen are not gone back for up to that radius."""
 KEEP = 0.01
 """Share of all that is worth looking at that a tour may leave."""
+
+
+class ChooserInPlane(Protocol):
+    """Chooses the way to what is worth looking at."""
+
+    def plan(
+        self, prospect: Prospect, travel: Travel, moves: npt.NDArray[np.uint8], known: BoolArray
+    ) -> Plan | None:
+        """The best way, see `LookAhead.plan`; None where nothing is in sight."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +183,12 @@ class Belief:
 
     def in_plane(self, mission: Mission) -> BeliefPilot:
         """A fresh pilot that keeps its altitude, under whatever protocol."""
-        return BeliefPilot(self, mission)
+        return BeliefPilot(self, mission, self.look_ahead)
+
+    @property
+    def look_ahead(self) -> LookAhead:
+        """How plans are chosen in the plane."""
+        return LookAhead(self.width, self.horizon, self.discount, self.tour, keep=KEEP, jump=self.jump)
 
     def size_of_groups(self, mission: Mission) -> float:
         """Radius of the groups that are searched for, metres, or of holes where all ground must be seen."""
@@ -239,6 +254,8 @@ class BeliefPilot:
 
     planner: Belief
     mission: Mission
+    chooser: ChooserInPlane
+    """Of the way to what is worth looking at."""
     pose_views: PoseViews = field(init=False)
     """What each pose shows."""
     sources: list[BeliefSource] = field(init=False)
@@ -400,7 +417,7 @@ class BeliefPilot:
         if tour is not None or enough:
             return tour
         known = self.pose_views.known_tiles(situation.occupancy)
-        plan = self.look_ahead.plan(prospect, situation.travel, situation.moves, known)
+        plan = self.chooser.plan(prospect, situation.travel, situation.moves, known)
         if plan is None:
             return None
         return Way(situation.travel, plan, "" if plan.choice is None else sentences.choice(plan.choice))
@@ -422,19 +439,6 @@ class BeliefPilot:
             targets=pose_views.on_tiles(np.where(left, expected.beside * square, 0.0)),
             hidden=pose_views.on_tiles(expected.hiding * square),
             listed=worth.listed,
-        )
-
-    @property
-    def look_ahead(self) -> LookAhead:
-        """How plans are chosen."""
-        planner = self.planner
-        return LookAhead(
-            planner.width,
-            planner.horizon,
-            planner.discount,
-            planner.tour,
-            keep=KEEP,
-            jump=planner.jump,
         )
 
     def _leftover(self, expected: Expected, situation: Situation, visits: int, *, enough: bool) -> Way:

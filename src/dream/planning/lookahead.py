@@ -165,7 +165,7 @@ class LookAhead:
         weights = prospect.weights.astype(np.float64)
         views = prospect.pose_views.views(prospect.listed)
         sequence, choice = self._sequence(prospect, weights, views, travel, moves, known)
-        view = self._view(prospect, weights, views, travel)
+        view = best_view(prospect, weights, views, travel)
         if view is not None:
             choice = replace(choice, view=view.rate)
         plan = view if choice.straight else sequence
@@ -276,23 +276,31 @@ class LookAhead:
         nodes = _spread(travel)
         return Viewpoints(travel.lattice, nodes, travel.steps_to(nodes), gains(weights, views, nodes))
 
-    def _view(
-        self, prospect: Prospect, weights: npt.NDArray[np.float64], views: Views, travel: Travel
-    ) -> Plan | None:
-        """The way to the view of the best rate."""
-        from dream.planning._kernels.views import best_gains, look
 
-        nodes = _spread(travel)
-        if not len(nodes):
-            return None
-        steps = travel.steps_to(nodes)
-        viewpoints = Viewpoints(travel.lattice, nodes, steps, best_gains(weights, views, nodes, steps))
-        best = viewpoints.best(viewpoints.rates)
-        if best is None or best.rate <= NOTHING:
-            return None
-        seen = np.zeros((len(weights) + 63) // 64, np.uint64)
-        look(weights, seen, views, best.pose)
-        return prospect.plan(travel.path(best.pose), best.rate, 0.0, elements_of(seen))
+def best_view(
+    prospect: Prospect, weights: npt.NDArray[np.float64], views: Views, travel: Travel
+) -> Plan | None:
+    """The way to the view of the best rate of all that ways lead to; None where none shows anything.
+
+    Args:
+        prospect: What is worth looking at.
+        weights: (elements,) of it.
+        views: What each pose shows.
+        travel: Ways over known free ground.
+    """
+    from dream.planning._kernels.views import best_gains, look
+
+    nodes = _spread(travel)
+    if not len(nodes):
+        return None
+    steps = travel.steps_to(nodes)
+    viewpoints = Viewpoints(travel.lattice, nodes, steps, best_gains(weights, views, nodes, steps))
+    best = viewpoints.best(viewpoints.rates)
+    if best is None or best.rate <= NOTHING:
+        return None
+    seen = np.zeros((len(weights) + 63) // 64, np.uint64)
+    look(weights, seen, views, best.pose)
+    return prospect.plan(travel.path(best.pose), best.rate, 0.0, elements_of(seen))
 
 
 def _spread(travel: Travel) -> IntArray:

@@ -313,7 +313,7 @@ class Held:
 
     @property
     def views(self) -> Viewpoints:
-        return self.pilot.look_ahead.viewpoints(self.prospect, self.thought.travel)
+        return self.pilot.planner.look_ahead.viewpoints(self.prospect, self.thought.travel)
 
     def places(self, plan: Plan | None) -> list[Place]:
         """Where the offline planner would do that."""
@@ -449,7 +449,7 @@ def test_the_places_are_mirrored_with_the_world(
     assert [place.pose for place in there[:count]] == [turned.pose(place.pose) for place in here[:count]]
     assert [place.steps for place in there[:count]] == [place.steps for place in here[:count]]
     ways = [[turned.pose(pose) for pose in place.plan.path] for place in here]
-    images = other.pilot.look_ahead.judge(other.prospect, other.thought.travel, ways)
+    images = other.pilot.planner.look_ahead.judge(other.prospect, other.thought.travel, ways)
     for place, image in zip(here, images, strict=True):
         assert _figures(image.plan) == pytest.approx(_figures(place.plan), abs=1e-3)
         if plan is not None:

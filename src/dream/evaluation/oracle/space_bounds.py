@@ -24,10 +24,11 @@ from dream.evaluation.oracle.space_graph import SpaceGraph, actions_of, space_gr
 from dream.evaluation.oracle.space_limits import PriceLimit
 from dream.evaluation.oracle.space_tours import best_tour
 from dream.geometry import SE2, SE3
-from dream.protocol import SurveyProtocol, protocol_named
+from dream.protocol import SurveyProtocol
 from dream.robots import Teleport
 from dream.sim.files import world_hash
 from dream.sim.inspection import Inspection
+from dream.sim.ordered import protocol_in
 from dream.sim.world import World
 from dream.types import LOOK_AROUND, Decision
 
@@ -216,7 +217,7 @@ def drive(bounds: SpaceBounds, world: World, *, inspection: Inspection | None = 
     Raises:
         ValueError: The tour touches something, leaves the arena, or reaches its share at another step.
     """
-    protocol = without_errors(protocol_named(bounds.protocol))
+    protocol = without_errors(protocol_in(world, bounds.protocol))
     inspection = inspection or Inspection(world, protocol)
     _check_mission(bounds, world, int(inspection.countable.sum()))
     if bounds.best_tour is None:
@@ -253,7 +254,7 @@ def check(bounds: SpaceBounds, world: World) -> None:
     Raises:
         ValueError: Something that the bounds claim does not hold.
     """
-    inspection = Inspection(world, protocol_named(bounds.protocol))
+    inspection = Inspection(world, protocol_in(world, bounds.protocol))
     drive(bounds, world, inspection=inspection)
     if bounds.lower_bound is None or bounds.lower_bound == 0:
         return

@@ -80,7 +80,7 @@ class SpaceLookAhead:
         near = self._sequence(ways, elements, observation)
         if near is not None and near.rate >= JUMP:
             return near
-        far = self._look(ways, elements, observation)
+        far = best_look(ways, elements, observation)
         return max((one for one in (near, far) if one is not None), key=lambda one: one.rate, default=None)
 
     def _sequence(
@@ -133,28 +133,35 @@ class SpaceLookAhead:
             int(found.tilt[goal]),
         )
 
-    def _look(self, ways: KnownWays, elements: SpaceElements, observation: Observation) -> SpacePlan | None:
-        """The way to the look with the best rate of all that can be got to."""
-        from dream.planning._kernels.space_beam import best_views
 
-        steps = ways.steps(observation.pose, observation.z)
-        nodes = nodes_near(ways, steps, elements)
-        if not len(nodes):
-            return None
-        weight, heading, tilt = best_views(
-            ways.scene, optics_of(ways.protocol), lattice_of(ways), elements, nodes
-        )
-        there = steps[(*nodes.T, heading)].astype(np.float64)
-        there[there < 0] = np.inf
-        rates = np.round(weight / np.maximum(there, 1.0), 6)
-        best = int(rates.argmax())
-        if rates[best] <= NOTHING:
-            return None
-        level, row, col = nodes[best].tolist()
-        node, to, pitch = (level, row, col), int(heading[best]), int(tilt[best])
-        path = way_to(ways, node, to, pitch, observation)
-        assert path, "a way leads to what was reached"
-        return SpacePlan(path[0], float(rates[best]), max(int(there[best]), 1), node, to, pitch)
+def best_look(ways: KnownWays, elements: SpaceElements, observation: Observation) -> SpacePlan | None:
+    """The way to the look with the best rate of all that can be got to; None where none shows anything.
+
+    Args:
+        ways: Through known water.
+        elements: What is left to look at.
+        observation: Where the vehicle is.
+    """
+    from dream.planning._kernels.space_beam import best_views
+
+    steps = ways.steps(observation.pose, observation.z)
+    nodes = nodes_near(ways, steps, elements)
+    if not len(nodes):
+        return None
+    weight, heading, tilt = best_views(
+        ways.scene, optics_of(ways.protocol), lattice_of(ways), elements, nodes
+    )
+    there = steps[(*nodes.T, heading)].astype(np.float64)
+    there[there < 0] = np.inf
+    rates = np.round(weight / np.maximum(there, 1.0), 6)
+    best = int(rates.argmax())
+    if rates[best] <= NOTHING:
+        return None
+    level, row, col = nodes[best].tolist()
+    node, to, pitch = (level, row, col), int(heading[best]), int(tilt[best])
+    path = way_to(ways, node, to, pitch, observation)
+    assert path, "a way leads to what was reached"
+    return SpacePlan(path[0], float(rates[best]), max(int(there[best]), 1), node, to, pitch)
 
 
 def nodes_near(ways: KnownWays, steps: IntArray, elements: SpaceElements) -> IntArray:

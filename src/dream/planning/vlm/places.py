@@ -103,7 +103,7 @@ def places(pilot: BeliefPilot, thought: Thought) -> list[Place]:
     Returns:
         The offline planner's own first; at most `MOST`.
     """
-    travel, ahead = thought.travel, pilot.look_ahead
+    travel, ahead = thought.travel, pilot.planner.look_ahead
     prospect = pilot.prospect(thought.expected, thought.situation)
     apart = APART * pilot.mission.protocol.reach
     ways = [] if thought.plan is None else [thought.plan.path]
@@ -143,7 +143,7 @@ def again(pilot: BeliefPilot, thought: Thought, pose: Pose) -> tuple[Plan, float
     if travel.steps[pose] <= 0:
         return None
     ways = [travel.path(pose)] if thought.plan is None else [thought.plan.path, travel.path(pose)]
-    judged = pilot.look_ahead.judge(pilot.prospect(thought.expected, thought.situation), travel, ways)
+    judged = pilot.planner.look_ahead.judge(pilot.prospect(thought.expected, thought.situation), travel, ways)
     if judged[-1].plan.rate <= NOTHING:
         return None
     return judged[-1].plan, _loss(judged[-1], None if thought.plan is None else judged[0])

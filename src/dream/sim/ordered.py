@@ -1,0 +1,24 @@
+"""The rules of a mission in a world: a protocol, and what an operator knows of a site beforehand."""
+
+from __future__ import annotations
+
+from dream.protocol import SurveyProtocol, protocol_named
+from dream.sim.visual_range import visual_range
+from dream.sim.world import World
+
+
+def ordered_in(world: World, protocol: SurveyProtocol) -> SurveyProtocol:
+    """The protocol as it is ordered in a world: with the area to survey, and how far one sees in the water.
+
+    Whoever sends a vehicle somewhere knows that much, from a chart and a Secchi disc. Once ordered, a
+    protocol stays what it is. A planar one is the same everywhere.
+    """
+    if protocol.space is None:
+        return protocol
+    labels = visual_range(world.water, protocol.space, protocol.max_depth).labels
+    return protocol.ordered(world.bounds.width * world.bounds.depth, labels)
+
+
+def protocol_in(world: World, name: str | None = None) -> SurveyProtocol:
+    """The protocol of a name, unless given that which the world is made for, as it is ordered there."""
+    return ordered_in(world, protocol_named(name or world.protocol))
