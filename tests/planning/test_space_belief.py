@@ -16,6 +16,7 @@ from dream.mapping import OccupancyMap
 from dream.planning import Belief
 from dream.planning.space.belief import SpaceBelief
 from dream.planning.space.ground import GroundSearch
+from dream.planning.space.in_water import InWater
 from dream.planning.space.remains import LeftOfStructures, LeftToInspect
 from dream.planning.space.search import FarSearch
 from dream.protocol import DREAM_V1
@@ -120,8 +121,7 @@ def through(volume: Any, z: float, decision: Decision) -> Decision:
     """A move over a level seabed as it is made through known water."""
     flat = np.full((1, 1), SEABED)
     occupancy: Any = SimpleNamespace(volume=volume, ground=flat, cell_of=lambda *_: (0, 0))
-    search = GroundSearch(mission(), Belief().in_plane)
-    return search._in_water(decision, observed(0.0, 0.0, z, 0.0), occupancy)
+    return InWater(mission()).moved(decision, observed(0.0, 0.0, z, 0.0), occupancy)
 
 
 def test_it_climbs_to_its_altitude_and_stays_there() -> None:
@@ -170,7 +170,7 @@ def test_ground_with_targets_is_searched_once_it_was_inspected_out_of_two_eighth
     vote(volume, reef, 1.0)
     row, col = occupancy.cell_of(2.0, 2.0)
     bare = occupancy.cell_of(-2.0, -2.0)
-    search = GroundSearch(mission(), Belief().in_plane)
+    water_over_it = InWater(mission())
     found = []
     for side in (None, (1.0, 0.1, 1.0), (1.0, 0.2, 0.5), (0.1, 1.0, 1.0)):
         if side is not None:
@@ -179,7 +179,7 @@ def test_ground_with_targets_is_searched_once_it_was_inspected_out_of_two_eighth
         occupancy._changed()
         assert occupancy.seen[row, col]
         assert occupancy.target[row, col]
-        searched = search._searched(occupancy)
+        searched = water_over_it.searched(occupancy)
         assert searched[bare] == occupancy.seen[bare]
         found.append(bool(searched[row, col]))
     assert found == [False, False, False, True]

@@ -1,0 +1,152 @@
+"""Moves of the plane made in three dimensions: through known water, over ground seen from above."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dream.planning.space.looks import nearest_tilt
+from dream.planning.space.ways import ways_in
+from dream.planning.travel import careful_standoff, careful_travel
+from dream.protocol import SurveyProtocol
+from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
+
+if TYPE_CHECKING:
+    from dream.mapping import OccupancyMap
+
+HIGHER = 1.5
+"""Metres above the protocol's altitude at which the ground is searched: from there all of it within reach
+shows at a useful angle, and less of it hides behind other parts."""
+LEFT = 0.01
+"""Share of the ground in which the middle of a hole may lie, of the least radius that is gone back for."""
+AROUND = 1.0
+"""Metres a side of the square in which labels decide whether there are targets."""
+TOLD = 0.2
+"""Share of it from which on there are: on a reef two or three cells of five are told to be target."""
+SIDES = 2
+"""Eighths of the compass out of which ground with targets is to be inspected: they hide one another."""
+AHEAD = 3.0
+"""Metres of water ahead that are to be known for the camera to look down."""
+ROOM = 16
+"""Places that the vehicle must be able to get to in the plane to plan there."""
+
+
+@dataclass(slots=True)
+class InWater:
+    """What a pilot of the plane needs to search the ground in three dimensions.
+
+    What it does: gives it the map from above over which it plans, in which labels are trusted as far as
+    `SurveyProtocol.trusted` says, straight, so that over ground it is less; and makes its moves in water that
+    is known to be free, at the altitude of the search, the camera tilted down while the water ahead is known.
+    """
+
+    mission: Mission
+    protocol: SurveyProtocol = field(init=False)
+    """With the reach over ground."""
+
+    def __post_init__(self) -> None:
+        whole = self.mission.protocol
+        self.protocol = replace(
+            whole, reach=math.sqrt(max(whole.trusted**2 - (whole.altitude + HIGHER) ** 2, whole.cell**2))
+        )
+
+    @property
+    def in_plane(self) -> Mission:
+        """The mission to a pilot of the plane."""
+        return replace(self.mission, protocol=self.protocol)
+
+    def from_above(self, occupancy: OccupancyMap) -> OccupancyMap:
+        """The map to a pilot of the plane, to be read until the map changes."""
+        return occupancy.counting(self.searched(occupancy), self.protocol.reach)
+
+    def searched(self, occupancy: OccupancyMap) -> BoolArray:
+        """(rows, cols) what was seen of the ground, and where targets are told, inspected as `SIDES` asks."""
+        from scipy.ndimage import uniform_filter
+
+        assert occupancy.volume is not None
+        surface = occupancy.volume.surface()
+        x, y = surface.middles[:, :2].T
+        inside = occupancy.contains(x, y)
+        bearings = np.zeros(occupancy.shape, np.uint8)
+        np.bitwise_or.at(bearings, occupancy.cell_of(x[inside], y[inside]), surface.bearings[inside])
+        width = round(AROUND / self.protocol.cell)
+        told = uniform_filter(occupancy.target.astype(np.float32), width, mode="nearest") >= TOLD
+        return np.asarray(occupancy.seen & (~told | (np.bitwise_count(bearings) >= SIDES)))
+
+    def into_the_open(self, observation: Observation, occupancy: OccupancyMap) -> Decision | None:
+        """The way from above or beside what stands up to where a vehicle at its altitude can move on.
+
+        None where it can from here, and where no such way is known.
+
+        Args:
+            observation: From here.
+            occupancy: See `from_above`.
+        """
+        assert occupancy.volume is not None
+        if np.count_nonzero(careful_travel(observation.pose, occupancy).reached) >= ROOM:
+            return None
+        ways = ways_in(occupancy.volume, self.mission.bounds, self.mission.protocol)
+        at = ways.positions[0, :, :, :2].reshape(-1, 2)
+        inside = occupancy.contains(*at.T)
+        cells = occupancy.cell_of(*at[inside].T)
+        is_open = np.zeros(len(at), np.bool_)
+        standoff = self.protocol.body_radius + careful_standoff(self.protocol)
+        is_open[inside] = (occupancy.distance_to_solid[cells] >= standoff) & occupancy.observed[cells]
+        goal = np.broadcast_to(is_open.reshape(ways.shape[1:]), ways.shape)
+        path = ways.to(observation.pose, observation.z, goal, np.ones(self.protocol.headings, np.bool_))
+        if not path:
+            return None
+        why = Reasoning(action="Out of what stands around, to where the ground can be searched.")
+        return replace(path[0], reasoning=why)
+
+    def moved(self, decision: Decision, observation: Observation, occupancy: OccupancyMap) -> Decision:
+        """A move of the plane through water that is known to be free, towards the altitude of the search.
+
+        Where it leads through none at any height, the way round in three dimensions; where there is none,
+        a look upwards into it, since the image ends there.
+        """
+        assert occupancy.volume is not None
+        protocol, volume, pose = self.mission.protocol, occupancy.volume, observation.pose
+        x, y, _ = _end(decision, observation, protocol)
+        ground = float(occupancy.ground[occupancy.cell_of(x, y)])
+        wanted = protocol.launch_height(ground + HIGHER) - observation.z
+        moves = [replace(decision, climb=climb) for climb in protocol.climbs]
+        ends = np.array([_end(move, observation, protocol) for move in moves])
+        starts = np.broadcast_to([pose.x, pose.y, observation.z], ends.shape)
+        clear = volume.room(starts, ends).clear
+        # What is below the search's own altitude is gone to only where there is no other way.
+        away = [abs(wanted - move.climb) for move in moves]
+        for k in sorted(range(len(moves)), key=lambda k: (away[k], abs(moves[k].climb))):
+            if clear[k]:
+                to = pose.yaw + moves[k].turn
+                ahead = ends[k] + AHEAD * np.array([math.cos(to), math.sin(to), 0.0])
+                known = volume.room(ends[k, None], ahead[None]).clear[0]
+                tilt = max(protocol.tilts) if known else protocol.camera_pitch
+                return replace(moves[k], tilt=self._tilt(observation, tilt))
+        ways = ways_in(volume, self.mission.bounds, protocol)
+        goal = np.hypot(ways.positions[..., 0] - x, ways.positions[..., 1] - y) <= protocol.lattice
+        path = ways.to(pose, observation.z, goal, np.ones(protocol.headings, np.bool_))
+        if path:
+            return replace(path[0], tilt=self._tilt(observation, protocol.camera_pitch))
+        return Decision(decision.turn, tilt=self._tilt(observation, min(protocol.tilts)))
+
+    def _tilt(self, observation: Observation, wanted: float) -> float | None:
+        """A tilt, or None where the camera has it."""
+        protocol = self.mission.protocol
+        return None if protocol.tilts[nearest_tilt(protocol, observation)] == wanted else wanted
+
+
+def _end(move: Decision, observation: Observation, protocol: SurveyProtocol) -> tuple[float, float, float]:
+    """Where a move leads, metres in the world: what does not move is not put on the lattice."""
+    pose, spacing = observation.pose, protocol.lattice
+    x, y, z = pose.x, pose.y, observation.z
+    if move.advance > 0.0:
+        at, heading = protocol.snap(pose), protocol.heading_index(pose.yaw + move.turn)
+        east, north = protocol.offset(heading, move.advance)
+        x, y = at.x + east * spacing, at.y + north * spacing
+    if move.advance > 0.0 or move.climb != 0.0:
+        z = round(z / spacing) * spacing + move.climb
+    return x, y, z
