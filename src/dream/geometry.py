@@ -246,6 +246,15 @@ class Bounds:
         """Metres from south to north."""
         return self.y_max - self.y_min
 
+    @property
+    def area(self) -> float:
+        """Square metres."""
+        return self.width * self.depth
+
+    def widened(self, by: float) -> Bounds:
+        """The box with all its sides that many metres farther out; farther in where it is less than 0."""
+        return Bounds(self.x_min - by, self.y_min - by, self.x_max + by, self.y_max + by)
+
     def covers(self, x: npt.NDArray[Any], y: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
         """Which of many points are inside or on a side?"""
         return np.asarray((x >= self.x_min) & (x <= self.x_max) & (y >= self.y_min) & (y <= self.y_max))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dream.geometry import SE2
+from dream.geometry import SE2, Bounds
 from dream.sim.meshes import boulder
 from dream.sim.sampling import (
     FACTOR,
@@ -30,6 +30,8 @@ from dream.sim.sampling import (
 )
 from dream.sim.world import Instances, Mesh, Terrain
 
+NUMBER = 7, 14
+"""Formations of an arena of 40 to 50 m, from the fewest to the most."""
 PASSAGE = 2.0
 """Least metres between two formations."""
 RING_GAP = 1.6
@@ -61,44 +63,48 @@ def variants(rng: np.random.Generator) -> tuple[Mesh, ...]:
 
 
 def formations(
-    bounds_half: float,
+    bounds: Bounds,
     starts: tuple[SE2, ...],
     near: Float64Array,
     taken: Float64Array,
     rng: np.random.Generator,
     *,
     ring: bool,
+    number: tuple[int, int] = NUMBER,
 ) -> list[Rock]:
-    """6 to 16 formations, at least 2 m apart and clear of every start.
+    """Formations, at least 2 m apart and clear of every start.
 
     Args:
-        bounds_half: Half the side of the arena.
+        bounds: Of the arena.
         starts: Kept clear, `CLEAR` metres around.
         near: (K, 2) places that attract: half of the formations stand within 4 m of one.
         taken: (T, 3) circles x, y, radius where none may stand.
         rng: Source of places and sizes.
         ring: Stand some around the first start, with gaps to leave by.
+        number: So many, from the fewest to the most; more where a ring has all but four of them.
     """
     around = _ring(starts[0], rng) if ring else []
-    around = [rock for rock in around if _free(rock, [], starts, taken, bounds_half)]
-    rocks = [dataclasses.replace(rock, formation=number) for number, rock in enumerate(around)]
-    total = max(between(rng, 7, 14), len(rocks) + 4)
+    around = [rock for rock in around if _free(rock, [], starts, taken, bounds)]
+    rocks = [dataclasses.replace(rock, formation=formation) for formation, rock in enumerate(around)]
+    total = max(between(rng, *number), len(rocks) + 4)
     tall = sum(rock.top > 2.4 for rock in rocks)
-    number = len(rocks)
+    formation = len(rocks)
     for _ in range(3000):
-        if number == total:
+        if formation == total:
             break
         rises = 2 * tall < total or rng.random() < 0.3
         radius = uniform(rng, 0.75, 1.45) if rises else uniform(rng, 0.35, 1.3)
-        x, y = uniforms(rng, -bounds_half + 1.0 + radius, bounds_half - 1.0 - radius, 2)
+        low = np.array([bounds.x_min, bounds.y_min]) + 1.0 + radius
+        high = np.array([bounds.x_max, bounds.y_max]) - 1.0 - radius
+        x, y = low + (high - low) * rng.random(2)
         if len(near) and rng.random() < 0.55:
             x, y = near[index(rng, len(near))] + uniforms(rng, -4.0, 4.0, 2)
         x, y = (float(v) for v in quantised([x, y], MILLIMETRE))
-        if not _free(Rock(x, y, radius, 0.0, 0.0, number), rocks, starts, taken, bounds_half):
+        if not _free(Rock(x, y, radius, 0.0, 0.0, formation), rocks, starts, taken, bounds):
             continue
-        rocks += _tall(x, y, radius, number, rng) if rises else [_low(x, y, radius, number, rng)]
+        rocks += _tall(x, y, radius, formation, rng) if rises else [_low(x, y, radius, formation, rng)]
         tall += rises
-        number += 1
+        formation += 1
     return rocks
 
 
@@ -192,13 +198,12 @@ def _ring(start: SE2, rng: np.random.Generator) -> list[Rock]:
 
 
 def _free(
-    rock: Rock, rocks: list[Rock], starts: tuple[SE2, ...], taken: Float64Array, bounds_half: float
+    rock: Rock, rocks: list[Rock], starts: tuple[SE2, ...], taken: Float64Array, bounds: Bounds
 ) -> bool:
     """Does the rock leave the passages, the starts, what is taken and the bounds free?"""
-    edge = bounds_half - 1.0 - rock.radius
     return (
-        abs(rock.x) <= edge
-        and abs(rock.y) <= edge
+        bounds.x_min + 1.0 + rock.radius <= rock.x <= bounds.x_max - 1.0 - rock.radius
+        and bounds.y_min + 1.0 + rock.radius <= rock.y <= bounds.y_max - 1.0 - rock.radius
         and all(math.hypot(rock.x - o.x, rock.y - o.y) >= rock.radius + o.radius + PASSAGE for o in rocks)
         and all(math.hypot(rock.x - s.x, rock.y - s.y) >= rock.radius + CLEAR for s in starts)
         and all(math.hypot(rock.x - x, rock.y - y) >= rock.radius + r + PASSAGE for x, y, r in taken)

@@ -1,7 +1,8 @@
 """Worlds on disk: a folder of open formats that other programs can write, and the hash of a world.
 
 ```
-world.json      name, seed, protocol, bounds, starts, water, and what the other files must hold
+world.json      name, seed, protocol, bounds, starts, water, the least radius of a group, and what the
+                other files must hold
 terrain.npy     (rows, cols) float32 world heights; row grows with y
 meshes.obj      Wavefront OBJ: one object a mesh, in the order of the tables' `mesh` column;
                 `v x y z red green blue` with colours from 0 to 1, and faces; see `wavefront`
@@ -50,7 +51,7 @@ from dream.sim.validity import (
 )
 from dream.sim.water import Water
 from dream.sim.wavefront import obj, read_meshes
-from dream.sim.world import BoolArray, Instances, Mesh, Terrain, World
+from dream.sim.world import GROUP_RADIUS, BoolArray, Instances, Mesh, Terrain, World
 from dream.telling import one_line
 
 
@@ -142,6 +143,7 @@ class _World(_Part):
     """Of all; mixed where the table says it of each."""
     obstacles: Annotated[int, Field(ge=0, le=MOST_INSTANCES)]
     """Rows of obstacles.csv."""
+    group_radius: Finite = GROUP_RADIUS
 
 
 def world_hash(world: World) -> str:
@@ -182,6 +184,10 @@ def world_hash(world: World) -> str:
         numbers(table.scale, FACTOR)
         numbers(table.tint, FACTOR)
         numbers(table.group, 1)
+    if world.group_radius != GROUP_RADIUS:
+        # Left out where it is the usual, so that worlds from before it was told keep their hash.
+        words("group_radius")
+        numbers(world.group_radius, MILLIMETRE)
     return digest.hexdigest()
 
 
@@ -250,6 +256,7 @@ def _write(world: World, folder: Path) -> None:
         "targets": len(world.targets),
         "targets_are_hull": "mixed" if _mixed(world) else bool(world.hull.any()),
         "obstacles": len(world.obstacles),
+        "group_radius": world.group_radius,
     }
     # Last, so that a folder with a world.json is whole.
     (folder / "world.json").write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
@@ -350,6 +357,7 @@ def examine(folder: Path | str) -> Examined:
         hull=hull if kinds else np.full(len(targets), content.targets_are_hull),
         obstacles=obstacles,
         water=Water(**content.water.model_dump()),
+        group_radius=content.group_radius,
     )
     # What follows from what is refused already is not told again.
     spoilt = {one.file for one in said if one.what == "refused"}

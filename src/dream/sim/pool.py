@@ -43,7 +43,7 @@ GROUP = 1.0
 def pool(rng: np.random.Generator, water: Water) -> World:
     """`pool/arc`. The wall and the pipes are obstacles; the arc runs about 0.6 m inside the wall."""
     half = 1.85
-    seabed = terrain(np.full((41, 41), -DEPTH), 2.5, 0.125)
+    seabed = terrain(np.full((41, 41), -DEPTH), Bounds(-2.5, -2.5, 2.5, 2.5), 0.125)
     away = uniform(rng, 0.0, 2.0 * math.pi)
     starts = tuple(_start(away + turn, 0.8, rng) for turn in (0.0, 0.25, -0.25))
     pipes = _pipes(away, starts, rng)

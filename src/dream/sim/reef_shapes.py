@@ -3,7 +3,8 @@
 Fringing reefs follow the shore, string reefs wind across the bed, patch reefs are blobs apart from
 each other, mixed ones are some of each; the letters L, S, O, K and E fill most of the arena. Widths
 and lengths follow the literature on intertidal and subtidal eastern-oyster reefs: strings and
-fringes 3-5 m wide, patches 3-10 m across, a few metres of bare bed between neighbours.
+fringes 3-5 m wide, patches 3-10 m across, a few metres of bare bed between neighbours. The bounds that
+a family is asked to fill have their middle at the origin.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dream.geometry import Bounds
 from dream.sim.sampling import Float64Array, between, direction, uniform, uniforms
 
 PIECE = 6.5
@@ -65,35 +67,37 @@ class Stroke:
         return np.sqrt(best), along / begun[-1]
 
 
-def strings(half: float, rng: np.random.Generator) -> list[Stroke]:
+def strings(bounds: Bounds, rng: np.random.Generator) -> list[Stroke]:
     """One to three winding strings, 15-32 m long."""
     strokes: list[Stroke] = []
     count = between(rng, 1, 3)
     for _ in range(count):
         long = (24.0, 32.0) if count == 1 else (15.0, 28.0)
-        _add(strokes, _string(half, uniform(rng, *long), strokes, rng))
+        _add(strokes, _string(bounds, uniform(rng, *long), strokes, rng))
     return strokes
 
 
-def patches(half: float, rng: np.random.Generator) -> list[Stroke]:
+def patches(bounds: Bounds, rng: np.random.Generator) -> list[Stroke]:
     """Four to seven blobs, spread over the arena."""
     strokes: list[Stroke] = []
     for _ in range(between(rng, 4, 7)):
-        _add(strokes, _patch(half, strokes, rng))
+        _add(strokes, _patch(bounds, strokes, rng))
     return strokes
 
 
-def fringes(half: float, rng: np.random.Generator) -> list[Stroke]:
+def fringes(bounds: Bounds, rng: np.random.Generator) -> list[Stroke]:
     """A wavy band a few metres inside one side, or inside two sides that meet; sometimes broken once."""
     quarter = between(rng, 0, 3)
-    inset = half - uniform(rng, 5.0, 7.0)
+    # As before it is turned: by an odd number of quarters, the sides change places.
+    sides = (bounds.width, bounds.depth) if quarter % 2 == 0 else (bounds.depth, bounds.width)
+    east, north = 0.5 * np.array(sides) - uniform(rng, 5.0, 7.0)
     if rng.random() < 0.5:
         reach = uniform(rng, 0.75, 0.98)
-        corners = np.array([[-reach * inset, inset], [reach * inset, inset]])
+        corners = np.array([[-reach * east, north], [reach * east, north]])
     else:
         first, second = uniforms(rng, 0.2, 0.9, 2)
         corners = np.array(
-            [[(1.0 - 2.0 * first) * inset, inset], [inset, inset], [inset, (1.0 - 2.0 * second) * inset]]
+            [[(1.0 - 2.0 * first) * east, north], [east, north], [east, (1.0 - 2.0 * second) * north]]
         )
     line = _wavy(_rounded(corners, 4.0), uniform(rng, 0.7, 1.5), rng)
     width = uniform(rng, 1.75, 2.3)
@@ -106,13 +110,13 @@ def fringes(half: float, rng: np.random.Generator) -> list[Stroke]:
     return [Stroke(line[: cut - gap], width), Stroke(line[cut + gap :], width)]
 
 
-def mixed(half: float, rng: np.random.Generator) -> list[Stroke]:
+def mixed(bounds: Bounds, rng: np.random.Generator) -> list[Stroke]:
     """One or two strings with two to four patches; a fringe as well in one seed of three."""
-    strokes = fringes(half, rng) if rng.random() < 0.33 else []
+    strokes = fringes(bounds, rng) if rng.random() < 0.33 else []
     for _ in range(between(rng, 1, 2)):
-        _add(strokes, _string(half, uniform(rng, 13.0, 20.0), strokes, rng))
+        _add(strokes, _string(bounds, uniform(rng, 13.0, 20.0), strokes, rng))
     for _ in range(between(rng, 2, 4)):
-        _add(strokes, _patch(half, strokes, rng))
+        _add(strokes, _patch(bounds, strokes, rng))
     return strokes
 
 
@@ -133,8 +137,9 @@ LETTERS: Mapping[str, tuple[list[tuple[float, float]], ...]] = {
 """Centre lines in a box from −1 to 1, in the order they are written."""
 
 
-def letter(which: str, half: float, rng: np.random.Generator) -> list[Stroke]:
+def letter(which: str, bounds: Bounds, rng: np.random.Generator) -> list[Stroke]:
     """A letter with strokes about 3 m wide that fills most of the arena; turned, mirrored and shifted."""
+    half = 0.5 * min(bounds.width, bounds.depth)
     mirror = 1.0 if rng.random() < 0.5 else -1.0
     c, s = direction(between(rng, 0, 3) * 0.5 * math.pi + uniform(rng, -0.25, 0.25))
     size = (half - MARGIN - 2.0) * uniform(rng, 0.72, 0.84)
@@ -165,31 +170,31 @@ def _add(strokes: list[Stroke], stroke: Stroke | None) -> None:
         strokes.append(stroke)
 
 
-def _string(half: float, length: float, others: list[Stroke], rng: np.random.Generator) -> Stroke | None:
+def _string(bounds: Bounds, length: float, others: list[Stroke], rng: np.random.Generator) -> Stroke | None:
     """A curve of random curvature, or None where no room is left beside the others."""
     width = uniform(rng, 1.65, 2.3)
-    room = half - MARGIN - width
+    room = 0.5 * np.array([bounds.width, bounds.depth]) - MARGIN - width
     count = round(length)
     for _ in range(300):
         turns = np.cumsum(uniforms(rng, -0.13, 0.13, count))
         turns = np.clip(turns - turns.mean() + uniform(rng, -0.06, 0.06), -0.28, 0.28)
         heading = uniform(rng, 0.0, 2.0 * math.pi)
-        begin = uniforms(rng, -room, room, 2)
+        begin = -room + (room + room) * rng.random(2)
         steps = np.stack([direction(float(angle)) for angle in heading + np.cumsum(turns)])
         line = np.concatenate([begin[None], begin + np.cumsum(steps, axis=0)])
-        if np.abs(line).max() <= room and _apart(Stroke(line, width), others, 3.0) and _simple(line, width):
+        if (np.abs(line) <= room).all() and _apart(Stroke(line, width), others, 3.0) and _simple(line, width):
             return Stroke(line, width)
     return None
 
 
-def _patch(half: float, others: list[Stroke], rng: np.random.Generator) -> Stroke | None:
+def _patch(bounds: Bounds, others: list[Stroke], rng: np.random.Generator) -> Stroke | None:
     """A round or longish blob as far from the others as a few tries find, or None."""
     width = uniform(rng, 1.8, 3.4)
     long = uniform(rng, 0.3, 1.0) if rng.random() < 0.5 else uniform(rng, 1.5, 4.5)
     best, best_room = None, 3.0
     for _ in range(12):
-        room = half - MARGIN - width - 0.5 * long
-        middle = uniforms(rng, -room, room, 2)
+        room = 0.5 * np.array([bounds.width, bounds.depth]) - MARGIN - width - 0.5 * long
+        middle = -room + (room + room) * rng.random(2)
         along = 0.5 * long * direction(uniform(rng, 0.0, math.pi))
         stroke = Stroke(np.stack([middle - along, middle, middle + along]), width)
         free = min((_gap(stroke, other) for other in others), default=10.0)

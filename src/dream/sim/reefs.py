@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from dream.geometry import Bounds
 from dream.sim.meshes import clump
 from dream.sim.reef_shapes import Stroke
 from dream.sim.sampling import (
@@ -56,13 +57,13 @@ class Bed:
     """(G,) density of each group, relative to the others."""
 
     @staticmethod
-    def of(strokes: list[Stroke], half: float, rng: np.random.Generator) -> Bed:
-        """A bed on these strokes in the square from −half to +half."""
+    def of(strokes: list[Stroke], bounds: Bounds, rng: np.random.Generator) -> Bed:
+        """A bed on these strokes in that box."""
         return Bed(
             tuple(strokes),
-            Noise.over(half, 1.3, rng),
-            Noise.over(half, 0.55, rng),
-            Noise.over(half, 2.2, rng),
+            Noise.over(bounds, 1.3, rng),
+            Noise.over(bounds, 0.55, rng),
+            Noise.over(bounds, 2.2, rng),
             uniforms(rng, 0.6, 1.25, sum(stroke.pieces for stroke in strokes)),
         )
 
@@ -128,8 +129,20 @@ class Bed:
         return inside * (0.03 + 0.97 * overgrown) * self.vigour[group], group
 
 
+def places_in(
+    bounds: Bounds, pitch: float, rng: np.random.Generator
+) -> tuple[Float64Array, Float64Array]:
+    """x and y, (K,) each, of the places in a box where a clump may sit: about `pitch` metres apart."""
+    cols, rows = (math.ceil(side / pitch) for side in (bounds.width, bounds.depth))
+    east = bounds.x_min + (np.arange(cols) + 0.5) * pitch
+    north = bounds.y_min + (np.arange(rows) + 0.5) * pitch
+    x = (east[None, :] + uniforms(rng, -0.45, 0.45, (rows, cols)) * pitch).ravel()
+    y = (north[:, None] + uniforms(rng, -0.45, 0.45, (rows, cols)) * pitch).ravel()
+    return x, y
+
+
 def individuals(
-    bed: Bed, terrain: Terrain, bare: Float64Array, half: float, rng: np.random.Generator
+    bed: Bed, terrain: Terrain, bare: Float64Array, bounds: Bounds, rng: np.random.Generator
 ) -> tuple[tuple[Mesh, ...], Instances]:
     """The clumps of a reef on its terrain, 800 to 3,000 of them, some stacked on others.
 
@@ -139,14 +152,11 @@ def individuals(
         bed: Where they grow.
         terrain: What they sit on.
         bare: (T, 3) circles x, y, radius without any: the feet of boulders.
-        half: Half the side of the arena.
+        bounds: Of the arena.
         rng: Source of places, sizes and poses.
     """
-    count = math.ceil(2.0 * half / PITCH)
-    line = -half + (np.arange(count) + 0.5) * PITCH
-    x = (line[None, :] + uniforms(rng, -0.45, 0.45, (count, count)) * PITCH).ravel()
-    y = (line[:, None] + uniforms(rng, -0.45, 0.45, (count, count)) * PITCH).ravel()
-    luck = rng.random(count * count)
+    x, y = places_in(bounds, PITCH, rng)
+    luck = rng.random(len(x))
     grown = bed.cover(x, y)[0] > 0.0
     for x_bare, y_bare, radius in bare:
         grown &= np.square(x - x_bare) + np.square(y - y_bare) > radius * radius

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from dream.geometry import Bounds
 from dream.sim.sampling import MILLIMETRE, Float64Array, direction, quantised, uniform, uniforms
 from dream.sim.world import Terrain
 
@@ -30,21 +31,23 @@ class Noise:
 
     knots: Float64Array
     """(rows, cols)."""
-    origin: float
-    """World x and y of the first knot."""
+    x0: float
+    y0: float
+    """World position of the first knot."""
     pitch: float
     """Metres between knots."""
 
     @staticmethod
-    def over(half: float, pitch: float, rng: np.random.Generator) -> Noise:
-        """Noise over the square from −half to +half metres."""
-        count = math.ceil(2.0 * half / pitch) + 4
-        return Noise(uniforms(rng, -1.0, 1.0, (count, count)), -half - 1.5 * pitch, pitch)
+    def over(bounds: Bounds, pitch: float, rng: np.random.Generator) -> Noise:
+        """Noise over that box."""
+        rows, cols = (math.ceil(side / pitch) + 4 for side in (bounds.depth, bounds.width))
+        knots = uniforms(rng, -1.0, 1.0, (rows, cols))
+        return Noise(knots, bounds.x_min - 1.5 * pitch, bounds.y_min - 1.5 * pitch, pitch)
 
     def on_grid(self, x: Float64Array, y: Float64Array) -> Float64Array:
         """(N, M) the noise at every pair of M values of x and N of y, to the last bit what `at` gives."""
-        rows, row_weights = self._taps(y, self.knots.shape[0])
-        cols, col_weights = self._taps(x, self.knots.shape[1])
+        rows, row_weights = self._taps(y - self.y0, self.knots.shape[0])
+        cols, col_weights = self._taps(x - self.x0, self.knots.shape[1])
         # Along x first, on each line of knots, which are few.
         lines = np.zeros((self.knots.shape[0], len(x)))
         for j in range(4):
@@ -56,8 +59,10 @@ class Noise:
 
     def at(self, x: Float64Array, y: Float64Array) -> Float64Array:
         """The noise at points of equal shape, or of shapes that broadcast."""
-        rows, row_weights = self._taps(y, self.knots.shape[0])
-        cols, col_weights = self._taps(x, self.knots.shape[1])
+        if x.ndim == y.ndim == 2 and x.shape[0] == y.shape[1] == 1:
+            return self.on_grid(x[0], y[:, 0])
+        rows, row_weights = self._taps(y - self.y0, self.knots.shape[0])
+        cols, col_weights = self._taps(x - self.x0, self.knots.shape[1])
         total = np.zeros(np.broadcast_shapes(x.shape, y.shape))
         for i in range(4):
             line = np.zeros_like(total)
@@ -69,7 +74,8 @@ class Noise:
     def _taps(
         self, values: Float64Array, count: int
     ) -> tuple[npt.NDArray[np.intp], tuple[Float64Array, ...]]:
-        position = (values - self.origin) / self.pitch - 1.0
+        """The first of four knots of each place, given as metres from the first of all, and their weights."""
+        position = values / self.pitch - 1.0
         first = np.clip(np.floor(position), 0, count - 4).astype(np.intp)
         t = np.clip(position - first, 0.0, 1.0)
         s = 1.0 - t
@@ -87,34 +93,36 @@ def smoothstep(low: float, high: float, values: Float64Array) -> Float64Array:
     return t * t * (3.0 - 2.0 * t)
 
 
-def grid(half: float, spacing: float) -> tuple[Float64Array, Float64Array]:
-    """x (1, N) and y (N, 1) of the grid points from −half to +half."""
-    count = round(half / spacing)
-    line = np.arange(-count, count + 1).astype(np.float64) * spacing
-    return line[None, :], line[:, None]
+def grid(bounds: Bounds, spacing: float) -> tuple[Float64Array, Float64Array]:
+    """x (1, M) and y (N, 1) of the multiples of the spacing in that box, which has its sides on such."""
+    x, y = (
+        np.arange(round(low / spacing), round(high / spacing) + 1).astype(np.float64) * spacing
+        for low, high in ((bounds.x_min, bounds.x_max), (bounds.y_min, bounds.y_max))
+    )
+    return x[None, :], y[:, None]
 
 
-def undulation(half: float, rng: np.random.Generator) -> Float64Array:
-    """(N, N) metres about 0 on the arena's grid: gentle swells of ±0.35 m, and ripples where sand is loose.
+def undulation(bounds: Bounds, rng: np.random.Generator) -> Float64Array:
+    """(N, M) metres about 0 on the arena's grid: gentle swells of ±0.35 m, and ripples where sand is loose.
 
     Swells are 10 to 20 m long and slopes stay below about 0.2. Ripples are 1 to 2 cm high.
     """
-    x, y = grid(half, SPACING)
+    x, y = grid(bounds, SPACING)
     lines = x[0], y[:, 0]
     heights = np.zeros((y.size, x.size))
     for pitch, amplitude in OCTAVES:
-        heights += amplitude * Noise.over(half, pitch, rng).on_grid(*lines)
+        heights += amplitude * Noise.over(bounds, pitch, rng).on_grid(*lines)
     across = direction(uniform(rng, 0.0, math.pi))
     wavelength = uniform(rng, 1.2, 1.7)
     height = uniform(rng, 0.005, 0.012)
-    wander, loose = Noise.over(half, 5.0, rng), Noise.over(half, 7.0, rng)
+    wander, loose = Noise.over(bounds, 5.0, rng), Noise.over(bounds, 7.0, rng)
     phase = (across[0] * x + across[1] * y) / wavelength + 0.6 * wander.on_grid(*lines)
     return heights + height * smoothstep(-0.2, 0.5, loose.on_grid(*lines)) * _wave(phase)
 
 
-def terrain(heights: Float64Array, half: float, spacing: float = SPACING) -> Terrain:
-    """World heights on a grid from −half to +half, rounded to whole millimetres."""
-    return Terrain(quantised(heights, MILLIMETRE).astype(np.float32), -half, -half, spacing)
+def terrain(heights: Float64Array, bounds: Bounds, spacing: float = SPACING) -> Terrain:
+    """World heights on the `grid` of that box, rounded to whole millimetres."""
+    return Terrain(quantised(heights, MILLIMETRE).astype(np.float32), bounds.x_min, bounds.y_min, spacing)
 
 
 def _wave(phase: Float64Array) -> Float64Array:

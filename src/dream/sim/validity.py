@@ -33,6 +33,8 @@ LARGEST = 2.0
 other may be one side long."""
 SLENDER = 0.25
 """Share of the longest side of a slender mesh that its next longest has at most, as of a pipe or a quay."""
+GROUP_RADII = 0.05, 50.0
+"""Metres: the least and the greatest that a world may promise of its groups."""
 SMALLEST = 0.001
 """Metres: what is smaller is rounded to a point."""
 
@@ -49,6 +51,7 @@ def problems(world: World) -> Iterator[str]:
         partial(_check_name, "name", world.name),
         partial(_check_name, "water.name", world.water.name),
         partial(check_seed, world.seed),
+        partial(_check_group_radius, world.group_radius),
     ]
     try:
         protocol = protocol_named(world.protocol)
@@ -105,6 +108,12 @@ def check_seed(seed: int) -> None:
     """Raise a ValueError unless the seed is one that a world can have."""
     if not 0 <= seed <= MOST_SEED:
         raise ValueError(f"seed: expected 0 to {MOST_SEED}, got {seed}. Choose a whole number between them")
+
+
+def _check_group_radius(radius: float) -> None:
+    least, most = GROUP_RADII
+    if not least <= radius <= most:
+        raise ValueError(f"group_radius: expected {least:g} to {most:g} m, got {radius:g}")
 
 
 def _check_bounds(world: World, protocol: SurveyProtocol) -> None:

@@ -47,6 +47,11 @@ class Water:
         rate = math.fsum(share * a for share, a in zip(LUMINANCE, self.attenuation, strict=True))
         return 1.0 / rate if rate > 0.0 else math.inf
 
+    @property
+    def visibility(self) -> float:
+        """Metres at which a Secchi disc vanishes in such a water; see `SECCHI`."""
+        return SECCHI * self.attenuation_length
+
     def direct(self, distance: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """Share of the light that arrives over `distance` metres: (..., 3)."""
         r = np.asarray(distance, np.float64)[..., None]
@@ -76,6 +81,50 @@ WATERS = {
         Water("turbid", (0.330, 0.200, 0.290), (0.30, 0.27, 0.31), (0.055, 0.155, 0.095), particles=160.0),
     )
 }
+
+
+SECCHI = 1.7
+"""Attenuation lengths to which a Secchi disc is seen: Poole and Atkins (1929), J. Mar. Biol. Assoc. UK 16:
+297-324, found the diffuse attenuation of daylight in the English Channel to be 1.7 over its depth."""
+
+
+def water_of(visibility: float) -> Water:
+    """A water in which a Secchi disc is seen to that depth: its `attenuation_length` is `visibility` / 1.7.
+
+    Colour, backscatter and particles lie between those of the two named types that are next to it, by the
+    rate at which each takes light. A murkier one than the last is that one, with more of it in the water; a
+    clearer one than the first likewise with less.
+
+    Args:
+        visibility: Metres, from 1 to 30.
+
+    Raises:
+        ValueError: It is not.
+    """
+    if not 1.0 <= visibility <= 30.0:
+        raise ValueError(f"visibility: expected 1 to 30 m, got {visibility:g}")
+    rate = SECCHI / visibility
+    known = sorted(WATERS.values(), key=lambda water: -water.attenuation_length)
+    rates = [1.0 / water.attenuation_length for water in known]
+    low = max(sum(r <= rate for r in rates[:-1]) - 1, 0)
+    share = min(max((rate - rates[low]) / (rates[low + 1] - rates[low]), 0.0), 1.0)
+    # Between two types the rates blend to just this one; beyond the outermost, all of it is scaled.
+    scale = rate / ((1.0 - share) * rates[low] + share * rates[low + 1])
+
+    def blend(clearer: float, murkier: float, by: float = 1.0) -> float:
+        return round(by * ((1.0 - share) * clearer + share * murkier), 6)
+
+    one, other = known[low], known[low + 1]
+    red, green, blue = (blend(a, b, scale) for a, b in zip(one.attenuation, other.attenuation, strict=True))
+    spread = [blend(a, b, scale) for a, b in zip(one.backscatter, other.backscatter, strict=True)]
+    veil = [blend(a, b) for a, b in zip(one.veil, other.veil, strict=True)]
+    return Water(
+        f"visibility {visibility:g} m",
+        (red, green, blue),
+        (spread[0], spread[1], spread[2]),
+        (veil[0], veil[1], veil[2]),
+        particles=blend(one.particles, other.particles, scale),
+    )
 
 
 def water_named(name: str) -> Water:

@@ -58,7 +58,7 @@ class Instances:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Terrain:
-    """Seabed heights on a square grid, wider than the bounds so that the camera never sees its edge."""
+    """Seabed heights on a grid of squares, wider than the bounds so that the camera never sees its edge."""
 
     heights: Float32Array
     """(rows, cols) world z in metres at the grid points; row grows with y, col with x."""
@@ -89,6 +89,10 @@ class Terrain:
         return np.where(fx >= fy, lower, upper)
 
 
+GROUP_RADIUS = 1.5
+"""Metres: what `dream-v1` promises of each group of targets."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class World:
     """Everything the simulator holds. Planners never see it."""
@@ -109,3 +113,6 @@ class World:
     """(N,) of each individual: is it hull, which blocks sight and motion? Clumps of shells do neither."""
     obstacles: Instances
     water: Water
+    group_radius: float = GROUP_RADIUS
+    """Metres: what the operator's orders promise, that no group of targets has a smaller radius. A group's is
+    that of a disc about its middle that holds its individuals."""

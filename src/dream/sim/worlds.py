@@ -16,24 +16,25 @@ from pathlib import Path
 
 import numpy as np
 
-from dream.geometry import SE2, Bounds
+from dream.geometry import Bounds
 from dream.names import look_up
 from dream.protocol import DREAM_V1
 from dream.sim import boulders, reef_shapes
 from dream.sim.files import CHANGED, load_world, world_hash
+from dream.sim.habitats import HABITATS
 from dream.sim.pool import pool
 from dream.sim.reef_shapes import Stroke
 from dream.sim.reefs import Bed, individuals, renumbered
 from dream.sim.sampling import (
     MILLIMETRE,
     Float64Array,
-    between,
     direction,
     index,
     quantised,
     uniform,
     uniforms,
 )
+from dream.sim.starts import starts_in
 from dream.sim.structures import around, beside
 from dream.sim.terrain import APRON, grid, smoothstep, terrain, undulation
 from dream.sim.terrain import SPACING as TERRAIN_SPACING
@@ -51,45 +52,41 @@ SIDES = (40.0, 45.0, 50.0)
 """Metres: the sides that an arena may have."""
 FLOOR = -10.0
 """World z of the nominal seabed."""
-START_MARGIN = 4.0
-"""Least metres between a start and the sides."""
 HULL_MARGIN = 4.0
 """Least metres between a wreck and the sides, so that a vehicle can go all round it."""
 PATCH = 5.0
 """Metres: strokes shorter than this are single patches."""
-HULL_CLEAR = 4.5
-"""Least metres over ground between a start and a wreck."""
 MOST_STRUCTURES = 4
 """Worlds that one name may join."""
 
 
-def reef(shape: Callable[[float, np.random.Generator], list[Stroke]], rng: np.random.Generator) -> World:
+def reef(shape: Callable[[Bounds, np.random.Generator], list[Stroke]], rng: np.random.Generator) -> World:
     """An arena with a reef of that shape, and boulders in and around it.
 
     Starts are drawn before the reef, so that they tell nothing about it.
     """
-    half = 0.5 * SIDES[index(rng, 3)]
-    starts = _starts(half, np.empty((0, 2)), rng)
-    strokes = shape(half, rng)
-    bed = Bed.of(strokes, half + APRON, rng)
-    x, y = grid(half + APRON, TERRAIN_SPACING)
-    heights = undulation(half + APRON, rng) + bed.relief(x, y, uniform(rng, 0.08, 0.17))
-    seabed = terrain(FLOOR + heights, half + APRON)
+    bounds = _square(0.5 * SIDES[index(rng, 3)])
+    starts = starts_in(bounds, np.empty((0, 2)), rng)
+    strokes, wide = shape(bounds, rng), bounds.widened(APRON)
+    bed = Bed.of(strokes, wide, rng)
+    x, y = grid(wide, TERRAIN_SPACING)
+    heights = undulation(wide, rng) + bed.relief(x, y, uniform(rng, 0.08, 0.17))
+    seabed = terrain(FLOOR + heights, wide)
     near = np.concatenate([stroke.line for stroke in strokes])
     # A rock may stand at the rim of a small patch or in a string, but not on top of a whole small patch.
     small = [
         (*stroke.line.mean(axis=0), stroke.half_width - 2.3) for stroke in strokes if stroke.length < PATCH
     ]
     taken = np.array(small).reshape(-1, 3)
-    rocks = boulders.formations(half, starts, near, taken, rng, ring=rng.random() < 0.25)
-    clumps, targets = individuals(bed, seabed, boulders.feet(rocks), half, rng)
+    rocks = boulders.formations(bounds, starts, near, taken, rng, ring=rng.random() < 0.25)
+    clumps, targets = individuals(bed, seabed, boulders.feet(rocks), bounds, rng)
     targets = dataclasses.replace(targets, group=renumbered(targets.group))
     stones = boulders.variants(rng)
     return World(
         name="reef",
         seed=0,
         protocol=DREAM_V1.name,
-        bounds=Bounds(-half, -half, half, half),
+        bounds=bounds,
         starts=starts,
         terrain=seabed,
         meshes=clumps + stones,
@@ -102,14 +99,14 @@ def reef(shape: Callable[[float, np.random.Generator], list[Stroke]], rng: np.ra
 
 def sunken(number: int, rng: np.random.Generator) -> World:
     """An arena with wreck `number`, off its centre at any heading, on ground that has settled around it."""
-    half = 0.5 * SIDES[index(rng, 3)]
+    bounds = _square(0.5 * SIDES[index(rng, 3)])
     found = wreck(number, rng)
     c, s = direction(uniform(rng, 0.0, 2.0 * np.pi))
     footprint = np.concatenate([mesh.vertices[:, :2] for mesh in found.meshes]).astype(np.float64)
     footprint = np.stack(
         [c * footprint[:, 0] - s * footprint[:, 1], s * footprint[:, 0] + c * footprint[:, 1]], 1
     )
-    room = half - HULL_MARGIN
+    room = bounds.x_max - HULL_MARGIN
     low, high = -room - footprint.min(axis=0), room - footprint.max(axis=0)
     if (low > high).any():
         raise ValueError(
@@ -117,19 +114,19 @@ def sunken(number: int, rng: np.random.Generator) -> World:
         )
     x0, y0 = quantised(low + uniforms(rng, 0.0, 1.0, 2) * (high - low), MILLIMETRE)
     footprint += (x0, y0)
-    starts = _starts(half, footprint, rng)
-    seabed = terrain(FLOOR + _settled(half + APRON, footprint, rng), half + APRON)
+    starts, wide = starts_in(bounds, footprint, rng), bounds.widened(APRON)
+    seabed = terrain(FLOOR + _settled(wide, footprint, rng), wide)
     z0 = FLOOR
     meshes, centres = zip(*(_patch(mesh, c, s, (x0, y0, z0)) for mesh in found.meshes), strict=True)
     count = len(meshes)
     taken = _circles(footprint)
-    rocks = boulders.formations(half, starts, np.empty((0, 2)), taken, rng, ring=rng.random() < 0.25)
+    rocks = boulders.formations(bounds, starts, np.empty((0, 2)), taken, rng, ring=rng.random() < 0.25)
     stones = boulders.variants(rng)
     return World(
         name=f"wreck/{number}",
         seed=0,
         protocol=DREAM_V1.name,
-        bounds=Bounds(-half, -half, half, half),
+        bounds=bounds,
         starts=starts,
         terrain=seabed,
         meshes=meshes + stones,
@@ -149,7 +146,8 @@ def sunken(number: int, rng: np.random.Generator) -> World:
 
 def flat(rng: np.random.Generator) -> World:
     """A level seabed with nothing on it, for tests."""
-    half = 20.0
+    bounds = _square(20.0)
+    wide = bounds.widened(APRON)
     nothing = Instances(
         mesh=np.empty(0, np.int32),
         position=np.empty((0, 3), np.float32),
@@ -158,14 +156,14 @@ def flat(rng: np.random.Generator) -> World:
         tint=np.empty((0, 3), np.float32),
         group=np.empty(0, np.int32),
     )
-    count = 2 * round((half + APRON) / TERRAIN_SPACING) + 1
+    count = round(wide.width / TERRAIN_SPACING) + 1
     return World(
         name="flat/empty",
         seed=0,
         protocol=DREAM_V1.name,
-        bounds=Bounds(-half, -half, half, half),
-        starts=_starts(half, np.empty((0, 2)), rng),
-        terrain=terrain(np.full((count, count), FLOOR), half + APRON),
+        bounds=bounds,
+        starts=starts_in(bounds, np.empty((0, 2)), rng),
+        terrain=terrain(np.full((count, count), FLOOR), wide),
         meshes=(),
         targets=nothing,
         hull=np.empty(0, np.bool_),
@@ -183,6 +181,7 @@ BUILDERS: Mapping[str, Builder] = {
     **{f"wreck/{number}": partial(sunken, number) for number in range(1, 6)},
     "pool/arc": partial(pool, water=WATERS["pool"]),
     "flat/empty": flat,
+    **HABITATS,
 }
 """What makes each world from a random generator."""
 
@@ -299,52 +298,26 @@ def saved_world(folder: Path) -> World:
     return world if same else dataclasses.replace(world, name=world.name + CHANGED)
 
 
+def _square(half: float) -> Bounds:
+    """The box from −half to +half."""
+    return Bounds(-half, -half, half, half)
+
+
 def _sea(rng: np.random.Generator) -> Water:
     return WATERS[("clear", "coastal", "coastal", "green")[index(rng, 4)]]
 
 
-def _starts(half: float, hull: Float64Array, rng: np.random.Generator) -> tuple[SE2, ...]:
-    """Four start poses on the lattice. The first lies near the middle, an edge or a corner, by seed."""
-    starts: list[SE2] = []
-    for _ in range(10000):
-        if not starts:
-            kind = index(rng, 4)
-            edge = half - START_MARGIN - uniforms(rng, 0.0, 3.0, 2)
-            sign = np.where(rng.random(2) < 0.5, -1.0, 1.0)
-            free = uniforms(rng, -1.0, 1.0, 2)
-            if kind < 2:
-                x, y = 4.0 * free
-            elif kind == 2:
-                x, y = sign * edge
-            else:
-                along = index(rng, 2)
-                x, y = np.where(np.arange(2) == along, free * (half - START_MARGIN), sign * edge)
-        else:
-            x, y = uniforms(rng, -1.0, 1.0, 2) * (half - START_MARGIN)
-        heading = between(rng, 0, DREAM_V1.headings - 1) * DREAM_V1.heading_step
-        # Towards the middle, so that rounding never leaves the margin.
-        x, y = (np.trunc(v / DREAM_V1.lattice) * DREAM_V1.lattice + 0.0 for v in (x, y))
-        pose = DREAM_V1.snap(SE2(float(x), float(y), heading))
-        if len(hull) and np.square(hull - (pose.x, pose.y)).sum(axis=1).min() < HULL_CLEAR * HULL_CLEAR:
-            continue
-        if all(pose.distance(other) >= 8.0 for other in starts):
-            starts.append(pose)
-        if len(starts) == 4:
-            return tuple(starts)
-    raise ValueError(f"starts: expected free water for 4 in an arena of {2 * half:g} m, got {len(starts)}")
-
-
-def _settled(half: float, footprint: Float64Array, rng: np.random.Generator) -> Float64Array:
-    """(N, N) metres about 0: level under the wreck, scoured around it, the open seabed further off."""
+def _settled(bounds: Bounds, footprint: Float64Array, rng: np.random.Generator) -> Float64Array:
+    """(N, M) metres about 0: level under the wreck, scoured around it, the open seabed further off."""
     from scipy.spatial import cKDTree
 
-    x, y = grid(half, TERRAIN_SPACING)
+    x, y = grid(bounds, TERRAIN_SPACING)
     points = np.stack(np.broadcast_arrays(x, y), axis=-1).reshape(-1, 2)
     away = np.asarray(cKDTree(footprint).query(points, distance_upper_bound=9.0)[0], np.float64)
     # Rounded well above the last digit, so that nothing below turns on how the tree sums squares.
     near = quantised(np.minimum(away, 9.0), 1_000_000).reshape(y.size, x.size)
     scour = smoothstep(0.2, 1.2, near) * (1.0 - smoothstep(1.2, 4.0, near))
-    open_bed = undulation(half, rng) * (0.15 + 0.85 * smoothstep(1.0, 8.0, near))
+    open_bed = undulation(bounds, rng) * (0.15 + 0.85 * smoothstep(1.0, 8.0, near))
     return open_bed - uniform(rng, 0.06, 0.14) * scour
 
 
