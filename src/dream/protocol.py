@@ -18,6 +18,8 @@ PADDED = 1e-6
 write it: what many sensors say where nothing returns."""
 TRUSTED = 0.8
 """Share of labels that must be right for them to be trusted."""
+ORDERED = ("reach", "group_radius", "cap")
+"""Fields that go by the site where a protocol moves in space, see `SurveyProtocol.ordered`."""
 SHOWN = 2
 """Pixels of the picture that a model is shown, along each side of a pixel of the camera for mapping."""
 
@@ -232,7 +234,7 @@ class SurveyProtocol:
                     f"{self.reach} m, got {self.traversal} m"
                 )
 
-    def ordered(self, area: float, labels: float) -> SurveyProtocol:
+    def ordered(self, area: float, labels: float, group_radius: float) -> SurveyProtocol:
         """The same for a site: no label counts from farther than they are told, and steps go by the area.
 
         A mission has as many steps as the area is large over the metres up to which a label is trusted, at
@@ -241,8 +243,9 @@ class SurveyProtocol:
         Args:
             area: To survey, square metres.
             labels: Metres straight through the water up to which labels are told.
+            group_radius: Metres: no group that is looked for is smaller.
         """
-        there = replace(self, reach=min(self.reach, labels))
+        there = replace(self, reach=min(self.reach, labels), group_radius=group_radius)
         return replace(there, cap=max(self.cap, math.ceil(area / there.trusted)))
 
     @property

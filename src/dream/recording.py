@@ -33,7 +33,7 @@ from pydantic_core import from_json
 from dream.ending import WORDS
 from dream.files import whole_or_nothing
 from dream.geometry import SE2, Bounds
-from dream.protocol import SurveyProtocol, protocol_named
+from dream.protocol import ORDERED, SurveyProtocol, protocol_named
 from dream.types import Exchange, Float32Array, Label, Step, UInt8Array
 
 logger = logging.getLogger(__name__)
@@ -201,6 +201,7 @@ class OrderedRules(_Recorded):
     """What of a protocol that moves in space goes by the site (`SurveyProtocol.ordered`)."""
 
     reach: Annotated[float, Field(gt=0.0, le=1000.0)]
+    group_radius: Annotated[float, Field(gt=0.0, le=1000.0)]
     cap: Annotated[int, Field(ge=1, le=1_000_000)]
 
 
@@ -254,7 +255,7 @@ class RunConfig(_Recorded):
         known = protocol_named(self.protocol)
         if self.ordered is None:
             return known
-        return dataclasses.replace(known, reach=self.ordered.reach, cap=self.ordered.cap)
+        return dataclasses.replace(known, **{name: getattr(self.ordered, name) for name in ORDERED})
 
     @property
     def dive(self) -> dict[str, Any] | None:

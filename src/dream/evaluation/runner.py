@@ -49,7 +49,7 @@ from dream.planning.identity import files_given, identity
 from dream.planning.vlm.asking import Asking
 from dream.planning.vlm.asking.failures import GONE
 from dream.planning.vlm.asking.options import WHERE_KEPT
-from dream.protocol import SHOWN, SurveyProtocol, protocol_named
+from dream.protocol import ORDERED, SHOWN, SurveyProtocol, protocol_named
 from dream.robots import Swimming, Teleport
 from dream.sim.files import world_hash
 from dream.sim.inspection import Inspection
@@ -188,7 +188,7 @@ def run_config(
         "version": __version__,
         "commit": commit(),
         "protocol": protocol.name,
-        "ordered": None if protocol.space is None else {"reach": protocol.reach, "cap": protocol.cap},
+        "ordered": None if protocol.space is None else {name: getattr(protocol, name) for name in ORDERED},
         "bounds": asdict(world.bounds),
         "world": world.name,
         "seed": world.seed,

@@ -8,15 +8,15 @@ from dream.sim.world import World
 
 
 def ordered_in(world: World, protocol: SurveyProtocol) -> SurveyProtocol:
-    """The protocol as it is ordered in a world: with the area to survey, and how far one sees in the water.
+    """The protocol as it is ordered in a world: for its area, its water and the least group looked for.
 
-    Whoever sends a vehicle somewhere knows that much, from a chart and a Secchi disc. Once ordered, a
-    protocol stays what it is. A planar one is the same everywhere.
+    Whoever sends a vehicle somewhere knows that much: from a chart, from a Secchi disc, and by what the
+    survey is for. Once ordered, a protocol stays what it is. A planar one is the same everywhere.
     """
     if protocol.space is None:
         return protocol
     labels = visual_range(world.water, protocol.space, protocol.max_depth).labels
-    return protocol.ordered(world.bounds.width * world.bounds.depth, labels)
+    return protocol.ordered(world.bounds.area, labels, world.group_radius)
 
 
 def protocol_in(world: World, name: str | None = None) -> SurveyProtocol:

@@ -17,9 +17,9 @@ from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
 
-HIGHER = 1.5
-"""Metres above the protocol's altitude at which the ground is searched: from there all of it within reach
-shows at a useful angle, and less of it hides behind other parts."""
+HEIGHT = 0.5
+"""Height above ground at which it is searched, as a share of how far labels are trusted: from there all of it
+within reach shows at a useful angle, and less of it hides behind other parts."""
 LEFT = 0.01
 """Share of the ground in which the middle of a hole may lie, of the least radius that is gone back for."""
 AROUND = 1.0
@@ -46,12 +46,14 @@ class InWater:
     mission: Mission
     protocol: SurveyProtocol = field(init=False)
     """With the reach over ground."""
+    height: float = field(init=False)
+    """Metres above ground at which it is searched."""
 
     def __post_init__(self) -> None:
         whole = self.mission.protocol
-        self.protocol = replace(
-            whole, reach=math.sqrt(max(whole.trusted**2 - (whole.altitude + HIGHER) ** 2, whole.cell**2))
-        )
+        assert whole.space is not None
+        self.height = max(HEIGHT * whole.trusted, whole.space.lowest + whole.lattice)
+        self.protocol = replace(whole, reach=math.sqrt(max(whole.trusted**2 - self.height**2, whole.cell**2)))
 
     @property
     def in_plane(self) -> Mission:
@@ -112,7 +114,7 @@ class InWater:
         protocol, volume, pose = self.mission.protocol, occupancy.volume, observation.pose
         x, y, _ = _end(decision, observation, protocol)
         ground = float(occupancy.ground[occupancy.cell_of(x, y)])
-        wanted = protocol.launch_height(ground + HIGHER) - observation.z
+        wanted = protocol.launch_height(ground + self.height - protocol.altitude) - observation.z
         moves = [replace(decision, climb=climb) for climb in protocol.climbs]
         ends = np.array([_end(move, observation, protocol) for move in moves])
         starts = np.broadcast_to([pose.x, pose.y, observation.z], ends.shape)

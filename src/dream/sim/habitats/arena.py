@@ -10,7 +10,7 @@ from dream.geometry import SE2, Bounds
 from dream.protocol import DREAM_V2_DRAFT
 from dream.sim.sampling import power, quantised
 from dream.sim.starts import starts_in
-from dream.sim.water import SECCHI, Water, water_of
+from dream.sim.water import Water, water_of
 
 SIDES = 30.0, 100.0
 """Metres: the least and the greatest side of an arena."""
