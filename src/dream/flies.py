@@ -5,7 +5,7 @@ from __future__ import annotations
 from dream.protocol import SurveyProtocol
 
 AT_HAND = {
-    True: "belief, sixsteps, orbits, tiers, cover-tour, space-nbv, fuel, dream, vanilla, ranked",
+    True: "belief, greedy, sixsteps, orbits, tiers, cover-tour, space-nbv, fuel, dream, vanilla, ranked",
     False: "belief, sixsteps, lawnmower",
 }
 """Planners that fly in space, and some that do not."""

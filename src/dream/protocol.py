@@ -380,6 +380,7 @@ DREAM_V1_NAV = replace(DREAM_V1_NOISY, name="dream-v1-nav", swims=True)
 DREAM_V2_DRAFT = replace(
     DREAM_V1_NOISY,
     name="dream-v2-draft",
+    cap=300,
     space=Space(
         climbs=(-1.0, -0.5, 0.5, 1.0),
         tilts=(math.radians(45.0), math.radians(20.0), math.radians(-25.0)),

@@ -96,6 +96,7 @@ def flown(
         "mission_s": 10.0 * steps,
         "vlm_questions": None,
         "why": None,
+        "cap": cap,
         "success": done and marks["t98"] is not None and not collided.any(),
         "wall_s": 1.5,
     }

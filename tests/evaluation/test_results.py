@@ -70,6 +70,7 @@ ROW = Row(
     mission_s=52.5,
     vlm_questions=4,
     why="the planner held the mission to be complete and its map agreed",
+    cap=200,
     success=False,
     wall_s=9.5,
 )
@@ -154,12 +155,12 @@ def test_the_table_has_the_published_columns_and_words(folder: Path) -> None:
         "protocol,world,seed,start,world_hash,planner,ended,steps,t_stop,t_claimed,t90,t95,t98,t100,instances,"
         "clusters,area,visible,countable,collisions,distance_m,turns,guarded,min_clearance_m,planner_ms_p50,"
         "planner_ms_p99,c50,c100,c137,c200,auc,vlm_calls,vlm_tokens,vlm_cost_usd,vlm_fallbacks,vlm_waited_s,"
-        "mission_s,vlm_questions,why,success,wall_s"
+        "mission_s,vlm_questions,why,cap,success,wall_s"
     )
     assert lines[1].startswith(
         "dream-v1,reef/L,3,1,ab12,sweep-and-graze,done,2,2,,0,1,,,0.97,0.0,1.0,0.333333"
     )
-    assert lines[2].endswith(",,,,,,,,true,9.5")
+    assert lines[2].endswith(",,,,,,,,200,true,9.5")
     steps = gzip.decompress((folder / "traces.csv.gz").read_bytes()).decode().splitlines()
     assert steps[0] == "protocol,world,seed,start,planner,step,x,y,yaw_deg,instances,collided"
     assert steps[2] == "dream-v1,reef/L,3,1,sweep-and-graze,1,1.1,-1.0,-150.0,0.96,true"
@@ -327,7 +328,7 @@ def test_a_share_that_was_rounded_to_a_mark_may_have_been_either_side_of_it(t98:
     [
         ("world_hash", "hash", "line 1: expected the columns"),
         (",done,2,", ",done,two,", "line 2: row: steps"),
-        (",done,2,", ",done,2,7,", "line 2: expected 41 cells, got 42"),
+        (",done,2,", ",done,2,7,", "line 2: expected 42 cells, got 43"),
         (",random,", ",sweep-and-graze,", "line 3: expected each mission once"),
         (",true,", ",perhaps,", "line 3: row: success"),
         ("0.5,0,48.0", "inf,0,48.0", "line 2: row: vlm_cost_usd"),
