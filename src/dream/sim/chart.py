@@ -45,9 +45,10 @@ def chart(world: World, *, pixels: int = 900) -> Image.Image:
     draw = ImageDraw.Draw(image)
     groups = np.unique(world.targets.group)
     colors = {int(group): _color(k, len(groups)) for k, group in enumerate(groups)}
-    _dots(draw, world.targets.chosen(~world.hull), sheet, colors)
     _triangles(draw, world, world.targets.chosen(world.hull), sheet, colors)
     _triangles(draw, world, world.obstacles, sheet, {})
+    # On top, since they grow on rocks as well.
+    _dots(draw, world.targets.chosen(~world.hull), sheet, colors)
     draw.rectangle(
         [*sheet.at(bounds.x_min, bounds.y_max), *sheet.at(bounds.x_max, bounds.y_min)], outline=INK, width=2
     )

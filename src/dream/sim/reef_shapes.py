@@ -21,6 +21,8 @@ from dream.sim.sampling import Float64Array, between, direction, uniform, unifor
 
 PIECE = 6.5
 """Metres of a stroke that make one group; long strokes are cut into pieces about as long."""
+PATCH = 5.0
+"""Metres: strokes shorter than this are single patches."""
 MARGIN = 3.0
 """Least metres between a stroke's edge and the bounds."""
 

@@ -5,28 +5,143 @@ Each is a recipe whose ranges are published; docs/habitats.md has them all, with
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
-from dream.sim.habitats.arena import arena_in
+from dream.geometry import Bounds
+from dream.sim.habitats import beds
+from dream.sim.habitats.arena import Arena, arena_in
+from dream.sim.habitats.beds import beds_in, borders_in, holed
 from dream.sim.habitats.building import world_of
+from dream.sim.habitats.growth import FEWEST, Habitat
 from dream.sim.habitats.mounds import ledges_in, mounds_in
+from dream.sim.habitats.rocks import WALLS, RockFaces, rocks_in, walls_in
+from dream.sim.habitats.small import small_groups_in
+from dream.sim.habitats.wide import strokes_in
+from dream.sim.sampling import index, uniform
 from dream.sim.world import World
 
+Random = np.random.Generator
 
-def _mound(rng: np.random.Generator) -> World:
+BETWEEN = 4.0
+"""Metres between the parts of an arena that two habitats lie in."""
+LEAST_CUT = 6.0
+"""Metres of wall in a reef, so that walls cut it."""
+SPLIT = 0.4, 0.6
+"""Share of an arena's longer side that the first of two has."""
+
+
+def mound(rng: Random) -> World:
+    """One to five mounds of old shell, overgrown all over."""
     arena = arena_in(rng)
     return world_of(arena, [mounds_in(arena, arena.bounds, rng)], rng)
 
 
-def _ledge(rng: np.random.Generator) -> World:
+def ledge(rng: Random) -> World:
+    """Steps of the bed, with oysters on and along their edges."""
     arena = arena_in(rng)
     return world_of(arena, [ledges_in(arena, arena.bounds, rng)], rng)
 
 
-HABITATS: Mapping[str, Callable[[np.random.Generator], World]] = {
-    "reef/mound": _mound,
-    "reef/ledge": _ledge,
+def carpet(rng: Random) -> World:
+    """Single clumps strewn over large patches."""
+    arena = arena_in(rng)
+    return world_of(arena, [_carpet(arena, arena.bounds, beds.SPARSE, rng)], rng)
+
+
+def tiny(rng: Random) -> World:
+    """Small groups far apart."""
+    arena = arena_in(rng)
+    return world_of(arena, [small_groups_in(arena.bounds, FEWEST, rng)], rng)
+
+
+def dense(rng: Random) -> World:
+    """A bed that covers most of the arena."""
+    arena = arena_in(rng)
+    bed = beds_in(arena, arena.bounds, beds.DENSE, (4.0, 9.0), beds.BED, beds.HEIGHT, 1.5, rng)
+    return world_of(arena, [bed], rng)
+
+
+def rocks(rng: Random) -> World:
+    """Oysters on rocks and, in one world of two, on a wall."""
+    arena = arena_in(rng)
+    walls = [walls_in(arena, (1, 1), rng)] if rng.random() < 0.5 else []
+    taken = walls[0].feet() if walls else np.empty((0, 3))
+    stones = rocks_in(arena, taken, rng)
+    first = len(stones.rocks) + sum(len(each.walls) for each in walls)
+    return world_of(arena, [RockFaces(first)], rng, [stones, *walls], strewn=False)
+
+
+def holes(rng: Random) -> World:
+    """Large reefs with bare holes in them."""
+    arena = arena_in(rng)
+    bed = beds_in(arena, arena.bounds, beds.LARGE, (9.0, 14.0), beds.BED, beds.HEIGHT, 1.5, rng)
+    return world_of(arena, [holed(bed, arena.bounds, rng)], rng)
+
+
+def border(rng: Random) -> World:
+    """Reefs along the border, cut by it."""
+    arena = arena_in(rng)
+    return world_of(arena, [borders_in(arena, rng)], rng)
+
+
+def walls(rng: Random) -> World:
+    """Beds that ridges of rock, or quays, cut."""
+    arena = arena_in(rng)
+    while True:
+        found = walls_in(arena, WALLS, rng)
+        bed = beds_in(arena, arena.bounds, beds.CUT, (6.0, 11.0), beds.BED, beds.HEIGHT, 1.5, rng)
+        x, y, _ = found.feet().T
+        # The feet are circles half a metre apart.
+        if 0.5 * np.count_nonzero(bed.share(x, y)) >= LEAST_CUT:
+            return world_of(arena, [replace(bed, lines=found.segments(beside=0.2))], rng, [found])
+
+
+def two(rng: Random) -> World:
+    """A mound or a ledge in one part of the arena, a carpet or small groups in the other."""
+    arena = arena_in(rng)
+    box = arena.bounds
+    at = uniform(rng, *SPLIT)
+    if box.width > box.depth:
+        x = box.x_min + at * box.width
+        parts = [replace(box, x_max=x - 0.5 * BETWEEN), replace(box, x_min=x + 0.5 * BETWEEN)]
+        across = 0.0
+    else:
+        y = box.y_min + at * box.depth
+        parts = [replace(box, y_max=y - 0.5 * BETWEEN), replace(box, y_min=y + 0.5 * BETWEEN)]
+        across = 0.5 * math.pi
+    if rng.random() < 0.5:
+        parts.reverse()
+    steep: Habitat
+    if rng.random() < 0.5:
+        steep = mounds_in(arena, parts[0], rng)
+    else:
+        steep = ledges_in(arena, parts[0], rng, across + math.pi * index(rng, 2))
+    flat: Habitat
+    if rng.random() < 0.5:
+        flat = _carpet(arena, parts[1], beds.SPARSE, rng)
+    else:
+        flat = small_groups_in(parts[1], FEWEST // 2, rng)
+    return world_of(arena, [steep, flat], rng)
+
+
+def wide(rng: Random) -> World:
+    """A reef of dream-v1's shapes."""
+    arena = arena_in(rng)
+    reef = strokes_in(arena, rng)
+    near = np.concatenate([stroke.line for stroke in reef.bed.strokes])
+    return world_of(arena, [reef], rng, near=near)
+
+
+def _carpet(arena: Arena, region: Bounds, cover: tuple[float, float], rng: Random) -> Habitat:
+    return beds_in(arena, region, cover, (9.0, 14.0), beds.CARPET, (0.0, 0.0), 3.0, rng, bare=0.3)
+
+
+HABITATS: Mapping[str, Callable[[Random], World]] = {
+    f"reef/{family.__name__}": family
+    for family in (mound, ledge, carpet, tiny, dense, rocks, holes, border, walls, two, wide)
 }
 """What makes each of them from a random generator."""

@@ -45,6 +45,7 @@ def world_of(
     habitats: Sequence[Habitat],
     rng: np.random.Generator,
     structures: Sequence[Structure] = (),
+    near: Float64Array | None = None,
     *,
     strewn: bool = True,
 ) -> World:
@@ -55,6 +56,7 @@ def world_of(
         habitats: What oysters grow on. Of several, each has its share of `MOST` clumps.
         rng: Source of all else.
         structures: What stands there. A habitat finds it in the `Bottom`, before the boulders.
+        near: (K, 2) places that attract boulders; none unless given.
         strewn: With boulders, as many to the square metre as in the arenas of dream-v1.
     """
     wide = arena.bounds.widened(APRON)
@@ -78,7 +80,7 @@ def world_of(
         rocks = boulders.formations(
             arena.bounds,
             arena.starts,
-            np.empty((0, 2)),
+            np.empty((0, 2)) if near is None else near,
             taken,
             rng,
             ring=rng.random() < 0.25,

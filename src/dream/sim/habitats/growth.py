@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import Bounds
+from dream.sim.habitats.arena import log_uniform
 from dream.sim.meshes import clump
 from dream.sim.reefs import PITCH, VARIANTS, places_in, renumbered
 from dream.sim.sampling import (
@@ -18,7 +19,6 @@ from dream.sim.sampling import (
     QUATERNION,
     Float64Array,
     indices,
-    power,
     quantised,
     steady,
     uniforms,
@@ -29,6 +29,8 @@ from dream.sim.world import Instances, Mesh, Terrain
 
 FEWEST, MOST = 60, 6000
 """Individuals of a world."""
+SPARE = 1.4
+"""Times the fewest that are sown at least, since some are left out: on too small an island, or too near."""
 PIECE = 6.5
 """Metres: a larger patch is cut into groups about so wide."""
 SUNK = 0.05, 0.15
@@ -122,28 +124,25 @@ class Crust:
         return 0.03 * self.stands.at(x, y) + 0.03 * self.holes.at(x, y)
 
 
-def islands(cover: Cover, bounds: Bounds, least: float) -> tuple[IntpArray, Float64Array]:
-    """The patches of a cover, without those that are smaller than a radius.
+def islands(cover: Cover, bounds: Bounds, least: float) -> IntpArray:
+    """(N, M) the patch of each square of 0.25 m in the bounds, from the south-west, 0 where none is.
 
-    Returns:
-        (N, M) the patch of each square of 0.25 m in the bounds, from the south-west, 0 where none is; and the
-        same squares' shares.
+    Patches that are smaller than a radius of `least` are left out.
     """
     from scipy import ndimage
 
     cols, rows = (round(side / SPACING) for side in (bounds.width, bounds.depth))
     x = bounds.x_min + (np.arange(cols) + 0.5) * SPACING
     y = bounds.y_min + (np.arange(rows) + 0.5) * SPACING
-    share = cover.share(x[None, :], y[:, None])
-    label, count = ndimage.label(share > 0.0, structure=np.ones((3, 3)))
-    label = label.astype(np.intp)
+    found, _ = ndimage.label(cover.share(x[None, :], y[:, None]) > 0.0, structure=np.ones((3, 3)))
+    label = np.asarray(found, np.intp)
     for number, box in enumerate(ndimage.find_objects(label), start=1):
         row, col = np.nonzero(label[box] == number)
         away = np.hypot(row - row.mean(), col - col.mean()).max() * SPACING
         # A group that fills such an island sparsely is smaller than it.
         if away < least + SPACING:
             label[box][label[box] == number] = 0
-    return label, np.where(label > 0, share, 0.0)
+    return label
 
 
 def spread(
@@ -167,20 +166,21 @@ def spread(
         rng: Source of density and places.
     """
     bounds = bottom.bounds
-    label, _ = islands(cover, bounds, least)
+    label = islands(cover, bounds, least)
     x, y = places_in(bounds, PITCH, rng)
     inside = bounds.covers(x, y)
     x, y, luck = x[inside], y[inside], rng.random(len(x))[inside]
     row = np.clip((y - bounds.y_min) / SPACING, 0, label.shape[0] - 1).astype(np.intp)
     col = np.clip((x - bounds.x_min) / SPACING, 0, label.shape[1] - 1).astype(np.intp)
-    patch, share = label[row, col], cover.share(x, y)
-    grown = (patch > 0) & (share > 0.0) & ~_within(bottom.bare, x, y)
-    x, y, luck, patch, share = x[grown], y[grown], luck[grown], patch[grown], share[grown]
+    patch = label[row, col]
+    grown = np.flatnonzero(patch > 0)
+    grown = grown[~_within(bottom.bare, x[grown], y[grown])]
+    x, y, luck, patch = x[grown], y[grown], luck[grown], patch[grown]
+    share = cover.share(x, y)
+    x, y, luck, patch, share = (each[share > 0.0] for each in (x, y, luck, patch, share))
     normals = bottom.normals(x, y)
     area = float((PITCH * PITCH / normals[:, 2]).sum())
-    low, high = published
-    density = low * float(power(high / low, float(rng.random())))
-    density = max(min(density, most / area), min(FEWEST * 1.1 / area, high))
+    density = density_in(published, area, most, rng)
     suitable = share * crust.at(x, y) / normals[:, 2]
     chosen = np.argsort(luck / suitable, kind="stable")[: round(density * area)]
     x, y, patch = quantised(x[chosen], MILLIMETRE), quantised(y[chosen], MILLIMETRE), patch[chosen]
@@ -189,6 +189,29 @@ def spread(
     x, y = x[kept], y[kept]
     points = np.stack([x, y, bottom.seabed.height(x, y)], axis=1)
     return Places(points, bottom.normals(x, y), group[kept])
+
+
+def density_in(
+    published: tuple[float, float], area: float, most: int, rng: np.random.Generator
+) -> float:
+    """Clumps to the square metre, evenly on a scale of logarithms, of what is published and gives a world.
+
+    Args:
+        published: From least to most.
+        area: Square metres that there are.
+        most: Clumps; `FEWEST` and some to spare are the least.
+        rng: Source of it.
+
+    Raises:
+        ValueError: No published density gives so few or so many: the recipe has too much or too little area.
+    """
+    low, high = max(published[0], SPARE * FEWEST / area), min(published[1], most / area)
+    if low > high:
+        raise ValueError(
+            f"density: expected {published[0]:g} to {published[1]:g} clumps to the square metre to give "
+            f"{FEWEST} to {most} on {area:.0f} m²"
+        )
+    return log_uniform(rng, low, high)
 
 
 def pieces(

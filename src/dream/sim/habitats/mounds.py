@@ -19,15 +19,19 @@ import numpy as np
 from dream.geometry import Bounds
 from dream.sim.boulders import CLEAR
 from dream.sim.habitats.arena import Arena
-from dream.sim.habitats.growth import Bottom, Crust, Places, spread
-from dream.sim.sampling import Float64Array, between, direction, uniform
-from dream.sim.terrain import APRON, Noise, smoothstep
+from dream.sim.habitats.growth import Bottom, Crust, Places, islands, spread
+from dream.sim.sampling import Float64Array, between, direction, uniform, uniforms
+from dream.sim.terrain import APRON, SPACING, Noise, smoothstep
 
 TRIES = 3000
-DENSITY = 4.0, 13.0
-"""Clumps to the square metre: 25 to 130 oysters at 5 to 10 in a clump (EUNIS MB243), from what low reefs of
-the Great Wicomico kept (53 in 2010) to the 8 to 13 clumps of dream-v1's reefs; its high ones had 250 to 1,000
-(Schulte et al. 2009, Science 325: 1124-1128)."""
+DENSITY = 2.0, 13.0
+"""Clumps to the square metre: from 15 oysters, the least that is called a restored reef (Oyster Metrics Workgroup
+2011), at 7.5 to a clump (EUNIS MB243 has 5 to 10), up to what dream-v1's reefs have. The high reefs of the Great
+Wicomico had 250 to 1,000 oysters in their best years (Schulte et al. 2009, Science 325: 1124-1128)."""
+LEAST_AREA = 45.0
+"""Square metres of the bed on which oysters grow along ledges, so that they are a world's fewest."""
+MOST_AREA = 1400.0
+"""Square metres of the bed that mounds cover, so that 2 clumps to each are half of a world's most."""
 MOUNDS = 1, 5
 HEIGHT = 0.5, 2.0
 """Metres that a mound or the step of a ledge rises."""
@@ -103,13 +107,12 @@ class Mounds:
     def _out(self, x: Float64Array, y: Float64Array) -> tuple[Float64Array, np.typing.NDArray[np.intp]]:
         """How far out of the mound that is nearest each place is, its foot ragged; and which that is."""
         each = np.stack([np.broadcast_arrays(mound.out(x, y))[0] for mound in self.mounds])
-        each = np.broadcast_to(each, each.shape)
         return each.min(axis=0) * (1.0 + 0.1 * self.rim.at(x, y)), each.argmin(axis=0)
 
 
 def mounds_in(arena: Arena, region: Bounds, rng: np.random.Generator) -> Mounds:
     """Mounds in a part of an arena, 2 m apart and off all starts. Where many do not fit, fewer stand."""
-    count, found = between(rng, *MOUNDS), list[Mound]()
+    count, found, area = between(rng, *MOUNDS), list[Mound](), 0.0
     for _ in range(TRIES):
         height, top = uniform(rng, *HEIGHT), uniform(rng, *TOP)
         # A cubic step is half as steep again in its middle as on average.
@@ -118,9 +121,14 @@ def mounds_in(arena: Arena, region: Bounds, rng: np.random.Generator) -> Mounds:
         long = round(wide * uniform(rng, *LONG), 3)
         x = uniform(rng, region.x_min, region.x_max)
         y = uniform(rng, region.y_min, region.y_max)
-        mound = Mound(round(x, 3), round(y, 3), long, wide, top / wide, height, uniform(rng, 0.0, math.pi))
-        if _fits(mound, found, arena, region):
+        mound = Mound(
+            round(x, 3), round(y, 3), long, wide, top / wide, height, uniform(rng, 0.0, math.pi)
+        )
+        area += math.pi * long * wide
+        if area <= MOST_AREA and _fits(mound, found, arena, region):
             found.append(mound)
+        else:
+            area -= math.pi * long * wide
         if len(found) == count:
             break
     if not found:
@@ -205,7 +213,9 @@ class Ledges:
         return spread(self, self.crust, DENSITY, self.group_radius, bottom, most, rng)
 
 
-def ledges_in(arena: Arena, region: Bounds, rng: np.random.Generator, across: float | None = None) -> Ledges:
+def ledges_in(
+    arena: Arena, region: Bounds, rng: np.random.Generator, across: float | None = None
+) -> Ledges:
     """Ledges in a part of an arena, off all starts.
 
     Args:
@@ -229,17 +239,14 @@ def ledges_in(arena: Arena, region: Bounds, rng: np.random.Generator, across: fl
         # So far from the middle that an edge still has a good part of the region on either side.
         room = 0.5 * (abs(c) * region.width + abs(s) * region.depth) - 4.0
         fit = max(count - tries // 500, 1)
-        edges = np.sort(c * middle[0] + s * middle[1] + uniform_many(rng, -room, room, fit))
+        edges = np.sort(c * middle[0] + s * middle[1] + uniforms(rng, -room, room, fit))
         ledges = Ledges(
             way, tuple(edges.round(3).tolist()), low, high, width, band, bend, sway, tall, stretches, crust
         )
         away = np.abs(ledges.above(starts[:, 0], starts[:, 1])[:, None] - edges).min()
         # Where an edge bends, it is nearer than the way up tells.
-        if away >= 1.4 * CLEAR and (fit == 1 or np.diff(edges).min() >= APART):
+        if away < 1.4 * CLEAR or (fit > 1 and np.diff(edges).min() < APART):
+            continue
+        if np.count_nonzero(islands(ledges, region, ledges.group_radius)) * SPACING * SPACING >= LEAST_AREA:
             return ledges
     raise ValueError(f"ledges: expected one that leaves {len(starts)} starts free, got none")
-
-
-def uniform_many(rng: np.random.Generator, low: float, high: float, count: int) -> Float64Array:
-    """Numbers in [low, high)."""
-    return low + (high - low) * rng.random(count)
