@@ -63,7 +63,7 @@ class Comparison:
     """Where they are known."""
     protocol: str
     horizon: int
-    """Steps that a mission had; an unreached mark counts as this many."""
+    """Steps that a mission had, the most of any; an unreached mark counts as those of its world."""
     failures: Mapping[tuple[Case, str], str]
     """Missions that have no result because the last attempt failed, and why."""
     latencies: Mapping[str, float]
@@ -227,7 +227,9 @@ def compare(results: Results) -> Comparison:
         rows=rows,
         bounds=bounds,
         protocol=str(protocol.get("name")),
-        horizon=cap if asked is None else min(cap, int(asked)),
+        horizon=min(
+            [max((row.cap or cap for row in results.rows), default=cap), *([int(asked)] if asked else [])]
+        ),
         failures={
             (case, planner): error
             for (case, planner), error in failures.items()

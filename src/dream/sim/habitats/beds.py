@@ -104,9 +104,7 @@ class Beds:
         return spread(self, self.crust, self.density, self.group_radius, bottom, most, rng)
 
 
-def to_segment(
-    x: Float64Array, y: Float64Array, ax: float, ay: float, bx: float, by: float
-) -> Float64Array:
+def to_segment(x: Float64Array, y: Float64Array, ax: float, ay: float, bx: float, by: float) -> Float64Array:
     """Metres from each place to the straight line between two points."""
     length = math.hypot(bx - ax, by - ay)
     ux, uy = (bx - ax) / length, (by - ay) / length

@@ -191,9 +191,7 @@ def spread(
     return Places(points, bottom.normals(x, y), group[kept])
 
 
-def density_in(
-    published: tuple[float, float], area: float, most: int, rng: np.random.Generator
-) -> float:
+def density_in(published: tuple[float, float], area: float, most: int, rng: np.random.Generator) -> float:
     """Clumps to the square metre, evenly on a scale of logarithms, of what is published and gives a world.
 
     Args:

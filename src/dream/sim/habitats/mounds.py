@@ -121,9 +121,7 @@ def mounds_in(arena: Arena, region: Bounds, rng: np.random.Generator) -> Mounds:
         long = round(wide * uniform(rng, *LONG), 3)
         x = uniform(rng, region.x_min, region.x_max)
         y = uniform(rng, region.y_min, region.y_max)
-        mound = Mound(
-            round(x, 3), round(y, 3), long, wide, top / wide, height, uniform(rng, 0.0, math.pi)
-        )
+        mound = Mound(round(x, 3), round(y, 3), long, wide, top / wide, height, uniform(rng, 0.0, math.pi))
         area += math.pi * long * wide
         if area <= MOST_AREA and _fits(mound, found, arena, region):
             found.append(mound)
@@ -213,9 +211,7 @@ class Ledges:
         return spread(self, self.crust, DENSITY, self.group_radius, bottom, most, rng)
 
 
-def ledges_in(
-    arena: Arena, region: Bounds, rng: np.random.Generator, across: float | None = None
-) -> Ledges:
+def ledges_in(arena: Arena, region: Bounds, rng: np.random.Generator, across: float | None = None) -> Ledges:
     """Ledges in a part of an arena, off all starts.
 
     Args:

@@ -184,9 +184,7 @@ def walls_in(arena: Arena, number: tuple[int, int], rng: np.random.Generator) ->
         offsets = np.sort(uniforms(rng, -room, room, max(count - tries // 400, 1)))
         if len(offsets) > 1 and np.diff(offsets).min() < WALLS_APART:
             continue
-        walls = [
-            wall for offset in offsets for wall in _across(box, offset * across, along, rng)
-        ]
+        walls = [wall for offset in offsets for wall in _across(box, offset * across, along, rng)]
         if walls and _off_starts(arena, walls):
             return Walls(tuple(walls))
     raise ValueError(f"walls: expected one that leaves all starts free in {TRIES} tries, got none")
@@ -215,9 +213,7 @@ def _across(box: Bounds, through: Float64Array, along: Float64Array, rng: np.ran
         stop = end if k == gaps else middle - 0.5 * wide
         if stop - at >= 2.0:
             a, b = quantised(through + at * along, MILLIMETRE), quantised(through + stop * along, MILLIMETRE)
-            walls.append(
-                Wall(float(a[0]), float(a[1]), float(b[0]), float(b[1]), foot, crown, height, built)
-            )
+            walls.append(Wall(float(a[0]), float(a[1]), float(b[0]), float(b[1]), foot, crown, height, built))
         at = middle + 0.5 * wide
     return walls
 
@@ -226,14 +222,10 @@ def _off_starts(arena: Arena, walls: list[Wall]) -> bool:
     from dream.sim.habitats.beds import to_segment
 
     x, y = np.array([(start.x, start.y) for start in arena.starts]).T
-    return all(
-        float(to_segment(x, y, w.ax, w.ay, w.bx, w.by).min()) >= w.foot + CLEAR for w in walls
-    )
+    return all(float(to_segment(x, y, w.ax, w.ay, w.bx, w.by).min()) >= w.foot + CLEAR for w in walls)
 
 
-def _wall(
-    wall: Wall, seabed: Terrain, rng: np.random.Generator
-) -> tuple[Mesh, tuple[float, float, float]]:
+def _wall(wall: Wall, seabed: Terrain, rng: np.random.Generator) -> tuple[Mesh, tuple[float, float, float]]:
     """A closed mesh about its own middle, and that middle."""
     count = max(round(wall.length / STATION), 1) + 1
     share = np.linspace(0.0, 1.0, count)
@@ -319,9 +311,7 @@ class RockFaces:
         kept = np.flatnonzero(open_)
         kept = kept[_spaced(points[kept], APART)][:count]
         points, drawn = points[kept], drawn[kept]
-        group = pieces(
-            points[:, 0], points[:, 1], owner[drawn], bottom.bounds, self.group_radius, rng
-        )
+        group = pieces(points[:, 0], points[:, 1], owner[drawn], bottom.bounds, self.group_radius, rng)
         held = group >= 0
         return Places(points[held], normals[drawn][held], group[held])
 

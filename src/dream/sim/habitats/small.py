@@ -97,6 +97,4 @@ def small_groups_in(region: Bounds, fewest: int, rng: np.random.Generator) -> Sm
             middles.append(tries[best])
         else:
             middles.append(tries[0])
-    return SmallGroups(
-        quantised(np.array(middles), MILLIMETRE), radii, uniform(rng, least, DENSITY[1])
-    )
+    return SmallGroups(quantised(np.array(middles), MILLIMETRE), radii, uniform(rng, least, DENSITY[1]))
