@@ -18,6 +18,18 @@ REEF_FAMILIES = ("fringing", "string", "patch", "mixed")
 LETTERS = ("L", "S", "O", "K", "E")
 """The successor paper's shapes of reef."""
 WRECKS = (1, 2, 3, 4, 5)
+HABITATS = ("mound", "ledge", "carpet", "tiny", "dense", "rocks", "holes", "border", "walls", "two", "wide")
+"""Families of reefs in wide arenas, made for protocols that move in space; see docs/habitats.md."""
+WEAK = ("mound", "carpet", "tiny", "dense")
+"""Those on which a stop that was right on the paper's kinds of reef was wrong, so that many are needed."""
+SEVERAL = (
+    "wreck/1+wreck/3",
+    "wreck/2+wreck/4",
+    "wreck/5+reef/patch",
+    "wreck/3+reef/string",
+    "wreck/4+reef/mixed",
+)
+"""Two structures in one world."""
 
 MOST_SEEDS = 10_000
 MOST_CASES = 10_000
@@ -74,6 +86,15 @@ def _generated(reefs: range, letters: range, wrecks: range) -> tuple[Case, ...]:
     )
 
 
+def _wide(reefs: range, weak: range, others: range) -> tuple[Case, ...]:
+    """The families of wide worlds, more of the weak ones; wrecks, and several structures."""
+    return (
+        *(Case(f"reef/{name}", seed) for name in HABITATS for seed in (weak if name in WEAK else reefs)),
+        *(Case(f"wreck/{number}", seed) for number in WRECKS for seed in others),
+        *(Case(name, seed) for name in SEVERAL for seed in others[: len(others) // 2]),
+    )
+
+
 SUITES: dict[str, tuple[Case, ...]] = {
     "paper": (
         Case("reef/fringing", 1),
@@ -94,11 +115,14 @@ SUITES: dict[str, tuple[Case, ...]] = {
     ),
     "dev": _generated(range(101, 106), range(101, 105), range(101, 105)),
     "test": _generated(range(1001, 1026), range(1001, 1011), range(1001, 1011)),
+    "dev-v2": _wide(range(2001, 2026), range(2001, 2101), range(2001, 2005)),
+    "test-v2": _wide(range(3001, 3026), range(3001, 3026), range(3001, 3011)),
 }
 """`paper`: ten reefs and five wrecks, as many as the paper has. `dev`: 60 worlds to develop and tune on.
 `test`: 200 worlds to report; no parameter was chosen by them, and whoever tunes on them has no result. Of
 its wrecks, seeds 1001 to 1003 of `wreck/1` to `wreck/4` were looked at while the belief about hulls was made
-finer."""
+finer. `dev-v2` and `test-v2` are the same for protocols that move in space: 605 and 350 worlds. `test-v2` was
+not flown yet."""
 
 
 def suite_named(name: str) -> tuple[Case, ...]:

@@ -412,19 +412,30 @@ class OccupancyMap(Layers):
 
     # ----------------------------------------------------------------------------------- copies, files
 
-    def counting(self, seen: BoolArray, reach: float) -> OccupancyMap:
-        """The map to a planner to which other cells count as seen, to be read until this map changes.
+    def counting(self, seen: BoolArray, reach: float, below: BoolArray) -> OccupancyMap:
+        """The map to a planner to which other cells count as seen or as solid, until this map changes.
 
         Args:
             seen: (rows, cols) in the place of `Layers.seen`.
             reach: Metres, in the place of the protocol's.
+            below: (rows, cols) solid cells that are none to it: it passes over what stands there.
         """
         other = copy.copy(self)
         other.protocol, other._answers = dataclasses.replace(self.protocol, reach=reach), {}
-        kept = np.array(seen, np.bool_)
-        kept.flags.writeable = False
-        other._layers = {name: layer for name, layer in self._layers.items() if name != "observed"}
-        other._layers["seen"] = kept
+        margin, (rows, cols) = self._room_radius, self._shape
+        flagged, odds = self._wide("flags").copy(), self._wide("log_odds").copy()
+        inner = np.s_[margin : margin + rows, margin : margin + cols]
+        flagged[inner][below] |= flags.BARE | flags.SEABED
+        odds[inner][below] = SURE[1]
+        names = ("target", "target_probability", "explored", "to_see", "ground", "distance_to_bounds")
+        other._layers = {
+            **{name: self._layers[name] for name in names if name in self._layers},
+            "seen": np.array(seen, np.bool_),
+            "wide flags": flagged,
+            "wide log_odds": odds,
+        }
+        for layer in other._layers.values():
+            layer.flags.writeable = False
         return other
 
     def copy(self) -> OccupancyMap:

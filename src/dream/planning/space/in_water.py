@@ -22,8 +22,8 @@ HEIGHT = 0.5
 within reach shows at a useful angle, and less of it hides behind other parts."""
 LEFT = 0.01
 """Share of the ground in which the middle of a hole may lie, of the least radius that is gone back for."""
-AROUND = 1.0
-"""Metres a side of the square in which labels decide whether there are targets."""
+AROUND = 2.0
+"""Side of the square in which labels decide whether there are targets, in radii of the least group."""
 TOLD = 0.2
 """Share of it from which on there are: on a reef two or three cells of five are told to be target."""
 SIDES = 2
@@ -62,7 +62,18 @@ class InWater:
 
     def from_above(self, occupancy: OccupancyMap) -> OccupancyMap:
         """The map to a pilot of the plane, to be read until the map changes."""
-        return occupancy.counting(self.searched(occupancy), self.protocol.reach)
+        return occupancy.counting(self.searched(occupancy), self.protocol.reach, self.passed_over(occupancy))
+
+    def passed_over(self, occupancy: OccupancyMap) -> BoolArray:
+        """(rows, cols) what stands up, but so low that the vehicle passes over it at the search's height."""
+        assert occupancy.volume is not None
+        assert self.protocol.space is not None
+        middles = occupancy.volume.surface().middles
+        inside = occupancy.contains(*middles[:, :2].T)
+        top = np.full(occupancy.shape, -np.inf)
+        np.maximum.at(top, occupancy.cell_of(*middles[inside, :2].T), middles[inside, 2])
+        highest = occupancy.ground + self.height - self.protocol.space.lowest
+        return np.asarray(occupancy.solid & (top + 0.5 * occupancy.volume.cell <= highest))
 
     def searched(self, occupancy: OccupancyMap) -> BoolArray:
         """(rows, cols) what was seen of the ground, and where targets are told, inspected as `SIDES` asks."""
@@ -74,7 +85,7 @@ class InWater:
         inside = occupancy.contains(x, y)
         bearings = np.zeros(occupancy.shape, np.uint8)
         np.bitwise_or.at(bearings, occupancy.cell_of(x[inside], y[inside]), surface.bearings[inside])
-        width = round(AROUND / self.protocol.cell)
+        width = max(1, round(AROUND * self.protocol.group_radius / self.protocol.cell))
         told = uniform_filter(occupancy.target.astype(np.float32), width, mode="nearest") >= TOLD
         return np.asarray(occupancy.seen & (~told | (np.bitwise_count(bearings) >= SIDES)))
 
