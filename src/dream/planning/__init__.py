@@ -4,6 +4,7 @@ from dream.flies import flies
 from dream.own_code import own_name
 from dream.planning.baselines import (
     Lawnmower,
+    MutualInformation,
     NearestFrontier,
     NextBestView,
     RandomWalk,
@@ -28,6 +29,7 @@ AnyPlanner = (
     | NearestFrontier
     | NextBestView
     | SweepAndGraze
+    | MutualInformation
     | RandomWalk
     | UivNav
     | Orbits
@@ -48,6 +50,7 @@ PLANNERS: dict[str, AnyPlanner] = {
     "frontier": NearestFrontier(),
     "nbv": NextBestView(),
     "sweep-and-graze": SweepAndGraze(),
+    "mutual-information": MutualInformation(),
     "random": RandomWalk(),
     "uivnav": UivNav(),
     "orbits": Orbits(),
@@ -101,6 +104,7 @@ __all__ = [
     "Dream",
     "Fuel",
     "Lawnmower",
+    "MutualInformation",
     "NearestFrontier",
     "NextBestView",
     "Orbits",

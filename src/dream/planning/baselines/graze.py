@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from dream.types import Decision, Mission, Observation, Reasoning
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
     from dream.mapping.completion import Region
+    from dream.planning.space.over_ground import OverGround
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +38,8 @@ class SweepAndGraze:
     follow.
     """
 
+    spatial: ClassVar[bool] = True
+
     # Wider than the lawnmower's: gaps at targets are closed on the way.
     swath: First[float] = 1.0
     """Distance between lanes at most, as a share of the width of ground in the picture."""
@@ -50,10 +53,21 @@ class SweepAndGraze:
         check_range("inset", self.inset, 0.1, 4.0)
         check_range("least", self.least, 0.0, 100.0)
 
-    def begin(self, mission: Mission) -> _Grazing:
-        """A fresh survey; the lanes are laid when the start is known."""
+    def begin(self, mission: Mission) -> _Grazing | OverGround:
+        """A fresh survey; the lanes are laid when the start is known.
+
+        Under a protocol that moves in space it searches the ground: see `OverGround`.
+        """
+        if mission.protocol.space is None:
+            return self.in_plane(mission)
+        from dream.planning.space.over_ground import OverGround
+
+        return OverGround(mission, self.in_plane)
+
+    def in_plane(self, mission: Mission) -> _Grazing:
+        """A pilot that keeps its altitude, under whatever protocol."""
         lanes = Lawnmower(swath=self.swath, inset=self.inset, least=self.least)
-        return _Grazing(lanes.begin(mission))
+        return _Grazing(lanes.in_plane(mission))
 
 
 @dataclass(slots=True)
