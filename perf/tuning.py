@@ -33,7 +33,9 @@ SEED = 101
 """Of the first reef of each family in `dev`."""
 CAP = 300
 SETTINGS: dict[str, tuple[str, ...]] = {
-    "sweep-and-graze": ("", "swath=0.8", "swath=1.2", "least=0.5"),
+    "sweep-and-graze": ("", "swath=0.81", "swath=1.3", "glimpse=1.6", "glimpse=2.5"),
+    "mutual-information": ("", "tell=0", "tell=30", "beta=2", "level=0.3", "mean=0.2", "range=2.5"),
+    "sixsteps": ("", "glimpse=2.5"),
 }
 """Planner → its settings, `name=value` with commas between; the default is empty."""
 

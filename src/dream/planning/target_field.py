@@ -22,6 +22,8 @@ MOST = 2500
 """Squares of a field at most: the covariance of all pairs is kept."""
 SIDE = 4
 """Map cells along a square at least; 1 m under `dream-v1`."""
+FEWER = 0.8
+"""Share of the squares kept that have to be unknown still: below, the others are left out."""
 HALF = 0.5
 """Share of a square's ground that was observed from which on it counts as known."""
 
@@ -63,15 +65,18 @@ class TargetField:
     _cells: npt.NDArray[np.float64] = field(init=False)
     """(squares,) map cells of each."""
     _precision: csc_matrix = field(init=False)
+    _kept: IntArray = field(init=False)
+    """(n,) all squares that are not known, and some that are."""
     _covariance: npt.NDArray[np.float64] = field(init=False)
-    """(squares, squares); rows and columns of what is known are 0."""
+    """(n, n) of these; 0 of what is known."""
 
     def __post_init__(self) -> None:
         protocol, bounds, box = self.mission.protocol, self.mission.bounds, self.mission.to_see
-        side = protocol.cell * max(
-            SIDE, math.ceil(math.sqrt(box.width * box.depth / MOST) / protocol.cell - 1e-9)
-        )
-        rows, cols = (max(1, math.ceil(length / side - 1e-9)) for length in (box.depth, box.width))
+        cells = SIDE
+        while _count(box.depth, cells * protocol.cell) * _count(box.width, cells * protocol.cell) > MOST:
+            cells += 1
+        side = cells * protocol.cell
+        rows, cols = _count(box.depth, side), _count(box.width, side)
         self.shape = rows, cols
         y = bounds.y_min + (np.arange(round(bounds.depth / protocol.cell)) + 0.5) * protocol.cell
         x = bounds.x_min + (np.arange(round(bounds.width / protocol.cell)) + 0.5) * protocol.cell
@@ -86,6 +91,7 @@ class TargetField:
         precision, covariance = prior(self.shape, self.range / side)
         scale = self.deviation**2 / float(np.diag(covariance).mean())
         self._precision, self._covariance = precision / scale, covariance * scale
+        self._kept = np.arange(rows * cols)
 
     def on_squares(self, cells: FloatArray | BoolArray) -> npt.NDArray[np.float64]:
         """(squares,) the sums of (map rows, map cols)."""
@@ -112,31 +118,42 @@ class TargetField:
         self.condition(np.flatnonzero(now & ~self.known))
 
     def condition(self, squares: IntArray) -> None:
-        """Have these squares (n,) be known, whatever their share."""
+        """Have these squares (n,), none of which is known yet, be known, whatever their share."""
+        from scipy.linalg import blas
+
         if not len(squares):
             return
-        columns = self._covariance[:, squares]
-        # One factor halves the work: Σ − C Σ_SS⁻¹ Cᵀ.
-        factor = np.linalg.cholesky(columns[squares])
-        halves = np.linalg.solve(factor, columns.T)
-        self._covariance -= halves.T @ halves
-        self._covariance[squares] = 0.0
-        self._covariance[:, squares] = 0.0
+        at = np.searchsorted(self._kept, squares)
+        # Σ − C Σ_SS⁻¹ Cᵀ in place: with all pairs of squares, a copy takes longer than that.
+        columns = self._covariance[at]
+        halves = np.linalg.solve(np.linalg.cholesky(columns[:, at]), columns)
+        blas.dgemm(-1.0, halves.T, halves.T, beta=1.0, c=self._covariance.T, trans_b=True, overwrite_c=True)
+        self._covariance[at] = 0.0
+        self._covariance[:, at] = 0.0
         self.known[squares] = True
+        left = np.flatnonzero(~self.known[self._kept])
+        if len(left) < FEWER * len(self._kept):
+            self._kept = self._kept[left]
+            self._covariance = self._covariance.take(left, 0).take(left, 1)
 
     # --------------------------------------------------------------------------------- what is to be expected
 
     @property
-    def deviations(self) -> npt.NDArray[np.float64]:
-        """(squares,) standard deviation of the share of target; 0 where it is known."""
-        return np.sqrt(np.maximum(np.diag(self._covariance), 0.0))
+    def variances(self) -> npt.NDArray[np.float64]:
+        """(squares,) of the share of target; 0 where it is known."""
+        variances = np.zeros(len(self.known))
+        variances[self._kept] = np.maximum(np.diag(self._covariance), 0.0)
+        return variances
 
     @property
     def expected(self) -> npt.NDArray[np.float64]:
         """(squares,) share of target: the mean of the field, and what is known."""
         off = np.where(self.known, self.share - self.mean, 0.0)
-        pull = np.where(self.known, 0.0, self._precision @ off)
-        return np.where(self.known, self.share, self.mean - self._covariance @ pull)
+        pull = np.where(self.known, 0.0, self._precision @ off)[self._kept]
+        beside = np.flatnonzero(pull)
+        expected = np.full(len(self.known), self.mean)
+        expected[self._kept] -= pull[beside] @ self._covariance[beside]
+        return np.where(self.known, self.share, expected)
 
     # ---------------------------------------------------------------------------- what a view would tell
 
@@ -145,9 +162,7 @@ class TargetField:
 
         The sum over some squares is never less than what they tell together (Hadamard's inequality).
         """
-        variance = np.diag(self._covariance)
-        told = 0.5 * np.log(np.maximum(variance * self._precision.diagonal(), 1.0))
-        return np.where(self.known, 0.0, told)
+        return 0.5 * np.log(np.maximum(self.variances * self._precision.diagonal(), 1.0))
 
     def information(self, squares: IntArray) -> float:
         """Nats that some squares (n,) tell of all else that is unknown; what is known tells nothing."""
@@ -155,7 +170,8 @@ class TargetField:
         if not len(some):
             return 0.0
         inside = self._precision[some][:, some].toarray()
-        spread = self._covariance[np.ix_(some, some)]
+        at = np.searchsorted(self._kept, some)
+        spread = self._covariance[np.ix_(at, at)]
         return max(0.0, 0.5 * float(np.linalg.slogdet(inside)[1] + np.linalg.slogdet(spread)[1]))
 
 
@@ -188,3 +204,8 @@ def prior(shape: tuple[int, int], distance: float) -> tuple[csc_matrix, npt.NDAr
     of_cols = (by_col[:, None] * by_col).reshape(cols * cols, cols).T
     covariance = (of_rows @ of_cols).reshape(rows, rows, cols, cols).transpose(0, 2, 1, 3)
     return csc_matrix(root @ root), covariance.reshape(rows * cols, rows * cols)
+
+
+def _count(length: float, side: float) -> int:
+    """Squares along a length."""
+    return max(1, math.ceil(length / side - 1e-9))

@@ -153,7 +153,7 @@ class _Informed:
 
     def _worth(self, occupancy: OccupancyMap) -> _Worth:
         planner, ground = self.planner, self.field
-        bound = np.clip(ground.expected + planner.beta * ground.deviations, 0.0, 1.0)
+        bound = np.clip(ground.expected + planner.beta * np.sqrt(ground.variances), 0.0, 1.0)
         level = planner.level if self.remains.claims == 0 else 0.0
         cells = ground.on_cells(np.where(bound >= level, np.maximum(bound, 1e-3), 0.0))
         left = self.remains.worth_looking(occupancy) & (cells > 0.0)
