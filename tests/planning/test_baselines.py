@@ -16,6 +16,7 @@ from dream.mapping import OccupancyMap, check_completion, frontiers, hiding_plac
 from dream.planning import (
     AnyPlanner,
     Lawnmower,
+    MutualInformation,
     NearestFrontier,
     NextBestView,
     Spiral,
@@ -37,6 +38,7 @@ SEARCHERS: dict[str, AnyPlanner] = {
     "frontier": NearestFrontier(),
     "nbv": NextBestView(),
     "sweep-and-graze": SweepAndGraze(),
+    "mutual-information": MutualInformation(),
 }
 searchers = pytest.mark.parametrize("planner", SEARCHERS.values(), ids=SEARCHERS)
 

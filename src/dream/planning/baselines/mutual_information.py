@@ -154,8 +154,9 @@ class _Informed:
     def _worth(self, occupancy: OccupancyMap) -> _Worth:
         planner, ground = self.planner, self.field
         bound = np.clip(ground.expected + planner.beta * np.sqrt(ground.variances), 0.0, 1.0)
-        level = planner.level if self.remains.claims == 0 else 0.0
-        cells = ground.on_cells(np.where(bound >= level, np.maximum(bound, 1e-3), 0.0))
+        # After a refused `done` all ground counts, however little is expected there.
+        shares = np.where(bound >= planner.level, bound, 0.0) if self.remains.claims == 0 else 1.0
+        cells = ground.on_cells(np.broadcast_to(shares, bound.shape))
         left = self.remains.worth_looking(occupancy) & (cells > 0.0)
         squares = np.where(ground.known, 0.0, ground.on_squares(left))
         return _Worth(occupancy, np.where(left, cells, 0.0), squares, ground, planner.tell)
