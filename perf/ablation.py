@@ -74,7 +74,7 @@ class InLanes(Belief):
 
     def begin(self, mission: Mission) -> BeliefPilot:
         """A pilot of its own."""
-        return _InLanes(self, mission, sweeping=self.lanes.begin(mission))
+        return _InLanes(self, mission, sweeping=self.lanes.in_plane(mission))
 
 
 @dataclass(slots=True)

@@ -16,6 +16,7 @@ from dream.mapping import OccupancyMap, check_completion, frontiers, hiding_plac
 from dream.planning import (
     AnyPlanner,
     Lawnmower,
+    MutualInformation,
     NearestFrontier,
     NextBestView,
     Spiral,
@@ -37,6 +38,7 @@ SEARCHERS: dict[str, AnyPlanner] = {
     "frontier": NearestFrontier(),
     "nbv": NextBestView(),
     "sweep-and-graze": SweepAndGraze(),
+    "mutual-information": MutualInformation(),
 }
 searchers = pytest.mark.parametrize("planner", SEARCHERS.values(), ids=SEARCHERS)
 
@@ -149,7 +151,7 @@ def test_frontier_leaves_out_a_cluster_that_it_cannot_get_to() -> None:
     observation = observed_at(-4.0, 8.0, 0.0)
     clusters = frontiers(occupancy)
     assert {bool(cluster.centroid[0] > 0.0) for cluster in clusters} == {True, False}
-    pilot = NearestFrontier().begin(MISSION)
+    pilot = NearestFrontier().in_plane(MISSION)
     assert not pilot.decide(observation, occupancy).done
     travel = careful_travel(observation.pose, occupancy)
     assert pilot.remains.goal is not None
@@ -159,12 +161,12 @@ def test_frontier_leaves_out_a_cluster_that_it_cannot_get_to() -> None:
     assert view(occupancy, goal.x, goal.y, goal.yaw)[:8, :40].any()
     closed = map_with(solid=solid, explored=explored | all_but(np.s_[8:, :], np.s_[:, 40:]))
     assert len(frontiers(closed)) == 1
-    assert NearestFrontier().begin(MISSION).decide(observation, closed).done
+    assert NearestFrontier().in_plane(MISSION).decide(observation, closed).done
 
 
 def test_frontier_keeps_to_its_goal_on_the_way() -> None:
     occupancy = map_with(explored=all_but(np.s_[:8, :], np.s_[88:, :]))
-    pilot = NearestFrontier().begin(MISSION)
+    pilot = NearestFrontier().in_plane(MISSION)
     pilot.decide(observed_at(0.0, -1.0, -math.pi / 2), occupancy)
     goal = pilot.remains.goal
     pilot.decide(observed_at(0.0, 1.0, math.pi / 2), occupancy)
@@ -179,7 +181,7 @@ def test_nbv_goes_for_the_view_of_the_best_score() -> None:
     occupancy = map_with(explored=all_but(np.s_[:26, :40], np.s_[50:72, 60:80]))
     observation = observed_at(1.0, 0.5, math.pi / 3)
     planner = NextBestView(near=7)
-    pilot = planner.begin(MISSION)
+    pilot = planner.in_plane(MISSION)
     decision = pilot.decide(observation, occupancy)
     travel = careful_travel(observation.pose, occupancy)
     views = viewpoints_from(travel, occupancy, np.ones(occupancy.shape, np.float32))
@@ -204,7 +206,7 @@ def test_nbv_goes_for_the_view_of_the_best_score() -> None:
 
 def test_nbv_goes_far_where_nothing_near_gains() -> None:
     occupancy = map_with(explored=all_but(np.s_[78:, 78:]))
-    pilot = NextBestView(near=2).begin(MISSION)
+    pilot = NextBestView(near=2).in_plane(MISSION)
     observation = observed_at(-9.0, -9.0, 0.0)
     assert not pilot.decide(observation, occupancy).done
     travel = careful_travel(observation.pose, occupancy)
@@ -220,7 +222,7 @@ def test_graze_closes_a_region_before_it_resumes_the_lanes() -> None:
     target = np.zeros_like(explored)
     target[40:50, 48:56] = True
     observation = observed_at(-2.0, -2.0, math.pi)
-    pilot = SweepAndGraze().begin(MISSION)
+    pilot = SweepAndGraze().in_plane(MISSION)
     bare = pilot.decide(observation, map_with(explored=explored))
     assert "route" in bare.reasoning.action
     ahead = pilot.sweeping.waypoints.copy()
@@ -273,7 +275,7 @@ def test_the_lanes_are_flown_straight(mown: list[Step]) -> None:
 
 def test_a_waypoint_in_solid_ground_is_left_out() -> None:
     occupancy = map_with(explored=all_but(np.s_[:, 60:]))
-    pilot = Lawnmower().begin(MISSION)
+    pilot = Lawnmower().in_plane(MISSION)
     observation = observed_at(-6.0, 0.0, 0.0)
     pilot.decide(observation, occupancy)
     x, y = pilot.waypoints[0]

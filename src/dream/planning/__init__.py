@@ -4,6 +4,7 @@ from dream.flies import flies
 from dream.own_code import own_name
 from dream.planning.baselines import (
     Lawnmower,
+    MutualInformation,
     NearestFrontier,
     NextBestView,
     RandomWalk,
@@ -30,6 +31,7 @@ AnyPlanner = (
     | NearestFrontier
     | NextBestView
     | SweepAndGraze
+    | MutualInformation
     | RandomWalk
     | UivNav
     | Orbits
@@ -51,6 +53,7 @@ PLANNERS: dict[str, AnyPlanner] = {
     "frontier": NearestFrontier(),
     "nbv": NextBestView(),
     "sweep-and-graze": SweepAndGraze(),
+    "mutual-information": MutualInformation(),
     "random": RandomWalk(),
     "uivnav": UivNav(),
     "orbits": Orbits(),
@@ -105,6 +108,7 @@ __all__ = [
     "Fuel",
     "Greedy",
     "Lawnmower",
+    "MutualInformation",
     "NearestFrontier",
     "NextBestView",
     "Orbits",

@@ -12,7 +12,8 @@ from dream.geometry import SE2
 from dream.lattice import Pose
 from dream.options import First
 from dream.planning import sentences
-from dream.planning.distribution import blurred, expectation
+from dream.planning.distribution import TargetEvidence, blurred, expectation
+from dream.planning.far_hints import FarHints
 from dream.planning.parameters import check_range
 from dream.planning.travel import Travel, nearest_open, travel_from
 from dream.planning.viewpoints import Viewpoint, Viewpoints, spread
@@ -32,7 +33,8 @@ class SixSteps:
 
     What it does: spreads the evidence of what was seen over the ground beside it; works on the open
     target region that is fewest steps away; goes where most is expected to be discovered per step, over
-    known free ground only; looks at a hull from afar too, since its top is above the image from near by;
+    known free ground only, and up to `glimpse` to what seems to be targets beyond the reach, if it takes
+    hints; looks at a hull from afar too, since its top is above the image from near by;
     is done when every region is enclosed and no place is left in which a whole group could hide.
 
     Reference: the six reasoning steps of DREAM (arXiv 2509.13666), without the model.
@@ -62,6 +64,9 @@ class SixSteps:
     """Distance from which a hull is seen up to its top, as a share of the reach."""
     patience: First[float] = 1.15
     """The chosen viewpoint is given up for one that is this many times better."""
+    glimpse: float = 1.0
+    """Distance up to which pictures are searched for hints of targets, as a multiple of the reach. 1 takes no
+    hints."""
 
     def __post_init__(self) -> None:
         check_range("kernel", self.kernel, 0.1, 10.0)
@@ -73,6 +78,7 @@ class SixSteps:
         check_range("hull", self.hull, 0.0, 1000.0)
         check_range("afar", self.afar, 0.0, 1.0)
         check_range("patience", self.patience, 1.0, 1000.0)
+        check_range("glimpse", self.glimpse, 1.0, 100.0)
 
     def begin(self, mission: Mission) -> _SixStepsPilot | SpacePilot:
         """A fresh pilot; it remembers the viewpoint it is heading for and the hull it looked at from afar.
@@ -85,12 +91,17 @@ class SixSteps:
             return SpacePilot(self, mission)
         cell, bounds = mission.protocol.cell, mission.bounds
         surveyed = np.zeros((round(bounds.depth / cell), round(bounds.width / cell)), dtype=np.bool_)
-        return _SixStepsPilot(self, mission, surveyed)
+        return _SixStepsPilot(self, mission, surveyed, self.hints(mission))
 
-    def expectation(self, occupancy: OccupancyMap) -> FloatArray:
-        """See `distribution.expectation`."""
+    def hints(self, mission: Mission) -> FarHints | None:
+        """What is to learn from pictures beyond the reach; None where no hints are taken."""
+        return FarHints(mission, self.glimpse * mission.protocol.reach) if self.glimpse > 1.0 else None
+
+    def expectation(self, occupancy: OccupancyMap, evidence: TargetEvidence | None = None) -> FloatArray:
+        """See `distribution.expectation`; of what was observed unless evidence is given."""
         radius = self.kernel * occupancy.protocol.group_radius
-        return expectation(occupancy, radius, self.prior, self.prior_weight, ~occupancy.observed)
+        beside = expectation(occupancy, radius, self.prior, self.prior_weight, ~occupancy.observed, evidence)
+        return beside if evidence is None else np.where(occupancy.observed, 0.0, evidence.weighed(beside))
 
 
 @dataclass(slots=True)
@@ -99,6 +110,8 @@ class _SixStepsPilot:
     mission: Mission
     surveyed: npt.NDArray[np.bool_]
     """(rows, cols) cells that were looked at from afar."""
+    hints: FarHints | None = None
+    """Of targets beyond the reach; None where none are taken."""
     heading_for: Pose | None = None
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
@@ -110,7 +123,11 @@ class _SixStepsPilot:
         travel = travel_from(pose, occupancy, standoff=standoff)
 
         # 1 Distribution: where targets are, and where more are to be expected.
-        expected = self.planner.expectation(occupancy)
+        evidence = None
+        if self.hints is not None:
+            self.hints.add(observation, occupancy)
+            evidence = self.hints.evidence(occupancy)
+        expected = self.planner.expectation(occupancy, evidence)
         # 2 Current target area and 3 completion: what is still open, and the nearest of it.
         completion = check_completion(occupancy, pose)
         hidden = hiding_places(occupancy, pose, protocol.group_radius)
@@ -121,7 +138,7 @@ class _SixStepsPilot:
             completion=sentences.completeness(completion, hidden, protocol.group_radius),
         )
         # 4 Next target: the pose from which most is expected to be discovered per step.
-        worth = self._worth(expected, occupancy, completion, area, hidden)
+        worth = self._worth(expected, occupancy, completion, area, hidden, evidence)
         if completion.complete and not hidden.any():
             worth[:] = 0.0  # Only hull may be left to look at.
         viewpoint = self._best_viewpoint(worth, travel, occupancy)
@@ -168,17 +185,19 @@ class _SixStepsPilot:
         completion: Completion,
         area: Region | None,
         hidden: npt.NDArray[np.bool_],
+        evidence: TargetEvidence | None,
     ) -> FloatArray:
         """(rows, cols) what discovering a cell is worth: its expectation, more where it closes a region."""
         from dream.mapping import within
 
         protocol = self.mission.protocol
         could_hide = within(hidden, protocol.group_radius, protocol.cell)
-        evidence = self.planner.kernel * protocol.group_radius
-        near_target = within(occupancy.target, 2.0 * evidence, protocol.cell)
+        radius = self.planner.kernel * protocol.group_radius
+        target = occupancy.target if evidence is None else occupancy.target | evidence.hints
+        near_target = within(target, 2.0 * radius, protocol.cell)
         # Where no target has been seen, only ground explored to the last cell is complete.
         search = could_hide if completion.regions else ~occupancy.observed
-        surrounded = blurred(occupancy.observed, 2.0 * evidence, occupancy, search)
+        surrounded = blurred(occupancy.observed, 2.0 * radius, occupancy, search)
         worth = np.where(search, self.planner.prior * (1.0 + self.planner.closing * surrounded), 0.0)
         worth = np.where(near_target, np.maximum(expected, worth), worth).astype(np.float32)
         for region in completion.regions:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
+    from dream.planning.space.over_ground import OverGround
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +34,8 @@ class NearestFrontier:
     Assumes: nothing. Fails when: time matters; near frontiers are small, and large ones are left for later.
     """
 
+    spatial: ClassVar[bool] = True
+
     approach: First[float] = 0.5
     """Distance at most from the edge of the known ground to the pose that looks beyond it, as a share of the
     reach."""
@@ -43,8 +46,19 @@ class NearestFrontier:
         check_range("approach", self.approach, 0.05, 1.0)
         check_range("smallest", self.smallest, 0.0, 10.0)
 
-    def begin(self, mission: Mission) -> _FrontierPilot:
-        """A fresh pilot; it remembers where it is going and which views failed."""
+    def begin(self, mission: Mission) -> _FrontierPilot | OverGround:
+        """A fresh pilot; it remembers where it is going and which views failed.
+
+        Under a protocol that moves in space it searches the ground: see `OverGround`.
+        """
+        if mission.protocol.space is None:
+            return self.in_plane(mission)
+        from dream.planning.space.over_ground import OverGround
+
+        return OverGround(mission, self.in_plane)
+
+    def in_plane(self, mission: Mission) -> _FrontierPilot:
+        """A pilot that keeps its altitude, under whatever protocol."""
         protocol = mission.protocol
         return _FrontierPilot(
             self, Remains(mission, max(1.0, self.smallest * protocol.reach / protocol.cell))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -12,14 +12,16 @@ from dream.lattice import Pose
 from dream.options import First
 from dream.planning.baselines.lawnmower import Lawnmower
 from dream.planning.baselines.sweeping import Sweeping
+from dream.planning.far_hints import FarHints
 from dream.planning.parameters import check_range
-from dream.planning.travel import careful_travel
-from dream.planning.viewpoints import viewpoints_from
+from dream.planning.travel import Travel, careful_travel
+from dream.planning.viewpoints import Viewpoint, viewpoints_from
 from dream.types import Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
     from dream.mapping.completion import Region
+    from dream.planning.space.over_ground import OverGround
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +31,8 @@ class SweepAndGraze:
     What it does: flies the lawnmower's lanes. As soon as the map holds a region that is not enclosed, it
     leaves the lane and goes from one open stretch of that region's edge to the nearest next, until the
     region is closed or the rest of its edge cannot be seen; then it does the same with other open regions,
-    and resumes the lanes where it left them. It ends as the lawnmower does.
+    goes to what seems to be targets up to `glimpse`, if it takes hints, and resumes the lanes where it left
+    them. It ends as the lawnmower does.
 
     Reference: the alternation of sweeping and close inspection of Bounomodes (arXiv 2507.06960).
 
@@ -37,28 +40,49 @@ class SweepAndGraze:
     follow.
     """
 
+    spatial: ClassVar[bool] = True
+
     # Wider than the lawnmower's: gaps at targets are closed on the way.
     swath: First[float] = 1.0
     """Distance between lanes at most, as a share of the width of ground in the picture."""
     inset: First[float] = 0.5
     """Distance from the ends of the lanes to the edge of the area, as a share of the reach."""
     least: float = 0.25
-    """A waypoint is flown to if it shows this much new ground: share of the area of the smallest patch."""
+    """A waypoint is flown to if it shows this much new ground: share of the area of the smallest patch. So is
+    a hint that shows this much of targets, by how often hints came true."""
+    glimpse: float = 1.0
+    """Distance up to which pictures are searched for hints of targets, as a multiple of the reach. 1 takes no
+    hints."""
 
     def __post_init__(self) -> None:
         check_range("swath", self.swath, 0.1, 4.0)
         check_range("inset", self.inset, 0.1, 4.0)
         check_range("least", self.least, 0.0, 100.0)
+        check_range("glimpse", self.glimpse, 1.0, 100.0)
 
-    def begin(self, mission: Mission) -> _Grazing:
-        """A fresh survey; the lanes are laid when the start is known."""
+    def begin(self, mission: Mission) -> _Grazing | OverGround:
+        """A fresh survey; the lanes are laid when the start is known.
+
+        Under a protocol that moves in space it searches the ground: see `OverGround`.
+        """
+        if mission.protocol.space is None:
+            return self.in_plane(mission)
+        from dream.planning.space.over_ground import OverGround
+
+        return OverGround(mission, self.in_plane)
+
+    def in_plane(self, mission: Mission) -> _Grazing:
+        """A pilot that keeps its altitude, under whatever protocol."""
         lanes = Lawnmower(swath=self.swath, inset=self.inset, least=self.least)
-        return _Grazing(lanes.begin(mission))
+        hints = FarHints(mission, self.glimpse * mission.protocol.reach) if self.glimpse > 1.0 else None
+        return _Grazing(lanes.in_plane(mission), hints)
 
 
 @dataclass(slots=True)
 class _Grazing:
     sweeping: Sweeping
+    hints: FarHints | None = None
+    """Of targets beyond the reach; None where none are taken."""
     region: tuple[float, float] | None = None
     """Middle of a target cell of the region that is being followed; None on the lanes."""
     goal: Pose | None = None
@@ -68,6 +92,8 @@ class _Grazing:
 
         pose, remains = observation.pose, self.sweeping.remains
         remains.look(pose, occupancy)
+        if self.hints is not None:
+            self.hints.add(observation, occupancy)
         travel = careful_travel(pose, occupancy)
         worth = remains.worth_looking(occupancy)
         regions = [region for region in check_completion(occupancy, pose).regions if not region.enclosed]
@@ -80,20 +106,36 @@ class _Grazing:
             view = views.nearest(1.0)
             if view is not None:
                 cell_x, cell_y = occupancy.center_of(*region.cells[0])
-                self.region, self.goal = (float(cell_x), float(cell_y)), view.pose
-                self.sweeping.budget = 0  # The way back to the lane is a new one.
-                remains.refused = False
-                path = travel.path(view.pose)
-                turn, advance = travel.move(path[0], path[1])
+                self.region = float(cell_x), float(cell_y)
                 x, y = region.centroid
-                action = (
+                return self._to(
+                    view,
+                    travel,
                     f"Along the edge of the region at ({x:.1f}, {y:.1f}), of which {len(region.open_cells)} "
-                    f"cells are open: to a view of {view.gain:.0f} of them, {view.steps} steps away."
+                    f"cells are open: to a view of {view.gain:.0f} of them, {view.steps} steps away.",
                 )
-                return Decision(turn, advance, reasoning=Reasoning(action=action))
             regions.remove(region)
             self.region = self.goal = None
+        if self.hints is not None:
+            hinted = self.hints.precision * (self.hints.hints(occupancy) & worth).astype(np.float32)
+            view = viewpoints_from(travel, occupancy, hinted, keep=self.goal).nearest(remains.least)
+            if view is not None:
+                return self._to(
+                    view,
+                    travel,
+                    f"To what seems to be {view.gain:.0f} cells of target beyond the reach, {view.steps} "
+                    "steps away.",
+                )
+            self.goal = None
         return self.sweeping.proceed(pose, travel, occupancy)
+
+    def _to(self, view: Viewpoint, travel: Travel, why: str) -> Decision:
+        """The first move to a view beside the lanes."""
+        self.goal = view.pose
+        self.sweeping.budget = 0  # The way back to the lane is a new one.
+        self.sweeping.remains.refused = False
+        path = travel.path(view.pose)
+        return Decision(*travel.move(path[0], path[1]), reasoning=Reasoning(action=why))
 
     def _followed(self, regions: list[Region], occupancy: OccupancyMap) -> Region | None:
         """The region that is being followed, which may have grown since; None where it is closed."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
 
 from dream.geometry import SE2
 from dream.options import First
@@ -11,6 +12,9 @@ from dream.planning.baselines.remains import Remains, group_cells
 from dream.planning.baselines.sweeping import Sweeping
 from dream.planning.parameters import check_range
 from dream.types import Mission
+
+if TYPE_CHECKING:
+    from dream.planning.space.over_ground import OverGround
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +33,8 @@ class Lawnmower:
     the rest.
     """
 
+    spatial: ClassVar[bool] = True
+
     # With this, views 2 m apart leave no gap.
     swath: First[float] = 0.81
     """Distance between lanes at most, as a share of the width of ground in the picture."""
@@ -42,8 +48,19 @@ class Lawnmower:
         check_range("inset", self.inset, 0.1, 4.0)
         check_range("least", self.least, 0.0, 100.0)
 
-    def begin(self, mission: Mission) -> Sweeping:
-        """A fresh survey; the lanes are laid when the start is known."""
+    def begin(self, mission: Mission) -> Sweeping | OverGround:
+        """A fresh survey; the lanes are laid when the start is known.
+
+        Under a protocol that moves in space it searches the ground: see `OverGround`.
+        """
+        if mission.protocol.space is None:
+            return self.in_plane(mission)
+        from dream.planning.space.over_ground import OverGround
+
+        return OverGround(mission, self.in_plane)
+
+    def in_plane(self, mission: Mission) -> Sweeping:
+        """A pilot that keeps its altitude, under whatever protocol."""
         return Sweeping(self.route, Remains(mission, max(1.0, self.least * group_cells(mission.protocol))))
 
     def route(self, mission: Mission, start: SE2, sweep: int) -> Points:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from dream.types import Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
+    from dream.planning.space.over_ground import OverGround
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +35,8 @@ class NextBestView:
     behind and must be come back for.
     """
 
+    spatial: ClassVar[bool] = True
+
     cost: First[float] = 0.25
     """Loss of worth for each step to a view: a view n steps away is worth its gain · exp(−cost · n)."""
     near: int = 12
@@ -46,8 +49,19 @@ class NextBestView:
         check_range("near", self.near, 1, 1000)
         check_range("least", self.least, 0.0, 100.0)
 
-    def begin(self, mission: Mission) -> _NextBestViewPilot:
-        """A fresh pilot; it remembers the view it is heading for and which views failed."""
+    def begin(self, mission: Mission) -> _NextBestViewPilot | OverGround:
+        """A fresh pilot; it remembers the view it is heading for and which views failed.
+
+        Under a protocol that moves in space it searches the ground: see `OverGround`.
+        """
+        if mission.protocol.space is None:
+            return self.in_plane(mission)
+        from dream.planning.space.over_ground import OverGround
+
+        return OverGround(mission, self.in_plane)
+
+    def in_plane(self, mission: Mission) -> _NextBestViewPilot:
+        """A pilot that keeps its altitude, under whatever protocol."""
         return _NextBestViewPilot(
             self, Remains(mission, max(1.0, self.least * group_cells(mission.protocol)))
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
 
 from dream.geometry import SE2
 from dream.options import First
@@ -11,6 +12,9 @@ from dream.planning.baselines.remains import Remains, group_cells
 from dream.planning.baselines.sweeping import Sweeping
 from dream.planning.parameters import check_range
 from dream.types import Mission
+
+if TYPE_CHECKING:
+    from dream.planning.space.over_ground import OverGround
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +31,8 @@ class Spiral:
     Assumes: the area is a box. Fails when: targets fill a small part of the area, far from where it begins.
     """
 
+    spatial: ClassVar[bool] = True
+
     swath: First[float] = 0.81
     """Distance between turns of the spiral at most, as a share of the width of ground in the picture."""
     least: float = 0.25
@@ -36,8 +42,19 @@ class Spiral:
         check_range("swath", self.swath, 0.1, 4.0)
         check_range("least", self.least, 0.0, 100.0)
 
-    def begin(self, mission: Mission) -> Sweeping:
-        """A fresh survey; the spiral is laid when the start is known."""
+    def begin(self, mission: Mission) -> Sweeping | OverGround:
+        """A fresh survey; the spiral is laid when the start is known.
+
+        Under a protocol that moves in space it searches the ground: see `OverGround`.
+        """
+        if mission.protocol.space is None:
+            return self.in_plane(mission)
+        from dream.planning.space.over_ground import OverGround
+
+        return OverGround(mission, self.in_plane)
+
+    def in_plane(self, mission: Mission) -> Sweeping:
+        """A pilot that keeps its altitude, under whatever protocol."""
         return Sweeping(self.route, Remains(mission, max(1.0, self.least * group_cells(mission.protocol))))
 
     def route(self, mission: Mission, start: SE2, sweep: int) -> Points:

@@ -18,6 +18,7 @@ from dream.types import Decision, IntArray, Mission, Observation, Reasoning
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
     from dream.mapping.volume import Surface, Volume
+    from dream.planning.far_hints import FarHints
 
 FloatArray = npt.NDArray[np.floating[Any]]
 
@@ -125,6 +126,10 @@ class Weighs(Protocol):
         """The chosen look is given up for one that is this many times better."""
         ...
 
+    def hints(self, mission: Mission) -> FarHints | None:
+        """What is to learn from pictures beyond the reach; None where no hints are taken."""
+        ...
+
 
 @dataclass(slots=True)
 class SpacePilot:
@@ -135,6 +140,10 @@ class SpacePilot:
     failed: dict[int, int] = field(default_factory=dict)
     """Frames that should have shown what lies in a voxel and did not, by the voxel."""
     chosen: View | None = None
+    hints: FarHints | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.hints = self.planner.hints(self.mission)
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         """The first move of the way to the look that shows most for its steps; done when none shows any."""
@@ -151,6 +160,8 @@ class SpacePilot:
             structures(volume),
         )
         here = _place(observation)
+        if self.hints is not None:
+            self.hints.add(observation, occupancy)
         left = self._left(ways, volume, surface, observation)
         # 1 Distribution: what is known of targets, and how high they stand.
         is_target = surface.target > 0.5
@@ -171,7 +182,7 @@ class SpacePilot:
         else:
             reasoning = replace(reasoning, target_area="None: no target that is known has anything left.")
         # 4 Next target: the look that shows most of it for each step.
-        weights = self._weights(left, surface) * np.where(part, self.planner.focus, 1.0)
+        weights = self._weights(left, surface, occupancy) * np.where(part, self.planner.focus, 1.0)
         thin, thin_weights = _thinned(left, weights)
         steps = ways.steps(observation.pose, observation.z)
         self.chosen = self._best(ways, steps, thin, thin_weights, observation)
@@ -287,8 +298,11 @@ class SpacePilot:
         lowest = _ground(surface, places, observation.z - self.mission.protocol.altitude)
         return np.column_stack([places, lowest])
 
-    def _weights(self, left: ToInspect, surface: Surface) -> FloatArray:
-        """(n,) what it is worth to look at each: ground less, and less still far from all targets."""
+    def _weights(self, left: ToInspect, surface: Surface, occupancy: OccupancyMap) -> FloatArray:
+        """(n,) what it is worth to look at each: ground less, and less still far from all targets.
+
+        Ground that is hinted at is worth as much of a target as hints came true.
+        """
         from scipy.spatial import cKDTree
 
         planner, protocol = self.planner, self.mission.protocol
@@ -298,6 +312,11 @@ class SpacePilot:
             away, _ = cKDTree(targets).query(left.points[:, :2])
             near = away <= 2.0 * planner.kernel * protocol.group_radius
             worth[near & (left.kind == GROUND)] = planner.prior_weight
+        if self.hints is not None:
+            x, y = left.points[:, :2].T
+            hinted = (left.kind == GROUND) & occupancy.contains(x, y)
+            hinted[hinted] = self.hints.hints(occupancy)[occupancy.cell_of(x[hinted], y[hinted])]
+            worth[hinted] = np.maximum(worth[hinted], self.hints.precision)
         return np.asarray(worth * left.area)
 
     def _best(
