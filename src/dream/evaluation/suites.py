@@ -18,6 +18,13 @@ REEF_FAMILIES = ("fringing", "string", "patch", "mixed")
 LETTERS = ("L", "S", "O", "K", "E")
 """The successor paper's shapes of reef."""
 WRECKS = (1, 2, 3, 4, 5)
+SEALED_FAMILIES: tuple[tuple[str, ...], ...] = (
+    *((f"reef/{family}",) for family in REEF_FAMILIES),
+    tuple(f"reef/{letter}" for letter in LETTERS),
+    tuple(f"wreck/{number}" for number in WRECKS),
+)
+"""What the worlds of a sealed test are drawn from (`dream.evaluation.sealed`): each family is as likely as
+every other, and in it each name. Whatever changes here changes what every key makes, and its commitment."""
 
 MOST_SEEDS = 10_000
 MOST_CASES = 10_000
