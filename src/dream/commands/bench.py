@@ -185,7 +185,8 @@ class Bench(Flying):
         if self.suite != SEALED:
             for option in ("key", "blocks", "commitment"):
                 if getattr(self, option):
-                    raise ValueError(f"--{option}: expected the suite {SEALED} with it, got {self.suite}")
+                    other = self.suite or self.world or "paper"
+                    raise ValueError(f"--{option}: expected the suite {SEALED} with it, got {other}")
             return ()
         if self.world is not None or self.seeds is not None:
             raise ValueError(f"--world, --seeds: expected none beside {SEALED}, whose worlds its key makes")

@@ -22,7 +22,6 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.special import logsumexp
 
 from dream.evaluation.statistics import LEVEL, FloatArray, Interval
 
@@ -34,19 +33,27 @@ EDGE = 1e-12
 
 
 def log_capital(values: FloatArray, mean: float) -> FloatArray:
-    """Logarithm of what bets against a mean have made of a capital of 1 after each of (n,) values.
+    """Logarithm of what bets against a mean have made of a capital of 1, after each value.
 
     Args:
-        values: From 0 to 1, in the order in which they came.
+        values: (..., n) from 0 to 1, in the order in which they came.
         mean: In the open interval (0, 1).
 
     Returns:
-        (n,) after each value. Where that is the mean, all of it stays below log(1 / α) with a probability
-        of at least 1 − α.
+        (..., n) after each value. Where that is the mean, all n are below log(1 / α) with a probability of
+        at least 1 − α.
     """
     bets = _bets(NODES)
-    stakes = np.log(np.outer(values / mean, bets) + np.outer((1.0 - values) / (1.0 - mean), 1.0 - bets))
-    return np.asarray(logsumexp(np.cumsum(stakes, axis=0), axis=1) - math.log(NODES), np.float64)
+    capital = np.full((*values.shape[:-1], NODES), 1.0 / NODES)
+    logs, told = np.zeros(values.shape[:-1]), np.empty(values.shape)
+    for number in range(values.shape[-1]):
+        value = values[..., number, np.newaxis]
+        capital *= (value / mean) * bets + ((1.0 - value) / (1.0 - mean)) * (1.0 - bets)
+        grown = capital.sum(axis=-1)
+        capital /= grown[..., np.newaxis]
+        logs = logs + np.log(grown)
+        told[..., number] = logs
+    return told
 
 
 def anytime_interval(values: FloatArray, limits: tuple[float, float], *, level: float = LEVEL) -> Interval:
