@@ -143,7 +143,7 @@ class Bench(Flying):
     seeds: First[Annotated[str | None, tyro.conf.arg(metavar="A..B")]] = None
     """Which worlds of that name: one seed, or the first and the last as A..B. Unless given, 1."""
     key: First[Annotated[Path | None, tyro.conf.arg(metavar="FILE")]] = None
-    """Of `sealed`: file with its key, or with blocks that were opened."""
+    """Of `sealed`: file with its key, or opened blocks."""
     blocks: Annotated[str | None, tyro.conf.arg(metavar="A..B")] = None
     """Of `sealed`: numbers of its blocks, of 60 worlds each. Unless given, 0, or all in the file."""
     commitment: Annotated[tuple[str, ...], tyro.conf.arg(metavar="HEX ...")] = ()
@@ -151,7 +151,7 @@ class Bench(Flying):
     protocol: First[str | None] = None
     """Rules of the survey: sensors, reach and cap. Unless given, those that the worlds are made for."""
     out: First[Path | None] = None
-    """Folder of the benchmark. Unless given, one in `bench`, named after the suite, world or key."""
+    """Folder of the benchmark. Unless given, one in `bench`."""
     swim: Swim = field(default_factory=Swim)
 
     def __call__(self) -> int:
@@ -281,7 +281,7 @@ class Outcome:
         if self.plan.sealed is not None:
             last = max(self.plan.sealed.commitments)
             told = (
-                f"these worlds are spent: results.csv names them. The next nobody knows: --blocks {last + 1}"
+                f"these worlds are spent: results.csv names them. More of the same key: --blocks {last + 1}"
             )
             console.print(told, markup=False, highlight=False, soft_wrap=True)
         console.print(str(self.report or self.folder), markup=False, highlight=False, soft_wrap=True)
