@@ -70,9 +70,11 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 SUBCOMMANDS = ("add", "list", "show", "remove", "compare", "export")
+SEALING = ("new", "show", "open", "check")
 PAGES = [
     *([command] for command in COMMANDS),
     *(["survey", subcommand] for subcommand in SUBCOMMANDS),
+    *(["seal", subcommand] for subcommand in SEALING),
     *(["run", planner] for planner in PLANNERS),
     ["dive", "belief"],
 ]
@@ -122,7 +124,9 @@ def test_every_option_is_explained_in_sentences(
         assert re.search(r"  [A-Z`x0-9r].*[.\"]$", told), line
 
 
-@pytest.mark.parametrize("words", [words for words in PAGES if words != ["survey"]], ids=" ".join)
+@pytest.mark.parametrize(
+    "words", [words for words in PAGES if words not in (["survey"], ["seal"])], ids=" ".join
+)
 def test_help_all_shows_what_the_command_takes(
     words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -205,6 +209,7 @@ def test_the_page_of_commands_names_what_there_is(capsys: pytest.CaptureFixture[
         wanted = {option for words in first for option in _options(words, "--help", capsys)}
         assert wanted <= named, name
     assert all(f"`dream survey {subcommand}" in "".join(sections) for subcommand in SUBCOMMANDS)
+    assert all(f"`dream seal {subcommand}" in "".join(sections) for subcommand in SEALING)
     assert all(f"`{planner}`" in sections[0] for planner in PLANNERS)
 
 

@@ -43,6 +43,7 @@ look at runs
 compare planners
   bench    fly planners over many worlds; leave a table and a report
   sweep    fly the same missions with one reach after another
+  seal     make the key of a sealed test, whose worlds nobody knows yet
   oracle   find the fewest steps in which a world can be seen
   results  write the page of results from folders of benchmarks
 models
@@ -57,7 +58,7 @@ Every command takes --json, for programs. To begin with: dream run
 """
 COMMANDS = (
     *("run", "worlds", "draw", "mission", "dive", "survey", "watch", "report"),
-    *("replay", "export", "bench", "sweep", "oracle", "results", "probe", "train"),
+    *("replay", "export", "bench", "sweep", "seal", "oracle", "results", "probe", "train"),
 )
 
 FAILED, BAD_INPUT = 1, 2

@@ -60,9 +60,10 @@ PROMPTED = ("To stop now would miss a group",)
 """What models are told stays as it is, so that their answers can be compared."""
 HELP = [
     [],
-    *([command] for command in COMMANDS if command != "survey"),
+    *([command] for command in COMMANDS if command not in ("survey", "seal")),
     *(["run", planner] for planner in PLANNERS),
     *(["survey", one] for one in ("add", "list", "show", "remove", "compare", "export")),
+    *(["seal", one] for one in ("new", "show", "open", "check")),
 ]
 
 

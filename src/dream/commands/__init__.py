@@ -10,6 +10,7 @@ from dream.commands.replay import Replay
 from dream.commands.report import Report
 from dream.commands.results import Results
 from dream.commands.run import Run, run_with
+from dream.commands.seal import Seal
 from dream.commands.survey import Survey
 from dream.commands.sweep import Sweep
 from dream.commands.train import Train
@@ -28,6 +29,7 @@ __all__ = [
     "Report",
     "Results",
     "Run",
+    "Seal",
     "Survey",
     "Sweep",
     "Train",

@@ -27,7 +27,11 @@ if TYPE_CHECKING:
     from dream.evaluation.engines import Engine
     from dream.evaluation.results import Row
     from dream.evaluation.runner import Plan
+    from dream.evaluation.sealed import Block
     from dream.evaluation.suites import Case
+
+SEALED = "sealed"
+"""The suite whose worlds a key makes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,36 +127,49 @@ class Bench(Flying):
     Each mission is kept as soon as it ends. After an interruption the same command goes on with the others.
     More planners, worlds or seeds can be added to the same folder later.
 
+    A sealed test flies worlds that nobody knows, drawn from the key that its keeper made with dream seal new.
+
     Examples:
         dream bench --world reef/string --seeds 1..5 --planners belief lawnmower
         dream bench paper
+        dream bench sealed --key sealing.key --commitment 5c0f...
     """
 
     suite: tyro.conf.Positional[str | None] = None
-    """`paper` (15 worlds; the default), `dev` (60, to tune on), `test` (200, to report), or a file .txt with
-    worlds of your own, one a line."""
+    """`paper` (15 worlds; the default), `dev` (60, to tune on), `test` (200, to report), `sealed` (of a key),
+    or a file .txt with worlds of your own, one a line."""
     world: First[Annotated[str | None, tyro.conf.arg(metavar="WORLD")]] = None
     """One world instead of a suite: a name from `dream worlds`, or the folder of a saved world."""
     seeds: First[Annotated[str | None, tyro.conf.arg(metavar="A..B")]] = None
     """Which worlds of that name: one seed, or the first and the last as A..B. Unless given, 1."""
+    key: First[Annotated[Path | None, tyro.conf.arg(metavar="FILE")]] = None
+    """Of `sealed`: file with its key, or opened blocks."""
+    blocks: Annotated[str | None, tyro.conf.arg(metavar="A..B")] = None
+    """Of `sealed`: numbers of its blocks, of 60 worlds each. Unless given, 0, or all in the file."""
+    commitment: Annotated[tuple[str, ...], tyro.conf.arg(metavar="HEX ...")] = ()
+    """Of `sealed`: what was published of each of these blocks. Other worlds are refused."""
     protocol: First[str | None] = None
     """Rules of the survey: sensors, reach and cap. Unless given, those that the worlds are made for."""
     out: First[Path | None] = None
-    """Folder of the benchmark. Unless given, `bench/SUITE`, `bench/WORLD_SEEDS` or `bench/FOLDER`."""
+    """Folder of the benchmark. Unless given, one in `bench`."""
     swim: Swim = field(default_factory=Swim)
 
     def __call__(self) -> int:
         """Exit status 0; a MissionAborted where a mission failed or no answer of a model counted."""
         from dream.evaluation.runner import Plan
+        from dream.evaluation.sealed import sealed
 
         planners, engine = self.chosen_planners(), self.chosen_engine()
-        name, cases = self._cases()
+        blocks = self._blocks()
+        name, cases = self._cases() if not blocks else (SEALED, sum((each.cases() for each in blocks), ()))
         protocol = protocol_named(self.protocol or cases[0].open().protocol)
         for planner in planners.values():
             check_flies(planner, protocol)
         swimming = self.swim.chosen(protocol)
-        plan = Plan(name, cases, planners, protocol, self.max_steps, self.keep_runs, swimming)
-        folder = self.out or Path("bench") / self._folder(name)
+        sealing = sealed(blocks) if blocks else None
+        plan = Plan(name, cases, planners, protocol, self.max_steps, self.keep_runs, swimming, sealing)
+        default = self._folder(name) if sealing is None else f"{SEALED}-{sealing.key[:8]}"
+        folder = self.out or Path("bench") / default
         outcome = fly(plan, folder, engine)
         if self.json:
             print_json(outcome.as_dict())
@@ -160,6 +177,27 @@ class Bench(Flying):
             outcome.print()
         outcome.check()
         return 0
+
+    def _blocks(self) -> tuple[Block, ...]:
+        """Of a sealed test; none where it is another suite. A ValueError where they are not as published."""
+        from dream.evaluation.sealed import block_numbers, check_commitments, read_blocks
+
+        if self.suite != SEALED:
+            for option in ("key", "blocks", "commitment"):
+                if getattr(self, option):
+                    other = self.suite or self.world or "paper"
+                    raise ValueError(f"--{option}: expected the suite {SEALED} with it, got {other}")
+            return ()
+        if self.world is not None or self.seeds is not None:
+            raise ValueError(f"--world, --seeds: expected none beside {SEALED}, whose worlds its key makes")
+        if self.key is None:
+            raise ValueError(
+                "--key: expected the file with the key of the sealed test, got none. dream seal new makes one"
+            )
+        blocks = read_blocks(self.key, None if self.blocks is None else block_numbers(self.blocks))
+        if self.commitment:
+            check_commitments(blocks, self.commitment)
+        return blocks
 
     def _cases(self) -> tuple[str, tuple[Case, ...]]:
         from dream.evaluation.suites import named_case, saved_case, seeds_of, suite_named
@@ -207,9 +245,11 @@ class Outcome:
 
     def as_dict(self) -> dict[str, Any]:
         """For `--json`."""
+        sealing = self.plan.sealed
         return {
             "out": str(self.folder),
             "suite": self.plan.suite,
+            **({} if sealing is None else {"sealed": sealing.as_dict()}),
             "protocol": self.plan.protocol.name,
             "missions": [asdict(row) for row in self.rows],
             "failed": [
@@ -238,6 +278,12 @@ class Outcome:
         for case, planner, error in self.failures:
             where = f"{planner} in {case.world} {case.seed}"
             console.print(f"failed: {where}: {error}", markup=False, highlight=False, soft_wrap=True)
+        if self.plan.sealed is not None:
+            last = max(self.plan.sealed.commitments)
+            told = (
+                f"these worlds are spent: results.csv names them. More of the same key: --blocks {last + 1}"
+            )
+            console.print(told, markup=False, highlight=False, soft_wrap=True)
         console.print(str(self.report or self.folder), markup=False, highlight=False, soft_wrap=True)
 
     def check(self) -> None:

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from dream.evaluation.comparison import Comparison, paired, share_unanswered
+from dream.evaluation.comparison import Comparison, better, paired, share_unanswered
 from dream.evaluation.results import Row
-from dream.evaluation.statistics import FloatArray, Interval, improvement, share_interval
+from dream.evaluation.statistics import FloatArray, Interval
 from dream.evaluation.suites import Case
 from dream.planning.vlm import WIRE_TEST
 
@@ -23,6 +23,12 @@ UNANSWERED = "by belief, %"
 """Heading of the share of the questions to which no reply counted."""
 ASKING = ("calls", "tokens", "US$", "minutes", UNANSWERED)
 """Headings of what asking a model took; see `asking_cells`."""
+
+ANYTIME = (
+    "anytime-valid 95 % intervals (a betting confidence sequence): they hold at every number of worlds at "
+    "once, so that more worlds may follow, or none, for any reason"
+)
+"""What the intervals of a sealed test are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,9 +114,8 @@ def mean_share(comparison: Comparison, planner: str, cases: Sequence[Case], name
 
 
 def success_cell(comparison: Comparison, planner: str, cases: Sequence[Case]) -> str:
-    """Missions that succeeded, of those flown, and Wilson's 95 % interval of the share of worlds."""
-    by_world = comparison.by_world(planner, cases, lambda _, row: float(row.success))
-    found = share_interval(sum(by_world.values()), len(by_world))
+    """Missions that succeeded, of those flown, and the 95 % interval of the share of worlds."""
+    found = comparison.success(planner, cases)
     flown = comparison.flown(planner, cases)
     if not flown:
         return NONE
@@ -175,12 +180,12 @@ def improvement_cell(
     if reference is None or planner == reference:
         return NONE
     ours, theirs, _ = paired(comparison, planner, reference, cases)
-    return better_cell(ours, theirs)
+    return better_cell(comparison, ours, theirs)
 
 
-def better_cell(ours: FloatArray, theirs: FloatArray) -> str:
+def better_cell(comparison: Comparison, ours: FloatArray, theirs: FloatArray) -> str:
     """Share of worlds on which the first is smaller, ties count half."""
-    return with_interval(share_interval(float(improvement(ours, theirs).sum()), len(ours)), 2)
+    return with_interval(better(comparison, ours, theirs), 2)
 
 
 def asked_cell(

@@ -6,12 +6,24 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dream.evaluation.anytime import anytime_interval, anytime_p_value
 from dream.evaluation.results import MAX_STEPS, Results, Row
-from dream.evaluation.statistics import FloatArray, Interval, Statistic, interval, mean, ratio
+from dream.evaluation.statistics import (
+    FloatArray,
+    Interval,
+    Statistic,
+    improvement,
+    interval,
+    mean,
+    paired_p_value,
+    ratio,
+    share_interval,
+)
 from dream.evaluation.suites import REEF_FAMILIES, Case, family_of
 from dream.planning import PLANNERS
 from dream.planning.vlm import stands_in
@@ -75,6 +87,8 @@ class Comparison:
     by_belief: Mapping[str, int]
     """Planners whose decisions were `belief`'s by more than `BY_BELIEF`, or that flew missions of which it
     decided most; and how many such missions there are."""
+    sealed: bool = False
+    """A sealed test's: more worlds may follow, so that intervals hold at every number of them at once."""
 
     @property
     def missing(self) -> int:
@@ -111,6 +125,17 @@ class Comparison:
         """All planners, the fastest to 98.26 % first; see `standing`. Those that cannot be ranked last."""
         return tuple(dict.fromkeys([*self.standing(self.planners, self.cases), *self.planners]))
 
+    def unbroken(self, planners: Sequence[str], cases: Sequence[Case]) -> tuple[Case, ...]:
+        """The cases before the first that one of these planners has not flown."""
+        return tuple(takewhile(lambda case: all((case, name) in self.rows for name in planners), cases))
+
+    def success(self, planner: str, cases: Sequence[Case]) -> Interval:
+        """The share of the worlds that succeeded, with its interval: Wilson's, or `anytime_interval`."""
+        if self.sealed:
+            return self.estimate(planner, cases, lambda _, row: float(row.success), limits=(0.0, 1.0))
+        by_world = self.by_world(planner, cases, lambda _, row: float(row.success))
+        return share_interval(sum(by_world.values()), len(by_world))
+
     def flown(self, planner: str, cases: Sequence[Case]) -> list[tuple[Case, Row]]:
         """The finished missions of a planner, in the order of the cases."""
         return [(case, self.rows[case, planner]) for case in cases if (case, planner) in self.rows]
@@ -137,7 +162,14 @@ class Comparison:
         statistic: Statistic = mean,
         limits: tuple[float, float] = (0.0, math.inf),
     ) -> Interval:
-        """A statistic of a measure over worlds, with its interval."""
+        """A statistic of a measure over worlds, with its interval.
+
+        Of a sealed test it is over the worlds before the first that is missing, so that it does not matter
+        why one is. Its interval is `anytime_interval`, which there is of means with two limits alone.
+        """
+        if self.sealed:
+            values = self.by_world(planner, self.unbroken([planner], cases), measure)
+            return _anytime(np.array([*values.values()]), statistic, limits)
         values = self.by_world(planner, cases, measure)
         return interval(np.array([*values.values()]), list(map(_family, values)), statistic, limits=limits)
 
@@ -243,6 +275,7 @@ def compare(results: Results) -> Comparison:
         wire_tests=tuple(titles[name] for name, parameters in given.items() if is_wire_test(parameters)),
         unanswered={titles.get(name, name): share for name, share in unanswered.items()},
         by_belief={titles.get(name, name): missions for name, missions in by_belief.items()},
+        sealed=results.manifest.get("sealed") is not None,
     )
 
 
@@ -396,10 +429,14 @@ def paired(
 ) -> tuple[FloatArray, FloatArray, list[str]]:
     """A measure of two planners by world, over the cases that both have flown, and the worlds' families.
 
-    Of the time to 98.26 % unless another is given.
+    Of the time to 98.26 % unless another is given. Of a sealed test it is over the cases before the first
+    that one of the two has not flown.
     """
     measure = comparison.time("t98") if measure is None else measure
-    both = [case for case in cases if all((case, name) in comparison.rows for name in (planner, reference))]
+    two = (planner, reference)
+    if comparison.sealed:
+        cases = comparison.unbroken(two, cases)
+    both = [case for case in cases if all((case, name) in comparison.rows for name in two)]
     ours, theirs = (comparison.by_world(name, both, measure) for name in (planner, reference))
     return np.array([*ours.values()]), np.array([*theirs.values()]), list(map(_family, ours))
 
@@ -411,13 +448,50 @@ def difference(
     cases: Sequence[Case],
     *,
     measure: Measure | None = None,
+    most: float | None = None,
 ) -> Interval:
     """Mean of a measure minus the other planner's, paired by world.
 
     Of the time to 98.26 % unless another is given; then below 0 where the planner is faster.
+
+    Args:
+        comparison: That is told of.
+        planner: Whose measure it is.
+        reference: The other.
+        cases: On which both are compared.
+        measure: What is compared.
+        most: The most that it can be, where its least is 0; unless given, the steps of a mission.
     """
     ours, theirs, strata = paired(comparison, planner, reference, cases, measure)
+    if comparison.sealed:
+        limit = float(comparison.horizon) if most is None else most
+        return _anytime(ours - theirs, mean, (-limit, limit))
     return interval(ours - theirs, strata, mean)
+
+
+def no_difference(comparison: Comparison, ours: FloatArray, theirs: FloatArray) -> float:
+    """P-value of (n,) pairs of times whose mean difference is 0; one that holds whenever whoever looks stops
+    where it is a sealed test's."""
+    if comparison.sealed:
+        limit = float(comparison.horizon)
+        return anytime_p_value(ours - theirs, (-limit, limit), 0.0)
+    return paired_p_value(ours, theirs)
+
+
+def better(comparison: Comparison, ours: FloatArray, theirs: FloatArray) -> Interval:
+    """Share of (n,) worlds on which the first of two times is smaller, ties count half."""
+    first = improvement(ours, theirs)
+    if comparison.sealed:
+        return _anytime(first, mean, (0.0, 1.0))
+    return share_interval(float(first.sum()), len(first))
+
+
+def _anytime(values: FloatArray, statistic: Statistic, limits: tuple[float, float]) -> Interval:
+    """A statistic of a sealed test, with its interval where it is the mean of what has two limits."""
+    if len(values) and (statistic is not mean or not all(map(math.isfinite, limits))):
+        value = float(statistic(values, np.ones((1, len(values))))[0])
+        return Interval(value, math.nan, math.nan, len(values))
+    return anytime_interval(values, limits)
 
 
 def some_asked(comparison: Comparison) -> bool:

@@ -191,7 +191,7 @@ def coverage_curves(
                 continue
             style = look(theme, comparison.planners, planner)
             middle, low, high = mean_band(100.0 * curves, strata)
-            if np.isfinite(low).all():
+            if np.isfinite(low).all() and not comparison.sealed:
                 axes.fill_between(
                     steps, low.clip(0, 100), high.clip(0, 100), color=style["color"], alpha=0.1, linewidth=0
                 )
@@ -214,10 +214,17 @@ def coverage_curves(
     return Picture(
         name,
         f"Coverage, {title.lower()}",
-        "Mean share of the individuals seen after each step, held after a mission ended. Bands: pointwise "
-        "95 % intervals over worlds.",
+        "Mean share of the individuals seen after each step, held after a mission ended."
+        + _about_bands(comparison, " Bands: pointwise 95 % intervals over worlds."),
         draw,
     )
+
+
+def _about_bands(comparison: Comparison, others: str) -> str:
+    """What is said of bands; a sealed test has none."""
+    if comparison.sealed:
+        return " Without bands, which would hold at one number of worlds alone."
+    return others
 
 
 def _curves(
@@ -247,7 +254,7 @@ def survival_curves(comparison: Comparison, cases: Sequence[Case], name: str, ti
                 continue
             style = look(theme, comparison.planners, planner)
             curve = kaplan_meier(times, comparison.horizon)
-            if planner in first:
+            if planner in first and not comparison.sealed:
                 axes.fill_between(
                     curve.time,
                     100 * curve.low,
@@ -266,7 +273,10 @@ def survival_curves(comparison: Comparison, cases: Sequence[Case], name: str, ti
         name,
         f"Time to 98.26 %, {title.lower()}",
         "Kaplan–Meier: share of missions that have not seen 98.26 % of the individuals yet; what is left at "
-        "the right end never did. Bands, of the two best ranked planners only: pointwise 95 % confidence.",
+        "the right end never did."
+        + _about_bands(
+            comparison, " Bands, of the two best ranked planners only: pointwise 95 % confidence."
+        ),
         draw,
     )
 

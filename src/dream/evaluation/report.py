@@ -40,6 +40,7 @@ from dream.evaluation.comparison import (
 from dream.evaluation.figures import DARK, LIGHT, Picture, Scene
 from dream.evaluation.paper_tables import paper_tables, published_tables
 from dream.evaluation.results import Results, read_results
+from dream.evaluation.sealed import blocks_told
 from dream.evaluation.suites import LISTED
 from dream.files import write_whole
 from dream.planning import LABELLED, PLANNERS, Asking
@@ -220,6 +221,7 @@ def run_table(results: Results, comparison: Comparison) -> Table:
     ]
     rows = [
         ("worlds", f"{manifest['suite']}: {len(comparison.cases)} cases"),
+        *_sealing(manifest),
         ("protocol", ", ".join([comparison.protocol, *known, f"{comparison.horizon} steps at most"])),
         (
             "missions",
@@ -250,6 +252,17 @@ def run_table(results: Results, comparison: Comparison) -> Table:
     return Table("run", "What was run", ("", ""), tuple(rows), labels=2)
 
 
+def _sealing(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Lines on a sealed test: the name of its key, and what was published of each block."""
+    told = manifest.get("sealed")
+    if told is None:
+        return []
+    return [
+        ("key", str(told["key"])),
+        *((f"block {number}", commitment) for number, commitment in told["blocks"].items()),
+    ]
+
+
 def _machine(machine: Any) -> str:
     known = machine.items() if isinstance(machine, dict) else ()
     return ", ".join(f"{key} {value}" for key, value in known if value is not None) or NONE
@@ -262,9 +275,11 @@ def repeating_command(manifest: Mapping[str, Any]) -> str:
     """
     known = {name: given for name, given in manifest["planners"].items() if _is_known(name)}
     found = []
+    sealing = manifest.get("sealed")
     for suite in str(manifest["suite"]).split(", ") if known else ():
+        naming = _naming(suite) if sealing is None else _naming_sealed(sealing)
         for asking, planners in _asked_alike(known).items():
-            words = ["dream", "bench", *_naming(suite)]
+            words = ["dream", "bench", *naming]
             words += ["--planners", *planners, "--protocol", str(manifest["protocol"]["name"])]
             if manifest["max_steps"] is not None:
                 words += ["--max-steps", str(manifest["max_steps"])]
@@ -280,6 +295,12 @@ def _naming(suite: str) -> list[str]:
         return ["--world", suite]
     world, _, seeds = suite.partition(" ")
     return ["--world", world, "--seeds", seeds] if seeds else [world]
+
+
+def _naming_sealed(sealing: Mapping[str, Any]) -> list[str]:
+    """The words that name the worlds of a sealed test; where its key lies is nobody's business."""
+    numbers = list(map(int, sealing["blocks"]))
+    return ["sealed", "--key", "FILE", "--blocks", blocks_told(numbers)]
 
 
 def flown_by_scripts(manifest: Mapping[str, Any]) -> str:
@@ -329,6 +350,10 @@ def warnings(comparison: Comparison) -> list[str]:
             f"different worlds and cannot be compared. {order}; a paired comparison is over the cases that "
             "both have flown."
         )
+        if comparison.sealed:
+            found.append(
+                "Means and intervals of a sealed test are over the worlds before the first that is missing."
+            )
     found += about_rows(comparison)
     broken = contradictions(comparison)
     if broken:
@@ -439,7 +464,7 @@ def _verdict_by_coverage(comparison: Comparison, standing: Mapping[str, tuple[fl
         text += f"{_listed(first)} are equal: each saw {saw}. They stand in the order of the benchmark."
     reference = best_baseline(comparison, cases)
     if reference is not None and reference not in first:
-        found = difference(comparison, best, reference, cases, measure=coverage_at_end)
+        found = difference(comparison, best, reference, cases, measure=coverage_at_end, most=1.0)
         text += (
             f" The best baseline, {reference}, saw {_coverage(comparison, reference)} %; paired by world the "
             f"difference is {with_interval(found, 2, scale=100)} points over {found.count} worlds."

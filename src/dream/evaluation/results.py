@@ -59,6 +59,7 @@ def _world_name(text: str) -> str:
 
 _Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]{0,99}$")]
 _WorldName = Annotated[str, AfterValidator(_world_name)]
+_Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 _Line = Annotated[str, Field(min_length=1, max_length=2 * MOST, pattern=r"^[^\x00-\x1f\x7f]*$")]
 _Count = Annotated[int, Field(ge=0)]
 _Step = Annotated[int, Field(ge=0, le=MAX_STEPS)]
@@ -208,6 +209,15 @@ class SavedEntry(BaseModel):
     world_hash: _Name
 
 
+class SealedEntry(BaseModel):
+    """What a manifest tells of the worlds of a sealed test."""
+
+    key: _Hash
+    """Name of the key that made them."""
+    blocks: dict[Annotated[str, Field(pattern=r"^[0-9]{1,6}$")], _Hash]
+    """Commitment of each block, by its number."""
+
+
 class FailedEntry(CaseEntry):
     """A mission that has no result, in a manifest."""
 
@@ -227,6 +237,8 @@ class Manifest(BaseModel):
     cases: list[CaseEntry]
     worlds: dict[str, SavedEntry] = {}
     """Those of the user's own, by name and seed."""
+    sealed: SealedEntry | None = None
+    """Of a sealed test; None of worlds that are known."""
     planners: dict[_Name, dict[str, Any]]
     """Parameters of each, by its name on the command line."""
     protocol: dict[str, Any]

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from itertools import groupby
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,7 @@ from dream.evaluation.results import (
     write_mission,
     write_tables,
 )
+from dream.evaluation.sealed import Sealed, blocks_told
 from dream.evaluation.suites import Case
 from dream.mapping import OccupancyMap
 from dream.mapping.prior import Prior
@@ -448,6 +449,8 @@ class Plan:
     """Leave a full recording of each mission that is flown, below `runs/`."""
     swimming: Swimming | None = None
     """What swims, where the protocol is of a vehicle that does."""
+    sealed: Sealed | None = None
+    """What may be told of the cases, where they are a sealed test's."""
 
     def __post_init__(self) -> None:
         swimming_under(self.protocol, self.swimming)
@@ -599,6 +602,7 @@ def _manifest(plan: Plan, folder: Path, engine: Engine) -> dict[str, Any]:
         "protocol": _as_json(plan.protocol),
         "max_steps": plan.max_steps,
         **({} if swims is None else {"swimming": _as_json(swims)}),
+        **({} if plan.sealed is None else {"sealed": plan.sealed.as_dict()}),
         "files": {name: given for name, planner in plan.planners.items() if (given := files_given(planner))},
         **machine.code(),
         **machine.libraries(),
@@ -616,6 +620,8 @@ def _manifest(plan: Plan, folder: Path, engine: Engine) -> dict[str, Any]:
         for name in ("version", "source", *machine.libraries(), "protocol", "max_steps"):
             _check_same(folder, name, before[name], now[name])
         _check_same(folder, "swimming", before.get("swimming"), now.get("swimming"))
+        if plan.sealed is not None or before.get("sealed") is not None:
+            now["sealed"] = _sealed_together(folder, before.get("sealed"), plan.sealed)
         given_before = before.get("files", {})
         for name in before["planners"].keys() & now["planners"].keys():
             then, new = (_deciding(planners[name]) for planners in (before["planners"], now["planners"]))
@@ -625,7 +631,7 @@ def _manifest(plan: Plan, folder: Path, engine: Engine) -> dict[str, Any]:
         now["worlds"] = before["worlds"] | now["worlds"]
         suites = dict.fromkeys([*before["suite"].split(", "), plan.suite])
         now["suite"] = ", ".join(suites)
-        now["cases"] += [case for case in before["cases"] if case not in now["cases"]]
+        now["cases"] = before["cases"] + [case for case in now["cases"] if case not in before["cases"]]
         now["planners"] |= before["planners"]
         now["files"] |= given_before
         now["started"], now["wall_s"] = before["started"], before["wall_s"]
@@ -639,9 +645,34 @@ def _manifest(plan: Plan, folder: Path, engine: Engine) -> dict[str, Any]:
             f"{folder}: expected a manifest.json that tells how its missions were flown, got none. "
             "Choose another --out"
         )
-    now["cases"].sort(key=lambda case: _rank_of_case(Case(**case)))
+    if plan.sealed is None:  # Else they stay in the order in which they were drawn.
+        now["cases"].sort(key=lambda case: _rank_of_case(Case(**case)))
     now["planners"] = {name: now["planners"][name] for name in sorted(now["planners"], key=_rank_of_planner)}
     return now
+
+
+def _sealed_together(folder: Path, before: Mapping[str, Any] | None, now: Sealed | None) -> dict[str, Any]:
+    """What a folder tells of its sealed worlds once those blocks have joined it.
+
+    Raises:
+        ValueError: They are of another key, are other worlds, are not the next ones, or some of the worlds
+            are no sealed test's.
+    """
+    if before is None or now is None:
+        one, other = ("a sealed test", "others") if now is None else ("others", "a sealed test")
+        raise ValueError(f"{folder}: expected worlds of {one}, as in it, got {other}. Choose another --out")
+    _check_same(folder, "key of the sealed test", before["key"], now.key)
+    known = {int(number): commitment for number, commitment in before["blocks"].items()}
+    for number, commitment in now.commitments.items():
+        _check_same(folder, f"block {number}", known.setdefault(number, commitment), commitment)
+    numbers = list(known)
+    if any(later != one + 1 for one, later in pairwise(numbers)):
+        flown = list(map(int, before["blocks"]))
+        raise ValueError(
+            f"{folder}: expected block {flown[-1] + 1} after {blocks_told(flown)}, which are in it, "
+            f"got {blocks_told(list(now.commitments))}. Intervals leave out no worlds"
+        )
+    return Sealed(now.key, known).as_dict()
 
 
 def _deciding(parameters: Mapping[str, Any]) -> dict[str, Any]:

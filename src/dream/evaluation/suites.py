@@ -30,6 +30,13 @@ SEVERAL = (
     "wreck/4+reef/mixed",
 )
 """Two structures in one world."""
+SEALED_FAMILIES: tuple[tuple[str, ...], ...] = (
+    *((f"reef/{name}",) for name in HABITATS),
+    tuple(f"wreck/{number}" for number in WRECKS),
+    SEVERAL,
+)
+"""What the worlds of a sealed test are drawn from (`dream.evaluation.sealed`): each family is as likely as
+every other, and in it each name. Whatever changes here changes what every key makes, and its commitment."""
 
 MOST_SEEDS = 10_000
 MOST_CASES = 10_000

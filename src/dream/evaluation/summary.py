@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from dream.evaluation.cells import (
+    ANYTIME,
     ASKING,
     about_rows,
     asking_cells,
@@ -13,6 +14,7 @@ from dream.evaluation.cells import (
     mean_share,
     number,
     reached_with_ratio,
+    with_interval,
 )
 from dream.evaluation.comparison import FAMILIES, Comparison, compare, groups, some_asked, what_is_missing
 from dream.evaluation.results import Results
@@ -64,6 +66,8 @@ def print_summary(results: Results, console: Console) -> None:
             )
         table.add_section()
     console.print(table)
+    if comparison.sealed:
+        _print_intervals(comparison, console)
     if some_asked(comparison):
         _print_asking(comparison, console)
     if comparison.missing:
@@ -71,6 +75,27 @@ def print_summary(results: Results, console: Console) -> None:
             f"{what_is_missing(comparison)}; the means are over those that were flown, so that they "
             "cannot be compared."
         )
+
+
+def _print_intervals(comparison: Comparison, console: Console) -> None:
+    """What is known of all worlds that may be drawn, in a table of its own."""
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    cases, cap = comparison.cases, (0.0, float(comparison.horizon))
+    table = RichTable(title="all worlds that may be drawn", title_justify="left")
+    for heading in ("planner", "worlds", "to 98.26 %", "seen, %", "success, %"):
+        table.add_column(heading, justify="left" if heading == "planner" else "right")
+    for planner in comparison.ranked:
+        table.add_row(
+            Text(planner),
+            str(len(comparison.unbroken([planner], cases))),
+            with_interval(comparison.estimate(planner, cases, comparison.time("t98"), limits=cap)),
+            with_interval(mean_share(comparison, planner, cases, "instances"), 2, scale=100),
+            with_interval(comparison.success(planner, cases), scale=100),
+        )
+    console.print(table)
+    console.print(f"In parentheses: {ANYTIME}.", markup=False, highlight=False)
 
 
 def _print_asking(comparison: Comparison, console: Console) -> None:

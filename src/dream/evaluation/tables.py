@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dream.evaluation.cells import (
+    ANYTIME,
     NONE,
     UNANSWERED,
     Table,
@@ -37,12 +38,13 @@ from dream.evaluation.comparison import (
     difference,
     groups,
     label,
+    no_difference,
     paired,
     some_asked,
     wreck_designs,
 )
 from dream.evaluation.results import Row
-from dream.evaluation.statistics import FEW, holm, interquartile_mean, paired_p_value, soft_spl, spl
+from dream.evaluation.statistics import FEW, holm, interquartile_mean, soft_spl, spl
 from dream.evaluation.suites import Case
 
 if TYPE_CHECKING:
@@ -111,11 +113,23 @@ def headline(comparison: Comparison, cases: Sequence[Case], title: str = "At a g
             "Certified bound: no mission can do with fewer steps. Best known tour: steps of the shortest way "
             "found by a program that knows the world. A ratio of 1 is the best there is.",
             "P: share of the worlds on which a planner reached 98.26 % sooner than the other; equal ones "
-            "count half. In parentheses: 95 % intervals over worlds (stratified by family, paired; Wilson's "
-            f"for shares); a mean over fewer than {FEW} worlds has none, since so few cannot tell one.",
+            f"count half. In parentheses: {_intervals(comparison)}",
             ratio_note(comparison),
             *about_rows(comparison),
         ),
+    )
+
+
+def _intervals(comparison: Comparison) -> str:
+    """What the intervals of the first table are."""
+    if comparison.sealed:
+        return (
+            f"{ANYTIME}. They are of the mean over all worlds that may be drawn. The middle half has none, "
+            "since it is no mean."
+        )
+    return (
+        "95 % intervals over worlds (stratified by family, paired; Wilson's for shares); a mean over fewer "
+        f"than {FEW} worlds has none, since so few cannot tell one."
     )
 
 
@@ -138,9 +152,12 @@ def _world_by_world(
             ours, theirs, _ = paired(comparison, planner, other, cases)
             if not len(ours):
                 continue
-            told = with_interval(difference(comparison, planner, other, cases)), better_cell(ours, theirs)
+            told = (
+                with_interval(difference(comparison, planner, other, cases)),
+                better_cell(comparison, ours, theirs),
+            )
             lines.append((title, planner, other, str(len(ours)), *told))
-            p_values.append(paired_p_value(ours, theirs))
+            p_values.append(no_difference(comparison, ours, theirs))
         rows += [
             (*line, p_cell(p), p_cell(q)) for line, p, q in zip(lines, p_values, holm(p_values), strict=True)
         ]
@@ -151,11 +168,13 @@ def _about_tests(comparison: Comparison, of: str) -> str:
     """What the columns of `_world_by_world` mean."""
     designs = len(wreck_designs(comparison))
     only = f" The wrecks are of {designs} designs, and no more than these is told of." * (designs > 0)
+    kind, p = "Wilson's interval", "exchange test"
+    if comparison.sealed:
+        kind, p = ANYTIME, "anytime-valid test by betting"
     return (
-        "P(better): share of worlds with the smaller t98, ties count half; Wilson's interval. p: two-sided "
-        f"exchange test of the paired mean difference, with Holm's correction over the {of} of a block. The "
-        "blocks are separate families of tests, though they share worlds: nothing corrects for their number."
-        + only
+        f"P(better): share of worlds with the smaller t98, ties count half; {kind}. p: two-sided {p} of the "
+        f"paired mean difference, with Holm's correction over the {of} of a block. The blocks are separate "
+        "families of tests, though they share worlds: nothing corrects for their number." + only
     )
 
 
@@ -412,6 +431,7 @@ def by_family(comparison: Comparison) -> list[Table]:
         return f"{' … '.join(ends) if reached == counted else f'≥ {ends[0]}'} · {reached}/{counted}"
 
     designs = wreck_designs(comparison)
+    kind = "anytime-valid" if comparison.sealed else "Wilson's"
     return [
         table(
             "t98-by-family",
@@ -423,8 +443,8 @@ def by_family(comparison: Comparison) -> list[Table]:
         table(
             "success-by-family",
             "Success, by family",
-            "Missions that stopped by themselves with at least 98.26 % and no contact; Wilson's 95 % "
-            "interval.",
+            "Missions that stopped by themselves with at least 98.26 % and no contact; "
+            f"{kind} 95 % interval.",
             lambda planner, cases: success_cell(comparison, planner, cases),
         ),
         table(
