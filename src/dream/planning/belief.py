@@ -49,8 +49,6 @@ if TYPE_CHECKING:
 NEGLIGIBLE = 1e-9
 """Square metres of targets in ground from which none are expected: what has a weight becomes known when a
 sequence of actions shows it, and can then be crossed."""
-HOLE = 0.5
-"""Metres: in three dimensions, holes in ground that was seen are not gone back for up to that radius."""
 KEEP = 0.01
 """Share of all that is worth looking at that a tour may leave."""
 
@@ -195,7 +193,11 @@ class Belief:
         protocol = mission.protocol
         if not self.certify:
             return self.size * protocol.group_radius
-        return 0.5 * protocol.cell if protocol.space is None else HOLE
+        if protocol.space is None:
+            return 0.5 * protocol.cell
+        from dream.planning.space.in_water import HOLE
+
+        return HOLE
 
     def sources(self, mission: Mission) -> list[BeliefSource]:
         """What it expects targets by, in the order in which they are asked; each may be left out."""

@@ -6,9 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
-import numpy as np
-
-from dream.planning.space.in_water import LEFT, InWater
+from dream.planning.space.in_water import InWater
 from dream.types import Decision, Mission, Observation
 
 if TYPE_CHECKING:
@@ -59,7 +57,7 @@ class GroundSearch:
         if out is not None:
             return out
         thought = self.pilot.consider(observation, near)
-        if np.count_nonzero(thought.expected.hiding) <= LEFT * np.count_nonzero(near.to_see):
+        if self.water.enough(thought.expected.hiding, near):
             thought = replace(thought, plan=None, why=ENOUGH)
         decision = self.pilot.act(thought, thought.plan)
         if decision.done:

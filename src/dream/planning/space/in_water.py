@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dream.mapping import within
 from dream.planning.space.looks import nearest_tilt
 from dream.planning.space.ways import ways_in
 from dream.planning.travel import careful_standoff, careful_travel
@@ -20,8 +21,10 @@ if TYPE_CHECKING:
 HEIGHT = 0.5
 """Height above ground at which it is searched, as a share of how far labels are trusted: from there all of it
 within reach shows at a useful angle, and less of it hides behind other parts."""
+HOLE = 0.5
+"""Metres: holes in ground that was searched are not gone back for up to that radius."""
 LEFT = 0.01
-"""Share of the ground in which the middle of a hole may lie, of the least radius that is gone back for."""
+"""Share of the ground that may lie in larger holes when the search ends."""
 AROUND = 2.0
 """Side of the square in which labels decide whether there are targets, in radii of the least group."""
 TOLD = 0.2
@@ -63,6 +66,16 @@ class InWater:
     def from_above(self, occupancy: OccupancyMap) -> OccupancyMap:
         """The map to a pilot of the plane, to be read until the map changes."""
         return occupancy.counting(self.searched(occupancy), self.protocol.reach, self.passed_over(occupancy))
+
+    def enough(self, hiding: BoolArray, near: OccupancyMap) -> bool:
+        """Is so little of the ground left, in holes with these middles (rows, cols), that the search may end?
+
+        Args:
+            hiding: Middles of discs of the radius `HOLE` in which nothing was searched.
+            near: See `from_above`.
+        """
+        left = within(hiding, HOLE, self.protocol.cell) & ~near.observed
+        return bool(np.count_nonzero(left) <= LEFT * np.count_nonzero(near.to_see))
 
     def passed_over(self, occupancy: OccupancyMap) -> BoolArray:
         """(rows, cols) what stands up, but so low that the vehicle passes over it at the search's height."""

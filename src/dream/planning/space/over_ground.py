@@ -6,9 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
-
-from dream.planning.space.in_water import LEFT, InWater
+from dream.planning.space.in_water import InWater
 from dream.types import Decision, Mission, Observation, Reasoning, Target
 
 if TYPE_CHECKING:
@@ -69,7 +67,7 @@ class OverGround:
         """The next move, or done."""
         near = self.water.from_above(occupancy)
         expected = self.judge.expect(self.judge.take(observation, near))
-        if np.count_nonzero(expected.hiding) <= LEFT * np.count_nonzero(near.to_see):
+        if self.water.enough(expected.hiding, near):
             return Decision(done=True, reasoning=Reasoning(action=ENOUGH))
         out = self.water.into_the_open(observation, near)
         if out is not None:
