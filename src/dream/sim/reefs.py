@@ -129,9 +129,7 @@ class Bed:
         return inside * (0.03 + 0.97 * overgrown) * self.vigour[group], group
 
 
-def places_in(
-    bounds: Bounds, pitch: float, rng: np.random.Generator
-) -> tuple[Float64Array, Float64Array]:
+def places_in(bounds: Bounds, pitch: float, rng: np.random.Generator) -> tuple[Float64Array, Float64Array]:
     """x and y, (K,) each, of the places in a box where a clump may sit: about `pitch` metres apart."""
     cols, rows = (math.ceil(side / pitch) for side in (bounds.width, bounds.depth))
     east = bounds.x_min + (np.arange(cols) + 0.5) * pitch

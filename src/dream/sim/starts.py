@@ -49,4 +49,6 @@ def starts_in(bounds: Bounds, hull: Float64Array, rng: np.random.Generator) -> t
             starts.append(pose)
         if len(starts) == 4:
             return tuple(starts)
-    raise ValueError(f"starts: expected free water for 4 in {bounds.width:g} x {bounds.depth:g} m, got {len(starts)}")
+    raise ValueError(
+        f"starts: expected free water for 4 in {bounds.width:g} x {bounds.depth:g} m, got {len(starts)}"
+    )

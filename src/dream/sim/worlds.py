@@ -73,7 +73,9 @@ def reef(shape: Callable[[Bounds, np.random.Generator], list[Stroke]], rng: np.r
     near = np.concatenate([stroke.line for stroke in strokes])
     # A rock may stand at the rim of a small patch or in a string, but not on top of a whole small patch.
     small = [
-        (*stroke.line.mean(axis=0), stroke.half_width - 2.3) for stroke in strokes if stroke.length < reef_shapes.PATCH
+        (*stroke.line.mean(axis=0), stroke.half_width - 2.3)
+        for stroke in strokes
+        if stroke.length < reef_shapes.PATCH
     ]
     taken = np.array(small).reshape(-1, 3)
     rocks = boulders.formations(bounds, starts, near, taken, rng, ring=rng.random() < 0.25)

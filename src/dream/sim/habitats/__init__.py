@@ -5,15 +5,17 @@ Each is a recipe whose ranges are published; docs/habitats.md has them all, with
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from dream.geometry import Bounds
 from dream.sim.habitats import beds
-from dream.sim.habitats.arena import Arena, arena_in
+from dream.sim.habitats.arena import Arena, NoRoomError, arena_in
 from dream.sim.habitats.beds import beds_in, borders_in, holed
 from dream.sim.habitats.building import world_of
 from dream.sim.habitats.growth import FEWEST, Habitat
@@ -25,6 +27,7 @@ from dream.sim.sampling import index, uniform
 from dream.sim.world import World
 
 Random = np.random.Generator
+logger = logging.getLogger(__name__)
 
 BETWEEN = 4.0
 """Metres between the parts of an arena that two habitats lie in."""
@@ -34,40 +37,34 @@ SPLIT = 0.4, 0.6
 """Share of an arena's longer side that the first of two has."""
 
 
-def mound(rng: Random) -> World:
+def mound(arena: Arena, rng: Random) -> World:
     """One to five mounds of old shell, overgrown all over."""
-    arena = arena_in(rng)
     return world_of(arena, [mounds_in(arena, arena.bounds, rng)], rng)
 
 
-def ledge(rng: Random) -> World:
+def ledge(arena: Arena, rng: Random) -> World:
     """Steps of the bed, with oysters on and along their edges."""
-    arena = arena_in(rng)
     return world_of(arena, [ledges_in(arena, arena.bounds, rng)], rng)
 
 
-def carpet(rng: Random) -> World:
+def carpet(arena: Arena, rng: Random) -> World:
     """Single clumps strewn over large patches."""
-    arena = arena_in(rng)
     return world_of(arena, [_carpet(arena, arena.bounds, beds.SPARSE, rng)], rng)
 
 
-def tiny(rng: Random) -> World:
+def tiny(arena: Arena, rng: Random) -> World:
     """Small groups far apart."""
-    arena = arena_in(rng)
     return world_of(arena, [small_groups_in(arena.bounds, FEWEST, rng)], rng)
 
 
-def dense(rng: Random) -> World:
+def dense(arena: Arena, rng: Random) -> World:
     """A bed that covers most of the arena."""
-    arena = arena_in(rng)
     bed = beds_in(arena, arena.bounds, beds.DENSE, (4.0, 9.0), beds.BED, beds.HEIGHT, 1.5, rng)
     return world_of(arena, [bed], rng)
 
 
-def rocks(rng: Random) -> World:
+def rocks(arena: Arena, rng: Random) -> World:
     """Oysters on rocks and, in one world of two, on a wall."""
-    arena = arena_in(rng)
     walls = [walls_in(arena, (1, 1), rng)] if rng.random() < 0.5 else []
     taken = walls[0].feet() if walls else np.empty((0, 3))
     stones = rocks_in(arena, taken, rng)
@@ -75,22 +72,19 @@ def rocks(rng: Random) -> World:
     return world_of(arena, [RockFaces(first)], rng, [stones, *walls], strewn=False)
 
 
-def holes(rng: Random) -> World:
+def holes(arena: Arena, rng: Random) -> World:
     """Large reefs with bare holes in them."""
-    arena = arena_in(rng)
     bed = beds_in(arena, arena.bounds, beds.LARGE, (9.0, 14.0), beds.BED, beds.HEIGHT, 1.5, rng)
     return world_of(arena, [holed(bed, arena.bounds, rng)], rng)
 
 
-def border(rng: Random) -> World:
+def border(arena: Arena, rng: Random) -> World:
     """Reefs along the border, cut by it."""
-    arena = arena_in(rng)
     return world_of(arena, [borders_in(arena, rng)], rng)
 
 
-def walls(rng: Random) -> World:
+def walls(arena: Arena, rng: Random) -> World:
     """Beds that ridges of rock, or quays, cut."""
-    arena = arena_in(rng)
     while True:
         found = walls_in(arena, WALLS, rng)
         bed = beds_in(arena, arena.bounds, beds.CUT, (6.0, 11.0), beds.BED, beds.HEIGHT, 1.5, rng)
@@ -100,9 +94,8 @@ def walls(rng: Random) -> World:
             return world_of(arena, [replace(bed, lines=found.segments(beside=0.2))], rng, [found])
 
 
-def two(rng: Random) -> World:
+def two(arena: Arena, rng: Random) -> World:
     """A mound or a ledge in one part of the arena, a carpet or small groups in the other."""
-    arena = arena_in(rng)
     box = arena.bounds
     at = uniform(rng, *SPLIT)
     if box.width > box.depth:
@@ -128,9 +121,8 @@ def two(rng: Random) -> World:
     return world_of(arena, [steep, flat], rng)
 
 
-def wide(rng: Random) -> World:
+def wide(arena: Arena, rng: Random) -> World:
     """A reef of dream-v1's shapes."""
-    arena = arena_in(rng)
     reef = strokes_in(arena, rng)
     near = np.concatenate([stroke.line for stroke in reef.bed.strokes])
     return world_of(arena, [reef], rng, near=near)
@@ -140,8 +132,17 @@ def _carpet(arena: Arena, region: Bounds, cover: tuple[float, float], rng: Rando
     return beds_in(arena, region, cover, (9.0, 14.0), beds.CARPET, (0.0, 0.0), 3.0, rng, bare=0.3)
 
 
+def _in_some_arena(family: Callable[[Arena, Random], World], rng: Random) -> World:
+    """A world of that family in the first arena that has room for it."""
+    while True:
+        try:
+            return family(arena_in(rng), rng)
+        except NoRoomError as none:
+            logger.debug("%s", none)
+
+
 HABITATS: Mapping[str, Callable[[Random], World]] = {
-    f"reef/{family.__name__}": family
+    f"reef/{family.__name__}": partial(_in_some_arena, family)
     for family in (mound, ledge, carpet, tiny, dense, rocks, holes, border, walls, two, wide)
 }
 """What makes each of them from a random generator."""

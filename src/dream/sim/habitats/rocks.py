@@ -1,9 +1,9 @@
 """Rocks, ridges and quays: oysters on their tops and on their vertical sides, or reefs that they cut.
 
-Flat oysters make small reefs on rocky outcrops at 10 to 20 m (EUNIS MB243); seawalls in Sydney Harbour have 14
-to 56 % of their surface under rock oysters (Strain et al. 2020, PLoS ONE 15: e0230807). Where rock is called a
-reef of high profile, it rises by up to 4 m over 10 m (SeaMap Tasmania). What is built for oysters off South
-Australia are some 150 low ridges of limestone on 20 ha in 10 m of water (Windara).
+Flat oysters make small reefs on rocky outcrops at 10 to 20 m (EUNIS MB243); seawalls in Sydney Harbour have
+14 to 56 % of their surface under rock oysters (Strain et al. 2020, PLoS ONE 15: e0230807). A rocky reef of
+high profile rises by up to 4 m over 10 m (SeaMap Tasmania). What is built for oysters off South Australia
+are some 150 low ridges of limestone on 20 ha in 10 m of water (Windara).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from dream.geometry import Bounds
 from dream.sim import boulders
 from dream.sim.boulders import CLEAR, Rock
-from dream.sim.habitats.arena import USUAL_AREA, Arena
+from dream.sim.habitats.arena import USUAL_AREA, Arena, NoRoomError
 from dream.sim.habitats.building import Stands, clear_of
 from dream.sim.habitats.growth import Bottom, IntpArray, Places, density_in, pieces
 from dream.sim.meshes import mesh
@@ -63,7 +63,7 @@ EVERY = 14.0, 30.0
 WALLS_APART = 7.0
 STATION = 1.0
 """Metres between the cross-sections of a wall."""
-TRIES = 4000
+TRIES = 2000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,7 +173,7 @@ class Walls:
 
 
 def walls_in(arena: Arena, number: tuple[int, int], rng: np.random.Generator) -> Walls:
-    """Walls across an arena from side to side, beside each other, each with one gap or more; off all starts."""
+    """Walls from side to side of an arena, beside each other and off all starts, each with a gap or more."""
     box = arena.bounds
     count = between(rng, *number)
     for tries in range(TRIES):
@@ -181,15 +181,13 @@ def walls_in(arena: Arena, number: tuple[int, int], rng: np.random.Generator) ->
         along, across = direction(turn), direction(turn + 0.5 * math.pi)
         room = 0.5 * (abs(across[0]) * box.width + abs(across[1]) * box.depth) - 5.0
         # Where many do not fit, fewer stand.
-        offsets = np.sort(uniforms(rng, -room, room, max(count - tries // 400, 1)))
+        offsets = np.sort(uniforms(rng, -room, room, max(count - tries // 200, 1)))
         if len(offsets) > 1 and np.diff(offsets).min() < WALLS_APART:
             continue
-        walls = [
-            wall for offset in offsets for wall in _across(box, offset * across, along, rng)
-        ]
+        walls = [wall for offset in offsets for wall in _across(box, offset * across, along, rng)]
         if walls and _off_starts(arena, walls):
             return Walls(tuple(walls))
-    raise ValueError(f"walls: expected one that leaves all starts free in {TRIES} tries, got none")
+    raise NoRoomError(f"walls: expected one that leaves all starts free in {TRIES} tries, got none")
 
 
 def _across(box: Bounds, through: Float64Array, along: Float64Array, rng: np.random.Generator) -> list[Wall]:
@@ -215,9 +213,7 @@ def _across(box: Bounds, through: Float64Array, along: Float64Array, rng: np.ran
         stop = end if k == gaps else middle - 0.5 * wide
         if stop - at >= 2.0:
             a, b = quantised(through + at * along, MILLIMETRE), quantised(through + stop * along, MILLIMETRE)
-            walls.append(
-                Wall(float(a[0]), float(a[1]), float(b[0]), float(b[1]), foot, crown, height, built)
-            )
+            walls.append(Wall(float(a[0]), float(a[1]), float(b[0]), float(b[1]), foot, crown, height, built))
         at = middle + 0.5 * wide
     return walls
 
@@ -226,14 +222,10 @@ def _off_starts(arena: Arena, walls: list[Wall]) -> bool:
     from dream.sim.habitats.beds import to_segment
 
     x, y = np.array([(start.x, start.y) for start in arena.starts]).T
-    return all(
-        float(to_segment(x, y, w.ax, w.ay, w.bx, w.by).min()) >= w.foot + CLEAR for w in walls
-    )
+    return all(float(to_segment(x, y, w.ax, w.ay, w.bx, w.by).min()) >= w.foot + CLEAR for w in walls)
 
 
-def _wall(
-    wall: Wall, seabed: Terrain, rng: np.random.Generator
-) -> tuple[Mesh, tuple[float, float, float]]:
+def _wall(wall: Wall, seabed: Terrain, rng: np.random.Generator) -> tuple[Mesh, tuple[float, float, float]]:
     """A closed mesh about its own middle, and that middle."""
     count = max(round(wall.length / STATION), 1) + 1
     share = np.linspace(0.0, 1.0, count)
@@ -319,9 +311,7 @@ class RockFaces:
         kept = np.flatnonzero(open_)
         kept = kept[_spaced(points[kept], APART)][:count]
         points, drawn = points[kept], drawn[kept]
-        group = pieces(
-            points[:, 0], points[:, 1], owner[drawn], bottom.bounds, self.group_radius, rng
-        )
+        group = pieces(points[:, 0], points[:, 1], owner[drawn], bottom.bounds, self.group_radius, rng)
         held = group >= 0
         return Places(points[held], normals[drawn][held], group[held])
 
