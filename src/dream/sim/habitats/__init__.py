@@ -37,33 +37,33 @@ SPLIT = 0.4, 0.6
 """Share of an arena's longer side that the first of two has."""
 
 
-def mound(arena: Arena, rng: Random) -> World:
+def _mound(arena: Arena, rng: Random) -> World:
     """One to five mounds of old shell, overgrown all over."""
     return world_of(arena, [mounds_in(arena, arena.bounds, rng)], rng)
 
 
-def ledge(arena: Arena, rng: Random) -> World:
+def _ledge(arena: Arena, rng: Random) -> World:
     """Steps of the bed, with oysters on and along their edges."""
     return world_of(arena, [ledges_in(arena, arena.bounds, rng)], rng)
 
 
-def carpet(arena: Arena, rng: Random) -> World:
+def _carpet(arena: Arena, rng: Random) -> World:
     """Single clumps strewn over large patches."""
-    return world_of(arena, [_carpet(arena, arena.bounds, beds.SPARSE, rng)], rng)
+    return world_of(arena, [_carpet_in(arena, arena.bounds, rng)], rng)
 
 
-def tiny(arena: Arena, rng: Random) -> World:
+def _tiny(arena: Arena, rng: Random) -> World:
     """Small groups far apart."""
     return world_of(arena, [small_groups_in(arena.bounds, FEWEST, rng)], rng)
 
 
-def dense(arena: Arena, rng: Random) -> World:
+def _dense(arena: Arena, rng: Random) -> World:
     """A bed that covers most of the arena."""
     bed = beds_in(arena, arena.bounds, beds.DENSE, (4.0, 9.0), beds.BED, beds.HEIGHT, 1.5, rng)
     return world_of(arena, [bed], rng)
 
 
-def rocks(arena: Arena, rng: Random) -> World:
+def _rocks(arena: Arena, rng: Random) -> World:
     """Oysters on rocks and, in one world of two, on a wall."""
     walls = [walls_in(arena, (1, 1), rng)] if rng.random() < 0.5 else []
     taken = walls[0].feet() if walls else np.empty((0, 3))
@@ -72,18 +72,18 @@ def rocks(arena: Arena, rng: Random) -> World:
     return world_of(arena, [RockFaces(first)], rng, [stones, *walls], strewn=False)
 
 
-def holes(arena: Arena, rng: Random) -> World:
+def _holes(arena: Arena, rng: Random) -> World:
     """Large reefs with bare holes in them."""
     bed = beds_in(arena, arena.bounds, beds.LARGE, (9.0, 14.0), beds.BED, beds.HEIGHT, 1.5, rng)
     return world_of(arena, [holed(bed, arena.bounds, rng)], rng)
 
 
-def border(arena: Arena, rng: Random) -> World:
+def _border(arena: Arena, rng: Random) -> World:
     """Reefs along the border, cut by it."""
     return world_of(arena, [borders_in(arena, rng)], rng)
 
 
-def walls(arena: Arena, rng: Random) -> World:
+def _walls(arena: Arena, rng: Random) -> World:
     """Beds that ridges of rock, or quays, cut."""
     while True:
         found = walls_in(arena, WALLS, rng)
@@ -94,7 +94,7 @@ def walls(arena: Arena, rng: Random) -> World:
             return world_of(arena, [replace(bed, lines=found.segments(beside=0.2))], rng, [found])
 
 
-def two(arena: Arena, rng: Random) -> World:
+def _two(arena: Arena, rng: Random) -> World:
     """A mound or a ledge in one part of the arena, a carpet or small groups in the other."""
     box = arena.bounds
     at = uniform(rng, *SPLIT)
@@ -115,21 +115,21 @@ def two(arena: Arena, rng: Random) -> World:
         steep = ledges_in(arena, parts[0], rng, across + math.pi * index(rng, 2))
     flat: Habitat
     if rng.random() < 0.5:
-        flat = _carpet(arena, parts[1], beds.SPARSE, rng)
+        flat = _carpet_in(arena, parts[1], rng)
     else:
         flat = small_groups_in(parts[1], FEWEST // 2, rng)
     return world_of(arena, [steep, flat], rng)
 
 
-def wide(arena: Arena, rng: Random) -> World:
+def _wide(arena: Arena, rng: Random) -> World:
     """A reef of dream-v1's shapes."""
     reef = strokes_in(arena, rng)
     near = np.concatenate([stroke.line for stroke in reef.bed.strokes])
     return world_of(arena, [reef], rng, near=near)
 
 
-def _carpet(arena: Arena, region: Bounds, cover: tuple[float, float], rng: Random) -> Habitat:
-    return beds_in(arena, region, cover, (9.0, 14.0), beds.CARPET, (0.0, 0.0), 3.0, rng, bare=0.3)
+def _carpet_in(arena: Arena, region: Bounds, rng: Random) -> Habitat:
+    return beds_in(arena, region, beds.SPARSE, (9.0, 14.0), beds.CARPET, (0.0, 0.0), 3.0, rng, bare=0.3)
 
 
 def _in_some_arena(family: Callable[[Arena, Random], World], rng: Random) -> World:
@@ -142,7 +142,19 @@ def _in_some_arena(family: Callable[[Arena, Random], World], rng: Random) -> Wor
 
 
 HABITATS: Mapping[str, Callable[[Random], World]] = {
-    f"reef/{family.__name__}": partial(_in_some_arena, family)
-    for family in (mound, ledge, carpet, tiny, dense, rocks, holes, border, walls, two, wide)
+    f"reef/{name}": partial(_in_some_arena, family)
+    for name, family in {
+        "mound": _mound,
+        "ledge": _ledge,
+        "carpet": _carpet,
+        "tiny": _tiny,
+        "dense": _dense,
+        "rocks": _rocks,
+        "holes": _holes,
+        "border": _border,
+        "walls": _walls,
+        "two": _two,
+        "wide": _wide,
+    }.items()
 }
 """What makes each of them from a random generator."""

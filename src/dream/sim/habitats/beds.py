@@ -40,6 +40,8 @@ CUT = 0.2, 0.45
 HOLE = 2.0, 6.0
 """Metres across: bare holes. Our choice, between the bare spots of a crust and the gaps between two reefs; we
 found no measured sizes."""
+RAGGED = 0.1
+"""Share by which a hole is wider here, narrower there."""
 HOLE_EVERY = 45.0, 120.0
 """Square metres of reef to one hole."""
 RIM = 1.5
@@ -83,8 +85,9 @@ class Beds:
             np.minimum(y - self.limit.y_min, self.limit.y_max - y),
         )
         share[inner < 0.0] = 0.0
-        # A hole is as ragged as the reef's own outline.
-        ragged = np.square(1.0 + 0.15 * self.grain.at(x, y)) if len(self.holes) else np.ones_like(share)
+        ragged = np.ones_like(share)
+        if len(self.holes):
+            ragged = np.square(1.0 + RAGGED * np.clip(self.grain.at(x, y), -1.0, 1.0))
         for east, north, radius in self.holes:
             share[np.square(x - east) + np.square(y - north) < radius * radius * ragged] = 0.0
         for ax, ay, bx, by, bare in self.lines:
@@ -187,7 +190,7 @@ def holed(beds: Beds, bounds: Bounds, rng: np.random.Generator) -> Beds:
         row, col = squares[int(rng.random() * len(squares))]
         x = bounds.x_min + (col + 0.5) * SPACING
         y = bounds.y_min + (row + 0.5) * SPACING
-        radius = 0.5 * uniform(rng, HOLE[0] / 0.9, HOLE[1] / 1.1)
+        radius = 0.5 * uniform(rng, HOLE[0] / (1.0 - RAGGED), HOLE[1] / (1.0 + RAGGED))
         apart = np.sqrt(np.square(found[:, 0] - x) + np.square(found[:, 1] - y)) - found[:, 2] - radius
         if (apart >= RIM).all() and _surrounded(label, row, col, radius + 0.75):
             found = np.concatenate([found, quantised([[x, y, radius]], 1000)])
