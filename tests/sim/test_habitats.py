@@ -182,6 +182,11 @@ def test_individuals_stand_on_what_they_grow_on_and_away_from_it(family: str, se
         for point in points[:: max(len(points) // 60, 1)]:
             near = np.linalg.norm(middles - point, axis=1) <= 1.3
             assert away_from(point, triangles[near]) <= deepest
+        # Outwards: with the open water above it, but under an overhang or a higher rock.
+        tips = points + 0.3 * ups
+        solids = Solids(world)
+        above = [solids.ranges(tip, [[0.0, 0.0, 1.0]], limit=4.0)[0][0] for tip in tips]
+        assert np.isfinite(above).mean() < 0.03
         # On tops, on sides, and on both.
         assert (ups[:, 2] > 0.8).any()
         assert (np.abs(ups[:, 2]) < 0.35).mean() > 0.1

@@ -248,10 +248,10 @@ def _wall(wall: Wall, seabed: Terrain, rng: np.random.Generator) -> tuple[Mesh, 
     points = np.stack([x[:, None] + away * side[0], y[:, None] + away * side[1], z], axis=-1)
     a = np.arange(count - 1)[:, None] * 6 + np.arange(6)
     b = np.arange(count - 1)[:, None] * 6 + (np.arange(6) + 1) % 6
-    quads = np.stack([a, a + 6, b + 6, b], axis=-1).reshape(-1, 4)
+    quads = np.stack([a, b, b + 6, a + 6], axis=-1).reshape(-1, 4)
     faces = [quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]
     fan = np.array([(0, k + 1, k + 2) for k in range(4)])
-    faces += [fan, fan[:, ::-1] + 6 * (count - 1)]
+    faces += [fan[:, ::-1], fan + 6 * (count - 1)]
     grey = np.array([124.0, 122.0, 114.0]) if wall.built else np.array([98.0, 94.0, 86.0])
     shade = uniforms(rng, 0.85, 1.12, (count * 6, 1))
     vertices = quantised(points.reshape(-1, 3), MILLIMETRE)
